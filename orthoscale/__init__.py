@@ -1,0 +1,46 @@
+"""orthoscale: metres for structure from motion, with vehicles as the ruler.
+
+import orthoscale
+result = orthoscale.estimate("ortho.tif", fleet="DE")
+result.scale.value, result.scale.interval90
+orthoscale.fix("model/", "scaled/", fleet="US")
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+__all__ = ["Boxes", "Detections", "Fleet", "OrthoscaleError", "Result", "Scale", "estimate", "fix"]
+
+if TYPE_CHECKING:
+    from .boxes import Boxes
+    from .detections import Detections
+    from .errors import OrthoscaleError
+    from .fleet import Fleet
+    from .pipeline import Result, estimate, fix
+    from .pooling import Scale
+
+_HOME = {
+    "Boxes": "boxes",
+    "Detections": "detections",
+    "Fleet": "fleet",
+    "OrthoscaleError": "errors",
+    "Result": "pipeline",
+    "Scale": "pooling",
+    "estimate": "pipeline",
+    "fix": "pipeline",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Public names are loaded on first use, so that `import orthoscale` costs nothing."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f".{_HOME[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOME])

@@ -1,0 +1,87 @@
+"""Sweeping a picture of any size: overlapping windows, boxes put back into the picture's own pixels."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..boxes import Boxes, suppress
+from ..sources.picture import Picture
+
+TILE = 1024  # side of the network's input [px]
+OVERLAP = 128  # shared by neighbouring tiles [px of the input]; more than the longest usable vehicle
+BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
+
+Detect = Callable[[np.ndarray], Boxes]
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A window of a picture: position and size [px of the picture], and the size it is resampled to."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+    out_width: int
+    out_height: int
+
+
+def tiles(picture: Picture, zoom: float, tile: int = TILE, overlap: int = OVERLAP) -> list[Tile]:
+    """Tiles that cover the picture at `zoom` (network pixels per picture pixel), each at most `tile` px wide."""
+    columns = list(_spans(picture.width, zoom, tile, overlap))
+    return [
+        Tile(x, y, w, h, max(1, round(w * zoom)), max(1, round(h * zoom)))
+        for y, h in _spans(picture.height, zoom, tile, overlap)
+        for x, w in columns
+    ]
+
+
+def _spans(size: int, zoom: float, tile: int, overlap: int) -> Iterator[tuple[int, int]]:
+    """(start, length) pairs [px of the picture] that cover 0..size evenly, neighbours sharing at least `overlap`."""
+    span, shared = min(size, max(1, int(tile / zoom))), int(np.ceil(overlap / zoom))
+    if span >= size:
+        yield 0, size
+        return
+    count = int(np.ceil((size - shared) / max(span - shared, 1)))
+    for k in range(count):
+        yield round(k * (size - span) / (count - 1)), span
+
+
+def look(picture: Picture, tile: Tile, detect: Detect) -> Boxes:
+    """Whole vehicles in one tile, in the picture's pixels; boxes that the tile's edge may cut are left to its neighbour
+    (and dropped at the picture's edge, where nobody sees them whole)."""
+    return place(detect(read(picture, tile)), tile)
+
+
+def read(picture: Picture, tile: Tile) -> np.ndarray:
+    return picture.read(tile.x, tile.y, tile.width, tile.height, tile.out_width, tile.out_height)
+
+
+def place(boxes: Boxes, tile: Tile) -> Boxes:
+    whole = boxes[boxes.inside(tile.out_width, tile.out_height, BORDER)]
+    return whole.mapped(tile.width / tile.out_width, (tile.x, tile.y))
+
+
+def sweep(
+    pictures: Iterable[Picture], zoom: float, detect: Detect, progress: Callable[[int, int], None] | None = None
+) -> dict[str, Boxes]:
+    """All whole vehicles of each picture, by its name, after non-maximum suppression.
+
+    The next tile is read while the network works on this one. `progress(done, total)` counts tiles.
+    """
+    jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
+    found: dict[str, list[Boxes]] = {picture.name: [] for picture, _ in jobs}
+    with ThreadPoolExecutor(1) as reader:
+        ahead = deque(reader.submit(read, *job) for job in jobs[:1])
+        for k, (picture, tile) in enumerate(jobs):
+            image = ahead.popleft().result()
+            ahead.extend(reader.submit(read, *job) for job in jobs[k + 1 : k + 2])
+            found[picture.name].append(place(detect(image), tile))
+            if progress:
+                progress(k + 1, len(jobs))
+    return {name: suppress(Boxes.concatenate(parts)) for name, parts in found.items()}

@@ -1,0 +1,95 @@
+"""The vehicles found in a source, and the file that keeps them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from .boxes import Boxes
+from .errors import InputError
+from .pooling import Ruler
+
+# Boxes from a file that does not say what ruler they are: a margin nobody has measured.
+UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.03), noise=(2.0, 1.2))
+FIELDS = ("cx", "cy", "length", "width", "angle")
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Boxes by picture name [px of the picture], with what is needed to measure with them.
+
+    zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
+    effective_height : up to where the boxes enclose a vehicle seen obliquely [m].
+    doubtful : boxes that were seen but not believed, by picture name, with the reason.
+    """
+
+    boxes: dict[str, Boxes]
+    zoom: float
+    ruler: Ruler
+    effective_height: float
+    detector: str
+    detector_sha256: str = ""
+    doubtful: dict[str, Boxes] = field(default_factory=dict)
+    doubt: str = "seen at one zoom only"
+
+    def __len__(self) -> int:
+        return sum(map(len, self.boxes.values()))
+
+    def save(self, path: Path) -> None:
+        """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians."""
+        text = {
+            "detector": self.detector,
+            "detector_sha256": self.detector_sha256,
+            "zoom": self.zoom,
+            "effective_height": self.effective_height,
+            "ruler": asdict(self.ruler),
+            "pictures": {name: _rows(boxes) for name, boxes in self.boxes.items()},
+        }
+        path.write_text(json.dumps(text, indent=0))
+
+    @classmethod
+    def load(cls, path: Path) -> Detections:
+        """Read what `save` wrote, or a plain ``{name: [box, ...]}``. Raises InputError."""
+        try:
+            text = json.loads(path.read_text(encoding="utf-8"))
+            pictures = text.get("pictures", text)
+            boxes = {name: _boxes(rows) for name, rows in pictures.items()}
+            ruler = Ruler(**{k: tuple(v) for k, v in text["ruler"].items()}) if "ruler" in text else UNKNOWN_RULER
+            return cls(
+                boxes=boxes,
+                zoom=float(text["zoom"]) if "pictures" in text else 1.0,
+                ruler=ruler,
+                effective_height=float(text["effective_height"]) if "pictures" in text else 0.8,
+                detector=str(text.get("detector", f"boxes of {path.name}"))
+                if "pictures" in text
+                else f"boxes of {path.name}",
+                detector_sha256=str(text["detector_sha256"]) if "pictures" in text else "",
+            )
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a detections file.") from error
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(
+                f"{path}: not a detections file ({error!r})",
+                'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}, ...]} in pixels and radians.',
+            ) from error
+
+
+def _rows(boxes: Boxes) -> list[dict[str, float]]:
+    return [
+        {
+            **{k: round(float(v), 4 if k == "angle" else 2) for k, v in zip(FIELDS, row, strict=True)},
+            "score": round(float(s), 3),
+        }
+        for row, s in zip(boxes.xylwa, boxes.score, strict=True)
+    ]
+
+
+def _boxes(rows: list[dict]) -> Boxes:
+    rows = [row for row in rows if row.get("kind", "vehicle") == "vehicle"]
+    xylwa = np.array([[float(row[k]) for k in FIELDS] for row in rows], float).reshape(-1, 5)
+    if not np.isfinite(xylwa).all() or (xylwa[:, 2:4] <= 0).any():
+        raise ValueError("a box with a size that is not a positive number")
+    return Boxes(xylwa, np.array([float(row.get("score", 1.0)) for row in rows]))

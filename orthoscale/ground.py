@@ -1,0 +1,337 @@
+"""The ground under a reconstruction: a smooth sheet drawn under its sparse points, below trees, roofs and vehicles.
+
+A vehicle's size in model units is its size in pixels times its distance, and its distance is where its ray meets the
+ground: an error of one percent of the camera height is an error of one percent of the scale.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.interpolate import RectBivariateSpline
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse.linalg import splu
+
+from .errors import InputError, TooLittleEvidence
+
+MIN_POINTS = 50
+MIN_SHARE = 0.08  # of the points on the ground; clouds without any ground still have 2 to 5 % near some surface
+MAX_POINTS = 200_000  # more do not make the ground any better known, only slower
+MAX_NODES = 40_000
+# Stiffness of the sheet (the length that it smooths away) and widest band of points it listens to, both in camera
+# heights: from a stiff sheet that finds the ground to a supple one that follows it.
+SCHEDULE = ((1, 0.06), (0.6, 0.05), (0.35, 0.04), (0.25, 0.03), (0.17, 0.03), *[(0.12, 0.03)] * 3)
+# The sheet listens less far up, where vehicles and shrubs are, than down: in standard deviations of ground points.
+ABOVE, BELOW = 2.0, 3.0
+# Then it settles lower than the middle of normally distributed points, and sees less of them below: by so much.
+SETTLES, SPREAD = 0.24, 1.69
+STEEPEST = np.radians(25)  # vehicles neither park nor drive on steeper ground
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The ground surface of one reconstruction; lengths in model units, coordinates those of the world.
+
+    up : (3,) unit vector away from the ground, to the cameras' side.
+    camera_height : median height of the cameras over the ground below them.
+    noise : standard deviation of the ground's own points about the sheet.
+    """
+
+    up: np.ndarray
+    camera_height: float
+    noise: float
+    _sheet: _Sheet
+
+    @classmethod
+    def fit(cls, points: np.ndarray, camera_centres: np.ndarray) -> Ground:
+        """Find the ground under `points` (M, 3) seen from `camera_centres` (C, 3).
+
+        Points on trees, roofs, walls and vehicles, and stray points on either side, are told from the ground by the
+        sheet's stiffness and by where the cameras are. The result is the same for the same input.
+
+        Raises TooLittleEvidence where there are too few points, InputError where no surface lies below the cameras.
+        """
+        points, centres = _finite(points), _finite(camera_centres)
+        if len(points) < MIN_POINTS or not len(centres):
+            raise TooLittleEvidence(
+                f"{len(points)} points and {len(centres)} cameras are too few to find the ground",
+                f"At least {MIN_POINTS} points are needed: reconstruct with more images or more overlap.",
+            )
+        random = np.random.default_rng(0)
+        if len(points) > MAX_POINTS:
+            points = points[random.choice(len(points), MAX_POINTS, replace=False)]
+        plane = _plane_below(points, centres, random)
+        sheet, noise = _Sheet.fit(points @ plane.T, centres @ plane.T, plane)
+        height = float(np.median(sheet.height_above(centres)))
+        if not height > 0:
+            raise _no_ground()
+        return cls(plane[2], height, noise, sheet)
+
+    def height_above(self, points: np.ndarray) -> np.ndarray:
+        """(N,) heights of `points` (N, 3) over the ground straight below them, along `up`."""
+        return self._sheet.height_above(np.asarray(points, float).reshape(-1, 3))
+
+    def intersect(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where rays from `origins` (N, 3) along `directions` (N, 3), of any length, meet the ground.
+
+        Returns the points (N, 3), the ground's unit normals there (N, 3), pointing up, and (N,) bool whether the
+        answer holds: the ray goes down to the ground, ends close to where the ground was seen, and the ground there is
+        not too steep for vehicles. Where it does not hold, points and normals are finite but meaningless.
+        """
+        origins = np.asarray(origins, float).reshape(-1, 3)
+        directions = np.asarray(directions, float).reshape(-1, 3)
+        return self._sheet.intersect(origins, directions, self.camera_height)
+
+
+def _finite(xyz: np.ndarray) -> np.ndarray:
+    xyz = np.asarray(xyz, float).reshape(-1, 3)
+    return xyz[np.isfinite(xyz).all(1)]
+
+
+def _no_ground() -> InputError:
+    return InputError(
+        "no ground surface lies below the cameras of this reconstruction",
+        "Views from above over mostly open ground are needed; models of facades or objects have no ground to stand on.",
+    )
+
+
+def _plane_below(points: np.ndarray, centres: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Rotation (3, 3) `plane_from_world` whose third row is up: the normal of the plane that most points lie on.
+
+    Random triples of points propose planes. A plane counts when nearly all cameras are on one side of it; points in
+    it speak for it and points behind it against it, so that the ground wins over a roof or a canopy.
+    """
+    some = points[random.choice(len(points), min(len(points), 2000), replace=False)]
+    few = centres[random.choice(len(centres), min(len(centres), 200), replace=False)]
+    distance = np.median(np.linalg.norm(some[:, None] - few[None], axis=2).min(1))
+    band = 0.03 * distance
+    if not band > 0:
+        raise _no_ground()
+
+    a, b, c = points[random.integers(0, len(points), (3, 1500))]
+    normals = np.cross(b - a, c - a)
+    size = np.linalg.norm(normals, axis=1)
+    usable = size > 1e-3 * distance**2
+    normals, a = normals[usable] / size[usable, None], a[usable]
+    offset = (normals * a).sum(1)
+    above = normals @ few.T - offset[:, None]
+    normals *= np.where(np.median(above, axis=1) < 0, -1, 1)[:, None]
+    offset = (normals * a).sum(1)
+
+    overlooked = (normals @ few.T - offset[:, None] > band).mean(1) >= 0.9
+    if not overlooked.any():
+        raise _no_ground()
+    normals, offset = normals[overlooked], offset[overlooked]
+    residual = normals @ some.T - offset[:, None]
+    support = np.clip(1 - (residual / band) ** 2, 0, None).sum(1)
+    best = np.argmax(support - 0.5 * (residual < -2 * band).sum(1))
+    normal, middle = normals[best], normals[best] * offset[best]
+
+    for width in (2.0, 1.5, 1.0):
+        near = points[np.abs((points - middle) @ normal) < width * band]
+        if len(near) < 10:
+            break
+        middle = near.mean(0)
+        refined = np.linalg.svd(near - middle, full_matrices=False)[2][2]
+        normal = refined if refined @ normal > 0 else -refined
+    if np.median((centres - middle) @ normal) <= band:
+        raise _no_ground()
+    aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    aside /= np.linalg.norm(aside)
+    return np.stack([aside, np.cross(normal, aside), normal])
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """A smooth height field over the plane of `plane_from_world` (3, 3), and where points of the ground support it."""
+
+    plane_from_world: np.ndarray
+    corner: np.ndarray  # (2,) plane coordinates of the first node
+    spacing: float
+    surface: RectBivariateSpline
+    reach: np.ndarray  # (nx, ny) distance from each node to the nearest one with ground points
+
+    @classmethod
+    def fit(cls, points: np.ndarray, centres: np.ndarray, plane_from_world: np.ndarray) -> tuple[_Sheet, float]:
+        """Fit the sheet to `points` in plane coordinates; returns it and the noise of the ground's points."""
+        everything = len(points)
+        low, high = np.percentile(points[:, 2], [5, 60])
+        height = np.median(centres[:, 2]) - low
+        # Stray points far outside would stretch the grid for nothing.
+        left, right = np.percentile(points[:, :2], [1, 99], axis=0)
+        margin = 0.1 * (right - left) + 0.1 * height
+        left, right = left - margin, right + margin
+        inside = ((points[:, :2] > left) & (points[:, :2] < right)).all(1)
+        points = points[inside & (np.abs(points[:, 2] - low) < 2 * height + (high - low))]
+        if len(points) < MIN_POINTS:
+            raise _no_ground()
+
+        area = np.prod(right - left)
+        spacing = max(0.1 * height, np.sqrt(area / MAX_NODES), np.sqrt(2 * area / len(points)))
+        shape = np.maximum(np.ceil((right - left) / spacing).astype(int) + 1, 4)
+        grid = _Grid(left, spacing, (int(shape[0]), int(shape[1])))
+
+        heights = grid.fit_low(points, height)
+        at = grid.interpolation(points[:, :2])
+        crowd = grid.crowding(points[:, :2])
+        noise = 0.02 * height
+        # From a stiff sheet and a wide band to a supple sheet and the noise of the points themselves.
+        for stiffness, band in SCHEDULE:
+            residual = points[:, 2] - at @ heights
+            noise = _noise_below(residual, band * height)
+            width = np.clip(np.where(residual > 0, ABOVE, BELOW) * noise, 0.003 * height, band * height)
+            weight = np.clip(1 - (residual / width) ** 2, 0, None) ** 2
+            heights = grid.fit(at, points[:, 2], weight / crowd, stiffness * height, heights)
+        heights += SETTLES * noise
+        ground = np.abs(points[:, 2] - at @ heights) < BELOW * noise
+        if ground.sum() < max(MIN_SHARE * everything, MIN_POINTS // 2):
+            raise _no_ground()
+
+        x, y = (grid.corner[k] + grid.spacing * np.arange(grid.shape[k]) for k in (0, 1))
+        seen = np.zeros(grid.shape, bool)
+        seen[tuple(grid.nearest(points[ground, :2]).T)] = True
+        reach = distance_transform_edt(~seen) * grid.spacing
+        surface = RectBivariateSpline(x, y, heights.reshape(grid.shape))
+        return cls(plane_from_world, grid.corner, grid.spacing, surface, reach), float(noise)
+
+    def height_above(self, points: np.ndarray) -> np.ndarray:
+        local = points @ self.plane_from_world.T
+        return local[:, 2] - self.surface.ev(local[:, 0], local[:, 1])
+
+    def intersect(
+        self, origins: np.ndarray, directions: np.ndarray, camera_height: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See `Ground.intersect`."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        usable = np.isfinite(origins).all(1) & np.isfinite(directions).all(1)
+        start = np.where(usable[:, None], origins, 0) @ self.plane_from_world.T
+        ray = np.where(usable[:, None], directions, 0) @ self.plane_from_world.T
+        usable &= ray[:, 2] < -1e-3
+        ray[~usable] = (0, 0, -1)
+
+        # Newton's method on the tangent plane below the ray's current end; it starts at the height of the middle.
+        middle = float(np.median(self.surface.get_coeffs()))
+        along = (middle - start[:, 2]) / ray[:, 2]
+        for _ in range(20):
+            end = start + along[:, None] * ray
+            normal = self._upward(end)
+            miss = (end[:, 2] - self.surface.ev(end[:, 0], end[:, 1])) * normal[:, 2]
+            closing = np.minimum((ray * normal).sum(1), -0.05)
+            step = np.clip(-miss / closing, -2 * camera_height, 2 * camera_height)
+            along = along + step
+            if (np.abs(step[usable]) < 1e-9 * camera_height).all():
+                break
+        end = start + along[:, None] * ray
+        normal = self._upward(end)
+        miss = end[:, 2] - self.surface.ev(end[:, 0], end[:, 1])
+        node = np.rint((end[:, :2] - self.corner) / self.spacing)
+        inside = ((node >= 0) & (node < self.reach.shape)).all(1)
+        i, j = np.where(inside[:, None], node, 0).astype(int).T
+        ok = usable & inside & (along > 0) & (np.abs(miss) < 1e-6 * camera_height)
+        ok &= (self.reach[i, j] <= 0.3 * camera_height + self.spacing) & (normal[:, 2] > np.cos(STEEPEST))
+        return end @ self.plane_from_world, normal @ self.plane_from_world, ok
+
+    def _upward(self, points: np.ndarray) -> np.ndarray:
+        """(N, 3) unit normals of the sheet over `points`, all in plane coordinates."""
+        slope_x = self.surface.ev(points[:, 0], points[:, 1], dx=1)
+        slope_y = self.surface.ev(points[:, 0], points[:, 1], dy=1)
+        normal = np.stack([-slope_x, -slope_y, np.ones(len(points))], 1)
+        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _noise_below(residual: np.ndarray, band: float) -> float:
+    """Standard deviation of the ground's points, from those below the sheet: nothing but ground and strays is there."""
+    below = -residual[(residual < 0) & (residual > -band)]
+    return SPREAD * float(np.median(below)) if len(below) >= 10 else band / 3
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Square cells over the plane; heights live at their nodes, (nx * ny,), interpolated bilinearly."""
+
+    corner: np.ndarray
+    spacing: float
+    shape: tuple[int, int]
+
+    def nearest(self, xy: np.ndarray) -> np.ndarray:
+        node = np.rint((xy - self.corner) / self.spacing).astype(int)
+        return np.clip(node, 0, np.array(self.shape) - 1)
+
+    def crowding(self, xy: np.ndarray) -> np.ndarray:
+        """(M,) what to divide a point's weight by, lest textured spots outvote bare asphalt beside them."""
+        node = np.ravel_multi_index(tuple(self.nearest(xy).T), self.shape)
+        return np.sqrt(np.bincount(node)[node])
+
+    def interpolation(self, xy: np.ndarray) -> sparse.csr_matrix:
+        """(M, nodes) matrix that takes heights at the nodes to heights at `xy`."""
+        place = np.clip((xy - self.corner) / self.spacing, 0, np.array(self.shape) - 1)
+        cell = np.minimum(place.astype(int), np.array(self.shape) - 2)
+        u, v = (place - cell).T
+        first = cell[:, 0] * self.shape[1] + cell[:, 1]
+        column = np.stack([first, first + 1, first + self.shape[1], first + self.shape[1] + 1], 1)
+        value = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v], 1)
+        row = np.repeat(np.arange(len(xy)), 4)
+        return sparse.csr_matrix((value.ravel(), (row, column.ravel())), (len(xy), self.shape[0] * self.shape[1]))
+
+    def bending(self) -> sparse.csr_matrix:
+        """(nodes, nodes) energy of a thin plate: squared second differences, twist counted twice."""
+
+        def difference(n: int, order: int) -> sparse.spmatrix:
+            stencil = ([1.0, -2.0, 1.0], [0, 1, 2]) if order == 2 else ([-1.0, 1.0], [0, 1])
+            return sparse.diags(stencil[0], stencil[1], shape=(n - order, n))
+
+        nx, ny = self.shape
+        xx = sparse.kron(difference(nx, 2), sparse.identity(ny))
+        yy = sparse.kron(sparse.identity(nx), difference(ny, 2))
+        xy = sparse.kron(difference(nx, 1), difference(ny, 1))
+        return (xx.T @ xx + yy.T @ yy + 2 * xy.T @ xy).tocsr()
+
+    def fit(
+        self, at: sparse.csr_matrix, heights: np.ndarray, weight: np.ndarray, length: float, before: np.ndarray
+    ) -> np.ndarray:
+        """(nodes,) heights of the sheet nearest to `heights` (M,) that smooths what is shorter than `length`.
+
+        A touch of the sheet `before` keeps nodes in place that no point holds.
+        """
+        stiffness = (length / self.spacing) ** 4 / (2 * np.pi)
+        weighted = at.T.multiply(weight)
+        hold = 1e-6 * stiffness
+        system = weighted @ at + stiffness * self.bending() + hold * sparse.identity(at.shape[1])
+        solver = splu(system.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0, options={"SymmetricMode": True})
+        return solver.solve(weighted @ heights + hold * before)
+
+    def fit_low(self, points: np.ndarray, camera_height: float) -> np.ndarray:
+        """(nodes,) heights of a stiff first sheet under everything that stands on the ground.
+
+        In wide cells, the lowest height at which a tenth of the cell's points agree; then a sheet through these levels
+        that lets go of levels above it, which are roofs and canopies that filled their cell.
+        """
+        band = 0.03 * camera_height
+        width = max(0.4 * camera_height, 2 * self.spacing)
+        cell = ((points[:, :2] - self.corner) / width).astype(int)
+        order = np.lexsort((points[:, 2], cell[:, 1], cell[:, 0]))
+        starts = np.flatnonzero(np.r_[True, (np.diff(cell[order], axis=0) != 0).any(1)])
+        levels = []
+        for members in np.split(order, starts[1:]):
+            h = points[members, 2]
+            quorum = max(3, len(h) // 10)
+            if len(h) < quorum:
+                continue
+            agreed = np.flatnonzero(h[quorum - 1 :] - h[: len(h) - quorum + 1] <= band)
+            if len(agreed):
+                chosen = members[(h >= h[agreed[0]]) & (h <= h[agreed[0]] + band)]
+                levels.append(np.r_[np.median(points[chosen], axis=0), np.sqrt(len(chosen))])
+        if len(levels) < 3:
+            raise _no_ground()
+        xyz, trust = np.array(levels)[:, :3], np.minimum(np.array(levels)[:, 3], 5)
+        at = self.interpolation(xyz[:, :2])
+        weight, heights = trust, np.full(self.shape[0] * self.shape[1], np.percentile(xyz[:, 2], 30))
+        for _ in range(8):
+            heights = self.fit(at, xyz[:, 2], weight, 1.0 * camera_height, heights)
+            residual = xyz[:, 2] - at @ heights
+            above, below = residual > band, residual < -3 * band
+            weight = trust * np.where(above, (band / np.maximum(residual, band)) ** 2, 1) * np.where(below, 0.3, 1)
+        return heights

@@ -1,0 +1,305 @@
+"""The way the data goes: source, tiles, boxes, projection, pooling, Scale, written copy, report."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from .atomic import check_free, new_file, new_folder
+from .boxes import Boxes, matched
+from .detections import Detections
+from .errors import InputError, TooLittleEvidence, UsageError
+from .fleet import Fleet
+from .pooling import MIN_VEHICLES, Scale, pool
+from .projection.exact import Hull
+from .projection.exact import ground_size as exact_size
+from .projection.planar import ground_size as planar_size
+from .projection.view import Views
+from .votes import Votes, gather
+
+if TYPE_CHECKING:
+    from .detect.zoom import ZoomChoice
+    from .sources.colmap import ColmapSource
+    from .sources.picture import Picture
+    from .sources.source import Source
+
+Progress = Callable[[str, int, int], None]  # what, done, total
+# Boxes that were measured, the picture of each (M,), the votes, the scale, and boxes lost on the way by reason.
+Measured = tuple[Boxes, np.ndarray, Votes, Scale, dict[str, int]]
+
+CONFIRMING_ZOOM = 1 / np.sqrt(
+    2
+)  # the second look, half an octave coarser: half the pixels, another view of each mistake
+SAME_BOX = 0.5  # overlap at which two looks show the same vehicle
+ROUNDS = 6  # of exact projection and pooling; the scale enters its own projection only through the vehicles' height
+SETTLED = 1e-4  # relative change of the scale at which the rounds end
+# Relative uncertainty of a reconstruction's ground under the vehicles (one sigma), as a share of the camera's height:
+# sparse points on bare ground scatter by about this much on the two real scenes.
+GROUND_SD = 0.01
+GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
+NO_GROUND = "no ground under the box, or seen too flatly"
+NO_HULL = "no vehicle on the ground gives this box"
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was found in one source, and the scale that follows."""
+
+    source: Source
+    fleet: Fleet
+    detections: Detections
+    boxes: Boxes  # all that entered the projection, of all pictures
+    picture: np.ndarray = field(repr=False)  # (M,) name of each box's picture
+    votes: Votes = field(repr=False)
+    scale: Scale = field(repr=True)
+    zoom_choice: ZoomChoice | None
+    rejected_boxes: dict[str, int]  # boxes that never became votes, by reason
+    seconds: float
+
+
+def open_source(path: Path, images: Path | None = None, need_images: bool = True) -> Source:
+    """The source at `path`: a folder is a COLMAP model, a file an image. Raises InputError."""
+    if not path.exists():
+        raise InputError(f"{path} does not exist", "Give an orthophoto, or the folder of a COLMAP model.")
+    if path.is_dir():
+        from .sources.colmap import ColmapSource
+
+        return ColmapSource.open(path, images=images, need_images=need_images)
+    if images is not None:
+        raise UsageError("--images is for COLMAP models", f"{path} is a file: leave --images away.")
+    from .sources.raster import RasterSource
+
+    return RasterSource.open(path)
+
+
+def find_vehicles(
+    pictures: Sequence[Picture],
+    detector_file: Path | None = None,
+    zoom: float | None = None,
+    progress: Progress | None = None,
+) -> tuple[Detections, ZoomChoice | None]:
+    """Sweep `pictures` at the right zoom (searched for unless given), twice; a vehicle must show in both looks."""
+    from .detect.detector import Detector
+    from .detect.tiles import sweep
+    from .detect.zoom import search_zoom
+
+    def step(what: str) -> Callable[[int, int], None] | None:
+        return (lambda done, total: progress(what, done, total)) if progress else None
+
+    detector = Detector(detector_file)
+    choice = None
+    if zoom is None:
+        choice = search_zoom(pictures, detector, detector.card, step("Looking for the right zoom"))
+        zoom = choice.zoom
+        if choice.vehicle_px is None:
+            raise TooLittleEvidence(
+                "no vehicles found at any zoom",
+                "The sample showed nothing that looks like a vehicle from 8 to 400 px long. If there are vehicles, "
+                "say how large: --gsd-hint METRES_PER_PIXEL or --zoom FACTOR.",
+            )
+    fine = sweep(pictures, zoom, detector, step("Finding vehicles"))
+    coarse = sweep(pictures, zoom * CONFIRMING_ZOOM, detector, step("Looking twice"))
+    boxes, doubtful = {}, {}
+    for name, found in fine.items():
+        i, j, _ = matched(found, coarse[name], SAME_BOX)
+        xylwa = found.xylwa[i].copy()
+        xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * coarse[name].xylwa[j, 2:4])
+        boxes[name] = Boxes(xylwa, (found.score[i] + coarse[name].score[j]) / 2)
+        alone = np.ones(len(found), bool)
+        alone[i] = False
+        doubtful[name] = found[alone]
+    card = detector.card
+    return Detections(boxes, zoom, card.ruler, card.effective_height, card.name, detector.sha256, doubtful), choice
+
+
+def estimate(
+    path: str | Path | Source,
+    *,
+    fleet: str | Path = "world",
+    images: str | Path | None = None,
+    detections: str | Path | None = None,
+    detector: str | Path | None = None,
+    zoom: float | None = None,
+    gsd_hint: float | None = None,
+    progress: Progress | None = None,
+) -> Result:
+    """Find the scale of an orthophoto (metres per pixel) or a COLMAP model (metres per model unit).
+
+    fleet : code of the country's fleet, or a JSON file. images : folder of a model's frames, when not beside it.
+    detections : boxes from a file instead of the detector. detector : an ONNX file instead of the shipped one.
+    zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
+    `path` may be a source that `open_source` opened. Raises InputError, UsageError, TooLittleEvidence.
+    """
+    started = time.perf_counter()
+    if zoom is not None and gsd_hint is not None:
+        raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
+    for name, value in (("--zoom", zoom), ("--gsd-hint", gsd_hint)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise UsageError(f"{name} must be a positive number, not {value}")
+    ruler_fleet = Fleet.load(fleet)
+    if isinstance(path, (str, Path)):
+        source = open_source(Path(path), _path(images), need_images=detections is None)
+    else:
+        source = path
+    choice = None
+    if detections is not None:
+        found = Detections.load(Path(detections))
+        _check_names(found, source, Path(detections))
+    else:
+        detector_file = _path(detector)
+        if gsd_hint is not None:
+            zoom = _zoom_for(gsd_hint, ruler_fleet, detector_file)
+        found, choice = find_vehicles(source.pictures, detector_file, zoom, progress)
+    try:
+        boxes, picture, votes, scale, lost = measure(source, found, ruler_fleet)
+    except TooLittleEvidence as error:
+        raise TooLittleEvidence(
+            f"{source.path}: {error.message} (looked at zoom {found.zoom:.2f}, vehicles about "
+            f"{_typical_length(found):.0f} px long there)",
+            "Try the fleet of the country (--fleet), another zoom (--gsd-hint METRES_PER_PIXEL, --zoom FACTOR), "
+            "or a scene with more vehicles.",
+        ) from error
+    return Result(source, ruler_fleet, found, boxes, picture, votes, scale, choice, lost, time.perf_counter() - started)
+
+
+def measure(source: Source, found: Detections, fleet: Fleet) -> Measured:
+    """From boxes to the scale: projection onto the ground, one vote per vehicle, pooling."""
+    if source.unit == "m/px":
+        return _measure_planar(source, found, fleet)
+    return _measure_model(cast("ColmapSource", source), found, fleet)
+
+
+def _measure_planar(source: Source, found: Detections, fleet: Fleet) -> Measured:
+    (name,) = source.picture_names
+    boxes = found.boxes.get(name, Boxes.empty())
+    size = planar_size(boxes)
+    votes = gather(size, np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, repeated=False)
+    scale = pool(votes, fleet, found.ruler, source.unit)
+    return boxes, np.full(len(boxes), name), votes, scale, {k: v for k, v in _lost(found).items() if v}
+
+
+def _measure_model(source: ColmapSource, found: Detections, fleet: Fleet) -> Measured:
+    parts, names, views, places = [], [], [], []
+    lost = _lost(found)
+    for name, boxes in found.boxes.items():
+        if not len(boxes):
+            continue
+        view, place, ok = source.views(name, boxes.centre)
+        parts.append(boxes[ok])
+        names += [name] * int(ok.sum())
+        views.append(view[ok])
+        places.append(place[ok])
+        lost[NO_GROUND] = lost.get(NO_GROUND, 0) + int((~ok).sum())
+    if len(names) < MIN_VEHICLES:
+        raise TooLittleEvidence(f"{len(names)} boxes on the ground, {MIN_VEHICLES} vehicles are needed")
+    boxes, picture, place = Boxes.concatenate(parts), np.array(names), np.concatenate(places)
+    view = Views.concatenate(views)
+    pixel = view.unit_per_pixel / found.zoom
+    hull = Hull(height=found.effective_height)
+    metres_per_unit = float(fleet.mean[0] / np.median(boxes.length * view.unit_per_pixel))
+    for _ in range(ROUNDS):
+        size = exact_size(boxes, view, metres_per_unit, hull)
+        solved = np.isfinite(size).all(1)
+        votes = gather(size[solved], pixel[solved], place[solved], boxes.score[solved], repeated=True)
+        scale = pool(votes, fleet, found.ruler, source.unit, GROUND_SD)
+        change = abs(np.log(scale.value / metres_per_unit))
+        metres_per_unit = scale.value
+        if change < SETTLED:
+            break
+    lost[NO_HULL] = int((~solved).sum())
+    return boxes[solved], picture[solved], votes, scale, {k: v for k, v in lost.items() if v}
+
+
+def fix(
+    path: str | Path,
+    out: str | Path,
+    *,
+    overwrite: bool = False,
+    override: bool = False,
+    force: bool = False,
+    **options: Any,
+) -> Result:
+    """Estimate the scale of `path` (see `estimate` for `options`) and write a copy of it in metres at `out`.
+
+    An orthophoto becomes the GeoTIFF `out` with `out`.json and `out`.png beside it; a model the folder `out` with
+    sim3.txt, report.json and vehicles.png in it. All of them appear, or none.
+
+    overwrite : replace what is at `out`. override : rescale although the input's own georeferencing gives a scale.
+    force : write although the evidence is too uncertain to be useful (verdict ``refuse``).
+    Raises what `estimate` raises, EvidenceDisagrees, OutputError.
+    """
+    path, out = Path(path), Path(out)
+    check_free(out, overwrite)
+    if out.absolute() == path.absolute():
+        raise UsageError(f"{out} is the input itself", "The input is never touched: choose another --out.")
+    source = open_source(path, _path(options.get("images")), need_images=options.get("detections") is None)
+    if source.metric_already and not override:  # not behind its owner's back
+        raise UsageError(
+            f"{path} is in metres already: {source.metric_already}",
+            "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
+        )
+    result = estimate(source, **options)
+    if result.scale.verdict == "refuse" and not force:
+        low, high = result.scale.interval90
+        raise TooLittleEvidence(
+            f"{path}: the scale is only known to lie between {low:.4g} and {high:.4g} {result.scale.unit}",
+            "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with --force.",
+        )
+    from .report.document import document, write_json
+    from .report.pictures import draw
+
+    with ExitStack() as outputs:  # renamed into place in reverse order, the main output last
+        if source.unit == "m/px":
+            main = outputs.enter_context(new_file(out, overwrite))
+            picture = outputs.enter_context(new_file(_beside(out, ".png"), overwrite))
+            report = outputs.enter_context(new_file(_beside(out, ".json"), overwrite))
+        else:
+            main = outputs.enter_context(new_folder(out, overwrite))
+            picture, report = main / "vehicles.png", main / "report.json"
+        source.write(main, result.scale.value)
+        draw(result, picture)
+        write_json(document(result), report)
+        if overwrite:
+            for suffix in GDAL_SIDECARS:  # those of the file that is replaced would speak for the new one
+                _beside(out, suffix).unlink(missing_ok=True)
+    return result
+
+
+def _beside(out: Path, suffix: str) -> Path:
+    return out.with_name(out.name + suffix)
+
+
+def _path(value: str | Path | None) -> Path | None:
+    return None if value is None else Path(value)
+
+
+def _lost(found: Detections) -> dict[str, int]:
+    return {found.doubt: sum(map(len, found.doubtful.values()))}
+
+
+def _check_names(found: Detections, source: Source, path: Path) -> None:
+    known = source.picture_names
+    strangers = [name for name in found.boxes if name not in set(known)]
+    if strangers:
+        raise InputError(
+            f"{path}: {len(strangers)} of its {len(found.boxes)} pictures are not in {source.path}, "
+            f"the first is {strangers[0]!r}",
+            f"The source has pictures like {known[0]!r}: give the detections that were made on it.",
+        )
+
+
+def _typical_length(found: Detections) -> float:
+    lengths = [boxes.length for boxes in found.boxes.values() if len(boxes)]
+    return float(np.median(np.concatenate(lengths))) if lengths else 0.0
+
+
+def _zoom_for(gsd: float, fleet: Fleet, detector_file: Path | None) -> float:
+    from .detect.detector import Detector
+
+    return Detector(detector_file).card.best_length * gsd / float(fleet.mean[0])

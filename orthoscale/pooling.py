@@ -1,0 +1,257 @@
+"""Many vehicles, one scale: robust pooling in log space, with an interval that says where its width comes from.
+
+In logarithms every vehicle reads ``log size = log fleet size - log scale + noise``, for length and for width. First the
+boxes that no vehicle of the fleet would give are set aside (a mixture of the fleet and an outlier class). The rest give
+two scales, one from lengths and one from widths, with a joint covariance
+
+    covariance = scatter / N  +  what is not known of the fleet's mean  +  what is not known of the detector's margin
+                 + what is not known of the geometry
+
+and the answer is their best linear combination (generalised least squares). So lengths rule where pixels are coarse and
+widths where they are fine, without a rule for it. Only the first term shrinks with more vehicles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .errors import TooLittleEvidence
+from .fleet import Fleet
+from .votes import Votes
+
+MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
+Z90 = 1.6449  # two-sided 90 % of a normal distribution
+# Outlier class: uniform over a box in (log length, log width) as wide as anything a detector could call a vehicle.
+OUTLIER_DENSITY = 1 / (3.0 * 2.5)
+OUTLIER_SHARE = 0.1  # at the start; then estimated, between these bounds
+OUTLIER_BOUNDS = (0.01, 0.6)
+PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
+VERDICTS = (("good", 0.03), ("fair", 0.06), ("poor", 0.15))  # relative one-sigma of the scale, upper bounds
+CHECK_LIMIT = 2.5  # sigmas between length and width before the verdict is lowered
+
+
+@dataclass(frozen=True)
+class Ruler:
+    """How a detector's boxes relate to vehicles: length_px = vehicle + margin[0], and the same for the width.
+
+    margin : (2,) excess of box length and width over the vehicle [detector px].
+    margin_sd : (2,) its one-sigma uncertainty [detector px].
+    bias_sd : (2,) relative uncertainty of box length and width that no number of boxes removes (labels, paint, shade).
+    noise : (2,) one-sigma noise of one box's length and width [detector px].
+    """
+
+    margin: tuple[float, float] = (0.0, 0.0)
+    margin_sd: tuple[float, float] = (0.7, 0.7)
+    bias_sd: tuple[float, float] = (0.015, 0.02)
+    noise: tuple[float, float] = (2.0, 1.2)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Metres per unit of the source, and how well that is known.
+
+    value : metres per pixel of an orthophoto, or per unit of a model.
+    interval90 : (low, high), contains the truth nine times in ten.
+    parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry.
+    checks : the scale from lengths alone, from widths alone and from length minus width (free of a symmetric margin).
+    weights : share of lengths and widths in the answer.
+    used : (N,) bool, votes that count; reasons : (N,) why the others do not ('' where used).
+    """
+
+    value: float
+    unit: str
+    interval90: tuple[float, float]
+    parts: dict[str, float]
+    checks: dict[str, float]
+    weights: tuple[float, float]
+    fleet: str
+    verdict: str
+    used: np.ndarray = field(repr=False)
+    reasons: list[str] = field(repr=False)
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def relative_sd(self) -> float:
+        return float(np.sqrt(sum(sd**2 for sd in self.parts.values())))
+
+    @property
+    def vehicles_used(self) -> int:
+        return int(self.used.sum())
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """How many votes were set aside, by reason."""
+        counts: dict[str, int] = {}
+        for reason in filter(None, self.reasons):
+            counts[reason] = counts.get(reason, 0) + 1
+        return dict(sorted(counts.items(), key=lambda item: -item[1]))
+
+
+def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry_sd: float = 0.0) -> Scale:
+    """The scale that `votes` give, for vehicles of `fleet`, measured with `ruler`.
+
+    `geometry_sd` is the relative uncertainty that comes from the source's geometry (ground height, focal length).
+    Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes.
+    """
+    size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
+    measurable = (size > 0.3 * votes.size).all(1)
+    if measurable.sum() < MIN_VEHICLES:
+        raise TooLittleEvidence(f"{int(measurable.sum())} usable vehicles, {MIN_VEHICLES} are needed")
+    log_size = np.log(size[measurable])
+    share_px = votes.pixel[measurable, None] / size[measurable]  # one pixel as a share of length and width
+    noise = (np.asarray(ruler.noise) * share_px) ** 2 / np.maximum(votes.views[measurable, None], 1)
+
+    log_scale, membership = _fit(log_size, noise, fleet.classes)
+    inlier = membership > 0.5
+    used = np.zeros(len(votes), bool)
+    used[measurable] = inlier
+    if used.sum() < MIN_VEHICLES:
+        raise TooLittleEvidence(
+            f"{len(votes)} boxes, but only {int(used.sum())} have the sizes of vehicles of one scale; "
+            f"{MIN_VEHICLES} are needed"
+        )
+
+    w = membership * inlier
+    mean = np.average(log_size, axis=0, weights=w)
+    estimates = fleet.log_mean - mean
+    effective = w.sum() ** 2 / (w**2).sum()
+    residual = log_size - mean
+    scatter = (w[:, None, None] * residual[:, :, None] * residual[:, None, :]).sum(0)
+    expected = _fleet_scatter(fleet) + np.diag(np.average(noise, axis=0, weights=w))
+    covariances = {
+        "sampling": (scatter + PRIOR_VOTES * expected) / (w.sum() + PRIOR_VOTES) / effective,
+        "fleet": fleet.log_mean_covariance,
+        "margin": _margin_covariance(ruler, np.average(share_px, axis=0, weights=w)),
+        "geometry": np.full((2, 2), geometry_sd**2),
+    }
+    total = sum(covariances.values())
+    weights = _combine(total)
+    log_scale = float(weights @ estimates)
+    parts = {name: float(np.sqrt(weights @ c @ weights)) for name, c in covariances.items()}
+
+    difference = float(estimates[0] - estimates[1])
+    tension = abs(difference) / np.sqrt(total[0, 0] + total[1, 1] - 2 * total[0, 1])
+    sd = float(np.sqrt(weights @ total @ weights)) * max(1.0, tension / CHECK_LIMIT)
+    if tension > CHECK_LIMIT:
+        # Two measurements that contradict each other know less than either claims (Birge 1932): widen what they share.
+        parts["margin"] = float(np.sqrt(sd**2 - sum(v**2 for k, v in parts.items() if k != "margin")))
+    mean_size = np.exp(mean)
+    from_difference = (fleet.mean[0] - fleet.mean[1]) / (mean_size[0] - mean_size[1])
+    verdict, remarks = _verdict(sd, tension, difference)
+    return Scale(
+        value=float(np.exp(log_scale)),
+        unit=unit,
+        interval90=(float(np.exp(log_scale - Z90 * sd)), float(np.exp(log_scale + Z90 * sd))),
+        parts=parts,
+        checks={
+            "length": float(np.exp(estimates[0])),
+            "width": float(np.exp(estimates[1])),
+            "length_minus_width": float(from_difference),
+        },
+        weights=(float(weights[0]), float(weights[1])),
+        fleet=fleet.code,
+        verdict=verdict,
+        used=used,
+        reasons=_reasons(votes, used, measurable, log_size, mean),
+        remarks=tuple(remarks),
+    )
+
+
+def _fit(log_size: np.ndarray, noise: np.ndarray, classes: Sequence) -> tuple[float, np.ndarray]:
+    """Log scale of greatest likelihood under fleet + outliers, and each vote's probability (N,) to be of the fleet."""
+    inverses, constants = [], []
+    for c in classes:
+        covariance = c.log_covariance + noise[:, :, None] * np.eye(2)
+        inverses.append(np.linalg.inv(covariance))
+        constants.append(np.log(c.weight) - np.log(2 * np.pi) - 0.5 * np.log(np.linalg.det(covariance)))
+
+    def densities(log_scale: float) -> np.ndarray:
+        """(classes, N) weighted densities."""
+        out = []
+        for c, inverse, constant in zip(classes, inverses, constants, strict=True):
+            r = log_size + log_scale - c.log_mean
+            out.append(np.exp(constant - 0.5 * np.einsum("ni,nij,nj->n", r, inverse, r)))
+        return np.array(out)
+
+    overall = sum(c.weight * c.log_mean for c in classes) / sum(c.weight for c in classes)
+    centre = float(np.median((overall - log_size).mean(1)))
+    grid = centre + np.arange(-1.2, 1.2, 0.02)
+    likelihood = [
+        np.log((1 - OUTLIER_SHARE) * densities(g).sum(0) + OUTLIER_SHARE * OUTLIER_DENSITY).sum() for g in grid
+    ]
+    log_scale, share = float(grid[int(np.argmax(likelihood))]), OUTLIER_SHARE
+    membership = np.ones(len(log_size))
+    for _ in range(50):  # expectation-maximisation
+        d = densities(log_scale)
+        fleet_density = (1 - share) * d
+        p = fleet_density / (fleet_density.sum(0) + share * OUTLIER_DENSITY)
+        membership = p.sum(0)
+        information, weighted = 0.0, 0.0
+        for c, inverse, responsibility in zip(classes, inverses, p, strict=True):
+            row = inverse.sum(1)  # 1^T inverse, per vote
+            information += (responsibility * row.sum(1)).sum()
+            weighted += (responsibility * np.einsum("ni,ni->n", row, c.log_mean - log_size)).sum()
+        new = weighted / information
+        share = float(np.clip(1 - membership.mean(), *OUTLIER_BOUNDS))
+        done = abs(new - log_scale) < 1e-7
+        log_scale = float(new)
+        if done:
+            break
+    return log_scale, membership
+
+
+def _fleet_scatter(fleet: Fleet) -> np.ndarray:
+    """(2, 2) covariance of log size between the vehicles of the whole fleet."""
+    total = sum(c.weight for c in fleet.classes)
+    out = np.zeros((2, 2))
+    for c in fleet.classes:
+        d = c.log_mean - fleet.log_mean
+        out += c.weight / total * (c.log_covariance + np.outer(d, d))
+    return out
+
+
+def _margin_covariance(ruler: Ruler, share_px: np.ndarray) -> np.ndarray:
+    """(2, 2): the margin's uncertainty as a share of length and width (independent), plus the boxes' relative bias."""
+    return np.diag((np.asarray(ruler.margin_sd) * share_px) ** 2 + np.asarray(ruler.bias_sd) ** 2)
+
+
+def _combine(total: np.ndarray) -> np.ndarray:
+    """Weights of the best linear combination of two estimates; none below zero, because a negative weight trusts the
+    covariance's correlations more than they deserve."""
+    w = np.linalg.solve(total, np.ones(2))
+    w = np.clip(w / w.sum(), 0, 1)
+    return w / w.sum()
+
+
+def _verdict(sd: float, tension: float, difference: float) -> tuple[str, list[str]]:
+    names = [name for name, _ in VERDICTS] + ["refuse"]
+    rank = next((k for k, (_, limit) in enumerate(VERDICTS) if sd <= limit), len(VERDICTS))
+    remarks = []
+    if tension > CHECK_LIMIT:
+        rank = min(rank + 1, len(VERDICTS) - 1)
+        longer = (
+            "lengths give a larger scale than widths" if difference > 0 else "widths give a larger scale than lengths"
+        )
+        remarks.append(
+            f"{longer} by {100 * abs(np.expm1(difference)):.0f} %: another fleet, or boxes that do not fit their vehicles"
+        )
+    return names[rank], remarks
+
+
+def _reasons(
+    votes: Votes, used: np.ndarray, measurable: np.ndarray, log_size: np.ndarray, mean: np.ndarray
+) -> list[str]:
+    reasons = [""] * len(votes)
+    for index in np.flatnonzero(~measurable):
+        reasons[index] = "smaller than the detector's margin"
+    for index, (d_length, d_width) in zip(np.flatnonzero(measurable), log_size - mean, strict=True):
+        if used[index]:
+            continue
+        if abs(d_length - d_width) > max(abs(d_length), abs(d_width)):
+            reasons[index] = "wrong shape for a vehicle"
+        else:
+            reasons[index] = "too small for a vehicle" if d_length + d_width < 0 else "too large for a vehicle"
+    return reasons

@@ -1,0 +1,47 @@
+"""How boxes are seen: the geometry between a box in an image and the ground under it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Views:
+    """The geometry of N boxes, each in the coordinates of the camera that sees it.
+
+    Camera coordinates: x right, y down, z forward, as in COLMAP; lengths in model units (any unit).
+
+    ground : (N, 3) the ground point under the box's centre.
+    normal : (N, 3) unit normal of the ground there, pointing up (towards the camera's side).
+    lens : (N, 2, 2) pixels per unit of the undistorted plane z = 1, at the box's centre: the Jacobian of intrinsics
+        and distortion together. For an ideal camera it is ``diag(fx, fy)`` everywhere.
+    """
+
+    ground: np.ndarray
+    normal: np.ndarray
+    lens: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.ground)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Views]) -> Views:
+        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("ground", "normal", "lens")))
+
+    def __getitem__(self, index: np.ndarray | slice) -> Views:
+        return Views(self.ground[index], self.normal[index], self.lens[index])
+
+    @property
+    def elevation(self) -> np.ndarray:
+        """(N,) elevation angle of the viewing ray above the ground [rad]; pi/2 is straight down."""
+        distance = np.linalg.norm(self.ground, axis=1)
+        return np.arcsin(np.clip(-(self.ground * self.normal).sum(1) / distance, -1, 1))
+
+    @property
+    def unit_per_pixel(self) -> np.ndarray:
+        """(N,) model units across the viewing ray that one pixel covers."""
+        focal = np.sqrt(np.abs(np.linalg.det(self.lens)))
+        return self.ground[:, 2] / focal

@@ -1,0 +1,330 @@
+"""COLMAP models: where their frames see the ground, and the same model again in metres."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import InputError, OutputError, UsageError
+from ..ground import Ground
+from ..projection.view import Views
+from .colmap_check import RIG_TABLES, TABLES, check_model, open_model
+from .picture_file import PictureFile
+
+if TYPE_CHECKING:
+    import pycolmap
+
+LOWEST_ELEVATION = 25.0  # [deg] flatter rays meet the ground too far off, and see vehicles from the side
+IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
+# Geometry beside a model is in the model's old units: a copy would pass for one in metres.
+GEOMETRY = {".ply", ".obj", ".stl", ".glb", ".gltf", ".las", ".laz", ".xyz", ".pcd", ".splat", ".npz", ".npy", ".bin"}
+LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
+OURS = {"sim3.txt", "report.json"}
+
+
+@dataclass(frozen=True, eq=False)
+class ColmapSource:
+    """A sparse COLMAP model with its frames. Open it with `ColmapSource.open`; the files are never changed.
+
+    path : what was opened. folder : the model's own folder, at or below it. input_format : 'bin' or 'txt'.
+    pictures : the frames that are on disk, in the order of their names.
+    notes : what was chosen or left aside while opening, for the report.
+    unit : what `write` wants and what a scale of this source is measured in.
+    """
+
+    path: Path
+    folder: Path
+    input_format: str
+    pictures: list[PictureFile]
+    notes: list[str]
+    _paths: tuple[Path, ...]
+    _model: pycolmap.Reconstruction
+    unit: str = "m/model-unit"
+
+    @classmethod
+    def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ColmapSource:
+        """Open the model at or below `path` (see `colmap_check.open_model`) and find its frames.
+
+        images : the folder that the image names start from; by default `images/` and the like are looked for beside
+            and above the model. need_images : False where detections are given: frames that are not found are then
+            a note, not an error.
+
+        Raises InputError for a missing or damaged model, missing frames, or frames of another size than their camera.
+        """
+        files = open_model(Path(path))
+        model = _read(files.folder, files.format)
+        notes = list(files.notes)
+        names = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
+        pictures = []
+        try:
+            root, missing = _find_images(files.folder, Path(images) if images is not None else None, sorted(names))
+        except InputError as error:
+            if need_images or images is not None:
+                raise
+            notes.append(error.message)
+        else:
+            if missing:
+                notes.append(f"{len(missing)} of {len(names)} frames are not in {root}, the first is {missing[0]}")
+            for name in sorted(names.keys() - set(missing)):
+                camera = model.camera(names[name].camera_id)
+                pictures.append(PictureFile(name, root / name, camera.width, camera.height))
+                pictures[-1].check_size()
+        return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
+
+    @cached_property
+    def ground(self) -> Ground:
+        """The ground under the cameras; raises TooLittleEvidence or InputError where there is none."""
+        points = np.array([p.xyz for p in self._model.points3D.values() if p.track.length() != 2])
+        if len(points) < 500:  # points that only two images see are the worst, but better than none
+            points = self.sparse[0]
+        return Ground.fit(points, np.array([image.projection_center() for image in self._images.values()]))
+
+    @property
+    def camera_height(self) -> float:
+        """Median height of the cameras over the ground [model units]."""
+        return self.ground.camera_height
+
+    @property
+    def metric_already(self) -> str:
+        """Why this model counts as metric, empty if it does not: orthoscale's own files lie in its folder."""
+        if all((self.folder / name).is_file() for name in OURS):
+            return f"orthoscale wrote it: {' and '.join(sorted(OURS))} lie in it"
+        return ""
+
+    @cached_property
+    def sparse(self) -> tuple[np.ndarray, np.ndarray]:
+        """The sparse points: (M, 3) positions [model units] and (M, 3) uint8 RGB colours."""
+        points = self._model.points3D.values()
+        return np.array([p.xyz for p in points]), np.array([p.color for p in points], np.uint8)
+
+    @property
+    def picture_names(self) -> list[str]:
+        """Names of all registered images, also of those whose frames are missing."""
+        return sorted(self._images)
+
+    @cached_property
+    def _images(self) -> dict[str, pycolmap.Image]:
+        return {self._model.image(i).name: self._model.image(i) for i in self._model.reg_image_ids()}
+
+    def content_hash(self) -> str:
+        """SHA-256 over the names and contents of the model's files."""
+        digest = hashlib.sha256()
+        for path in sorted(self._paths):
+            digest.update(path.name.encode() + b"\0" + path.stat().st_size.to_bytes(8, "little"))
+            with path.open("rb") as file:
+                while block := file.read(1 << 20):
+                    digest.update(block)
+        return digest.hexdigest()
+
+    def views(
+        self, name: str, points: np.ndarray, lowest_elevation: float = LOWEST_ELEVATION
+    ) -> tuple[Views, np.ndarray, np.ndarray]:
+        """How the image `name` sees the ground at its pixels `points` (N, 2).
+
+        Returns the `Views` in that camera's coordinates, the ground points (N, 3) in the world's, and (N,) bool whether
+        the ray meets known ground at `lowest_elevation` degrees or steeper. Where it is False, the values are finite
+        placeholders. Raises UsageError for an image the model does not have.
+        """
+        if name not in self._images:
+            raise UsageError(
+                f"{self.folder}: no registered image is named {name}", "Names are those in the model, with its folders."
+            )
+        image = self._images[name]
+        points = np.asarray(points, float).reshape(-1, 2)
+        plane, lens, ok = _undistort(self._model.camera(image.camera_id), points)
+
+        camera_from_world = image.cam_from_world()
+        rotation = camera_from_world.rotation.matrix()
+        centre = image.projection_center()
+        rays = np.column_stack([plane, np.ones(len(plane))]) @ rotation
+        world, normal, meets = self.ground.intersect(np.broadcast_to(centre, rays.shape), rays)
+        seen = world @ rotation.T + camera_from_world.translation
+        ok &= meets & (seen[:, 2] > 0)
+        seen[~ok] = (0, 0, self.camera_height)
+        views = Views(seen, np.where(ok[:, None], normal @ rotation.T, (0, 0, -1.0)), lens)
+        return views, world, ok & (views.elevation >= np.radians(lowest_elevation))
+
+    def write(self, folder: Path, metres_per_unit: float) -> None:
+        """Write the model in metres into the empty `folder`, in the format it came in, and `sim3.txt` beside it.
+
+        All lengths grow by `metres_per_unit` about the model's origin; nothing is turned or shifted. `sim3.txt` holds
+        that similarity, metric_from_model, as `scale qw qx qy qz tx ty tz` for `colmap model_transformer`.
+        Small files beside the input model are copied along; `notes` says which, and what was left out.
+
+        Raises UsageError for a scale that is not positive and finite, OutputError if what was written does not read
+        back as the scaled model.
+        """
+        import pycolmap
+
+        scale = float(metres_per_unit)
+        if not (np.isfinite(scale) and scale > 0):
+            raise UsageError(f"cannot scale a model by {scale}", "A scale is a positive number of metres per unit.")
+        folder = Path(folder)
+        scaled = _read(self.folder, self.input_format)
+        if len(scaled.points3D) != len(self._model.points3D):
+            raise InputError(f"{self.folder} changed while it was being worked on", "Run again.")
+        scaled.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
+        try:
+            scaled.write_binary(str(folder)) if self.input_format == "bin" else scaled.write_text(str(folder))
+            (folder / "sim3.txt").write_text(f"{scale:.17g} 1 0 0 0 0 0 0\n")
+            notes = self._copy_rest(folder)
+        except (OSError, RuntimeError, ValueError) as error:
+            raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
+        self._verify(folder, scale)
+        self.notes.extend(note for note in notes if note not in self.notes)
+
+    def _copy_rest(self, folder: Path) -> list[str]:
+        tables = {f"{table}.{form}" for table in (*TABLES, *RIG_TABLES) for form in ("bin", "txt")}
+        copied, left = [], []
+        for path in sorted(self.folder.iterdir()):
+            if not path.is_file() or path.name in {p.name for p in self._paths} | OURS:
+                continue
+            if path.name in tables or path.suffix.lower() in GEOMETRY or path.stat().st_size > LARGEST_COPY:
+                left.append(path.name)
+            else:
+                shutil.copyfile(path, folder / path.name)
+                copied.append(path.name)
+        notes = [f"copied unchanged from {self.folder}: {', '.join(copied)}"] if copied else []
+        if left:
+            notes.append(f"left in {self.folder}, because it is not in metres or is large: {', '.join(left)}")
+        return notes
+
+    def _verify(self, folder: Path, scale: float) -> None:
+        """Raise OutputError unless `folder` reads back as this model with all lengths times `scale`."""
+        try:
+            check_model(folder, self.input_format)
+            written = _read(folder, self.input_format)
+        except InputError as error:
+            raise OutputError(f"{error.message} (just written)", "The disk may be full. Nothing was kept.") from error
+        problem = _difference(self._model, written, scale)
+        if problem:
+            raise OutputError(f"{folder}: the written model differs: {problem}", "Please report this with the model.")
+
+
+def _read(folder: Path, form: str) -> pycolmap.Reconstruction:
+    import pycolmap
+
+    model = pycolmap.Reconstruction()
+    try:
+        model.read_binary(str(folder)) if form == "bin" else model.read_text(str(folder))
+    except (RuntimeError, ValueError, IndexError, KeyError) as error:
+        raise InputError(f"{folder}: pycolmap cannot read the model ({error})", "Copy the model again.") from error
+    if not model.num_reg_images():
+        raise InputError(f"{folder}: no registered image", "Give a model that COLMAP reconstructed.")
+    # Other programs write quaternions with few digits; pycolmap normalises them when it scales, but not when it reads.
+    for frame in model.frames.values():
+        pose = frame.rig_from_world
+        frame.rig_from_world = pycolmap.Rigid3d(_unit(pose.rotation), pose.translation)
+    for rig in model.rigs.values():
+        for sensor, pose in rig.non_ref_sensors.items():
+            if pose is not None:
+                rig.set_sensor_from_rig(sensor, pycolmap.Rigid3d(_unit(pose.rotation), pose.translation))
+    return model
+
+
+def _unit(rotation: pycolmap.Rotation3d) -> pycolmap.Rotation3d:
+    rotation.normalize()
+    return rotation
+
+
+def _find_images(folder: Path, given: Path | None, names: Sequence[str]) -> tuple[Path, list[str]]:
+    """The folder that holds most of the `names`, and the names it lacks."""
+    if given is not None:
+        places = [given]
+    else:
+        above = [folder, *folder.resolve().parents[:3]]
+        places = [base / sub for sub in IMAGE_FOLDERS for base in above]
+    best, missing = places[0], list(names)
+    for place in places:
+        if place.is_dir():
+            lacking = [name for name in names if not (place / name).is_file()]
+            if len(lacking) < len(missing):
+                best, missing = place, lacking
+            if not lacking:
+                break
+    if len(missing) == len(names):
+        looked = ", ".join(str(place) for place in places if given is not None or place.name in IMAGE_FOLDERS)
+        raise InputError(
+            f"no frame of the model {folder} was found; the first is {missing[0]}; looked in {looked}",
+            "Give the folder that the image names start from with --images.",
+        )
+    return best, missing
+
+
+def _undistort(camera: pycolmap.Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels (N, 2) to points (N, 2) of the plane z = 1, the lens there (N, 2, 2), and (N,) bool whether that worked.
+
+    The lens is the Jacobian of the way back, from the plane to pixels, by central differences.
+    """
+    usable = np.isfinite(points).all(1)
+    plane = np.array(camera.cam_from_img(np.where(usable[:, None], points, 0.0)), float).reshape(-1, 2)
+    usable &= np.isfinite(plane).all(1)
+    plane[~usable] = 0
+
+    def project(xy: np.ndarray) -> np.ndarray:
+        return np.array(camera.img_from_cam(np.column_stack([xy, np.ones(len(xy))])), float).reshape(-1, 2)
+
+    step = 1e-5
+    lens = np.stack([project(plane + d) - project(plane - d) for d in step * np.eye(2)], 2) / (2 * step)
+    # Undistortion iterates, and with strong distortion may end somewhere else: it must lead back to the pixel.
+    with np.errstate(invalid="ignore"):
+        usable &= np.linalg.norm(project(plane) - points, axis=1) < 0.01
+    usable &= np.isfinite(lens).all((1, 2)) & (np.linalg.det(np.where(np.isfinite(lens), lens, 0)) > 0)
+    lens[~usable] = np.eye(2) * camera.mean_focal_length()
+    return plane, lens, usable
+
+
+def _difference(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, scale: float) -> str:
+    """What differs between `written` and `model` scaled by `scale`, in words; empty if nothing does."""
+    for what in ("cameras", "images", "points3D", "frames", "rigs"):
+        if set(getattr(model, what)) != set(getattr(written, what)):
+            return f"{len(getattr(model, what))} {what} became {len(getattr(written, what))}"
+    if model.compute_num_observations() != written.compute_num_observations():
+        return f"{model.compute_num_observations()} observations became {written.compute_num_observations()}"
+    for number, camera in model.cameras.items():
+        other = written.cameras[number]
+        if camera.model != other.model or (camera.width, camera.height) != (other.width, other.height):
+            return f"camera {number} has another model or size"
+        if not np.allclose(camera.params, other.params, rtol=1e-12, atol=0):
+            return f"camera {number} has other parameters"
+
+    ids = list(model.points3D.keys())
+    points, new_points = (np.array([m.points3D[i].xyz for i in ids]) for m in (model, written))
+    image_ids = model.reg_image_ids()
+    if sorted(image_ids) != sorted(written.reg_image_ids()):
+        return "other images are registered"
+    centres, new_centres = (np.array([m.image(i).projection_center() for i in image_ids]) for m in (model, written))
+    size = scale * max(np.abs(points).max(), np.abs(centres).max())
+    for what, old, new in (("point", points, new_points), ("camera", centres, new_centres)):
+        error = np.abs(new - scale * old).max()
+        if not error <= 1e-9 * size:
+            return f"a {what} is {error:.3g} off"
+    for i in image_ids:
+        before, after = model.image(i), written.image(i)
+        if before.name != after.name or before.num_points2D() != after.num_points2D():
+            return f"image {i} has another name or other observations"
+    return _reprojection_difference(model, written, ids)
+
+
+def _reprojection_difference(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, ids: list[int]) -> str:
+    for i in ids[:: max(1, len(ids) // 200)]:
+        old, new = model.points3D[i], written.points3D[i]
+        if abs(old.error - new.error) > 1e-9:
+            return f"point {i} has another stored error"
+        for element in old.track.elements[:1]:
+            before, after = (m.image(element.image_id).project_point(m.points3D[i].xyz) for m in (model, written))
+            if before is None or after is None:
+                if before is not after:
+                    return f"point {i} went behind a camera"
+                continue
+            # Far from the origin (geo-coordinates) rounding alone moves a projection by 1e-8 px.
+            if np.abs(before - after).max() > 1e-6:
+                return f"point {i} is projected {np.abs(before - after).max():.3g} px elsewhere"
+    return ""

@@ -1,0 +1,567 @@
+"""Orthophotos and other single images, through GDAL: windows of pixels in, a copy in metres out."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import shutil
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyproj
+import rasterio
+from rasterio.enums import Interleaving, MaskFlags, Resampling
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import DatasetReader, DatasetWriter
+from rasterio.transform import Affine
+from rasterio.windows import Window
+
+from ..errors import InputError, OutputError, UsageError
+from .picture import Picture
+
+GREY = 114
+"""What stands where a raster has no data."""
+
+SMALLEST = 32
+"""[px] An image narrower or lower than this holds no vehicle that could be measured."""
+
+LOCAL_CRS = (
+    'LOCAL_CS["orthoscale local metres",LOCAL_DATUM["unknown",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
+    'AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
+)
+"""The engineering CRS of written copies: metres, but nowhere on Earth."""
+
+# GDAL's own cache limit is 5 % of the machine's memory, which was seen to grow past a gigabyte. In bytes: rasterio
+# does not take a small number for megabytes, as GDAL does; 256 would be no cache at all, 5 to 100 times slower.
+# PAM stays enabled, because .aux.xml is where GIS programs keep the georeferencing of a JPEG; GDAL writes one only
+# after statistics or properties were set, and nothing here does that to an input.
+_OPTIONS = {"GDAL_CACHEMAX": 256 * 2**20, "GDAL_TIFF_INTERNAL_MASK": True}
+
+_EXPORT_AGAIN = "Export or download it again; a transfer that broke off looks like this."
+_STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written
+_WHOLE = 100_000_000  # [px] copies up to this size are compared with their original in full, larger ones by samples
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a raster's own georeferencing says of its scale.
+
+    gsd_m : true ground metres per pixel at the image's centre, measured on the ellipsoid (the geometric mean of
+        both axes), or None where nothing can be computed.
+    usable : True when it comes from a real coordinate reference system and may be compared with a measured scale.
+    why : for people, to follow the figure: where it comes from, or why there is none or it is not to be believed.
+    """
+
+    gsd_m: float | None
+    usable: bool
+    why: str
+
+
+class RasterSource:
+    """One image that GDAL reads, as a source of pixels and as something to write in metres.
+
+    It is its own only `Picture` (`name`, `width`, `height`, `read`). The file is opened read-only and nothing is
+    ever written beside it. Reads take a lock, so that a reader thread may share it with the thread that opened it.
+
+    path : the file.
+    unit : ``"m/px"``, what a scale of this source means.
+    notes : what the user should know about how the image is read or was written.
+    claimed : what its georeferencing says; see `Claim`.
+    """
+
+    unit = "m/px"
+
+    def __init__(self, path: Path, dataset: DatasetReader):
+        """Use `RasterSource.open`."""
+        self.path = path
+        self.name = path.name
+        self.notes: list[str] = []
+        self._dataset = dataset
+        self._lock = threading.Lock()
+        self.width, self.height = dataset.width, dataset.height
+        self._check_size()
+        self._bands = self._colour_bands()
+        self._probe()
+        self._palette = self._palette_table()
+        self._masked = any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
+        self._stretch = self._stretch_limits()
+        self.claimed = _claim(dataset)
+
+    @classmethod
+    def open(cls, path: str | Path) -> RasterSource:
+        """Open an image: GeoTIFF, COG, JPEG, PNG, JPEG 2000, VRT, or whatever else this GDAL reads.
+
+        Its last block is read too, because a truncated file often opens well.
+
+        Raises InputError when the file is missing, a folder, empty, no image, damaged, or useless (no colour band,
+        complex numbers, less than 32 px wide).
+        """
+        path = Path(path)
+        if path.is_dir():
+            raise InputError(f"{path} is a folder, not an image", "Name one image file inside it.")
+        if not path.is_file():
+            raise InputError(f"{path} does not exist", "Check the path.")
+        try:
+            with path.open("rb") as file:
+                empty = not file.read(1)
+        except OSError as error:
+            raise InputError(f"{path} cannot be read ({error.strerror})", "Check its permissions.") from error
+        if empty:
+            raise InputError(f"{path} is empty", "Export or download it again.")
+        with _reading(path, "is not an image that GDAL can open", "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file."):
+            dataset = rasterio.open(path, sharing=False)
+        try:
+            return cls(path, dataset)
+        except BaseException:
+            dataset.close()
+            raise
+
+    @property
+    def pictures(self) -> list[Picture]:
+        """The one image, this source itself."""
+        return [self]
+
+    @property
+    def picture_names(self) -> list[str]:
+        """The one image's name."""
+        return [self.name]
+
+    @property
+    def metric_already(self) -> str:
+        """Why this image counts as metric, empty if it does not: georeferencing that may be believed."""
+        if not self.claimed.usable:
+            return ""
+        return f"its georeferencing says {self.claimed.gsd_m:.4g} m/px ({self.claimed.why})"
+
+    def __enter__(self) -> RasterSource:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file. Also done at the end of a ``with`` block."""
+        self._dataset.close()
+
+    def content_hash(self) -> str:
+        """SHA-256 of the file as it lies on disk, in hex; of a VRT, not of what it refers to."""
+        try:
+            with self.path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise InputError(f"{self.path} cannot be read ({error.strerror})", "Was it moved meanwhile?") from error
+
+    # Reading
+
+    def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
+        """RGB uint8 (out_height, out_width, 3) of the window at (x, y) with `width` x `height` px, resampled.
+
+        Shrinking averages (overviews are used where the file has them), enlarging is bicubic; pixels without data
+        (nodata, alpha or mask) are grey (114). Other depths than 8 bit are stretched, see `notes`.
+
+        Raises ValueError for a window that is not inside the image, InputError when the file is damaged there.
+        """
+        if min(x, y) < 0 or x + width > self.width or y + height > self.height:
+            raise ValueError(f"window {width} x {height} at ({x}, {y}) is not inside {self.width} x {self.height} px")
+        if min(width, height, out_width, out_height) < 1:
+            raise ValueError(f"empty window: {width} x {height} to {out_width} x {out_height} px")
+        window, out = Window(x, y, width, height), (out_height, out_width)
+        resampling = Resampling.average if out_width * out_height < width * height else Resampling.cubic
+        with self._lock, self._damage(f"at x {x}..{x + width}, y {y}..{y + height}"):
+            if self._palette is not None:
+                rgb = self._read_palette(window, out)
+            else:
+                pixels = self._dataset.read(
+                    self._bands, window=window, out_shape=(len(self._bands), *out), resampling=resampling
+                )
+                rgb = np.moveaxis(self._to_8_bit(pixels), 0, -1)
+            if self._masked:
+                how = Resampling.average if resampling == Resampling.average else Resampling.nearest
+                known = self._dataset.dataset_mask(window=window, out_shape=out, resampling=how)
+                rgb = np.where((known >= 128)[..., None], rgb, np.uint8(GREY))
+        return np.ascontiguousarray(np.broadcast_to(rgb, (*out, 3)))
+
+    def _read_palette(self, window: Window, out: tuple[int, int]) -> np.ndarray:
+        """Colours, not their numbers, must be averaged; up to 4 x 4 pixels per result are."""
+        assert self._palette is not None
+        shape = min(window.height, 4 * out[0]), min(window.width, 4 * out[1])
+        index = self._dataset.read(1, window=window, out_shape=shape, resampling=Resampling.nearest)
+        rgb = self._palette[np.clip(index, 0, len(self._palette) - 1)]
+        if shape == out:
+            return rgb
+        shrinking = out[0] * out[1] < shape[0] * shape[1]
+        return cv2.resize(rgb, out[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_CUBIC)
+
+    def _to_8_bit(self, pixels: np.ndarray) -> np.ndarray:
+        """(C, H, W) of any real type to uint8; NaN becomes grey."""
+        if self._stretch is None:
+            return pixels
+        low, high = self._stretch
+        scaled = (pixels.astype(np.float32) - low) * (255 / (high - low))
+        scaled = np.nan_to_num(scaled, nan=GREY, posinf=255, neginf=0)
+        return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+
+    # What is looked at once, at opening
+
+    def _check_size(self) -> None:
+        dataset = self._dataset
+        if dataset.count == 0:
+            inside = "; ".join(dataset.subdatasets[:3])
+            raise InputError(
+                f"{self.path} has no bands" + (f", only subdatasets: {inside}" if inside else ""),
+                "Export one image as GeoTIFF, for example with gdal_translate.",
+            )
+        if min(self.width, self.height) < SMALLEST:
+            raise InputError(
+                f"{self.path} is only {self.width} x {self.height} px",
+                f"No vehicle could be measured in it; an image needs at least {SMALLEST} px on each side.",
+            )
+        if len(dataset.subdatasets) > 1:
+            self.notes.append(f"{self.name} holds {len(dataset.subdatasets)} images; the first is read")
+
+    def _colour_bands(self) -> list[int]:
+        """The bands (from 1) to show: red, green, blue where they are named, else the first three, else one grey."""
+        kinds = [c.name for c in self._dataset.colorinterp]
+        if {"red", "green", "blue"} <= set(kinds):
+            bands = [kinds.index(k) + 1 for k in ("red", "green", "blue")]
+        else:
+            bands = [i for i, k in enumerate(kinds, 1) if k != "alpha"]
+            bands = bands[:3] if len(bands) >= 3 else bands[:1]
+        if not bands:
+            raise InputError(f"{self.path} has nothing but an alpha band", "Export the colour bands too.")
+        kind = np.result_type(*(self._dataset.dtypes[b - 1] for b in bands))
+        if kind.kind not in "uif":
+            raise InputError(f"{self.path} holds {kind} values", "Export it with 8 or 16 bit per band.")
+        return bands
+
+    def _probe(self) -> None:
+        """Find truncation without reading everything: the blocks a TIFF says it has, and any format's last block."""
+        size, end = self.path.stat().st_size, self._end_of_blocks()
+        if end > size:
+            raise InputError(
+                f"{self.path} is truncated: it has {size} bytes, but its pixels end at byte {end}", _EXPORT_AGAIN
+            )
+        # One pixel decodes its whole block; asked for a whole PNG at once, GDAL takes a way that tolerates truncation.
+        with self._damage("at its end"):
+            self._dataset.read(window=Window(self.width - 1, self.height - 1, 1, 1))
+
+    def _end_of_blocks(self) -> int:
+        """[byte] where the last block of a TIFF ends (2 microseconds per block); 0 for other formats."""
+        dataset = self._dataset
+        if dataset.driver != "GTiff":
+            return 0
+        rows, columns = dataset.block_shapes[0]
+        bands = dataset.indexes if dataset.interleaving == Interleaving.band else [1]
+        end = 0
+        for band in bands:
+            for y in range(math.ceil(self.height / rows)):
+                for x in range(math.ceil(self.width / columns)):
+                    # A block that was never written has no offset; it reads as nodata.
+                    if offset := dataset.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", "TIFF", bidx=band):
+                        length = dataset.get_tag_item(f"BLOCK_SIZE_{x}_{y}", "TIFF", bidx=band)
+                        end = max(end, int(offset) + int(length))
+        return end
+
+    def _palette_table(self) -> np.ndarray | None:
+        """(K, 3) uint8 colours of a paletted image, transparent ones grey, or None."""
+        if self._dataset.colorinterp[0].name != "palette":
+            return None
+        entries = self._dataset.colormap(1)
+        table = np.full((max(entries) + 1, 3), GREY, np.uint8)
+        for index, (*rgb, alpha) in entries.items():
+            if alpha >= 128:
+                table[index] = rgb
+        return table
+
+    def _stretch_limits(self) -> tuple[float, float] | None:
+        """The values that become 0 and 255: percentiles 0.5 and 99.5 of samples, or None for plain 8 bit.
+
+        Sampled in an even grid of windows, because a decimated read of a file without overviews reads all of it.
+        All bands share the limits, which keeps the hues.
+        """
+        dtypes = {self._dataset.dtypes[b - 1] for b in self._bands}
+        bits = self._dataset.tags(self._bands[0], "IMAGE_STRUCTURE").get("NBITS", "8")
+        if self._palette is not None or (dtypes == {"uint8"} and int(bits) == 8):
+            return None
+        side, values = 128, []
+        for y in np.unique(np.linspace(0, max(self.height - side, 0), 8).astype(int)):
+            for x in np.unique(np.linspace(0, max(self.width - side, 0), 8).astype(int)):
+                window = Window(x, y, min(side, self.width), min(side, self.height))
+                with self._damage(f"near x {x}, y {y}"):
+                    pixels = self._dataset.read(self._bands, window=window)
+                    known = self._dataset.dataset_mask(window=window) > 0
+                sample = pixels[:, known].ravel()
+                values.append(sample[np.isfinite(sample)])
+        sample = np.concatenate(values)
+        low, high = (float(v) for v in np.percentile(sample, [0.5, 99.5])) if len(sample) else (0.0, 1.0)
+        high = high if high > low else low + 1
+        self.notes.append(f"{'/'.join(sorted(dtypes))} values from {low:g} to {high:g} are shown as 0 to 255")
+        return low, high
+
+    def _damage(self, where: str) -> AbstractContextManager[None]:
+        return _reading(self.path, f"is damaged {where}", _EXPORT_AGAIN)
+
+    # Writing
+
+    def write(self, path: Path, metres_per_pixel: float) -> None:
+        """Write a GeoTIFF with the same pixels, in local metres: north up, origin at the lower left corner.
+
+        A TIFF is copied and only its georeferencing is replaced; any other format is written losslessly (deflate,
+        tiles, BigTIFF by need). Bands, type, nodata, alpha, mask, palette, tags and overviews stay. Former
+        georeferencing, ground control points and rational polynomials do not; `notes` says so.
+        The result is read back and compared with the original: all of it up to 100 Mpx, else 64 windows.
+
+        path : where to write; an existing file is replaced. Use `orthoscale.atomic.new_file` around it.
+        metres_per_pixel : [m/px] the measured scale.
+
+        Raises UsageError for a scale that is not a positive number or a path not named .tif or .tiff; InputError when
+        the input turns out to be damaged; OutputError when the copy cannot be written or does not read back alike.
+        """
+        path = Path(path)
+        if not (math.isfinite(metres_per_pixel) and metres_per_pixel > 0):
+            raise UsageError(f"a scale of {metres_per_pixel} m/px makes no sense", "It must be a positive number.")
+        if path.suffix.lower() not in (".tif", ".tiff"):
+            raise UsageError(f"{path.name} would be a GeoTIFF", "Let its name end in .tif.")
+        if path.exists() and path.samefile(self.path):
+            raise UsageError(f"{path} is the input itself", "Choose another name for the output.")
+        transform = Affine(metres_per_pixel, 0, 0, 0, -metres_per_pixel, metres_per_pixel * self.height)
+        try:
+            with rasterio.Env(**_OPTIONS), _no_warnings():
+                if self._can_be_copied():
+                    shutil.copyfile(self.path, path)
+                else:
+                    self._convert(path, transform)
+                with rasterio.open(path, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as copy:
+                    self._restore_properties(copy)
+                    copy.crs, copy.transform = LOCAL_CRS, transform
+                # Whatever a GeoTIFF could not hold would be in here, and would not travel with a renamed file.
+                Path(f"{path}.aux.xml").unlink(missing_ok=True)
+                self._verify(path, transform)
+        except (RasterioError, OSError) as error:
+            reason = _reason(error)
+            raise OutputError(f"{path} could not be written ({reason})", "Check the free space on its disk.") from error
+        if self.claimed.usable:
+            note = f"{path.name} has local metres; the georeferencing of {self.name} is not in it"
+            if note not in self.notes:
+                self.notes.append(note)
+
+    def _can_be_copied(self) -> bool:
+        """A TIFF whose pixels are all in the one file, without rational polynomials (rasterio cannot remove those)."""
+        dataset = self._dataset
+        in_one_file = not any(f.endswith(".msk") for f in dataset.files) and len(self._nodata()) <= 1
+        return dataset.driver == "GTiff" and in_one_file and not dataset.rpcs
+
+    def _nodata(self) -> set[str]:
+        """The bands' different nodata values; a GeoTIFF has room for one. As text, in which NaN equals NaN."""
+        return {repr(v) for v in self._dataset.nodatavals}
+
+    def _convert(self, path: Path, transform: Affine) -> None:
+        source = self._dataset
+        dtype = np.result_type(*source.dtypes)
+        kinds = [c.name for c in source.colorinterp]
+        in_file_mask = MaskFlags.per_dataset in source.mask_flag_enums[0] and "alpha" not in kinds
+        explicit_mask = in_file_mask or len(self._nodata()) > 1
+        options = {"photometric": "RGB"} if kinds[:3] == ["red", "green", "blue"] and dtype.kind == "u" else {}
+        with rasterio.open(
+            path,
+            "w",
+            driver="GTiff",
+            width=self.width,
+            height=self.height,
+            count=source.count,
+            dtype=dtype.name,
+            crs=LOCAL_CRS,
+            transform=transform,
+            tiled=True,
+            blockxsize=_STRIP,
+            blockysize=_STRIP,
+            compress="deflate",
+            predictor=3 if dtype.kind == "f" else 2,
+            interleave="pixel",
+            num_threads="all_cpus",
+            bigtiff="IF_SAFER",
+            **options,
+        ) as copy:
+            self._restore_properties(copy)
+            for window in self._strips():
+                pixels, mask = self._raw(window)
+                copy.write(pixels.astype(dtype, copy=False), window=window)
+                if explicit_mask:
+                    copy.write_mask(mask, window=window)
+
+    def _restore_properties(self, copy: DatasetWriter) -> None:
+        """Give `copy` what the original has and a bare GeoTIFF, or a copy without its .aux.xml and .ovr, lacks."""
+        source = self._dataset
+        nodata_told = len(self._nodata()) == 1 and source.nodata is not None
+        if nodata_told and copy.nodata is None and _fits(source.nodata, copy.dtypes[0]):
+            copy.nodata = source.nodata
+        if copy.colorinterp != source.colorinterp:
+            copy.colorinterp = source.colorinterp
+        if self._palette is not None and copy.dtypes[0] in ("uint8", "uint16") and not _has_palette(copy):
+            copy.write_colormap(1, source.colormap(1))
+        for name in ("descriptions", "scales", "offsets", "units"):
+            if getattr(copy, name) != getattr(source, name):
+                setattr(copy, name, getattr(source, name))
+        for band in (0, *source.indexes):
+            tags, had = source.tags(band), copy.tags(band)
+            if new := {k: v for k, v in tags.items() if k not in had and k != "AREA_OR_POINT"}:
+                copy.update_tags(band, **new)
+        if copy.mode == "r+" and source.overviews(1) and not copy.overviews(1):
+            resampling = Resampling.average if self._palette is None else Resampling.nearest
+            copy.build_overviews(source.overviews(1), resampling)
+
+    def _strips(self) -> Iterator[Window]:
+        """Windows over the whole image, in reading order, because JPEG and PNG can only be decoded from the top."""
+        for y in range(0, self.height, _STRIP):
+            for x in range(0, self.width, 256 * _STRIP):
+                yield Window(x, y, min(256 * _STRIP, self.width - x), min(_STRIP, self.height - y))
+
+    def _raw(self, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        """The bands (C, H, W) as they are, and the mask (H, W) uint8."""
+        with self._lock, self._damage(f"near y {window.row_off}"):
+            return self._dataset.read(window=window), self._dataset.dataset_mask(window=window)
+
+    def _verify(self, path: Path, transform: Affine) -> None:
+        """Read the copy back and compare; raises OutputError."""
+        source = self._dataset
+        with rasterio.open(path, sharing=False) as copy:
+            told = {
+                "size": (copy.width, copy.height, copy.count) == (source.width, source.height, source.count),
+                "type": copy.dtypes[0] == np.result_type(*source.dtypes) or copy.dtypes == source.dtypes,
+                "colours": copy.colorinterp == source.colorinterp,
+                "transform": copy.transform.almost_equals(transform, precision=1e-9 * transform.a),
+                "metres": copy.crs is not None and copy.crs.units_factor[1] == 1.0,
+                "ground control": not copy.gcps[0] and not copy.rpcs,
+            }
+            wrong = [name for name, right in told.items() if not right]
+            for window in [] if wrong else self._to_compare():
+                pixels, mask = self._raw(window)
+                floating = pixels.dtype.kind == "f"
+                same = np.array_equal(pixels, copy.read(window=window), equal_nan=floating)
+                if not (same and np.array_equal(mask, copy.dataset_mask(window=window))):
+                    wrong = [f"pixels near x {window.col_off}, y {window.row_off}"]
+                    break
+        if wrong:
+            raise OutputError(
+                f"{path} does not read back as it was meant: {', '.join(wrong)}",
+                "Check the disk; if it is sound, convert the input to a plain GeoTIFF first (gdal_translate).",
+            )
+
+    def _to_compare(self) -> Iterator[Window]:
+        if self.width * self.height <= _WHOLE:
+            yield from self._strips()
+            return
+        rng, side = np.random.default_rng(0), min(512, self.width, self.height)
+        for y in np.sort(rng.integers(0, self.height - side + 1, 64)):
+            yield Window(int(rng.integers(0, self.width - side + 1)), int(y), side, side)
+
+
+def _fits(value: float, dtype: str) -> bool:
+    """Whether a nodata value can occur in bands of this type."""
+    if np.dtype(dtype).kind == "f":
+        return True
+    limits = np.iinfo(dtype)
+    return math.isfinite(value) and limits.min <= value <= limits.max
+
+
+def _has_palette(dataset: DatasetReader) -> bool:
+    try:
+        return bool(dataset.colormap(1))
+    except ValueError:
+        return False
+
+
+@contextmanager
+def _no_warnings() -> Iterator[None]:
+    """Silence rasterio on images without georeferencing; they are this package's daily bread."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
+
+
+@contextmanager
+def _reading(path: Path, what: str, hint: str) -> Iterator[None]:
+    """GDAL within its memory limit; an error of it becomes ``InputError(path what (reason), hint)``."""
+    try:
+        with rasterio.Env(**_OPTIONS), _no_warnings():
+            yield
+    except (RasterioError, OSError) as error:
+        raise InputError(f"{path} {what} ({_reason(error)})", hint) from error
+
+
+def _reason(error: BaseException) -> str:
+    """What GDAL said; rasterio often keeps it in the cause and says only "see previous exception"."""
+    return str(error.__cause__ or error).strip().rstrip(".")
+
+
+# Georeferencing
+
+
+def _claim(dataset: DatasetReader) -> Claim:
+    t, crs = dataset.transform, dataset.crs
+    across, down = math.hypot(t.a, t.d), math.hypot(t.b, t.e)
+    if (t.b, t.d, t.c) == (0, 0, 0) and abs(t.a) == abs(t.e) == 1 and t.f in (0, dataset.height):
+        if points := len(dataset.gcps[0]):
+            return Claim(None, False, f"only {points} ground control points, no geotransform (gdalwarp makes one)")
+        if dataset.rpcs:
+            return Claim(None, False, "only rational polynomials (RPC), no geotransform (gdalwarp makes one)")
+        return Claim(None, False, "not georeferenced")
+    if across == 0 or down == 0 or not math.isfinite(across * down):
+        return Claim(None, False, "a geotransform without area")
+    if crs is None:
+        beside = [Path(f).name for f in dataset.files[1:]]
+        shape = "square" if _square(across, down) else f"{across / down:.4g} times as wide as high"
+        return Claim(
+            None,
+            False,
+            f"{across:.6g} x {down:.6g} of an unknown unit per pixel{f' ({beside[0]})' if beside else ''}: "
+            f"there is no coordinate reference system; pixels are {shape}",
+        )
+    try:
+        system = pyproj.CRS.from_user_input(crs)
+    except pyproj.exceptions.CRSError as error:
+        return Claim(None, False, f"its coordinate reference system is not understood ({error})")
+    if system.type_name == "Engineering CRS":
+        size = math.sqrt(across * down) * system.axis_info[0].unit_conversion_factor
+        return Claim(size, False, f"in local coordinates ({system.name}), which nothing ties to the ground")
+    if (t.c, t.f) == (0, 0):
+        # OpenDroneMap without GPS: UTM zone 30N, geotransform (0, .1, 0, 0, 0, -.1).
+        return Claim(None, False, f"a placeholder: {system.name} with its origin at exactly (0, 0)")
+    try:
+        across, down = _ground_steps(dataset, system)
+    except pyproj.exceptions.ProjError as error:
+        return Claim(None, False, f"its place cannot be found on Earth from {system.name} ({error})")
+    gsd = math.sqrt(across * down)
+    shape = "" if _square(across, down) else f"; its pixels are {across:.6g} m wide and {down:.6g} m high"
+    return Claim(gsd, True, f"on the ground, from {system.name}{shape}")
+
+
+def _square(across: float, down: float) -> bool:
+    # Web Mercator treats the ellipsoid as a sphere, which stretches one axis by up to 0.7 %.
+    return abs(across / down - 1) < 0.01
+
+
+def _ground_steps(dataset: DatasetReader, system: pyproj.CRS) -> tuple[float, float]:
+    """[m] how far one step across and one step down is at the image's centre, along geodesics.
+
+    One method for metres, feet, degrees, stretched projections and rotated images. Raises ProjError when the centre
+    is not a place on Earth.
+    """
+    x, y = dataset.width / 2, dataset.height / 2
+    # Wide enough for rounding in inverse projections (some 10 nm) not to matter, narrow enough to be local.
+    half = min(100.0, x, y)
+    px, py = np.array([x - half, x + half, x, x]), np.array([y, y, y - half, y + half])
+    t = dataset.transform
+    to_degrees = pyproj.Transformer.from_crs(system, "EPSG:4326", always_xy=True)
+    lon, lat = to_degrees.transform(t.a * px + t.b * py + t.c, t.d * px + t.e * py + t.f, errcheck=True)
+    if not all(math.isfinite(a) and abs(b) <= 90 for a, b in zip(lon, lat, strict=True)):
+        raise pyproj.exceptions.ProjError("outside of longitude and latitude")
+    geod = pyproj.Geod(ellps="WGS84")
+    _, _, distance = geod.inv([lon[0], lon[2]], [lat[0], lat[2]], [lon[1], lon[3]], [lat[1], lat[3]])
+    return distance[0] / (2 * half), distance[1] / (2 * half)

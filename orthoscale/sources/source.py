@@ -1,0 +1,40 @@
+"""What the pipeline needs of a source, whatever it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+from .picture import Picture
+
+
+class Source(Protocol):
+    """Something with pictures and without metres: an orthophoto, or a reconstruction.
+
+    unit : what a scale of this source is measured in, "m/px" or "m/model-unit". notes : what its user should know.
+    metric_already : why the source counts as metric already, as a sentence; empty if it does not.
+    """
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def notes(self) -> list[str]: ...
+    @property
+    def pictures(self) -> Sequence[Picture]: ...
+    @property
+    def metric_already(self) -> str: ...
+    @property
+    def picture_names(self) -> list[str]:
+        """Names of all its pictures, also of those whose pixels are not at hand."""
+        ...
+
+    def content_hash(self) -> str:
+        """SHA-256 of its files."""
+        ...
+
+    def write(self, path: Path, scale: float) -> None:
+        """Write a copy of it, in metres, to the temporary `path`; what is worth knowing of that goes to `notes`."""
+        ...

@@ -1,0 +1,199 @@
+"""Surface textures: small tileable pictures that multiply a face's colour, mean 1, at a known size in metres."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+
+SIZE = 512
+"""Texels along each side of a texture."""
+
+TEXEL_M = {
+    "plain": 0.05,
+    "paint": 0.05,
+    "asphalt": 0.04,
+    "worn_asphalt": 0.04,
+    "concrete": 0.03,
+    "paving": 0.02,
+    "grass": 0.06,
+    "dry_grass": 0.06,
+    "soil": 0.05,
+    "sand": 0.05,
+    "gravel": 0.03,
+    "field": 0.05,
+    "water": 0.08,
+    "tiles": 0.03,
+    "corrugated": 0.03,
+    "seam": 0.03,
+    "bitumen": 0.04,
+    "roof_gravel": 0.03,
+    "leaves": 0.03,
+    "facade": 0.06,
+    "plaster": 0.04,
+    "solar": 0.02,
+    "planks": 0.02,
+    "rubble": 0.03,
+}
+"""Metres per texel of each material."""
+
+MATERIALS = tuple(TEXEL_M)
+"""Names of the materials; a mesh stores indices into this."""
+
+BLOTCH_TEXEL_M = 0.35
+"""Metres per texel of `blotch`, the slow change of tone that keeps the other textures from showing their repeats."""
+
+
+def fractal(rng: np.random.Generator, slope: float, size: int = SIZE, coarsest: float = 0.0) -> np.ndarray:
+    """(size, size) tileable noise with amplitude ~ frequency**-slope, mean 0, standard deviation 1.
+
+    coarsest : frequencies below this many cycles per picture are flattened, so that repeats do not show.
+    """
+    f = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None]) * size
+    spectrum = np.fft.rfft2(rng.standard_normal((size, size))) / np.maximum(f, max(coarsest, 1.0)) ** slope
+    spectrum[0, 0] = 0
+    noise = np.fft.irfft2(spectrum, s=(size, size))
+    return (noise / noise.std()).astype(np.float32)
+
+
+def _grid(u_m: float, v_m: float, texel: float, shift: float = 0.0) -> tuple[np.ndarray, ...]:
+    """Cells of about u_m x v_m that fit the picture: (column, row, place in the cell along u, along v; 0..1).
+
+    shift : by how much of a cell every other row is moved.
+    """
+    nu, nv = (2 * max(1, round(SIZE * texel / m / 2)) for m in (u_m, v_m))
+    t = np.arange(SIZE) / SIZE
+    u, v = t[None] * nu + np.zeros((SIZE, 1)), t[:, None] * nv + np.zeros((1, SIZE))
+    row = v.astype(int)
+    u = u + shift * (row % 2)
+    return u.astype(int) % nu, row, u % 1, v % 1
+
+
+def _per_cell(rng: np.random.Generator, column: np.ndarray, row: np.ndarray, spread: float) -> np.ndarray:
+    return 1 + spread * rng.standard_normal((row.max() + 1, column.max() + 1))[row, column]
+
+
+def _lines(place: np.ndarray, width: float) -> np.ndarray:
+    """1 on the seam between cells, 0 elsewhere; `width` is a part of the cell."""
+    return (np.abs(place - 0.5) > 0.5 - width / 2).astype(np.float32)
+
+
+def _paint_material(name: str, rng: np.random.Generator) -> np.ndarray:
+    """(SIZE, SIZE) or (SIZE, SIZE, 3) of the named material, before its mean is set to 1."""
+    texel = TEXEL_M[name]
+    white = rng.standard_normal((SIZE, SIZE)).astype(np.float32)
+    fine, middle, slow = (fractal(rng, s, coarsest=c) for s, c in ((0.6, 8), (1.1, 6), (1.6, 4)))
+    if name == "plain":
+        return 1 + 0.02 * fine
+    if name == "paint":
+        return 1 + 0.015 * slow
+    if name == "asphalt":
+        return 1 + 0.05 * white + 0.04 * fine + 0.03 * slow
+    if name == "worn_asphalt":
+        cracks = np.exp(-((fractal(rng, 1.5, coarsest=5) / 0.035) ** 2)) * (slow > 0.2)
+        repairs = np.where(slow > 1.5, 0.72, 1.0)
+        return (1 + 0.06 * white + 0.07 * fine + 0.06 * middle - 0.35 * cracks) * repairs
+    if name == "concrete":
+        column, row, u, v = _grid(2.5, 2.5, texel)
+        joint = np.maximum(_lines(u, 0.02), _lines(v, 0.02))
+        return (1 + 0.03 * white + 0.05 * middle) * _per_cell(rng, column, row, 0.04) * (1 - 0.35 * joint)
+    if name == "paving":
+        column, row, u, v = _grid(0.4, 0.2, texel, 0.5)
+        joint = np.maximum(_lines(u, 0.08), _lines(v, 0.12))
+        return (1 + 0.04 * white + 0.05 * middle) * _per_cell(rng, column, row, 0.1) * (1 - 0.3 * joint)
+    if name in ("grass", "dry_grass"):
+        strength, bare = (0.13, 0.5) if name == "grass" else (0.16, 1.0)
+        tone = 1 + strength * fine + 0.08 * white + 0.06 * middle
+        dryness = (bare * (0.12 * slow + 0.08 * fine)).clip(-0.3, 0.6)[..., None]
+        return tone[..., None] * (1 + dryness * np.array([1.1, 0.25, 0.3]))
+    if name == "soil":
+        tracks = np.exp(-((middle / 0.15) ** 2))
+        return 1 + 0.06 * white + 0.12 * fine + 0.1 * slow - 0.06 * tracks
+    if name == "sand":
+        ripples = np.sin(np.arange(SIZE)[:, None] * 2 * np.pi * 64 / SIZE + 2.5 * slow)
+        return 1 + 0.03 * white + 0.05 * fine + 0.05 * ripples * (0.5 + 0.5 * np.tanh(middle))
+    if name in ("gravel", "roof_gravel", "rubble"):
+        grain = {"gravel": 0.16, "roof_gravel": 0.12, "rubble": 0.3}[name]
+        return 1 + grain * (0.5 * white + cv2.GaussianBlur(white, (0, 0), 1.2) * 2) + 0.06 * slow
+    if name == "field":
+        rows = np.sin(np.arange(SIZE)[None] * 2 * np.pi * 34 / SIZE + 0.5 * slow)
+        return (1 + 0.12 * rows + 0.1 * fine + 0.06 * white)[..., None] * (1 + 0.1 * middle[..., None] * [1, 0.3, 0.2])
+    if name == "water":
+        waves = np.sin(np.arange(SIZE)[None] * 2 * np.pi * 40 / SIZE + 3 * slow)
+        return 1 + 0.04 * waves + 0.06 * fine + 0.08 * slow
+    if name == "tiles":
+        column, row, u, v = _grid(0.26, 0.36, texel)
+        roll = 0.8 + 0.4 * np.sin(np.pi * u) - 0.25 * _lines(v, 0.2)
+        return roll * _per_cell(rng, column, row, 0.09) * (1 + 0.1 * slow + 0.04 * white)
+    if name == "corrugated":
+        sheet, row, u, _ = _grid(1.0, 4.0, texel)
+        wave = 1 + 0.16 * np.sin(2 * np.pi * u * 4)
+        rust = np.clip(slow + 0.4 * fine - 1.1, 0, 1)[..., None] * np.array([-0.15, -0.4, -0.55])
+        return (wave * _per_cell(rng, sheet, row, 0.07) * (1 + 0.03 * white))[..., None] * (1 + rust)
+    if name == "seam":
+        sheet, row, u, _ = _grid(0.5, 6.0, texel)
+        return (1 - 0.3 * _lines(u, 0.09) + 0.2 * _lines(u - 0.09, 0.09)) * _per_cell(rng, sheet, row, 0.03)
+    if name == "bitumen":
+        sheet, row, u, v = _grid(1.0, 5.0, texel)
+        puddles = np.clip(slow - 0.9, 0, 0.8)
+        joint = np.maximum(_lines(u, 0.05), _lines(v, 0.02))
+        return (1 + 0.05 * white + 0.06 * fine - 0.3 * puddles) * _per_cell(rng, sheet, row, 0.06) * (1 - 0.25 * joint)
+    if name == "leaves":
+        clumps = cv2.GaussianBlur(white, (0, 0), 3) * 10 + cv2.GaussianBlur(white, (0, 0), 1.2) * 2.2 + 0.5 * fine
+        return np.clip(1 + 0.3 * clumps, 0.2, 2.2)
+    if name == "facade":
+        _, _, u, v = _grid(3.0, 3.0, texel)
+        window = (np.abs(u - 0.5) < 0.24) & (np.abs(v - 0.55) < 0.25)
+        return np.where(window, 0.25, 1.0 + 0.05 * slow)
+    if name == "plaster":
+        return 1 + 0.04 * slow + 0.03 * fine
+    if name == "solar":
+        _, _, u, v = _grid(1.0, 1.7, texel)
+        frame = np.maximum(_lines(u, 0.06), _lines(v, 0.04))
+        cell = np.maximum(_lines(u * 6 % 1, 0.08), _lines(v * 10 % 1, 0.08))
+        return 1 + 4 * frame + 0.5 * cell
+    if name == "planks":
+        column, row, u, _ = _grid(0.15, 3.0, texel)
+        return _per_cell(rng, column, row, 0.12) * (1 - 0.4 * _lines(u, 0.15)) * (1 + 0.05 * fine)
+    raise ValueError(f"no material {name!r}")
+
+
+@cache
+def _levels(name: str) -> tuple[np.ndarray, ...]:
+    """The texture as float32 (s, s, 3) with mean 1, and its area-shrunk half sizes down to 1 texel."""
+    picture = np.asarray(_paint_material(name, np.random.default_rng(MATERIALS.index(name))), np.float32)
+    picture = np.broadcast_to(picture[..., None] if picture.ndim == 2 else picture, (SIZE, SIZE, 3)).clip(0.05, None)
+    levels = [(picture / picture.mean()).astype(np.float32)]
+    while len(levels[-1]) > 1:
+        half = len(levels[-1]) // 2
+        levels.append(levels[-1].reshape(half, 2, half, 2, 3).mean((1, 3)))
+    return tuple(levels)
+
+
+@cache
+def blotch() -> np.ndarray:
+    """(SIZE, SIZE, 3) float32, the slow change of tone and hue over the ground; mean 1."""
+    rng = np.random.default_rng(9)
+    tone, hue = fractal(rng, 1.3), fractal(rng, 1.5)
+    return (1 + 0.1 * tone[..., None] + 0.035 * hue[..., None] * np.array([1, 0, -1])).clip(0.5, 1.6).astype(np.float32)
+
+
+def atlas(sample_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """All materials, each shrunk until a texel is about as large as a sample of the picture (`sample_m` [m]).
+
+    Returns (texels (T, 3) float32, and per material: offset of its first texel, side in texels, texels per metre).
+    """
+    return _atlas(round(float(np.log2(sample_m)) * 2) / 2)
+
+
+@cache
+def _atlas(octave: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    chosen, side, per_metre = [], [], []
+    for name in MATERIALS:
+        level = int(np.clip(round(octave - float(np.log2(TEXEL_M[name]))), 0, len(_levels(name)) - 1))
+        chosen.append(_levels(name)[level].reshape(-1, 3))
+        side.append(SIZE >> level)
+        per_metre.append(1 / (TEXEL_M[name] * 2**level))
+    offset = np.cumsum([0, *[len(c) for c in chosen[:-1]]])
+    return np.concatenate(chosen), offset.astype(np.int64), np.array(side), np.array(per_metre, np.float32)

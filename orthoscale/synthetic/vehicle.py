@@ -1,0 +1,239 @@
+"""Vehicles: a full footprint up to the belt line, a narrower cabin above, and what makes them look like cars."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoscale.synthetic.mesh import Mesh, at_height, faces, join, loft, patch, prism, rectangle, rounded
+
+GLASS = (0.012, 0.016, 0.02)
+RUBBER = (0.012, 0.012, 0.012)
+CHROME = (0.55, 0.56, 0.58)
+RED = (0.3, 0.01, 0.01)
+
+PAINTS = (
+    # Share, then linear albedo: roughly what is on the road (white, black, grey, silver, blue, red, others).
+    (0.26, (0.72, 0.72, 0.70)),
+    (0.17, (0.012, 0.012, 0.013)),
+    (0.13, (0.09, 0.095, 0.10)),
+    (0.07, (0.035, 0.037, 0.04)),
+    (0.14, (0.38, 0.39, 0.40)),
+    (0.07, (0.02, 0.05, 0.16)),
+    (0.02, (0.08, 0.22, 0.45)),
+    (0.07, (0.30, 0.015, 0.02)),
+    (0.03, (0.22, 0.17, 0.11)),
+    (0.02, (0.02, 0.08, 0.04)),
+    (0.01, (0.60, 0.40, 0.03)),
+    (0.01, (0.55, 0.16, 0.02)),
+)
+
+CABINS = {
+    # Where the rear window and the windscreen begin and end, in parts of the length from the rear bumper.
+    "sedan": (0.15, 0.28, 0.56, 0.73),
+    "hatch": (0.02, 0.10, 0.55, 0.73),
+    "estate": (0.02, 0.08, 0.57, 0.72),
+    "suv": (0.02, 0.07, 0.56, 0.71),
+    "van": (0.01, 0.03, 0.68, 0.84),
+    "pickup": (0.39, 0.43, 0.58, 0.71),
+}
+SHAPES = tuple(CABINS)
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """One vehicle on the ground z = 0.
+
+    x, y : centre of the footprint [m]. heading : of its front, counter-clockwise from +x [rad].
+    length, width, height : [m], without mirrors, as fleets count them.
+    """
+
+    x: float
+    y: float
+    heading: float
+    length: float
+    width: float
+    height: float
+    shape: str = "hatch"
+    paint: tuple[float, float, float] = PAINTS[0][1]
+
+    @property
+    def belt(self) -> float:
+        """Height up to which the hull fills the footprint [m]."""
+        return float(np.clip(0.56 * self.height, 0.7, 1.05))
+
+    @property
+    def footprint(self) -> np.ndarray:
+        """(4, 2) [m] corners on the ground."""
+        return self._placed(rectangle(self.length, self.width))
+
+    @property
+    def hull(self) -> np.ndarray:
+        """(28, 3) [m] corners of the hull: the footprint's outline at 0.2 m and at the belt, the cabin's roof."""
+        outline, roof = self._outline(), self._roof()
+        low, high = (at_height(self._placed(outline), z) for z in (0.2, 0.7 * self.belt))
+        return np.concatenate([low, high, at_height(self._placed(roof), self.height)])
+
+    def _placed(self, plan: np.ndarray) -> np.ndarray:
+        cos, sin = np.cos(self.heading), np.sin(self.heading)
+        return plan @ np.array([[cos, sin], [-sin, cos]]) + [self.x, self.y]
+
+    def _outline(self, inset: float = 0.0) -> np.ndarray:
+        front, rear = (0.10, 0.07) if self.shape == "van" else (0.20, 0.14)
+        size = self.length - 2 * inset, self.width - 2 * inset
+        return rounded(*size, front * self.width, rear * self.width)
+
+    def _stations(self) -> np.ndarray:
+        """(4,) x of the rear window's foot and head, the windscreen's head and foot [m]."""
+        return (np.array(CABINS[self.shape]) - 0.5) * self.length
+
+    def _roof(self) -> np.ndarray:
+        _, rear, front, _ = self._stations()
+        taper = 0.08 if self.shape == "van" else 0.15
+        return rectangle(front - rear, self.width - 2 * taper) + [(front + rear) / 2, 0]
+
+    def mesh(self, rng: np.random.Generator) -> Mesh:
+        """The vehicle's faces; `rng` chooses trim (roof rails, sunroof, dark roof)."""
+        length, width, belt = self.length, self.width, self.belt
+        rear_foot, _, _, screen_foot = self._stations()
+        paint = np.array(self.paint)
+        nose = 0.8 if self.shape not in ("van", "suv", "pickup") else 0.9
+
+        def deck(x: np.ndarray) -> np.ndarray:
+            """Height of the bonnet and boot: level to the windscreen, then falling to the nose."""
+            return belt * (1 - (1 - nose) * np.clip((x - screen_foot) / (length / 2 - screen_foot), 0, 1) ** 2)
+
+        full, shoulder = self._outline(), self._outline(0.07)
+        waist = at_height(full, 0.7 * deck(full[:, 0]))
+        rim = at_height(shoulder, deck(shoulder[:, 0]))
+        parts = [
+            loft(at_height(full, 0.18), at_height(full, 0.32), "paint", np.minimum(paint, 0.03)),
+            loft(at_height(full, 0.32), waist, "paint", paint, 0.5),
+            loft(waist, rim, "paint", paint, 0.7),
+        ]
+        parts += self._decks(shoulder, deck, paint)
+        parts += self._cabin(rng, paint, rear_foot, screen_foot)
+        parts += self._trim(rng, deck, paint, screen_foot)
+        half = width / 2 + 0.004
+        for axle in (-0.30 * length, 0.31 * length):
+            spokes = np.arange(8) * np.pi / 4
+            for side in (-1, 1):
+                for radius, colour in ((0.34, RUBBER), (0.21, (0.2, 0.2, 0.21))):
+                    wheel = np.stack(
+                        [axle - side * radius * np.cos(spokes), np.full(8, side * (half + (0.34 - radius) * 0.03)),
+                         0.34 + radius * np.sin(spokes)], 1
+                    )  # fmt: skip
+                    parts.append(faces(wheel, "paint", colour, 0.1))
+        return join(parts).placed(self.x, self.y, self.heading)
+
+    def _decks(self, shoulder: np.ndarray, deck, paint: np.ndarray) -> list[Mesh]:
+        """Bonnet, boot or bed: the top of the lower body, cut across into flat strips."""
+        stations = self._stations()
+        cuts = [-self.length / 2, stations[3], (stations[3] + self.length / 2) / 2, self.length / 2]
+        parts = []
+        for low, high in zip(cuts[:-1], cuts[1:], strict=True):
+            plan = between(shoulder, low, high)
+            parts.append(faces(at_height(plan, deck(plan[:, 0])), "paint", paint, 0.7))
+        if self.shape == "pickup":
+            x0, x1 = -self.length / 2 + 0.12, stations[0] - 0.06
+            bed = rectangle(x1 - x0, self.width - 0.36) + [(x0 + x1) / 2, 0]
+            parts.append(patch(bed, self.belt + 0.012, "corrugated", (0.03, 0.03, 0.032)))
+        return parts
+
+    def _cabin(self, rng: np.random.Generator, paint: np.ndarray, rear_foot: float, screen_foot: float) -> list[Mesh]:
+        roof = self._roof()
+        base = rectangle(screen_foot - rear_foot, self.width - 0.16) + [(screen_foot + rear_foot) / 2, 0]
+        low, eave = at_height(base, self.belt), at_height(roof, self.height - 0.06)
+        crown_plan = rounded(*np.ptp(roof, 0) - 0.14, 0.12, 0.12) + roof.mean(0)
+        sides = np.stack([low, np.roll(low, -1, 0), np.roll(eave, -1, 0), eave], 1)
+        top = paint if rng.random() > 0.08 else np.array(GLASS)
+        parts = [
+            faces(sides, "paint", paint, 0.6),
+            patch(roof, self.height - 0.06, "paint", top, 0.6),
+            patch(crown_plan, self.height, "paint", top, 0.6),
+            loft(at_height(rounded(*np.ptp(roof, 0), 0.15, 0.15) + roof.mean(0), self.height - 0.06),
+                 at_height(crown_plan, self.height), "paint", top, 0.8),
+        ]  # fmt: skip
+        cargo = self.shape == "van" and rng.random() < 0.5
+        for k, (quad, margins) in enumerate(
+            zip(sides, ((0.05, 0.12), (0.07, 0.05), (0.05, 0.12), (0.08, 0.14)), strict=True)
+        ):
+            if cargo and k != 1:
+                if k != 3:  # a cargo van has glass beside its front seats only
+                    parts.append(_pane(quad, (0.80, 0.96) if k == 0 else (0.04, 0.20), margins[1]))
+            elif k in (0, 2):  # the sides: two panes with a pillar between
+                middle = 0.55 if k == 0 else 0.45
+                parts.append(_pane(quad, (margins[0], middle - 0.02), margins[1]))
+                parts.append(_pane(quad, (middle + 0.02, 1 - margins[0]), margins[1]))
+            else:
+                parts.append(_pane(quad, (margins[0], 1 - margins[0]), margins[1]))
+        return parts
+
+    def _trim(self, rng: np.random.Generator, deck, paint: np.ndarray, screen_foot: float) -> list[Mesh]:
+        half, front, roof = self.width / 2, self.length / 2, self._roof()
+        size, centre, parts = np.ptp(roof, 0), roof.mean(0), []
+        for side in (-1, 1):
+            lamp = np.array([[front - 0.42, half - 0.16], [front - 0.18, half - 0.40], [front - 0.1, half - 0.34],
+                             [front - 0.24, half - 0.11]]) * [1, side]  # fmt: skip
+            lamp = lamp if side > 0 else lamp[::-1]
+            parts.append(faces(at_height(lamp, deck(lamp[:, 0]) + 0.012), "paint", (0.5, 0.5, 0.5), 0.6))
+            y0, y1 = sorted((side * (half - 0.3), side * (half - 0.08)))
+            x, z = -self.length / 2 - 0.004, 0.7 * self.belt + 0.004
+            tail = np.array(
+                [[x, y1, z], [x, y0, z], [x + 0.07, y0, z + 0.3 * self.belt], [x + 0.07, y1, z + 0.3 * self.belt]]
+            )
+            parts.append(faces(tail, "paint", RED, 0.4))
+            mirror = rectangle(0.12, 0.2) + [screen_foot - 0.28, side * (half + 0.06)]
+            parts.append(prism(mirror, self.belt - 0.02, self.belt + 0.13, ("paint", paint), gloss=0.4))
+        if rng.random() < 0.2 and self.shape in ("sedan", "hatch", "suv", "estate"):
+            sunroof = rectangle(min(0.9, 0.5 * size[0]), 0.62 * size[1]) + centre + [0.12 * size[0], 0]
+            parts.append(patch(sunroof, self.height + 0.008, "paint", GLASS, 1.0))
+        if rng.random() < 0.4 and self.shape in ("suv", "estate", "van"):
+            dark = RUBBER if rng.random() < 0.6 else CHROME
+            for side in (-1, 1):
+                rail = rectangle(0.85 * size[0], 0.05) + centre + [0, side * (size[1] / 2 - 0.1)]
+                parts.append(prism(rail, self.height - 0.05, self.height + 0.02, ("paint", dark)))
+        return parts
+
+
+def _pane(quad: np.ndarray, along: tuple[float, float], edge: float) -> Mesh:
+    """Glass set 8 mm in front of a cabin side; `along` and `edge` are parts of its first edge and of its rise."""
+    a, b, c, d = quad
+    points = np.array(
+        [(1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+         for u, v in ((along[0], edge), (along[1], edge), (along[1], 1 - edge), (along[0], 1 - edge))]
+    )  # fmt: skip
+    normal = np.cross(b - a, d - a)
+    return faces(points + 0.008 * normal / np.linalg.norm(normal), "paint", GLASS, 1.0)
+
+
+def between(plan: np.ndarray, low: float, high: float) -> np.ndarray:
+    """The part of a convex plan (n, 2) with low <= x <= high."""
+    for limit, side in ((low, -1.0), (high, 1.0)):
+        room = limit * side - plan[:, 0] * side
+        kept = []
+        for p, q, here, there in zip(plan, np.roll(plan, -1, 0), room, np.roll(room, -1), strict=True):
+            if here >= 0:
+                kept.append(p)
+            if here * there < 0:
+                kept.append(p + (q - p) * here / (here - there))
+        plan = np.array(kept)
+    return plan
+
+
+def choose(rng: np.random.Generator, length: float, height: float) -> tuple[str, tuple[float, float, float]]:
+    """A shape that suits the size [m], and a paint."""
+    if height > 1.78:
+        shape = rng.choice(["van", "suv", "pickup"], p=[0.6, 0.2, 0.2])
+    elif height > 1.58:
+        shape = rng.choice(["suv", "van", "pickup"], p=[0.75, 0.15, 0.1] if length > 4.7 else [0.85, 0.15, 0])
+    elif length < 4.1:
+        shape = "hatch"
+    else:
+        shape = rng.choice(["sedan", "hatch", "estate"], p=[0.5, 0.3, 0.2])
+    shares = np.array([share for share, _ in PAINTS])
+    paint = np.array(PAINTS[rng.choice(len(PAINTS), p=shares / shares.sum())][1])
+    if shape == "van" and rng.random() < 0.5:
+        paint = np.array(PAINTS[0][1])
+    return str(shape), tuple((paint * rng.uniform(0.97, 1.03, 3) * rng.uniform(0.8, 1.15)).clip(0, 0.85))

@@ -1,0 +1,70 @@
+"""One vote per physical vehicle: a parked car that thirty frames show is one car, not thirty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Views whose ground points lie closer than this share of the typical width are the same vehicle. Parked side by side,
+# vehicles stand 1.35 widths apart or more (stalls of 2.4 m and up), so chains do not form.
+SAME_PLACE = 0.6
+
+
+@dataclass(frozen=True)
+class Votes:
+    """N vehicles, each measured once (an orthophoto) or as the median over its views (frames).
+
+    size : (N, 2) length and width [source units].
+    pixel : (N,) ground size of one detector pixel [source units]; box margin and box noise come in such pixels.
+    views : (N,) number of boxes behind the vote.
+    place : (N, 2) or (N, 3) where it stands [source units].
+    score : (N,) best confidence of its boxes.
+    members : (N,) lists of the boxes' indices.
+    """
+
+    size: np.ndarray
+    pixel: np.ndarray
+    views: np.ndarray
+    place: np.ndarray
+    score: np.ndarray
+    members: list[np.ndarray]
+
+    def __len__(self) -> int:
+        return len(self.size)
+
+
+def gather(size: np.ndarray, pixel: np.ndarray, place: np.ndarray, score: np.ndarray, repeated: bool) -> Votes:
+    """Votes from M boxes: sizes (M, 2), detector pixels (M,), places (M, D), scores (M,), as in `Votes`.
+
+    `repeated`: the boxes come from several pictures that show the same vehicles, so boxes in one place are one vehicle.
+    """
+    if repeated and len(size):
+        labels = _same_place(place, SAME_PLACE * np.median(size[:, 1]))
+    else:
+        labels = np.arange(len(size))
+    members = [np.flatnonzero(labels == k) for k in range(labels.max(initial=-1) + 1)]
+
+    def over(values: np.ndarray, summary=np.median) -> np.ndarray:
+        shape = (0, *values.shape[1:])
+        return np.array([summary(values[m], axis=0) for m in members]) if members else np.empty(shape)
+
+    return Votes(
+        size=np.exp(over(np.log(size))),
+        pixel=over(pixel),
+        views=np.array([len(m) for m in members], int),
+        place=over(place),
+        score=over(score, np.max),
+        members=members,
+    )
+
+
+def _same_place(place: np.ndarray, reach: float) -> np.ndarray:
+    """(M,) cluster number of each point: points linked by steps shorter than `reach`."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(place).query_pairs(reach, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(place), len(place)))
+    return connected_components(graph, directed=False)[1]

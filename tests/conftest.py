@@ -1,0 +1,20 @@
+"""What all tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of real data, or a skip that says where it was looked for.
+
+    ``ORTHOSCALE_DATA``, or else ``shared/data`` beside the repository. It is never part of the project.
+    """
+    folder = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
+    if not (folder / "orthophotos").is_dir():
+        pytest.skip(f"no real data in {folder} (set ORTHOSCALE_DATA)")
+    return folder

@@ -1,0 +1,610 @@
+"""COLMAP models: reading guarded, views exact, writing verified."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import struct
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from orthoscale.errors import InputError, OrthoscaleError, OutputError, UsageError
+from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.colmap_check import CAMERA_MODELS, open_model
+from orthoscale.sources.picture_file import PictureFile, stored_size
+
+pycolmap = pytest.importorskip("pycolmap")
+
+DATA = Path(os.environ.get("ORTHOSCALE_DATA", Path(__file__).parents[2] / "shared/data")) / "reconstructions"
+
+
+# --- Models made here ------------------------------------------------------------------------------------------------
+
+
+def make_model(camera_model="OPENCV", params=(400, 410, 320, 240, 0.05, -0.02, 0.001, -0.001), rig=False):
+    """A flight over flat ground: 640 x 480 px, 12 units up, pitched by 25 degrees; in a turned frame."""
+    random = np.random.default_rng(0)
+    model = pycolmap.Reconstruction()
+    for number in (1, 2) if rig else (1,):
+        camera = pycolmap.Camera(camera_id=number, model=camera_model, width=640, height=480, params=list(params))
+        if not rig:
+            model.add_camera_with_trivial_rig(camera)
+        else:
+            model.add_camera(camera)
+    if rig:
+        pair = pycolmap.Rig(rig_id=1)
+        pair.add_ref_sensor(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 1))
+        aside = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0, 0.2, 0.0])), np.array([0.1, 0, 0]))
+        pair.add_sensor(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 2), aside)
+        model.add_rig(pair)
+
+    turn = pycolmap.Rotation3d(np.array([0.4, -0.3, 0.9])).matrix()
+    points = np.column_stack([random.uniform(-12, 12, (1500, 2)), random.normal(0, 0.02, 1500)])
+    colours = random.integers(0, 255, (1500, 3), dtype=np.uint8)
+    down = np.diag([1.0, -1, -1])
+    image_id = 0
+    for k, (x, y) in enumerate([(x, y) for x in (-6, -2, 2, 6) for y in (-5, 0, 5)]):
+        tilt = pycolmap.Rotation3d(np.array([np.radians(25 * (-1) ** k), 0, 0])).matrix()
+        rotation = tilt @ down
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation @ turn.T), -rotation @ np.array([x, y, 12.0]))
+        if rig:
+            frame = pycolmap.Frame(frame_id=k + 1, rig_id=1)
+            frame.rig_from_world = pose
+            members = [(image_id + 1, 1), (image_id + 2, 2)]
+            for number, camera in members:
+                frame.add_data_id(pycolmap.data_t(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera), number))
+            model.add_frame(frame)
+            for number, camera in members:
+                image = pycolmap.Image(name=f"cam{camera}/{k:02d}.png", camera_id=camera, image_id=number)
+                image.frame_id = k + 1
+                model.add_image(image)
+            model.register_frame(k + 1)
+            image_id += 2
+        else:
+            image_id += 1
+            image = pycolmap.Image(name=f"{k:02d}.png", camera_id=1, image_id=image_id)
+            model.add_image_with_trivial_frame(image, pose)
+
+    seen = {number: [] for number in model.images}
+    tracks = []
+    for index, point in enumerate(points @ turn.T):
+        track = []
+        for number, image in model.images.items():
+            pixel = image.project_point(point)
+            if pixel is not None and (pixel > 0).all() and (pixel < (640, 480)).all():
+                track.append((number, len(seen[number])))
+                seen[number].append(pixel)
+        tracks.append((index, point, track))
+    for number, pixels in seen.items():
+        model.images[number].points2D = pycolmap.Point2DList([pycolmap.Point2D(p) for p in [*pixels, (5.0, 5.0)]])
+    for index, point, track in tracks:
+        if len(track) >= 3:
+            elements = pycolmap.Track([pycolmap.TrackElement(i, k) for i, k in track])
+            model.add_point3D(point, elements, colours[index])
+    return model, turn
+
+
+@pytest.fixture(scope="module", params=["plain", "rig"])
+def made(request):
+    return make_model(rig=request.param == "rig")
+
+
+def save(model, folder: Path, form: str) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    model.write_binary(str(folder)) if form == "bin" else model.write_text(str(folder))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return make_model()[0]
+
+
+@pytest.fixture
+def model_bin(plain, tmp_path):
+    return save(plain, tmp_path / "model", "bin")
+
+
+@pytest.fixture
+def model_txt(plain, tmp_path):
+    return save(plain, tmp_path / "model", "txt")
+
+
+def put_frames(model, folder: Path, size=(640, 480)):
+    for image in model.images.values():
+        path = folder / image.name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(path), np.full((size[1], size[0], 3), 90, np.uint8))
+
+
+# --- Views -----------------------------------------------------------------------------------------------------------
+
+LENSES = {
+    "SIMPLE_PINHOLE": (400, 320, 240),
+    "SIMPLE_RADIAL": (400, 320, 240, 0.03),
+    "OPENCV": (400, 410, 320, 240, 0.05, -0.02, 0.001, -0.001),
+    "OPENCV_FISHEYE": (400, 410, 320, 240, 0.05, -0.02, 0.001, -0.001),
+    "FULL_OPENCV": (400, 410, 320, 240, 0.05, -0.02, 0.001, -0.001, 0.002, 0, 0, 0),
+}
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_views_against_pycolmap(lens, tmp_path):
+    model, turn = make_model(lens, LENSES[lens])
+    source = ColmapSource.open(save(model, tmp_path / "m", "bin"), need_images=False)
+    image = next(i for i in model.images.values() if i.name == "04.png")
+    random = np.random.default_rng(2)
+    pixels = random.uniform([40, 40], [600, 440], (300, 2))
+    views, world, ok = source.views("04.png", pixels)
+    assert ok.mean() > 0.9
+    pose = image.cam_from_world()
+    up = turn[:, 2]
+    for view, place, pixel in zip(range(300), world, pixels, strict=True):
+        if not ok[view]:
+            continue
+        assert np.abs(image.project_point(place) - pixel).max() < 1e-6
+        assert np.allclose(views.ground[view], pose * place, atol=1e-9)
+        # A step on the plane z = 1 moves the pixel by the lens.
+        plane = views.ground[view, :2] / views.ground[view, 2]
+        step = 1e-6 * random.normal(size=2)
+        moved = image.camera.img_from_cam(np.array([*(plane + step), 1.0])) - pixel
+        assert np.abs(moved - views.lens[view] @ step).max() < 1e-6
+    assert np.abs(world[ok] @ up).max() < 0.005 * 12
+    assert np.degrees(np.arccos((views.normal[ok] @ (pose.rotation.matrix() @ up)).min())) < 1
+    assert np.median(views.unit_per_pixel[ok]) == pytest.approx(12 / 400, rel=0.3)
+    assert source.camera_height == pytest.approx(12, rel=0.005)
+
+
+def test_views_in_a_rig(tmp_path):
+    model, turn = make_model(rig=True)
+    source = ColmapSource.open(save(model, tmp_path / "m", "txt"), need_images=False)
+    pixels = np.array([[320.0, 240], [100, 400]])
+    for image in model.images.values():
+        views, world, ok = source.views(image.name, pixels)
+        for k in np.flatnonzero(ok):
+            assert np.abs(image.project_point(world[k]) - pixels[k]).max() < 1e-6
+            assert abs(world[k] @ turn[:, 2]) < 0.06
+
+
+def test_views_that_fail_are_finite(model_bin):
+    source = ColmapSource.open(model_bin, need_images=False)
+    pixels = np.array([[np.nan, 3], [np.inf, 0], [1e9, 1e9], [-1e4, 1e4], [320, 240]])
+    views, world, ok = source.views("04.png", pixels)
+    assert ok.tolist() == [False] * 4 + [True]
+    for values in (views.ground, views.normal, views.lens, views.elevation, views.unit_per_pixel, world):
+        assert np.isfinite(values).all()
+    steep = source.views("04.png", pixels[4:], lowest_elevation=89)[2]
+    assert not steep.any()
+    assert len(source.views("04.png", np.empty((0, 2)))[0]) == 0
+    with pytest.raises(UsageError, match="nobody"):
+        source.views("nobody.png", pixels)
+
+
+# --- Writing ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_write(made, form, tmp_path):
+    model, _ = made
+    folder = save(model, tmp_path / "m", form)
+    (folder / "project.ini").write_text("log_level=0\n")
+    (folder / "points3D.ply").write_text("ply\n")
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    out = tmp_path / "out"
+    out.mkdir()
+    source = ColmapSource.open(folder, need_images=False)
+    assert source.input_format == form and not source.metric_already
+    source.write(out, 14.157)
+    assert any("project.ini" in n for n in source.notes) and any("points3D.ply" in n for n in source.notes)
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+
+    tables = {f"{t}.{form}" for t in ("cameras", "images", "points3D", "rigs", "frames")}
+    assert {p.name for p in out.iterdir()} == tables | {"sim3.txt", "project.ini"}
+    sim3 = [float(word) for word in (out / "sim3.txt").read_text().split()]
+    assert sim3 == [14.157, 1, 0, 0, 0, 0, 0, 0]
+    written = pycolmap.Reconstruction(str(out))
+    for number, point in model.points3D.items():
+        assert np.allclose(written.points3D[number].xyz, 14.157 * point.xyz, rtol=1e-12, atol=1e-12)
+        assert (written.points3D[number].color == point.color).all()
+    for number, image in model.images.items():
+        assert np.allclose(written.images[number].projection_center(), 14.157 * image.projection_center(), atol=1e-10)
+        for observed in image.points2D[:20]:
+            if observed.has_point3D():
+                i = observed.point3D_id
+                before = image.project_point(model.points3D[i].xyz)
+                after = written.images[number].project_point(written.points3D[i].xyz)
+                assert np.abs(before - after).max() < 1e-9
+    (out / "report.json").write_text(json.dumps({}))
+    again = ColmapSource.open(out, need_images=False)
+    assert again.metric_already
+    assert again.camera_height == pytest.approx(14.157 * source.camera_height, rel=1e-6)
+    assert again.content_hash() != source.content_hash()
+
+
+def test_write_a_model_without_rigs(model_bin, tmp_path):
+    (model_bin / "rigs.bin").unlink()
+    (model_bin / "frames.bin").unlink()
+    (tmp_path / "out").mkdir()
+    ColmapSource.open(model_bin, need_images=False).write(tmp_path / "out", 0.5)
+    assert open_model(tmp_path / "out").format == "bin"
+
+
+def test_write_a_model_of_few_digits(made, tmp_path):
+    folder = save(made[0], tmp_path / "m", "bin")
+    for name, offset in (("frames.bin", 16), ("images.bin", 12)):
+        quaternion = struct.unpack_from("<4d", (folder / name).read_bytes(), offset)
+        patched(folder, name, offset, "4d", *(1.0001 * q for q in quaternion))
+    (tmp_path / "out").mkdir()
+    ColmapSource.open(folder, need_images=False).write(tmp_path / "out", 3)
+
+
+@pytest.mark.parametrize("scale", [0, -1, float("nan"), float("inf")])
+def test_impossible_scales(model_bin, tmp_path, scale):
+    with pytest.raises(UsageError):
+        ColmapSource.open(model_bin, need_images=False).write(tmp_path, scale)
+
+
+def test_a_write_that_fails_is_noticed(model_bin, tmp_path, monkeypatch):
+    source = ColmapSource.open(model_bin, need_images=False)
+    with pytest.raises(OutputError):
+        source.write(tmp_path / "nowhere", 2)
+    honest = pycolmap.Reconstruction.write_binary
+
+    def full_disk(model, folder):
+        honest(model, folder)
+        points = Path(folder) / "points3D.bin"
+        points.write_bytes(points.read_bytes()[:-100])
+
+    def forgetful(model, folder):
+        model.transform(pycolmap.Sim3d(1 + 1e-7, pycolmap.Rotation3d(), np.zeros(3)))
+        honest(model, folder)
+
+    for number, wrong in enumerate((full_disk, forgetful)):
+        monkeypatch.setattr(pycolmap.Reconstruction, "write_binary", wrong)
+        (tmp_path / str(number)).mkdir()
+        with pytest.raises(OutputError):
+            source.write(tmp_path / str(number), 2)
+
+
+def test_content_hash(model_bin):
+    source = ColmapSource.open(model_bin, need_images=False)
+    first = source.content_hash()
+    assert len(first) == 64 and first == source.content_hash()
+    assert ColmapSource.open(model_bin.parent / "model", need_images=False).content_hash() == first
+
+
+# --- Finding the model and its frames --------------------------------------------------------------------------------
+
+
+def test_workspaces(plain, tmp_path):
+    save(plain, tmp_path / "one/sparse", "bin")
+    assert open_model(tmp_path / "one").folder.name == "sparse"
+    save(plain, tmp_path / "two/sparse/0", "txt")
+    assert open_model(tmp_path / "two").folder.name == "0"
+    small = make_model()[0]
+    for frame in list(small.reg_frame_ids())[4:]:
+        small.deregister_frame(frame)
+    save(small, tmp_path / "many/sparse/0", "bin")
+    save(plain, tmp_path / "many/sparse/1", "bin")
+    for path in (tmp_path / "many", tmp_path / "many/sparse"):
+        files = open_model(path)
+        assert files.folder.name == "1" and "most images (12; 0: 4)" in files.notes[0]
+
+
+def test_missing_models(tmp_path, model_bin):
+    with pytest.raises(InputError, match="does not exist"):
+        open_model(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="is a file"):
+        open_model(model_bin / "cameras.bin")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="holds no COLMAP model"):
+        open_model(tmp_path / "empty")
+    (model_bin / "rigs.bin").unlink()
+    with pytest.raises(InputError, match="rigs.bin is missing"):
+        open_model(model_bin)
+    (model_bin / "frames.bin").unlink()
+    (model_bin / "points3D.bin").unlink()
+    with pytest.raises(InputError, match="points3D.bin missing"):
+        open_model(model_bin)
+
+
+def test_both_formats(plain, tmp_path):
+    folder = save(plain, save(plain, tmp_path / "m", "bin"), "txt")
+    files = open_model(folder)
+    assert files.format == "bin" and "agree" in files.notes[0]
+    images = folder / "images.txt"
+    lines = images.read_text().splitlines()
+    lines[4] = lines[4].replace(" 12 1 ", " 24 1 ") if " 12 1 " in lines[4] else _with_word(lines[4], 7, "99.5")
+    images.write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="two different models"):
+        open_model(folder)
+
+
+def _with_word(line: str, index: int, word: str) -> str:
+    words = line.split(" ")
+    words[index] = word
+    return " ".join(words)
+
+
+@pytest.mark.parametrize("place", ["m/images", "images", "input"])
+def test_frames_are_found(plain, tmp_path, place):
+    folder = save(plain, tmp_path / "work/m/sparse/0" if place != "m/images" else tmp_path / "work/m", "bin")
+    put_frames(plain, tmp_path / "work" / place)
+    source = ColmapSource.open(folder)
+    assert [p.name for p in source.pictures] == source.picture_names == sorted(i.name for i in plain.images.values())
+    assert source.notes == []
+    assert source.pictures[0].read(0, 0, 640, 480, 64, 48).shape == (48, 64, 3)
+
+
+def test_missing_frames(plain, model_bin, tmp_path):
+    with pytest.raises(InputError, match=r"first is 00.png; looked in .*images"):
+        ColmapSource.open(model_bin)
+    with pytest.raises(InputError, match=r"first is 00.png; looked in .*elsewhere"):
+        ColmapSource.open(model_bin, images=tmp_path / "elsewhere")
+    bare = ColmapSource.open(model_bin, need_images=False)
+    assert bare.pictures == [] and len(bare.picture_names) == 12 and "no frame" in bare.notes[0]
+    put_frames(plain, tmp_path / "frames")
+    (tmp_path / "frames/03.png").unlink()
+    source = ColmapSource.open(model_bin)
+    assert len(source.pictures) == 11 and len(source.picture_names) == 12
+    assert "1 of 12 frames" in source.notes[0] and "03.png" in source.notes[0]
+
+
+@pytest.mark.parametrize(("size", "hint"), [((480, 640), "rotated"), ((320, 240), "resized"), ((500, 480), "very")])
+def test_frames_of_another_size(plain, model_bin, tmp_path, size, hint):
+    put_frames(plain, tmp_path / "images", size)
+    with pytest.raises(InputError, match=hint):
+        ColmapSource.open(model_bin)
+
+
+# --- Pictures --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
+def test_picture_file(tmp_path, suffix):
+    pixels = np.zeros((40, 60, 3), np.uint8)
+    pixels[:, :30], pixels[:20, 30:] = (200, 0, 0), (0, 0, 200)
+    path = tmp_path / f"a.{suffix}"
+    cv2.imwrite(str(path), pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 100])
+    picture = PictureFile("a", path, 60, 40)
+    picture.check_size()
+    assert stored_size(path) in ((60, 40), None if suffix == "tif" else (60, 40))
+    whole = picture.read(0, 0, 60, 40, 60, 40)
+    assert whole.dtype == np.uint8 and np.abs(whole[5, 5].astype(int) - (200, 0, 0)).max() < 12
+    assert np.abs(picture.read(30, 0, 20, 20, 5, 5)[2, 3].astype(int) - (0, 0, 200)).max() < 12
+    assert picture.read(30, 0, 20, 20, 50, 40).shape == (40, 50, 3)
+    whole[:] = 0
+    assert picture.read(0, 0, 60, 40, 60, 40).any()
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png"])
+def test_truncated_pictures(tmp_path, suffix):
+    path = tmp_path / f"a.{suffix}"
+    cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8))
+    data = path.read_bytes()
+    for k, part in enumerate((0, 0.001, 0.1, 0.5, 0.99)):
+        damaged = tmp_path / f"{k}.{suffix}"
+        damaged.write_bytes(data[: int(part * len(data))])
+        with pytest.raises(InputError, match=f"{k}.{suffix}: image is truncated"):
+            PictureFile("a", damaged, 80, 60).read(0, 0, 80, 60, 80, 60)
+    with pytest.raises(InputError, match="cannot be read"):
+        PictureFile("a", tmp_path / "none.jpg", 80, 60).read(0, 0, 80, 60, 80, 60)
+
+
+def test_exif_orientation_is_ignored(tmp_path):
+    path = tmp_path / "a.jpg"
+    cv2.imwrite(str(path), np.zeros((40, 60, 3), np.uint8))
+    data = path.read_bytes()
+    tiff = b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 0x0112, 3, 1, 6, 0, 0)
+    exif = b"Exif\0\0" + tiff
+    path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:])
+    assert cv2.imread(str(path)).shape == (60, 40, 3)
+    assert PictureFile("a", path, 60, 40).read(0, 0, 60, 40, 60, 40).shape == (40, 60, 3)
+
+
+# --- Damage ----------------------------------------------------------------------------------------------------------
+
+
+def refused(folder: Path) -> InputError:
+    """The InputError that opening `folder` raises, within a second."""
+    start = time.perf_counter()
+    with pytest.raises(InputError) as caught:
+        ColmapSource.open(folder, need_images=False)
+    assert time.perf_counter() - start < 1
+    assert str(folder) in caught.value.message and caught.value.hint
+    return caught.value
+
+
+BINARY = ("cameras", "images", "points3D", "rigs", "frames")
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+@pytest.mark.parametrize("table", BINARY)
+def test_truncated_and_foreign_files(made, form, table, tmp_path):
+    folder = save(made[0], tmp_path / "m", form)
+    path = folder / f"{table}.{form}"
+    whole = path.read_bytes()
+    if form == "bin":
+        for size in sorted({0, 1, 7, 8, 9, 12, 20, len(whole) // 3, len(whole) // 2, len(whole) - 9, len(whole) - 1}):
+            if size < len(whole):
+                path.write_bytes(whole[:size])
+                assert path.name in refused(folder).message
+        path.write_bytes(whole + b"\0")
+        assert "more than" in refused(folder).message
+        for count in (2**63, 2**64 - 1, 2**32, struct.unpack_from("<Q", whole)[0] + 1):
+            path.write_bytes(struct.pack("<Q", count) + whole[8:])
+            refused(folder)
+        path.write_bytes(np.random.default_rng(0).bytes(len(whole)))
+        refused(folder)
+    else:
+        for damage in (b"", b"\xff\xfe\x00", b"1 2 3\n", b"a b c d e f g h i j k\n", b"\0" * 100):
+            path.write_bytes(damage)
+            refused(folder)
+    for other in BINARY:
+        if other != table:
+            path.write_bytes((folder / f"{other}.{form}").read_bytes())
+            refused(folder)
+
+
+def patched(folder: Path, name: str, offset: int, form: str, *values) -> None:
+    path = folder / name
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<" + form, data, offset, *values)
+    path.write_bytes(data)
+
+
+# In a plain model: one camera record at 8; the first image's record, point and frame also start at 8.
+FORGED = {
+    "camera model": ("cameras.bin", 12, "i", 99, "unknown model 99"),
+    "spherical camera": ("cameras.bin", 12, "i", 17, "spherical"),
+    "camera width": ("cameras.bin", 16, "Q", 0, "impossible size"),
+    "camera height": ("cameras.bin", 24, "Q", 2**40, "impossible size"),
+    "focal length NaN": ("cameras.bin", 32, "d", np.nan, "not a finite number"),
+    "focal length 0": ("cameras.bin", 32, "d", 0.0, "impossible focal length"),
+    "focal length negative": ("cameras.bin", 40, "d", -400.0, "impossible focal length"),
+    "distortion infinite": ("cameras.bin", 64, "d", np.inf, "not a finite number"),
+    "camera id": ("cameras.bin", 8, "I", 7, "camera 1, which does not exist"),
+    "rotation NaN": ("images.bin", 12, "d", np.nan, "not a finite number"),
+    "rotation zero": ("images.bin", 12, "4d", (0, 0, 0, 0), "no unit quaternion"),
+    "translation infinite": ("images.bin", 44, "d", np.inf, "not a finite number"),
+    "image's camera": ("images.bin", 68, "I", 5, "camera 5, which does not exist"),
+    "image name": ("images.bin", 72, "6B", (0xFF,) * 6, "not UTF-8"),
+    "observation count": ("images.bin", 79, "Q", 2**60, "announced"),
+    "observation NaN": ("images.bin", 87, "d", np.nan, "not a finite number"),
+    "observed point": ("images.bin", 103, "Q", 10**9, "which is not in points3D.bin"),
+    "point id": ("points3D.bin", 8, "Q", 10**9, "not in points3D.bin"),
+    "point NaN": ("points3D.bin", 16, "d", np.nan, "not a finite number"),
+    "point infinite": ("points3D.bin", 32, "d", -np.inf, "not a finite number"),
+    "track length": ("points3D.bin", 51, "Q", 2**62, "file ends"),
+    "track image": ("points3D.bin", 59, "I", 999, "image 999, which does not exist"),
+    "track observation": ("points3D.bin", 63, "I", 10**6, "observation 1000000 of image"),
+    "rig sensors": ("rigs.bin", 12, "I", 2**31, "file ends"),
+    "rig sensor type": ("rigs.bin", 16, "i", 9, "unknown type 9"),
+    "rig camera": ("rigs.bin", 20, "I", 9, "camera 9, which does not exist"),
+    "frame's rig": ("frames.bin", 12, "I", 9, "rig 9, which does not exist"),
+    "frame NaN": ("frames.bin", 16, "d", np.nan, "not a finite number"),
+    "frame's data": ("frames.bin", 72, "I", 2**31, "file ends"),
+    "frame's sensor": ("frames.bin", 80, "I", 9, "sensor 9"),
+    "frame's image": ("frames.bin", 84, "Q", 999, "image 999, which does not exist"),
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_forged_values(model_bin, what):
+    name, offset, form, value, said = FORGED[what]
+    patched(model_bin, name, offset, form, *(value if isinstance(value, tuple) else (value,)))
+    error = refused(model_bin)
+    assert said in error.message
+    if name == "images.bin" and "name" not in what:
+        assert "00.png" in error.message or "image 1" in error.message
+
+
+def test_empty_tables(model_bin):
+    for table in BINARY:
+        path = model_bin / f"{table}.bin"
+        whole = path.read_bytes()
+        path.write_bytes(struct.pack("<Q", 0))
+        refused(model_bin)
+        path.write_bytes(whole)
+    assert ColmapSource.open(model_bin, need_images=False).picture_names
+
+
+FORGED_TEXT = {
+    "camera model": ("cameras.txt", r"OPENCV", "NOKIA", "unknown model NOKIA"),
+    "parameters": ("cameras.txt", r" 410 ", " ", "has 8 parameters"),
+    "focal length": ("cameras.txt", r" 400 ", " -400 ", "impossible focal length"),
+    "not a number": ("cameras.txt", r" 480 ", " tall ", "malformed"),
+    "name with a space": ("images.txt", r"00.png", "00 a.png", "has a space"),
+    "name twice": ("images.txt", r"00.png", "01.png", "appears twice"),
+    "observations": ("images.txt", r" -1", "", "not triples"),
+    "point id": ("images.txt", r" -1", " -7", "out of range"),
+    "frame sensor": ("frames.txt", r"CAMERA 1 1", "LIDAR 1 1", "unknown sensor type 'LIDAR'"),
+    "frame count": ("frames.txt", r"1 CAMERA 1 1", "7 CAMERA 1 1", "announces 7 data"),
+    "rig count": ("rigs.txt", r"1 1 CAMERA", "1 3 CAMERA", "announces 3 sensors"),
+}
+
+
+@pytest.mark.parametrize("what", FORGED_TEXT)
+def test_forged_text(model_txt, what):
+    name, old, new, said = FORGED_TEXT[what]
+    path = model_txt / name
+    lines = path.read_text().split("\n")
+    first = next(k for k, line in enumerate(lines) if not line.startswith("#") and old in line)
+    lines[first] = lines[first].replace(old, new, 1)
+    path.write_text("\n".join(lines))
+    error = refused(model_txt)
+    assert said in error.message and f"{name}, line " in error.message
+
+
+def test_random_damage_never_escapes(plain, tmp_path):
+    """Bytes flipped anywhere: either the model is refused, or it still is one that pycolmap reads."""
+    random = np.random.default_rng(0)
+    for form in ("bin", "txt"):
+        folder = save(plain, tmp_path / form, form)
+        for table in BINARY:
+            path = folder / f"{table}.{form}"
+            whole = path.read_bytes()
+            for _ in range(8):
+                data = bytearray(whole)
+                for at in random.integers(0, len(data), 3):
+                    data[at] = random.integers(0, 256)
+                path.write_bytes(data)
+                with contextlib.suppress(OrthoscaleError):
+                    assert ColmapSource.open(folder, need_images=False).camera_height > 0
+            path.write_bytes(whole)
+
+
+def test_poses_that_disagree(model_bin):
+    patched(model_bin, "images.bin", 44, "d", 3.5)
+    assert "another pose than its frame" in refused(model_bin).message
+
+
+def test_rig_with_an_unknown_pose(tmp_path):
+    folder = save(make_model(rig=True)[0], tmp_path / "m", "txt")
+    (folder / "rigs.txt").write_text("1 2 CAMERA 1 CAMERA 2 0\n")
+    assert "camera 2 of rig 1 has images, but no pose" in refused(folder).message
+
+
+def test_camera_models_are_those_of_pycolmap():
+    for number, (name, params, focals) in CAMERA_MODELS.items():
+        camera = pycolmap.Camera.create_from_model_id(1, getattr(pycolmap.CameraModelId, name), 500.0, 1000, 800)
+        assert getattr(pycolmap.CameraModelId, name).value == number
+        assert len(camera.params) == params
+        assert list(camera.focal_length_idxs()) == list(range(focals))
+
+
+# --- Real flights ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scene", ["sheffield", "brighton"])
+def test_real_reconstruction(scene, tmp_path):
+    folder = DATA / scene
+    if not folder.is_dir():
+        pytest.skip(f"no real data: {folder} is absent (set ORTHOSCALE_DATA)")
+    start = time.perf_counter()
+    source = ColmapSource.open(folder)
+    assert time.perf_counter() - start < 2
+    assert len(source.pictures) == len(source.picture_names) and source.notes == []
+    metres = json.loads((folder / "truth.json").read_text())["metres_per_model_unit"]
+    # Both places are flat, and all flights are level: the ground must not wander, nor the cameras' heights.
+    centres = np.array([image.projection_center() for image in source._images.values()])
+    heights = source.ground.height_above(centres) * metres
+    assert heights.std() < 0.03 * heights.mean()
+    assert source.ground.noise < 0.005 * source.camera_height
+    name = source.picture_names[len(source.picture_names) // 2]
+    picture = next(p for p in source.pictures if p.name == name)
+    pixels = np.random.default_rng(0).uniform((0.1, 0.3), (0.9, 0.9), (200, 2)) * (picture.width, picture.height)
+    views, world, ok = source.views(name, pixels)
+    assert ok.mean() > 0.5
+    assert np.abs([source._images[name].project_point(w) for w in world[ok]] - pixels[ok]).max() < 1e-6
+    digest = hashlib.sha256((source.folder / "images.bin").read_bytes()).hexdigest()
+    source.write(tmp_path, metres)
+    assert digest == hashlib.sha256((source.folder / "images.bin").read_bytes()).hexdigest()
+    shutil.rmtree(tmp_path)

@@ -1,0 +1,147 @@
+"""The ground under made-up terrain, where its height is known everywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orthoscale.errors import InputError, TooLittleEvidence
+from orthoscale.ground import Ground
+
+CAMERA_HEIGHT = 60.0  # [m], before the model's own unit
+SIZE = 200.0
+
+
+def flat(x, y):
+    return 0 * x
+
+
+def sloped(x, y):
+    return 0.12 * x - 0.05 * y
+
+
+def hilly(x, y):
+    return 2 * np.sin(2 * np.pi * x / 150) + 1.5 * np.cos(2 * np.pi * y / 120) + 0.03 * x
+
+
+class Scene:
+    """Houses, trees, a full car park and stray points over a terrain, in an arbitrary frame and unit."""
+
+    def __init__(self, terrain, count=8000, strays=0.2, seed=0, unit=0.07):
+        random = np.random.default_rng(seed)
+        xy = random.uniform(-SIZE / 2, SIZE / 2, (count, 2))
+        x, y = xy.T
+        over = np.zeros(count)
+        house = (np.abs(x % 40 - 20) < 6) & (np.abs(y % 30 - 15) < 6) & (x > 0)
+        tree = (np.hypot(x % 25 - 12, y % 20 - 10) < 5) & (x < 0) & (random.random(count) < 0.9)
+        car = (np.abs(x) < 25) & (np.abs(y + 40) < 25) & (x % 3 < 1.9) & (y % 9 < 4.6)
+        over[house] = random.uniform(5, 7, house.sum())
+        over[tree] = random.uniform(1, 9, tree.sum())
+        over[car] = random.choice([0.7, 1.0, 1.4], car.sum())
+        points = np.column_stack([xy, terrain(x, y) + over + random.normal(0, 0.15, count)])
+        stray = random.uniform([-SIZE / 2, -SIZE / 2, -60], [SIZE / 2, SIZE / 2, 50], (int(strays * count), 3))
+        gx, gy = np.meshgrid(np.arange(-80, 81, 20.0), np.arange(-80, 81, 20.0))
+        centres = np.column_stack([gx.ravel(), gy.ravel(), CAMERA_HEIGHT + random.normal(0, 1, gx.size)])
+        gx, gy = np.meshgrid(np.arange(-85, 86, 5.0), np.arange(-85, 86, 5.0))
+        truth = np.column_stack([gx.ravel(), gy.ravel(), terrain(gx.ravel(), gy.ravel())])
+
+        turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+        turn *= np.sign(np.linalg.det(turn))
+        shift = 10 * random.normal(size=3)
+        self.unit, self.up = unit, turn[:, 2]
+        self.points, self.centres, self.truth = (
+            a @ turn.T * unit + shift for a in (np.concatenate([points, stray]), centres, truth)
+        )
+        self.plane_truth = truth
+
+
+@pytest.mark.parametrize("strays", [0.0, 0.2])
+@pytest.mark.parametrize("terrain", [flat, sloped, hilly])
+def test_height_of_the_ground(terrain, strays):
+    scene = Scene(terrain, strays=strays)
+    error = Ground.fit(scene.points, scene.centres).height_above(scene.truth) / scene.unit / CAMERA_HEIGHT
+    assert np.sqrt(np.mean(error**2)) < 0.002
+    assert abs(np.median(error)) < 0.001
+    assert np.percentile(np.abs(error), 95) < 0.005
+
+
+@pytest.mark.parametrize("count", [1000, 40000])
+def test_few_and_many_points(count):
+    scene = Scene(flat, count=count)
+    ground = Ground.fit(scene.points, scene.centres)
+    assert np.abs(ground.height_above(scene.truth)).max() < 0.005 * CAMERA_HEIGHT * scene.unit
+    assert ground.up @ scene.up > np.cos(np.radians(0.1))
+    assert ground.camera_height == pytest.approx(CAMERA_HEIGHT * scene.unit, rel=0.01)
+    assert ground.noise == pytest.approx(0.15 * scene.unit, rel=0.3)
+
+
+def test_same_in_every_unit():
+    small, large = Scene(hilly, unit=1e-3), Scene(hilly, unit=1e3)
+    heights = [Ground.fit(s.points, s.centres).height_above(s.truth) / s.unit for s in (small, large)]
+    assert np.abs(heights[0] - heights[1]).max() < 0.05
+
+
+def test_rays_end_on_the_ground():
+    scene = Scene(hilly)
+    ground = Ground.fit(scene.points, scene.centres)
+    middle = np.abs(scene.plane_truth[:, :2]).max(1) < 60
+    target = scene.truth[middle]
+    origin = scene.centres[np.random.default_rng(1).integers(0, len(scene.centres), len(target))]
+    points, normals, ok = ground.intersect(origin, 0.1 * (target - origin))
+    assert ok.all()
+    assert np.abs(ground.height_above(points)).max() < 1e-5 * ground.camera_height
+    assert np.abs(np.linalg.norm(normals, axis=1) - 1).max() < 1e-12
+    assert np.abs(np.cross(points - origin, target - origin)).max() < 1e-9
+    assert (normals @ scene.up > 0.9).all()
+    steep = ((target - origin) @ -scene.up) > 0.5 * np.linalg.norm(target - origin, axis=1)
+    assert np.linalg.norm(points - target, axis=1)[steep].max() < 0.03 * ground.camera_height
+    # The normal is that of the surface itself.
+    x, y = scene.plane_truth[middle][:, :2].T
+    slope = np.hypot(
+        2 * 2 * np.pi / 150 * np.cos(2 * np.pi * x / 150) + 0.03, 1.5 * 2 * np.pi / 120 * np.sin(2 * np.pi * y / 120)
+    )
+    assert np.median(np.abs(np.arccos(normals @ scene.up) - np.arctan(slope))) < np.radians(1.5)
+
+
+def test_rays_that_miss():
+    scene = Scene(flat)
+    ground = Ground.fit(scene.points, scene.centres)
+    origin = np.repeat(scene.centres[40:41], 5, axis=0)
+    aside = np.cross(scene.up, [1.0, 0, 0])
+    directions = np.array([scene.up, aside, aside - 0.05 * scene.up, [np.nan, 0, 1], [0, 0, 0]])
+    points, normals, ok = ground.intersect(origin, directions)
+    assert not ok.any()
+    assert np.isfinite(points).all() and np.isfinite(normals).all()
+    assert ground.intersect(np.empty((0, 3)), np.empty((0, 3)))[0].shape == (0, 3)
+
+
+def test_no_evidence():
+    scene = Scene(flat)
+    with pytest.raises(TooLittleEvidence):
+        Ground.fit(scene.points[:20], scene.centres)
+    with pytest.raises(TooLittleEvidence):
+        Ground.fit(scene.points, scene.centres[:0])
+    with pytest.raises(TooLittleEvidence):
+        Ground.fit(np.full((1000, 3), np.nan), scene.centres)
+
+
+@pytest.mark.parametrize("shape", ["one place", "a line", "around the cameras"])
+def test_no_ground(shape):
+    random = np.random.default_rng(0)
+    scene = Scene(flat)
+    points = {
+        "one place": np.zeros((1000, 3)),
+        "a line": random.uniform(-5, 5, (1000, 1)) * np.array([1.0, 2, 3]),
+        "around the cameras": random.normal(size=(3000, 3)),
+    }[shape]
+    if shape == "around the cameras":
+        points *= 10 / np.linalg.norm(points, axis=1, keepdims=True)
+    with pytest.raises((InputError, TooLittleEvidence)):
+        Ground.fit(points, random.normal(size=(50, 3)) if shape == "around the cameras" else scene.centres)
+
+
+def test_single_camera_and_single_strip():
+    scene = Scene(flat)
+    for centres in (scene.centres[40:41], scene.centres[36:45]):
+        ground = Ground.fit(scene.points, centres)
+        assert np.abs(ground.height_above(scene.truth)).max() < 0.005 * CAMERA_HEIGHT * scene.unit

@@ -1,0 +1,106 @@
+"""Pooling: the value, the interval that keeps its word, the refusals."""
+
+import numpy as np
+import pytest
+
+from orthoscale.errors import TooLittleEvidence
+from orthoscale.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
+from orthoscale.pooling import Ruler, pool
+from orthoscale.votes import gather
+
+RULER = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), noise=(1.5, 1.0))
+
+
+def scene(rng, fleet, n=60, gsd=0.12, vans=0.0, false=0.0, ruler=RULER, surprise=True):
+    """Votes of an orthophoto of `gsd` m/px whose fleet, margin and labels stray as far as they claim to."""
+    size = fleet.sample(rng, n)[:, :2]
+    if surprise:
+        unknown = np.hypot(fleet.mean_sd[:2] / fleet.mean[:2], LOCAL_SD)
+        shared = rng.standard_normal()
+        own = rng.standard_normal(2)
+        size *= np.exp(unknown * (np.sqrt(MEAN_CORRELATION) * shared + np.sqrt(1 - MEAN_CORRELATION) * own))
+    big = rng.random(n) < vans
+    size[big] = rng.normal([5.9, 2.05], [0.35, 0.06], (int(big.sum()), 2))
+    margin = np.array(ruler.margin) + surprise * rng.normal(0, ruler.margin_sd)
+    px = size / gsd * np.exp(surprise * rng.normal(0, ruler.bias_sd)) + margin + rng.normal(0, ruler.noise, (n, 2))
+    wrong = rng.random(n) < false
+    px[wrong] = rng.uniform([8, 5], [45, 25], (int(wrong.sum()), 2))
+    return gather(np.maximum(px, 1.0), np.ones(n), rng.uniform(0, 1000, (n, 2)), np.ones(n), repeated=False)
+
+
+def test_a_clean_scene_gives_its_gsd():
+    rng = np.random.default_rng(0)
+    scale = pool(scene(rng, Fleet.load("DE"), 2000, surprise=False), Fleet.load("DE"), RULER, "m/px")
+    assert scale.value == pytest.approx(0.12, rel=0.01)
+    assert scale.verdict in ("good", "fair") and scale.vehicles_used > 1900
+    for name in ("length", "width", "length_minus_width"):
+        assert scale.checks[name] == pytest.approx(0.12, rel=0.02)
+
+
+@pytest.mark.parametrize("code", ["US", "DE", "JP", "WORLD"])
+@pytest.mark.parametrize("vans, false", [(0, 0), (0.1, 0.1)])
+def test_nine_intervals_of_ten_hold_the_truth(code, vans, false):
+    fleet, rng = Fleet.load(code), np.random.default_rng(7)
+    inside = 0
+    for _ in range(150):
+        low, high = pool(scene(rng, fleet, 60, vans=vans, false=false), fleet, RULER, "m/px").interval90
+        inside += low <= 0.12 <= high
+    assert 0.83 <= inside / 150 <= 0.99  # three sigmas of 150 draws around 0.9, and a little room above
+
+
+def test_more_vehicles_shrink_the_sampling_part_only():
+    fleet = Fleet.load("DE")
+    few, many = (pool(scene(np.random.default_rng(1), fleet, n), fleet, RULER, "m/px") for n in (40, 4000))
+    assert many.parts["sampling"] < few.parts["sampling"] / 5
+    assert many.parts["fleet"] == pytest.approx(few.parts["fleet"], rel=0.3)
+
+
+def test_lengths_rule_where_pixels_are_coarse_and_widths_where_they_are_fine():
+    fleet = Fleet.load("DE")
+    coarse, fine = (
+        pool(scene(np.random.default_rng(2), fleet, 300, gsd=gsd), fleet, RULER, "m/px") for gsd in (0.3, 0.02)
+    )
+    assert coarse.weights[0] > fine.weights[0] + 0.2
+
+
+def test_false_boxes_are_set_aside_with_a_reason():
+    fleet, rng = Fleet.load("DE"), np.random.default_rng(3)
+    scale = pool(scene(rng, fleet, 300, false=0.3, surprise=False), fleet, RULER, "m/px")
+    assert scale.value == pytest.approx(0.12, rel=0.03)
+    assert sum(scale.rejected.values()) > 50
+    assert set(scale.rejected) <= {"too small for a vehicle", "too large for a vehicle", "wrong shape for a vehicle"}
+    assert len(scale.reasons) == 300 and all(bool(r) != bool(u) for r, u in zip(scale.reasons, scale.used, strict=True))
+
+
+def test_widths_that_contradict_lengths_lower_the_verdict_and_widen_the_interval():
+    fleet, rng = Fleet.load("DE"), np.random.default_rng(4)
+    votes = scene(rng, fleet, 300, surprise=False)
+    votes.size[:, 1] *= 1.3
+    honest = pool(scene(np.random.default_rng(4), fleet, 300, surprise=False), fleet, RULER, "m/px")
+    scale = pool(votes, fleet, RULER, "m/px")
+    assert scale.relative_sd > 1.5 * honest.relative_sd
+    assert scale.remarks and "lengths give a larger scale than widths" in scale.remarks[0]
+
+
+@pytest.mark.parametrize("n", [0, 1, 4])
+def test_too_few_vehicles_are_refused(n):
+    fleet = Fleet.load("DE")
+    with pytest.raises(TooLittleEvidence, match=f"{n} usable vehicles, 5 are needed"):
+        pool(scene(np.random.default_rng(5), fleet, n), fleet, RULER, "m/px")
+
+
+def test_boxes_without_a_common_scale_are_refused():
+    rng = np.random.default_rng(6)
+    size = np.exp(rng.uniform(0, 5, (9, 2)))
+    votes = gather(size, np.full(9, 1e-3), rng.uniform(0, 9, (9, 2)), np.ones(9), repeated=False)
+    with pytest.raises(TooLittleEvidence, match="9 boxes, but only"):
+        pool(votes, Fleet.load("DE"), RULER, "m/px")
+
+
+def test_the_unit_of_the_source_cancels():
+    fleet = Fleet.load("US")
+    votes = scene(np.random.default_rng(8), fleet, 80)
+    stretched = gather(votes.size * 40, votes.pixel * 40, votes.place, votes.score, repeated=False)
+    a, b = (pool(v, fleet, RULER, "m/px") for v in (votes, stretched))
+    assert a.value == pytest.approx(40 * b.value, rel=1e-9)
+    assert a.relative_sd == pytest.approx(b.relative_sd, rel=1e-9)

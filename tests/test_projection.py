@@ -1,0 +1,115 @@
+"""The exact projection against boxes made from hulls of known size, seen by cameras of known pose."""
+
+import time
+
+import numpy as np
+import pytest
+
+from orthoscale.boxes import Boxes
+from orthoscale.projection.exact import CUBOID, Hull, ground_size
+from orthoscale.projection.view import Views
+
+
+def flight(n, pitch_deg, rng, focal=1000.0, altitude=90.0, unit=0.07, hull=None, roll_deg=0.0, slope=0.0):
+    """n vehicles seen by a camera at `altitude` [m]; model units of `unit` metres. Returns (boxes, views, sizes [m])."""
+    hull = hull or Hull()
+    plan, heights = hull.outline()
+    size = rng.normal([4.5, 1.8], [0.3, 0.08], (n, 2))
+    pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
+    # Camera looks down by `pitch`; world z up. Rows of the rotation are the camera's axes.
+    forward = np.array([0, np.cos(pitch), -np.sin(pitch)])
+    right = np.array([1.0, 0, 0])
+    down = np.cross(forward, right)
+    right, down = np.cos(roll) * right + np.sin(roll) * down, -np.sin(roll) * right + np.cos(roll) * down
+    rotation = np.stack([right, down, forward])
+    normal = np.array([np.sin(slope), 0, np.cos(slope)])
+
+    pixels = rng.uniform([-500, -350], [500, 350], (n, 2))
+    rays = np.column_stack([pixels / focal, np.ones(n)]) @ rotation
+    camera = np.array([0, 0, altitude])
+    centre = camera + rays * (-(camera @ normal) / (rays @ normal))[:, None]
+    heading = rng.uniform(0, np.pi, n)
+    flat = np.stack([np.cos(heading), np.sin(heading), np.zeros(n)], -1)
+    along = flat - (flat @ normal)[:, None] * normal
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(normal, along)
+
+    offset = plan[None] * size[:, None]
+    body = centre[:, None] + offset[..., :1] * along[:, None] + offset[..., 1:] * across[:, None]
+    body = body + heights[None, :, None] * normal
+
+    def project(world):
+        local = (world - camera) @ rotation.T
+        return local[..., :2] / local[..., 2:] * focal
+
+    tip = project(centre + 1e-3 * along) - project(centre)
+    angle = np.arctan2(tip[:, 1], tip[:, 0])
+    axes = np.stack([np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([-np.sin(angle), np.cos(angle)], -1)], 1)
+    seen = np.einsum("nij,npj->npi", axes, project(body))
+    low, high = seen.min(1), seen.max(1)
+    middle = np.einsum("nij,ni->nj", axes, (low + high) / 2)
+    boxes = Boxes(np.column_stack([middle, high - low, angle]), np.ones(n))
+    keep = boxes.length == (high - low)[:, 0]  # foreshortened beyond recognition: the short side became the long one
+
+    rays = np.column_stack([middle / focal, np.ones(n)]) @ rotation
+    ground = camera + rays * (-(camera @ normal) / (rays @ normal))[:, None]
+    local = (ground - camera) @ rotation.T / unit
+    views = Views(
+        local, np.broadcast_to(rotation @ normal, (n, 3)), np.broadcast_to(np.diag([focal, focal]), (n, 2, 2))
+    )
+    return boxes[keep], views[keep], size[keep]
+
+
+@pytest.mark.parametrize("pitch", [90, 75, 60, 45, 30])
+@pytest.mark.parametrize("focal, altitude", [(1000, 90), (4000, 450)])
+def test_sizes_come_back_at_every_pitch(pitch, focal, altitude):
+    unit = 0.07
+    boxes, views, size = flight(300, pitch, np.random.default_rng(pitch), focal, altitude, unit)
+    error = np.log(ground_size(boxes, views, unit) * unit / size)
+    solved = np.isfinite(error).all(1)
+    assert solved.mean() > 0.97
+    assert np.abs(error[solved].mean(0)).max() < 0.003
+    assert error[solved].std(0).max() < 0.005
+
+
+def test_roll_slope_and_a_taller_hull_are_geometry_like_any_other():
+    hull = Hull(height=1.3)
+    boxes, views, size = flight(300, 60, np.random.default_rng(1), roll_deg=20, slope=0.15, hull=hull)
+    error = np.log(ground_size(boxes, views, 0.07, hull) * 0.07 / size)
+    assert np.nanmax(np.abs(np.nanmean(error, 0))) < 0.004
+
+
+def test_another_body_than_the_one_assumed_costs_little_near_nadir_and_more_when_it_is_oblique():
+    worst = {}
+    for pitch in (90, 60):
+        boxes, views, size = flight(300, pitch, np.random.default_rng(2), hull=CUBOID)
+        error = np.log(ground_size(boxes, views, 0.07, Hull(height=1.5)) * 0.07 / size)
+        worst[pitch] = np.abs(np.nanmean(error, 0)).max()
+    assert worst[90] < 0.03
+    assert worst[60] < 0.15
+
+
+def test_a_wrong_guess_of_the_scale_hardly_matters():
+    boxes, views, size = flight(300, 60, np.random.default_rng(3))
+    right, off = (ground_size(boxes, views, 0.07 * factor) for factor in (1.0, 1.1))
+    assert np.nanmedian(np.abs(np.log(off / right))) < 0.03
+
+
+def test_a_box_too_small_for_any_vehicle_of_that_height_is_nan():
+    boxes, views, _ = flight(20, 45, np.random.default_rng(4))
+    tiny = Boxes(boxes.xylwa * [1, 1, 0.1, 0.1, 1], boxes.score)
+    assert np.isnan(ground_size(tiny, views, 0.07)).all(1).mean() > 0.8
+
+
+def test_elevation_and_pixel_size():
+    views = Views(np.array([[0, 0, 10.0]]), np.array([[0, 0, -1.0]]), np.diag([500.0, 500.0])[None])
+    assert views.elevation[0] == pytest.approx(np.pi / 2)
+    assert views.unit_per_pixel[0] == pytest.approx(10 / 500)
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_boxes_stay_within_reach():
+    boxes, views, _ = flight(100_000, 60, np.random.default_rng(5))
+    start = time.perf_counter()
+    ground_size(boxes, views, 0.07)
+    assert time.perf_counter() - start < 60  # a guard against quadratic work, not a claim of speed

@@ -1,0 +1,607 @@
+"""The raster source: what it reads, what it believes, what it writes, and that it leaves its input alone."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+import threading
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.control import GroundControlPoint
+from rasterio.crs import CRS
+from rasterio.enums import ColorInterp, Resampling
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.rpc import RPC
+from rasterio.shutil import copy as gdal_copy
+from rasterio.transform import Affine
+
+from orthoscale.errors import InputError, OutputError, UsageError
+from orthoscale.sources.raster import GREY, RasterSource
+
+W, H = 300, 200
+UTM = {"crs": "EPSG:32632", "transform": Affine(0.1, 0, 500_000, 0, -0.1, 5_400_000)}
+
+
+def scene(bands: int = 3, dtype: str = "uint8", high: int = 256) -> np.ndarray:
+    """(bands, H, W) of smooth colour with some noise."""
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[:H, :W]
+    smooth = np.stack([(x * (b + 1) / W + y / H) / (bands + 1) for b in range(bands)])
+    return ((smooth * 0.9 + rng.random((bands, H, W)) * 0.1) * (high - 1)).astype(dtype)
+
+
+def make(path: Path, pixels: np.ndarray | None = None, prepare=None, **profile) -> Path:
+    """A GeoTIFF of `pixels`; `prepare(dataset)` may set more before they are written."""
+    pixels = scene() if pixels is None else pixels
+    options = {"driver": "GTiff", "count": len(pixels), "dtype": pixels.dtype, "height": H, "width": W, **profile}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", **options) as dataset:
+            if prepare:
+                prepare(dataset)
+            dataset.write(pixels)
+    return path
+
+
+def converted(path: Path, driver: str, pixels: np.ndarray | None = None, **options) -> Path:
+    plain = make(path.with_name("_plain.tif"), pixels)
+    with rasterio.Env(GDAL_PAM_ENABLED=False):
+        gdal_copy(plain, path, driver=driver, **options)
+    plain.unlink()
+    return path
+
+
+def listing(folder: Path) -> dict[str, tuple[str, int]]:
+    return {
+        p.name: (hashlib.sha256(p.read_bytes()).hexdigest(), p.stat().st_mtime_ns) for p in sorted(folder.iterdir())
+    }
+
+
+# Reading
+
+
+@pytest.mark.parametrize("driver, suffix", [("JPEG", "jpg"), ("PNG", "png"), ("JP2OpenJPEG", "jp2"), ("COG", "tif")])
+def test_formats(tmp_path, driver, suffix):
+    path = converted(tmp_path / f"a.{suffix}", driver)
+    with RasterSource.open(path) as source:
+        assert (source.width, source.height, source.name, source.unit) == (W, H, path.name, "m/px")
+        assert source.pictures == [source] and source.notes == []
+        image = source.read(0, 0, W, H, W, H)
+    assert image.dtype == np.uint8 and image.shape == (H, W, 3) and image.flags.c_contiguous
+    assert np.abs(np.moveaxis(scene(), 0, -1).astype(int) - image).mean() < 12  # JPEG loses that much in noise
+
+
+def test_window_is_exact(tmp_path):
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    assert np.array_equal(source.read(20, 30, 100, 50, 100, 50), np.moveaxis(scene()[:, 30:80, 20:120], 0, -1))
+
+
+def test_shrinking_averages_and_enlarging_is_smooth(tmp_path):
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    small = source.read(0, 0, W, H, W // 4, H // 4)
+    mean = scene().reshape(3, H // 4, 4, W // 4, 4).mean((2, 4))
+    assert np.abs(np.moveaxis(mean, 0, -1) - small).max() <= 1
+    assert source.read(10, 10, 20, 20, 60, 60).shape == (60, 60, 3)
+
+
+@pytest.mark.parametrize("window", [(-1, 0, 10, 10), (0, 195, 10, 10), (291, 0, 10, 10), (0, 0, 0, 10)])
+def test_window_outside(tmp_path, window):
+    with pytest.raises(ValueError, match="window"):
+        RasterSource.open(make(tmp_path / "a.tif")).read(*window, 5, 5)
+
+
+def test_grey(tmp_path):
+    image = RasterSource.open(make(tmp_path / "a.tif", scene(1))).read(0, 0, W, H, W, H)
+    assert np.array_equal(image, np.repeat(scene(1)[0][..., None], 3, 2))
+
+
+def test_grey_with_alpha_shows_grey(tmp_path):
+    def prepare(d):
+        d.colorinterp = ColorInterp.gray, ColorInterp.alpha
+
+    pixels = scene(2)
+    pixels[1] = 255
+    image = RasterSource.open(make(tmp_path / "a.tif", pixels, prepare)).read(0, 0, W, H, W, H)
+    assert np.array_equal(image, np.repeat(pixels[0][..., None], 3, 2))
+
+
+def test_four_bands_without_alpha_show_the_first_three(tmp_path):
+    def prepare(d):
+        d.colorinterp = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.undefined
+
+    pixels = scene(4)
+    pixels[3, :, :100] = 0
+    image = RasterSource.open(make(tmp_path / "a.tif", pixels, prepare)).read(0, 0, W, H, W, H)
+    assert np.array_equal(image, np.moveaxis(pixels[:3], 0, -1))
+
+
+def test_named_bands_are_found(tmp_path):
+    def prepare(d):
+        d.colorinterp = ColorInterp.blue, ColorInterp.green, ColorInterp.red
+
+    image = RasterSource.open(make(tmp_path / "a.tif", prepare=prepare)).read(0, 0, W, H, W, H)
+    assert np.array_equal(image, np.moveaxis(scene()[::-1], 0, -1))
+
+
+def with_alpha(path: Path) -> Path:
+    def prepare(d):
+        d.colorinterp = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
+
+    pixels = scene(4)
+    pixels[3] = 255
+    pixels[:, :, :100] = 0
+    return make(path, pixels, prepare)
+
+
+def with_nodata(path: Path) -> Path:
+    pixels = np.maximum(scene(), 1)
+    pixels[:, :, :100] = 0
+    return make(path, pixels, nodata=0)
+
+
+def with_mask(path: Path, internal: bool = True) -> Path:
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=internal):
+        make(path)
+        mask = np.full((H, W), 255, np.uint8)
+        mask[:, :100] = 0
+        with rasterio.open(path, "r+") as d:
+            d.write_mask(mask)
+    return path
+
+
+def with_mask_file(path: Path) -> Path:
+    with_mask(path, internal=False)
+    assert Path(f"{path}.msk").exists()
+    return path
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("build", [with_alpha, with_nodata, with_mask, with_mask_file])
+def test_without_data_is_grey(tmp_path, build):
+    source = RasterSource.open(build(tmp_path / "a.tif"))
+    for size in ((W, H), (W // 2, H // 2), (2 * W, 2 * H)):
+        image = source.read(0, 0, W, H, *size)
+        edge = 100 * size[0] // W
+        assert (image[:, : edge - 2] == GREY).all()
+        assert (image[:, edge + 2 :] != GREY).any(-1).mean() > 0.9
+
+
+def test_sixteen_bits_are_stretched(tmp_path):
+    pixels = (scene(3, "uint16", 4000) + 500).astype("uint16")
+    source = RasterSource.open(make(tmp_path / "a.tif", pixels))
+    image = source.read(0, 0, W, H, W, H)
+    assert image.min() == 0 and image.max() == 255 and 60 < image.mean() < 190
+    assert "uint16 values from" in source.notes[0]
+
+
+def test_floats_with_nan(tmp_path):
+    pixels = scene(3, "float32", 2)
+    pixels[:, :50] = np.nan
+    image = RasterSource.open(make(tmp_path / "a.tif", pixels)).read(0, 0, W, H, W, H)
+    assert (image[:50] == GREY).all() and image[50:].std() > 20
+
+
+def test_constant_sixteen_bits(tmp_path):
+    source = RasterSource.open(make(tmp_path / "a.tif", np.full((1, H, W), 7, "uint16")))
+    assert source.read(0, 0, W, H, W, H).std() == 0
+
+
+def test_nothing_but_nodata(tmp_path):
+    source = RasterSource.open(make(tmp_path / "a.tif", np.zeros((3, H, W), "uint16"), nodata=0))
+    assert (source.read(0, 0, W, H, W, H) == GREY).all()
+
+
+PALETTE = {0: (0, 0, 0, 0), 1: (255, 0, 0, 255), 2: (0, 0, 255, 255)}
+
+
+def with_palette(path: Path) -> Path:
+    index = np.full((1, H, W), 1, np.uint8)
+    index[:, :, 1::2] = 2
+    index[:, :100] = 0
+    return make(path, index, lambda d: d.write_colormap(1, PALETTE), photometric="PALETTE", nodata=0)
+
+
+@pytest.mark.parametrize("driver", ["GTiff", "PNG"])
+def test_palette(tmp_path, driver):
+    path = with_palette(tmp_path / "a.tif")
+    if driver == "PNG":
+        gdal_copy(path, path.with_suffix(".png"), driver="PNG")
+        path = path.with_suffix(".png")
+    source = RasterSource.open(path)
+    image = source.read(0, 0, W, H, W, H)
+    assert (image[:100] == GREY).all()
+    assert (image[100:, ::2] == (255, 0, 0)).all() and (image[100:, 1::2] == (0, 0, 255)).all()
+    # Colours are averaged, not their numbers.
+    assert np.allclose(source.read(0, 100, W, 100, W // 2, 50), (127.5, 0, 127.5), atol=1)
+
+
+def test_vrt(tmp_path):
+    tif = make(tmp_path / "a.tif", **UTM)
+    gdal_copy(tif, tmp_path / "a.vrt", driver="VRT")
+    source = RasterSource.open(tmp_path / "a.vrt")
+    assert np.array_equal(source.read(0, 0, W, H, W, H), np.moveaxis(scene(), 0, -1))
+    assert source.claimed.usable
+    source.write(tmp_path / "out.tif", 0.07)
+    tif.unlink()
+    with pytest.raises(InputError):
+        RasterSource.open(tmp_path / "a.vrt")
+
+
+def test_another_thread_may_read(tmp_path):
+    source = RasterSource.open(make(tmp_path / "a.tif", tiled=True, blockxsize=64, blockysize=64))
+    wanted, got = source.read(0, 0, W, H, W, H), []
+    threads = [threading.Thread(target=lambda: got.append(source.read(0, 0, W, H, W, H))) for _ in range(4)]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join()
+    assert len(got) == 4 and all(np.array_equal(wanted, g) for g in got)
+
+
+def test_content_hash(tmp_path):
+    path = make(tmp_path / "a.tif")
+    assert RasterSource.open(path).content_hash() == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# Bad inputs
+
+
+def missing(folder):
+    return folder / "none.tif"
+
+
+def a_folder(folder):
+    return folder
+
+
+def empty(folder):
+    (folder / "a.tif").touch()
+    return folder / "a.tif"
+
+
+def text(folder):
+    (folder / "a.tif").write_text("This is not an image.\n" * 50)
+    return folder / "a.tif"
+
+
+def random_bytes(folder):
+    (folder / "a.jpg").write_bytes(np.random.default_rng(0).bytes(10_000))
+    return folder / "a.jpg"
+
+
+def tiny(folder):
+    return make(folder / "a.tif", np.zeros((3, 8, 8), "uint8"), width=8, height=8)
+
+
+def complex_numbers(folder):
+    return make(folder / "a.tif", scene(1).astype("complex64"))
+
+
+def only_alpha(folder):
+    def prepare(d):
+        d.colorinterp = (ColorInterp.alpha,)
+
+    return make(folder / "a.tif", scene(1), prepare)
+
+
+def truncated(path: Path, part: float) -> Path:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * part)])
+    return path
+
+
+@pytest.mark.parametrize(
+    "build, says",
+    [
+        (missing, "does not exist"),
+        (a_folder, "is a folder"),
+        (empty, "is empty"),
+        (text, "not an image"),
+        (random_bytes, "not an image"),
+        (tiny, "8 x 8 px"),
+        (complex_numbers, "complex64"),
+        (only_alpha, "alpha"),
+        (lambda d: truncated(make(d / "a.tif"), 0.98), "truncated"),
+        (lambda d: truncated(make(d / "a.tif", tiled=True, blockxsize=64, blockysize=64), 0.6), "truncated"),
+        (lambda d: truncated(make(d / "a.tif", interleave="band", compress="deflate"), 0.9), "truncated"),
+        (lambda d: truncated(converted(d / "a.tif", "COG"), 0.9), "truncated"),
+        (lambda d: truncated(converted(d / "a.tif", "COG"), 0.01), "truncated"),
+        (lambda d: truncated(converted(d / "a.tif", "COG"), 0.0001), "not an image"),
+        (lambda d: truncated(converted(d / "a.jpg", "JPEG"), 0.9), "damaged"),
+        (lambda d: truncated(converted(d / "a.png", "PNG"), 0.9), "damaged"),
+        (lambda d: truncated(converted(d / "a.jp2", "JP2OpenJPEG"), 0.5), "damaged"),
+    ],
+)
+def test_bad_inputs(tmp_path, build, says):
+    path = build(tmp_path)
+    with pytest.raises(InputError, match=says) as caught:
+        RasterSource.open(path)
+    assert str(path) in caught.value.message and caught.value.hint and caught.value.exit_code == 5
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_damage_in_the_middle_is_found_when_reading_and_when_writing(tmp_path):
+    path = make(tmp_path / "a.tif", compress="deflate", blockysize=10)
+    with rasterio.open(path) as d:
+        offset = int(d.get_tag_item("BLOCK_OFFSET_0_9", "TIFF", bidx=1))
+    data = bytearray(path.read_bytes())
+    data[offset : offset + 400] = b"\xff" * 400
+    path.write_bytes(data)
+    source = RasterSource.open(path)
+    source.read(0, 0, W, 50, W, 50)
+    with pytest.raises(InputError, match="damaged at x 0..300, y 0..200"):
+        source.read(0, 0, W, H, W, H)
+    with pytest.raises(InputError, match="damaged"):
+        source.write(tmp_path / "out.tif", 0.1)
+
+
+# What the georeferencing claims
+
+
+@pytest.mark.parametrize(
+    "crs, transform, gsd",
+    [
+        # UTM at its central meridian is 0.9996 of true.
+        ("EPSG:32632", Affine(0.1, 0, 500_000, 0, -0.1, 5_400_000), 0.1 / 0.9996),
+        # The same, rotated by 37 degrees.
+        ("EPSG:32632", Affine(0.08, 0.06, 500_000, 0.06, -0.08, 5_400_000), 0.1 / 0.9996),
+        # Web Mercator at 60 degrees north: twice too large (the sphere against the ellipsoid: 0.3 % more or less).
+        ("EPSG:3857", Affine(0.2, 0, 1_000_000, 0, -0.2, 8_399_737.9), 0.1),
+        # Ellipsoidal Mercator at 60 degrees north.
+        ("EPSG:3395", Affine(0.2, 0, 1_000_000, 0, -0.2, 8_362_698.5), 0.1),
+        # State plane in US survey feet (Ohio North).
+        ("EPSG:3734", Affine(0.5, 0, 2_000_000, 0, -0.5, 600_000), 0.5 * 1200 / 3937),
+        # Degrees on the equator: 111.32 km by 110.57 km.
+        ("EPSG:4326", Affine(1e-6, 0, 10, 0, -1e-6, 0.0001), 0.1109),
+    ],
+)
+def test_usable_claims(tmp_path, crs, transform, gsd):
+    claim = RasterSource.open(make(tmp_path / "a.tif", crs=crs, transform=transform)).claimed
+    assert claim.usable and claim.gsd_m == pytest.approx(gsd, rel=4e-3 if "32632" not in crs else 1e-5), claim.why
+
+
+def test_pixels_that_are_not_square_on_the_ground(tmp_path):
+    path = make(tmp_path / "a.tif", crs="EPSG:4326", transform=Affine(1e-6, 0, 10, 0, -1e-6, 60))
+    claim = RasterSource.open(path).claimed
+    assert claim.usable and "wide" in claim.why
+    assert claim.gsd_m == pytest.approx(math.sqrt(0.0558 * 0.1114), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "profile, says",
+    [
+        ({}, "not georeferenced"),
+        ({"crs": "EPSG:32630", "transform": Affine(0.1, 0, 0, 0, -0.1, 0)}, "placeholder"),
+        ({"crs": "EPSG:32630"}, "not georeferenced"),
+        ({"crs": "EPSG:32630", "transform": Affine(1, 0, 0, 0, -1, 0)}, "not georeferenced"),
+        ({"crs": "EPSG:32630", "transform": Affine(1, 0, 0, 0, -1, H)}, "not georeferenced"),
+        ({"transform": Affine(0.1, 0, 5, 0, -0.1, 7)}, "no coordinate reference system; pixels are square"),
+        ({"transform": Affine(0.2, 0, 5, 0, -0.1, 7)}, "2 times as wide"),
+        ({"crs": "EPSG:4326", "transform": Affine(0.1, 0, 5, 0, -0.1, 700)}, "Earth"),
+        ({"crs": 'LOCAL_CS["arbitrary",UNIT["metre",1]]', "transform": Affine(0.1, 0, 5, 0, -0.1, 7)}, "local"),
+    ],
+)
+def test_unusable_claims(tmp_path, profile, says):
+    claim = RasterSource.open(make(tmp_path / "a.tif", **profile)).claimed
+    assert not claim.usable and says in claim.why
+
+
+def test_local_feet_are_told_in_metres(tmp_path):
+    crs = 'LOCAL_CS["site",UNIT["foot",0.3048]]'
+    claim = RasterSource.open(make(tmp_path / "a.tif", crs=crs, transform=Affine(1, 0, 5, 0, -1, 7))).claimed
+    assert claim.gsd_m == pytest.approx(0.3048) and not claim.usable
+
+
+def test_world_file_alone(tmp_path):
+    path = converted(tmp_path / "a.jpg", "JPEG")
+    (tmp_path / "a.jgw").write_text("0.1\n0\n0\n-0.1\n500000\n5400000\n")
+    claim = RasterSource.open(path).claimed
+    assert not claim.usable and "a.jgw" in claim.why
+
+
+def with_control_points(path: Path) -> Path:
+    make(path)
+    points = [GroundControlPoint(r, c, 10 + c * 1e-6, 50 - r * 1e-6, 0) for r, c in ((0, 0), (0, W), (H, 0), (H, W))]
+    with rasterio.open(path, "r+") as d:
+        d.gcps = points, CRS.from_epsg(4326)
+    return path
+
+
+def with_rational_polynomials(path: Path) -> Path:
+    make(path)
+    terms = dict.fromkeys(("line_den_coeff", "line_num_coeff", "samp_den_coeff", "samp_num_coeff"), [1.0] * 20)
+    names = [f"{n}_{k}" for n in ("height", "lat", "line", "long", "samp") for k in ("off", "scale")]
+    with rasterio.open(path, "r+") as d:
+        d.rpcs = RPC(**terms, **dict.fromkeys(names, 1.0), err_bias=None, err_rand=None)
+    return path
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize(
+    "build, says", [(with_control_points, "4 ground control points"), (with_rational_polynomials, "rational")]
+)
+def test_control_points_and_polynomials_are_named(tmp_path, build, says):
+    claim = RasterSource.open(build(tmp_path / "a.tif")).claimed
+    assert not claim.usable and says in claim.why
+
+
+# Writing
+
+
+def tagged(path: Path) -> Path:
+    def prepare(d):
+        d.update_tags(MISSION="12", AREA_OR_POINT="Point")
+        d.update_tags(1, STATE="wet")
+        d.descriptions = "r", "g", "b"
+
+    return make(path, prepare=prepare, **UTM)
+
+
+def with_overview_file(path: Path) -> Path:
+    make(path, **UTM)
+    with rasterio.Env(TIFF_USE_OVR=True), rasterio.open(path, "r+") as d:
+        d.build_overviews([2, 4], Resampling.average)
+    assert Path(f"{path}.ovr").exists()
+    return path
+
+
+def with_pam(path: Path) -> Path:
+    """Georeferencing and nodata live in .aux.xml only, as for a JPEG that QGIS has georeferenced."""
+    make(path)
+    Path(f"{path}.aux.xml").write_text(
+        "<PAMDataset><SRS>EPSG:32632</SRS><GeoTransform>500000, .1, 0, 5400000, 0, -.1</GeoTransform>"
+        + "".join(f'<PAMRasterBand band="{b}"><NoDataValue>0</NoDataValue></PAMRasterBand>' for b in (1, 2, 3))
+        + "</PAMDataset>"
+    )
+    return path
+
+
+def with_stale_world_file(path: Path) -> Path:
+    path.with_suffix(".tfw").write_text("9\n0\n0\n-9\n1\n1\n")
+    return make(path, **UTM)
+
+
+WRITABLE = {
+    "plain": lambda p: make(p, **UTM),
+    "tagged": tagged,
+    "big endian": lambda p: make(p, ENDIANNESS="BIG", **UTM),
+    "JPEG in TIFF": lambda p: make(
+        p, compress="jpeg", photometric="YCBCR", tiled=True, blockxsize=64, blockysize=64, **UTM
+    ),
+    "planar": lambda p: make(p, interleave="band", compress="lzw", predictor=2, **UTM),
+    "BigTIFF": lambda p: make(p, BIGTIFF="YES", **UTM),
+    "COG": lambda p: converted(p, "COG", blocksize=128, overview_count=2),
+    "16 bit": lambda p: make(p, scene(5, "uint16", 4000), **UTM),
+    "float with NaN": lambda p: make(p, np.where(scene(1, "float32", 2) > 0.5, np.nan, 1).astype("float32"), **UTM),
+    "alpha": with_alpha,
+    "nodata": with_nodata,
+    "mask": with_mask,
+    "mask file": with_mask_file,
+    "overview file": with_overview_file,
+    "palette": with_palette,
+    "CMYK": lambda p: make(p, scene(4), photometric="CMYK", **UTM),
+    "aux.xml": with_pam,
+    "stale world file": with_stale_world_file,
+    "GCP": with_control_points,
+    "RPC": with_rational_polynomials,
+    "JPEG": lambda p: converted(p.with_suffix(".jpg"), "JPEG"),
+    "PNG": lambda p: converted(p.with_suffix(".png"), "PNG"),
+    "PNG with alpha": lambda p: converted(p.with_suffix(".png"), "PNG", scene(4)),
+    "PNG, 16 bit": lambda p: converted(p.with_suffix(".png"), "PNG", scene(3, "uint16", 60_000)),
+    "PNG, grey": lambda p: converted(p.with_suffix(".png"), "PNG", scene(1)),
+    "JPEG 2000": lambda p: converted(p.with_suffix(".jp2"), "JP2OpenJPEG"),
+}
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("build", WRITABLE.values(), ids=WRITABLE)
+def test_written_copy_is_the_same_picture_in_metres(tmp_path, build):
+    (folder := tmp_path / "in").mkdir()
+    path = build(folder / "a.tif")
+    before = listing(folder)
+    (target := tmp_path / "out").mkdir()
+    with RasterSource.open(path) as source:
+        source.read(0, 0, W, H, W // 2, H // 2)
+        source.write(target / "b.tif", 0.123)
+        usable = source.claimed.usable
+        assert any("local metres" in n for n in source.notes) == usable
+    assert listing(folder) == before, "the input's folder was touched"
+    assert [p.name for p in target.iterdir()] == ["b.tif"]
+    with rasterio.open(path) as a, rasterio.open(target / "b.tif") as b:
+        assert b.driver == "GTiff"
+        assert np.array_equal(a.read(), b.read(), equal_nan=a.dtypes[0] == "float32")
+        assert np.array_equal(a.dataset_mask(), b.dataset_mask())
+        assert a.mask_flag_enums == b.mask_flag_enums
+        assert (a.dtypes, a.colorinterp, a.descriptions, a.nodata) == (
+            b.dtypes,
+            b.colorinterp,
+            b.descriptions,
+            b.nodata,
+        )
+        assert a.overviews(1) == b.overviews(1)
+        assert not b.gcps[0] and not b.rpcs
+        assert np.allclose(b.transform, Affine(0.123, 0, 0, 0, -0.123, 0.123 * H))
+        assert b.crs.units_factor == ("metre", 1.0) and not b.crs.is_projected and not b.crs.is_geographic
+        tags = a.tags()
+        assert tags.items() <= b.tags().items() and a.tags(1).items() <= b.tags(1).items()
+        if a.colorinterp[0] == ColorInterp.palette:
+            assert [a.colormap(1)[k] for k in range(3)] == [b.colormap(1)[k] for k in range(3)]
+
+
+def test_different_nodata_per_band_becomes_a_mask(tmp_path):
+    pixels = scene()
+    pixels[:, :50] = [[[1]], [[2]], [[3]]]
+    gdal_copy(make(tmp_path / "a.tif", pixels), tmp_path / "a.vrt", driver="VRT")
+    vrt = (tmp_path / "a.vrt").read_text()
+    for band in (1, 2, 3):
+        vrt = re.sub(f'(band="{band}"[^>]*>)', rf"\1<NoDataValue>{band}</NoDataValue>", vrt, count=1)
+    (tmp_path / "a.vrt").write_text(vrt)
+    source = RasterSource.open(tmp_path / "a.vrt")
+    assert (source.read(0, 0, W, H, W, H)[:50] == GREY).all()
+    source.write(tmp_path / "b.tif", 0.1)
+    with rasterio.open(tmp_path / "b.tif") as d:
+        assert not d.dataset_mask()[:50].any() and np.array_equal(d.read(), pixels)
+
+
+@pytest.mark.parametrize("scale", [0, -0.1, math.nan, math.inf])
+def test_senseless_scales(tmp_path, scale):
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    with pytest.raises(UsageError, match="scale"):
+        source.write(tmp_path / "b.tif", scale)
+    assert not (tmp_path / "b.tif").exists()
+
+
+def test_senseless_targets(tmp_path):
+    path = make(tmp_path / "a.tif")
+    source = RasterSource.open(path)
+    with pytest.raises(UsageError, match="itself"):
+        source.write(path, 0.1)
+    with pytest.raises(UsageError, match="GeoTIFF"):
+        source.write(tmp_path / "b.jpg", 0.1)
+    with pytest.raises(OutputError):
+        source.write(tmp_path / "none" / "b.tif", 0.1)
+
+
+def test_a_copy_that_differs_is_refused(tmp_path, monkeypatch):
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    other = make(tmp_path / "c.tif", scene() ^ 1)
+    monkeypatch.setattr("shutil.copyfile", lambda a, b: Path(b).write_bytes(other.read_bytes()))
+    with pytest.raises(OutputError, match="pixels near x 0, y 0"):
+        source.write(tmp_path / "b.tif", 0.1)
+
+
+def test_large_images_are_compared_by_samples(tmp_path, monkeypatch):
+    monkeypatch.setattr("orthoscale.sources.raster._WHOLE", 1000)
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    assert len(list(source._to_compare())) == 64
+    source.write(tmp_path / "b.tif", 0.1)
+
+
+def test_own_copy_is_not_taken_for_evidence(tmp_path):
+    RasterSource.open(make(tmp_path / "a.tif")).write(tmp_path / "b.tif", 0.1)
+    claim = RasterSource.open(tmp_path / "b.tif").claimed
+    assert claim.gsd_m == pytest.approx(0.1) and not claim.usable and "local" in claim.why
+
+
+# Real orthophotos
+
+
+@pytest.mark.real
+def test_manila(data):
+    """EPSG:3395 says 0.100 m/px; on the ground it is 0.0967."""
+    claim = RasterSource.open(data / "orthophotos" / "manila.tif").claimed
+    assert claim.usable and claim.gsd_m == pytest.approx(0.0967, rel=5e-3)
+
+
+@pytest.mark.real
+def test_banepa(data, tmp_path):
+    source = RasterSource.open(data / "orthophotos" / "banepa.jpg")
+    assert not source.claimed.usable
+    source.write(tmp_path / "banepa.tif", 0.132)
+    with rasterio.open(tmp_path / "banepa.tif") as d:
+        assert d.res == pytest.approx((0.132, 0.132))

@@ -1,0 +1,35 @@
+"""One vote per vehicle."""
+
+import numpy as np
+import pytest
+
+from orthoscale.votes import gather
+
+
+def test_views_of_a_parked_car_are_one_vote_and_neighbours_are_not():
+    rng = np.random.default_rng(0)
+    stalls = np.array([[0, 0, 0], [2.5, 0, 0], [5.0, 0, 0], [30, 4, 0]], float)
+    which = np.repeat(np.arange(4), [12, 3, 1, 7])
+    place = stalls[which] + rng.normal(0, 0.1, (len(which), 3))
+    size = np.array([4.5, 1.8]) * np.exp(rng.normal(0, 0.03, (len(which), 2)))
+    votes = gather(size, np.full(len(which), 0.1), place, rng.uniform(0.5, 1, len(which)), repeated=True)
+    assert sorted(votes.views.tolist()) == [1, 3, 7, 12]
+    assert votes.size == pytest.approx(np.tile([4.5, 1.8], (4, 1)), rel=0.12)
+    for members in votes.members:
+        assert len(set(which[members])) == 1
+
+
+def test_one_picture_means_one_vote_per_box_however_close():
+    votes = gather(np.ones((3, 2)), np.ones(3), np.zeros((3, 2)), np.array([0.1, 0.2, 0.3]), repeated=False)
+    assert len(votes) == 3 and votes.views.tolist() == [1, 1, 1]
+
+
+def test_an_odd_view_does_not_move_the_vote():
+    size = np.array([[4.5, 1.8]] * 4 + [[9.0, 4.0]])
+    votes = gather(size, np.ones(5), np.zeros((5, 3)), np.ones(5), repeated=True)
+    assert votes.size[0].tolist() == pytest.approx([4.5, 1.8])
+
+
+@pytest.mark.parametrize("repeated", [True, False])
+def test_no_boxes_no_votes(repeated):
+    assert len(gather(np.empty((0, 2)), np.empty(0), np.empty((0, 3)), np.empty(0), repeated)) == 0

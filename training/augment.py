@@ -1,0 +1,116 @@
+"""Random training crops: geometry first (one affine map), then light and sensor.
+
+A crop is drawn so that its vehicles come out 11 to 75 px long, at any rotation, mirrored or not, with the slight
+anisotropy and lean that oblique views and bent orthophotos have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from .data import LabelledImage
+from .targets import CROP, encode
+
+LENGTH_RANGE = (11.0, 75.0)  # vehicle length in a crop [px]
+MAX_ENLARGEMENT = 1.7  # beyond this an enlarged image shows no more detail than blur
+# Assumed length where an image has no vehicle [px]; only sets how far such ground is enlarged or shrunk.
+NOMINAL_LENGTH = 45.0
+
+
+def crops(images: list[LabelledImage], weights: dict[str, float], seed: int) -> Iterator[tuple[np.ndarray, ...]]:
+    """Endless (image (3, CROP, CROP) float32 RGB 0..1, *targets of :func:`encode`), scenes drawn by weight."""
+    rng = np.random.default_rng(seed)
+    by_scene: dict[str, list[LabelledImage]] = {}
+    for image in images:
+        by_scene.setdefault(image.scene, []).append(image)
+    names = list(by_scene)
+    p = np.array([weights.get(name, 0.1) for name in names])
+    p /= p.sum()
+    while True:
+        members = by_scene[names[rng.choice(len(names), p=p)]]
+        yield crop(members[rng.integers(len(members))], rng)
+
+
+def crop(image: LabelledImage, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """One random crop of `image` with its targets."""
+    vehicles = image.vehicles
+    nominal = image.median_length or NOMINAL_LENGTH
+    scale = np.exp(rng.uniform(*np.log(LENGTH_RANGE))) / nominal
+    if scale > MAX_ENLARGEMENT:
+        scale = MAX_ENLARGEMENT * rng.uniform(0.6, 1.0)
+    if len(vehicles) and rng.random() < 0.7:
+        centre = vehicles[rng.integers(len(vehicles)), :2] + rng.uniform(-0.4, 0.4, 2) * CROP / scale
+    else:
+        centre = rng.uniform(0, 1, 2) * (image.width, image.height)
+    turn = rng.uniform(0, 2 * np.pi)
+    linear = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    linear = linear @ np.diag([rng.choice([-1.0, 1.0]), 1.0])
+    if rng.random() < 0.4:
+        linear = linear @ (np.eye(2) + rng.normal(0, 0.05, (2, 2)))
+    shift = CROP / 2 - linear @ centre
+
+    pixels = photometric(warp(image, linear, shift, scale), rng)
+    boxes = transform_boxes(image.boxes, linear, shift)
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1)), *encode(boxes, image.is_vehicle)
+
+
+def warp(image: LabelledImage, linear: np.ndarray, shift: np.ndarray, scale: float) -> np.ndarray:
+    """The crop's pixels, uint8 (CROP, CROP, 3); shrinking starts from a half-size level so that it does not alias."""
+    octave = int(np.clip(np.floor(np.log2(1 / scale)), 0, 3))
+    source = image.level(octave)
+    step = 2.0**octave
+    # OpenCV puts a pixel's centre at its integer index, the labels half a pixel further.
+    a = linear * step
+    t = shift + a @ (0.5, 0.5) - 0.5
+    return cv2.warpAffine(
+        source, np.c_[a, t], (CROP, CROP), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(114, 114, 114),
+    )  # fmt: skip
+
+
+def transform_boxes(boxes: np.ndarray, linear: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Boxes (N, 5) under the affine map; the width keeps the area of the sheared box."""
+    out = boxes.copy()
+    out[:, :2] = boxes[:, :2] @ linear.T + shift
+    along = np.c_[np.cos(boxes[:, 4]), np.sin(boxes[:, 4])]
+    across = np.c_[-along[:, 1], along[:, 0]]
+    long_side = (along * boxes[:, 2:3]) @ linear.T
+    short_side = (across * boxes[:, 3:4]) @ linear.T
+    out[:, 2] = np.hypot(*long_side.T)
+    out[:, 3] = np.abs(long_side[:, 0] * short_side[:, 1] - long_side[:, 1] * short_side[:, 0]) / out[:, 2]
+    out[:, 4] = np.arctan2(long_side[:, 1], long_side[:, 0])
+    return out
+
+
+def photometric(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Light, haze, a cast shadow, lost colour, blur, noise, JPEG: uint8 in, float32 0..1 out."""
+    x = pixels.astype(np.float32) / 255
+    if rng.random() < 0.8:
+        x = np.clip(x, 0, 1) ** np.float32(np.exp(rng.normal(0, 0.35)))
+        x = x * np.float32(rng.uniform(0.65, 1.3)) + np.float32(rng.uniform(-0.1, 0.1))
+        x = x * (1 + rng.normal(0, 0.09, 3)).astype(np.float32)
+    if rng.random() < 0.12:  # haze
+        x = x + np.float32(rng.uniform(0.1, 0.5)) * (np.float32(rng.uniform(0.6, 0.9)) - x)
+    if rng.random() < 0.2:  # the shadow of something outside the crop
+        corners = rng.uniform(-0.3, 1.3, (4, 2)) * CROP
+        mask = np.zeros(x.shape[:2], np.float32)
+        cv2.fillConvexPoly(mask, cv2.convexHull(corners.astype(np.int32)), 1.0)
+        mask = cv2.GaussianBlur(mask, (0, 0), rng.uniform(0.6, 3))
+        x = x * (1 - np.float32(rng.uniform(0.3, 0.65)) * mask[..., None])
+    if rng.random() < 0.15:
+        x = np.repeat(x.mean(2, keepdims=True), 3, 2)
+    x = np.clip(x, 0, 1)
+    if rng.random() < 0.3:
+        x = cv2.GaussianBlur(x, (0, 0), rng.uniform(0.3, 1.4))
+    if rng.random() < 0.3:
+        x = x + rng.normal(0, rng.uniform(0.005, 0.04), x.shape).astype(np.float32)
+    x = np.clip(x, 0, 1)
+    if rng.random() < 0.3:
+        _, jpeg = cv2.imencode(
+            ".jpg", (x * 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 92))]
+        )
+        x = cv2.imdecode(jpeg, cv2.IMREAD_COLOR).astype(np.float32) / 255
+    return x.astype(np.float32)

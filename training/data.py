@@ -1,0 +1,94 @@
+"""Label files and their images, as arrays ready to be cropped.
+
+A label file is ``{"images": [{"file", "set", "width", "height", "source", "licence", "boxes": [...]}]}``; a box is
+``{"cx", "cy", "length", "width", "angle", "kind"}`` in pixels (corner origin: the top-left pixel's centre is
+(0.5, 0.5)) and radians of the long side from +x, clockwise on screen. The images lie in ``images/`` beside it.
+
+Kinds: ``vehicle`` is learnt; everything else (``large-vehicle``, ``ignore``, ``candidate``) is neither vehicle nor
+background: the network gets no gradient there.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+
+@dataclass
+class LabelledImage:
+    """One image with its boxes; pixels are decoded on first use and kept, with two half-size levels."""
+
+    path: Path
+    scene: str
+    width: int
+    height: int
+    source: str
+    licence: str
+    boxes: np.ndarray  # (N, 5) centre x, centre y, length, width [px], angle [rad]
+    is_vehicle: np.ndarray  # (N,) bool; False: ignore region
+    _levels: list[np.ndarray] = field(default_factory=list, repr=False)
+
+    @property
+    def vehicles(self) -> np.ndarray:
+        return self.boxes[self.is_vehicle]
+
+    @property
+    def median_length(self) -> float | None:
+        """Median vehicle length in pixels, None for a scene image without vehicles."""
+        return float(np.median(self.vehicles[:, 2])) if self.is_vehicle.any() else None
+
+    def level(self, octave: int) -> np.ndarray:
+        """RGB uint8 (h, w, 3), shrunk by 2**octave with an area filter."""
+        if not self._levels:
+            image = cv2.imread(str(self.path), cv2.IMREAD_COLOR)
+            if image is None:
+                raise FileNotFoundError(f"{self.path}: not an image that OpenCV can read")
+            self._levels.append(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+        while len(self._levels) <= octave:
+            last = self._levels[-1]
+            size = (last.shape[1] // 2, last.shape[0] // 2)
+            self._levels.append(cv2.resize(last, size, interpolation=cv2.INTER_AREA))
+        return self._levels[octave]
+
+
+MARGINS = Path(__file__).parent / "labels" / "margins.json"
+LARGEST_SHARE = 0.25  # of the width that a margin may take away, so that tiny boxes stay boxes
+
+
+def read_labels(label_file: Path) -> list[LabelledImage]:
+    """The images of one label file, in its order, their boxes tightened by the scene's margin (labels/margins.json).
+
+    People and detectors draw boxes around a vehicle with some air, and each scene's labels have their own. A network
+    that learns them as they are measures a vehicle by the scene that it resembles.
+    """
+    margins = json.loads(MARGINS.read_text())["margin_px"]
+    folder = label_file.parent / "images"
+    images = []
+    for entry in json.loads(label_file.read_text())["images"]:
+        boxes = np.array(
+            [[b[k] for k in ("cx", "cy", "length", "width", "angle")] for b in entry["boxes"]], float
+        ).reshape(-1, 5)
+        boxes[:, 2:4] -= np.minimum(margins.get(entry["set"], 0.0), LARGEST_SHARE * boxes[:, 3:4])
+        kinds = np.array([b["kind"] == "vehicle" for b in entry["boxes"]], bool)
+        images.append(
+            LabelledImage(
+                folder / entry["file"], entry["set"], entry["width"], entry["height"],
+                entry["source"], entry["licence"], boxes, kinds,
+            )
+        )  # fmt: skip
+    return images
+
+
+def split(images: list[LabelledImage], held_out: set[str]) -> tuple[list[LabelledImage], list[LabelledImage]]:
+    """(training, held out), by whole scene: frames of one scene show the same parked vehicles."""
+    unknown = held_out - {image.scene for image in images}
+    if unknown:
+        raise ValueError(f"no such scene in the labels: {', '.join(sorted(unknown))}")
+    return (
+        [image for image in images if image.scene not in held_out],
+        [image for image in images if image.scene in held_out],
+    )

@@ -1,0 +1,82 @@
+"""A small fully convolutional network: residual stages down to stride 32, a feature pyramid back up to stride 4."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+
+def conv(inputs: int, outputs: int, stride: int = 1, size: int = 3) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, size, stride, size // 2, bias=False), nn.BatchNorm2d(outputs), nn.ReLU(True)
+    )
+
+
+class Residual(nn.Module):
+    def __init__(self, channels: int):
+        super().__init__()
+        self.first = conv(channels, channels)
+        self.second = nn.Sequential(nn.Conv2d(channels, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return F.relu(x + self.second(self.first(x)))
+
+
+def stage(inputs: int, outputs: int, blocks: int) -> nn.Sequential:
+    return nn.Sequential(conv(inputs, outputs, 2), *(Residual(outputs) for _ in range(blocks)))
+
+
+class VehicleNet(nn.Module):
+    """RGB (n, 3, h, w) in 0..1, h and w multiples of 32, to maps (n, 7, h/4, w/4) as `targets` describes them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem = conv(3, 16, 2)
+        self.stage4 = stage(16, 24, 1)
+        self.stage8 = stage(24, 48, 2)
+        self.stage16 = stage(48, 96, 2)
+        self.stage32 = stage(96, 128, 2)
+        self.lateral32 = nn.Conv2d(128, 64, 1)
+        self.lateral16 = nn.Conv2d(96, 64, 1)
+        self.merge16 = conv(64, 64)
+        self.reduce16 = nn.Conv2d(64, 32, 1)
+        self.lateral8 = nn.Conv2d(48, 32, 1)
+        self.merge8 = conv(32, 32)
+        self.lateral4 = nn.Conv2d(24, 32, 1)
+        self.merge4 = conv(32, 32)
+        self.head = conv(32, 48)
+        self.maps = nn.Conv2d(48, 7, 1)
+        nn.init.zeros_(self.maps.bias)
+        nn.init.constant_(self.maps.bias[:1], -4.6)  # a heat of 0.01 everywhere at the start
+
+    def forward(self, image: Tensor) -> Tensor:
+        s4 = self.stage4(self.stem(image))
+        s8 = self.stage8(s4)
+        s16 = self.stage16(s8)
+        s32 = self.stage32(s16)
+        x = self.merge16(self.lateral16(s16) + enlarge(self.lateral32(s32)))
+        x = self.merge8(self.lateral8(s8) + enlarge(self.reduce16(x)))
+        x = self.merge4(self.lateral4(s4) + enlarge(x))
+        return self.maps(self.head(x))
+
+
+def enlarge(x: Tensor) -> Tensor:
+    return F.interpolate(x, scale_factor=2.0, mode="nearest")
+
+
+def loss(maps: Tensor, heat: Tensor, background: Tensor, values: Tensor, value_weight: Tensor) -> dict[str, Tensor]:
+    """Penalty-reduced focal loss on the heat (Zhou et al. 2019, Objects as Points, eq. 1; alpha 2, beta 4) and weighted
+    L1 on the values; sizes count four times, because a ruler needs them most. Parts by name; their sum is the loss."""
+    logits = maps[:, 0]
+    p = torch.sigmoid(logits)
+    peak = heat > 0.999
+    hit = F.logsigmoid(logits) * (1 - p) ** 2 * peak
+    miss = F.logsigmoid(-logits) * p**2 * (1 - heat) ** 4 * ~peak * background
+    error = (maps[:, 1:] - values).abs() * value_weight[:, None] / value_weight.sum().clamp(min=1)
+    return {
+        "heat": -(hit + miss).sum() / peak.sum().clamp(min=1),
+        "offset": 0.5 * error[:, :2].sum(),
+        "size": 4.0 * error[:, 2:4].sum(),
+        "angle": error[:, 4:].sum(),
+    }

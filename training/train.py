@@ -1,0 +1,127 @@
+"""Train the detector; stop and start it again as you like.
+
+    python -m training.train --labels ../shared/data/vehicles/labels.json --run runs/v1 --hold-out ohio
+    python -m training.train ... --run runs/v1 --resume         # go on where the checkpoint stands
+
+The learning rate follows the share of `--steps` done (warm-up, then a half cosine), so an interrupted run that is
+resumed ends where an uninterrupted one would. The shipped weights are the exponential moving average.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import time
+from pathlib import Path
+
+import torch
+from torch.utils.data import DataLoader, IterableDataset, get_worker_info
+
+from .augment import crops
+from .data import read_labels, split
+from .network import VehicleNet, loss
+
+# Share of the crops by scene: many small images of one car park count less, vehicle-free ground counts.
+SCENE_WEIGHTS = {
+    "munich": 0.18, "minsk": 0.14, "bogota": 0.18, "warsaw": 0.27, "ohio": 0.08,
+    "park": 0.08, "dunes": 0.03, "synthetic": 0.12,
+}  # fmt: skip
+PEAK_RATE = 1.5e-3
+WARM_UP = 300  # steps
+
+
+class Crops(IterableDataset):
+    def __init__(self, images, seed: int):
+        self.images, self.seed = images, seed
+
+    def __iter__(self):
+        worker = get_worker_info()
+        yield from crops(self.images, SCENE_WEIGHTS, self.seed + (worker.id if worker else 0))
+
+
+def learning_rate(step: int, steps: int) -> float:
+    return PEAK_RATE * min(1.0, (step + 1) / WARM_UP) * (0.5 * (1 + math.cos(math.pi * step / steps)) + 0.01)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--labels", type=Path, action="append", required=True, help="label file; may be repeated")
+    parser.add_argument("--run", type=Path, required=True, help="folder for checkpoint.pt and log.jsonl")
+    parser.add_argument("--hold-out", default="", help="scenes not trained on, comma separated")
+    parser.add_argument("--steps", type=int, default=7000)
+    parser.add_argument("--batch", type=int, default=16)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="one where others use the cores too")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--resume", action="store_true")
+    options = parser.parse_args()
+
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    torch.manual_seed(options.seed)
+    torch.set_num_threads(options.threads)
+    images = [image for file in options.labels for image in read_labels(file)]
+    training, _ = split(images, set(filter(None, options.hold_out.split(","))))
+
+    options.run.mkdir(parents=True, exist_ok=True)
+    checkpoint_file = options.run / "checkpoint.pt"
+    network = VehicleNet().to(device, memory_format=torch.channels_last)
+    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=1e-4)
+    average = {name: value.clone() for name, value in network.state_dict().items()}
+    step = 0
+    if options.resume:
+        state = torch.load(checkpoint_file, map_location=device)
+        network.load_state_dict(state["network"])
+        optimiser.load_state_dict(state["optimiser"])
+        average, step = state["average"], state["step"]
+
+    def save() -> None:
+        state = {"network": network.state_dict(), "average": average, "optimiser": optimiser.state_dict(), "step": step}
+        partial = checkpoint_file.with_suffix(".partial")
+        torch.save(state, partial)
+        partial.replace(checkpoint_file)
+
+    loader = DataLoader(
+        Crops(training, options.seed + 1000 * step), batch_size=options.batch, num_workers=options.workers,
+        prefetch_factor=8 if options.workers else None,
+    )  # fmt: skip
+    totals: dict[str, float] = {}
+    started, first = time.time(), step
+    for batch in loader:
+        if step >= options.steps:
+            break
+        for group in optimiser.param_groups:
+            group["lr"] = learning_rate(step, options.steps)
+        image, *targets = (part.to(device, non_blocking=True) for part in batch)
+        parts = loss(network(image.contiguous(memory_format=torch.channels_last)), *targets)
+        optimiser.zero_grad()
+        sum(parts.values()).backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+        optimiser.step()
+        step += 1
+        keep = min(0.999, (1 + step) / (10 + step))
+        with torch.no_grad():
+            for name, value in network.state_dict().items():
+                if value.dtype.is_floating_point:
+                    average[name].mul_(keep).add_(value, alpha=1 - keep)
+                else:
+                    average[name].copy_(value)
+        for name, value in parts.items():
+            totals[name] = totals.get(name, 0.0) + value.item()
+        if step % 100 == 0:
+            seconds = time.time() - started
+            line = {"step": step, **{k: round(v / 100, 4) for k, v in totals.items()}}
+            line["crops_per_s"] = round((step - first) * options.batch / seconds, 1)
+            line["minutes_left"] = round(seconds / (step - first) * (options.steps - step) / 60, 1)
+            print(json.dumps(line), flush=True)
+            with (options.run / "log.jsonl").open("a") as log:
+                log.write(json.dumps(line) + "\n")
+            totals.clear()
+        if step % 250 == 0:
+            save()
+    save()
+
+
+if __name__ == "__main__":
+    main()
