@@ -105,10 +105,17 @@ def fleets(as_json: bool, debug: bool) -> None:
     table = [Fleet.load(code) for code in codes()]
     if as_json:
         rows = [
-            {"code": f.code, "name": f.name, "mean": f.mean.tolist(), "sd": f.sd.tolist(), "mean_sd": f.mean_sd.tolist(),
-             "year": f.year, "source": f.source}
+            {
+                "code": f.code,
+                "name": f.name,
+                "mean": f.mean.tolist(),
+                "sd": f.sd.tolist(),
+                "mean_sd": f.mean_sd.tolist(),
+                "year": f.year,
+                "source": f.source,
+            }
             for f in table
-        ]  # fmt: skip
+        ]
         click.echo(json.dumps(rows, indent=1, ensure_ascii=False))
         return
     for f in table:

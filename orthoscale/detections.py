@@ -73,7 +73,7 @@ class Detections:
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(
                 f"{path}: not a detections file ({error!r})",
-                'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}, ...]} in pixels and radians.',
+                'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.',
             ) from error
 
 

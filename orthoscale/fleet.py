@@ -81,7 +81,7 @@ class Fleet:
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(
                 f"{path}: not a fleet ({error!r})",
-                'Expected {"name", "length": [mean, sd], "width": .., "height": .., "mean_sd": [..3], "corr_LW"} in metres.',
+                'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.',
             ) from error
 
     @classmethod

@@ -232,11 +232,10 @@ def _verdict(sd: float, tension: float, difference: float) -> tuple[str, list[st
     remarks = []
     if tension > CHECK_LIMIT:
         rank = min(rank + 1, len(VERDICTS) - 1)
-        longer = (
-            "lengths give a larger scale than widths" if difference > 0 else "widths give a larger scale than lengths"
-        )
+        larger, smaller = ("lengths", "widths") if difference > 0 else ("widths", "lengths")
+        percent = 100 * abs(np.expm1(difference))
         remarks.append(
-            f"{longer} by {100 * abs(np.expm1(difference)):.0f} %: another fleet, or boxes that do not fit their vehicles"
+            f"{larger} give a larger scale than {smaller} by {percent:.0f} %: another fleet, or boxes that do not fit"
         )
     return names[rank], remarks
 

@@ -39,10 +39,9 @@ def gather(size: np.ndarray, pixel: np.ndarray, place: np.ndarray, score: np.nda
 
     `repeated`: the boxes come from several pictures that show the same vehicles, so boxes in one place are one vehicle.
     """
+    labels = np.arange(len(size))
     if repeated and len(size):
-        labels = _same_place(place, SAME_PLACE * np.median(size[:, 1]))
-    else:
-        labels = np.arange(len(size))
+        labels = _same_place(place, SAME_PLACE * float(np.median(size[:, 1])))
     members = [np.flatnonzero(labels == k) for k in range(labels.max(initial=-1) + 1)]
 
     def over(values: np.ndarray, summary=np.median) -> np.ndarray:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from orthoscale.boxes import Boxes
-from orthoscale.projection.exact import CUBOID, Hull, ground_size
+from orthoscale.projection.exact import Hull, ground_size
 from orthoscale.projection.view import Views
 
 
 def flight(n, pitch_deg, rng, focal=1000.0, altitude=90.0, unit=0.07, hull=None, roll_deg=0.0, slope=0.0):
-    """n vehicles seen by a camera at `altitude` [m]; model units of `unit` metres. Returns (boxes, views, sizes [m])."""
+    """n vehicles seen by a camera at `altitude` [m], in units of `unit` metres: (boxes, views, sizes [m])."""
     hull = hull or Hull()
     plan, heights = hull.outline()
     size = rng.normal([4.5, 1.8], [0.3, 0.08], (n, 2))
@@ -79,14 +79,12 @@ def test_roll_slope_and_a_taller_hull_are_geometry_like_any_other():
     assert np.nanmax(np.abs(np.nanmean(error, 0))) < 0.004
 
 
-def test_another_body_than_the_one_assumed_costs_little_near_nadir_and_more_when_it_is_oblique():
-    worst = {}
-    for pitch in (90, 60):
-        boxes, views, size = flight(300, pitch, np.random.default_rng(2), hull=CUBOID)
-        error = np.log(ground_size(boxes, views, 0.07, Hull(height=1.5)) * 0.07 / size)
-        worst[pitch] = np.abs(np.nanmean(error, 0)).max()
-    assert worst[90] < 0.03
-    assert worst[60] < 0.15
+@pytest.mark.parametrize("pitch, worst", [(90, 0.045), (75, 0.09)])
+def test_another_body_than_the_one_assumed_costs_little_near_nadir(pitch, worst):
+    taller = Hull(height=1.5, roof=1.5, front_inset=0.2, rear_inset=0.05, side_inset=0.05)
+    boxes, views, size = flight(300, pitch, np.random.default_rng(2), hull=taller, altitude=90)
+    error = np.log(ground_size(boxes, views, 0.07, Hull(height=1.5)) * 0.07 / size)
+    assert np.abs(np.nanmean(error, 0)).max() < worst
 
 
 def test_a_wrong_guess_of_the_scale_hardly_matters():
@@ -112,4 +110,4 @@ def test_a_hundred_thousand_boxes_stay_within_reach():
     boxes, views, _ = flight(100_000, 60, np.random.default_rng(5))
     start = time.perf_counter()
     ground_size(boxes, views, 0.07)
-    assert time.perf_counter() - start < 60  # a guard against quadratic work, not a claim of speed
+    assert time.perf_counter() - start < 30  # a guard against quadratic work, not a claim of speed

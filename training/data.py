@@ -59,13 +59,13 @@ MARGINS = Path(__file__).parent / "labels" / "margins.json"
 LARGEST_SHARE = 0.25  # of the width that a margin may take away, so that tiny boxes stay boxes
 
 
-def read_labels(label_file: Path) -> list[LabelledImage]:
+def read_labels(label_file: Path, tighten: bool = True) -> list[LabelledImage]:
     """The images of one label file, in its order, their boxes tightened by the scene's margin (labels/margins.json).
 
     People and detectors draw boxes around a vehicle with some air, and each scene's labels have their own. A network
-    that learns them as they are measures a vehicle by the scene that it resembles.
+    that learns them as they are measures a vehicle by the scene that it resembles. `tighten=False`: the boxes as drawn.
     """
-    margins = json.loads(MARGINS.read_text())["margin_px"]
+    margins = json.loads(MARGINS.read_text())["margin_px"] if tighten else {}
     folder = label_file.parent / "images"
     images = []
     for entry in json.loads(label_file.read_text())["images"]:

@@ -1,7 +1,6 @@
-r"""Write the trained network as ONNX, with the card that says what its boxes mean.
+"""Write the trained network as ONNX, with the card that says what its boxes mean.
 
-    python -m training.export --run runs/v1 --card training/card_v1.json \\
-        --out orthoscale/detect/weights/small_vehicle.onnx
+    python -m training.export --run runs/v1 --card training/card_v1.json --out small_vehicle.onnx
 
 The card's fields are those of `orthoscale.detect.detector.Card`; `training.evaluate` measures them.
 """

@@ -1,7 +1,7 @@
 """At what zoom does the detector see vehicles? Nobody knows the GSD, and a detector works only in its range of sizes.
 
 A vehicle has one size in the picture, at whatever zoom it is looked at; a mistake has the size that the detector likes,
-so it shrinks in the picture as the zoom grows. A sample of windows is therefore looked at over a whole pyramid of zooms.
+so it shrinks as the zoom grows. A sample of windows is therefore looked at over a whole pyramid of zooms.
 Boxes that a neighbouring zoom confirms vote for their length in picture pixels; the length with most votes is the
 vehicles', and the zoom that brings it to the detector's best length is the one to sweep at.
 """

@@ -1,4 +1,4 @@
-"""The planar variant: an orthophoto shows footprints, so a box's sides are the vehicle's (arXiv 2603.07535, no height)."""
+"""The planar variant (arXiv 2603.07535, without the height): an orthophoto shows footprints, so a box is a vehicle."""
 
 from __future__ import annotations
 

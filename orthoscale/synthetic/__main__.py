@@ -1,22 +1,53 @@
-"""``python -m orthoscale.synthetic labels OUT``: synthetic pictures with exact truth."""
+"""Synthetic surveys with exact truth: an orthophoto, a COLMAP model with its frames, or labels for training."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from orthoscale.synthetic.labels import write_labels
+from orthoscale.fleet import Fleet
+from orthoscale.synthetic import STYLES, make_scene, write_colmap, write_labels, write_ortho
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
+    """``python -m orthoscale.synthetic ortho|model|labels OUT``."""
     parser = argparse.ArgumentParser(prog="python -m orthoscale.synthetic", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    labels = commands.add_parser("labels", help="pictures and boxes for training")
-    labels.add_argument("out", type=Path)
+    ortho = commands.add_parser("ortho", help="an orthophoto without georeferencing: OUT.png, .tif or .jpg")
+    ortho.add_argument("--gsd", type=float, default=0.08, help="metres per pixel (%(default)s)")
+    model = commands.add_parser("model", help="a folder with images/, sparse/ and truth.json")
+    model.add_argument("--metres-per-unit", type=float, default=3.7, help="of the COLMAP model (%(default)s)")
+    model.add_argument("--frames", type=int, default=16)
+    model.add_argument("--pitch", type=float, default=90.0, help="degrees below the horizon (%(default)s)")
+    model.add_argument("--altitude", type=float, default=60.0, help="metres above ground (%(default)s)")
+    model.add_argument("--focal", type=float, default=900.0, help="pixels (%(default)s)")
+    model.add_argument("--size", type=int, nargs=2, default=(1000, 750), metavar=("WIDTH", "HEIGHT"), help="pixels")
+    model.add_argument("--k1", type=float, default=0.0, help="radial distortion")
+    model.add_argument("--text", action="store_true", help="write .txt instead of .bin")
+    labels = commands.add_parser("labels", help="a folder with images/ and labels.json")
     labels.add_argument("--count", type=int, default=240)
-    labels.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    print(write_labels(args.out, args.count, args.seed))
+    for command in (ortho, model):
+        command.add_argument("--extent", type=float, default=100.0, help="side of the scene in metres (%(default)s)")
+        command.add_argument("--vehicles", type=int, default=60)
+        command.add_argument("--style", choices=STYLES)
+    for command in (ortho, model, labels):
+        command.add_argument("out", type=Path)
+        command.add_argument("--seed", type=int, default=0)
+        command.add_argument(
+            "--fleet", help="code of a fleet, such as world or de (a normal one, 4.45 x 1.79 x 1.54 m)"
+        )
+    a = parser.parse_args(arguments)
+    fleet = Fleet.load(a.fleet) if a.fleet else None
+    if a.command == "labels":
+        write_labels(a.out, a.count, a.seed, fleet)
+        return
+    scene = make_scene(a.seed, fleet, a.extent, a.vehicles, a.style)
+    if a.command == "ortho":
+        write_ortho(scene, a.out, a.gsd, a.seed)
+    else:
+        width, height = a.size
+        view = (a.frames, a.pitch, a.altitude, a.focal, width, height)
+        write_colmap(scene, a.out, a.metres_per_unit, *view, a.seed, not a.text, k1=a.k1)
 
 
 if __name__ == "__main__":

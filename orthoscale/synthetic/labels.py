@@ -84,7 +84,7 @@ def write_labels(folder: Path, count: int = 240, seed: int = 0, fleet: Fleet | N
     for i in range(count):
         rng = np.random.default_rng([seed, i])
         view, extent, gsd = random_view(rng, size)
-        density = float(rng.choice([0.0, rng.uniform(0.001, 0.004), rng.uniform(0.004, 0.015)], p=[0.08, 0.32, 0.6]))
+        density = float(rng.choice([0.0, rng.uniform(0.001, 0.004), rng.uniform(0.004, 0.011)], p=[0.08, 0.32, 0.6]))
         scene = make_scene(int(rng.integers(1 << 40)), fleet, extent, int(np.ceil(density * extent**2)))
         view = ortho_view(scene, gsd) if view is None else view
         image, owner = render(scene, view, int(rng.integers(1 << 40)))

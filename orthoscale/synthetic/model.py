@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 
 from orthoscale.boxes import Boxes
 from orthoscale.synthetic.labels import visible_share
@@ -102,17 +103,20 @@ def write_colmap(
     views = [Perspective(camera, pose) for pose in flight(scene, n_frames, altitude_m, pitch_deg, slope_deg, seed)]
     names = [f"frame_{i:04d}.jpg" for i in range(n_frames)]
     look = Look.drawn(rng)  # one camera, one day
-    frames = []
+    frames, images = [], []
     for i, (name, view) in enumerate(zip(names, views, strict=True)):
         boxes = vehicle_boxes(scene.vehicles, view)
         frame: dict = {"name": name, "boxes": []}
         if pictures:
             image, owner = render(scene, view, seed + i, look)
             _save(folder / "images" / name, image)
+            images.append(image)
             frame["boxes"] = _boxes_truth(boxes, visible_share(scene.vehicles, view, owner))
         frames.append(frame)
     points, tracks = _tie_points(scene, views, n_points, rng)
-    _write_model(folder, world, views, names, points, tracks, noise_px, binary, rng)
+    model = _model(world, views, names, images, points, tracks, noise_px, rng)
+    (folder / "sparse").mkdir(exist_ok=True)
+    (model.write_binary if binary else model.write_text)(str(folder / "sparse"))
     vehicles = _vehicles_truth(scene)
     for v in vehicles:
         v["centre_model"] = world.points(np.array([v["x_m"], v["y_m"], 0.0])).tolist()
@@ -174,7 +178,7 @@ def _boxes_truth(boxes: Boxes, share: np.ndarray) -> list[dict]:
 def _tie_points(
     scene: Scene, views: Sequence[Perspective], count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points on whatever is seen, by at least three frames (or all, if there are fewer).
+    """Points on whatever is seen, by three frames or more; by two if there are not `count` of those.
 
     Returns ((P, 3) [m], (P, frames) bool: which frames see which point).
     """
@@ -186,7 +190,7 @@ def _tie_points(
         seen.append((ideal, face, np.concatenate([planes, ground])))  # face -1 finds the ground at the end
     candidates = []
     for ideal, face, planes in seen:
-        x, y = (rng.uniform(0, size, 3 * count // len(views)) for size in (ideal.width, ideal.height))
+        x, y = (rng.uniform(0, size, 6 * count // len(views)) for size in (ideal.width, ideal.height))
         plane = planes[face[y.astype(int), x.astype(int)]]
         nearness = plane[:, 0] * x + plane[:, 1] * y + plane[:, 2]
         keep = nearness > 1e-4
@@ -202,25 +206,31 @@ def _tie_points(
         plane = planes[face[y.astype(int), x.astype(int)]]
         nearest = plane[:, 0] * x + plane[:, 1] * y + plane[:, 2]
         tracks[inside, k] = np.abs(1 / nearest - view.in_camera(points[inside])[:, 2]) < 0.05
-    chosen = np.flatnonzero(tracks.sum(1) >= min(3, len(views)))[:count]
+    seen_by = tracks.sum(1)
+    chosen = np.argsort(seen_by < 3, kind="stable")[:count]
+    chosen = chosen[seen_by[chosen] >= 2]
     return points[chosen], tracks[chosen]
 
 
-def _write_model(
-    folder: Path, world: Similarity, views: Sequence[Perspective], names: Sequence[str], points: np.ndarray,
-    tracks: np.ndarray, noise_px: float, binary: bool, rng: np.random.Generator,
-) -> None:  # fmt: skip
-    import pycolmap  # only models need it
-
+def _model(
+    world: Similarity,
+    views: Sequence[Perspective],
+    names: Sequence[str],
+    images: Sequence[np.ndarray],
+    points: np.ndarray,
+    tracks: np.ndarray,
+    noise_px: float,
+    rng: np.random.Generator,
+) -> pycolmap.Reconstruction:
+    """The COLMAP model; points take their colour from `images`, or stay grey if there are none."""
     model = pycolmap.Reconstruction()
     c = views[0].camera
     kind, parameters = "SIMPLE_PINHOLE", [c.focal_px, c.width / 2, c.height / 2]
     if c.k1:
         kind, parameters = "SIMPLE_RADIAL", [*parameters, c.k1]
-    model.add_camera_with_trivial_rig(
-        pycolmap.Camera(model=kind, width=c.width, height=c.height, params=parameters, camera_id=1)
-    )
-    elements: list[list] = [[] for _ in points]
+    camera = pycolmap.Camera(model=kind, width=c.width, height=c.height, params=parameters, camera_id=1)
+    model.add_camera_with_trivial_rig(camera)
+    elements: list[list[pycolmap.TrackElement]] = [[] for _ in points]
     colours = np.full((len(points), 3), 128, np.uint8)
     for k, (name, view) in enumerate(zip(names, views, strict=True)):
         which = np.flatnonzero(tracks[:, k])
@@ -229,12 +239,10 @@ def _write_model(
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(world.cam_from_world(view.pose)))
         for number, point in enumerate(which):
             elements[point].append(pycolmap.TrackElement(k + 1, number))
-        picture = cv2.imread(str(folder / "images" / name))
-        if picture is not None:
+        if images:
             x, y = pixels.astype(int).T
-            colours[which] = picture[y.clip(0, c.height - 1), x.clip(0, c.width - 1), ::-1]
+            colours[which] = images[k][y.clip(0, c.height - 1), x.clip(0, c.width - 1)]
     for xyz, track, colour in zip(world.points(points), elements, colours, strict=True):
         model.add_point3D(xyz, pycolmap.Track(track), colour)
     model.update_point_3d_errors()
-    (folder / "sparse").mkdir(exist_ok=True)
-    (model.write_binary if binary else model.write_text)(str(folder / "sparse"))
+    return model

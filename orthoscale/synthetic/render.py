@@ -21,10 +21,26 @@ from orthoscale.synthetic.vehicle import Vehicle
 from orthoscale.synthetic.view import Camera, Ortho, Perspective, Pose, View
 
 SUPERSAMPLING = 2
+"""Samples along each side of a pixel."""
+
 SHADE_CELL_M = 0.1
 """Cell size of the map of shadows [m]."""
 
+STAND_OFF_M = 0.2
+"""Shadow is looked up this far before a face, so that a wall is not its own shadow."""
+
+LIFT_M, PENUMBRA_M = 0.17, 0.12
+"""A face lies in the sun from `LIFT_M` below the height of the shadow, and darkens over the next `PENUMBRA_M`."""
+
 FRAGMENTS_AT_ONCE = 1 << 19
+HAZY_SKY = (0.75, 0.82, 0.9)
+
+# Columns of the table that `_table` makes: what a sample needs to know of its face.
+NEARNESS = slice(0, 3)
+TEXTURE_U, TEXTURE_V = slice(3, 7), slice(7, 11)  # unit vector in the face, and its product with the origin
+IN_SUN, IN_SHADE = slice(11, 14), slice(14, 17)  # light, red green blue
+PLAN_NORMAL = slice(17, 19)
+BLOTCHED = slice(19, 20)  # how much the ground's slow change of tone shows
 
 
 def surface(mesh: Mesh, view: View) -> tuple[np.ndarray, np.ndarray]:
@@ -113,6 +129,19 @@ class Shade:
     sun: np.ndarray
     sky: np.ndarray
 
+    def at(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How much of the sun and of the sky (H, W, 1), 0..1, reaches places (H, W) [m]."""
+        cell = self.view.gsd_m
+        column = ((x - self.view.x0) / cell - 0.5).astype(np.float32)
+        row = ((self.view.y0 - y) / cell - 0.5).astype(np.float32)
+        dark, around = (
+            cv2.remap(heights, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+            for heights in (self.sun, self.sky)
+        )
+        sun = np.clip((z + LIFT_M - dark) / PENUMBRA_M, 0, 1)
+        sky = 1 - 0.45 * np.clip((around - z) / 1.2, 0, 1)
+        return sun[..., None], sky[..., None]
+
 
 @lru_cache(maxsize=2)
 def shade(scene: Scene) -> Shade:
@@ -155,30 +184,25 @@ def light(scene: Scene, view: View) -> tuple[np.ndarray, np.ndarray]:
         y = np.arange(r, r + len(f), dtype=np.float32)[:, None] + 0.5
         x = np.arange(view.width, dtype=np.float32)[None] + 0.5
         t = table[f]
-        near = t[..., 0] * x + t[..., 1] * y + t[..., 2]
-        sky = near <= 1e-6
-        px, py, pz = view.position(x, y, np.maximum(near, 1e-6))
+        a, b, c = np.moveaxis(t[..., NEARNESS], -1, 0)
+        nearness = a * x + b * y + c
+        px, py, pz = view.position(x, y, np.maximum(nearness, 1e-6))
         m = mesh.material[f]
-        u = px * t[..., 3] + py * t[..., 4] + pz * t[..., 5] - t[..., 6]
-        v = px * t[..., 7] + py * t[..., 8] + pz * t[..., 9] - t[..., 10]
-        mask, scale = side[m] - 1, per_metre[m]
-        column, line = (np.floor(w * scale).astype(np.int64) & mask for w in (u, v))
-        texture = texels[offset[m] + line * (mask + 1) + column]
-        # Seen from a little before the surface, a wall is not its own shadow.
-        cell = shadows.view.gsd_m
-        map_x = ((px + 0.2 * t[..., 17] - shadows.view.x0) / cell - 0.5).astype(np.float32)
-        map_y = ((shadows.view.y0 - py - 0.2 * t[..., 18]) / cell - 0.5).astype(np.float32)
-        dark = cv2.remap(shadows.sun, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        near_by = cv2.remap(shadows.sky, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        sun = np.clip((pz + 0.17 - dark) / 0.12, 0, 1)[..., None]
-        open_sky = 1 - 0.45 * np.clip(near_by - pz, 0, 1.2)[..., None] / 1.2
-        tone = 1 + t[..., 19:20] * (_smooth(tint, px / BLOTCH_TEXEL_M, py / BLOTCH_TEXEL_M) - 1)
-        out[r : r + strip] = (t[..., 11:14] * sun + t[..., 14:17] * open_sky) * texture * tone
-        out[r : r + strip][sky] = (0.75, 0.82, 0.9)
+        mask, texture_at = side[m] - 1, []
+        for column in (TEXTURE_U, TEXTURE_V):
+            ex, ey, ez, zero = np.moveaxis(t[..., column], -1, 0)
+            metres = px * ex + py * ey + pz * ez - zero
+            texture_at.append(np.floor(metres * per_metre[m]).astype(np.int64) & mask)
+        texture = texels[offset[m] + texture_at[1] * side[m] + texture_at[0]]
+        nx, ny = np.moveaxis(t[..., PLAN_NORMAL], -1, 0) * STAND_OFF_M
+        in_sun, in_shade = shadows.at(px + nx, py + ny, pz)
+        tone = 1 + t[..., BLOTCHED] * (_tiled(tint, px / BLOTCH_TEXEL_M, py / BLOTCH_TEXEL_M) - 1)
+        out[r : r + strip] = (t[..., IN_SUN] * in_sun + t[..., IN_SHADE] * in_shade) * texture * tone
+        out[r : r + strip][nearness <= 1e-6] = HAZY_SKY
     return out, mesh.owner[face]
 
 
-def _smooth(picture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _tiled(picture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """A tiling picture between its texels."""
     size = len(picture)
     x, y = (np.mod(w, size).astype(np.float32) for w in (x, y))
@@ -186,11 +210,7 @@ def _smooth(picture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _table(mesh: Mesh, planes: np.ndarray, scene: Scene, view: View) -> np.ndarray:
-    """(F, 20) float32 of what a sample needs to know of its face.
-
-    0-2 nearness, 3-6 and 7-10 texture u and v, 11-13 light in the sun, 14-16 light in shadow, 17-18 the normal's
-    plan, 19 how much the ground's slow change of tone shows.
-    """
+    """(F, 20) float32, a row for each face; see `NEARNESS` and the columns after it."""
     normal = mesh.normal
     across = np.cross(normal, mesh.along)
     middle = mesh.corners[:, :3].mean(1)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from orthoscale.synthetic.mesh import Mesh, at_height, faces, join, loft, patch, prism, rectangle, rounded
+from orthoscale.synthetic.mesh import Mesh, at_height, disc, faces, join, loft, patch, prism, rectangle, rounded
 
 GLASS = (0.012, 0.016, 0.02)
 RUBBER = (0.012, 0.012, 0.012)
@@ -39,6 +40,9 @@ CABINS = {
     "pickup": (0.39, 0.43, 0.58, 0.71),
 }
 SHAPES = tuple(CABINS)
+
+Profile = Callable[[np.ndarray], np.ndarray]
+"""Height [m] over the vehicle's own x [m]."""
 
 
 @dataclass(frozen=True)
@@ -80,22 +84,23 @@ class Vehicle:
         return plan @ np.array([[cos, sin], [-sin, cos]]) + [self.x, self.y]
 
     def _outline(self, inset: float = 0.0) -> np.ndarray:
+        """(12, 2) [m] the footprint with rounded corners, in the vehicle's own coordinates (x ahead)."""
         front, rear = (0.10, 0.07) if self.shape == "van" else (0.20, 0.14)
-        size = self.length - 2 * inset, self.width - 2 * inset
-        return rounded(*size, front * self.width, rear * self.width)
+        return rounded(self.length - 2 * inset, self.width - 2 * inset, front * self.width, rear * self.width)
 
     def _stations(self) -> np.ndarray:
         """(4,) x of the rear window's foot and head, the windscreen's head and foot [m]."""
         return (np.array(CABINS[self.shape]) - 0.5) * self.length
 
     def _roof(self) -> np.ndarray:
+        """(4, 2) [m] plan of the roof."""
         _, rear, front, _ = self._stations()
         taper = 0.08 if self.shape == "van" else 0.15
         return rectangle(front - rear, self.width - 2 * taper) + [(front + rear) / 2, 0]
 
     def mesh(self, rng: np.random.Generator) -> Mesh:
         """The vehicle's faces; `rng` chooses trim (roof rails, sunroof, dark roof)."""
-        length, width, belt = self.length, self.width, self.belt
+        length, belt = self.length, self.belt
         rear_foot, _, _, screen_foot = self._stations()
         paint = np.array(self.paint)
         nose = 0.8 if self.shape not in ("van", "suv", "pickup") else 0.9
@@ -115,19 +120,21 @@ class Vehicle:
         parts += self._decks(shoulder, deck, paint)
         parts += self._cabin(rng, paint, rear_foot, screen_foot)
         parts += self._trim(rng, deck, paint, screen_foot)
-        half = width / 2 + 0.004
-        for axle in (-0.30 * length, 0.31 * length):
-            spokes = np.arange(8) * np.pi / 4
-            for side in (-1, 1):
-                for radius, colour in ((0.34, RUBBER), (0.21, (0.2, 0.2, 0.21))):
-                    wheel = np.stack(
-                        [axle - side * radius * np.cos(spokes), np.full(8, side * (half + (0.34 - radius) * 0.03)),
-                         0.34 + radius * np.sin(spokes)], 1
-                    )  # fmt: skip
-                    parts.append(faces(wheel, "paint", colour, 0.1))
+        parts += self._wheels()
         return join(parts).placed(self.x, self.y, self.heading)
 
-    def _decks(self, shoulder: np.ndarray, deck, paint: np.ndarray) -> list[Mesh]:
+    def _wheels(self) -> list[Mesh]:
+        """Tyres and rims, as discs a few millimetres outside the body's sides."""
+        parts = []
+        for axle in (-0.30 * self.length, 0.31 * self.length):
+            for side in (-1, 1):
+                for radius, out, colour in ((0.34, 0.004, RUBBER), (0.21, 0.008, (0.2, 0.2, 0.21))):
+                    turn, up = disc(radius, 8).T
+                    wheel = np.stack([axle - side * turn, np.full(8, side * (self.width / 2 + out)), 0.34 + up], 1)
+                    parts.append(faces(wheel, "paint", colour, 0.1))
+        return parts
+
+    def _decks(self, shoulder: np.ndarray, deck: Profile, paint: np.ndarray) -> list[Mesh]:
         """Bonnet, boot or bed: the top of the lower body, cut across into flat strips."""
         stations = self._stations()
         cuts = [-self.length / 2, stations[3], (stations[3] + self.length / 2) / 2, self.length / 2]
@@ -143,34 +150,29 @@ class Vehicle:
 
     def _cabin(self, rng: np.random.Generator, paint: np.ndarray, rear_foot: float, screen_foot: float) -> list[Mesh]:
         roof = self._roof()
+        length, width = np.ptp(roof, 0)
         base = rectangle(screen_foot - rear_foot, self.width - 0.16) + [(screen_foot + rear_foot) / 2, 0]
         low, eave = at_height(base, self.belt), at_height(roof, self.height - 0.06)
-        crown_plan = rounded(*np.ptp(roof, 0) - 0.14, 0.12, 0.12) + roof.mean(0)
+        rim = at_height(rounded(length, width, 0.15, 0.15) + roof.mean(0), self.height - 0.06)
+        crown = at_height(rounded(length - 0.14, width - 0.14, 0.12, 0.12) + roof.mean(0), self.height)
         sides = np.stack([low, np.roll(low, -1, 0), np.roll(eave, -1, 0), eave], 1)
-        top = paint if rng.random() > 0.08 else np.array(GLASS)
+        top = paint if rng.random() > 0.08 else GLASS
         parts = [
             faces(sides, "paint", paint, 0.6),
-            patch(roof, self.height - 0.06, "paint", top, 0.6),
-            patch(crown_plan, self.height, "paint", top, 0.6),
-            loft(at_height(rounded(*np.ptp(roof, 0), 0.15, 0.15) + roof.mean(0), self.height - 0.06),
-                 at_height(crown_plan, self.height), "paint", top, 0.8),
-        ]  # fmt: skip
-        cargo = self.shape == "van" and rng.random() < 0.5
-        for k, (quad, margins) in enumerate(
-            zip(sides, ((0.05, 0.12), (0.07, 0.05), (0.05, 0.12), (0.08, 0.14)), strict=True)
-        ):
-            if cargo and k != 1:
-                if k != 3:  # a cargo van has glass beside its front seats only
-                    parts.append(_pane(quad, (0.80, 0.96) if k == 0 else (0.04, 0.20), margins[1]))
-            elif k in (0, 2):  # the sides: two panes with a pillar between
-                middle = 0.55 if k == 0 else 0.45
-                parts.append(_pane(quad, (margins[0], middle - 0.02), margins[1]))
-                parts.append(_pane(quad, (middle + 0.02, 1 - margins[0]), margins[1]))
-            else:
-                parts.append(_pane(quad, (margins[0], 1 - margins[0]), margins[1]))
-        return parts
+            faces(eave, "paint", top, 0.6),
+            faces(crown, "paint", top, 0.6),
+            loft(rim, crown, "paint", top, 0.8),
+        ]
+        # Side of the cabin (right, front, left, rear), from and to along it, frame below and above; parts of 1.
+        panes = [(1, 0.07, 0.93, 0.05)]
+        if self.shape == "van" and rng.random() < 0.5:  # a cargo van: glass beside the front seats only
+            panes += [(0, 0.80, 0.96, 0.12), (2, 0.04, 0.20, 0.12)]
+        else:
+            panes += [(0, 0.05, 0.53, 0.12), (0, 0.57, 0.95, 0.12), (2, 0.05, 0.43, 0.12), (2, 0.47, 0.95, 0.12)]
+            panes += [(3, 0.08, 0.92, 0.14)]
+        return parts + [_pane(sides[side], (begin, end), frame) for side, begin, end, frame in panes]
 
-    def _trim(self, rng: np.random.Generator, deck, paint: np.ndarray, screen_foot: float) -> list[Mesh]:
+    def _trim(self, rng: np.random.Generator, deck: Profile, paint: np.ndarray, screen_foot: float) -> list[Mesh]:
         half, front, roof = self.width / 2, self.length / 2, self._roof()
         size, centre, parts = np.ptp(roof, 0), roof.mean(0), []
         for side in (-1, 1):
@@ -236,4 +238,5 @@ def choose(rng: np.random.Generator, length: float, height: float) -> tuple[str,
     paint = np.array(PAINTS[rng.choice(len(PAINTS), p=shares / shares.sum())][1])
     if shape == "van" and rng.random() < 0.5:
         paint = np.array(PAINTS[0][1])
-    return str(shape), tuple((paint * rng.uniform(0.97, 1.03, 3) * rng.uniform(0.8, 1.15)).clip(0, 0.85))
+    red, green, blue = (paint * rng.uniform(0.97, 1.03, 3) * rng.uniform(0.8, 1.15)).clip(0, 0.85)
+    return str(shape), (red, green, blue)

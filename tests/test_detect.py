@@ -1,0 +1,219 @@
+"""Tiles, decoding and zoom search, with a detector that finds drawn rectangles: known truth, no network."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from orthoscale.boxes import Boxes, matched
+from orthoscale.detect.decoders import LENGTH_UNIT, STRIDE, WIDTH_UNIT, decode_maps
+from orthoscale.detect.detector import Card, Detector
+from orthoscale.detect.tiles import sweep, tiles
+from orthoscale.detect.zoom import search_zoom
+from orthoscale.errors import InputError
+from orthoscale.pooling import Ruler
+
+CARD = Card("drawn rectangles", (12, 70), 38, 0.4, 0.8, Ruler())
+
+
+class Drawing:
+    """A picture of white rectangles on grey ground, drawn four times finer than its pixels."""
+
+    FINER = 4
+
+    def __init__(self, width, height, boxes, name="drawing"):
+        self.name, self.width, self.height = name, width, height
+        canvas = np.full((height * self.FINER, width * self.FINER, 3), 90, np.uint8)
+        for corners in boxes.mapped(self.FINER).corners:
+            cv2.fillPoly(canvas, [np.round(corners - 0.5).astype(np.int32)], (250, 250, 250))
+        self._pixels = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
+
+    def read(self, x, y, width, height, out_width, out_height):
+        assert 0 <= x and 0 <= y and x + width <= self.width and y + height <= self.height
+        shrink = out_width < width
+        window = self._pixels[y : y + height, x : x + width]
+        how = cv2.INTER_AREA if shrink else cv2.INTER_CUBIC
+        return cv2.resize(window, (out_width, out_height), interpolation=how)
+
+
+class RectangleDetector:
+    """Finds white rectangles, but like a network only in its range of sizes; and makes mistakes of the size it likes."""
+
+    card = CARD
+
+    def __init__(self, mistakes=0, seed=0):
+        self.mistakes, self.rng = mistakes, np.random.default_rng(seed)
+
+    def __call__(self, image, threshold=None):
+        contours, _ = cv2.findContours((image[..., 0] > 170).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        rows = []
+        for contour in contours:
+            (cx, cy), (w, h), degrees = cv2.minAreaRect(contour)
+            rows.append((cx + 0.5, cy + 0.5, w + 1, h + 1, np.radians(degrees)))
+        found = Boxes(np.array(rows).reshape(-1, 5), np.full(len(rows), 0.8))
+        low, high = CARD.usable_length
+        found = found[(found.length > low) & (found.length < high) & (found.width > 3)]
+        n = self.mistakes
+        size = self.rng.normal([36, 16], 4, (n, 2)).clip(8)
+        spots = self.rng.uniform(0, 1, (n, 2)) * image.shape[1::-1]
+        wrong = Boxes(np.column_stack([spots, size, self.rng.uniform(-1.5, 1.5, n)]), np.full(n, 0.5))
+        return Boxes.concatenate([found, wrong])
+
+
+def car_park(length, width, height, count, seed=0):
+    """Boxes of about `length` px that do not overlap, in a picture of `width` x `height` px."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for _ in range(200 * count):
+        own = length * np.exp(rng.normal(0, 0.08))
+        spot = rng.uniform(0.6 * length, [width - 0.6 * length, height - 0.6 * length])
+        if all(np.hypot(*(spot - r[:2])) > 1.3 * length for r in rows):
+            rows.append(np.array([*spot, own, own / 2.4, rng.uniform(-1.5, 1.5)]))
+        if len(rows) == count:
+            break
+    return Boxes(np.array(rows), np.ones(len(rows)))
+
+
+@pytest.mark.parametrize("size, zoom", [((3000, 2100), 1.0), ((3000, 2100), 0.37), ((500, 300), 2.0), ((90, 40), 1.0)])
+def test_tiles_cover_everything_and_overlap_enough(size, zoom):
+    picture = Drawing(*size, Boxes.empty())
+    cover = np.zeros((size[1], size[0]), int)
+    for tile in tiles(picture, zoom):
+        cover[tile.y : tile.y + tile.height, tile.x : tile.x + tile.width] += 1
+        assert max(tile.out_width, tile.out_height) <= 1024
+        assert tile.x + tile.width <= size[0] and tile.y + tile.height <= size[1]
+    assert cover.min() >= 1
+    # Any box of 120 network pixels lies whole in some tile.
+    reach = int(120 / zoom)
+    columns = sorted({(t.x, t.x + t.width) for t in tiles(picture, zoom)})
+    for (_, end), (start, _) in zip(columns, columns[1:], strict=False):
+        assert end - start >= reach or end == size[0]
+
+
+def test_a_sweep_finds_every_vehicle_once_where_it_is():
+    truth = car_park(40, 2600, 1800, 60)
+    (found,) = sweep([Drawing(2600, 1800, truth)], 1.0, RectangleDetector()).values()
+    i, j, overlaps = matched(truth, found, 0.5)
+    assert len(found) == len(truth) == len(i)
+    assert overlaps.min() > 0.85
+    assert np.abs(found.centre[j] - truth.centre[i]).max() < 0.6
+
+
+def test_vehicles_that_the_edge_cuts_are_dropped():
+    truth = Boxes([[300, 200, 40, 17, 0], [600, 200, 40, 17, 0], [2, 300, 40, 17, 0]], np.ones(3))
+    (found,) = sweep([Drawing(600, 400, truth)], 1.0, RectangleDetector()).values()
+    assert found.centre.tolist() == [pytest.approx([300, 200], abs=0.6)]
+
+
+def test_boxes_keep_their_size_at_another_zoom():
+    truth = car_park(150, 2400, 1800, 30)
+    (found,) = sweep([Drawing(2400, 1800, truth)], 0.25, RectangleDetector()).values()
+    i, j, _ = matched(truth, found, 0.5)
+    assert len(i) == len(truth)
+    assert np.median(np.log(found.length[j] / truth.length[i])) == pytest.approx(0, abs=0.04)
+
+
+def test_several_pictures_and_progress_that_ends_at_the_total():
+    pictures = [Drawing(500, 400, car_park(40, 500, 400, 5, seed), f"{seed}.jpg") for seed in range(3)]
+    steps = []
+    found = sweep(pictures, 1.0, RectangleDetector(), lambda done, total: steps.append((done, total)))
+    assert {name: len(boxes) for name, boxes in found.items()} == {"0.jpg": 5, "1.jpg": 5, "2.jpg": 5}
+    assert steps == [(1, 3), (2, 3), (3, 3)]
+
+
+@pytest.mark.parametrize("length", [9, 14, 25, 47, 90, 170, 330])
+def test_the_zoom_search_finds_vehicles_of_any_size_among_mistakes(length):
+    side = int(np.clip(30 * length, 700, 5000))
+    picture = Drawing(side, side, car_park(length, side, side, 45))
+    choice = search_zoom([picture], RectangleDetector(mistakes=2), CARD)
+    assert choice.vehicle_px == pytest.approx(length, rel=0.2)
+    assert choice.zoom == pytest.approx(min(38 / choice.vehicle_px, 4.0))
+    assert choice.rival < 0.6
+
+
+def test_no_vehicles_no_zoom():
+    choice = search_zoom([Drawing(900, 700, Boxes.empty())], RectangleDetector(), CARD)
+    assert choice.vehicle_px is None and choice.votes == 0
+
+
+def test_the_zoom_search_is_the_same_twice():
+    pictures = [Drawing(800, 600, car_park(30, 800, 600, 8, seed), str(seed)) for seed in range(6)]
+    first, second = (search_zoom(pictures, RectangleDetector(1), CARD) for _ in range(2))
+    assert first == second
+
+
+def test_decoding_gives_back_what_was_written():
+    boxes = Boxes([[41.3, 22.6, 40, 16, 0.7], [90.2, 70.1, 25, 11, -1.2]], [0.9, 0.6])
+    maps = np.full((7, 32, 32), -6, np.float32)
+    for (cx, cy, length, width, angle), score in zip(boxes.xylwa, boxes.score, strict=True):
+        x, y = int(cx / STRIDE), int(cy / STRIDE)
+        offset = (cx / STRIDE - 0.5 - x, cy / STRIDE - 0.5 - y)
+        values = (np.log(length / LENGTH_UNIT), np.log(width / WIDTH_UNIT), np.cos(2 * angle), np.sin(2 * angle))
+        maps[:, y, x] = (np.log(score / (1 - score)), *offset, *values)
+    found = decode_maps(maps, 0.3)
+    order = np.argsort(-found.score)
+    assert found.xylwa[order] == pytest.approx(boxes.xylwa, abs=1e-4)
+    assert found.score[order] == pytest.approx(boxes.score, abs=1e-5)
+    assert len(decode_maps(maps, 0.7)) == 1
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    """An ONNX network with known output: the heat is the mean of the image, 30 minus it where there is none."""
+    onnx = pytest.importorskip("onnx")
+    from onnx import TensorProto, helper
+
+    pool = helper.make_node("AveragePool", ["image"], ["mean"], kernel_shape=[4, 4], strides=[4, 4])
+    weight = np.zeros((7, 3, 1, 1), np.float32)
+    weight[0] = 20.0  # heat
+    bias = np.array([-30, 0, 0, 0, 0, 1, 0], np.float32)
+    conv = helper.make_node("Conv", ["mean", "weight", "bias"], ["maps"])
+    graph = helper.make_graph(
+        [pool, conv],
+        "tiny",
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, ["n", 3, "h", "w"])],
+        [helper.make_tensor_value_info("maps", TensorProto.FLOAT, ["n", 7, "h4", "w4"])],
+        [onnx.numpy_helper.from_array(weight, "weight"), onnx.numpy_helper.from_array(bias, "bias")],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    card = {"name": "tiny", "usable_length": [12, 70], "best_length": 38, "score": 0.5, "effective_height": 0.8,
+            "ruler": {"margin": [0, 0], "margin_sd": [1, 1], "bias_sd": [0.01, 0.01], "noise": [1, 1]}}  # fmt: skip
+    entry = model.metadata_props.add()
+    entry.key, entry.value = "orthoscale", json.dumps(card)
+    path = tmp_path / "tiny.onnx"
+    onnx.save(model, path)
+    return path
+
+
+def test_a_detector_from_a_file_pads_normalises_and_decodes(tiny):
+    image = np.zeros((50, 70, 3), np.uint8)
+    image[20:24, 40:44] = 255  # exactly one cell; its heat is 20 * 3 - 30
+    found = Detector(tiny)(image)
+    assert found.xylwa == pytest.approx(np.array([[42, 22, 32, 14, 0]]), abs=1e-4)
+    assert found.score[0] > 0.99
+
+
+def test_a_file_that_is_no_detector_is_refused_in_words(tmp_path, tiny):
+    onnx = pytest.importorskip("onnx")
+    text = tmp_path / "text.onnx"
+    text.write_text("hello")
+    with pytest.raises(InputError, match="not an ONNX network"):
+        Detector(text)
+    with pytest.raises(InputError, match="cannot be read"):
+        Detector(tmp_path / "missing.onnx")
+    model = onnx.load(tiny)
+    del model.metadata_props[:]
+    onnx.save(model, tmp_path / "bare.onnx")
+    with pytest.raises(InputError, match="without an orthoscale card"):
+        Detector(tmp_path / "bare.onnx")
+
+
+def test_the_shipped_detector_is_small_and_says_what_it_is():
+    detector = Detector()
+    weights = Path(__import__("orthoscale").__file__).parent / "detect" / "weights" / "small_vehicle.onnx"
+    assert weights.stat().st_size <= 8_000_000
+    card = detector.card
+    assert card.usable_length[0] <= 12 and card.usable_length[1] >= 70
+    assert card.training and card.licence

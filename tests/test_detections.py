@@ -1,0 +1,58 @@
+"""Detections: kept in a file and read back; files of others; files that are none."""
+
+import json
+
+import numpy as np
+import pytest
+
+from orthoscale.boxes import Boxes
+from orthoscale.detections import UNKNOWN_RULER, Detections
+from orthoscale.errors import InputError
+from orthoscale.pooling import Ruler
+
+
+def test_what_is_saved_reads_back(tmp_path):
+    boxes = {"a.jpg": Boxes([[10.25, 20.5, 40.125, 17, 0.3]], [0.75]), "b.jpg": Boxes.empty()}
+    ruler = Ruler((0.5, 1.0), (0.3, 0.4), (0.01, 0.02), (1.0, 0.8))
+    Detections(boxes, 0.8, ruler, 0.7, "test", "abc").save(tmp_path / "d.json")
+    again = Detections.load(tmp_path / "d.json")
+    assert again.boxes["a.jpg"].xylwa == pytest.approx(boxes["a.jpg"].xylwa, abs=0.01)
+    assert len(again) == 1 and len(again.boxes["b.jpg"]) == 0
+    assert (again.zoom, again.ruler, again.effective_height, again.detector) == (0.8, ruler, 0.7, "test")
+
+
+def test_plain_boxes_of_others_get_a_careful_ruler(tmp_path):
+    row = {"cx": 5, "cy": 6, "length": 40, "width": 17, "angle": 0.1}
+    path = tmp_path / "theirs.json"
+    path.write_text(json.dumps({"a.jpg": [row, {**row, "kind": "large-vehicle"}], "b.jpg": []}))
+    found = Detections.load(path)
+    assert len(found) == 1 and found.ruler == UNKNOWN_RULER and found.zoom == 1
+    assert found.boxes["a.jpg"].score.tolist() == [1]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "not json",
+        "[1, 2]",
+        '{"a.jpg": 3}',
+        '{"a.jpg": [{"cx": 1}]}',
+        '{"a.jpg": [{"cx": 1, "cy": 1, "length": -4, "width": 2, "angle": 0}]}',
+        '{"a.jpg": [{"cx": NaN, "cy": 1, "length": 4, "width": 2, "angle": 0}]}',
+        '{"pictures": {"a.jpg": []}, "zoom": "wide"}',
+        '{"pictures": {}, "zoom": 1, "ruler": {"margins": [0, 0]}}',
+    ],
+)
+def test_a_file_that_is_none_is_refused_by_name(tmp_path, content):
+    path = tmp_path / "bad.json"
+    path.write_text(content)
+    with pytest.raises(InputError, match=r"bad\.json: not a detections file"):
+        Detections.load(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        Detections.load(tmp_path / "missing.json")
+
+
+def test_boxes_are_normalised_on_the_way_in(tmp_path):
+    path = tmp_path / "flat.json"
+    path.write_text(json.dumps({"a": [{"cx": 0, "cy": 0, "length": 2, "width": 4, "angle": 0}]}))
+    assert Detections.load(path).boxes["a"].xylwa[0, 2:] == pytest.approx([4, 2, -np.pi / 2])

@@ -1,0 +1,391 @@
+r"""How good a detector's boxes are: found or not, and of what size.
+
+    python -m training.evaluate --detector orthoscale/detect/weights/small_vehicle.onnx \\
+        --labels ../shared/data/vehicles/labels.json --scenes ohio \\
+        --reference sheffield=../shared/data/reconstructions/sheffield/images:BOXES.json \\
+        --margin ../shared/data/orthophotos/manila.tif:0.0967:PH --json evaluation.json --picture evaluation.png
+
+Every picture is swept as a user's would be (`orthoscale.detect.tiles`), at the zoom that brings the median labelled
+vehicle of its scene to the detector's best length. A box that overlaps a label by half or more (intersection over
+union) is a hit. Where the labels do not speak (other kinds, vehicles cut by the picture's edge) boxes count neither
+way.
+
+Only scenes that the detector has not seen say how it does; in `warsaw` and `bogota` not every vehicle is labelled, so
+that precision is too low there. References are boxes of another detector on scenes never trained on: precise where they
+are, but incomplete, so they give recall and sizes only, and the sizes carry that detector's margin.
+
+``--margin`` measures what the card's ruler needs: the pixels by which the detector's boxes are longer and wider than
+vehicles, from near-vertical pictures of known ground sampling distance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from orthoscale.boxes import Boxes, matched
+from orthoscale.detect.tiles import BORDER, sweep
+from orthoscale.detections import Detections
+from orthoscale.fleet import Fleet
+from orthoscale.sources.picture_file import PictureFile, stored_size
+
+from .augment import NOMINAL_LENGTH
+from .data import read_labels
+
+IOU = 0.5
+LOWEST_SCORE = 0.05  # boxes below are not asked for; the precision-recall curve ends there
+ROBUST = 1.48  # a normal distribution's standard deviation per median absolute deviation
+# A box counts as a vehicle of the fleet, when margins are fitted, within this factor of the expected length and width.
+PLAUSIBLE = 1.5
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """A picture and what is known about it; boxes (N, 5) [px of the picture]."""
+
+    picture: PictureFile
+    vehicles: np.ndarray
+    ignored: np.ndarray
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Pictures of one place at one scale. `complete`: everything without a label is background."""
+
+    name: str
+    pictures: list[Labelled]
+    complete: bool = True
+
+    @property
+    def length(self) -> float:
+        """Median labelled vehicle length [px]; an assumed one where there are no vehicles."""
+        lengths = np.concatenate([p.vehicles[:, 2] for p in self.pictures])
+        return float(np.median(lengths)) if len(lengths) else NOMINAL_LENGTH
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One picture's boxes beside its labels; boxes in ignored ground are left out.
+
+    hit : (K,) the label that box k found, -1 for none.
+    """
+
+    boxes: Boxes
+    hit: np.ndarray
+    vehicles: np.ndarray
+
+
+@dataclass(frozen=True)
+class Result:
+    """One scene in figures; None where it cannot be told.
+
+    false : boxes that are no vehicle, at the card's score. length, width : median and robust spread of
+    log(box / label). angle : median absolute difference [deg].
+    """
+
+    scene: str
+    pictures: int
+    vehicles: int
+    zoom: float
+    false: int | None
+    precision: float | None
+    recall: float | None
+    average_precision: float | None
+    length: tuple[float, float] | None
+    width: tuple[float, float] | None
+    angle: float | None
+
+
+def compare(boxes: Boxes, vehicles: np.ndarray, ignored: np.ndarray) -> Comparison:
+    """Match `boxes` to `vehicles` (N, 5); others whose centre lies in an `ignored` box (M, 5) are dropped."""
+    found, label, _ = matched(boxes, Boxes(vehicles, np.ones(len(vehicles))), IOU)
+    hit = np.full(len(boxes), -1)
+    hit[found] = label
+    keep = (hit >= 0) | ~_centred_in(boxes.centre, ignored)
+    return Comparison(boxes[keep], hit[keep], vehicles)
+
+
+def _centred_in(points: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """(K,) whether a point (K, 2) lies in any of the boxes (M, 5)."""
+    d = points[:, None] - boxes[None, :, :2]
+    cos, sin = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
+    u = d[..., 0] * cos + d[..., 1] * sin
+    v = d[..., 1] * cos - d[..., 0] * sin
+    return ((np.abs(u) <= boxes[:, 2] / 2) & (np.abs(v) <= boxes[:, 3] / 2)).any(1)
+
+
+def average_precision(score: np.ndarray, is_hit: np.ndarray, vehicles: int) -> float:
+    """Area under the precision-recall curve of boxes with `score` (K,): the mean over all vehicles of the precision at
+    which each is found, 0 for those never found. Precision is the best at that recall or a higher one."""
+    is_hit = is_hit[np.argsort(-score, kind="stable")]
+    precision = np.cumsum(is_hit) / np.arange(1, len(is_hit) + 1)
+    precision = np.maximum.accumulate(precision[::-1])[::-1]
+    return float(precision[is_hit].sum() / vehicles)
+
+
+def summarise(scene: Scene, comparisons: list[Comparison], zoom: float, score: float) -> Result:
+    """The figures of one scene; all but the average precision are those of boxes with at least `score`."""
+    vehicles = sum(len(c.vehicles) for c in comparisons)
+    scores = np.concatenate([c.boxes.score for c in comparisons])
+    is_hit = np.concatenate([c.hit >= 0 for c in comparisons])
+    hits = int((is_hit & (scores >= score)).sum())
+    false = int((~is_hit & (scores >= score)).sum())
+    counted = [(c.hit >= 0) & (c.boxes.score >= score) for c in comparisons]
+    box = np.concatenate([c.boxes.xylwa[k] for c, k in zip(comparisons, counted, strict=True)])
+    label = np.concatenate([c.vehicles[c.hit[k]] for c, k in zip(comparisons, counted, strict=True)])
+    turn = (box[:, 4] - label[:, 4] + np.pi / 2) % np.pi - np.pi / 2
+    tell = scene.complete
+    return Result(
+        scene=scene.name,
+        pictures=len(scene.pictures),
+        vehicles=vehicles,
+        zoom=zoom,
+        false=false if tell else None,
+        precision=hits / (hits + false) if tell and hits else None,
+        recall=hits / vehicles if vehicles else None,
+        average_precision=average_precision(scores, is_hit, vehicles) if tell and vehicles else None,
+        length=_centre_and_spread(np.log(box[:, 2] / label[:, 2])),
+        width=_centre_and_spread(np.log(box[:, 3] / label[:, 3])),
+        angle=float(np.degrees(np.median(np.abs(turn)))) if len(turn) else None,
+    )
+
+
+def _centre_and_spread(values: np.ndarray) -> tuple[float, float] | None:
+    """Median and 1.48 times the median absolute deviation; None of nothing."""
+    if not len(values):
+        return None
+    centre = np.median(values)
+    return float(centre), float(ROBUST * np.median(np.abs(values - centre)))
+
+
+def labelled_scenes(label_file: Path, names: Sequence[str]) -> list[Scene]:
+    """The scenes of a label file called `names` (all, if none). Raises ValueError for one that is not in it."""
+    images = read_labels(label_file)
+    present = list(dict.fromkeys(image.scene for image in images))
+    if unknown := set(names) - set(present):
+        raise ValueError(f"no such scene in {label_file}: {', '.join(sorted(unknown))}; there are {', '.join(present)}")
+    return [
+        Scene(
+            name,
+            [
+                Labelled(
+                    PictureFile(i.path.name, i.path, i.width, i.height), i.vehicles, i.boxes[~i.is_vehicle]
+                )
+                for i in images
+                if i.scene == name
+            ],
+        )
+        for name in names or present
+    ]  # fmt: skip
+
+
+def reference_scene(text: str) -> Scene:
+    """A scene from ``NAME=IMAGES_FOLDER_OR_IMAGE:BOXES.json``, boxes as `Detections.load` reads them."""
+    name, _, rest = text.partition("=")
+    images, _, boxes_file = rest.rpartition(":")
+    boxes = Detections.load(Path(boxes_file)).boxes
+    pictures = [p for p in picture_files(Path(images)) if p.name in boxes]
+    if not pictures:
+        raise ValueError(f"{images}: none of the pictures of {boxes_file}")
+    return Scene(name, [Labelled(p, boxes[p.name].xylwa, np.empty((0, 5))) for p in pictures], complete=False)
+
+
+def picture_files(path: Path) -> list[PictureFile]:
+    """The picture at `path`, or all those in the folder."""
+    endings = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
+    files = sorted(f for f in path.iterdir() if f.suffix.lower() in endings) if path.is_dir() else [path]
+    return [PictureFile(f.name, f, *(stored_size(f) or _decoded_size(f))) for f in files]
+
+
+def _decoded_size(path: Path) -> tuple[int, int]:
+    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if pixels is None:
+        raise ValueError(f"{path}: not an image that OpenCV can read")
+    return pixels.shape[1], pixels.shape[0]
+
+
+def evaluate(
+    scene: Scene, detect: Callable[[np.ndarray], Boxes], best_length: float, score: float
+) -> tuple[Result, list[Comparison]]:
+    """Sweep a scene's pictures and compare. `detect` gives boxes of all scores, `score` is that of the figures."""
+    zoom = best_length / scene.length
+    found = sweep([p.picture for p in scene.pictures], zoom, detect)
+    comparisons = []
+    for p in scene.pictures:
+        # The sweep drops boxes that the picture's edge may cut, so labels there are nobody's to find.
+        labels = Boxes(p.vehicles, np.ones(len(p.vehicles)))
+        whole = labels.inside(p.picture.width, p.picture.height, BORDER / zoom)
+        ignored = np.concatenate([p.ignored, labels.xylwa[~whole]])
+        comparisons.append(compare(found[p.picture.name], labels.xylwa[whole], ignored))
+    return summarise(scene, comparisons, zoom, score), comparisons
+
+
+def table(results: Iterable[Result]) -> str:
+    lines = [
+        "                                                      average    log(length ratio)  log(width ratio)  angle",
+        "scene      pictures vehicles  zoom  precision recall  precision  median  spread     median  spread   [deg]",
+    ]
+    for r in results:
+        precision = "n/a (incomplete)" if r.false is None else f"{_figure(r.precision)} ({r.false} false)"
+        sizes = [_figure(v, "+.3f") for pair in (r.length, r.width) for v in pair or (None, None)]
+        lines.append(
+            f"{r.scene:12s}{r.pictures:5d} {r.vehicles:8d} {r.zoom:6.2f}  {precision:16s} {_figure(r.recall):>5s}"
+            f"  {_figure(r.average_precision):>5s}     {sizes[0]:>6s}  {sizes[1]:>6s}    {sizes[2]:>6s}  {sizes[3]:>6s}"
+            f"   {_figure(r.angle, '.1f'):>4s}"
+        )
+    return "\n".join(lines)
+
+
+def _figure(value: float | None, form: str = ".3f") -> str:
+    return "-" if value is None else format(value, form)
+
+
+def draw(comparisons: list[Comparison], scene: Scene, score: float, width: int = 1400) -> np.ndarray:
+    """The scene's picture with most to see, BGR: hits green, false boxes red, missed vehicles blue."""
+    busy = [len(c.vehicles) + int((c.boxes.score >= score).sum()) for c in comparisons]
+    k = int(np.argmax(busy))
+    c, p = comparisons[k], scene.pictures[k].picture
+    zoom = width / p.width
+    canvas = cv2.cvtColor(p.read(0, 0, p.width, p.height, width, round(p.height * zoom)), cv2.COLOR_RGB2BGR)
+    sure = c.boxes.score >= score
+    missed = np.setdiff1d(np.arange(len(c.vehicles)), c.hit[sure])
+    colours = [
+        (Boxes(c.vehicles[missed], np.ones(len(missed))), (255, 120, 0)),
+        (c.boxes[sure & (c.hit >= 0)], (0, 220, 0)),
+    ]
+    if scene.complete:
+        colours.append((c.boxes[sure & (c.hit < 0)], (0, 0, 255)))
+    for boxes, colour in colours:
+        corners = np.round(boxes.corners * zoom * 16).astype(np.int32)  # in sixteenths of a pixel
+        cv2.polylines(canvas, list(corners), True, colour, 1, cv2.LINE_AA, shift=4)
+    cv2.putText(canvas, scene.name, (8, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.9, (255, 255, 255), 2, cv2.LINE_AA)
+    return canvas
+
+
+@dataclass(frozen=True)
+class Margin:
+    """What a detector adds to a vehicle's length and width [detector px].
+
+    value, sd : (2,) weighted mean over the scenes and its uncertainty, widened where the scenes disagree.
+    scenes, scenes_sd : (S, 2) each scene's own value and uncertainty.
+    left_out : (S, 2) the value from all the other scenes; nan with a single scene.
+    """
+
+    value: np.ndarray
+    sd: np.ndarray
+    scenes: np.ndarray
+    scenes_sd: np.ndarray
+    left_out: np.ndarray
+
+
+def fit_margin(known: Sequence[tuple[np.ndarray, np.ndarray, float | np.ndarray, Fleet]]) -> Margin:
+    """Constant margins (of length, of width) from scenes whose scale is known.
+
+    known : per scene its boxes' lengths and widths (N,) [detector px], metres per detector pixel (one, or one per
+        vehicle (N,)), and the fleet. Every vehicle votes ``box - fleet / gsd`` and a scene's median counts.
+
+    A scene weighs by how well its fleet's mean is known and by its vehicles' scatter; many vehicles do not make up for
+    an unknown fleet.
+    """
+    scenes, variances = [], []
+    for length_px, width_px, gsd, fleet in known:
+        expected = np.exp(fleet.log_mean) / np.reshape(gsd, (-1, 1))  # (1 or N, 2) [px]
+        votes = np.column_stack([length_px, width_px]) - expected
+        median = np.median(votes, axis=0)
+        scatter = ROBUST * np.median(np.abs(votes - median), axis=0)
+        fleet_sd = np.sqrt(np.diag(fleet.log_mean_covariance)) * np.median(expected, axis=0)
+        # The median of a normal sample is pi/2 as uncertain, in variance, as its mean.
+        variances.append(fleet_sd**2 + np.pi / 2 * scatter**2 / len(votes))
+        scenes.append(median)
+    values, weights = np.array(scenes), 1 / np.array(variances)
+    total = weights.sum(0)
+    value = (weights * values).sum(0) / total
+    freedom = max(len(values) - 1, 1)
+    surprise = (weights * (values - value) ** 2).sum(0) / freedom  # near 1 where the scenes agree (Birge 1932)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        others = total - weights
+        left_out = np.where(others > 1e-9 * total, ((weights * values).sum(0) - weights * values) / others, np.nan)
+    return Margin(value, np.sqrt(np.maximum(surprise, 1) / total), values, np.sqrt(1 / weights), left_out)
+
+
+def known_boxes(
+    text: str, detect: Callable[[np.ndarray], Boxes], best_length: float, score: float
+) -> tuple[np.ndarray, np.ndarray, float, Fleet]:
+    """One scene for `fit_margin` from ``PICTURE_OR_FOLDER:GSD:FLEET`` (gsd: metres per pixel of the picture), swept at
+    the zoom that brings the fleet's vehicles to the best length. Boxes far from the fleet's sizes are left out."""
+    path, gsd, code = text.rsplit(":", 2)
+    fleet = Fleet.load(code)
+    size = np.exp(fleet.log_mean)
+    zoom = best_length * float(gsd) / size[0]
+    boxes = Boxes.concatenate(list(sweep(picture_files(Path(path)), zoom, detect).values()))
+    px = boxes[boxes.score >= score].xylwa[:, 2:4] * zoom
+    px = px[(np.abs(np.log(px * float(gsd) / zoom / size)) < np.log(PLAUSIBLE)).all(1)]
+    if not len(px):
+        raise ValueError(f"{path}: no vehicles found")
+    return px[:, 0], px[:, 1], float(gsd) / zoom, fleet
+
+
+def margin_table(names: Sequence[str], known: Sequence[tuple], margin: Margin) -> str:
+    lines = ["margin [detector px]      vehicles   length         width          without it: length, width"]
+    for name, scene, m, sd, rest in zip(names, known, margin.scenes, margin.scenes_sd, margin.left_out, strict=True):
+        lines.append(
+            f"{name[:24]:24s} {len(scene[0]):7d}   {m[0]:5.2f} +- {sd[0]:4.2f}  {m[1]:5.2f} +- {sd[1]:4.2f}"
+            f"             {rest[0]:5.2f}  {rest[1]:5.2f}"
+        )
+    m, sd = margin.value, margin.sd
+    lines.append(f"{'all':24s} {'':7s}   {m[0]:5.2f} +- {sd[0]:4.2f}  {m[1]:5.2f} +- {sd[1]:4.2f}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--detector", type=Path, required=True, help="ONNX file with an orthoscale card")
+    parser.add_argument("--labels", type=Path, help="label file")
+    parser.add_argument("--scenes", default="", help="scenes of the label file, comma separated; all by default")
+    parser.add_argument("--reference", action="append", default=[], metavar="NAME=IMAGES:BOXES.json")
+    parser.add_argument("--margin", action="append", default=[], metavar="PICTURES:GSD:FLEET")
+    parser.add_argument("--json", type=Path, help="write all figures here")
+    parser.add_argument("--picture", type=Path, help="draw one picture of each scene into this image")
+    options = parser.parse_args()
+    if not (options.labels or options.reference or options.margin):
+        parser.error("nothing to compare with: give --labels, --reference or --margin")
+
+    from orthoscale.detect.detector import Detector
+
+    detector = Detector(options.detector)
+    card = detector.card
+    detect = partial(detector, threshold=LOWEST_SCORE)
+    scenes = labelled_scenes(options.labels, list(filter(None, options.scenes.split(",")))) if options.labels else []
+    scenes += [reference_scene(text) for text in options.reference]
+    results, pictures = [], []
+    for scene in scenes:
+        result, comparisons = evaluate(scene, detect, card.best_length, card.score)
+        results.append(result)
+        if options.picture:
+            pictures.append(draw(comparisons, scene, card.score))
+    report: dict = {"detector": options.detector.name, "sha256": detector.sha256, "score": card.score}
+    if results:
+        print(table(results))
+        report["scenes"] = [asdict(result) for result in results]
+    if options.margin:
+        known = [known_boxes(text, detect, card.best_length, card.score) for text in options.margin]
+        names = [Path(text.rsplit(":", 2)[0]).name for text in options.margin]
+        margin = fit_margin(known)
+        print(margin_table(names, known, margin))
+        report["margin"] = {name: np.round(value, 3).tolist() for name, value in asdict(margin).items()}
+        report["margin"]["names"] = names
+    if options.json:
+        options.json.write_text(json.dumps(report, indent=1) + "\n")
+    if pictures:
+        cv2.imwrite(str(options.picture), np.concatenate(pictures))
+
+
+if __name__ == "__main__":
+    main()
