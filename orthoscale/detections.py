@@ -14,6 +14,7 @@ from .pooling import Ruler
 
 # Boxes from a file that does not say what ruler they are: a margin nobody has measured.
 UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.03), noise=(2.0, 1.2))
+UNKNOWN_HEIGHT = (0.7, 0.6)  # of a DOTA-trained YOLO-OBB on oblique frames, for want of better [m]
 FIELDS = ("cx", "cy", "length", "width", "angle")
 
 
@@ -22,14 +23,14 @@ class Detections:
     """Boxes by picture name [px of the picture], with what is needed to measure with them.
 
     zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
-    effective_height : up to where the boxes enclose a vehicle seen obliquely [m].
+    effective_height : up to where the boxes enclose a vehicle seen obliquely, along its length and its width [m].
     doubtful : boxes that were seen but not believed, by picture name, with the reason.
     """
 
     boxes: dict[str, Boxes]
     zoom: float
     ruler: Ruler
-    effective_height: float
+    effective_height: tuple[float, float]
     detector: str
     detector_sha256: str = ""
     doubtful: dict[str, Boxes] = field(default_factory=dict)
@@ -44,7 +45,7 @@ class Detections:
             "detector": self.detector,
             "detector_sha256": self.detector_sha256,
             "zoom": self.zoom,
-            "effective_height": self.effective_height,
+            "effective_height": list(self.effective_height),
             "ruler": asdict(self.ruler),
             "pictures": {name: _rows(boxes) for name, boxes in self.boxes.items()},
         }
@@ -62,7 +63,7 @@ class Detections:
                 boxes=boxes,
                 zoom=float(text["zoom"]) if "pictures" in text else 1.0,
                 ruler=ruler,
-                effective_height=float(text["effective_height"]) if "pictures" in text else 0.8,
+                effective_height=_pair(text["effective_height"]) if "pictures" in text else UNKNOWN_HEIGHT,
                 detector=str(text.get("detector", f"boxes of {path.name}"))
                 if "pictures" in text
                 else f"boxes of {path.name}",
@@ -75,6 +76,11 @@ class Detections:
                 f"{path}: not a detections file ({error!r})",
                 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.',
             ) from error
+
+
+def _pair(values: list[float]) -> tuple[float, float]:
+    length, width = values
+    return float(length), float(width)
 
 
 def _rows(boxes: Boxes) -> list[dict[str, float]]:

@@ -19,6 +19,7 @@ from .fleet import Fleet
 from .pooling import MIN_VEHICLES, Scale, pool
 from .projection.exact import Hull
 from .projection.exact import ground_size as exact_size
+from .projection.height import fit_height, lean
 from .projection.planar import ground_size as planar_size
 from .projection.view import Views
 from .votes import Votes, gather
@@ -43,6 +44,9 @@ SETTLED = 1e-4  # relative change of the scale at which the rounds end
 # sparse points on bare ground scatter by about this much on the two real scenes.
 GROUND_SD = 0.01
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
+# How far a detector's effective height strays from its card between scenes (one sigma) [m], and its upper bound.
+HEIGHT_SD = 0.25
+MAX_HEIGHT = 1.5
 NO_GROUND = "no ground under the box, or seen too flatly"
 NO_HULL = "no vehicle on the ground gives this box"
 
@@ -201,19 +205,50 @@ def _measure_model(source: ColmapSource, found: Detections, fleet: Fleet) -> Mea
     boxes, picture, place = Boxes.concatenate(parts), np.array(names), np.concatenate(places)
     view = Views.concatenate(views)
     pixel = view.unit_per_pixel / found.zoom
-    hull = Hull(height=found.effective_height)
+    leaning = lean(boxes, view)
+    # The height's share of a box is a small correction, so a few rounds of measuring and pooling settle the scale.
     metres_per_unit = float(fleet.mean[0] / np.median(boxes.length * view.unit_per_pixel))
+    height, height_sd = np.array(found.effective_height), np.full(2, HEIGHT_SD)
     for _ in range(ROUNDS):
-        size = exact_size(boxes, view, metres_per_unit, hull)
+        size = np.stack(
+            [exact_size(boxes, view, metres_per_unit, Hull(height=h))[:, k] for k, h in enumerate(height)], 1
+        )
         solved = np.isfinite(size).all(1)
         votes = gather(size[solved], pixel[solved], place[solved], boxes.score[solved], repeated=True)
-        scale = pool(votes, fleet, found.ruler, source.unit, GROUND_SD)
+        scale = pool(
+            votes,
+            fleet,
+            found.ruler,
+            source.unit,
+            _geometry(size[solved], leaning[solved], height_sd / metres_per_unit),
+        )
         change = abs(np.log(scale.value / metres_per_unit))
         metres_per_unit = scale.value
         if change < SETTLED:
             break
+        counted = [members for members, used in zip(votes.members, scale.used, strict=True) if used]
+        flat = size[solved] + leaning[solved] * height / metres_per_unit
+        height, height_sd = _calibrated_height(found, flat, leaning[solved], counted, metres_per_unit)
     lost[NO_HULL] = int((~solved).sum())
     return boxes[solved], picture[solved], votes, scale, {k: v for k, v in lost.items() if v}
+
+
+def _calibrated_height(
+    found: Detections, flat_size: np.ndarray, leaning: np.ndarray, members: list[np.ndarray], metres_per_unit: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Effective heights for length and width [m] and their one sigma: the detector's, and what the views say."""
+    seen, seen_sd = (v * metres_per_unit for v in fit_height(flat_size, leaning, members))
+    weight, prior_weight = 1 / seen_sd**2, 1 / HEIGHT_SD**2
+    height = (weight * seen + prior_weight * np.array(found.effective_height)) / (weight + prior_weight)
+    return np.clip(height, 0.0, MAX_HEIGHT), 1 / np.sqrt(weight + prior_weight)
+
+
+def _geometry(size: np.ndarray, leaning: np.ndarray, height_sd: np.ndarray) -> np.ndarray:
+    """(2, 2) relative covariance of length and width from the ground's height (shared) and the effective height."""
+    if not len(size):
+        return np.zeros((2, 2))
+    share = np.median(leaning * height_sd / size, axis=0)
+    return np.diag(share**2) + GROUND_SD**2
 
 
 def fix(

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .errors import TooLittleEvidence
-from .fleet import Fleet
+from .fleet import Class, Fleet
 from .votes import Votes
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
@@ -28,6 +28,7 @@ Z90 = 1.6449  # two-sided 90 % of a normal distribution
 OUTLIER_DENSITY = 1 / (3.0 * 2.5)
 OUTLIER_SHARE = 0.1  # at the start; then estimated, between these bounds
 OUTLIER_BOUNDS = (0.01, 0.6)
+PRIOR_SHARES = 10.0  # votes that the national shares of the fleet's classes count for
 PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
 VERDICTS = (("good", 0.03), ("fair", 0.06), ("poor", 0.15))  # relative one-sigma of the scale, upper bounds
 CHECK_LIMIT = 2.5  # sigmas between length and width before the verdict is lowered
@@ -90,10 +91,11 @@ class Scale:
         return dict(sorted(counts.items(), key=lambda item: -item[1]))
 
 
-def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry_sd: float = 0.0) -> Scale:
+def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry: np.ndarray | None = None) -> Scale:
     """The scale that `votes` give, for vehicles of `fleet`, measured with `ruler`.
 
-    `geometry_sd` is the relative uncertainty that comes from the source's geometry (ground height, focal length).
+    `geometry` (2, 2) is the relative covariance of lengths and widths that comes from the source's geometry (ground
+    height, effective height), shared by all votes.
     Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes.
     """
     size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
@@ -104,8 +106,8 @@ def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry_sd: float
     share_px = votes.pixel[measurable, None] / size[measurable]  # one pixel as a share of length and width
     noise = (np.asarray(ruler.noise) * share_px) ** 2 / np.maximum(votes.views[measurable, None], 1)
 
-    log_scale, membership = _fit(log_size, noise, fleet.classes)
-    inlier = membership > 0.5
+    membership = _fit(log_size, noise, fleet.classes)  # (classes, N)
+    inlier = membership.sum(0) > 0.5
     used = np.zeros(len(votes), bool)
     used[measurable] = inlier
     if used.sum() < MIN_VEHICLES:
@@ -114,18 +116,19 @@ def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry_sd: float
             f"{MIN_VEHICLES} are needed"
         )
 
-    w = membership * inlier
-    mean = np.average(log_size, axis=0, weights=w)
-    estimates = fleet.log_mean - mean
+    p = membership * inlier
+    w = p.sum(0)
+    gap = np.array([c.log_mean for c in fleet.classes])[:, None] - log_size  # (classes, N, 2) log scale by each
+    estimates = (p[..., None] * gap).sum((0, 1)) / w.sum()
     effective = w.sum() ** 2 / (w**2).sum()
-    residual = log_size - mean
-    scatter = (w[:, None, None] * residual[:, :, None] * residual[:, None, :]).sum(0)
+    residual = gap - estimates
+    scatter = np.einsum("kn,kni,knj->ij", p, residual, residual)
     expected = _fleet_scatter(fleet) + np.diag(np.average(noise, axis=0, weights=w))
     covariances = {
         "sampling": (scatter + PRIOR_VOTES * expected) / (w.sum() + PRIOR_VOTES) / effective,
         "fleet": fleet.log_mean_covariance,
         "margin": _margin_covariance(ruler, np.average(share_px, axis=0, weights=w)),
-        "geometry": np.full((2, 2), geometry_sd**2),
+        "geometry": np.zeros((2, 2)) if geometry is None else geometry,
     }
     total = sum(covariances.values())
     weights = _combine(total)
@@ -138,8 +141,9 @@ def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry_sd: float
     if tension > CHECK_LIMIT:
         # Two measurements that contradict each other know less than either claims (Birge 1932): widen what they share.
         parts["margin"] = float(np.sqrt(sd**2 - sum(v**2 for k, v in parts.items() if k != "margin")))
-    mean_size = np.exp(mean)
-    from_difference = (fleet.mean[0] - fleet.mean[1]) / (mean_size[0] - mean_size[1])
+    mean = np.average(log_size, axis=0, weights=w)
+    alike = np.exp(estimates + mean)  # [m] the fleet's vehicles that stand here, by lengths and by widths
+    from_difference = (alike[0] - alike[1]) / np.subtract(*np.exp(mean))
     verdict, remarks = _verdict(sd, tension, difference)
     return Scale(
         value=float(np.exp(log_scale)),
@@ -160,47 +164,42 @@ def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry_sd: float
     )
 
 
-def _fit(log_size: np.ndarray, noise: np.ndarray, classes: Sequence) -> tuple[float, np.ndarray]:
-    """Log scale of greatest likelihood under fleet + outliers, and each vote's probability (N,) to be of the fleet."""
-    inverses, constants = [], []
-    for c in classes:
-        covariance = c.log_covariance + noise[:, :, None] * np.eye(2)
-        inverses.append(np.linalg.inv(covariance))
-        constants.append(np.log(c.weight) - np.log(2 * np.pi) - 0.5 * np.log(np.linalg.det(covariance)))
+def _fit(log_size: np.ndarray, noise: np.ndarray, classes: Sequence[Class]) -> np.ndarray:
+    """(classes, N) each vote's probability to be a vehicle of each class; what is missing from one is to be none.
 
-    def densities(log_scale: float) -> np.ndarray:
-        """(classes, N) weighted densities."""
-        out = []
-        for c, inverse, constant in zip(classes, inverses, constants, strict=True):
-            r = log_size + log_scale - c.log_mean
-            out.append(np.exp(constant - 0.5 * np.einsum("ni,nij,nj->n", r, inverse, r)))
-        return np.array(out)
+    Expectation-maximisation over the scale, the classes' shares and the share of outliers, from the best point of a
+    grid of scales. The shares start at the fleet's, which count as PRIOR_SHARES votes: a car park has its own mix.
+    """
+    means = np.array([c.log_mean for c in classes])
+    national = np.array([c.weight for c in classes]) / sum(c.weight for c in classes)
+    covariance = np.array([c.log_covariance for c in classes])[:, None] + noise[:, :, None] * np.eye(2)  # (K, N, 2, 2)
+    inverse = np.linalg.inv(covariance)
+    constant = -np.log(2 * np.pi) - 0.5 * np.log(np.linalg.det(covariance))
 
-    overall = sum(c.weight * c.log_mean for c in classes) / sum(c.weight for c in classes)
-    centre = float(np.median((overall - log_size).mean(1)))
+    def density(log_scale: float) -> np.ndarray:
+        """(classes, N), not weighted by the classes' shares."""
+        r = log_size + log_scale - means[:, None]
+        return np.exp(constant - 0.5 * np.einsum("kni,knij,knj->kn", r, inverse, r))
+
+    centre = float(np.median((national @ means - log_size).mean(1)))
     grid = centre + np.arange(-1.2, 1.2, 0.02)
     likelihood = [
-        np.log((1 - OUTLIER_SHARE) * densities(g).sum(0) + OUTLIER_SHARE * OUTLIER_DENSITY).sum() for g in grid
+        np.log((1 - OUTLIER_SHARE) * (national @ density(g)) + OUTLIER_SHARE * OUTLIER_DENSITY).sum() for g in grid
     ]
-    log_scale, share = float(grid[int(np.argmax(likelihood))]), OUTLIER_SHARE
-    membership = np.ones(len(log_size))
-    for _ in range(50):  # expectation-maximisation
-        d = densities(log_scale)
-        fleet_density = (1 - share) * d
-        p = fleet_density / (fleet_density.sum(0) + share * OUTLIER_DENSITY)
-        membership = p.sum(0)
-        information, weighted = 0.0, 0.0
-        for c, inverse, responsibility in zip(classes, inverses, p, strict=True):
-            row = inverse.sum(1)  # 1^T inverse, per vote
-            information += (responsibility * row.sum(1)).sum()
-            weighted += (responsibility * np.einsum("ni,ni->n", row, c.log_mean - log_size)).sum()
-        new = weighted / information
-        share = float(np.clip(1 - membership.mean(), *OUTLIER_BOUNDS))
+    log_scale, share, outliers = float(grid[int(np.argmax(likelihood))]), national, OUTLIER_SHARE
+    row = inverse.sum(3)  # (K, N, 2): ones times the inverse
+    for _ in range(100):
+        weighted = (1 - outliers) * share[:, None] * density(log_scale)
+        p = weighted / (weighted.sum(0) + outliers * OUTLIER_DENSITY)
+        information = (p * row.sum(2)).sum()
+        new = float((p * np.einsum("kni,kni->kn", row, means[:, None] - log_size)).sum() / information)
+        outliers = float(np.clip(1 - p.sum(0).mean(), *OUTLIER_BOUNDS))
+        share = (p.sum(1) + PRIOR_SHARES * national) / (p.sum() + PRIOR_SHARES)
         done = abs(new - log_scale) < 1e-7
-        log_scale = float(new)
+        log_scale = new
         if done:
             break
-    return log_scale, membership
+    return p
 
 
 def _fleet_scatter(fleet: Fleet) -> np.ndarray:

@@ -15,7 +15,7 @@ from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import InputError
 from orthoscale.pooling import Ruler
 
-CARD = Card("drawn rectangles", (12, 70), 38, 0.4, 0.8, Ruler())
+CARD = Card("drawn rectangles", (12, 70), 38, 0.4, (0.8, 0.8), Ruler())
 
 
 class Drawing:
@@ -31,7 +31,7 @@ class Drawing:
         self._pixels = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
 
     def read(self, x, y, width, height, out_width, out_height):
-        assert 0 <= x and 0 <= y and x + width <= self.width and y + height <= self.height
+        assert x >= 0 and y >= 0 and x + width <= self.width and y + height <= self.height
         shrink = out_width < width
         window = self._pixels[y : y + height, x : x + width]
         how = cv2.INTER_AREA if shrink else cv2.INTER_CUBIC
@@ -39,7 +39,7 @@ class Drawing:
 
 
 class RectangleDetector:
-    """Finds white rectangles, but like a network only in its range of sizes; and makes mistakes of the size it likes."""
+    """Finds white rectangles, but like a network only in its range of sizes; makes mistakes of the size it likes."""
 
     card = CARD
 
@@ -178,7 +178,7 @@ def tiny(tmp_path):
         [onnx.numpy_helper.from_array(weight, "weight"), onnx.numpy_helper.from_array(bias, "bias")],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    card = {"name": "tiny", "usable_length": [12, 70], "best_length": 38, "score": 0.5, "effective_height": 0.8,
+    card = {"name": "tiny", "usable_length": [12, 70], "best_length": 38, "score": 0.5, "effective_height": [0.8, 0.8],
             "ruler": {"margin": [0, 0], "margin_sd": [1, 1], "bias_sd": [0.01, 0.01], "noise": [1, 1]}}  # fmt: skip
     entry = model.metadata_props.add()
     entry.key, entry.value = "orthoscale", json.dumps(card)

@@ -14,11 +14,11 @@ from orthoscale.pooling import Ruler
 def test_what_is_saved_reads_back(tmp_path):
     boxes = {"a.jpg": Boxes([[10.25, 20.5, 40.125, 17, 0.3]], [0.75]), "b.jpg": Boxes.empty()}
     ruler = Ruler((0.5, 1.0), (0.3, 0.4), (0.01, 0.02), (1.0, 0.8))
-    Detections(boxes, 0.8, ruler, 0.7, "test", "abc").save(tmp_path / "d.json")
+    Detections(boxes, 0.8, ruler, (0.7, 0.5), "test", "abc").save(tmp_path / "d.json")
     again = Detections.load(tmp_path / "d.json")
     assert again.boxes["a.jpg"].xylwa == pytest.approx(boxes["a.jpg"].xylwa, abs=0.01)
     assert len(again) == 1 and len(again.boxes["b.jpg"]) == 0
-    assert (again.zoom, again.ruler, again.effective_height, again.detector) == (0.8, ruler, 0.7, "test")
+    assert (again.zoom, again.ruler, again.effective_height, again.detector) == (0.8, ruler, (0.7, 0.5), "test")
 
 
 def test_plain_boxes_of_others_get_a_careful_ruler(tmp_path):

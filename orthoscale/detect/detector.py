@@ -26,14 +26,14 @@ class Card:
     usable_length : (low, high) vehicle lengths that it finds well [px of its input].
     best_length : the length at which it does best; the zoom search aims there [px].
     score : the confidence above which a box counts.
-    effective_height : the height up to which its boxes enclose a vehicle seen obliquely [m].
+    effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
     """
 
     name: str
     usable_length: tuple[float, float]
     best_length: float
     score: float
-    effective_height: float
+    effective_height: tuple[float, float]
     ruler: Ruler
     training: str = ""
     licence: str = ""
@@ -43,7 +43,9 @@ class Card:
     def from_json(cls, text: str) -> Card:
         values = json.loads(text)
         values["ruler"] = Ruler(**{name: tuple(pair) for name, pair in values["ruler"].items()})
-        values["usable_length"] = tuple(values["usable_length"])
+        for name in ("usable_length", "effective_height"):
+            low, high = values[name]
+            values[name] = (float(low), float(high))
         return cls(**values)
 
 
@@ -62,18 +64,17 @@ class Detector:
         try:
             content = path.read_bytes()
             self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-            card = self._session.get_modelmeta().custom_metadata_map["orthoscale"]
         except OSError as error:
-            raise InputError(
-                f"{path}: cannot be read ({error.strerror})", "Give a detector as an .onnx file."
-            ) from error
-        except KeyError as error:
-            raise InputError(
-                f"{path}: an ONNX file without an orthoscale card", "Export it with training.export."
-            ) from error
+            raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a detector as an .onnx file.") from error
         except Exception as error:  # onnxruntime raises its own unrelated types
             raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})") from error
-        self.card = Card.from_json(card)
+        try:
+            self.card = Card.from_json(self._session.get_modelmeta().custom_metadata_map["orthoscale"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f"{path}: an ONNX file without an orthoscale card that can be read ({error!r})",
+                "Export it with training.export.",
+            ) from error
         self.sha256 = hashlib.sha256(content).hexdigest()
         self._input = self._session.get_inputs()[0].name
 

@@ -87,8 +87,8 @@ def _solve(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull) -> np
         m = to_axes[..., None]
         return m[:, 0, 0] * x + m[:, 0, 1] * y, m[:, 1, 0] * x + m[:, 1, 1] * y
 
-    # Pixels along the box's axes for one unit along and across the vehicle: (N, 2 axes, 2 directions). The projection is
-    # smooth, so a step of a millionth of the distance gives the derivative.
+    # Pixels along the box's axes for one unit along and across the vehicle: (N, 2 axes, 2 directions). The projection
+    # is smooth, so a step of a millionth of the distance gives the derivative.
     step = 1e-6 * np.linalg.norm(views.ground, axis=1)[:, None, None]
     jacobian = np.stack(displacement(step * np.eye(2), 0.0), 1) / step
     gain = np.abs(np.diagonal(jacobian, axis1=1, axis2=2))

@@ -36,7 +36,7 @@ def document(result: Result) -> dict[str, Any]:
             "name": found.detector,
             "sha256": found.detector_sha256,
             "zoom": found.zoom,
-            "effective_height": found.effective_height,
+            "effective_height": list(found.effective_height),
             "margin_px": list(found.ruler.margin),
         },
         "zoom_search": None

@@ -1,0 +1,158 @@
+"""Boxes with known truth: vehicles seen by a camera, and vehicles of a fleet in an orthophoto."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoscale.boxes import Boxes
+from orthoscale.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
+from orthoscale.pooling import Ruler
+from orthoscale.projection.decoupled import simple_views
+from orthoscale.projection.exact import Hull
+from orthoscale.projection.view import Views
+from orthoscale.votes import Votes
+
+SMALLEST = 5.0  # px: narrower boxes are not detected
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A camera and the altitudes [m] it flies at."""
+
+    name: str
+    focal_px: float
+    image_size: tuple[float, float]
+    altitude: tuple[float, float]
+
+
+DENSEUAV = Flight("DenseUAV", 1000.0, (1440.0, 1080.0), (80.0, 100.0))
+VISLOC = Flight("UAV-VisLoc", 4000.0, (4000.0, 3000.0), (300.0, 600.0))
+
+
+@dataclass(frozen=True)
+class Body:
+    """What a box encloses: points on an outline, in shares of length and width, at heights [m]."""
+
+    name: str
+    size: tuple[float, float]  # length, width [m]
+    plan: np.ndarray  # (P, 2)
+    heights: np.ndarray  # (P,) [m]
+
+    @classmethod
+    def of(cls, name: str, hull: Hull, size: tuple[float, float] = (4.4, 1.9)) -> Body:
+        return cls(name, size, *hull.outline())
+
+    @property
+    def height(self) -> float:
+        return float(self.heights.max())
+
+
+def cuboid(height: float) -> Hull:
+    """The simple case of a hull."""
+    return Hull(height=height, belt=height, roof=height, corner=0.0)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Boxes of one flight and what their makers know: altitudes [m] and the pixels of their middles."""
+
+    boxes: Boxes
+    altitude: np.ndarray
+    flight: Flight
+    pitch: float
+
+    def views(self, pitch_error: float = 0.0, focal_error: float = 0.0, unit: float = 1.0) -> Views:
+        """The boxes' views in units of `unit` metres, by a camera taken to have these errors [rad, share]."""
+        f, size = self.flight.focal_px * (1 + focal_error), self.flight.image_size
+        return simple_views(self.boxes.centre, size, f, self.pitch + pitch_error, self.altitude / unit)
+
+
+def fly(rng: np.random.Generator, n: int, flight: Flight, pitch_deg: float, body: Body, tight: bool = False) -> Seen:
+    """Boxes of about `n` vehicles, parked in any direction, spread evenly over the image.
+
+    A box lies along the vehicle's heading as the image shows it; with `tight` it is the silhouette's rectangle of least
+    area instead. Vehicles that the image cuts off, that are too small, or whose box is wider than long are left out.
+    """
+    pitch = np.radians(pitch_deg)
+    altitude = rng.uniform(*flight.altitude, n)
+    extent = np.array(flight.image_size)
+    views = simple_views(rng.uniform(0, extent, (n, 2)), flight.image_size, flight.focal_px, pitch, altitude)
+    right = np.array([1.0, 0.0, 0.0])  # lies in the ground plane: no roll
+    heading = rng.uniform(0, 2 * np.pi, n)[:, None]
+    along = np.cos(heading) * right + np.sin(heading) * np.cross(views.normal, right)
+    across = np.cross(views.normal, along)
+
+    def project(points: np.ndarray) -> np.ndarray:
+        return points[..., :2] / points[..., 2:] * flight.focal_px + extent / 2
+
+    offset = body.plan * body.size
+    points = views.ground[:, None] + offset[:, :1] * along[:, None] + offset[:, 1:] * across[:, None]
+    seen = project(points + body.heights[:, None] * views.normal[:, None])
+    tip = project(views.ground + 1e-3 * along) - project(views.ground)
+    angle = np.arctan2(tip[:, 1], tip[:, 0])
+    low, high = _extents(seen, angle)
+    if tight:
+        i, j = np.triu_indices(len(body.plan), 1)
+        edges = seen[:, j] - seen[:, i]
+        candidates = np.arctan2(edges[..., 1], edges[..., 0])
+        areas = np.stack([np.prod(np.subtract(*_extents(seen, a)), axis=1) for a in candidates.T], 1)
+        angle = candidates[np.arange(n), np.argmin(areas, 1)]
+        low, high = _extents(seen, angle)
+        middle, sides = (low + high) / 2, high - low
+        keep = np.ones(n, bool)
+    else:
+        middle, sides = (low + high) / 2, high - low
+        keep = sides[:, 0] >= sides[:, 1]
+    cos, sin = np.cos(angle), np.sin(angle)
+    centre = np.stack([middle[:, 0] * cos - middle[:, 1] * sin, middle[:, 0] * sin + middle[:, 1] * cos], -1)
+    with np.errstate(invalid="ignore"):
+        keep &= (views.ground[:, 2] > 0) & (sides.min(1) >= SMALLEST)
+        keep &= ((seen >= 0) & (seen <= extent)).all((1, 2))
+    boxes = Boxes(np.column_stack([centre, sides, angle])[keep], np.ones(int(keep.sum())))
+    return Seen(boxes, altitude[keep], flight, pitch)
+
+
+def _extents(points: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 2) lowest and highest coordinates of points (N, P, 2) in axes turned by `angle` (N,)."""
+    cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    turned = np.stack([points[..., 0] * cos + points[..., 1] * sin, points[..., 1] * cos - points[..., 0] * sin], -1)
+    return turned.min(1), turned.max(1)
+
+
+def car_park(
+    rng: np.random.Generator,
+    fleet: Fleet,
+    n: int,
+    gsd: float,
+    ruler: Ruler,
+    vans: float = 0.0,
+    false: float = 0.0,
+) -> Votes:
+    """Votes of `n` boxes in an orthophoto of `gsd` [m/px].
+
+    What is not known is drawn anew in each scene, as wide as `fleet` and `ruler` claim: the place's mean sizes, the
+    margin, the labels' bias. `vans`, a share of the vehicles, are not of the fleet; `false`, a share of the boxes, are
+    not vehicles.
+    """
+    unknown = np.hypot(fleet.mean_sd[:2] / fleet.mean[:2], LOCAL_SD)
+    stray = np.sqrt(MEAN_CORRELATION) * rng.standard_normal() + np.sqrt(1 - MEAN_CORRELATION) * rng.standard_normal(2)
+    size = fleet.sample(rng, n)[:, :2] * np.exp(unknown * stray)
+    van = rng.random(n) < vans
+    size[van] = rng.normal([5.9, 2.05], [0.35, 0.06], (int(van.sum()), 2))
+    bias, margin = rng.normal(0, ruler.bias_sd), rng.normal(ruler.margin, ruler.margin_sd)
+    px = size / gsd * np.exp(bias) + margin + rng.normal(0, ruler.noise, (n, 2))
+    wrong = rng.random(n) < false
+    length = rng.uniform(1.0, 7.0, int(wrong.sum())) / gsd
+    px[wrong] = np.stack([length, length * rng.uniform(0.25, 1.0, len(length))], -1)
+    px = np.sort(np.maximum(px, 1.0), axis=1)[:, ::-1]
+    place = np.zeros((n, 2))
+    return Votes(px.copy(), np.ones(n), np.ones(n, int), place, np.ones(n), [np.array([k]) for k in range(n)])
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])

@@ -1,0 +1,160 @@
+"""The paper's decoupled stereoscopic projection (arXiv 2603.07535, equations as in DESIGN.md), and what it leaves out.
+
+It looks at a vehicle across the viewing ray. There its ground extent along the ray's azimuth (radial) is foreshortened
+and its height adds to it; its extent across (tangential) is seen in full. So length and width, apart from each other,
+appear as effective extents ``L_eff`` and ``W_eff`` [m] at the distance ``altitude / sin a``, and one box side l gives
+
+    s = L_eff sin a / l        metres per pixel of the nadir view from the same altitude, altitude = s f.
+
+That takes a pixel to be ``1/f`` of the distance. In a flat image it is ``1/f`` of the depth, which is shorter by
+``|ray| / f``, the length of the pixel's ray in focal lengths: the authors' program has that factor, the text does not.
+Neither has the second such factor that a flat image stretches radially by; on DenseUAV's images it is some 5 % on
+average, and so is the factor 1.05 by which the program multiplies.
+
+`exact` is what orthoscale measures with; this is for comparison and cross-checks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..boxes import Boxes
+from .exact import ground_axes
+from .view import Views
+
+PRIORS = (4.4, 1.9, 1.6)  # length, width, height [m] of a small vehicle in the paper
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Which formula; ``dataclasses.replace(PROGRAM, factor=1.0)`` makes another.
+
+    effective : extents seen across the ray, foreshortened and with the height; else length and width as they are.
+    ray_length : pixels measured at the vehicle's depth (``|ray| / f``); else at its distance.
+    factor : what the scale is multiplied by in the end.
+    """
+
+    effective: bool = True
+    ray_length: bool = True
+    factor: float = 1.0
+
+
+TEXT = Variant(ray_length=False)  # as printed
+PROGRAM = Variant(factor=1.05)  # as the authors' program computes; the text mentions neither difference
+NAIVE = Variant(effective=False)  # the box's edges are the vehicle's: L/l metres per pixel where it stands
+VARIANTS = {"text": TEXT, "program": PROGRAM, "naive": NAIVE}
+
+
+def ground_size(
+    boxes: Boxes, views: Views, priors: tuple[float, float, float] = PRIORS, variant: Variant = TEXT
+) -> np.ndarray:
+    """(N, 2) length and width of each vehicle on the ground [units of `views`].
+
+    Length (width) over size is the scale by lengths (by widths). The model needs to know the vehicle it measures: how
+    far height and foreshortening change a side depends on `priors`, length, width and height in metres.
+    """
+    sides = boxes.xylwa[:, 2:4]
+    seen = _effective(boxes, views, priors) if variant.effective else np.array([priors[:2]])
+    reach = views.ground[:, 2] if variant.ray_length else np.linalg.norm(views.ground, axis=1)
+    metres_per_unit = variant.factor * seen / sides * (_focal(views) / reach)[:, None]
+    return np.asarray(priors[:2]) / metres_per_unit
+
+
+def paper_scale(
+    boxes: Boxes, views: Views, priors: tuple[float, float, float] = PRIORS, variant: Variant = TEXT
+) -> np.ndarray:
+    """(N,) metres per unit of `views`: the mean of the scales by length and by width, as in the paper."""
+    return (np.asarray(priors[:2]) / ground_size(boxes, views, priors, variant)).mean(1)
+
+
+def focal_plane_scale(
+    boxes: Boxes, views: Views, priors: tuple[float, float, float] = PRIORS, variant: Variant = TEXT
+) -> np.ndarray:
+    """(N, 2) the paper's ``s_len, s_wid``: metres per pixel of the nadir view from the same altitude.
+
+    The unit of `views` does not enter, nor does the altitude: ``s = metres_per_unit * altitude_in_units / f``.
+    """
+    altitude_units = -(views.ground * views.normal).sum(1)
+    scale = np.asarray(priors[:2]) / ground_size(boxes, views, priors, variant)
+    return scale * (altitude_units / _focal(views))[:, None]
+
+
+def relative_orientation(boxes: Boxes, views: Views) -> np.ndarray:
+    """(N,) the paper's angle g between a vehicle's long side and the radial direction, in 0..pi/2 [rad].
+
+    Measured on the ground, where ``L cos g`` and ``L sin g`` are lengths; radial is the viewing ray's azimuth. Straight
+    below the camera there is none, and pi/2 is returned; nothing depends on it there.
+    """
+    along, _ = ground_axes(views, np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1))
+    radial = views.ground - (views.ground * views.normal).sum(1, keepdims=True) * views.normal
+    radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), 1e-300)
+    return np.arccos(np.clip(np.abs((along * radial).sum(1)), 0, 1))
+
+
+def _effective(boxes: Boxes, views: Views, priors: tuple[float, float, float]) -> np.ndarray:
+    """(N, 2) extents across the ray [m], ``L_eff = hypot((L sin a + H cos a) cos g, L sin g)``; W_eff with g turned."""
+    length, width, height = priors
+    a, g = views.elevation, relative_orientation(boxes, views)
+    return np.stack(
+        [
+            np.hypot((length * np.sin(a) + height * np.cos(a)) * np.cos(g), length * np.sin(g)),
+            np.hypot((width * np.sin(a) + height * np.cos(a)) * np.sin(g), width * np.cos(g)),
+        ],
+        -1,
+    )
+
+
+def _focal(views: Views) -> np.ndarray:
+    """(N,) focal length [px] at each box: that of the lens there, the geometric mean of both axes."""
+    return np.sqrt(np.abs(np.linalg.det(views.lens)))
+
+
+def simple_views(
+    pixels: np.ndarray,
+    image_size: tuple[float, float],
+    focal_px: float,
+    pitch: float,
+    altitude: float | np.ndarray = 1.0,
+) -> Views:
+    """The paper's simplified geometry: no roll, no distortion, the principal point in the middle, flat level ground.
+
+    pixels : (N, 2) where the boxes' centres are [px].
+    image_size : width and height [px].
+    focal_px : focal length [px].
+    pitch : of the optical axis [rad], -pi/2 straight down, 0 at the horizon, as gimbals report it.
+    altitude : of the camera over the ground, one or (N,), in the units that the views shall have; 1 makes metres per
+        unit the altitude in metres.
+
+    Pixels on or above the horizon see no ground; theirs is NaN.
+    """
+    offset = (np.asarray(pixels, float).reshape(-1, 2) - np.asarray(image_size, float) / 2) / focal_px
+    rays = np.column_stack([offset, np.ones(len(offset))])
+    up = np.array([0.0, -np.cos(pitch), np.sin(pitch)])
+    sinking = -rays @ up
+    ground = rays * (altitude / np.where(sinking > 0, sinking, np.nan))[:, None]
+    shape = (len(rays), 2, 2)
+    return Views(ground, np.broadcast_to(up, ground.shape), np.broadcast_to(np.eye(2) * focal_px, shape))
+
+
+def altitude(s: float, focal_px: float) -> float:
+    """Altitude over the ground [m], ``H_uav = s f``."""
+    return s * focal_px
+
+
+def ground_sampling_distance(s: float, pitch: float) -> float:
+    """Metres per pixel across the optical axis, where it meets the ground, ``r = s / |sin pitch|``; pitch in rad."""
+    return s / abs(float(np.sin(pitch)))
+
+
+def footprint(s: float, pitch: float, image_size: tuple[float, float]) -> tuple[float, float]:
+    """Ground width and height of the image [m], ``r W_img`` and ``r H_img``: as if all of it lay at the axis' depth."""
+    r = ground_sampling_distance(s, pitch)
+    return r * image_size[0], r * image_size[1]
+
+
+def satellite_crop(s: float, pitch: float, image_size: tuple[float, float], satellite_gsd: float) -> tuple[float, float]:
+    """Width and height [px] of what the image covers in a satellite picture of `satellite_gsd` [m/px]."""
+    width, height = footprint(s, pitch, image_size)
+    return width / satellite_gsd, height / satellite_gsd

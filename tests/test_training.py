@@ -1,0 +1,422 @@
+"""Training: targets and augmentation keep boxes on their pixels, margins and figures are what they say they are."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from orthoscale.boxes import Boxes
+from orthoscale.detect.decoders import decode_maps
+from orthoscale.fleet import Fleet
+from training import augment, label_margin
+from training.data import MARGINS, read_labels, split
+from training.evaluate import (
+    Labelled,
+    Scene,
+    average_precision,
+    compare,
+    draw,
+    evaluate,
+    fit_margin,
+    known_boxes,
+    labelled_scenes,
+    picture_files,
+    reference_scene,
+    table,
+)
+from training.targets import CROP, encode
+
+NOTHING = np.empty((0, 5))
+
+
+def rows(boxes, kind="vehicle"):
+    """Boxes (N, 5) as a label file has them."""
+    fields = ("cx", "cy", "length", "width", "angle")
+    return [dict(zip(fields, map(float, box), strict=True)) | {"kind": kind} for box in boxes]
+
+
+def write_labels(folder, scenes, size=400):
+    """A label file with one picture per scene: {scene: (pixels or None for grey, rows)}."""
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    entries = []
+    for scene, (pixels, boxes) in scenes.items():
+        pixels = np.full((size, size, 3), 90, np.uint8) if pixels is None else pixels
+        cv2.imwrite(str(folder / "images" / f"{scene}.png"), pixels)
+        entries.append(
+            {"file": f"{scene}.png", "set": scene, "width": pixels.shape[1], "height": pixels.shape[0],
+             "source": "a test", "licence": "CC0", "boxes": boxes}
+        )  # fmt: skip
+    path = folder / "labels.json"
+    path.write_text(json.dumps({"images": entries}))
+    return path
+
+
+def draw_boxes(boxes, size=400, paint=230, ground=60, window=None):
+    """Anti-aliased filled boxes (N, 5) on even ground, with a dark windscreen where `window` gives a grey level."""
+    fine = 8
+    image = np.full((size * fine, size * fine), ground, np.uint8)
+
+    def fill(xylwa, grey):
+        corners = Boxes(xylwa, np.ones(len(xylwa))).corners * fine - 0.5
+        for polygon in np.round(corners).astype(np.int32):
+            cv2.fillConvexPoly(image, polygon, grey)
+
+    fill(boxes, paint)
+    if window is not None:
+        glass = boxes.copy()
+        glass[:, :2] += 0.125 * boxes[:, 2:3] * np.c_[np.cos(boxes[:, 4]), np.sin(boxes[:, 4])]
+        glass[:, 2:4] *= (0.15, 0.85)
+        fill(glass, window)
+    small = cv2.resize(image, (size, size), interpolation=cv2.INTER_AREA)
+    return np.repeat(small[..., None], 3, 2)
+
+
+def field_of_boxes(rng, length=45.0, width=19.0, pitch=100, size=400):
+    """(16, 5) boxes on a grid, each turned and shifted at random."""
+    y, x = np.mgrid[pitch / 2 : size : pitch, pitch / 2 : size : pitch]
+    n = x.size
+    centre = np.c_[x.ravel(), y.ravel()] + rng.uniform(-5, 5, (n, 2))
+    return np.c_[centre, rng.normal(length, 2, n), rng.normal(width, 0.5, n), rng.uniform(-np.pi / 2, np.pi / 2, n)]
+
+
+def as_maps(heat, values):
+    """Targets as a perfect network's output."""
+    p = np.clip(heat, 1e-6, 1 - 1e-6)
+    return np.concatenate([np.log(p / (1 - p))[None], values])
+
+
+# Targets
+
+
+def test_targets_decode_to_the_boxes_they_were_made_of():
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[40:240:60, 40:240:60]
+    n = x.size
+    boxes = np.c_[x.ravel() + rng.uniform(-3, 3, n), y.ravel() + rng.uniform(-3, 3, n),
+                  rng.uniform(14, 50, n), rng.uniform(7, 13, n), rng.uniform(-1.5, 1.5, n)]  # fmt: skip
+    heat, background, values, _ = encode(boxes, np.ones(n, bool))
+    found = decode_maps(as_maps(heat, values), 0.9)
+    order = [int(np.argmin(np.linalg.norm(found.centre - b[:2], axis=1))) for b in boxes]
+    assert len(found) == n and background.all()
+    assert found.xylwa[order] == pytest.approx(boxes, abs=2e-3)
+
+
+def test_ignored_small_and_cut_boxes_are_neither_vehicle_nor_background():
+    boxes = np.array([[60, 60, 40, 18, 0.3], [150, 60, 8, 4, 0.0], [2, 150, 40, 18, 0.0]], float)
+    heat, background, _, weight = encode(boxes, np.array([False, True, True]))
+    assert heat.max() == 0 and weight.max() == 0
+    for x, y in ((60, 60), (150, 60), (2, 150)):
+        assert background[y // 4, x // 4] == 0
+    assert background[50, 50] == 1
+
+
+# Augmentation
+
+
+def test_a_cropped_box_still_outlines_its_vehicle(tmp_path, monkeypatch):
+    monkeypatch.setattr(augment, "photometric", lambda pixels, rng: pixels.astype(np.float32) / 255)
+    box = np.array([[203.3, 190.8, 60.0, 26.0, 0.7]])
+    (image,) = read_labels(write_labels(tmp_path, {"a": (draw_boxes(box, paint=255, ground=20), rows(box))}))
+    rng, checked = np.random.default_rng(1), 0
+    for _ in range(60):
+        pixels, heat, _, values, _ = augment.crop(image, rng)
+        found = decode_maps(as_maps(heat, values), 0.9)
+        if len(found) != 1 or not found.inside(CROP, CROP, 2).all():
+            continue
+        y, x = np.nonzero(pixels[0] > 0.54)
+        d = np.c_[x + 0.5, y + 0.5] - found.centre[0]
+        assert np.abs(d.mean(0)).max() < 0.3
+        along = np.array([np.cos(found.angle[0]), np.sin(found.angle[0])])
+        # An even distribution over a length L has the variance L^2 / 12.
+        assert np.sqrt(12 * (d @ along).var()) == pytest.approx(found.length[0], rel=0.03, abs=0.7)
+        assert np.sqrt(12 * (d @ (-along[1], along[0])).var()) == pytest.approx(found.width[0], rel=0.03, abs=0.7)
+        checked += 1
+    assert checked > 20
+
+
+def test_light_and_sensor_keep_shape_and_range():
+    rng = np.random.default_rng(2)
+    pixels = rng.integers(0, 256, (CROP, CROP, 3)).astype(np.uint8)
+    for _ in range(25):
+        out = augment.photometric(pixels, rng)
+        assert out.shape == pixels.shape and out.dtype == np.float32
+        assert out.min() >= 0 and out.max() <= 1
+
+
+def test_crops_are_drawn_from_every_scene(tmp_path):
+    images = read_labels(write_labels(tmp_path, {"a": (None, []), "b": (None, rows([[200, 200, 40, 18, 0]]))}))
+    stream = augment.crops(images, {"a": 0.5, "b": 0.5}, seed=0)
+    heats = [next(stream)[1].max() for _ in range(20)]
+    assert 0 < sum(h > 0 for h in heats) < 20
+
+
+# Labels
+
+
+def test_margins_are_taken_off_both_sides(tmp_path):
+    margin = json.loads(MARGINS.read_text())["margin_px"]["warsaw"]
+    boxes = [[100, 100, 50, 24, 0.2], [200, 200, 10, 4, 0.2]]
+    path = write_labels(tmp_path, {"warsaw": (None, rows(boxes)), "elsewhere": (None, rows(boxes))})
+    tight, untouched = read_labels(path)
+    assert tight.vehicles[0, 2:4] == pytest.approx([50 - margin, 24 - margin])
+    assert tight.vehicles[1, 2:4] == pytest.approx([9, 3])  # never more than a quarter of the width
+    assert untouched.vehicles == pytest.approx(np.array(boxes, float))
+    assert read_labels(path, tighten=False)[0].vehicles == pytest.approx(np.array(boxes, float))
+
+
+def test_the_split_is_by_scene(tmp_path):
+    images = read_labels(write_labels(tmp_path, {name: (None, []) for name in ("munich", "ohio", "park")}))
+    training, held_out = split(images, {"ohio"})
+    assert [i.scene for i in training] == ["munich", "park"] and [i.scene for i in held_out] == ["ohio"]
+    with pytest.raises(ValueError, match="no such scene in the labels: atlantis"):
+        split(images, {"atlantis", "ohio"})
+
+
+# Evaluation
+
+
+def test_boxes_are_matched_and_ignored_ground_counts_neither_way():
+    vehicles = np.array([[50, 50, 40, 18, 0.0], [150, 50, 40, 18, 1.0], [250, 50, 40, 18, 0.5]])
+    ignored = np.array([[50, 200, 60, 30, 0.4]])
+    boxes = np.array([
+        [51, 50, 42, 18, 0.03],  # a hit
+        [150, 50, 40, 18, -0.5],  # in its place, but across it
+        [55, 205, 40, 18, 0.0],  # on ignored ground
+        [300, 300, 40, 18, 0.0],  # on nothing
+    ])  # fmt: skip
+    c = compare(Boxes(boxes, [0.9, 0.8, 0.7, 0.6]), vehicles, ignored)
+    assert c.hit.tolist() == [0, -1, -1] and c.boxes.score.tolist() == [0.9, 0.8, 0.6]
+    assert compare(Boxes.empty(), vehicles, ignored).hit.tolist() == []
+    assert compare(Boxes(boxes, np.ones(4)), NOTHING, NOTHING).hit.tolist() == [-1] * 4
+
+
+@pytest.mark.parametrize(
+    "score, hit, vehicles, area",
+    [
+        ([0.9, 0.8, 0.7], [1, 1, 1], 3, 1.0),
+        ([0.9, 0.8, 0.7], [1, 0, 1], 2, (1 + 2 / 3) / 2),
+        ([0.7, 0.8, 0.9], [1, 0, 1], 2, (1 + 2 / 3) / 2),  # the order of the list does not matter
+        ([0.9, 0.8, 0.7], [1, 0, 1], 4, (1 + 2 / 3) / 4),  # two are never found
+        ([0.9, 0.8, 0.7], [0, 1, 1], 2, 2 / 3),  # half right, then two thirds: the better one counts
+        ([0.9], [0], 5, 0.0),
+        ([], [], 5, 0.0),
+    ],
+)
+def test_average_precision(score, hit, vehicles, area):
+    assert average_precision(np.array(score), np.array(hit, bool), vehicles) == pytest.approx(area)
+
+
+def test_a_scene_is_swept_at_its_zoom_and_summed_up(tmp_path):
+    vehicles = np.array(
+        [[100, 100, 40, 18, 0.2], [300, 100, 40, 18, 0.2], [100, 300, 40, 18, 0.2], [398, 300, 40, 18, 0]]
+    )
+    labels = write_labels(tmp_path, {"a": (None, rows(vehicles) + rows([[300, 300, 60, 30, 0]], "ignore"))})
+    (scene,) = labelled_scenes(labels, [])
+
+    def detect(image):
+        """Two of three whole vehicles 10 % too long, one mistake, one on ignored ground; seen at half size."""
+        assert image.shape[:2] == (200, 200)
+        boxes = np.array(
+            [[100, 100, 44, 18, 0.2], [300, 100, 44, 18, 0.2], [200, 200, 40, 18, 0], [300, 300, 40, 18, 0]]
+        )
+        return Boxes(boxes, [0.9, 0.3, 0.8, 0.7]).mapped(0.5)
+
+    result, comparisons = evaluate(scene, detect, best_length=20, score=0.5)
+    assert (result.pictures, result.vehicles, result.zoom, result.false) == (1, 3, 0.5, 1)
+    assert result.precision == pytest.approx(1 / 2) and result.recall == pytest.approx(1 / 3)
+    assert result.average_precision == pytest.approx((1 + 2 / 3) / 3)
+    assert result.length == pytest.approx((np.log(1.1), 0), abs=1e-9) and result.width == pytest.approx(
+        (0, 0), abs=1e-9
+    )
+    assert "0.500 (1 false)" in table([result])
+    assert draw(comparisons, scene, 0.5, width=300).shape == (300, 300, 3)
+    with pytest.raises(ValueError, match="no such scene .*: b; there are a"):
+        labelled_scenes(labels, ["b"])
+
+
+def test_a_scene_without_vehicles_has_false_boxes_only(tmp_path):
+    (scene,) = labelled_scenes(write_labels(tmp_path, {"dunes": (None, [])}), ["dunes"])
+    result, _ = evaluate(scene, lambda image: Boxes([[100, 100, 40, 18, 0]], [0.9]), 45, 0.5)
+    assert result.false == 1 and result.recall is None and result.average_precision is None and result.length is None
+    assert "(1 false)" in table([result])
+
+
+def test_incomplete_references_say_nothing_about_precision(tmp_path):
+    path = write_labels(tmp_path, {"a": (None, []), "b": (None, [])})
+    reference = tmp_path / "boxes.json"
+    reference.write_text(json.dumps({"a.png": rows([[200, 200, 40, 18, 0.1]])}))
+    scene = reference_scene(f"place={path.parent / 'images'}:{reference}")
+    assert scene.name == "place" and [p.picture.name for p in scene.pictures] == ["a.png"]
+    result, _ = evaluate(scene, lambda image: Boxes([[200, 200, 40, 18, 0.1]] * 1, [0.9]), 40, 0.5)
+    assert result.recall == 1 and result.precision is None and result.average_precision is None
+    assert "n/a (incomplete)" in table([result])
+    reference.write_text(json.dumps({"z.png": []}))
+    with pytest.raises(ValueError, match="none of the pictures"):
+        reference_scene(f"place={path.parent / 'images'}:{reference}")
+
+
+# The ruler's margin
+
+
+def simulated(rng, code, gsd, margin, n=400):
+    fleet = Fleet.load(code)
+    size = fleet.sample(rng, n)[:, :2] / np.reshape(gsd, (-1, 1)) + margin + rng.normal(0, (1.5, 1.0), (n, 2))
+    return size[:, 0], size[:, 1], gsd, fleet
+
+
+def test_fit_margin_recovers_what_was_added():
+    rng = np.random.default_rng(3)
+    known = [simulated(rng, code, gsd, (2.5, 1.5)) for code, gsd in (("DE", 0.1), ("US", 0.13), ("PL", 0.2))]
+    known.append(simulated(rng, "DE", rng.uniform(0.1, 0.2, 400), (2.5, 1.5)))  # a reconstruction: each its own scale
+    margin = fit_margin(known)
+    assert margin.value == pytest.approx([2.5, 1.5], abs=0.3)
+    assert margin.left_out == pytest.approx(np.tile([2.5, 1.5], (4, 1)), abs=0.4)
+    assert (margin.sd < margin.scenes_sd.min(0)).all()
+
+
+def test_fit_margin_trusts_coarse_pixels_and_known_fleets_most_and_admits_disagreement():
+    rng = np.random.default_rng(4)
+    agreeing = [simulated(rng, "DE", gsd, (2.0, 1.0)) for gsd in (0.1, 0.2, 0.3)]
+    margin = fit_margin(agreeing)
+    # What is not known of the fleet is a share of a vehicle, so it is fewer pixels where pixels are coarse.
+    assert (np.diff(margin.scenes_sd[:, 0]) < 0).all()
+    odd = [*agreeing, simulated(rng, "DE", 0.25, (8.0, 6.0))]
+    surprised = fit_margin(odd)
+    assert (surprised.sd > 2 * margin.sd).all()
+    assert surprised.left_out[-1] == pytest.approx(margin.value)
+    assert np.isnan(fit_margin(agreeing[:1]).left_out).all()
+
+
+def test_known_boxes_are_in_detector_pixels(tmp_path):
+    cv2.imwrite(str(tmp_path / "p.png"), np.full((300, 300, 3), 90, np.uint8))
+    length, width = np.exp(Fleet.load("DE").log_mean)
+
+    def detect(image):
+        wanted = [40, 40 * width / length]
+        boxes = [[80, 80, *wanted, 0], [80, 140, 20, 8, 0], [150, 80, *wanted, 0]]  # the second is no car
+        return Boxes(boxes, [0.9, 0.9, 0.2])
+
+    long_px, wide_px, gsd, fleet = known_boxes(f"{tmp_path / 'p.png'}:0.1:DE", detect, best_length=40, score=0.5)
+    assert fleet.code == "DE" and gsd == pytest.approx(length / 40)
+    assert long_px == pytest.approx([40], rel=0.02) and wide_px == pytest.approx([40 * width / length], rel=0.02)
+
+
+# The labels' margin
+
+
+@pytest.mark.parametrize("window", [None, 40])
+@pytest.mark.parametrize("margin", [0.0, 2.0, 4.5])
+def test_the_margin_of_drawn_vehicles_is_measured(margin, window):
+    rng = np.random.default_rng(5)
+    boxes = field_of_boxes(rng)
+    pixels = cv2.GaussianBlur(draw_boxes(boxes, window=window), (0, 0), 0.8)
+    loose = boxes + [0, 0, margin, margin, 0]
+    exact, scene = (label_margin.measure("s", [(pixels, b)]) for b in (boxes, loose))
+    assert exact.median_ratio == pytest.approx([1, 1], abs=0.02)
+    assert scene.count.min() >= 12
+    assert scene.margins(exact.median_ratio) == pytest.approx([margin, margin], abs=0.3)
+    assert scene.shape(margin) == pytest.approx(exact.shape(), rel=0.01)
+
+
+def test_dark_vehicles_and_too_few_of_them_measure_nothing():
+    boxes = field_of_boxes(np.random.default_rng(6))
+    dark = label_margin.measure("s", [(draw_boxes(boxes, paint=80), boxes)])
+    assert dark.count.tolist() == [0, 0] and np.isnan(dark.margin(np.ones(2)))
+    few = label_margin.measure("s", [(draw_boxes(boxes), boxes[:3])])
+    assert few.count.tolist() == [3, 3] and np.isnan(few.median_ratio).all()
+    cut = label_margin.measure("s", [(draw_boxes(boxes), np.array([[5.0, 100, 40, 18, 0]]))])
+    assert cut.count.tolist() == [0, 0]
+
+
+def test_label_margins_are_printed_and_written(tmp_path, monkeypatch, capsys):
+    boxes = field_of_boxes(np.random.default_rng(7))
+    pixels = draw_boxes(boxes)
+    loose = write_labels(tmp_path / "loose", {"munich": (pixels, rows(boxes + [0, 0, 3, 3, 0])), "park": (pixels, [])})
+    exact = write_labels(tmp_path / "exact", {"synthetic": (pixels, rows(boxes))})
+    out = tmp_path / "margins.json"
+    arguments = ["label_margin", "--labels", str(loose), "--exact", str(exact), "--write", str(out)]
+    monkeypatch.setattr("sys.argv", arguments)
+    label_margin.main()
+    assert "munich" in capsys.readouterr().out
+    written = json.loads(out.read_text())
+    assert list(written["margin_px"]) == ["munich"] and written["margin_px"]["munich"] == pytest.approx(3, abs=0.3)
+    assert set(written) == set(json.loads(MARGINS.read_text()))
+
+
+# The network (with torch)
+
+
+@pytest.fixture
+def torch():
+    torch = pytest.importorskip("torch")
+    torch.manual_seed(0)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield torch
+    torch.set_num_threads(threads)
+
+
+def small_label_set(tmp_path):
+    boxes = field_of_boxes(np.random.default_rng(8))
+    return write_labels(tmp_path, {"a": (draw_boxes(boxes, window=40), rows(boxes)), "held": (None, [])})
+
+
+def test_the_network_answers_at_stride_four(torch):
+    from training.network import VehicleNet
+
+    with torch.no_grad():
+        maps = VehicleNet().eval()(torch.zeros(1, 3, 64, 96))
+    assert maps.shape == (1, 7, 16, 24)
+
+
+def test_the_loss_falls_on_a_handful_of_crops(torch, tmp_path):
+    from training.network import VehicleNet, loss
+
+    images = read_labels(small_label_set(tmp_path))[:1]
+    stream = augment.crops(images, {}, seed=0)
+    image, *targets = (torch.from_numpy(np.stack(part)) for part in zip(*(next(stream) for _ in range(4)), strict=True))
+    network = VehicleNet()
+    optimiser = torch.optim.AdamW(network.parameters(), 1.5e-3)
+    losses = []
+    for _ in range(20):
+        parts = loss(network(image), *targets)
+        assert set(parts) == {"heat", "offset", "size", "angle"}
+        total = sum(parts.values())
+        optimiser.zero_grad()
+        total.backward()
+        optimiser.step()
+        losses.append(total.item())
+    assert np.isfinite(losses).all() and losses[-1] < 0.6 * losses[0]
+
+
+def test_training_stops_and_goes_on(torch, tmp_path, monkeypatch):
+    from training import train
+
+    labels = small_label_set(tmp_path)
+
+    def run(*more):
+        options = ["--labels", labels, "--run", tmp_path / "run", "--hold-out", "held", "--batch", 2, "--workers", 0]
+        monkeypatch.setattr("sys.argv", ["train", *map(str, options), "--threads", "1", *map(str, more)])
+        train.main()
+        return torch.load(tmp_path / "run" / "checkpoint.pt", map_location="cpu")
+
+    first = run("--steps", 2)
+    again = run("--steps", 2, "--resume")  # nothing left to do: what is read is what is written
+    for part in ("network", "average"):
+        assert all(torch.equal(first[part][name], again[part][name]) for name in first[part])
+    further = run("--steps", 4, "--resume")
+    assert (first["step"], again["step"], further["step"]) == (2, 2, 4)
+    assert not torch.equal(first["network"]["maps.weight"], further["network"]["maps.weight"])
+    assert further["optimiser"]["state"][0]["step"] == 4
+    with pytest.raises(ValueError, match="atlantis"):
+        run("--steps", 2, "--hold-out", "atlantis")
+
+
+def test_pictures_of_a_folder_are_listed_with_their_sizes(tmp_path):
+    for name, shape in (("b.png", (20, 30, 3)), ("a.jpg", (40, 50, 3)), ("c.tif", (60, 70, 3))):
+        cv2.imwrite(str(tmp_path / name), np.zeros(shape, np.uint8))
+    (tmp_path / "notes.txt").write_text("no picture")
+    found = [(p.name, p.width, p.height) for p in picture_files(tmp_path)]
+    assert found == [("a.jpg", 50, 40), ("b.png", 30, 20), ("c.tif", 70, 60)]
+    assert Scene("s", [Labelled(picture_files(tmp_path)[0], NOTHING, NOTHING)]).length == augment.NOMINAL_LENGTH
