@@ -19,9 +19,9 @@ CARD = Card("drawn rectangles", (12, 70), 38, 0.4, (0.8, 0.8), Ruler())
 
 
 class Drawing:
-    """A picture of white rectangles on grey ground, drawn four times finer than its pixels."""
+    """A picture of white rectangles on grey ground, drawn twice as fine as its pixels."""
 
-    FINER = 4
+    FINER = 2
 
     def __init__(self, width, height, boxes, name="drawing"):
         self.name, self.width, self.height = name, width, height
@@ -125,8 +125,8 @@ def test_several_pictures_and_progress_that_ends_at_the_total():
 
 @pytest.mark.parametrize("length", [9, 14, 25, 47, 90, 170, 330])
 def test_the_zoom_search_finds_vehicles_of_any_size_among_mistakes(length):
-    side = int(np.clip(30 * length, 700, 5000))
-    picture = Drawing(side, side, car_park(length, side, side, 45))
+    side = int(np.clip(30 * length, 700, 4000))
+    picture = Drawing(side, side, car_park(length, side, side, 35))
     choice = search_zoom([picture], RectangleDetector(mistakes=2), CARD)
     assert choice.vehicle_px == pytest.approx(length, rel=0.2)
     assert choice.zoom == pytest.approx(min(38 / choice.vehicle_px, 4.0))

@@ -65,7 +65,9 @@ class Detector:
             content = path.read_bytes()
             self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a detector as an .onnx file.") from error
+            raise InputError(
+                f"{path}: cannot be read ({error.strerror})", "Give a detector as an .onnx file."
+            ) from error
         except Exception as error:  # onnxruntime raises its own unrelated types
             raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})") from error
         try:

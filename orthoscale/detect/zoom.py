@@ -18,8 +18,8 @@ from ..sources.picture import Picture
 from .detector import Card
 from .tiles import Detect, Tile, look
 
-# Zooms looked at: half octaves that bring vehicles of 8 to 400 px to the detector's best length (about 38 px).
-LEVELS = 2.0 ** np.arange(-3.5, 2.51, 0.5)
+# Zooms looked at: octaves that bring vehicles of 8 to 400 px into the detector's range, each into that of two or three.
+LEVELS = 2.0 ** np.arange(-4, 2.1, 1.0)
 WINDOW = 768  # side of a sample window [px of the network's input]
 BUDGET = 12e6  # network pixels looked at per zoom and round; about a second on two cores
 ENOUGH = 20.0  # votes (sum of scores) after which no further round is needed

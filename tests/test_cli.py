@@ -1,0 +1,170 @@
+"""The command as a person or a script runs it: exit codes, one sentence per error, machine-readable output."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
+RULES = ["--detections", str(EXAMPLE / "detections.json"), "--fleet", "US"]
+
+
+def run(*arguments, cwd=None):
+    command = [sys.executable, "-m", "orthoscale", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd)
+
+
+@pytest.fixture(scope="module")
+def estimated():
+    return run("estimate", EXAMPLE / "sparse", *RULES, "--json")
+
+
+def test_json_is_the_report_and_nothing_else(estimated):
+    assert estimated.returncode == 0, estimated.stderr
+    report = json.loads(estimated.stdout)
+    assert report["unit"] == "m/model-unit" and report["fleet"] == "US"
+    low, high = report["interval90"]
+    assert low < report["scale"] < high
+    assert isinstance(report["vehicles_used"], int) and report["verdict"] in ("good", "fair", "poor", "refuse")
+    assert estimated.stderr == "", "no progress bars in a pipe"
+
+
+def test_a_person_reads_the_answer_first(estimated):
+    shown = run("estimate", EXAMPLE / "sparse", *RULES)
+    assert shown.returncode == 0
+    first = shown.stdout.splitlines()[0]
+    assert first.startswith("scale") and f"{json.loads(estimated.stdout)['scale']:.6g}" in first
+
+
+def test_fix_writes_a_model_that_a_second_run_leaves_alone(tmp_path):
+    done = run("fix", EXAMPLE / "sparse", *RULES, "--out", tmp_path / "scaled")
+    assert done.returncode == 0, done.stderr
+    assert {"cameras.bin", "images.bin", "points3D.bin", "sim3.txt", "report.json", "vehicles.png"} <= {
+        p.name for p in (tmp_path / "scaled").iterdir()
+    }
+    again = run("fix", tmp_path / "scaled", *RULES, "--out", tmp_path / "twice")
+    assert again.returncode == 2 and "in metres already" in again.stderr
+    assert not (tmp_path / "twice").exists()
+
+
+def grey(path, size=(300, 200)):
+    cv2.imwrite(str(path), np.full((*size[::-1], 3), 120, np.uint8))
+    return path
+
+
+def truncated_tiff(folder):
+    path = grey(folder / "ortho.tif")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    return path
+
+
+def text_file(folder):
+    path = folder / "notes.txt"
+    path.write_text("no picture at all\n" * 20)
+    return path
+
+
+def empty_file(folder):
+    path = folder / "empty.tif"
+    path.touch()
+    return path
+
+
+def copy_of_example(folder):
+    model = folder / "model"
+    model.mkdir()
+    for part in (EXAMPLE / "sparse").iterdir():
+        (model / part.name).write_bytes(part.read_bytes())
+    return model
+
+
+def model_with_nan(folder):
+    model = copy_of_example(folder)
+    points = bytearray((model / "points3D.bin").read_bytes())
+    points[16:24] = np.array([np.nan]).tobytes()  # x of the first point, behind the count and its id
+    (model / "points3D.bin").write_bytes(points)
+    return model
+
+
+def truncated_model(folder):
+    model = copy_of_example(folder)
+    images = (model / "images.bin").read_bytes()
+    (model / "images.bin").write_bytes(images[: len(images) // 2])
+    return model
+
+
+def empty_folder(folder):
+    (folder / "nothing").mkdir()
+    return folder / "nothing"
+
+
+@pytest.mark.parametrize(
+    "make, exit_code, word",
+    [
+        (lambda folder: folder / "nowhere", 5, "does not exist"),
+        (text_file, 5, "notes.txt"),
+        (empty_file, 5, "empty"),
+        (truncated_tiff, 5, "ortho.tif"),
+        (empty_folder, 5, "nothing"),
+        (copy_of_example, 5, "no frame"),
+        (model_with_nan, 5, "points3D.bin"),
+        (truncated_model, 5, "images.bin"),
+        (lambda folder: grey(folder / "flat.png"), 3, "no vehicles"),
+    ],
+)
+def test_bad_input_ends_in_one_sentence_the_right_code_and_nothing_written(tmp_path, make, exit_code, word):
+    source = make(tmp_path)
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    out = tmp_path / ("scaled.tif" if source.suffix else "scaled")
+    done = run("fix", source, "--out", out)
+    assert done.returncode == exit_code, done.stderr
+    assert done.stderr.startswith("error: ") and word in done.stderr
+    assert "Traceback" not in done.stderr and done.stdout == ""
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    "arguments, word",
+    [
+        (["fix", "x.tif"], "--out"),
+        (["estimate"], "INPUT"),
+        (["estimate", "x.tif", "--fleet", "atlantis"], "Known fleets"),
+        (["estimate", "x.tif", "--zoom", "-1"], "positive"),
+        (["estimate", "x.tif", "--zoom", "1", "--gsd-hint", "0.1"], "twice"),
+        (["measure"], "measure"),
+    ],
+)
+def test_usage_errors_are_exit_code_2(tmp_path, arguments, word):
+    done = run(*arguments, cwd=tmp_path)
+    assert done.returncode == 2 and word in done.stderr and "Traceback" not in done.stderr
+
+
+def test_debug_shows_the_traceback_as_well(tmp_path):
+    done = run("estimate", tmp_path / "nowhere", "--debug")
+    assert done.returncode == 5 and "Traceback" in done.stderr and "does not exist" in done.stderr
+
+
+def test_help_has_examples_and_exit_codes():
+    for command in ([], ["fix"], ["estimate"]):
+        shown = run(*command, "--help").stdout
+        assert "orthoscale estimate" in shown or "orthoscale fix" in shown
+        assert "Exit codes" in shown
+
+
+def test_fleets_are_listed():
+    rows = json.loads(run("fleets", "--json").stdout)
+    assert {"US", "DE", "JP", "WORLD"} <= {row["code"] for row in rows}
+    assert "US" in run("fleets").stdout
+
+
+def test_importing_costs_nothing():
+    code = (
+        "import sys, time; start = time.perf_counter(); import orthoscale; seconds = time.perf_counter() - start; "
+        "heavy = {'open3d', 'cv2', 'rasterio', 'pycolmap', 'onnxruntime', 'numpy', 'scipy'} & set(sys.modules); "
+        "assert seconds < 0.3 and not heavy, (seconds, heavy)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
