@@ -101,11 +101,8 @@ def fly(rng: np.random.Generator, n: int, flight: Flight, pitch_deg: float, body
         areas = np.stack([np.prod(np.subtract(*_extents(seen, a)), axis=1) for a in candidates.T], 1)
         angle = candidates[np.arange(n), np.argmin(areas, 1)]
         low, high = _extents(seen, angle)
-        middle, sides = (low + high) / 2, high - low
-        keep = np.ones(n, bool)
-    else:
-        middle, sides = (low + high) / 2, high - low
-        keep = sides[:, 0] >= sides[:, 1]
+    middle, sides = (low + high) / 2, high - low
+    keep = (sides[:, 0] >= sides[:, 1]) | tight
     cos, sin = np.cos(angle), np.sin(angle)
     centre = np.stack([middle[:, 0] * cos - middle[:, 1] * sin, middle[:, 0] * sin + middle[:, 1] * cos], -1)
     with np.errstate(invalid="ignore"):
@@ -135,7 +132,7 @@ def car_park(
 
     What is not known is drawn anew in each scene, as wide as `fleet` and `ruler` claim: the place's mean sizes, the
     margin, the labels' bias. `vans`, a share of the vehicles, are not of the fleet; `false`, a share of the boxes, are
-    not vehicles.
+    not vehicles. Scores are high for vehicles and low for false boxes, with much overlap.
     """
     unknown = np.hypot(fleet.mean_sd[:2] / fleet.mean[:2], LOCAL_SD)
     stray = np.sqrt(MEAN_CORRELATION) * rng.standard_normal() + np.sqrt(1 - MEAN_CORRELATION) * rng.standard_normal(2)
@@ -148,8 +145,8 @@ def car_park(
     length = rng.uniform(1.0, 7.0, int(wrong.sum())) / gsd
     px[wrong] = np.stack([length, length * rng.uniform(0.25, 1.0, len(length))], -1)
     px = np.sort(np.maximum(px, 1.0), axis=1)[:, ::-1]
-    place = np.zeros((n, 2))
-    return Votes(px.copy(), np.ones(n), np.ones(n, int), place, np.ones(n), [np.array([k]) for k in range(n)])
+    score = np.where(wrong, rng.beta(2, 3, n), rng.beta(6, 2, n))
+    return Votes(px.copy(), np.ones(n), np.ones(n, int), np.zeros((n, 2)), score, [np.array([k]) for k in range(n)])
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -28,6 +28,8 @@ Z90 = 1.6449  # two-sided 90 % of a normal distribution
 OUTLIER_DENSITY = 1 / (3.0 * 2.5)
 OUTLIER_SHARE = 0.1  # at the start; then estimated, between these bounds
 OUTLIER_BOUNDS = (0.01, 0.6)
+SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
+USUAL_VIEWS = 4  # views of a typical box's vehicle from which a single view counts as a mistake
 PRIOR_SHARES = 10.0  # votes that the national shares of the fleet's classes count for
 PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
 VERDICTS = (("good", 0.03), ("fair", 0.06), ("poor", 0.15))  # relative one-sigma of the scale, upper bounds
@@ -99,7 +101,8 @@ def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry: np.ndarr
     Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes.
     """
     size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
-    measurable = (size > 0.3 * votes.size).all(1)
+    fleeting = _fleeting(votes)
+    measurable = (size > SMALLEST_SHARE * votes.size).all(1) & ~fleeting
     if measurable.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(f"{int(measurable.sum())} usable vehicles, {MIN_VEHICLES} are needed")
     log_size = np.log(size[measurable])
@@ -159,7 +162,7 @@ def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry: np.ndarr
         fleet=fleet.code,
         verdict=verdict,
         used=used,
-        reasons=_reasons(votes, used, measurable, log_size, mean),
+        reasons=_reasons(used, measurable, fleeting, log_size, mean),
         remarks=tuple(remarks),
     )
 
@@ -239,16 +242,20 @@ def _verdict(sd: float, tension: float, difference: float) -> tuple[str, list[st
     return names[rank], remarks
 
 
+def _fleeting(votes: Votes) -> np.ndarray:
+    """(N,) bool: seen in a single frame where vehicles are usually seen in many. Mistakes flicker, parked cars stay."""
+    usual = np.median(np.repeat(votes.views, votes.views)) if len(votes) else 0
+    return (votes.views == 1) & (usual >= USUAL_VIEWS)
+
+
 def _reasons(
-    votes: Votes, used: np.ndarray, measurable: np.ndarray, log_size: np.ndarray, mean: np.ndarray
+    used: np.ndarray, measurable: np.ndarray, fleeting: np.ndarray, log_size: np.ndarray, mean: np.ndarray
 ) -> list[str]:
-    reasons = [""] * len(votes)
-    for index in np.flatnonzero(~measurable):
-        reasons[index] = "smaller than the detector's margin"
+    reasons = ["seen in one frame only" if f else "smaller than the detector's margin" for f in fleeting]
     for index, (d_length, d_width) in zip(np.flatnonzero(measurable), log_size - mean, strict=True):
         if used[index]:
-            continue
-        if abs(d_length - d_width) > max(abs(d_length), abs(d_width)):
+            reasons[index] = ""
+        elif abs(d_length - d_width) > max(abs(d_length), abs(d_width)):
             reasons[index] = "wrong shape for a vehicle"
         else:
             reasons[index] = "too small for a vehicle" if d_length + d_width < 0 else "too large for a vehicle"

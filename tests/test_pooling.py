@@ -104,3 +104,16 @@ def test_the_unit_of_the_source_cancels():
     a, b = (pool(v, fleet, RULER, "m/px") for v in (votes, stretched))
     assert a.value == pytest.approx(40 * b.value, rel=1e-9)
     assert a.relative_sd == pytest.approx(b.relative_sd, rel=1e-9)
+
+
+def test_what_only_one_frame_of_many_shows_does_not_count():
+    fleet, rng = Fleet.load("DE"), np.random.default_rng(9)
+    cars = fleet.sample(rng, 20)[:, :2] / 0.12
+    which = np.repeat(np.arange(20), 8)
+    ghosts = np.tile([20.0, 9.0], (60, 1))  # half a car's size, each in one frame only
+    size = np.concatenate([cars[which], ghosts])
+    place = np.concatenate([which[:, None] * [100.0, 0, 0], 5000 + np.arange(60)[:, None] * [100.0, 0, 0]])
+    votes = gather(size, np.ones(len(size)), place, np.ones(len(size)), repeated=True)
+    scale = pool(votes, fleet, Ruler(), "m/model-unit")
+    assert scale.vehicles_used == 20 and scale.rejected == {"seen in one frame only": 60}
+    assert scale.value == pytest.approx(0.12, rel=0.05)

@@ -60,7 +60,7 @@ LARGEST_SHARE = 0.25  # of the width that a margin may take away, so that tiny b
 
 
 def read_labels(label_file: Path, tighten: bool = True) -> list[LabelledImage]:
-    """The images of one label file, in its order, their boxes tightened by the scene's margin (labels/margins.json).
+    """The images of one label file, in its order, each box freed of its scene's margin (labels/margins.json).
 
     People and detectors draw boxes around a vehicle with some air, and each scene's labels have their own. A network
     that learns them as they are measures a vehicle by the scene that it resembles. `tighten=False`: the boxes as drawn.

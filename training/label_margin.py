@@ -25,7 +25,7 @@ from __future__ import annotations
 import argparse
 import json
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,13 +80,8 @@ class Measured:
         m = self.box * (1 - self.ratio / exact_ratio)
         return 1.48 * _median(np.abs(m - _median(m))) / np.sqrt(np.maximum(self.count, 1))
 
-    def margin(self, exact_ratio: np.ndarray) -> float:
-        """The margin of the boxes all round [px]: the mean of those that could be measured, nan where none could."""
-        m = self.margins(exact_ratio)
-        return float(m[np.isfinite(m)].mean()) if np.isfinite(m).any() else float("nan")
-
-    def shape(self, margin: float = 0.0) -> float:
-        """Median length over median width after `margin` [px] is taken off both."""
+    def shape(self, margin: Sequence[float] = (0.0, 0.0)) -> float:
+        """Median length over median width after `margin` (length, width) [px] is taken off."""
         length, width = np.median(self.box, axis=0) - margin
         return float(length / width)
 
@@ -164,27 +159,24 @@ def measure_scenes(images: list[LabelledImage]) -> list[Measured]:
     ]
 
 
-def table(scenes: list[Measured], exact: Measured, in_use: dict[str, float]) -> str:
+def table(scenes: list[Measured], exact: Measured, in_use: Mapping[str, Sequence[float]]) -> str:
     """One line per scene; the last columns compare the shape with that of the country's fleet."""
     lines = [
         f"exact boxes: {exact.count[0]} lengths, {exact.count[1]} widths; "
         f"half-level share {exact.median_ratio[0]:.3f} of the length, {exact.median_ratio[1]:.3f} of the width",
         "",
-        "           measured   half-level share    margin [px]                        length / width",
-        "scene        L    W      L      W       L            W        mean in use    raw  mean  in use  fleet",
+        "           measured   half-level share    margin [px]               in use [px]   length / width",
+        "scene        L    W      L      W       L            W                L     W       raw  in use  fleet",
     ]
     for scene in scenes:
         m, sd = scene.margins(exact.median_ratio), scene.margin_sd(exact.median_ratio)
-        mean, used = scene.margin(exact.median_ratio), in_use.get(scene.scene, 0.0)
+        used = in_use.get(scene.scene, (0.0, 0.0))
         fleet = Fleet.load(FLEET[scene.scene]) if scene.scene in FLEET else None
         fleet_shape = f"{np.exp(fleet.log_mean[0] - fleet.log_mean[1]):.2f} {fleet.code}" if fleet else "-"
-        shapes = (
-            f"{scene.shape():5.2f} {scene.shape(np.nan_to_num(mean)):5.2f}  {scene.shape(used):5.2f}  {fleet_shape}"
-        )
         lines.append(
             f"{scene.scene:10s}{scene.count[0]:5d}{scene.count[1]:5d}  {scene.median_ratio[0]:5.3f}  "
-            f"{scene.median_ratio[1]:5.3f}  {m[0]:5.1f} +-{sd[0]:4.1f} {m[1]:5.1f} +-{sd[1]:4.1f}  {mean:5.1f}"
-            f" {used:6.1f}   {shapes}"
+            f"{scene.median_ratio[1]:5.3f}  {m[0]:5.1f} +-{sd[0]:4.1f} {m[1]:5.1f} +-{sd[1]:4.1f}   "
+            f"{used[0]:5.1f} {used[1]:5.1f}     {scene.shape():5.2f}  {scene.shape(used):5.2f}   {fleet_shape}"
         )
     return "\n".join(lines)
 
@@ -201,8 +193,8 @@ def main() -> None:
     recorded = json.loads(MARGINS.read_text())
     print(table(scenes, exact, recorded["margin_px"]))
     if options.write:
-        margins = {scene.scene: round(scene.margin(exact.median_ratio), 1) for scene in scenes}
-        known = {name: max(margin, 0.0) for name, margin in margins.items() if np.isfinite(margin)}
+        margins = {scene.scene: scene.margins(exact.median_ratio).round(1).tolist() for scene in scenes}
+        known = {name: margin for name, margin in margins.items() if np.isfinite(margin).all()}
         options.write.write_text(json.dumps({**recorded, "margin_px": known}, indent=1) + "\n")
 
 

@@ -8,8 +8,9 @@ appear as effective extents ``L_eff`` and ``W_eff`` [m] at the distance ``altitu
 
 That takes a pixel to be ``1/f`` of the distance. In a flat image it is ``1/f`` of the depth, which is shorter by
 ``|ray| / f``, the length of the pixel's ray in focal lengths: the authors' program has that factor, the text does not.
-Neither has the second such factor that a flat image stretches radially by; on DenseUAV's images it is some 5 % on
-average, and so is the factor 1.05 by which the program multiplies.
+Neither has the second such factor, by which a flat image stretches radially. Alone that makes scales at nadir 5 % too
+small with DenseUAV's camera and 3 % with UAV-VisLoc's (benchmarks/projection_bias.py), so the program's other factor,
+1.05, may well stand in for it.
 
 `exact` is what orthoscale measures with; this is for comparison and cross-checks.
 """
@@ -85,7 +86,7 @@ def relative_orientation(boxes: Boxes, views: Views) -> np.ndarray:
     """(N,) the paper's angle g between a vehicle's long side and the radial direction, in 0..pi/2 [rad].
 
     Measured on the ground, where ``L cos g`` and ``L sin g`` are lengths; radial is the viewing ray's azimuth. Straight
-    below the camera there is none, and pi/2 is returned; nothing depends on it there.
+    below the camera there is none, and pi/2 is returned: ``L_eff`` does not depend on it there.
     """
     along, _ = ground_axes(views, np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1))
     radial = views.ground - (views.ground * views.normal).sum(1, keepdims=True) * views.normal

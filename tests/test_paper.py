@@ -1,0 +1,49 @@
+"""The paper's estimator against tables worked out by hand."""
+
+import numpy as np
+import pytest
+
+from orthoscale.errors import TooLittleEvidence
+from orthoscale.paper import pool_iqr
+
+TEN = [0.08, 0.09, 0.09, 0.10, 0.10, 0.10, 0.11, 0.11, 0.12]  # quartiles 0.09 and 0.11, so 0.06 to 0.14 counts
+
+
+@pytest.mark.parametrize(
+    "scales, scores, value, used",
+    [
+        (TEN, [0.9] * 9, 0.1, [1] * 9),
+        ([*TEN, 0.5], [0.9] * 10, 0.1, [1] * 9 + [0]),  # an outlier above
+        ([*TEN, 0.01], [0.9] * 10, 0.1, [1] * 9 + [0]),  # and below
+        ([*TEN, 0.14], [0.9] * 9 + [0.5], 0.1, [1] * 9 + [0]),  # a score of exactly the threshold does not count
+        ([1, 1, 1, 1, 1, 2], [0.9] * 6, 1.0, [1] * 5 + [0]),  # no spread: nothing else counts
+        ([1, 2, 3, 4, 5], [0.6] * 5, 3.0, [1] * 5),
+        ([1, 2, 3, 4, 5, np.nan, np.inf], [0.6] * 7, 3.0, [1] * 5 + [0, 0]),
+        ([0, 10, 11, 12, 22], [0.6] * 5, 11.0, [0, 1, 1, 1, 0]),  # 10 - 1.5 * 2 = 7 and 12 + 1.5 * 2 = 15
+        ([7, 10, 11, 12, 15], [0.6] * 5, 11.0, [1] * 5),  # the ends of the range count
+    ],
+)
+def test_mean_within_the_whiskers(scales, scores, value, used):
+    result = pool_iqr(np.array(scales), np.array(scores))
+    assert result.value == pytest.approx(value)
+    assert result.used.tolist() == [bool(u) for u in used]
+    assert result.vehicles_used == sum(used)
+
+
+def test_the_interval_is_students():
+    result = pool_iqr(np.array([1.0, 2, 3, 4, 5]), np.ones(5))
+    half = 2.1318 * np.sqrt(2.5 / 5)  # t of 4 degrees of freedom, 95 %; variance 2.5
+    assert result.interval90 == pytest.approx((3 - half, 3 + half), rel=1e-4)
+
+
+@pytest.mark.parametrize("scores, count", [([0.9] * 4, 4), ([0.9] * 4 + [0.4] * 9, 4), ([], 0)])
+def test_fewer_than_five_are_refused(scores, count):
+    with pytest.raises(TooLittleEvidence, match=f"{count} of {len(scores)} vehicles have a score above 0.5"):
+        pool_iqr(np.ones(len(scores)), np.array(scores))
+
+
+def test_both_thresholds_are_the_callers():
+    result = pool_iqr(np.array([1.0, 3.0]), np.array([0.2, 0.3]), min_score=0.1, min_vehicles=2)
+    assert result.value == 2
+    alone = pool_iqr(np.array([1.0]), np.array([0.3]), min_score=0.1, min_vehicles=1)
+    assert alone.value == 1 and alone.interval90 == (-np.inf, np.inf)
