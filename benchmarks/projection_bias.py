@@ -22,7 +22,7 @@ PITCHES = (-90, -75, -60, -45, -30)
 VEHICLES = 2000
 UNIT = 0.07  # metres; that of the views. Nothing depends on it, and no model is told
 ROUNDS = (
-    12  # of measuring with exact, whose hull is in metres: each leaves up to 0.4 of the error before, at -30 degrees
+    12  # exact's hull is in metres, so it is measured with again; a round leaves up to half the error, at -30 degrees
 )
 METHODS = ("naive", "text", "program", "exact")
 

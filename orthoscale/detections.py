@@ -58,7 +58,7 @@ class Detections:
             text = json.loads(path.read_text(encoding="utf-8"))
             pictures = text.get("pictures", text)
             boxes = {name: _boxes(rows) for name, rows in pictures.items()}
-            ruler = Ruler(**{k: tuple(v) for k, v in text["ruler"].items()}) if "ruler" in text else UNKNOWN_RULER
+            ruler = Ruler.from_json(text["ruler"]) if "ruler" in text else UNKNOWN_RULER
             return cls(
                 boxes=boxes,
                 zoom=float(text["zoom"]) if "pictures" in text else 1.0,

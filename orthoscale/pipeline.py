@@ -14,7 +14,7 @@ import numpy as np
 from .atomic import check_free, new_file, new_folder
 from .boxes import Boxes, matched
 from .detections import Detections
-from .errors import InputError, TooLittleEvidence, UsageError
+from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
 from .fleet import Fleet
 from .pooling import MIN_VEHICLES, Scale, pool
 from .projection.exact import Hull
@@ -47,6 +47,7 @@ GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
 # How far a detector's effective height strays from its card between scenes (one sigma) [m], and its upper bound.
 HEIGHT_SD = 0.25
 MAX_HEIGHT = 1.5
+CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
 NO_GROUND = "no ground under the box, or seen too flatly"
 NO_HULL = "no vehicle on the ground gives this box"
 
@@ -266,7 +267,7 @@ def fix(
     sim3.txt, report.json and vehicles.png in it. All of them appear, or none.
 
     overwrite : replace what is at `out`. override : rescale although the input's own georeferencing gives a scale.
-    force : write although the evidence is too uncertain to be useful (verdict ``refuse``).
+    force : write although the evidence is too uncertain to be useful (verdict ``refuse``) or contradicts itself.
     Raises what `estimate` raises, EvidenceDisagrees, OutputError.
     """
     path, out = Path(path), Path(out)
@@ -285,6 +286,12 @@ def fix(
         raise TooLittleEvidence(
             f"{path}: the scale is only known to lie between {low:.4g} and {high:.4g} {result.scale.unit}",
             "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with --force.",
+        )
+    if result.scale.tension > CONFLICT and not force:
+        raise EvidenceDisagrees(
+            f"{path}: {result.scale.remarks[0]}",
+            "Look at the boxes (orthoscale estimate --save-detections), name the country's fleet, or write all the same "
+            "with --force.",
         )
     from .report.document import document, write_json
     from .report.pictures import draw

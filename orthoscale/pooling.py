@@ -13,8 +13,9 @@ widths where they are fine, without a rule for it. Only the first term shrinks w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -43,13 +44,23 @@ class Ruler:
     margin : (2,) excess of box length and width over the vehicle [detector px].
     margin_sd : (2,) its one-sigma uncertainty [detector px].
     bias_sd : (2,) relative uncertainty of box length and width that no number of boxes removes (labels, paint, shade).
+    common_sd : the part of that which lengths and widths share: all boxes of a scene a little large, or small.
     noise : (2,) one-sigma noise of one box's length and width [detector px].
     """
 
     margin: tuple[float, float] = (0.0, 0.0)
     margin_sd: tuple[float, float] = (0.7, 0.7)
     bias_sd: tuple[float, float] = (0.015, 0.02)
+    common_sd: float = 0.0
     noise: tuple[float, float] = (2.0, 1.2)
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Ruler:
+        """From the plain values of a card or a detections file. Raises TypeError, ValueError for others."""
+        plain: dict[str, Any] = {
+            k: tuple(map(float, v)) if isinstance(v, list) else float(v) for k, v in values.items()
+        }
+        return cls(**plain)
 
 
 @dataclass(frozen=True)
@@ -61,6 +72,7 @@ class Scale:
     parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry.
     checks : the scale from lengths alone, from widths alone and from length minus width (free of a symmetric margin).
     weights : share of lengths and widths in the answer.
+    tension : sigmas between the scale from lengths and that from widths.
     used : (N,) bool, votes that count; reasons : (N,) why the others do not ('' where used).
     """
 
@@ -70,6 +82,7 @@ class Scale:
     parts: dict[str, float]
     checks: dict[str, float]
     weights: tuple[float, float]
+    tension: float
     fleet: str
     verdict: str
     used: np.ndarray = field(repr=False)
@@ -109,7 +122,9 @@ def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry: np.ndarr
     share_px = votes.pixel[measurable, None] / size[measurable]  # one pixel as a share of length and width
     noise = (np.asarray(ruler.noise) * share_px) ** 2 / np.maximum(votes.views[measurable, None], 1)
 
-    membership = _fit(log_size, noise, fleet.classes)  # (classes, N)
+    systematic = fleet.log_mean_covariance + _margin_covariance(ruler, np.median(share_px, axis=0))
+    systematic = systematic + (0 if geometry is None else geometry)
+    membership, unsure = _fit(log_size, noise, fleet.classes, systematic)
     inlier = membership.sum(0) > 0.5
     used = np.zeros(len(votes), bool)
     used[measurable] = inlier
@@ -128,7 +143,7 @@ def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry: np.ndarr
     scatter = np.einsum("kn,kni,knj->ij", p, residual, residual)
     expected = _fleet_scatter(fleet) + np.diag(np.average(noise, axis=0, weights=w))
     covariances = {
-        "sampling": (scatter + PRIOR_VOTES * expected) / (w.sum() + PRIOR_VOTES) / effective,
+        "sampling": (scatter + PRIOR_VOTES * expected) / (w.sum() + PRIOR_VOTES) / effective + unsure,
         "fleet": fleet.log_mean_covariance,
         "margin": _margin_covariance(ruler, np.average(share_px, axis=0, weights=w)),
         "geometry": np.zeros((2, 2)) if geometry is None else geometry,
@@ -159,6 +174,7 @@ def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry: np.ndarr
             "length_minus_width": float(from_difference),
         },
         weights=(float(weights[0]), float(weights[1])),
+        tension=float(tension),
         fleet=fleet.code,
         verdict=verdict,
         used=used,
@@ -167,42 +183,61 @@ def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry: np.ndarr
     )
 
 
-def _fit(log_size: np.ndarray, noise: np.ndarray, classes: Sequence[Class]) -> np.ndarray:
-    """(classes, N) each vote's probability to be a vehicle of each class; what is missing from one is to be none.
+def _fit(
+    log_size: np.ndarray, noise: np.ndarray, classes: Sequence[Class], systematic: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which votes are vehicles of which class.
+
+    Returns (classes, N) probabilities; what is missing from one is to be none. And the (2, 2)
+    covariance that the scales by length and width gain because classes and shares are only guessed.
 
     Expectation-maximisation over the scale, the classes' shares and the share of outliers, from the best point of a
     grid of scales. The shares start at the fleet's, which count as PRIOR_SHARES votes: a car park has its own mix.
+    Lengths and widths have a scale each, for fleet, margin and geometry may be off; `systematic` (2, 2) says how far
+    the two may part. With one scale for both, a fleet a little too long would turn cars into pickups.
     """
-    means = np.array([c.log_mean for c in classes])
     national = np.array([c.weight for c in classes]) / sum(c.weight for c in classes)
+    means = np.array([c.log_mean for c in classes])
     covariance = np.array([c.log_covariance for c in classes])[:, None] + noise[:, :, None] * np.eye(2)  # (K, N, 2, 2)
-    inverse = np.linalg.inv(covariance)
-    constant = -np.log(2 * np.pi) - 0.5 * np.log(np.linalg.det(covariance))
 
-    def density(log_scale: float) -> np.ndarray:
-        """(classes, N), not weighted by the classes' shares."""
+    def density(log_scale: np.ndarray | float, inverse: np.ndarray) -> np.ndarray:
+        """(K, N), not weighted by the classes' shares."""
         r = log_size + log_scale - means[:, None]
-        return np.exp(constant - 0.5 * np.einsum("kni,knij,knj->kn", r, inverse, r))
+        square = np.einsum("kni,knij,knj->kn", r, inverse, r)
+        return np.sqrt(np.linalg.det(inverse)) / (2 * np.pi) * np.exp(-0.5 * square)
 
     centre = float(np.median((national @ means - log_size).mean(1)))
     grid = centre + np.arange(-1.2, 1.2, 0.02)
+    coarse = np.linalg.inv(covariance + systematic)
     likelihood = [
-        np.log((1 - OUTLIER_SHARE) * (national @ density(g)) + OUTLIER_SHARE * OUTLIER_DENSITY).sum() for g in grid
+        np.log((1 - OUTLIER_SHARE) * (national @ density(g, coarse)) + OUTLIER_SHARE * OUTLIER_DENSITY).sum()
+        for g in grid
     ]
-    log_scale, share, outliers = float(grid[int(np.argmax(likelihood))]), national, OUTLIER_SHARE
-    row = inverse.sum(3)  # (K, N, 2): ones times the inverse
-    for _ in range(100):
-        weighted = (1 - outliers) * share[:, None] * density(log_scale)
+    log_scale, share, outliers = np.full(2, grid[int(np.argmax(likelihood))]), national, OUTLIER_SHARE
+    inverse = np.linalg.inv(covariance)
+    together = np.linalg.inv(systematic)  # holds the two scales to one another, and leaves what they share free
+    together = together - np.outer(together.sum(0), together.sum(0)) / together.sum()
+    for _ in range(200):
+        weighted = (1 - outliers) * share[:, None] * density(log_scale, inverse)
         p = weighted / (weighted.sum(0) + outliers * OUTLIER_DENSITY)
-        information = (p * row.sum(2)).sum()
-        new = float((p * np.einsum("kni,kni->kn", row, means[:, None] - log_size)).sum() / information)
+        information = np.einsum("kn,knij->ij", p, inverse) + together
+        new = np.linalg.solve(information, np.einsum("kn,knij,knj->i", p, inverse, means[:, None] - log_size))
         outliers = float(np.clip(1 - p.sum(0).mean(), *OUTLIER_BOUNDS))
         share = (p.sum(1) + PRIOR_SHARES * national) / (p.sum() + PRIOR_SHARES)
-        done = abs(new - log_scale) < 1e-7
+        done = np.abs(new - log_scale).max() < 1e-7
         log_scale = new
         if done:
             break
-    return p
+
+    # What is known of scales and shares together, from the votes' scores (Berndt et al. 1974), against what would be
+    # known of the scales if every vote wore its class.
+    pull = np.einsum("kn,knij,knj->ni", p, inverse, means[:, None] - log_size - log_scale)
+    score = np.hstack([pull, p.T - (1 - outliers) * share])
+    known = score.T @ score
+    known[:2, :2] += together
+    known[2:, 2:] += PRIOR_SHARES * (np.diag(share) - np.outer(share, share)) + 1e-6 * np.eye(len(share))
+    gain, axes = np.linalg.eigh(np.linalg.inv(known)[:2, :2] - np.linalg.inv(information))
+    return p, (axes * np.maximum(gain, 0)) @ axes.T
 
 
 def _fleet_scatter(fleet: Fleet) -> np.ndarray:
@@ -216,8 +251,9 @@ def _fleet_scatter(fleet: Fleet) -> np.ndarray:
 
 
 def _margin_covariance(ruler: Ruler, share_px: np.ndarray) -> np.ndarray:
-    """(2, 2): the margin's uncertainty as a share of length and width (independent), plus the boxes' relative bias."""
-    return np.diag((np.asarray(ruler.margin_sd) * share_px) ** 2 + np.asarray(ruler.bias_sd) ** 2)
+    """(2, 2): the margin's uncertainty as a share of length and width, and the boxes' relative bias, own and shared."""
+    own = (np.asarray(ruler.margin_sd) * share_px) ** 2 + np.asarray(ruler.bias_sd) ** 2
+    return np.diag(own) + ruler.common_sd**2
 
 
 def _combine(total: np.ndarray) -> np.ndarray:
@@ -256,7 +292,7 @@ def _reasons(
         if used[index]:
             reasons[index] = ""
         elif abs(d_length - d_width) > max(abs(d_length), abs(d_width)):
-            reasons[index] = "wrong shape for a vehicle"
+            reasons[index] = "wrong shape for a car"
         else:
-            reasons[index] = "too small for a vehicle" if d_length + d_width < 0 else "too large for a vehicle"
+            reasons[index] = "too small for a car" if d_length + d_width < 0 else "too large for a car"
     return reasons

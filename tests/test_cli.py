@@ -51,6 +51,19 @@ def test_fix_writes_a_model_that_a_second_run_leaves_alone(tmp_path):
     assert not (tmp_path / "twice").exists()
 
 
+def test_lengths_and_widths_that_contradict_each_other_are_exit_code_4(tmp_path):
+    found = json.loads((EXAMPLE / "detections.json").read_text())
+    for boxes in found["pictures"].values():
+        for box in boxes:
+            box["length"] *= 1.45  # longer than any car of that width
+    (tmp_path / "stretched.json").write_text(json.dumps(found))
+    job = ["fix", EXAMPLE / "sparse", "--detections", tmp_path / "stretched.json", "--out", tmp_path / "out"]
+    done = run(*job)
+    assert done.returncode == 4 and "widths give a larger scale than lengths" in done.stderr
+    assert not (tmp_path / "out").exists()
+    assert run(*job, "--force").returncode == 0 and (tmp_path / "out" / "sim3.txt").exists()
+
+
 def grey(path, size=(300, 200)):
     cv2.imwrite(str(path), np.full((*size[::-1], 3), 120, np.uint8))
     return path

@@ -8,7 +8,7 @@ from orthoscale.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
 from orthoscale.pooling import Ruler, pool
 from orthoscale.votes import gather
 
-RULER = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), noise=(1.5, 1.0))
+RULER = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), common_sd=0.02, noise=(1.5, 1.0))
 
 
 def scene(rng, fleet, n=60, gsd=0.12, vans=0.0, false=0.0, ruler=RULER, surprise=True):
@@ -22,7 +22,11 @@ def scene(rng, fleet, n=60, gsd=0.12, vans=0.0, false=0.0, ruler=RULER, surprise
     big = rng.random(n) < vans
     size[big] = rng.normal([5.9, 2.05], [0.35, 0.06], (int(big.sum()), 2))
     margin = np.array(ruler.margin) + surprise * rng.normal(0, ruler.margin_sd)
-    px = size / gsd * np.exp(surprise * rng.normal(0, ruler.bias_sd)) + margin + rng.normal(0, ruler.noise, (n, 2))
+    px = (
+        size / gsd * np.exp(surprise * (rng.normal(0, ruler.bias_sd) + ruler.common_sd * rng.standard_normal()))
+        + margin
+        + rng.normal(0, ruler.noise, (n, 2))
+    )
     wrong = rng.random(n) < false
     px[wrong] = rng.uniform([8, 5], [45, 25], (int(wrong.sum()), 2))
     return gather(np.maximum(px, 1.0), np.ones(n), rng.uniform(0, 1000, (n, 2)), np.ones(n), repeated=False)
@@ -68,7 +72,11 @@ def test_false_boxes_are_set_aside_with_a_reason():
     scale = pool(scene(rng, fleet, 300, false=0.3, surprise=False), fleet, RULER, "m/px")
     assert scale.value == pytest.approx(0.12, rel=0.03)
     assert sum(scale.rejected.values()) > 50
-    assert set(scale.rejected) <= {"too small for a vehicle", "too large for a vehicle", "wrong shape for a vehicle"}
+    assert set(scale.rejected) <= {
+        "too small for a car",
+        "too large for a car",
+        "wrong shape for a car",
+    }
     assert len(scale.reasons) == 300 and all(bool(r) != bool(u) for r, u in zip(scale.reasons, scale.used, strict=True))
 
 

@@ -42,7 +42,7 @@ class Card:
     @classmethod
     def from_json(cls, text: str) -> Card:
         values = json.loads(text)
-        values["ruler"] = Ruler(**{name: tuple(pair) for name, pair in values["ruler"].items()})
+        values["ruler"] = Ruler.from_json(values["ruler"])
         for name in ("usable_length", "effective_height"):
             low, high = values[name]
             values[name] = (float(low), float(high))

@@ -29,7 +29,7 @@ def document(result: Result) -> dict[str, Any]:
         "fleet_name": result.fleet.name,
         "fleet_source": result.fleet.source,
         "uncertainty": {name: sd for name, sd in scale.parts.items()},
-        "checks": scale.checks,
+        "checks": {**scale.checks, "tension_sigmas": scale.tension},
         "weights": {"length": scale.weights[0], "width": scale.weights[1]},
         "remarks": [*scale.remarks, *result.source.notes],
         "detector": {
