@@ -290,8 +290,7 @@ def fix(
     if result.scale.tension > CONFLICT and not force:
         raise EvidenceDisagrees(
             f"{path}: {result.scale.remarks[0]}",
-            "Look at the boxes (orthoscale estimate --save-detections), name the country's fleet, or write all the same "
-            "with --force.",
+            "Look at the boxes (--save-detections), name the country's fleet, or write all the same with --force.",
         )
     from .report.document import document, write_json
     from .report.pictures import draw
