@@ -32,8 +32,8 @@ PAINTS = (
 
 # Bumpers, sills and doors lean inwards and lie in dirt and shade, so that the bright part of a real vehicle ends before
 # the vehicle does: half-level edges span 0.89 of the length and 0.84 of the width on the orthophoto of Manila.
-SHOULDER = 0.13  # [m] from the footprint's edge to the decks
-SHOULDER_SHADE = 0.5  # of the paint's albedo
+SHOULDER = 0.22  # [m] from the footprint's edge to the decks
+SHOULDER_SHADE = 0.4  # of the paint's albedo
 
 CABINS = {
     # Where the rear window and the windscreen begin and end, in parts of the length from the rear bumper.
