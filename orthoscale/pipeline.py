@@ -104,9 +104,10 @@ def find_vehicles(
         zoom = choice.zoom
         if choice.vehicle_px is None:
             raise TooLittleEvidence(
-                "no vehicles found at any zoom",
-                "The sample showed nothing that looks like a vehicle from 8 to 400 px long. If there are vehicles, "
-                "say how large: --gsd-hint METRES_PER_PIXEL or --zoom FACTOR.",
+                f"no vehicles found at any zoom from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "
+                f"({sum(row[1] for row in choice.table)} doubtful boxes, {sum(row[2] for row in choice.table)} of them "
+                "seen at two zooms)",
+                "If there are vehicles, say how large: --gsd-hint METRES_PER_PIXEL or --zoom FACTOR.",
             )
     fine = sweep(pictures, zoom, detector, step("Finding vehicles"))
     coarse = sweep(pictures, zoom * CONFIRMING_ZOOM, detector, step("Looking twice"))

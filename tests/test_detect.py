@@ -138,6 +138,11 @@ def test_no_vehicles_no_zoom():
     assert choice.vehicle_px is None and choice.votes == 0
 
 
+def test_mistakes_alone_make_no_zoom():
+    choice = search_zoom([Drawing(900, 700, Boxes.empty())], RectangleDetector(mistakes=1), CARD)
+    assert choice.vehicle_px is None
+
+
 def test_the_zoom_search_is_the_same_twice():
     pictures = [Drawing(800, 600, car_park(30, 800, 600, 8, seed), str(seed)) for seed in range(6)]
     first, second = (search_zoom(pictures, RectangleDetector(1), CARD) for _ in range(2))

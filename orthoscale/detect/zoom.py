@@ -23,6 +23,7 @@ LEVELS = 2.0 ** np.arange(-4, 2.1, 1.0)
 WINDOW = 768  # side of a sample window [px of the network's input]
 BUDGET = 12e6  # network pixels looked at per zoom and round; about a second on two cores
 ENOUGH = 20.0  # votes (sum of scores) after which no further round is needed
+FEWEST = 3.0  # votes below which no zoom is right; five vehicles that two zooms agree on give more
 ROUNDS = 3  # each looks at twice as much as the one before
 SAME_BOX = 0.5  # overlap at which two zooms see the same vehicle
 KERNEL = 0.12  # width of the vote histogram's kernel in log length, about the spread of a fleet's lengths
@@ -94,10 +95,10 @@ def _look_over(
     votes = (weight * np.exp(-0.5 * ((grid[:, None] - log_length) / KERNEL) ** 2)).sum(1)
     best = int(np.argmax(votes))
     elsewhere = votes[np.abs(grid - grid[best]) > 3 * KERNEL]
-    vehicle_px = float(np.exp(grid[best]))
+    length = float(np.exp(grid[best]))
     return ZoomChoice(
-        zoom=float(min(card.best_length / vehicle_px, MAX_ZOOM)),
-        vehicle_px=vehicle_px,
+        zoom=float(min(card.best_length / length, MAX_ZOOM)),
+        vehicle_px=length if votes[best] >= FEWEST else None,
         votes=float(votes[best]),
         rival=float(elsewhere.max(initial=0) / votes[best]),
         table=table,
