@@ -161,7 +161,10 @@ def estimate(
         detector_file = _path(detector)
         if gsd_hint is not None:
             zoom = _zoom_for(gsd_hint, ruler_fleet, detector_file)
-        found, choice = find_vehicles(source.pictures, detector_file, zoom, progress)
+        try:
+            found, choice = find_vehicles(source.pictures, detector_file, zoom, progress)
+        except TooLittleEvidence as error:
+            raise TooLittleEvidence(f"{source.path}: {error.message}", error.hint) from error
     try:
         boxes, picture, votes, scale, lost = measure(source, found, ruler_fleet)
     except TooLittleEvidence as error:
@@ -171,7 +174,9 @@ def estimate(
             "Try the fleet of the country (--fleet), another zoom (--gsd-hint METRES_PER_PIXEL, --zoom FACTOR), "
             "or a scene with more vehicles.",
         ) from error
-    return Result(source, ruler_fleet, found, boxes, picture, votes, scale, choice, lost, time.perf_counter() - started)
+    rejected = {reason: count for reason, count in lost.items() if count}
+    seconds = time.perf_counter() - started
+    return Result(source, ruler_fleet, found, boxes, picture, votes, scale, choice, rejected, seconds)
 
 
 def measure(source: Source, found: Detections, fleet: Fleet) -> Measured:
@@ -187,7 +192,7 @@ def _measure_planar(source: Source, found: Detections, fleet: Fleet) -> Measured
     size = planar_size(boxes)
     votes = gather(size, np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, repeated=False)
     scale = pool(votes, fleet, found.ruler, source.unit)
-    return boxes, np.full(len(boxes), name), votes, scale, {k: v for k, v in _lost(found).items() if v}
+    return boxes, np.full(len(boxes), name), votes, scale, _lost(found)
 
 
 def _measure_model(source: ColmapSource, found: Detections, fleet: Fleet) -> Measured:
@@ -232,7 +237,7 @@ def _measure_model(source: ColmapSource, found: Detections, fleet: Fleet) -> Mea
         flat = size[solved] + leaning[solved] * height / metres_per_unit
         height, height_sd = _calibrated_height(found, flat, leaning[solved], counted, metres_per_unit)
     lost[NO_HULL] = int((~solved).sum())
-    return boxes[solved], picture[solved], votes, scale, {k: v for k, v in lost.items() if v}
+    return boxes[solved], picture[solved], votes, scale, lost
 
 
 def _calibrated_height(
@@ -273,7 +278,7 @@ def fix(
     """
     path, out = Path(path), Path(out)
     check_free(out, overwrite)
-    if out.absolute() == path.absolute():
+    if out.resolve() == path.resolve():
         raise UsageError(f"{out} is the input itself", "The input is never touched: choose another --out.")
     source = open_source(path, _path(options.get("images")), need_images=options.get("detections") is None)
     if source.metric_already and not override:  # not behind its owner's back

@@ -10,8 +10,3 @@ from ..boxes import Boxes
 def ground_size(boxes: Boxes) -> np.ndarray:
     """(N, 2) length and width of each vehicle in pixels of the orthophoto."""
     return boxes.xylwa[:, 2:4].copy()
-
-
-def paper_scale(boxes: Boxes, length_m: float = 4.4, width_m: float = 1.9) -> np.ndarray:
-    """(N,) metres per pixel of each box, ``s = (L/l + W/w) / 2``, with the paper's priors."""
-    return (length_m / boxes.length + width_m / boxes.width) / 2
