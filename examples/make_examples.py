@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from orthoscale.detect.find import find_vehicles
 from orthoscale.detections import Detections
 from orthoscale.fleet import Fleet
-from orthoscale.pipeline import find_vehicles, open_source
+from orthoscale.pipeline import open_source
 from orthoscale.synthetic import make_scene, write_ortho
 
 HERE = Path(__file__).parent
