@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 
 from .atomic import check_free, new_file, new_folder
 from .boxes import Boxes
+from .detect.detector import Detector
 from .detect.find import Progress, find_vehicles
 from .detections import Detections
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
@@ -66,6 +68,8 @@ def estimate(
     images: str | Path | None = None,
     detections: str | Path | None = None,
     detector: str | Path | None = None,
+    decoder: str | None = None,
+    vehicle_classes: Sequence[str] = (),
     zoom: float | None = None,
     gsd_hint: float | None = None,
     progress: Progress | None = None,
@@ -74,6 +78,8 @@ def estimate(
 
     fleet : code of the country's fleet, or a JSON file. images : folder of a model's frames, when not beside it.
     detections : boxes from a file instead of the detector. detector : an ONNX file instead of the shipped one.
+    decoder : how to read its outputs, where they do not tell (`detect.layout.DECODERS`). vehicle_classes : names or
+    numbers of the detector's classes that count, instead of those called small vehicles.
     zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
     `path` may be a source that `open_source` opened. Raises InputError, UsageError, TooLittleEvidence.
     """
@@ -93,11 +99,11 @@ def estimate(
         found = Detections.load(Path(detections))
         _check_names(found, source, Path(detections))
     else:
-        detector_file = _path(detector)
+        network = Detector(_path(detector), decoder, vehicle_classes)
         if gsd_hint is not None:
-            zoom = _zoom_for(gsd_hint, ruler_fleet, detector_file)
+            zoom = network.card.best_length * gsd_hint / float(ruler_fleet.mean[0])
         try:
-            found, choice = find_vehicles(source.pictures, detector_file, zoom, progress)
+            found, choice = find_vehicles(source.pictures, network, zoom, progress)
         except TooLittleEvidence as error:
             raise TooLittleEvidence(f"{source.path}: {error.message}", error.hint) from error
     try:
@@ -196,9 +202,3 @@ def _check_names(found: Detections, source: Source, path: Path) -> None:
 def _typical_length(found: Detections) -> float:
     lengths = [boxes.length for boxes in found.boxes.values() if len(boxes)]
     return float(np.median(np.concatenate(lengths))) if lengths else 0.0
-
-
-def _zoom_for(gsd: float, fleet: Fleet, detector_file: Path | None) -> float:
-    from .detect.detector import Detector
-
-    return Detector(detector_file).card.best_length * gsd / float(fleet.mean[0])

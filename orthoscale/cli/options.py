@@ -33,7 +33,15 @@ def evidence_options(command: Callable) -> Callable:
             click.option(
                 "--save-detections", type=click.Path(path_type=Path), help="Keep the boxes found in this file."
             ),
-            click.option("--detector", type=click.Path(path_type=Path), help="Another ONNX detector with a card."),
+            click.option("--detector", type=click.Path(path_type=Path), help="Another detector, an .onnx file."),
+            click.option("--decoder", metavar="NAME", help="Its output layout, where the file does not tell it."),
+            click.option(
+                "--vehicle-class",
+                "vehicle_classes",
+                multiple=True,
+                metavar="NAME",
+                help="Class that counts, by name or number, instead of those called small vehicles; repeatable.",
+            ),
             click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
             click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search."),
             click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on standard output."),
