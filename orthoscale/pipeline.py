@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,8 @@ import numpy as np
 
 from .atomic import check_free, new_file, new_folder
 from .boxes import Boxes
+from .calibration import Calibration
+from .detect.detector import Detector
 from .detect.find import Progress, find_vehicles
 from .detections import Detections
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
@@ -62,18 +65,25 @@ def open_source(path: Path, images: Path | None = None, need_images: bool = True
 def estimate(
     path: str | Path | Source,
     *,
-    fleet: str | Path = "world",
+    fleet: str | Path | None = None,
     images: str | Path | None = None,
     detections: str | Path | None = None,
     detector: str | Path | None = None,
+    decoder: str | None = None,
+    vehicle_classes: Sequence[str] = (),
+    calibration: str | Path | None = None,
     zoom: float | None = None,
     gsd_hint: float | None = None,
     progress: Progress | None = None,
 ) -> Result:
     """Find the scale of an orthophoto (metres per pixel) or a COLMAP model (metres per model unit).
 
-    fleet : code of the country's fleet, or a JSON file. images : folder of a model's frames, when not beside it.
+    fleet : code of the country's fleet, or a JSON file; by default the calibration's own, else ``world``.
+    images : folder of a model's frames, when not beside it.
     detections : boxes from a file instead of the detector. detector : an ONNX file instead of the shipped one.
+    decoder : how to read its outputs, where they do not tell (`detect.layout.DECODERS`). vehicle_classes : names or
+    numbers of the detector's classes that count, instead of those called small vehicles.
+    calibration : file of `orthoscale.calibrating.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
     `path` may be a source that `open_source` opened. Raises InputError, UsageError, TooLittleEvidence.
     """
@@ -83,7 +93,10 @@ def estimate(
     for name, value in (("--zoom", zoom), ("--gsd-hint", gsd_hint)):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise UsageError(f"{name} must be a positive number, not {value}")
-    ruler_fleet = Fleet.load(fleet)
+    measured = None if calibration is None else Calibration.load(Path(calibration))
+    ruler_fleet = Fleet.load(fleet or "world")
+    if measured is not None and measured.fleet is not None and fleet is None:
+        ruler_fleet = measured.fleet
     if isinstance(path, (str, Path)):
         source = open_source(Path(path), _path(images), need_images=detections is None)
     else:
@@ -93,13 +106,15 @@ def estimate(
         found = Detections.load(Path(detections))
         _check_names(found, source, Path(detections))
     else:
-        detector_file = _path(detector)
+        network = Detector(_path(detector), decoder, vehicle_classes)
         if gsd_hint is not None:
-            zoom = _zoom_for(gsd_hint, ruler_fleet, detector_file)
+            zoom = network.card.best_length * gsd_hint / float(ruler_fleet.mean[0])
         try:
-            found, choice = find_vehicles(source.pictures, detector_file, zoom, progress)
+            found, choice = find_vehicles(source.pictures, network, zoom, progress)
         except TooLittleEvidence as error:
             raise TooLittleEvidence(f"{source.path}: {error.message}", error.hint) from error
+    if measured is not None:
+        found = measured.applied(found, Path(str(calibration)))
     try:
         boxes, picture, votes, scale, lost = measure(source, found, ruler_fleet)
     except TooLittleEvidence as error:
@@ -196,9 +211,3 @@ def _check_names(found: Detections, source: Source, path: Path) -> None:
 def _typical_length(found: Detections) -> float:
     lengths = [boxes.length for boxes in found.boxes.values() if len(boxes)]
     return float(np.median(np.concatenate(lengths))) if lengths else 0.0
-
-
-def _zoom_for(gsd: float, fleet: Fleet, detector_file: Path | None) -> float:
-    from .detect.detector import Detector
-
-    return Detector(detector_file).card.best_length * gsd / float(fleet.mean[0])

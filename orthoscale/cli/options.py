@@ -16,13 +16,33 @@ Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
 5 input unreadable or damaged; 6 output could not be written."""
 
 
+def detector_options(command: Callable) -> Callable:
+    """Options that name a detector."""
+    for option in reversed(
+        [
+            click.option("--detector", type=click.Path(path_type=Path), help="Another detector, an .onnx file."),
+            click.option("--decoder", metavar="NAME", help="Its output layout, where the file does not tell it."),
+            click.option(
+                "--vehicle-class",
+                "vehicle_classes",
+                multiple=True,
+                metavar="NAME",
+                help="Class that counts, by name or number, instead of those called small vehicles; repeatable.",
+            ),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
 def evidence_options(command: Callable) -> Callable:
     """Options that say what to measure, and how; shared by `fix` and `estimate`."""
     for option in reversed(
         [
             click.argument("path", metavar="INPUT", type=click.Path(path_type=Path)),
             click.option(
-                "--fleet", default="world", show_default=True, help="Country code (US, DE, JP ...) or fleet.json."
+                "--fleet",
+                help="Country code (US, DE, JP ...) or fleet.json; by default the calibration's own, else world.",
             ),
             click.option("--images", type=click.Path(path_type=Path), help="Folder of the model's frames."),
             click.option(
@@ -33,7 +53,11 @@ def evidence_options(command: Callable) -> Callable:
             click.option(
                 "--save-detections", type=click.Path(path_type=Path), help="Keep the boxes found in this file."
             ),
-            click.option("--detector", type=click.Path(path_type=Path), help="Another ONNX detector with a card."),
+            click.option(
+                "--calibration",
+                type=click.Path(path_type=Path),
+                help="The detector's ruler as `orthoscale calibrate` measured it.",
+            ),
             click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
             click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search."),
             click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on standard output."),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,16 +25,19 @@ SAME_BOX = 0.5  # overlap at which two looks show the same vehicle
 
 def find_vehicles(
     pictures: Sequence[Picture],
-    detector_file: Path | None = None,
+    detector: Detector | None = None,
     zoom: float | None = None,
     progress: Progress | None = None,
 ) -> tuple[Detections, ZoomChoice | None]:
-    """Sweep `pictures` at the right zoom (searched for unless given), twice; a vehicle must show in both looks."""
+    """Sweep `pictures` at the right zoom (searched for unless given), twice; a vehicle must show in both looks.
+
+    detector : the shipped one by default. zoom : detector pixels per picture pixel. Raises TooLittleEvidence.
+    """
 
     def step(what: str) -> Callable[[int, int], None] | None:
         return (lambda done, total: progress(what, done, total)) if progress else None
 
-    detector = Detector(detector_file)
+    detector = detector or Detector()
     choice = None
     if zoom is None:
         choice = search_zoom(pictures, detector, detector.card, step("Looking for the right zoom"))
