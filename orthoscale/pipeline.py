@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from .votes import Votes
 
 if TYPE_CHECKING:
     from .detect.zoom import ZoomChoice
+    from .sources.colmap import ColmapSource
     from .sources.source import Source
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
@@ -91,7 +92,7 @@ def estimate(
     choice = None
     if detections is not None:
         found = Detections.load(Path(detections))
-        _check_names(found, source, Path(detections))
+        found = _of_source(found, source, Path(detections))
     else:
         detector_file = _path(detector)
         if gsd_hint is not None:
@@ -121,6 +122,7 @@ def fix(
     overwrite: bool = False,
     override: bool = False,
     force: bool = False,
+    dense: bool = False,
     **options: Any,
 ) -> Result:
     """Estimate the scale of `path` (see `estimate` for `options`) and write a copy of it in metres at `out`.
@@ -130,6 +132,7 @@ def fix(
 
     overwrite : replace what is at `out`. override : rescale although the input's own georeferencing gives a scale.
     force : write although the evidence is too uncertain to be useful (verdict ``refuse``) or contradicts itself.
+    dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
     Raises what `estimate` raises, EvidenceDisagrees, OutputError.
     """
     path, out = Path(path), Path(out)
@@ -142,6 +145,8 @@ def fix(
             f"{path} is in metres already: {source.metric_already}",
             "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
         )
+    if dense:
+        _check_dense(source)
     result = estimate(source, **options)
     if result.scale.verdict == "refuse" and not force:
         low, high = result.scale.interval90
@@ -166,12 +171,22 @@ def fix(
             main = outputs.enter_context(new_folder(out, overwrite))
             picture, report = main / "vehicles.png", main / "report.json"
         source.write(main, result.scale.value)
+        if dense:
+            (main / "dense").mkdir()
+            cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
         draw(result, picture)
         write_json(document(result), report)
         if overwrite:
             for suffix in GDAL_SIDECARS:  # those of the file that is replaced would speak for the new one
                 _beside(out, suffix).unlink(missing_ok=True)
     return result
+
+
+def _check_dense(source: Source) -> None:
+    """Refuse early what `fix` could not write in the end."""
+    if source.unit == "m/px":
+        raise UsageError("--dense is for COLMAP models", f"{source.path} is an image: leave --dense away.")
+    cast("ColmapSource", source).dense  # noqa: B018  raises where there is none
 
 
 def _beside(out: Path, suffix: str) -> Path:
@@ -182,15 +197,20 @@ def _path(value: str | Path | None) -> Path | None:
     return None if value is None else Path(value)
 
 
-def _check_names(found: Detections, source: Source, path: Path) -> None:
-    known = source.picture_names
-    strangers = [name for name in found.boxes if name not in set(known)]
-    if strangers:
+def _of_source(found: Detections, source: Source, path: Path) -> Detections:
+    """`found` without pictures that `source` does not have: those of a workspace's other models."""
+    known = set(source.picture_names)
+    strangers = [name for name in found.boxes if name not in known]
+    if not strangers:
+        return found
+    if len(strangers) == len(found.boxes):
         raise InputError(
             f"{path}: {len(strangers)} of its {len(found.boxes)} pictures are not in {source.path}, "
             f"the first is {strangers[0]!r}",
-            f"The source has pictures like {known[0]!r}: give the detections that were made on it.",
+            f"The source has pictures like {source.picture_names[0]!r}: give the detections that were made on it.",
         )
+    source.notes.append(f"{path}: {len(strangers)} of its pictures are not in this model, the first is {strangers[0]}")
+    return replace(found, boxes={name: boxes for name, boxes in found.boxes.items() if name in known})
 
 
 def _typical_length(found: Detections) -> float:

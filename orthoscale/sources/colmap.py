@@ -15,9 +15,12 @@ import numpy as np
 from ..errors import InputError, OutputError, UsageError
 from ..ground import Ground
 from ..projection.view import Views
+from ..rescale.dense import find_dense, sparse_folders
+from ..rescale.files import scale_path
 from ..rescale.sim3 import Sim3
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
+from .database import pose_priors
 from .picture_file import PictureFile
 
 if TYPE_CHECKING:
@@ -28,6 +31,7 @@ IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
 # Geometry beside a model is in the model's old units: a copy would pass for one in metres.
 GEOMETRY = {".ply", ".obj", ".stl", ".glb", ".gltf", ".las", ".laz", ".xyz", ".pcd", ".splat", ".npz", ".npy", ".bin"}
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
+SAME_PLACE = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
 OURS = {"sim3.txt", "report.json"}  # by which a model is known to be in metres
 
 
@@ -78,6 +82,8 @@ class ColmapSource:
                 camera = model.camera(names[name].camera_id)
                 pictures.append(PictureFile(name, root / name, camera.width, camera.height))
                 pictures[-1].check_size()
+        if note := pose_priors(files.folder):
+            notes.append(note)
         return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
 
     @cached_property
@@ -172,6 +178,37 @@ class ColmapSource:
             raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
         self.notes.extend(note for note in notes if note not in self.notes)
 
+    @cached_property
+    def dense(self) -> Path:
+        """The dense workspace that belongs to this model.
+
+        Raises UsageError where there is none, InputError for one whose cameras stand elsewhere: it was made from
+        another model.
+        """
+        folder = find_dense(self.folder)
+        if folder is None:
+            raise UsageError(
+                f"{self.folder} has no dense workspace (dense/ with stereo/ or fused.ply in it, beside the model)",
+                "Leave --dense away, or bring it to metres later with `orthoscale apply`.",
+            )
+        here = {name: image.projection_center() for name, image in self._images.items()}
+        for sparse in sparse_folders(folder):
+            if sparse.resolve() == self.folder.resolve():
+                continue
+            other = read_model(sparse, open_model(sparse).format)
+            images = [other.image(i) for i in other.reg_image_ids()]
+            apart = [np.linalg.norm(i.projection_center() - here[i.name]) for i in images if i.name in here]
+            if not apart or max(apart) > SAME_PLACE * self.camera_height:
+                raise InputError(
+                    f"{sparse} is not the undistorted model of {self.folder}: its cameras stand elsewhere",
+                    "It may be from another run or in metres already: run image_undistorter again.",
+                )
+        return folder
+
+    def write_dense(self, folder: Path, metres_per_unit: float) -> None:
+        """Write the dense workspace in metres into the empty `folder`; raises as `dense` does."""
+        self.notes.extend(scale_path(self.dense, folder, metres_per_unit))
+
     def _copy_rest(self, folder: Path) -> list[str]:
         tables = {f"{table}.{form}" for table in (*TABLES, *RIG_TABLES) for form in ("bin", "txt")}
         copied, left = [], []
@@ -185,9 +222,8 @@ class ColmapSource:
                 copied.append(path.name)
         notes = [f"copied unchanged from {self.folder}: {', '.join(copied)}"] if copied else []
         if left:
-            notes.append(
-                f"left in {self.folder}, because it is not in metres (`orthoscale apply` scales it) or is large: {', '.join(left)}"
-            )
+            why = "because it is not in metres (`orthoscale apply` scales it) or is large"
+            notes.append(f"left in {self.folder}, {why}: {', '.join(left)}")
         return notes
 
 
