@@ -44,6 +44,22 @@ class Result:
     rejected_boxes: dict[str, int]  # boxes that never became votes, by reason
     seconds: float
 
+    def require_useful(self) -> None:
+        """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
+        if self.scale.verdict == "refuse":
+            low, high = self.scale.interval90
+            raise TooLittleEvidence(
+                f"{self.source.path}: the scale is only known to lie between {low:.4g} and {high:.4g} "
+                f"{self.scale.unit}",
+                "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with "
+                "--force.",
+            )
+        if self.scale.tension > CONFLICT:
+            raise EvidenceDisagrees(
+                f"{self.source.path}: {self.scale.remarks[0]}",
+                "Look at the boxes (--save-detections), name the country's fleet, or write all the same with --force.",
+            )
+
 
 def open_source(path: Path, images: Path | None = None, need_images: bool = True) -> Source:
     """The source at `path`: a folder is a COLMAP model, a file an image. Raises InputError."""
@@ -148,17 +164,8 @@ def fix(
     if dense:
         _check_dense(source)
     result = estimate(source, **options)
-    if result.scale.verdict == "refuse" and not force:
-        low, high = result.scale.interval90
-        raise TooLittleEvidence(
-            f"{path}: the scale is only known to lie between {low:.4g} and {high:.4g} {result.scale.unit}",
-            "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with --force.",
-        )
-    if result.scale.tension > CONFLICT and not force:
-        raise EvidenceDisagrees(
-            f"{path}: {result.scale.remarks[0]}",
-            "Look at the boxes (--save-detections), name the country's fleet, or write all the same with --force.",
-        )
+    if not force:
+        result.require_useful()
     from .report.document import document, write_json
     from .report.pictures import draw
 
