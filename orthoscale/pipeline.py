@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from .votes import Votes
 
 if TYPE_CHECKING:
     from .detect.zoom import ZoomChoice
+    from .sources.colmap import ColmapSource
     from .sources.source import Source
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
@@ -45,6 +46,22 @@ class Result:
     zoom_choice: ZoomChoice | None
     rejected_boxes: dict[str, int]  # boxes that never became votes, by reason
     seconds: float
+
+    def require_useful(self) -> None:
+        """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
+        if self.scale.verdict == "refuse":
+            low, high = self.scale.interval90
+            raise TooLittleEvidence(
+                f"{self.source.path}: the scale is only known to lie between {low:.4g} and {high:.4g} "
+                f"{self.scale.unit}",
+                "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with "
+                "--force.",
+            )
+        if self.scale.tension > CONFLICT:
+            raise EvidenceDisagrees(
+                f"{self.source.path}: {self.scale.remarks[0]}",
+                "Look at the boxes (--save-detections), name the country's fleet, or write all the same with --force.",
+            )
 
 
 def open_source(path: Path, images: Path | None = None, need_images: bool = True) -> Source:
@@ -104,7 +121,7 @@ def estimate(
     choice = None
     if detections is not None:
         found = Detections.load(Path(detections))
-        _check_names(found, source, Path(detections))
+        found = _of_source(found, source, Path(detections))
     else:
         network = Detector(_path(detector), decoder, vehicle_classes)
         if gsd_hint is not None:
@@ -136,6 +153,7 @@ def fix(
     overwrite: bool = False,
     override: bool = False,
     force: bool = False,
+    dense: bool = False,
     **options: Any,
 ) -> Result:
     """Estimate the scale of `path` (see `estimate` for `options`) and write a copy of it in metres at `out`.
@@ -145,6 +163,7 @@ def fix(
 
     overwrite : replace what is at `out`. override : rescale although the input's own georeferencing gives a scale.
     force : write although the evidence is too uncertain to be useful (verdict ``refuse``) or contradicts itself.
+    dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
     Raises what `estimate` raises, EvidenceDisagrees, OutputError.
     """
     path, out = Path(path), Path(out)
@@ -157,18 +176,11 @@ def fix(
             f"{path} is in metres already: {source.metric_already}",
             "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
         )
+    if dense:
+        _check_dense(source)
     result = estimate(source, **options)
-    if result.scale.verdict == "refuse" and not force:
-        low, high = result.scale.interval90
-        raise TooLittleEvidence(
-            f"{path}: the scale is only known to lie between {low:.4g} and {high:.4g} {result.scale.unit}",
-            "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with --force.",
-        )
-    if result.scale.tension > CONFLICT and not force:
-        raise EvidenceDisagrees(
-            f"{path}: {result.scale.remarks[0]}",
-            "Look at the boxes (--save-detections), name the country's fleet, or write all the same with --force.",
-        )
+    if not force:
+        result.require_useful()
     from .report.document import document, write_json
     from .report.pictures import draw
 
@@ -181,12 +193,22 @@ def fix(
             main = outputs.enter_context(new_folder(out, overwrite))
             picture, report = main / "vehicles.png", main / "report.json"
         source.write(main, result.scale.value)
+        if dense:
+            (main / "dense").mkdir()
+            cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
         draw(result, picture)
         write_json(document(result), report)
         if overwrite:
             for suffix in GDAL_SIDECARS:  # those of the file that is replaced would speak for the new one
                 _beside(out, suffix).unlink(missing_ok=True)
     return result
+
+
+def _check_dense(source: Source) -> None:
+    """Refuse early what `fix` could not write in the end."""
+    if source.unit == "m/px":
+        raise UsageError("--dense is for COLMAP models", f"{source.path} is an image: leave --dense away.")
+    cast("ColmapSource", source).dense  # noqa: B018  raises where there is none
 
 
 def _beside(out: Path, suffix: str) -> Path:
@@ -197,15 +219,20 @@ def _path(value: str | Path | None) -> Path | None:
     return None if value is None else Path(value)
 
 
-def _check_names(found: Detections, source: Source, path: Path) -> None:
-    known = source.picture_names
-    strangers = [name for name in found.boxes if name not in set(known)]
-    if strangers:
+def _of_source(found: Detections, source: Source, path: Path) -> Detections:
+    """`found` without pictures that `source` does not have: those of a workspace's other models."""
+    known = set(source.picture_names)
+    strangers = [name for name in found.boxes if name not in known]
+    if not strangers:
+        return found
+    if len(strangers) == len(found.boxes):
         raise InputError(
             f"{path}: {len(strangers)} of its {len(found.boxes)} pictures are not in {source.path}, "
             f"the first is {strangers[0]!r}",
-            f"The source has pictures like {known[0]!r}: give the detections that were made on it.",
+            f"The source has pictures like {source.picture_names[0]!r}: give the detections that were made on it.",
         )
+    source.notes.append(f"{path}: {len(strangers)} of its pictures are not in this model, the first is {strangers[0]}")
+    return replace(found, boxes={name: boxes for name, boxes in found.boxes.items() if name in known})
 
 
 def _typical_length(found: Detections) -> float:

@@ -206,7 +206,7 @@ def test_write(made, form, tmp_path):
     assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
 
     tables = {f"{t}.{form}" for t in ("cameras", "images", "points3D", "rigs", "frames")}
-    assert {p.name for p in out.iterdir()} == tables | {"sim3.txt", "project.ini"}
+    assert {p.name for p in out.iterdir()} == tables | {"sim3.json", "sim3.txt", "project.ini"}
     sim3 = [float(word) for word in (out / "sim3.txt").read_text().split()]
     assert sim3 == [14.157, 1, 0, 0, 0, 0, 0, 0]
     written = pycolmap.Reconstruction(str(out))

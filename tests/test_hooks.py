@@ -1,35 +1,195 @@
-"""The drop-in steps, run as a pipeline runs them."""
+"""The drop-in steps, run as a pipeline runs them, with stand-ins for the programs that are not there."""
 
+from __future__ import annotations
+
+import importlib
+import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
+import pytest
+from test_rescale import dense_workspace
+
 ROOT = Path(__file__).parent.parent
+HOOKS = ROOT / "colmap_hooks"
 EXAMPLE = ROOT / "examples" / "sheffield"
+OPTIONS = ["--fleet", "US", "--detections", str(EXAMPLE / "detections.json")]
 
 
-def test_post_sparse_writes_a_metric_model_once(tmp_path):
-    program = tmp_path / "bin" / "orthoscale"
-    program.parent.mkdir()
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m orthoscale "$@"\n')
-    program.chmod(0o755)
-    environment = {**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}"}
-    workspace = tmp_path / "work"
-    shutil.copytree(EXAMPLE / "sparse", workspace / "sparse" / "0")
-    hook = [ROOT / "colmap_hooks" / "post_sparse.sh", workspace]
-    options = ["--fleet", "US", "--detections", EXAMPLE / "detections.json"]
+class Bench:
+    """A workspace, a PATH with stand-ins, and a log of what they were called with."""
 
-    first = subprocess.run([*hook, *options], env=environment, capture_output=True, text=True)
-    assert first.returncode == 0, first.stderr
-    sim3 = workspace / "sparse_metric" / "sim3.txt"
-    before = sim3.stat().st_mtime_ns
-    second = subprocess.run([*hook, *options], env=environment, capture_output=True, text=True)
-    assert second.returncode == 0 and "nothing to do" in second.stdout
-    assert sim3.stat().st_mtime_ns == before
+    def __init__(self, folder: Path):
+        self.log = folder / "calls.log"
+        self.log.touch()
+        self.bin = folder / "bin"
+        self.bin.mkdir()
+        self.work = folder / "work"
+        (self.work / "images").mkdir(parents=True)
+        self.environment = {**os.environ, "PATH": f"{self.bin}:{os.environ['PATH']}", "PYTHON": sys.executable}
+        self.program("orthoscale", f'exec {sys.executable} -m orthoscale "$@"')
+
+    def program(self, name: str, body: str) -> None:
+        path = self.bin / name
+        path.write_text(f'#!/bin/sh\necho "{name} $*" >> {self.log}\n{body}\n')
+        path.chmod(0o755)
+
+    def sparse(self, name: str = "0") -> None:
+        shutil.copytree(EXAMPLE / "sparse", self.work / "sparse" / name)
+
+    def frames(self) -> None:
+        """Grey frames of the example's names and size; its vehicles come from a file."""
+        whole = cv2.imencode(".jpg", np.full((600, 800, 3), 90, np.uint8))[1].tobytes()
+        for name in json.loads((EXAMPLE / "detections.json").read_text())["pictures"]:
+            (self.work / "images" / name).write_bytes(whole)
+
+    def run(self, hook: str, *arguments: object, **environment: str) -> str:
+        done = subprocess.run(
+            [HOOKS / hook, *map(str, arguments)],
+            env={**self.environment, **environment},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def calls(self, name: str) -> list[str]:
+        return [line for line in self.log.read_text().splitlines() if line.split()[0] == name]
+
+    def stamps(self) -> dict[str, int]:
+        return {str(p): p.stat().st_mtime_ns for p in sorted(self.work.rglob("*"))}
 
 
-def test_a_hook_hands_the_exit_code_on(tmp_path):
-    hook = ROOT / "colmap_hooks" / "post_sparse.sh"
-    assert subprocess.run([hook], capture_output=True).returncode == 2
+@pytest.fixture
+def bench(tmp_path):
+    return Bench(tmp_path)
+
+
+def test_post_sparse_writes_a_metric_model_once(bench):
+    bench.sparse()
+    bench.run("post_sparse.sh", bench.work, *OPTIONS)
+    assert (bench.work / "sparse_metric/sim3.json").is_file()
+    before = bench.stamps()
+    assert "nothing to do" in bench.run("post_sparse.sh", bench.work, *OPTIONS)
+    assert bench.stamps() == before
+
+
+def test_post_dense_follows_the_layout(bench):
+    for name in ("0", "1"):
+        bench.sparse(name)
+        dense_workspace(bench.work / "dense" / name)
+    bench.run("post_dense.sh", bench.work, *OPTIONS)
+    for name in ("0", "1"):
+        assert (bench.work / "sparse_metric" / name / "sim3.json").is_file()
+        assert (bench.work / "dense_metric" / name / "stereo/depth_maps/a.jpg.geometric.bin").is_file()
+    before = bench.stamps()
+    assert "nothing to do" in bench.run("post_dense.sh", bench.work, *OPTIONS)
+    assert bench.stamps() == before and not list(bench.work.glob(".*"))
+
+
+def test_automatic_reconstructor_then_metres(bench):
+    """The stand-in leaves what colmap would: sparse/0 and dense/0; the hook brings both to metres, once."""
+    made = dense_workspace(bench.work.parent / "made")
+    copy = f"cp -r {EXAMPLE}/sparse {bench.work}/sparse/0 && cp -r {made} {bench.work}/dense/0"
+    bench.program("colmap", f"mkdir -p {bench.work}/sparse {bench.work}/dense && {copy}")
+    bench.frames()
+    arguments = ["--workspace_path", bench.work, f"--image_path={bench.work / 'images'}", "--quality", "low"]
+    bench.run("automatic_reconstructor.sh", *arguments, ORTHOSCALE_OPTIONS=" ".join(OPTIONS))
+    assert bench.calls("colmap") == ["colmap automatic_reconstructor " + " ".join(map(str, arguments))]
+    assert (bench.work / "sparse_metric/sim3.json").is_file()
+    assert (bench.work / "dense_metric/0/fused.ply").is_file()
+    before = bench.stamps()
+    assert "nothing to do" in bench.run("automatic_reconstructor.sh", *arguments)
+    assert bench.stamps() == before and len(bench.calls("colmap")) == 1
+
+
+@pytest.mark.parametrize("hook", ["post_sparse", "post_dense", "automatic_reconstructor", "nerfstudio", "gsplat"])
+def test_a_hook_says_how_it_is_used(bench, hook):
+    assert subprocess.run([HOOKS / f"{hook}.sh"], env=bench.environment, capture_output=True).returncode == 2
+    assert bench.log.read_text() == ""
+
+
+@pytest.mark.parametrize("hook", ["post_sparse", "post_dense", "nerfstudio", "gsplat"])
+def test_a_hook_hands_the_exit_code_on(bench, hook):
+    bench.sparse()
+    (bench.work / "sparse/0/points3D.bin").write_bytes(b"cut")
+    end = [bench.work.parent / "out"] if hook in ("nerfstudio", "gsplat") else []
+    run = subprocess.run([HOOKS / f"{hook}.sh", bench.work, *end], env=bench.environment, capture_output=True)
+    assert run.returncode == 5
+    assert not (bench.work / "sparse_metric").exists() and not (bench.work / "dense_metric").exists()
+
+
+def test_nerfstudio_keeps_metres(bench):
+    bench.sparse()
+    bench.program("ns-process-data", f"mkdir -p {bench.work}/ns && touch {bench.work}/ns/transforms.json")
+    bench.program("ns-train", "")
+    said = bench.run("nerfstudio.sh", bench.work, bench.work / "ns", "--", *OPTIONS)
+    (processed,) = bench.calls("ns-process-data")
+    assert f"--skip-colmap --colmap-model-path {bench.work}/sparse_metric" in processed
+    assert "--auto-scale-poses False" in said and not bench.calls("ns-train")
+    bench.run("nerfstudio.sh", bench.work, bench.work / "ns", "nerfacto", "--", *OPTIONS)
+    assert len(bench.calls("ns-process-data")) == 1
+    (trained,) = bench.calls("ns-train")
+    assert trained.startswith("ns-train nerfacto ") and trained.endswith(
+        "nerfstudio-data --auto-scale-poses False --orientation-method none --center-method none"
+    )
+
+
+def test_gsplat_keeps_metres(bench):
+    bench.sparse()
+    assert "--no-normalize-world-space" in bench.run("gsplat.sh", bench.work, bench.work / "gs", "--", *OPTIONS)
+    assert (bench.work / "gs/data/sparse/0/sim3.json").is_file() and (bench.work / "gs/data/images").is_dir()
+    trainer = bench.work / "gsplat/examples/simple_trainer.py"
+    trainer.parent.mkdir(parents=True)
+    trainer.write_text("import sys; print(sys.argv[1:])")
+    said = bench.run("gsplat.sh", bench.work, bench.work / "gs", GSPLAT=str(bench.work / "gsplat"))
+    assert "'--no-normalize-world-space'" in said
+
+
+@pytest.fixture
+def hooks(monkeypatch):
+    monkeypatch.syspath_prepend(str(HOOKS))
+    importlib.invalidate_caches()
+    yield importlib.import_module("pycolmap_hook"), importlib.import_module("hloc_hook")
+    for name in ("pycolmap_hook", "hloc_hook"):
+        sys.modules.pop(name, None)
+
+
+def test_pycolmap_on_disk_and_in_memory(bench, hooks):
+    pycolmap = pytest.importorskip("pycolmap")
+    bench.sparse()
+    options = {"fleet": "US", "detections": EXAMPLE / "detections.json"}
+    assert hooks[0].write_metric(bench.work / "sparse", bench.work / "metric", **options)
+    before = bench.stamps()
+    assert not hooks[0].write_metric(bench.work / "sparse", bench.work / "metric", **options)
+    assert bench.stamps() == before
+    model = pycolmap.Reconstruction(str(EXAMPLE / "sparse"))
+    old = model.image(1).projection_center()
+    result = hooks[0].to_metric(model, **options)
+    written = pycolmap.Reconstruction(str(bench.work / "metric"))
+    assert np.allclose(model.image(1).projection_center(), result.scale.value * old)
+    assert np.allclose(model.image(1).projection_center(), written.image(1).projection_center(), rtol=1e-6)
+
+
+def test_hloc(bench, hooks, monkeypatch):
+    """hloc's reconstruction stands in by a copy; it runs once."""
+    (bench.work / "hloc").mkdir()
+    (bench.work / "hloc/__init__.py").touch()
+    copy = f"shutil.copytree({str(EXAMPLE / 'sparse')!r}, sfm_dir)"
+    (bench.work / "hloc/reconstruction.py").write_text(
+        f"import shutil\ndef main(sfm_dir, image_dir, pairs):\n    {copy}\n"
+    )
+    monkeypatch.syspath_prepend(str(bench.work))
+    bench.frames()
+    options = {"fleet": "US", "detections": EXAMPLE / "detections.json"}
+    metric = hooks[1].main(bench.work / "sfm", bench.work / "images", Path("pairs.txt"), **options)
+    before = bench.stamps()
+    again = hooks[1].main(bench.work / "sfm", bench.work / "images", Path("pairs.txt"), **options)
+    assert bench.stamps() == before
+    assert np.allclose(metric.image(1).projection_center(), again.image(1).projection_center())
+    assert (bench.work / "sfm_metric/sim3.json").is_file()

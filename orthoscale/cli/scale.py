@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..errors import UsageError
 from .options import EXIT_CODES, detector_options, evidence_options, progress_bars
+
+if TYPE_CHECKING:
+    from ..workspace import Outcome
 
 
 @click.command(
@@ -19,11 +23,16 @@ from .options import EXIT_CODES, detector_options, evidence_options, progress_ba
 @detector_options
 def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
     """Print the scale of INPUT, an orthophoto or the folder of a COLMAP model, and write nothing."""
-    from .. import pipeline
+    from .. import pipeline, workspace
 
+    models = workspace.models_in(path)
+    _refuse_one_file_for_many(models, save_detections)
     with progress_bars() as progress:
-        result = pipeline.estimate(path, progress=progress, **options)
-    _finish(result, as_json, save_detections)
+        if models:
+            outcomes = workspace.estimate_all(models, progress=progress, **options)
+        else:
+            result = pipeline.estimate(path, progress=progress, **options)
+    _finish_all(outcomes, as_json) if models else _finish(result, as_json, save_detections)
 
 
 @click.command(
@@ -37,17 +46,44 @@ def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | Non
 @click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
 @click.option("--override", is_flag=True, help="Rescale although INPUT says that it is in metres.")
 @click.option("--force", is_flag=True, help="Write although the evidence is poor or disagrees.")
+@click.option("--dense", is_flag=True, help="The model's dense workspace too: depth maps, cloud, meshes.")
 def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
     """Write a copy of INPUT in metres: an orthophoto with its GSD, or a COLMAP model rescaled.
 
     An orthophoto's pixels are copied as they are; OUT.json and OUT.png come with it. A model is scaled about its own
-    origin; sim3.txt, report.json and vehicles.png come with it. INPUT is never touched.
+    origin; sim3.json, report.json and vehicles.png come with it. Of a workspace with several models (sparse/0,
+    sparse/1 ...) each gets its own scale and folder in OUT. INPUT is never touched.
     """
-    from .. import pipeline
+    from .. import pipeline, workspace
 
+    models = workspace.models_in(path)
+    _refuse_one_file_for_many(models, save_detections)
     with progress_bars() as progress:
-        result = pipeline.fix(path, out, progress=progress, **options)
-    _finish(result, as_json, save_detections, out)
+        if models:
+            outcomes = workspace.fix_all(models, out, progress=progress, **options)
+        else:
+            result = pipeline.fix(path, out, progress=progress, **options)
+    _finish_all(outcomes, as_json, out) if models else _finish(result, as_json, save_detections, out)
+
+
+def _refuse_one_file_for_many(models: list[Path], save_detections: Path | None) -> None:
+    if models and save_detections is not None:
+        names = ", ".join(str(model) for model in models)
+        raise UsageError("--save-detections keeps the boxes of one model", f"Give one of {names}.")
+
+
+def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None) -> None:
+    if as_json:
+        click.echo(json.dumps({outcome.model.name: outcome.document() for outcome in outcomes}))
+        return
+    from ..report.terminal import summary
+
+    for outcome in outcomes:
+        click.echo(f"--- {outcome.model}")
+        if outcome.result is not None:
+            click.echo(summary(outcome.result, None if out is None else out / outcome.model.name))
+        else:
+            click.echo(f"no scale   {outcome.error}")
 
 
 def _finish(result: Any, as_json: bool, save_detections: Path | None, out: Path | None = None) -> None:

@@ -15,7 +15,12 @@ import numpy as np
 from ..errors import InputError, OutputError, UsageError
 from ..ground import Ground
 from ..projection.view import Views
-from .colmap_check import RIG_TABLES, TABLES, check_model, open_model
+from ..rescale.dense import find_dense, sparse_folders
+from ..rescale.files import scale_path
+from ..rescale.sim3 import Sim3
+from .colmap_check import RIG_TABLES, TABLES, open_model
+from .colmap_write import read_model, write_scaled
+from .database import pose_priors
 from .picture_file import PictureFile
 
 if TYPE_CHECKING:
@@ -26,7 +31,8 @@ IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
 # Geometry beside a model is in the model's old units: a copy would pass for one in metres.
 GEOMETRY = {".ply", ".obj", ".stl", ".glb", ".gltf", ".las", ".laz", ".xyz", ".pcd", ".splat", ".npz", ".npy", ".bin"}
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
-OURS = {"sim3.txt", "report.json"}
+SAME_PLACE = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
+OURS = {"sim3.txt", "report.json"}  # by which a model is known to be in metres
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +65,7 @@ class ColmapSource:
         Raises InputError for a missing or damaged model, missing frames, or frames of another size than their camera.
         """
         files = open_model(Path(path))
-        model = _read(files.folder, files.format)
+        model = read_model(files.folder, files.format)
         notes = list(files.notes)
         names = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
         pictures = []
@@ -76,6 +82,8 @@ class ColmapSource:
                 camera = model.camera(names[name].camera_id)
                 pictures.append(PictureFile(name, root / name, camera.width, camera.height))
                 pictures[-1].check_size()
+        if note := pose_priors(files.folder):
+            notes.append(note)
         return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
 
     @cached_property
@@ -152,39 +160,60 @@ class ColmapSource:
         return views, world, ok & (views.elevation >= np.radians(lowest_elevation))
 
     def write(self, folder: Path, metres_per_unit: float) -> None:
-        """Write the model in metres into the empty `folder`, in the format it came in, and `sim3.txt` beside it.
+        """Write the model in metres into the empty `folder`, in the format it came in, with sim3.json and sim3.txt.
 
-        All lengths grow by `metres_per_unit` about the model's origin; nothing is turned or shifted. `sim3.txt` holds
-        that similarity, metric_from_model, as `scale qw qx qy qz tx ty tz` for `colmap model_transformer`.
+        All lengths grow by `metres_per_unit` about the model's origin; nothing is turned or shifted: `Sim3`.
         Small files beside the input model are copied along; `notes` says which, and what was left out.
 
         Raises UsageError for a scale that is not positive and finite, OutputError if what was written does not read
         back as the scaled model.
         """
-        import pycolmap
-
-        scale = float(metres_per_unit)
-        if not (np.isfinite(scale) and scale > 0):
-            raise UsageError(f"cannot scale a model by {scale}", "A scale is a positive number of metres per unit.")
+        sim3 = Sim3(float(metres_per_unit))
         folder = Path(folder)
-        scaled = _read(self.folder, self.input_format)
-        if len(scaled.points3D) != len(self._model.points3D):
-            raise InputError(f"{self.folder} changed while it was being worked on", "Run again.")
-        scaled.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
+        write_scaled(self.folder, self.input_format, self._model, folder, sim3.scale)
         try:
-            scaled.write_binary(str(folder)) if self.input_format == "bin" else scaled.write_text(str(folder))
-            (folder / "sim3.txt").write_text(f"{scale:.17g} 1 0 0 0 0 0 0\n")
+            sim3.save(folder)
             notes = self._copy_rest(folder)
-        except (OSError, RuntimeError, ValueError) as error:
+        except OSError as error:
             raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
-        self._verify(folder, scale)
         self.notes.extend(note for note in notes if note not in self.notes)
+
+    @cached_property
+    def dense(self) -> Path:
+        """The dense workspace that belongs to this model.
+
+        Raises UsageError where there is none, InputError for one whose cameras stand elsewhere: it was made from
+        another model.
+        """
+        folder = find_dense(self.folder)
+        if folder is None:
+            raise UsageError(
+                f"{self.folder} has no dense workspace (dense/ with stereo/ or fused.ply in it, beside the model)",
+                "Leave --dense away, or bring it to metres later with `orthoscale apply`.",
+            )
+        here = {name: image.projection_center() for name, image in self._images.items()}
+        for sparse in sparse_folders(folder):
+            if sparse.resolve() == self.folder.resolve():
+                continue
+            other = read_model(sparse, open_model(sparse).format)
+            images = [other.image(i) for i in other.reg_image_ids()]
+            apart = [np.linalg.norm(i.projection_center() - here[i.name]) for i in images if i.name in here]
+            if not apart or max(apart) > SAME_PLACE * self.camera_height:
+                raise InputError(
+                    f"{sparse} is not the undistorted model of {self.folder}: its cameras stand elsewhere",
+                    "It may be from another run or in metres already: run image_undistorter again.",
+                )
+        return folder
+
+    def write_dense(self, folder: Path, metres_per_unit: float) -> None:
+        """Write the dense workspace in metres into the empty `folder`; raises as `dense` does."""
+        self.notes.extend(scale_path(self.dense, folder, metres_per_unit))
 
     def _copy_rest(self, folder: Path) -> list[str]:
         tables = {f"{table}.{form}" for table in (*TABLES, *RIG_TABLES) for form in ("bin", "txt")}
         copied, left = [], []
         for path in sorted(self.folder.iterdir()):
-            if not path.is_file() or path.name in {p.name for p in self._paths} | OURS:
+            if not path.is_file() or path.name in {p.name for p in self._paths} | OURS | {"sim3.json"}:
                 continue
             if path.name in tables or path.suffix.lower() in GEOMETRY or path.stat().st_size > LARGEST_COPY:
                 left.append(path.name)
@@ -193,45 +222,9 @@ class ColmapSource:
                 copied.append(path.name)
         notes = [f"copied unchanged from {self.folder}: {', '.join(copied)}"] if copied else []
         if left:
-            notes.append(f"left in {self.folder}, because it is not in metres or is large: {', '.join(left)}")
+            why = "because it is not in metres (`orthoscale apply` scales it) or is large"
+            notes.append(f"left in {self.folder}, {why}: {', '.join(left)}")
         return notes
-
-    def _verify(self, folder: Path, scale: float) -> None:
-        """Raise OutputError unless `folder` reads back as this model with all lengths times `scale`."""
-        try:
-            check_model(folder, self.input_format)
-            written = _read(folder, self.input_format)
-        except InputError as error:
-            raise OutputError(f"{error.message} (just written)", "The disk may be full. Nothing was kept.") from error
-        problem = _difference(self._model, written, scale)
-        if problem:
-            raise OutputError(f"{folder}: the written model differs: {problem}", "Please report this with the model.")
-
-
-def _read(folder: Path, form: str) -> pycolmap.Reconstruction:
-    import pycolmap
-
-    model = pycolmap.Reconstruction()
-    try:
-        model.read_binary(str(folder)) if form == "bin" else model.read_text(str(folder))
-    except (RuntimeError, ValueError, IndexError, KeyError) as error:
-        raise InputError(f"{folder}: pycolmap cannot read the model ({error})", "Copy the model again.") from error
-    if not model.num_reg_images():
-        raise InputError(f"{folder}: no registered image", "Give a model that COLMAP reconstructed.")
-    # Other programs write quaternions with few digits; pycolmap normalises them when it scales, but not when it reads.
-    for frame in model.frames.values():
-        pose = frame.rig_from_world
-        frame.rig_from_world = pycolmap.Rigid3d(_unit(pose.rotation), pose.translation)
-    for rig in model.rigs.values():
-        for sensor, pose in rig.non_ref_sensors.items():
-            if pose is not None:
-                rig.set_sensor_from_rig(sensor, pycolmap.Rigid3d(_unit(pose.rotation), pose.translation))
-    return model
-
-
-def _unit(rotation: pycolmap.Rotation3d) -> pycolmap.Rotation3d:
-    rotation.normalize()
-    return rotation
 
 
 def _find_images(folder: Path, given: Path | None, names: Sequence[str]) -> tuple[Path, list[str]]:
@@ -279,52 +272,3 @@ def _undistort(camera: pycolmap.Camera, points: np.ndarray) -> tuple[np.ndarray,
     usable &= np.isfinite(lens).all((1, 2)) & (np.linalg.det(np.where(np.isfinite(lens), lens, 0)) > 0)
     lens[~usable] = np.eye(2) * camera.mean_focal_length()
     return plane, lens, usable
-
-
-def _difference(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, scale: float) -> str:
-    """What differs between `written` and `model` scaled by `scale`, in words; empty if nothing does."""
-    for what in ("cameras", "images", "points3D", "frames", "rigs"):
-        if set(getattr(model, what)) != set(getattr(written, what)):
-            return f"{len(getattr(model, what))} {what} became {len(getattr(written, what))}"
-    if model.compute_num_observations() != written.compute_num_observations():
-        return f"{model.compute_num_observations()} observations became {written.compute_num_observations()}"
-    for number, camera in model.cameras.items():
-        other = written.cameras[number]
-        if camera.model != other.model or (camera.width, camera.height) != (other.width, other.height):
-            return f"camera {number} has another model or size"
-        if not np.allclose(camera.params, other.params, rtol=1e-12, atol=0):
-            return f"camera {number} has other parameters"
-
-    ids = list(model.points3D.keys())
-    points, new_points = (np.array([m.points3D[i].xyz for i in ids]) for m in (model, written))
-    image_ids = model.reg_image_ids()
-    if sorted(image_ids) != sorted(written.reg_image_ids()):
-        return "other images are registered"
-    centres, new_centres = (np.array([m.image(i).projection_center() for i in image_ids]) for m in (model, written))
-    size = scale * max(np.abs(points).max(), np.abs(centres).max())
-    for what, old, new in (("point", points, new_points), ("camera", centres, new_centres)):
-        error = np.abs(new - scale * old).max()
-        if not error <= 1e-9 * size:
-            return f"a {what} is {error:.3g} off"
-    for i in image_ids:
-        before, after = model.image(i), written.image(i)
-        if before.name != after.name or before.num_points2D() != after.num_points2D():
-            return f"image {i} has another name or other observations"
-    return _reprojection_difference(model, written, ids)
-
-
-def _reprojection_difference(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, ids: list[int]) -> str:
-    for i in ids[:: max(1, len(ids) // 200)]:
-        old, new = model.points3D[i], written.points3D[i]
-        if abs(old.error - new.error) > 1e-9:
-            return f"point {i} has another stored error"
-        for element in old.track.elements[:1]:
-            before, after = (m.image(element.image_id).project_point(m.points3D[i].xyz) for m in (model, written))
-            if before is None or after is None:
-                if before is not after:
-                    return f"point {i} went behind a camera"
-                continue
-            # Far from the origin (geo-coordinates) rounding alone moves a projection by 1e-8 px.
-            if np.abs(before - after).max() > 1e-6:
-                return f"point {i} is projected {np.abs(before - after).max():.3g} px elsewhere"
-    return ""

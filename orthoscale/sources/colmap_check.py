@@ -84,36 +84,44 @@ def check_model(folder: Path, form: str) -> None:
 # --- Which files -----------------------------------------------------------------------------------------------------
 
 
-def _find_folder(path: Path) -> tuple[Path, list[str]]:
+def model_folders(path: Path) -> list[Path]:
+    """The folders of all models at or below `path`, as COLMAP's mapper leaves them: ``sparse/0``, ``sparse/1`` ...
+
+    `path` is as in `open_model`. Raises InputError where there is none; the files are not looked into.
+    """
+    path = Path(path)
     if not path.exists():
         raise InputError(
             f"{path} does not exist", "Give the folder that holds cameras.bin, images.bin and points3D.bin."
         )
     if not path.is_dir():
         raise InputError(f"{path} is a file, not a folder", "Give the folder that holds the model's files.")
-    if _holds_model(path):
-        return path, []
     try:
         for group in (
+            [path],
             [path / "sparse"],
             _subfolders(path / "sparse"),
             _numbered(path),
             _subfolders(path / "colmap/sparse"),
         ):
-            models = [folder for folder in group if _holds_model(folder)]
-            if len(models) == 1:
-                return models[0], []
-            if models:
-                sizes = [_image_count(folder) for folder in models]
-                best = models[int(np.argmax(sizes))]
-                others = ", ".join(f"{m.name}: {n}" for m, n in zip(models, sizes, strict=True) if m != best)
-                return best, [f"{path} holds {len(models)} models: {best} has the most images ({max(sizes)}; {others})"]
+            if models := [folder for folder in group if _holds_model(folder)]:
+                return models
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})", "Check its permissions.") from error
     raise InputError(
         f"{path} holds no COLMAP model (no cameras.bin or cameras.txt in it, in sparse/ or in sparse/0)",
         "Give the folder that holds cameras.bin, images.bin and points3D.bin, or the .txt files of the same names.",
     )
+
+
+def _find_folder(path: Path) -> tuple[Path, list[str]]:
+    models = model_folders(path)
+    if len(models) == 1:
+        return models[0], []
+    sizes = [_image_count(folder) for folder in models]
+    best = models[int(np.argmax(sizes))]
+    others = ", ".join(f"{m.name}: {n}" for m, n in zip(models, sizes, strict=True) if m != best)
+    return best, [f"{path} holds {len(models)} models: {best} has the most images ({max(sizes)}; {others})"]
 
 
 def _holds_model(folder: Path) -> bool:

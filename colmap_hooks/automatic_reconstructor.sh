@@ -1,0 +1,37 @@
+#!/bin/sh
+# `colmap automatic_reconstructor`, then everything again in metres.
+#
+#   ORTHOSCALE_OPTIONS="--fleet US" automatic_reconstructor.sh --workspace_path W --image_path I [COLMAP's options]
+#
+# COLMAP's arguments go to COLMAP as they are. Then W/sparse_metric and, where there is a dense model, W/dense_metric.
+# A second run finds the metric model and does nothing, not even the reconstruction.
+set -eu
+workspace= images=
+take=
+for argument in "$@"; do
+    case $take in
+        workspace) workspace=$argument ;;
+        images) images=$argument ;;
+    esac
+    take=
+    case $argument in
+        --workspace_path) take=workspace ;;
+        --workspace_path=*) workspace=${argument#*=} ;;
+        --image_path) take=images ;;
+        --image_path=*) images=${argument#*=} ;;
+    esac
+done
+[ -n "$workspace" ] && [ -n "$images" ] || { echo "usage: $0 --workspace_path W --image_path I [...]" >&2; exit 2; }
+here=$(dirname "$0")
+if [ -d "$workspace/sparse_metric" ] && { [ -d "$workspace/dense_metric" ] || [ ! -d "$workspace/dense/0" ]; }; then
+    echo "$workspace/sparse_metric is there already; nothing to do"
+    exit 0
+fi
+if [ ! -d "$workspace/sparse_metric" ]; then
+    colmap automatic_reconstructor "$@"
+    # shellcheck disable=SC2086  # options are words
+    "$here/post_sparse.sh" "$workspace" --images "$images" ${ORTHOSCALE_OPTIONS:-}
+fi
+if [ -d "$workspace/dense/0" ]; then
+    "$here/post_dense.sh" "$workspace"
+fi

@@ -1,0 +1,26 @@
+#!/bin/sh
+# From a COLMAP workspace to gsplat's trainer, with metres that stay.
+#
+#   GSPLAT=/path/to/gsplat gsplat.sh WORKSPACE RESULT [-- orthoscale options, e.g. --fleet US]
+#
+# Makes WORKSPACE/sparse_metric (post_sparse.sh) and RESULT/data (images and sparse/0 as links), then runs
+# $GSPLAT/examples/simple_trainer.py with the flag that keeps metres, or prints the command if GSPLAT is not set.
+# By default the trainer would move and scale the scene. The splats it saves are in metres.
+set -eu
+[ $# -ge 2 ] || { echo "usage: $0 WORKSPACE RESULT [-- orthoscale options]" >&2; exit 2; }
+workspace=$1 result=$2
+shift 2
+if [ $# -gt 0 ]; then shift; fi
+
+"$(dirname "$0")/post_sparse.sh" "$workspace" "$@"
+model="$workspace/sparse_metric"
+if [ -f "$model/models.json" ]; then # several: the trainer takes one, the first
+    model=$(find "$model" -name sim3.json | sort | head -n 1 | xargs dirname)
+    echo "several models; going on with $model"
+fi
+mkdir -p "$result/data/sparse"
+ln -sfn "$(cd "$workspace/images" && pwd)" "$result/data/images"
+ln -sfn "$(cd "$model" && pwd)" "$result/data/sparse/0"
+set -- default --data_dir "$result/data" --data_factor 1 --result_dir "$result" --no-normalize-world-space
+if [ -n "${GSPLAT:-}" ]; then exec "${PYTHON:-python3}" "$GSPLAT/examples/simple_trainer.py" "$@"; fi
+echo "train with: python GSPLAT/examples/simple_trainer.py $*"

@@ -1,0 +1,30 @@
+#!/bin/sh
+# From a COLMAP workspace to nerfstudio, with metres that stay.
+#
+#   nerfstudio.sh WORKSPACE OUTPUT [METHOD] [-- orthoscale options, e.g. --fleet US]
+#
+# Makes WORKSPACE/sparse_metric (post_sparse.sh), runs ns-process-data on it and, if METHOD (splatfacto, nerfacto ...)
+# is given, ns-train with the flags that keep metres; else it prints that command. What nerfstudio exports is then in
+# metres; by default it would shrink the scene into a unit box. A second run does not process again.
+set -eu
+[ $# -ge 2 ] || { echo "usage: $0 WORKSPACE OUTPUT [METHOD] [-- orthoscale options]" >&2; exit 2; }
+workspace=$1 output=$2
+shift 2
+method=
+if [ $# -gt 0 ] && [ "$1" != "--" ]; then method=$1; shift; fi
+if [ $# -gt 0 ]; then shift; fi
+
+"$(dirname "$0")/post_sparse.sh" "$workspace" "$@"
+model="$workspace/sparse_metric"
+if [ -f "$model/models.json" ]; then # several: nerfstudio takes one, the first
+    model=$(find "$model" -name sim3.json | sort | head -n 1 | xargs dirname)
+    echo "several models; going on with $model"
+fi
+if [ ! -f "$output/transforms.json" ]; then
+    ns-process-data images --data "$workspace/images" --output-dir "$output" --skip-colmap \
+        --colmap-model-path "$(cd "$model" && pwd)"
+fi
+set -- ns-train "${method:-splatfacto}" --data "$output" nerfstudio-data \
+    --auto-scale-poses False --orientation-method none --center-method none
+if [ -n "$method" ]; then exec "$@"; fi
+echo "train with: $*"

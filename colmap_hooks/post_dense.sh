@@ -1,0 +1,40 @@
+#!/bin/sh
+# After `colmap stereo_fusion` (and `poisson_mesher`): write the dense workspace in metres beside the original.
+#
+#   post_dense.sh WORKSPACE [orthoscale options, e.g. --fleet US]
+#
+# Needs WORKSPACE/sparse_metric, or makes it with post_sparse.sh and the options. Reads WORKSPACE/dense, or dense/0,
+# dense/1 ..., writes WORKSPACE/dense_metric in the same layout. A second run finds it and does nothing.
+set -eu
+[ $# -ge 1 ] || { echo "usage: $0 WORKSPACE [orthoscale options]" >&2; exit 2; }
+workspace=$1
+if [ -d "$workspace/dense_metric" ]; then
+    echo "$workspace/dense_metric is there already; nothing to do"
+    exit 0
+fi
+"$(dirname "$0")/post_sparse.sh" "$@"
+
+# Written aside, then renamed, so that a run that was cut off is not taken for a whole one.
+partial="$workspace/.dense_metric.partial"
+rm -rf "$partial"
+trap 'rm -rf "$partial"' EXIT
+mkdir "$partial"
+if [ -d "$workspace/dense/0" ]; then
+    for dense in "$workspace"/dense/*/; do
+        name=$(basename "$dense")
+        sim3="$workspace/sparse_metric/$name/sim3.json"
+        [ -f "$workspace/sparse_metric/sim3.json" ] && [ "$name" = 0 ] && sim3="$workspace/sparse_metric/sim3.json"
+        if [ -f "$sim3" ]; then
+            orthoscale apply "$sim3" "$dense" --out "$partial/of_$name"
+            mv "$partial/of_$name/$name" "$partial/$name"
+            rmdir "$partial/of_$name"
+        else
+            echo "$dense is left out: its sparse model has no scale" >&2
+        fi
+    done
+    [ -n "$(ls "$partial")" ] || { echo "no dense workspace has a scaled sparse model" >&2; exit 3; }
+    mv "$partial" "$workspace/dense_metric"
+else
+    orthoscale apply "$workspace/sparse_metric/sim3.json" "$workspace/dense" --out "$partial/of"
+    mv "$partial/of/dense" "$workspace/dense_metric"
+fi

@@ -1,0 +1,52 @@
+"""`orthoscale apply`: other files of a scaled model, brought to metres by its similarity."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from .options import EXIT_CODES
+
+
+@click.command(
+    epilog="\b\nExamples:\n  orthoscale apply scaled/sim3.json splat.ply mesh.glb --out metric/\n"
+    "  orthoscale apply scaled/sim3.json nerf/transforms.json --out nerf_metric/\n"
+    "  orthoscale apply scaled/sim3.json work/dense --out metric/\n\n" + EXIT_CODES
+)
+@click.argument("sim3", metavar="SIM3", type=click.Path(path_type=Path))
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write; names stay as they are.")
+@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_json: bool, debug: bool) -> None:
+    """Write FILEs, in the units of the model that SIM3 belongs to, again in metres.
+
+    SIM3 is the sim3.json that `orthoscale fix` wrote. FILE is a PLY (cloud, mesh or Gaussian splat), OBJ, GLB or glTF,
+    nerfstudio's transforms.json, OpenSfM's reconstruction.json, or the folder of a sparse model or dense workspace;
+    with Open3D also STL, OFF, PCD, XYZ, PTS. What has no length (colours, normals, rotations, intrinsics) stays.
+    All files appear in --out, or none. FILEs are never touched.
+    """
+    from ..atomic import new_folder
+    from ..errors import UsageError
+    from ..rescale.files import scale_path
+    from ..rescale.sim3 import Sim3
+
+    scale = Sim3.load(sim3).scale
+    names = [path.resolve().name for path in files]
+    if len(set(names)) < len(names):
+        raise UsageError("two FILEs have the same name", "Write them to different folders, one after the other.")
+    written = {}
+    with new_folder(out, overwrite) as folder:
+        for path, name in zip(files, names, strict=True):
+            target = folder / name
+            if path.is_dir():
+                target.mkdir()
+            written[str(out / name)] = scale_path(path, target, scale)
+    if as_json:
+        click.echo(json.dumps({"scale": scale, "written": written}))
+        return
+    for name, notes in written.items():
+        click.echo(f"written    {name}" + "".join(f"\n           {note}" for note in notes))

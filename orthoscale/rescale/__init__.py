@@ -1,0 +1,1 @@
+"""What is handed on beside a model, in metres: point clouds, meshes, splats, camera files, dense workspaces."""

@@ -1,0 +1,138 @@
+"""Writing a COLMAP model in metres, and reading it back before anybody trusts it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import InputError, OutputError
+from ..rescale.sim3 import Sim3
+from .colmap_check import check_model
+
+if TYPE_CHECKING:
+    import pycolmap
+
+POSITION = 1e-9  # of the model's size: what rounding may move a point or a camera
+REPROJECTION = 1e-9  # [px] what the rounding of a well-placed model may move a projection
+ROUNDINGS = 64  # machine epsilons of a coordinate that the way from file to pixel may add up to
+
+
+def read_model(folder: Path, form: str) -> pycolmap.Reconstruction:
+    """The model in `folder` of the format `form` ('bin' or 'txt'), whose files have been walked before.
+
+    Raises InputError for one that pycolmap cannot read or that has no registered image.
+    """
+    import pycolmap
+
+    model = pycolmap.Reconstruction()
+    try:
+        model.read_binary(str(folder)) if form == "bin" else model.read_text(str(folder))
+    except (RuntimeError, ValueError, IndexError, KeyError) as error:
+        raise InputError(f"{folder}: pycolmap cannot read the model ({error})", "Copy the model again.") from error
+    if not model.num_reg_images():
+        raise InputError(f"{folder}: no registered image", "Give a model that COLMAP reconstructed.")
+    # Other programs write quaternions with few digits; pycolmap normalises them when it scales, but not when it reads.
+    for frame in model.frames.values():
+        pose = frame.rig_from_world
+        frame.rig_from_world = pycolmap.Rigid3d(_unit(pose.rotation), pose.translation)
+    for rig in model.rigs.values():
+        for sensor, pose in rig.non_ref_sensors.items():
+            if pose is not None:
+                rig.set_sensor_from_rig(sensor, pycolmap.Rigid3d(_unit(pose.rotation), pose.translation))
+    return model
+
+
+def _unit(rotation: pycolmap.Rotation3d) -> pycolmap.Rotation3d:
+    rotation.normalize()
+    return rotation
+
+
+def write_scaled(source: Path, form: str, model: pycolmap.Reconstruction, folder: Path, scale: float) -> None:
+    """Write the model in `source`, which was read as `model`, into the empty `folder` with all lengths times `scale`.
+
+    Raises InputError if `source` has changed since, OutputError if what was written does not read back as `model` in
+    metres: the same cameras, tracks and observations, positions to 1e-9, and projections to 1e-9 px, all of them.
+    """
+    import pycolmap
+
+    scaled = read_model(source, form)
+    if len(scaled.points3D) != len(model.points3D):
+        raise InputError(f"{source} changed while it was being worked on", "Run again.")
+    scaled.transform(pycolmap.Sim3d(Sim3(scale).scale, pycolmap.Rotation3d(), np.zeros(3)))
+    try:
+        scaled.write_binary(str(folder)) if form == "bin" else scaled.write_text(str(folder))
+    except (OSError, RuntimeError, ValueError) as error:
+        raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
+    del scaled
+    try:
+        check_model(folder, form)
+        written = read_model(folder, form)
+    except InputError as error:
+        raise OutputError(f"{error.message} (just written)", "The disk may be full. Nothing was kept.") from error
+    problem = difference(model, written, scale)
+    if problem:
+        raise OutputError(f"{folder}: the written model differs: {problem}", "Please report this with the model.")
+
+
+def difference(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, scale: float) -> str:
+    """What differs between `written` and `model` scaled by `scale`, in words; empty if nothing does."""
+    for what in ("cameras", "images", "points3D", "frames", "rigs"):
+        if set(getattr(model, what)) != set(getattr(written, what)):
+            return f"{len(getattr(model, what))} {what} became {len(getattr(written, what))}"
+    if model.compute_num_observations() != written.compute_num_observations():
+        return f"{model.compute_num_observations()} observations became {written.compute_num_observations()}"
+    for number, camera in model.cameras.items():
+        other = written.cameras[number]
+        if camera.model != other.model or (camera.width, camera.height) != (other.width, other.height):
+            return f"camera {number} has another model or size"
+        if not np.allclose(camera.params, other.params, rtol=1e-12, atol=0):
+            return f"camera {number} has other parameters"
+
+    ids = np.array(sorted(model.points3D))
+    points, new_points = (np.array([m.points3D[i].xyz for i in ids]) for m in (model, written))
+    errors, new_errors = (np.array([m.points3D[i].error for i in ids]) for m in (model, written))
+    image_ids = model.reg_image_ids()
+    if sorted(image_ids) != sorted(written.reg_image_ids()):
+        return "other images are registered"
+    centres, new_centres = (np.array([m.image(i).projection_center() for i in image_ids]) for m in (model, written))
+    size = scale * max(np.abs(points).max(), np.abs(centres).max())
+    for what, old, new in (("point", points, new_points), ("camera", centres, new_centres)):
+        error = np.abs(new - scale * old).max()
+        if not error <= POSITION * size:
+            return f"a {what} is {error:.3g} off"
+    if np.abs(new_errors - errors).max() > REPROJECTION:
+        return f"point {ids[np.abs(new_errors - errors).argmax()]} has another stored error"
+    for i in image_ids:
+        before, after = model.image(i), written.image(i)
+        if before.name != after.name or before.num_points2D() != after.num_points2D():
+            return f"image {i} has another name or other observations"
+        seen = [p.point3D_id for p in before.points2D if p.has_point3D()]
+        if seen != [p.point3D_id for p in after.points2D if p.has_point3D()]:
+            return f"image {i} ({before.name}) observes other points"
+        if problem := _reprojection(before, after, points[np.searchsorted(ids, np.array(seen, ids.dtype))], scale):
+            return problem
+    return ""
+
+
+def _reprojection(before: pycolmap.Image, after: pycolmap.Image, points: np.ndarray, scale: float) -> str:
+    """Whether `points` (K, 3), in the old unit, are projected elsewhere by `after` than by `before`."""
+    if not len(points):
+        return ""
+    camera, old, new = before.camera, before.cam_from_world(), after.cam_from_world()
+    assert camera is not None, "an image of a model has its camera"
+    there = points @ old.rotation.matrix().T + old.translation
+    then = (scale * points) @ new.rotation.matrix().T + new.translation
+    ahead = there[:, 2] > 0
+    if (ahead != (then[:, 2] > 0)).any():
+        return f"a point went behind image {before.name}"
+    first, second = (np.array(camera.img_from_cam(p[ahead]), float).reshape(-1, 2) for p in (there, then))
+    move = np.abs(first - second).max(1)
+    # Far from the origin (geo-coordinates) rounding alone moves a projection.
+    reach = np.abs(points[ahead]).max(1) + np.abs(old.translation).max()
+    rounding = ROUNDINGS * np.finfo(float).eps * reach / there[ahead, 2] * camera.mean_focal_length()
+    excess = move - (REPROJECTION + rounding)
+    if (excess > 0).any():  # NaN, where a lens has no image of a point, is none
+        return f"image {before.name}: a point is projected {move[excess.argmax()]:.3g} px elsewhere"
+    return ""

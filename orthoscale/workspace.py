@@ -1,0 +1,81 @@
+"""A workspace whose mapper left several models: each has its own scale."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .atomic import check_free, new_folder
+from .errors import EvidenceDisagrees, InputError, OrthoscaleError, TooLittleEvidence
+from .pipeline import Result, estimate, fix
+
+# What may befall one model and leave the others what they are.
+OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one model: its result, or why it has none."""
+
+    model: Path
+    result: Result | None
+    error: OrthoscaleError | None
+
+    def document(self) -> dict[str, Any]:
+        """As plain values, for models.json."""
+        if self.result is None:
+            code = self.error.exit_code if self.error else 1
+            return {"model": str(self.model), "error": str(self.error), "exit_code": code}
+        scale = self.result.scale
+        return {
+            "model": str(self.model),
+            "scale": scale.value,
+            "unit": scale.unit,
+            "interval90": list(scale.interval90),
+            "verdict": scale.verdict,
+            "vehicles_used": scale.vehicles_used,
+        }
+
+
+def models_in(path: Path) -> list[Path]:
+    """The models of the workspace `path`, largest names last; empty where there are not several (or it is a file)."""
+    if not path.is_dir():
+        return []
+    from .sources.colmap_check import model_folders
+
+    folders = model_folders(path)
+    return folders if len(folders) > 1 else []
+
+
+def estimate_all(models: list[Path], **options: Any) -> list[Outcome]:
+    """`estimate` for each of `models`. Raises the first error if none has a scale."""
+    return _checked([_one(model, estimate, **options) for model in models])
+
+
+def fix_all(models: list[Path], out: Path, overwrite: bool = False, **options: Any) -> list[Outcome]:
+    """`fix` for each of `models`, into folders of their names in the folder `out`, with models.json beside them.
+
+    A model that has too little evidence, or is damaged, is left out and does not stop the others.
+    Raises the first error if none has a scale; then nothing is written.
+    """
+    check_free(out, overwrite)
+    with new_folder(out, overwrite) as folder:
+        outcomes = _checked([_one(model, fix, folder / model.name, **options) for model in models])
+        text = {outcome.model.name: outcome.document() for outcome in outcomes}
+        (folder / "models.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+    return outcomes
+
+
+def _one(model: Path, what: Any, *args: Any, **options: Any) -> Outcome:
+    try:
+        return Outcome(model, what(model, *args, **options), None)
+    except OF_ONE as error:
+        return Outcome(model, None, error)
+
+
+def _checked(outcomes: list[Outcome]) -> list[Outcome]:
+    if all(outcome.result is None for outcome in outcomes):
+        raise next(outcome.error for outcome in outcomes if outcome.error is not None)
+    return outcomes

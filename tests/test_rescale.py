@@ -1,0 +1,363 @@
+"""Files handed on in metres: what has a length grows, everything else stays byte for byte."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from orthoscale.cli.main import cli
+from orthoscale.errors import InputError, OrthoscaleError, UsageError
+from orthoscale.rescale.files import scale_path
+from orthoscale.rescale.sim3 import Sim3
+
+SCALE = 14.157
+SPARSE = Path(__file__).parent.parent / "examples" / "sheffield" / "sparse"
+XYZ = np.array([[1.0, 2, 3], [-4, 0.5, 6], [0, 0, -0.25]])
+
+
+# --- Files made here -------------------------------------------------------------------------------------------------
+
+
+def ply(path: Path, form: str, fields: list[str], rows: np.ndarray, faces: bool = False) -> Path:
+    header = ["ply", f"format {form} 1.0", "comment made by hand", f"element vertex {len(rows)}"]
+    header += [f"property float {name}" for name in fields]
+    header += ["element face 1", "property list uchar int vertex_indices"] if faces else []
+    header = ("\n".join([*header, "end_header"]) + "\n").encode()
+    if form == "ascii":
+        body = "".join(" ".join(map(str, row)) + "\n" for row in rows).encode() + (b"3 0 1 2\n" if faces else b"")
+    else:
+        order = "<" if "little" in form else ">"
+        body = rows.astype(order + "f4").tobytes() + (struct.pack(order + "B3i", 3, 0, 1, 2) if faces else b"")
+    path.write_bytes(header + body)
+    return path
+
+
+def read_ply(path: Path, fields: int) -> tuple[np.ndarray, bytes]:
+    """Vertices of floats, and what follows them."""
+    head, body = path.read_bytes().split(b"end_header\n", 1)
+    count = int(head.split(b"element vertex ")[1].split()[0])
+    if b"format ascii" in head:
+        lines = body.splitlines(keepends=True)
+        return np.array([line.split() for line in lines[:count]], float), b"".join(lines[count:])
+    order = "<" if b"little" in head else ">"
+    size = 4 * fields * count
+    return np.frombuffer(body[:size], order + "f4").reshape(count, fields), body[size:]
+
+
+def gltf(**more) -> dict:
+    scene = {"asset": {"version": "2.0"}, "scenes": [{"nodes": [1]}, {"nodes": [1, 0]}]}
+    return {**scene, "nodes": [{"mesh": 0}, {"translation": [1, 0, 0], "children": [2]}, {"mesh": 0}], **more}
+
+
+def glb(path: Path, text: dict, binary: bytes = b"\1\2\3\4") -> Path:
+    chunk = json.dumps(text).encode()
+    chunk += b" " * (-len(chunk) % 4)
+    body = struct.pack("<II", len(chunk), 0x4E4F534A) + chunk + struct.pack("<II", len(binary), 0x004E4942) + binary
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
+    return path
+
+
+def world_points(text: dict, scene: int) -> list[float]:
+    """Where the origin of each mesh node of a scene ends up, along x, and its size: scale and shift only."""
+    out = []
+
+    def walk(index: int, factor: float, shift: float) -> None:
+        node = text["nodes"][index]
+        shift += factor * node.get("translation", [0])[0]
+        factor *= node.get("scale", [1])[0]
+        if "mesh" in node:
+            out.append((factor, shift))
+        for child in node.get("children", []):
+            walk(child, factor, shift)
+
+    for root in text["scenes"][scene]["nodes"]:
+        walk(root, 1, 0)
+    return out
+
+
+def dense_workspace(folder: Path) -> Path:
+    (folder / "stereo" / "depth_maps").mkdir(parents=True)
+    (folder / "stereo" / "normal_maps").mkdir()
+    (folder / "images").mkdir()
+    depth = np.array([[1, 0, 2.5], [3, 4, 5]], "<f4")
+    for kind in ("geometric", "photometric"):
+        (folder / "stereo/depth_maps" / f"a.jpg.{kind}.bin").write_bytes(b"3&2&1&" + depth.tobytes())
+    (folder / "stereo/normal_maps/a.jpg.geometric.bin").write_bytes(b"1&1&3&" + bytes(12))
+    (folder / "stereo/fusion.cfg").write_text("a.jpg\n")
+    (folder / "images/a.jpg").write_bytes(b"jpeg")
+    ply(folder / "fused.ply", "binary_little_endian", ["x", "y", "z", "nx", "ny", "nz"], np.hstack([XYZ, XYZ]))
+    ply(folder / "meshed-poisson.ply", "ascii", ["x", "y", "z"], XYZ, faces=True)
+    (folder / "fused.ply.vis").write_bytes(b"visibility")
+    shutil.copytree(SPARSE, folder / "sparse")
+    return folder
+
+
+# --- PLY -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply(tmp_path, form):
+    fields = ["nx", "x", "y", "z", "red"]
+    rows = np.column_stack([[0.5, 1, 0], XYZ, [10, 20, 30]])
+    source = ply(tmp_path / "a.ply", form, fields, rows, faces=True)
+    before = source.read_bytes()
+    scale_path(source, tmp_path / "b.ply", SCALE)
+    assert source.read_bytes() == before
+    new, rest = read_ply(tmp_path / "b.ply", 5)
+    assert np.allclose(new[:, 1:4], SCALE * XYZ, rtol=1e-6) and (new[:, [0, 4]] == rows[:, [0, 4]]).all()
+    assert rest == read_ply(source, 5)[1] != b""
+    with pytest.raises(UsageError, match="in metres already"):
+        scale_path(tmp_path / "b.ply", tmp_path / "c.ply", SCALE)
+
+
+def test_a_splat_keeps_its_shape(tmp_path):
+    fields = ["x", "y", "z", "f_dc_0", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    rows = np.random.default_rng(0).normal(size=(5, len(fields))).astype(np.float32)
+    scale_path(
+        ply(tmp_path / "a.ply", "binary_little_endian", fields, rows), out := tmp_path / "b.ply", SCALE
+    )  # fmt: skip
+    new = read_ply(out, len(fields))[0]
+    assert np.allclose(new[:, :3], SCALE * rows[:, :3], rtol=1e-6)
+    assert np.allclose(np.exp(new[:, 5:8]), SCALE * np.exp(rows[:, 5:8]), rtol=1e-5)
+    assert (new[:, [3, 4, 8, 9, 10, 11]] == rows[:, [3, 4, 8, 9, 10, 11]]).all()
+
+
+def test_a_cloud_larger_than_a_chunk(tmp_path, monkeypatch):
+    monkeypatch.setattr("orthoscale.rescale.ply.ROWS", 7)
+    rows = np.random.default_rng(0).normal(size=(50, 3))
+    scale_path(ply(tmp_path / "a.ply", "binary_little_endian", ["x", "y", "z"], rows), tmp_path / "b.ply", 2)
+    assert np.allclose(read_ply(tmp_path / "b.ply", 3)[0], 2 * rows, rtol=1e-6)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_damaged_ply(tmp_path, form):
+    source = ply(tmp_path / "a.ply", form, ["x", "y", "z"], XYZ, faces=form != "ascii")
+    whole = source.read_bytes()
+    for size in range(0, len(whole) - 20, 7):
+        source.write_bytes(whole[:size])
+        with pytest.raises(InputError, match=r"a\.ply"):
+            scale_path(source, tmp_path / "b.ply", SCALE)
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        ("ply\nformat ascii 1.0\nelement vertex 1\nproperty int x\nproperty int y\nproperty int z\n", "whole number"),
+        ("ply\nformat ascii 1.0\nelement chunk 1\nproperty float min_x\n", "no vertices with x, y and z"),
+        ("ply\nformat ascii 1.0\nelement vertex -1\nproperty float x\n", "negative"),
+        ("ply\nformat ascii 1.0\nelement vertex 1\nproperty quad x\n", "not a PLY header"),
+        ("ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\n", "no vertices|lists"),
+    ],
+)
+def test_strange_ply(tmp_path, header, said):
+    (tmp_path / "a.ply").write_text(header + "end_header\n1 2 3\n")
+    with pytest.raises(InputError, match=said):
+        scale_path(tmp_path / "a.ply", tmp_path / "b.ply", 2)
+
+
+# --- Meshes ----------------------------------------------------------------------------------------------------------
+
+
+def test_obj_with_its_materials(tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    source = tmp_path / "in" / "a.obj"
+    source.write_text("mtllib a.mtl\nv 1 2 3 0.5 0.5 0.5\nv -1e-3 0 2\nvt 0.5 0.5\nvn 0 0 1\nf 1/1/1 2/1/1 1/1/1\n")
+    (tmp_path / "in/a.mtl").write_text("newmtl a\nmap_Kd tex.png\n")
+    (tmp_path / "in/tex.png").write_bytes(b"png")
+    scale_path(source, tmp_path / "out/a.obj", 2.5)
+    lines = (tmp_path / "out/a.obj").read_text().splitlines()
+    assert lines[2] == "v 2.5 5 7.5 0.5 0.5 0.5" and lines[3] == "v -0.0025 0 5"
+    assert lines[4:] == source.read_text().splitlines()[3:]
+    assert (tmp_path / "out/tex.png").read_bytes() == b"png" and (tmp_path / "out/a.mtl").is_file()
+    with pytest.raises(UsageError):
+        scale_path(tmp_path / "out/a.obj", tmp_path / "b.obj", 2)
+    source.write_text("v 1 2\n")
+    with pytest.raises(InputError, match="line 1"):
+        scale_path(source, tmp_path / "b.obj", 2)
+
+
+def test_glb(tmp_path):
+    source = glb(tmp_path / "a.glb", gltf())
+    scale_path(source, tmp_path / "b.glb", 2.5)
+    data = (tmp_path / "b.glb").read_bytes()
+    magic, version, total, length, kind = struct.unpack_from("<4sIIII", data)
+    assert (magic, version, total, kind) == (b"glTF", 2, len(data), 0x4E4F534A) and length % 4 == 0
+    text = json.loads(data[20 : 20 + length])
+    assert data[20 + length :] == struct.pack("<II", 4, 0x004E4942) + b"\1\2\3\4"
+    assert world_points(gltf(), 1) == [(1, 1), (1, 0)]
+    assert world_points(text, 0) == [(2.5, 2.5)] and world_points(text, 1) == [(2.5, 2.5), (2.5, 0)]
+    parents = [child for node in text["nodes"] for child in node.get("children", [])]
+    assert len(parents) == len(set(parents)), "no node has two parents"
+    with pytest.raises(UsageError):
+        scale_path(tmp_path / "b.glb", tmp_path / "c.glb", 2)
+
+
+def test_gltf_with_its_buffer(tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "in/a.bin").write_bytes(b"1234")
+    (tmp_path / "in/a.gltf").write_text(json.dumps(gltf(buffers=[{"uri": "a.bin"}, {"uri": "data:,x"}])))
+    scale_path(tmp_path / "in/a.gltf", tmp_path / "out/a.gltf", 3)
+    assert (tmp_path / "out/a.bin").read_bytes() == b"1234"
+    assert world_points(json.loads((tmp_path / "out/a.gltf").read_text()), 0) == [(3, 3)]
+
+
+def test_damaged_glb(tmp_path):
+    whole = glb(tmp_path / "a.glb", gltf()).read_bytes()
+    damaged = [whole[:k] for k in (0, 3, 15, 40, len(whole) - 1)] + [b"glXX" + whole[4:], whole + b"\0"]
+    for text in ({}, {"asset": {}, "nodes": [], "scenes": []}, gltf(scenes=[{"nodes": [9]}]), gltf(nodes=None)):
+        damaged.append(glb(tmp_path / "t.glb", text).read_bytes())
+    for data in damaged:
+        (tmp_path / "a.glb").write_bytes(data)
+        with pytest.raises(InputError, match=r"a\.glb"):
+            scale_path(tmp_path / "a.glb", tmp_path / "b.glb", 2)
+
+
+def test_other_meshes_need_open3d(tmp_path, monkeypatch):
+    stl = (
+        "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid"
+    )
+    (tmp_path / "a.stl").write_text(stl)
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "open3d", None)
+        with pytest.raises(UsageError, match="needs Open3D") as caught:
+            scale_path(tmp_path / "a.stl", tmp_path / "b.stl", 2)
+        assert "orthoscale[mesh]" in caught.value.hint and "libusb" in caught.value.hint
+    open3d = pytest.importorskip("open3d", exc_type=ImportError)
+    scale_path(tmp_path / "a.stl", tmp_path / "b.stl", 2)
+    assert np.asarray(open3d.io.read_triangle_mesh(str(tmp_path / "b.stl")).vertices).max() == 2
+    (tmp_path / "a.stl").write_text("nothing")
+    with pytest.raises(InputError):
+        scale_path(tmp_path / "a.stl", tmp_path / "c.stl", 2)
+
+
+# --- Camera files ----------------------------------------------------------------------------------------------------
+
+
+def test_transforms_with_their_cloud(tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    pose = np.eye(4)
+    pose[:3, 3] = (1, -2, 3)
+    text = {"fl_x": 500.0, "frames": [{"file_path": "a.jpg", "transform_matrix": pose.tolist()}]}
+    text |= {"applied_transform": pose[:3].tolist(), "ply_file_path": "sparse_pc.ply"}
+    (tmp_path / "in/transforms.json").write_text(json.dumps(text))
+    ply(tmp_path / "in/sparse_pc.ply", "ascii", ["x", "y", "z"], XYZ)
+    scale_path(tmp_path / "in/transforms.json", tmp_path / "out/transforms.json", SCALE)
+    new = json.loads((tmp_path / "out/transforms.json").read_text())
+    matrix = np.array(new["frames"][0]["transform_matrix"])
+    assert np.allclose(matrix[:3, 3], SCALE * pose[:3, 3]) and (matrix[:, :3] == pose[:, :3]).all()
+    assert np.allclose(np.array(new["applied_transform"])[:, 3], SCALE * pose[:3, 3]) and new["fl_x"] == 500
+    assert np.allclose(read_ply(tmp_path / "out/sparse_pc.ply", 3)[0], SCALE * XYZ)
+    with pytest.raises(UsageError):
+        scale_path(tmp_path / "out/transforms.json", tmp_path / "b.json", SCALE)
+
+
+def test_reconstruction(tmp_path):
+    shot = {"rotation": [0.1, 0, 0], "translation": [1, 2, 3], "camera": "c", "gps_position": [7, 8, 9]}
+    part = {"cameras": {}, "shots": {"a.jpg": shot}, "points": {"1": {"coordinates": [1, 1, 1], "color": [1, 2, 3]}}}
+    part |= {"rig_instances": {"a": {"translation": [4, 0, 0], "rotation": [0, 0, 0]}}}
+    (tmp_path / "reconstruction.json").write_text(json.dumps([part]))
+    scale_path(tmp_path / "reconstruction.json", tmp_path / "new.json", 2)
+    (new,) = json.loads((tmp_path / "new.json").read_text())
+    assert new["shots"]["a.jpg"] == {**shot, "translation": [2, 4, 6]}
+    assert new["points"]["1"] == {"coordinates": [2, 2, 2], "color": [1, 2, 3]}
+    assert new["rig_instances"]["a"]["translation"] == [8, 0, 0]
+    with pytest.raises(UsageError):
+        scale_path(tmp_path / "new.json", tmp_path / "b.json", 2)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[1]", '[{"shots": {"a": {}}}]', "{}", "3", '{"frames": [{"transform_matrix": [[1]]}]}',
+     '{"frames": [{"transform_matrix": [[NaN,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}'],
+)  # fmt: skip
+def test_damaged_json(tmp_path, text):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(InputError, match=r"a\.json"):
+        scale_path(tmp_path / "a.json", tmp_path / "b.json", 2)
+
+
+# --- Dense workspaces and models -------------------------------------------------------------------------------------
+
+
+def test_dense_workspace(tmp_path):
+    import pycolmap
+
+    source = dense_workspace(tmp_path / "dense")
+    (tmp_path / "out").mkdir()
+    notes = scale_path(source, tmp_path / "out", SCALE)
+    assert "4 depth maps, clouds and meshes" in notes[0]
+    for kind in ("geometric", "photometric"):
+        data = (tmp_path / f"out/stereo/depth_maps/a.jpg.{kind}.bin").read_bytes()
+        assert data[:6] == b"3&2&1&"
+        assert np.allclose(np.frombuffer(data[6:], "<f4"), SCALE * np.array([1, 0, 2.5, 3, 4, 5]), rtol=1e-6)
+    assert np.allclose(read_ply(tmp_path / "out/fused.ply", 6)[0], np.hstack([SCALE * XYZ, XYZ]), rtol=1e-6)
+    assert np.allclose(read_ply(tmp_path / "out/meshed-poisson.ply", 3)[0], SCALE * XYZ, rtol=1e-6)
+    for same in ("stereo/normal_maps/a.jpg.geometric.bin", "stereo/fusion.cfg", "images/a.jpg", "fused.ply.vis"):
+        assert (tmp_path / "out" / same).read_bytes() == (source / same).read_bytes()
+    old, new = (pycolmap.Reconstruction(str(p)) for p in (source / "sparse", tmp_path / "out/sparse"))
+    for i, point in old.points3D.items():
+        assert np.allclose(new.points3D[i].xyz, SCALE * point.xyz, rtol=1e-12)
+
+
+def test_damaged_depth_map(tmp_path):
+    source = dense_workspace(tmp_path / "dense") / "stereo/depth_maps/a.jpg.geometric.bin"
+    whole = source.read_bytes()
+    for data in (b"", whole[:-1], whole + b"\0", b"x" + whole, b"9&9&1&" + whole[6:], b"-3&-2&1&" + whole[6:]):
+        source.write_bytes(data)
+        with pytest.raises(InputError, match=r"a\.jpg\.geometric\.bin"):
+            scale_path(source, tmp_path / "b.bin", 2)
+
+
+# --- The command -----------------------------------------------------------------------------------------------------
+
+
+def test_apply(tmp_path):
+    Sim3(SCALE).save(tmp_path)
+    assert Sim3.load(tmp_path / "sim3.json") == Sim3.load(tmp_path / "sim3.txt") == Sim3(SCALE)
+    cloud = ply(tmp_path / "a.ply", "ascii", ["x", "y", "z"], XYZ)
+    dense = dense_workspace(tmp_path / "dense")
+    out = tmp_path / "metric"
+    run = CliRunner().invoke(cli, ["apply", *map(str, (tmp_path / "sim3.json", cloud, dense)), "--out", str(out)])
+    assert run.exit_code == 0, run.output
+    assert sorted(p.name for p in out.iterdir()) == ["a.ply", "dense"]
+    assert np.allclose(read_ply(out / "a.ply", 3)[0], SCALE * XYZ)
+
+    cloud.write_bytes(cloud.read_bytes()[:-30])
+    with pytest.raises(InputError):
+        CliRunner().invoke(cli, ["apply", *map(str, (tmp_path / "sim3.json", dense, cloud)), "--out",
+                                 str(tmp_path / "none")], catch_exceptions=False)  # fmt: skip
+    assert not (tmp_path / "none").exists() and not list(tmp_path.glob(".*partial")), "all or nothing"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "error"),
+    [
+        ("sim3.json", "{}", InputError),
+        ("sim3.json", "[1]", InputError),
+        ("sim3.txt", "2 1 0 0", InputError),
+        ("sim3.txt", "2 1 0 0 0 5 0 0", UsageError),
+        ("sim3.txt", "-2 1 0 0 0 0 0 0", UsageError),
+        ("sim3.txt", "nan 1 0 0 0 0 0 0", UsageError),
+    ],
+)
+def test_similarities_that_are_none(tmp_path, name, text, error):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(error):
+        Sim3.load(tmp_path / name)
+
+
+def test_unknown_and_missing_files(tmp_path):
+    (tmp_path / "a.las").write_bytes(b"LASF")
+    for path in (tmp_path / "a.las", tmp_path / "none.ply"):
+        with pytest.raises(OrthoscaleError, match=path.name):
+            scale_path(path, tmp_path / "b", 2)

@@ -1,0 +1,105 @@
+"""Workspaces as COLMAP leaves them: several models, dense folders, a database beside them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_rescale import dense_workspace
+
+from orthoscale.cli.main import cli
+from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+from orthoscale.pipeline import fix
+from orthoscale.sources.colmap import ColmapSource
+from orthoscale.workspace import fix_all, models_in
+
+pycolmap = pytest.importorskip("pycolmap")
+EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
+OPTIONS = {"fleet": "US", "detections": EXAMPLE / "detections.json"}
+
+
+@pytest.fixture
+def work(tmp_path):
+    """Two models of one mapper: the example, and the same in another unit."""
+    work = tmp_path / "work"
+    shutil.copytree(EXAMPLE / "sparse", work / "sparse" / "0")
+    other = pycolmap.Reconstruction(str(EXAMPLE / "sparse"))
+    other.transform(pycolmap.Sim3d(0.5, pycolmap.Rotation3d(), np.ones(3)))
+    (work / "sparse" / "1").mkdir()
+    other.write_binary(str(work / "sparse" / "1"))
+    return work
+
+
+def test_each_model_has_its_own_scale(work, tmp_path):
+    from click.testing import CliRunner
+
+    out = tmp_path / "out"
+    options = ["--fleet", "US", "--detections", str(EXAMPLE / "detections.json"), "--json"]
+    run = CliRunner().invoke(cli, ["fix", str(work), "--out", str(out), *options], catch_exceptions=False)
+    said = json.loads(run.stdout)
+    assert said == json.loads((out / "models.json").read_text())
+    assert said["1"]["scale"] == pytest.approx(2 * said["0"]["scale"], rel=1e-3)
+    for name in ("0", "1"):
+        assert json.loads((out / name / "sim3.json").read_text())["scale"] == said[name]["scale"]
+        assert (out / name / "report.json").is_file()
+    metric = [pycolmap.Reconstruction(str(out / name)) for name in ("0", "1")]
+    heights = [np.ptp([i.projection_center() for i in m.images.values()]) for m in metric]
+    assert heights[0] == pytest.approx(heights[1], rel=1e-3)
+
+
+def test_a_model_without_evidence_does_not_stop_the_others(work, tmp_path):
+    (work / "sparse/1/points3D.bin").write_bytes(b"\0" * 5)
+    outcomes = fix_all(models_in(work), tmp_path / "out", **OPTIONS)
+    assert [outcome.error is None for outcome in outcomes] == [True, False]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["0", "models.json"]
+    assert json.loads((tmp_path / "out/models.json").read_text())["1"]["exit_code"] == 5
+
+    (tmp_path / "few.json").write_text('{"DJI_0225.jpg": []}')
+    with pytest.raises((TooLittleEvidence, InputError)):
+        fix_all(models_in(work), tmp_path / "none", fleet="US", detections=tmp_path / "few.json")
+    assert not (tmp_path / "none").exists()
+
+
+def test_one_model_is_no_workspace(tmp_path):
+    shutil.copytree(EXAMPLE / "sparse", tmp_path / "sparse" / "0")
+    assert models_in(tmp_path) == models_in(tmp_path / "sparse/0/cameras.bin") == []
+
+
+def test_dense_comes_along(work, tmp_path):
+    dense_workspace(work / "dense" / "0")
+    result = fix(work / "sparse/0", tmp_path / "out", dense=True, **OPTIONS)
+    depth = np.frombuffer((tmp_path / "out/dense/stereo/depth_maps/a.jpg.geometric.bin").read_bytes()[6:], "<f4")
+    assert depth[0] == pytest.approx(result.scale.value, rel=1e-6)
+    assert (tmp_path / "out/dense/sparse/cameras.bin").is_file()
+    assert any("depth maps" in note for note in result.source.notes)
+    assert json.loads((tmp_path / "out/report.json").read_text())["remarks"]
+
+    with pytest.raises(InputError, match="cameras stand elsewhere"):  # before anything is measured
+        shutil.copytree(work / "dense/0", work / "dense/1")
+        fix(work / "sparse/1", tmp_path / "other", dense=True, **OPTIONS)
+    shutil.rmtree(work / "dense")
+    with pytest.raises(UsageError, match="no dense workspace"):
+        fix(work / "sparse/0", tmp_path / "other", dense=True, **OPTIONS)
+    assert not (tmp_path / "other").exists()
+
+
+def test_pose_priors_are_left_alone_and_said(work):
+    path = work / "database.db"
+    with pycolmap.Database.open(str(path)) as database:
+        image = pycolmap.Image(name="a.jpg", camera_id=database.write_camera(
+            pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", 500.0, 640, 480)))  # fmt: skip
+        number = database.write_image(image)
+        prior = pycolmap.PosePrior(position=np.ones(3))
+        prior.corr_data_id = pycolmap.data_t(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 1), number)
+        database.write_pose_prior(prior)
+    before = path.read_bytes()
+    notes = ColmapSource.open(work / "sparse/0", need_images=False).notes
+    assert any("1 pose priors are not in model units" in note for note in notes)
+    assert path.read_bytes() == before
+    path.unlink()
+    sqlite3.connect(path).close()
+    assert not any("pose priors are" in note for note in ColmapSource.open(work / "sparse/0", need_images=False).notes)
