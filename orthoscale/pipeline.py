@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 
 from .atomic import check_free, new_file, new_folder
 from .boxes import Boxes
-from .detect.find import Progress, find_vehicles
+from .detect.find import Effort, Progress, find_vehicles
 from .detections import Detections
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
 from .fleet import Fleet
@@ -69,13 +70,16 @@ def estimate(
     zoom: float | None = None,
     gsd_hint: float | None = None,
     progress: Progress | None = None,
+    **effort: Any,
 ) -> Result:
     """Find the scale of an orthophoto (metres per pixel) or a COLMAP model (metres per model unit).
 
     fleet : code of the country's fleet, or a JSON file. images : folder of a model's frames, when not beside it.
     detections : boxes from a file instead of the detector. detector : an ONNX file instead of the shipped one.
     zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
-    `path` may be a source that `open_source` opened. Raises InputError, UsageError, TooLittleEvidence.
+    effort : how much to look at, and with what; see `orthoscale.detect.find.Effort` (target, exhaustive, seed, workers,
+    scheduler, cache). `path` may be a source that `open_source` opened.
+    Raises InputError, UsageError, TooLittleEvidence.
     """
     started = time.perf_counter()
     if zoom is not None and gsd_hint is not None:
@@ -97,7 +101,9 @@ def estimate(
         if gsd_hint is not None:
             zoom = _zoom_for(gsd_hint, ruler_fleet, detector_file)
         try:
-            found, choice = find_vehicles(source.pictures, detector_file, zoom, progress)
+            found, choice = find_vehicles(
+                source.pictures, detector_file, zoom, progress, Effort(**effort), _sampling(source, ruler_fleet)
+            )
         except TooLittleEvidence as error:
             raise TooLittleEvidence(f"{source.path}: {error.message}", error.hint) from error
     try:
@@ -191,6 +197,23 @@ def _check_names(found: Detections, source: Source, path: Path) -> None:
             f"the first is {strangers[0]!r}",
             f"The source has pictures like {known[0]!r}: give the detections that were made on it.",
         )
+
+
+def _sampling(source: Source, fleet: Fleet) -> Callable[[Detections], float] | None:
+    """The sampling part of the uncertainty after a part of a sweep.
+
+    An orthophoto's tiles show different vehicles; frames show the same ones again, and need each other.
+    """
+    if source.unit != "m/px":
+        return None
+
+    def sampling(found: Detections) -> float:
+        try:
+            return measure(source, found, fleet)[3].parts["sampling"]
+        except TooLittleEvidence:
+            return np.inf
+
+    return sampling
 
 
 def _typical_length(found: Detections) -> float:

@@ -52,13 +52,17 @@ class Card:
 class Detector:
     """Finds small vehicles in an RGB image. Holds one inference session; safe to call from several threads."""
 
-    def __init__(self, path: Path | None = None):
-        """`path`: an ONNX file with an orthoscale card; None: the shipped weights. Raises InputError."""
+    def __init__(self, path: Path | None = None, threads: int = 0):
+        """`path`: an ONNX file with an orthoscale card; None: the shipped weights. Raises InputError.
+
+        `threads` work on one image together; 0 for as many as there are cores.
+        """
         import onnxruntime
 
         if path is None:
             path = Path(str(resources.files(__package__) / "weights" / SHIPPED))
         options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
         # Spinning threads starve the reader and the decoder where cores are few.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
