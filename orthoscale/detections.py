@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .boxes import Boxes
 from .errors import InputError
 from .pooling import Ruler
+
+if TYPE_CHECKING:
+    from .detect.sweep import Swept
 
 # Boxes from a file that does not say what ruler they are: a margin nobody has measured.
 UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.03), noise=(2.0, 1.2))
@@ -25,6 +29,7 @@ class Detections:
     zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
     effective_height : up to where the boxes enclose a vehicle seen obliquely, along its length and its width [m].
     doubtful : boxes that were seen but not believed, by picture name, with the reason.
+    swept : which tiles were looked at, where the boxes do not come from a file.
     """
 
     boxes: dict[str, Boxes]
@@ -35,6 +40,7 @@ class Detections:
     detector_sha256: str = ""
     doubtful: dict[str, Boxes] = field(default_factory=dict)
     doubt: str = "seen at one zoom only"
+    swept: Swept | None = None
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from .atomic import check_free, new_file, new_folder
 from .boxes import Boxes
 from .calibration import Calibration
 from .detect.detector import Detector
-from .detect.find import Progress, find_vehicles
+from .detect.find import Effort, Progress, find_vehicles
 from .detections import Detections
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
 from .fleet import Fleet
@@ -92,6 +92,7 @@ def estimate(
     zoom: float | None = None,
     gsd_hint: float | None = None,
     progress: Progress | None = None,
+    **effort: Any,
 ) -> Result:
     """Find the scale of an orthophoto (metres per pixel) or a COLMAP model (metres per model unit).
 
@@ -102,7 +103,9 @@ def estimate(
     numbers of the detector's classes that count, instead of those called small vehicles.
     calibration : file of `orthoscale.calibrating.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
-    `path` may be a source that `open_source` opened. Raises InputError, UsageError, TooLittleEvidence.
+    effort : how much to look at, and with what; see `orthoscale.detect.find.Effort` (target, exhaustive, seed, workers,
+    scheduler, cache). `path` may be a source that `open_source` opened.
+    Raises InputError, UsageError, TooLittleEvidence.
     """
     started = time.perf_counter()
     if zoom is not None and gsd_hint is not None:
@@ -123,11 +126,14 @@ def estimate(
         found = Detections.load(Path(detections))
         found = _of_source(found, source, Path(detections))
     else:
-        network = Detector(_path(detector), decoder, vehicle_classes)
+        how_much = Effort(**effort)
+        network = Detector(_path(detector), decoder, vehicle_classes, how_much.threads_each)
         if gsd_hint is not None:
             zoom = network.card.best_length * gsd_hint / float(ruler_fleet.mean[0])
         try:
-            found, choice = find_vehicles(source.pictures, network, zoom, progress)
+            found, choice = find_vehicles(
+                source.pictures, network, zoom, progress, how_much, _sampling(source, ruler_fleet)
+            )
         except TooLittleEvidence as error:
             raise TooLittleEvidence(f"{source.path}: {error.message}", error.hint) from error
     if measured is not None:
@@ -233,6 +239,23 @@ def _of_source(found: Detections, source: Source, path: Path) -> Detections:
         )
     source.notes.append(f"{path}: {len(strangers)} of its pictures are not in this model, the first is {strangers[0]}")
     return replace(found, boxes={name: boxes for name, boxes in found.boxes.items() if name in known})
+
+
+def _sampling(source: Source, fleet: Fleet) -> Callable[[Detections], float] | None:
+    """The sampling part of the uncertainty after a part of a sweep.
+
+    An orthophoto's tiles show different vehicles; frames show the same ones again, and need each other.
+    """
+    if source.unit != "m/px":
+        return None
+
+    def sampling(found: Detections) -> float:
+        try:
+            return measure(source, found, fleet)[3].parts["sampling"]
+        except TooLittleEvidence:
+            return np.inf
+
+    return sampling
 
 
 def _typical_length(found: Detections) -> float:

@@ -71,15 +71,25 @@ class Card:
 
 
 class Detector:
-    """Finds small vehicles in an RGB image. Holds one inference session; safe to call from several threads."""
+    """Finds small vehicles in an RGB image. Holds one inference session; safe to call from several threads.
 
-    def __init__(self, path: Path | None = None, decoder: str | None = None, vehicle_classes: Sequence[str] = ()):
+    settings : (path, decoder, vehicle_classes) with which another process makes the same detector.
+    """
+
+    def __init__(
+        self,
+        path: Path | None = None,
+        decoder: str | None = None,
+        vehicle_classes: Sequence[str] = (),
+        threads: int = 0,
+    ):
         """Load a network once.
 
         path : an ONNX file; None: the shipped weights. decoder : its layout (`layout.DECODERS`), where it is not to be
         recognised. vehicle_classes : names or numbers of the classes that count, instead of those called small
-        vehicles. Raises InputError, UsageError.
+        vehicles. threads : work on one image together; 0 for as many as there are cores. Raises InputError, UsageError.
         """
+        self.settings = (path, decoder, tuple(vehicle_classes))
         if path is None:
             path = Path(str(resources.files(__package__) / "weights" / SHIPPED))
         try:
@@ -89,7 +99,7 @@ class Detector:
                 f"{path}: cannot be read ({error.strerror})", "Give a detector as an .onnx file."
             ) from error
         self.path = path
-        self._session = _session(path, content)
+        self._session = _session(path, content, threads)
         meta = self._session.get_modelmeta().custom_metadata_map
         (image, *more), outputs = self._session.get_inputs(), self._session.get_outputs()
         if more:
@@ -147,10 +157,11 @@ class Detector:
         return self.layout.decode(arrays, threshold)
 
 
-def _session(path: Path, content: bytes) -> Any:
+def _session(path: Path, content: bytes, threads: int) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
     options.log_severity_level = 4  # what it has to say comes as an exception, once
     # Spinning threads starve the reader and the decoder where cores are few.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")

@@ -9,6 +9,7 @@ vehicles', and the zoom that brings it to the detector's best length is the one 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,12 +52,13 @@ def search_zoom(
     card: Card,
     progress: Callable[[int, int], None] | None = None,
     seed: int = 0,
+    workers: int = 1,
 ) -> ZoomChoice:
-    """The zoom at which to sweep `pictures`. Deterministic for a seed."""
+    """The zoom at which to sweep `pictures`, looked for on `workers` threads. Deterministic for a seed."""
     choice = ZoomChoice(1.0, None, 0.0, 0.0, [])
     for round_ in range(ROUNDS):
         budget = BUDGET * 4**round_
-        choice = _look_over(pictures, detect, card, budget, progress, seed)
+        choice = _look_over(pictures, detect, card, budget, progress, seed, workers)
         seen_all = sum(p.width * p.height for p in pictures) * LEVELS[-1] ** 2 <= budget
         if choice.votes >= ENOUGH or seen_all:
             break
@@ -64,14 +66,14 @@ def search_zoom(
 
 
 def _look_over(
-    pictures: Sequence[Picture], detect: Detect, card: Card, budget: float, progress, seed: int
+    pictures: Sequence[Picture], detect: Detect, card: Card, budget: float, progress, seed: int, workers: int
 ) -> ZoomChoice:
     anchors = _anchors(pictures, seed, max(1, int(budget / WINDOW**2)))
     levels = [z for z in LEVELS if max(max(p.width, p.height) for p in pictures) * z >= 3 * card.usable_length[0]]
     lengths, weights, table = [], [], []
     before: dict[int, Boxes] = {}
     for k, zoom in enumerate(levels):
-        here = _level(pictures, anchors, zoom, detect, budget, card)
+        here = _level(pictures, anchors, zoom, detect, budget, card, workers)
         confirmed = [_confirmed(boxes, before.get(key)) for key, boxes in here.items()]
         for boxes, low in confirmed:
             lengths += [boxes.length, low.length]
@@ -130,9 +132,25 @@ def _level(
     detect: Detect,
     budget: float,
     card: Card,
+    workers: int,
 ) -> dict[int, Boxes]:
     """Boxes of usable length by picture, in its pixels, from windows around the anchors until the budget is used."""
+    windows = _windows(pictures, anchors, zoom, budget)
+    with ThreadPoolExecutor(workers) as pool:
+        looks = list(pool.map(lambda window: look(pictures[window[0]], window[1], detect), windows))
     found: dict[int, list[Boxes]] = {}
+    low, high = card.usable_length
+    for (index, _), boxes in zip(windows, looks, strict=True):
+        usable = (boxes.length * zoom >= low) & (boxes.length * zoom <= high)
+        found.setdefault(index, []).append(boxes[usable])
+    return {index: suppress(Boxes.concatenate(parts)) for index, parts in found.items()}
+
+
+def _windows(
+    pictures: Sequence[Picture], anchors: Sequence[tuple[int, float, float]], zoom: float, budget: float
+) -> list[tuple[int, Tile]]:
+    """Windows (picture, tile) around the anchors, each once, until the budget is used."""
+    windows = []
     done: set[tuple[int, int, int]] = set()
     spent = 0.0
     for index, sx, sy in anchors:
@@ -146,13 +164,10 @@ def _level(
         done.add((index, x, y))
         tile = Tile(x, y, width, height, max(1, round(width * zoom)), max(1, round(height * zoom)))
         spent += tile.out_width * tile.out_height
-        boxes = look(picture, tile, detect)
-        low, high = card.usable_length
-        usable = (boxes.length * zoom >= low) & (boxes.length * zoom <= high)
-        found.setdefault(index, []).append(boxes[usable])
+        windows.append((index, tile))
         if spent >= budget:
             break
-    return {index: suppress(Boxes.concatenate(parts)) for index, parts in found.items()}
+    return windows
 
 
 def _confirmed(boxes: Boxes, others: Boxes | None) -> tuple[Boxes, Boxes]:

@@ -39,6 +39,9 @@ def document(result: Result) -> dict[str, Any]:
             "effective_height": list(found.effective_height),
             "margin_px": list(found.ruler.margin),
         },
+        "sweep": None
+        if found.swept is None
+        else {"tiles": len(found.swept.tiles), "of": found.swept.total, "from_cache": found.swept.from_cache},
         "zoom_search": None
         if result.zoom_choice is None
         else {

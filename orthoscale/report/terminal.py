@@ -28,6 +28,9 @@ def summary(result: Result, out: Path | None = None) -> str:
         f"checks     {checks}",
         f"detector   {result.detections.detector}, zoom {result.detections.zoom:.2f}",
     ]
+    swept = result.detections.swept
+    if swept is not None and len(swept.tiles) < swept.total:
+        lines.append(f"looked at  {len(swept.tiles)} of {swept.total} tiles, which was enough (--exhaustive for all)")
     lines += [f"note       {remark}" for remark in (*scale.remarks, *result.source.notes)]
     lines.append(f"time       {result.seconds:.1f} s")
     if out is not None:

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from ..errors import InputError
+from ..fingerprint import fingerprint
 
 FRAMES_IN_MEMORY = 2
 
@@ -34,6 +35,10 @@ class PictureFile:
             return window.copy()
         shrinks = out_width * out_height < width * height
         return cv2.resize(window, (out_width, out_height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
+
+    def fingerprint(self) -> str:
+        """What cached work on this frame is keyed by."""
+        return fingerprint([self.path])
 
     def check_size(self) -> None:
         """Raise InputError if the file's header tells another size than this picture's; pixels are not decoded."""

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -23,6 +24,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from ..errors import InputError, OutputError, UsageError
+from ..fingerprint import fingerprint
 from .picture import Picture
 
 GREY = 114
@@ -156,6 +158,14 @@ class RasterSource:
                 return hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
             raise InputError(f"{self.path} cannot be read ({error.strerror})", "Was it moved meanwhile?") from error
+
+    def fingerprint(self) -> str:
+        """What cached work on this image is keyed by: the content of all its files, sampled where it is large."""
+        return fingerprint(Path(f) for f in self._dataset.files)
+
+    def __reduce__(self) -> tuple:
+        """Pickled as its path: another process opens it anew, once for all its tiles."""
+        return _shared, (str(self.path.absolute()),)
 
     # Reading
 
@@ -460,6 +470,11 @@ class RasterSource:
         rng, side = np.random.default_rng(0), min(512, self.width, self.height)
         for y in np.sort(rng.integers(0, self.height - side + 1, 64)):
             yield Window(int(rng.integers(0, self.width - side + 1)), int(y), side, side)
+
+
+@lru_cache(maxsize=4)
+def _shared(path: str) -> RasterSource:
+    return RasterSource.open(path)
 
 
 def _fits(value: float, dtype: str) -> bool:
