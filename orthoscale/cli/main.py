@@ -15,6 +15,7 @@ from .options import EXIT_CODES
 COMMANDS = {  # name: module of this package; the function in it has the command's name
     "estimate": "scale",
     "fix": "scale",
+    "photo": "photo",
     "fleets": "fleets",
 }
 
