@@ -262,6 +262,7 @@ def test_caches_that_nobody_used_for_months_are_deleted(tmp_path):
 def test_the_key_holds_the_input_and_the_settings(picture_file):
     class Other(RectangleDetector):
         sha256 = "b" * 64
+        layout = None
 
     detector = Other()
     key = cache_key([picture_file], detector, 1.0)
