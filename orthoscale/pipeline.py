@@ -49,6 +49,11 @@ class Result:
 
     def require_useful(self) -> None:
         """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
+        if self.scale.tension > CONFLICT:
+            raise EvidenceDisagrees(
+                f"{self.source.path}: {self.scale.remarks[0]}",
+                "Look at the boxes (--save-detections), name the country's fleet, or write all the same with --force.",
+            )
         if self.scale.verdict == "refuse":
             low, high = self.scale.interval90
             raise TooLittleEvidence(
@@ -56,11 +61,6 @@ class Result:
                 f"{self.scale.unit}",
                 "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with "
                 "--force.",
-            )
-        if self.scale.tension > CONFLICT:
-            raise EvidenceDisagrees(
-                f"{self.source.path}: {self.scale.remarks[0]}",
-                "Look at the boxes (--save-detections), name the country's fleet, or write all the same with --force.",
             )
 
 
