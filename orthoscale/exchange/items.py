@@ -58,9 +58,9 @@ def boxes_by_picture(
 ) -> dict[str, Boxes]:
     """Boxes of the vehicles among `items`, by the names that the source's `pictures` have.
 
-    A name may lack its suffix or its folder, as in DOTA and COCO, where that leaves no doubt; names that the source does
-    not have stay as they are. Raises InputError for items without vehicles, of pictures that cannot be told, or without
-    extent; `origin` names the file.
+    A name may lack its suffix or its folder, as in DOTA and COCO, where that leaves no doubt; names that the source
+    does not have stay as they are. Raises InputError for items without vehicles, of pictures that cannot be told, or
+    without extent; `origin` names the file.
     """
     labels = {item.label for item in items if item.label is not None}
     counted = [item for item in items if item.label is None or is_vehicle(item.label, vehicle_classes)]
