@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -45,16 +46,40 @@ class Detections:
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))
 
-    def save(self, path: Path) -> None:
-        """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians."""
-        text = {
+    def about(self) -> dict[str, Any]:
+        """All that is needed to measure with the boxes, as plain values."""
+        return {
             "detector": self.detector,
             "detector_sha256": self.detector_sha256,
             "zoom": self.zoom,
             "effective_height": list(self.effective_height),
             "ruler": asdict(self.ruler),
-            "pictures": {name: _rows(boxes) for name, boxes in self.boxes.items()},
         }
+
+    @classmethod
+    def of(cls, boxes: dict[str, Boxes], about: Mapping[str, Any] | None, name: str, origin: str) -> Detections:
+        """Boxes from a file, with what `about` says of them; without that they are those of `name`, a detector that
+        nobody has measured. Raises InputError, which calls the file `origin`."""
+        if about is None:
+            return cls(boxes, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, name)
+        try:
+            return cls(
+                boxes=boxes,
+                zoom=float(about["zoom"]),
+                ruler=Ruler.from_json(about["ruler"]) if "ruler" in about else UNKNOWN_RULER,
+                effective_height=_pair(about["effective_height"]),
+                detector=str(about.get("detector", name)),
+                detector_sha256=str(about["detector_sha256"]),
+            )
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(
+                f"{origin}: not a detections file (what it says of its detector is damaged: {error!r})",
+                "Save the detections again.",
+            ) from error
+
+    def save(self, path: Path) -> None:
+        """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians."""
+        text = {**self.about(), "pictures": {name: _rows(boxes) for name, boxes in self.boxes.items()}}
         path.write_text(json.dumps(text, indent=0))
 
     @classmethod
@@ -62,19 +87,7 @@ class Detections:
         """Read what `save` wrote, or a plain ``{name: [box, ...]}``. Raises InputError."""
         try:
             text = json.loads(path.read_text(encoding="utf-8"))
-            pictures = text.get("pictures", text)
-            boxes = {name: _boxes(rows) for name, rows in pictures.items()}
-            ruler = Ruler.from_json(text["ruler"]) if "ruler" in text else UNKNOWN_RULER
-            return cls(
-                boxes=boxes,
-                zoom=float(text["zoom"]) if "pictures" in text else 1.0,
-                ruler=ruler,
-                effective_height=_pair(text["effective_height"]) if "pictures" in text else UNKNOWN_HEIGHT,
-                detector=str(text.get("detector", f"boxes of {path.name}"))
-                if "pictures" in text
-                else f"boxes of {path.name}",
-                detector_sha256=str(text["detector_sha256"]) if "pictures" in text else "",
-            )
+            boxes = {name: _boxes(rows) for name, rows in text.get("pictures", text).items()}
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a detections file.") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -82,6 +95,7 @@ class Detections:
                 f"{path}: not a detections file ({error!r})",
                 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.',
             ) from error
+        return cls.of(boxes, text if "pictures" in text else None, f"boxes of {path.name}", str(path))
 
 
 def _pair(values: list[float]) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,6 +18,7 @@ from .detect.detector import Detector
 from .detect.find import Effort, Progress, find_vehicles
 from .detections import Detections
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
+from .exchange import load as load_detections
 from .fleet import Fleet
 from .measuring import measure
 from .pooling import Scale
@@ -98,9 +99,10 @@ def estimate(
 
     fleet : code of the country's fleet, or a JSON file; by default the calibration's own, else ``world``.
     images : folder of a model's frames, when not beside it.
-    detections : boxes from a file instead of the detector. detector : an ONNX file instead of the shipped one.
+    detections : boxes from a file instead of the detector; see `exchange` for the formats.
+    detector : an ONNX file instead of the shipped one.
     decoder : how to read its outputs, where they do not tell (`detect.layout.DECODERS`). vehicle_classes : names or
-    numbers of the detector's classes that count, instead of those called small vehicles.
+    numbers of the classes that count, instead of those called small vehicles.
     calibration : file of `orthoscale.calibrating.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
     effort : how much to look at, and with what; see `orthoscale.detect.find.Effort` (target, exhaustive, seed, workers,
@@ -123,8 +125,7 @@ def estimate(
         source = path
     choice = None
     if detections is not None:
-        found = Detections.load(Path(detections))
-        found = _of_source(found, source, Path(detections))
+        found = load_detections(Path(detections), source, vehicle_classes)
     else:
         how_much = Effort(**effort)
         network = Detector(_path(detector), decoder, vehicle_classes, how_much.threads_each)
@@ -223,22 +224,6 @@ def _beside(out: Path, suffix: str) -> Path:
 
 def _path(value: str | Path | None) -> Path | None:
     return None if value is None else Path(value)
-
-
-def _of_source(found: Detections, source: Source, path: Path) -> Detections:
-    """`found` without pictures that `source` does not have: those of a workspace's other models."""
-    known = set(source.picture_names)
-    strangers = [name for name in found.boxes if name not in known]
-    if not strangers:
-        return found
-    if len(strangers) == len(found.boxes):
-        raise InputError(
-            f"{path}: {len(strangers)} of its {len(found.boxes)} pictures are not in {source.path}, "
-            f"the first is {strangers[0]!r}",
-            f"The source has pictures like {source.picture_names[0]!r}: give the detections that were made on it.",
-        )
-    source.notes.append(f"{path}: {len(strangers)} of its pictures are not in this model, the first is {strangers[0]}")
-    return replace(found, boxes={name: boxes for name, boxes in found.boxes.items() if name in known})
 
 
 def _sampling(source: Source, fleet: Fleet) -> Callable[[Detections], float] | None:

@@ -122,6 +122,13 @@ def test_seven_by_seven_is_told_by_the_metadata(tmp_path):
         assert Detector(path).layout.decoder == layout
 
 
+def test_what_decides_over_boxes_is_in_the_layouts_text(tmp_path):
+    """Kept looks are found again by it, in another process too."""
+    path = network(tmp_path / "a.onnx", {"output0": raw()}, NAMES)
+    cars, buses = (repr(Detector(path, vehicle_classes=classes).layout) for classes in ([], ["large vehicle"]))
+    assert cars != buses and " at 0x" not in cars + repr(Detector().layout)
+
+
 def test_padding_and_overflow_are_no_boxes(tmp_path):
     rows = nms_free()
     rows[0, 4:] = [[50, 50, 0, 10, 0.9, 1, 0], [50, 50, np.nan, 10, 0.9, 1, 0], [np.inf, 50, 30, 10, 0.9, 1, 0]]
@@ -305,7 +312,7 @@ def test_the_whole_way_with_a_detector_of_others(tmp_path):
     )
     path = tmp_path / "a.onnx"
     onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path)
-    cv2.imwrite(str(tmp_path / "a.png"), np.full((768, 768, 3), 90, np.uint8))
+    cv2.imwrite(str(tmp_path / "a.png"), np.random.default_rng(0).integers(80, 100, (768, 768, 3), np.uint8))
     result = orthoscale.estimate(tmp_path / "a.png", detector=path, zoom=1.0, fleet="DE")
     assert result.scale.vehicles_used == 12
     assert result.scale.value == pytest.approx(4.37 / 41, rel=0.05)

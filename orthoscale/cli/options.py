@@ -48,10 +48,12 @@ def evidence_options(command: Callable) -> Callable:
             click.option(
                 "--detections",
                 type=click.Path(path_type=Path),
-                help="Boxes from this file; no detector, no frames needed.",
+                help="Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector, no frames needed.",
             ),
             click.option(
-                "--save-detections", type=click.Path(path_type=Path), help="Keep the boxes found in this file."
+                "--save-detections",
+                type=click.Path(path_type=Path),
+                help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
             ),
             click.option(
                 "--calibration",

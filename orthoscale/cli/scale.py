@@ -27,6 +27,7 @@ def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | Non
 
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
+    _check_savable(save_detections)
     with progress_bars() as progress:
         if models:
             outcomes = workspace.estimate_all(models, progress=progress, **options)
@@ -58,6 +59,7 @@ def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path
 
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
+    _check_savable(save_detections)
     with progress_bars() as progress:
         if models:
             outcomes = workspace.fix_all(models, out, progress=progress, **options)
@@ -86,12 +88,23 @@ def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None)
             click.echo(f"no scale   {outcome.error}")
 
 
+def _check_savable(path: Path | None) -> None:
+    """Before any work is done."""
+    if path is not None:
+        from ..atomic import check_free
+        from ..exchange import check_name
+
+        check_name(path)
+        check_free(path, overwrite=True)
+
+
 def _finish(result: Any, as_json: bool, save_detections: Path | None, out: Path | None = None) -> None:
     if save_detections is not None:
         from ..atomic import new_file
+        from ..exchange import save
 
         with new_file(save_detections, overwrite=True) as partial:
-            result.detections.save(partial)
+            save(result.detections, partial, result.source)
     if as_json:
         from ..report.document import document
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import ast
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -57,15 +57,16 @@ class Layout:
     """How to feed a network and how to read it.
 
     multiple : height and width of its input must be multiples of this [px]. size : (height, width) where the file
-    fixes them [px]. decode : from its outputs and a score to boxes [px of its input]. assumed : what the file does not
-    say and was taken for granted, for people.
+    fixes them [px]. decode : from its outputs and a score to boxes [px of its input]. vehicles : numbers of the classes
+    that count. assumed : what the file does not say and was taken for granted, for people.
     """
 
     decoder: str
     normalisation: Normalisation
     multiple: int
     size: tuple[int, int] | None
-    decode: Callable[[Sequence[np.ndarray], float], Boxes]
+    decode: Callable[[Sequence[np.ndarray], float], Boxes] = field(repr=False)  # two processes print the same layout
+    vehicles: tuple[int, ...] = ()
     assumed: str = ""
 
 
@@ -187,7 +188,7 @@ def _ultralytics(
         read = decode_ultralytics if decoder == "ultralytics" else decode_ultralytics_nms_free
         return read(arrays[0][0].astype(np.float64), vehicles, score)
 
-    return Layout(decoder, Normalisation(), max(stride, 1), size, decode)
+    return Layout(decoder, Normalisation(), max(stride, 1), size, decode, tuple(vehicles))
 
 
 def _mmrotate(
@@ -212,7 +213,7 @@ def _mmrotate(
     def decode(arrays: Sequence[np.ndarray], score: float) -> Boxes:
         return decode_mmrotate(arrays[dets][0].astype(np.float64), arrays[labels][0], vehicles, score)
 
-    return Layout(decoder, normalisation, 32, size, decode, "; ".join(assumed))
+    return Layout(decoder, normalisation, 32, size, decode, tuple(vehicles), "; ".join(assumed))
 
 
 def _vehicles(path: Path, names: Sequence[str], wanted: Sequence[str]) -> list[int]:
