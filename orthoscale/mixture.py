@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from .fleet import Class
 
@@ -24,9 +25,12 @@ PRIOR_SHARES = 10.0  # votes that the national shares of the fleet's classes cou
 # of those six segments of the fleet table (5.00 to 5.85 m long, 1.86 to 2.05 m wide). Which of them stand at a place is
 # not known, so their mean there is a parameter of its own, with the spread between the segments for a prior.
 LARGER = Class("larger", 1.0, np.array([5.39, 1.98, 2.0]), np.array([0.31, 0.065, 0.25]), 0.5)
-# Prior of their share at a place, beyond those that the fleet's own classes hold: Beta(1, 8), mean 11 %, one place in
-# ten above a quarter. Vans are 10 to 12 % of the light vehicles registered in Europe (ACEA: 30 of 280 million).
-LARGER_PRIOR = 8.0
+# Prior of their share at a place, beyond the fleet's own: Beta(1, b). Vans are 10 to 12 % of the light vehicles
+# registered in Europe (ACEA: 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long
+# vehicles already; some are left out all the same. A mean of 11 % has one place in ten above a quarter.
+LEFT_OUT = 0.11
+LEFT_OUT_AT_LEAST = 0.05
+LONG = 5.2  # [m] a third of LARGER is shorter than that
 LARGER_SHARES = np.arange(0.01, 0.61, 0.02)
 STARTERS = 300  # votes from which the starting point is searched
 MANY = 1000  # votes above which STARTERS of them rule out, first, what share of larger vehicles cannot be
@@ -131,10 +135,17 @@ def fit(
     log_posterior -= 0.5 * np.einsum("vi,ij,vj->v", log_scale, tie, log_scale)
     log_posterior -= 0.5 * np.einsum("vi,ij,vj->v", stray, stray_prior, stray)
     log_posterior += PRIOR_SHARES * (national * np.log(share / national)).sum(1)
-    log_posterior = min(1.0, SHAPE_VEHICLES / len(log_size)) * log_posterior + (LARGER_PRIOR - 1) * np.log1p(-v)
+    log_posterior = min(1.0, SHAPE_VEHICLES / len(log_size)) * log_posterior + _log_prior(classes, v)
     weight = np.exp(log_posterior - log_posterior.max())
     evidence = float(log_posterior.max() + np.log(weight.sum()))
     return Fits(weight / weight.sum(), evidence, log_scale, covariance, p)
+
+
+def _log_prior(classes: Sequence[Class], larger: np.ndarray) -> np.ndarray:
+    """(V,) log density of each share of `larger` vehicles beyond those of `classes`."""
+    own = sum(c.weight * ndtr((c.mean[0] - LONG) / c.sd[0]) for c in classes) / sum(c.weight for c in classes)
+    b = 1 / max(LEFT_OUT - own, LEFT_OUT_AT_LEAST) - 1
+    return np.log(b) + (b - 1) * np.log1p(-larger)
 
 
 def _start(gap: np.ndarray, spread: np.ndarray, national: np.ndarray, shares: np.ndarray) -> np.ndarray:
