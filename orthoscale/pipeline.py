@@ -17,6 +17,7 @@ from .calibration import Calibration
 from .detect.detector import Detector
 from .detect.find import Effort, Progress, find_vehicles
 from .detections import Detections
+from .drift import Drift, drift
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
 from .exchange import load as load_detections
 from .fleet import Fleet
@@ -27,6 +28,7 @@ from .votes import Votes
 if TYPE_CHECKING:
     from .detect.zoom import ZoomChoice
     from .sources.colmap import ColmapSource
+    from .sources.raster import RasterSource
     from .sources.source import Source
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
@@ -47,6 +49,7 @@ class Result:
     zoom_choice: ZoomChoice | None
     rejected_boxes: dict[str, int]  # boxes that never became votes, by reason
     seconds: float
+    drift: Drift | None = None  # of the scale within an orthophoto
 
     def require_useful(self) -> None:
         """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
@@ -149,8 +152,12 @@ def estimate(
             "or a scene with more vehicles.",
         ) from error
     rejected = {reason: count for reason, count in lost.items() if count}
+    within = None
+    if source.unit == "m/px":
+        (whole,) = source.pictures
+        within = drift(votes, scale, found.ruler, whole.width, whole.height)
     seconds = time.perf_counter() - started
-    return Result(source, ruler_fleet, found, boxes, picture, votes, scale, choice, rejected, seconds)
+    return Result(source, ruler_fleet, found, boxes, picture, votes, scale, choice, rejected, seconds, within)
 
 
 def fix(
@@ -161,6 +168,9 @@ def fix(
     override: bool = False,
     force: bool = False,
     dense: bool = False,
+    keep_origin: bool = False,
+    cog: bool = False,
+    also: Sequence[str] = (),
     **options: Any,
 ) -> Result:
     """Estimate the scale of `path` (see `estimate` for `options`) and write a copy of it in metres at `out`.
@@ -169,6 +179,8 @@ def fix(
     sim3.txt, report.json and vehicles.png in it. All of them appear, or none.
 
     overwrite : replace what is at `out`. override : rescale although the input's own georeferencing gives a scale.
+    keep_origin : an orthophoto keeps its coordinate reference system, first corner and direction; else local metres.
+    cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.EXTRAS`.
     force : write although the evidence is too uncertain to be useful (verdict ``refuse``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
     Raises what `estimate` raises, EvidenceDisagrees, OutputError.
@@ -178,6 +190,14 @@ def fix(
     if out.resolve() == path.resolve():
         raise UsageError(f"{out} is the input itself", "The input is never touched: choose another --out.")
     source = open_source(path, _path(options.get("images")), need_images=options.get("detections") is None)
+    from .report.extras import chosen
+
+    extras = [(extra.place(out), extra.write) for extra in chosen(also)]
+    if source.unit == "m/px":
+        for beside in (_beside(out, ".png"), _beside(out, ".json"), *(place for place, _ in extras)):
+            check_free(beside, overwrite)
+    elif keep_origin or cog or also:
+        raise UsageError("--keep-origin, --cog and --also are for orthophotos", f"{path} is a model.")
     if source.metric_already and not override:  # not behind its owner's back
         raise UsageError(
             f"{path} is in metres already: {source.metric_already}",
@@ -196,18 +216,25 @@ def fix(
             main = outputs.enter_context(new_file(out, overwrite))
             picture = outputs.enter_context(new_file(_beside(out, ".png"), overwrite))
             report = outputs.enter_context(new_file(_beside(out, ".json"), overwrite))
+            raster = cast("RasterSource", source)
+            raster.write(main, result.scale.value, keep_origin, cog)
+            for place, write in extras:
+                partial = outputs.enter_context(new_file(place, overwrite))
+                write(result, raster.place(result.scale.value, keep_origin), partial)
         else:
             main = outputs.enter_context(new_folder(out, overwrite))
             picture, report = main / "vehicles.png", main / "report.json"
-        source.write(main, result.scale.value)
-        if dense:
-            (main / "dense").mkdir()
-            cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
+            source.write(main, result.scale.value)
+            if dense:
+                (main / "dense").mkdir()
+                cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
         draw(result, picture)
         write_json(document(result), report)
         if overwrite:
             for suffix in GDAL_SIDECARS:  # those of the file that is replaced would speak for the new one
                 _beside(out, suffix).unlink(missing_ok=True)
+            if "tfw" not in also:
+                out.with_suffix(".tfw").unlink(missing_ok=True)
     return result
 
 

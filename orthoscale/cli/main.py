@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import traceback
 from importlib import import_module
@@ -15,6 +16,7 @@ from .options import EXIT_CODES
 COMMANDS = {  # name: module of this package; the function in it has the command's name
     "estimate": "scale",
     "fix": "scale",
+    "check": "check",
     "apply": "apply",
     "photo": "photo",
     "fleets": "fleets",
@@ -47,6 +49,8 @@ def cli() -> None:
 def main() -> None:
     """Entry point: errors become one message and an exit code; `--debug` shows the traceback as well."""
     debug = "--debug" in sys.argv
+    # A polite kill cleans up as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         sys.exit(cli.main(standalone_mode=False) or 0)
     except OrthoscaleError as error:

@@ -38,6 +38,7 @@ def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | Non
 
 @click.command(
     epilog="\b\nExamples:\n  orthoscale fix ortho.tif --out scaled.tif --fleet PH\n"
+    "  orthoscale fix utm.tif --out scaled.tif --override --keep-origin --also gpkg --also tfw\n"
     "  orthoscale fix model/ --out scaled/ --fleet US\n"
     "  orthoscale fix model/ --out scaled/ --detections boxes.json\n\n" + EXIT_CODES
 )
@@ -46,6 +47,14 @@ def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | Non
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="GeoTIFF or folder to write.")
 @click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
 @click.option("--override", is_flag=True, help="Rescale although INPUT says that it is in metres.")
+@click.option("--keep-origin", is_flag=True, help="Keep an orthophoto's CRS, first corner and direction.")
+@click.option("--cog", is_flag=True, help="Write a cloud-optimised GeoTIFF.")
+@click.option(
+    "--also",
+    multiple=True,
+    type=click.Choice(["tfw", "scale", "gpkg", "geojson", "tiles"]),
+    help="More files beside OUT: world file, plain scale, vehicles (GeoPackage, GeoJSON), statistics per tile.",
+)
 @click.option("--force", is_flag=True, help="Write although the evidence is poor or disagrees.")
 @click.option("--dense", is_flag=True, help="The model's dense workspace too: depth maps, cloud, meshes.")
 def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
