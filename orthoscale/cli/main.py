@@ -16,6 +16,7 @@ COMMANDS = {  # name: module of this package; the function in it has the command
     "estimate": "scale",
     "fix": "scale",
     "photo": "photo",
+    "crop": "crop",
     "layout": "layout",
     "fleets": "fleets",
 }
