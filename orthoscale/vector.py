@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,20 +23,23 @@ def write_layer(
     import pyogrio
     import shapely
 
+    suffix = path.suffix.lower()
     columns = [_column([row[name] for row in rows]) for name in rows[0]]
     try:
-        pyogrio.raw.write(
-            path,
-            geometry=np.array([None if s is None else shapely.to_wkb(s) for s in shapes], object),
-            field_data=[values for values, _ in columns],
-            field_mask=[mask for _, mask in columns],
-            fields=list(rows[0]),
-            geometry_type=kind,
-            crs=crs,
-            driver=DRIVERS[path.suffix.lower()],
-            layer=layer if path.suffix.lower() == ".gpkg" else None,
-            append=False,
-        )
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="'crs' was not provided")  # local metres have none that travels
+            pyogrio.raw.write(
+                path,
+                geometry=np.array([None if s is None else shapely.to_wkb(s) for s in shapes], object),
+                field_data=[values for values, _ in columns],
+                field_mask=[mask for _, mask in columns],
+                fields=list(rows[0]),
+                geometry_type=kind,
+                crs=crs,
+                driver=DRIVERS[suffix],
+                layer=layer if suffix == ".gpkg" else None,
+                append=False,
+            )
     except pyogrio.errors.DataSourceError as error:
         raise OSError(f"GDAL could not write the layer {layer} ({error})") from error
 

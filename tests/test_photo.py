@@ -2,9 +2,8 @@
 
 import csv
 import json
-import subprocess
-import sys
 
+import in_process
 import numpy as np
 import pyogrio
 import pytest
@@ -318,8 +317,7 @@ def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_pa
 
 
 def run(*arguments):
-    command = [sys.executable, "-m", "orthoscale", "photo", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return in_process.run("photo", *arguments)
 
 
 @pytest.fixture

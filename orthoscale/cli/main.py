@@ -19,6 +19,8 @@ COMMANDS = {  # name: module of this package; the function in it has the command
     "check": "check",
     "apply": "apply",
     "photo": "photo",
+    "crop": "crop",
+    "layout": "layout",
     "fleets": "fleets",
     "calibrate": "calibrate",
 }

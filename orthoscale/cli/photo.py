@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from .options import EXIT_CODES, progress_bars
+from .photo_options import lens_options, vehicle_options
 
 
 @click.command(
@@ -17,21 +18,10 @@ from .options import EXIT_CODES, progress_bars
     "  orthoscale photo flight/ --together       one altitude from all photos of a level flight\n\n" + EXIT_CODES
 )
 @click.argument("paths", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--fleet", default="world", show_default=True, help="Country code (US, DE, JP ...) or fleet.json.")
-@click.option("--focal-px", type=float, metavar="PX", help="Focal length, instead of EXIF's and XMP's.")
-@click.option(
-    "--calibration",
-    type=click.Path(path_type=Path),
-    help="The lens: Metashape's XML, COLMAP's cameras.txt with one camera, or JSON.",
-)
-@click.option("--pitch", type=float, metavar="DEG", help="Of the optical axis: -90 straight down, instead of XMP's.")
-@click.option("--roll", type=float, metavar="DEG", help="About the optical axis, right side down, instead of XMP's.")
+@vehicle_options
+@lens_options
 @click.option("--together", is_flag=True, help="Also one scale of all photos: one lens, one altitude.")
-@click.option("--detections", type=click.Path(path_type=Path), help="Boxes from this file; no detector needed.")
 @click.option("--save-detections", type=click.Path(path_type=Path), help="Keep the boxes found in this file.")
-@click.option("--detector", type=click.Path(path_type=Path), help="Another ONNX detector with a card.")
-@click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search.")
-@click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search.")
 @click.option(
     "--out", "outputs", multiple=True, type=click.Path(path_type=Path), help="Table to write: .csv, .json or .gpkg."
 )
