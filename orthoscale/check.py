@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from .pipeline import Result
-from .pooling import Z90, Scale
+from .pooling import Scale
+from .posterior import Z90
 
 CLEAR = 3.0  # sigmas from which a disagreement is no chance
 # Factors (truth over claim) that mistakes make, and the mistake. A ratio close to one of them is a hint, no proof.

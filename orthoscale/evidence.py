@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .posterior import Posterior
+from .posterior import Z90, Posterior
 
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
@@ -67,7 +67,7 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
         surest = min((p for _, p in sources), key=lambda p: p.spread)
         low = min(p.quantile(0.05) for _, p in sources)
         high = max(p.quantile(0.95) for _, p in sources)
-        spread = max((high - low) / (2 * 1.6449), surest.spread)
+        spread = max((high - low) / (2 * Z90), surest.spread)
         wide = Posterior.normal(surest.centre, spread)
         summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
         return Combined(wide, {"conflict": float(spread)}, conflict, remarks, summary)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+Z90 = 1.6449  # two-sided 90 % of a normal distribution
+
 
 @dataclass(frozen=True)
 class Posterior:

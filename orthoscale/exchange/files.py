@@ -28,8 +28,6 @@ FORMATS = {
 
 def check_name(path: Path) -> None:
     """Raises UsageError for a file name that says no format, or one that cannot be written here."""
-    if path.suffix.lower() == ".gpkg":
-        geo.check_geopackage()
     if path.suffix.lower() not in FORMATS:
         known = ", ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
         raise UsageError(f"{path.name}: no format of detections ends like this", f"Known: {known}.")

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..boxes import Boxes
-from ..errors import InputError, UsageError
+from ..errors import InputError
 from .items import LABEL, Item
 
 LAYER = "vehicles"
@@ -122,9 +122,11 @@ def geojson(boxes: Mapping[str, Boxes], place: Place | None, about: Mapping[str,
 def read_geopackage(path: Path, place: Place | None) -> tuple[list[Item], dict[str, Any] | None]:
     """The boxes of the layer `vehicles`, or else the first, and what `write_geopackage` said about them.
 
-    Raises InputError, UsageError without pyogrio.
+    Raises InputError.
     """
-    pyogrio, shapely = _libraries()
+    import pyogrio.raw
+    import shapely.geometry
+
     try:
         names = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
         layer = LAYER if LAYER in names else names[0]
@@ -151,7 +153,9 @@ def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None
     """Write the layer `vehicles`, in the raster's own coordinates where `place` is known."""
     import warnings
 
-    pyogrio, shapely = _libraries()
+    import pyogrio.raw
+    import shapely.geometry
+
     features = list(_features(boxes, place, None))
     polygons = shapely.polygons([polygon for polygon, _ in features]) if features else np.empty(0, object)
     fields = ("picture", "score", "class", "length_px", "width_px", "angle_deg")
@@ -170,24 +174,6 @@ def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None
             driver="GPKG",
             layer_metadata={"orthoscale": json.dumps(dict(about))},
         )
-
-
-def check_geopackage() -> None:
-    """Raises UsageError where GeoPackages cannot be read or written."""
-    _libraries()
-
-
-def _libraries() -> tuple[Any, Any]:
-    try:
-        import pyogrio
-        import pyogrio.raw
-        import shapely
-        import shapely.geometry
-    except ImportError as error:
-        raise UsageError(
-            f"GeoPackages need {error.name}, which is not installed", "pip install 'orthoscale[geo]', or use .geojson."
-        ) from error
-    return pyogrio, shapely
 
 
 # Both

@@ -20,6 +20,7 @@ from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleet import Fleet
 from ..measuring import HEIGHT_SD, ROUNDS, SETTLED
 from ..pooling import MIN_VEHICLES, Scale, pool
+from ..posterior import Z90
 from ..projection.exact import Hull, ground_size
 from ..projection.level import level_axes, level_views, up_from_gimbal
 from ..projection.view import Views
@@ -29,7 +30,6 @@ from ..votes import gather
 from .lens import Lens, brown, lens_of
 from .tags import Tags, read_tags
 
-Z90 = 1.6449  # two-sided 90 % of a normal distribution
 LOWEST_ELEVATION = np.radians(25.0)  # flatter rays meet the ground too far off, and see vehicles from the side
 # One sigma of pitch and roll [rad]: a gimbal's own word (it trembles by some tenths of a degree, and its zero is off by
 # as much), what a person tells, and a nadir that nobody told. Assumptions.
