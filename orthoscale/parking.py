@@ -25,7 +25,8 @@ MIN_VEHICLES = 8  # in rows, below which no pitch is read
 # within 0.12 m of their stall's middle, 0 for vehicles anywhere.
 RHYTHM = 0.7
 # How far the stalls of one place, all alike, stray from their country's standard, one sigma [m]: the sourced rows name
-# 2.3 to 2.8 m for Japan, 2.4 to 2.7 for China, 2.59 to 2.74 for the USA. More where the standard was only recalled.
+# 2.3 to 2.8 m for Japan, 2.4 to 2.7 for China, 2.59 to 2.74 for the USA. More where the standard was only recalled, as
+# half of those were that the world's row is made of.
 PLACE_SD = 0.15
 RECALLED_SD = 0.25
 
@@ -60,7 +61,8 @@ def parking_pitch(
     left_out = [float(candidates[np.argmax(rhythm[row[:, 0] != r].mean(0))]) for r in rows] if len(rows) > 1 else []
     spread = np.std(np.log(left_out)) * np.sqrt(len(rows) - 1) if left_out else 0.0
     step = np.log(candidates[1] / candidates[0])
-    own = np.hypot(stall["width_sd"], RECALLED_SD if stall["source"].startswith("recalled") else PLACE_SD)
+    sourced = stall is not stalls()["WORLD"] and not stall["source"].startswith("recalled")
+    own = np.hypot(stall["width_sd"], PLACE_SD if sourced else RECALLED_SD)
     sd = float(np.sqrt((own / stall["width"]) ** 2 + spread**2 + step**2))
     says = f"the pitch of parking rows ({vehicles} vehicles, stalls of {stall['width']:.2f} m)"
     return Evidence("parking pitch", stall["width"] / pitch, sd, says)
