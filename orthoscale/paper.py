@@ -10,12 +10,12 @@ from scipy.special import stdtrit
 from .errors import TooLittleEvidence
 from .fleet import Fleet
 from .pooling import Scale
+from .posterior import Z90
 from .verdicts import verdict
 from .votes import Votes
 
 MIN_SCORE = 0.5
 MIN_VEHICLES = 5
-Z90 = 1.6449  # two-sided 90 % of a normal distribution
 WHISKER = 1.5  # interquartile ranges beyond the quartiles within which a value counts
 
 

@@ -222,6 +222,9 @@ def _of_fleet(log_size: np.ndarray, noise: np.ndarray, fleet: Fleet, known: Mapp
     variance = np.einsum("i,vij,j->v", weights, sampling + systematic, weights)
     posterior = Posterior(fits.weight, fits.log_scale @ weights, np.sqrt(variance))
     parts = {name: float(np.sqrt(weights @ c @ weights)) for name, c in shared.items()}
+    # Which mix of vehicles stands here is a thing not known of the fleet: more of them do not tell it better.
+    mix = float(fits.weight @ (posterior.mean - posterior.centre) ** 2)
+    parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(mix)))
     rest = posterior.spread**2 - sum(v**2 for v in parts.values())
     probable = np.einsum("v,vkn->kn", fits.weight, fits.member)
     return _Vehicles(

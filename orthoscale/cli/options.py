@@ -42,8 +42,8 @@ def evidence_options(command: Callable) -> Callable:
             click.argument("path", metavar="INPUT", type=click.Path(path_type=Path)),
             click.option(
                 "--fleet",
-                help="Country code (US, DE, JP ...), 'auto' to find it by the vehicles' shapes, or a fleet.json; by default "
-                "the calibration's own, else world.",
+                help="Country code (US, DE, JP ...), 'auto' to find it by the vehicles' shapes, or a fleet.json; "
+                "by default the calibration's own, else world.",
             ),
             click.option("--images", type=click.Path(path_type=Path), help="Folder of the model's frames."),
             click.option(
