@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from .boxes import Boxes
 from .errors import InputError
+from .objects import known_objects
 from .pooling import Ruler
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ class Detections:
 
     zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
     effective_height : up to where the boxes enclose a vehicle seen obliquely, along its length and its width [m].
+    objects : boxes of other classes than vehicles, by picture name and class, for `objects.standard_object`.
     doubtful : boxes that were seen but not believed, by picture name, with the reason.
     swept : which tiles were looked at, where the boxes do not come from a file.
     """
@@ -40,6 +42,7 @@ class Detections:
     detector: str
     detector_sha256: str = ""
     doubtful: dict[str, Boxes] = field(default_factory=dict)
+    objects: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     doubt: str = "seen at one zoom only"
     swept: Swept | None = None
 
@@ -79,15 +82,23 @@ class Detections:
 
     def save(self, path: Path) -> None:
         """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians."""
-        text = {**self.about(), "pictures": {name: _rows(boxes) for name, boxes in self.boxes.items()}}
+        text = {**self.about(), "pictures": {}}
+        for name, boxes in self.boxes.items():
+            text["pictures"][name] = _rows(boxes) + self._object_rows(name)
         path.write_text(json.dumps(text, indent=0))
+
+    def _object_rows(self, name: str) -> list[dict[str, Any]]:
+        others = self.objects.get(name, {})
+        return [{**row, "kind": kind} for kind, boxes in others.items() for row in _rows(boxes)]
 
     @classmethod
     def load(cls, path: Path) -> Detections:
         """Read what `save` wrote, or a plain ``{name: [box, ...]}``. Raises InputError."""
         try:
             text = json.loads(path.read_text(encoding="utf-8"))
-            boxes = {name: _boxes(rows) for name, rows in text.get("pictures", text).items()}
+            pictures = text.get("pictures", text)
+            boxes = {name: _boxes(rows) for name, rows in pictures.items()}
+            objects = {name: kinds for name, rows in pictures.items() if (kinds := _objects(rows))}
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a detections file.") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -95,7 +106,8 @@ class Detections:
                 f"{path}: not a detections file ({error!r})",
                 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.',
             ) from error
-        return cls.of(boxes, text if "pictures" in text else None, f"boxes of {path.name}", str(path))
+        found = cls.of(boxes, text if "pictures" in text else None, f"boxes of {path.name}", str(path))
+        return replace(found, objects=objects)
 
 
 def _pair(values: list[float]) -> tuple[float, float]:
@@ -113,8 +125,13 @@ def _rows(boxes: Boxes) -> list[dict[str, float]]:
     ]
 
 
-def _boxes(rows: list[dict]) -> Boxes:
-    rows = [row for row in rows if row.get("kind", "vehicle") == "vehicle"]
+def _objects(rows: list[dict]) -> dict[str, Boxes]:
+    kinds = {row["kind"] for row in rows if row.get("kind") in known_objects()}
+    return {kind: _boxes(rows, kind) for kind in sorted(kinds)}
+
+
+def _boxes(rows: list[dict], kind: str = "vehicle") -> Boxes:
+    rows = [row for row in rows if row.get("kind", "vehicle") == kind]
     xylwa = np.array([[float(row[k]) for k in FIELDS] for row in rows], float).reshape(-1, 5)
     if not np.isfinite(xylwa).all() or (xylwa[:, 2:4] <= 0).any():
         raise ValueError("a box with a size that is not a positive number")

@@ -10,12 +10,12 @@ from .boxes import Boxes
 from .detections import Detections
 from .errors import TooLittleEvidence
 from .fleet import Fleet
-from .pooling import MIN_VEHICLES, Scale, pool
-from .projection.exact import Hull
-from .projection.exact import ground_size as exact_size
+from .method import Method
+from .pooling import MIN_VEHICLES, Scale
 from .projection.height import fit_height, lean
 from .projection.planar import ground_size as planar_size
 from .projection.view import Views
+from .surroundings import orthophoto_evidence
 from .votes import Votes, gather
 
 if TYPE_CHECKING:
@@ -37,23 +37,26 @@ NO_GROUND = "no ground under the box, or seen too flatly"
 NO_HULL = "no vehicle on the ground gives this box"
 
 
-def measure(source: Source, found: Detections, fleet: Fleet) -> Measured:
+def measure(source: Source, found: Detections, fleet: Fleet, method: Method | None = None) -> Measured:
     """From boxes to the scale: projection onto the ground, one vote per vehicle, pooling."""
+    method = method or Method()
     if source.unit == "m/px":
-        return _measure_planar(source, found, fleet)
-    return _measure_model(cast("ColmapSource", source), found, fleet)
+        return _measure_planar(source, found, fleet, method)
+    return _measure_model(cast("ColmapSource", source), found, fleet, method)
 
 
-def _measure_planar(source: Source, found: Detections, fleet: Fleet) -> Measured:
+def _measure_planar(source: Source, found: Detections, fleet: Fleet, method: Method) -> Measured:
     (name,) = source.picture_names
     boxes = found.boxes.get(name, Boxes.empty())
     size = planar_size(boxes)
     votes = gather(size, np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, repeated=False)
-    scale = pool(votes, fleet, found.ruler, source.unit)
+    objects = found.objects.get(name, {})
+    more = orthophoto_evidence(votes, boxes.angle, objects, found.zoom, found.ruler, fleet.code)
+    scale = method.pool(votes, fleet, found.ruler, source.unit, more=more if method.surroundings else ())
     return boxes, np.full(len(boxes), name), votes, scale, _lost(found)
 
 
-def _measure_model(source: ColmapSource, found: Detections, fleet: Fleet) -> Measured:
+def _measure_model(source: ColmapSource, found: Detections, fleet: Fleet, method: Method) -> Measured:
     parts, names, views, places = [], [], [], []
     lost = _lost(found)
     for name, boxes in found.boxes.items():
@@ -75,12 +78,10 @@ def _measure_model(source: ColmapSource, found: Detections, fleet: Fleet) -> Mea
     metres_per_unit = float(fleet.mean[0] / np.median(boxes.length * view.unit_per_pixel))
     height, height_sd = np.array(found.effective_height), np.full(2, HEIGHT_SD)
     for _ in range(ROUNDS):
-        size = np.stack(
-            [exact_size(boxes, view, metres_per_unit, Hull(height=h))[:, k] for k, h in enumerate(height)], 1
-        )
+        size = method.sizes(boxes, view, metres_per_unit, height, fleet)
         solved = np.isfinite(size).all(1)
         votes = gather(size[solved], pixel[solved], place[solved], boxes.score[solved], repeated=True)
-        scale = pool(
+        scale = method.pool(
             votes,
             fleet,
             found.ruler,

@@ -14,6 +14,7 @@ import numpy as np
 from .atomic import check_free, new_file, new_folder
 from .boxes import Boxes
 from .calibration import Calibration
+from .control import read_control, read_distance
 from .detect.detector import Detector
 from .detect.find import Effort, Progress, find_vehicles
 from .detections import Detections
@@ -22,6 +23,7 @@ from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
 from .exchange import load as load_detections
 from .fleet import Fleet
 from .measuring import measure
+from .method import Method
 from .pooling import Scale
 from .votes import Votes
 
@@ -50,13 +52,20 @@ class Result:
     rejected_boxes: dict[str, int]  # boxes that never became votes, by reason
     seconds: float
     drift: Drift | None = None  # of the scale within an orthophoto
+    method: Method = field(default_factory=Method)
+
+    @property
+    def projection(self) -> str:
+        """The projection that was used: the one asked for, or what fits the source."""
+        return self.method.projection or ("planar" if self.source.unit == "m/px" else "exact")
 
     def require_useful(self) -> None:
         """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
-        if self.scale.tension > CONFLICT:
+        if self.scale.conflict or self.scale.tension > CONFLICT:
             raise EvidenceDisagrees(
                 f"{self.source.path}: {self.scale.remarks[0]}",
-                "Look at the boxes (--save-detections), name the country's fleet, or write all the same with --force.",
+                "Look at the boxes (--save-detections), check what was given, name the country's fleet, or write all "
+                "the same with --force.",
             )
         if self.scale.verdict == "refuse":
             low, high = self.scale.interval90
@@ -95,6 +104,11 @@ def estimate(
     calibration: str | Path | None = None,
     zoom: float | None = None,
     gsd_hint: float | None = None,
+    projection: str | None = None,
+    estimator: str = "robust",
+    known_distance: Sequence[str] = (),
+    ground_control: str | Path | None = None,
+    surroundings: bool = True,
     progress: Progress | None = None,
     **effort: Any,
 ) -> Result:
@@ -108,6 +122,8 @@ def estimate(
     numbers of the classes that count, instead of those called small vehicles.
     calibration : file of `orthoscale.calibrating.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
+    projection, estimator : other ways than the usual, see `Method`. known_distance, ground_control : what is known
+    besides, see `control`. surroundings : whether parking rows and standard objects count.
     effort : how much to look at, and with what; see `orthoscale.detect.find.Effort` (target, exhaustive, seed, workers,
     scheduler, cache). `path` may be a source that `open_source` opened.
     Raises InputError, UsageError, TooLittleEvidence.
@@ -126,6 +142,12 @@ def estimate(
         source = open_source(Path(path), _path(images), need_images=detections is None)
     else:
         source = path
+    given = [read_distance(text, source) for text in known_distance]
+    if ground_control is not None:
+        given.append(read_control(Path(ground_control), source))
+    method = Method(projection, estimator, tuple(given), surroundings)
+    if source.unit == "m/px":
+        method.for_picture()
     choice = None
     if detections is not None:
         found = load_detections(Path(detections), source, vehicle_classes)
@@ -143,7 +165,7 @@ def estimate(
     if measured is not None:
         found = measured.applied(found, Path(str(calibration)))
     try:
-        boxes, picture, votes, scale, lost = measure(source, found, ruler_fleet)
+        boxes, picture, votes, scale, lost = measure(source, found, ruler_fleet, method)
     except TooLittleEvidence as error:
         raise TooLittleEvidence(
             f"{source.path}: {error.message} (looked at zoom {found.zoom:.2f}, vehicles about "
@@ -157,7 +179,7 @@ def estimate(
         (whole,) = source.pictures
         within = drift(votes, scale, found.ruler, whole.width, whole.height)
     seconds = time.perf_counter() - started
-    return Result(source, ruler_fleet, found, boxes, picture, votes, scale, choice, rejected, seconds, within)
+    return Result(source, ruler_fleet, found, boxes, picture, votes, scale, choice, rejected, seconds, within, method)
 
 
 def fix(

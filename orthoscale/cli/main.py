@@ -16,6 +16,7 @@ from .options import EXIT_CODES
 COMMANDS = {  # name: module of this package; the function in it has the command's name
     "estimate": "scale",
     "fix": "scale",
+    "explain": "explain",
     "check": "check",
     "apply": "apply",
     "photo": "photo",

@@ -32,8 +32,14 @@ def document(result: Result) -> dict[str, Any]:
         "fleet": scale.fleet,
         "fleet_name": result.fleet.name,
         "fleet_source": result.fleet.source,
+        "fleets": dict(sorted(scale.fleets.items(), key=lambda item: -item[1])),
+        "larger_vehicles": scale.larger_share,
+        "evidence": [
+            {"kind": e.kind, "scale": e.value, "relative_sd": e.relative_sd, "says": e.says} for e in scale.evidence
+        ],
+        "method": {"projection": result.projection, "estimator": result.method.estimator},
         "uncertainty": {name: sd for name, sd in scale.parts.items()},
-        "checks": {**scale.checks, "tension_sigmas": scale.tension},
+        "checks": {**scale.checks, "tension_sigmas": scale.tension, "conflict_sigmas": scale.conflict},
         "weights": {"length": scale.weights[0], "width": scale.weights[1]},
         "remarks": remarks(result),
         "detector": {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from ..check import own_claim
@@ -26,6 +27,7 @@ def summary(result: Result, out: Path | None = None) -> str:
         + (f", seen {int(result.votes.views[scale.used].sum())} times" if result.votes.views.max() > 1 else ""),
         f"rejected   {rejected or 'none'}",
         f"fleet      {scale.fleet}: {result.fleet.name}",
+        *_fleets(scale.fleets),
         f"uncertain  {parts}   (one sigma)",
         f"checks     {checks}",
         f"detector   {result.detections.detector}, zoom {result.detections.zoom:.2f}",
@@ -35,8 +37,17 @@ def summary(result: Result, out: Path | None = None) -> str:
     swept = result.detections.swept
     if swept is not None and len(swept.tiles) < swept.total:
         lines.append(f"looked at  {len(swept.tiles)} of {swept.total} tiles, which was enough (--exhaustive for all)")
+    lines += [f"also       {e.value:.5g} from {e.says}   (+- {164.5 * e.relative_sd:.1f} %)" for e in scale.evidence]
     lines += [f"note       {remark}" for remark in remarks(result)]
     lines.append(f"time       {result.seconds:.1f} s")
     if out is not None:
         lines.append(f"written    {out}")
     return "\n".join(lines)
+
+
+def _fleets(fleets: Mapping[str, float]) -> list[str]:
+    """The likeliest fleets, where more than one was possible."""
+    if len(fleets) < 2:
+        return []
+    likely = sorted(fleets.items(), key=lambda item: -item[1])[:5]
+    return ["likely     " + ", ".join(f"{code} {100 * probability:.0f} %" for code, probability in likely)]

@@ -113,6 +113,12 @@ class ColmapSource:
         points = self._model.points3D.values()
         return np.array([p.xyz for p in points]), np.array([p.color for p in points], np.uint8)
 
+    def point(self, number: int) -> np.ndarray:
+        """(3,) position of the 3D point with this number [model units]. Raises ValueError where there is none."""
+        if number not in self._model.points3D:
+            raise ValueError(f"the model has no 3D point {number}")
+        return np.array(self._model.points3D[number].xyz)
+
     @property
     def picture_names(self) -> list[str]:
         """Names of all registered images, also of those whose frames are missing."""
