@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--time", action="store_true", help="also run both sweeps without the cache, and time them")
     a = parser.parse_args()
 
-    source, fleet, detector = open_source(a.raster), Fleet.load(a.fleet), Detector()
+    source, fleet, detector = open_source(a.raster), Fleet.load(a.fleet), Detector(threads=1)
     (picture,) = source.pictures
     whole = estimate(source, fleet=a.fleet, exhaustive=True, zoom=a.zoom)
     zoom = whole.detections.zoom
@@ -88,7 +88,7 @@ def main() -> None:
         for effort in (Effort(a.target, cache=False), Effort(exhaustive=True, cache=False)):
             start = time.perf_counter(), time.process_time()
             scales = []
-            find_vehicles([picture], None, zoom, effort=effort, sampling=sampling)
+            find_vehicles([picture], detector, zoom, effort=effort, sampling=sampling)
             seconds.append((time.perf_counter() - start[0], time.process_time() - start[1]))
         ratio = np.array(seconds[1]) / seconds[0]
         print(f"sweeps alone: anytime {seconds[0][0]:.1f} s, exhaustive {seconds[1][0]:.1f} s; "
