@@ -15,7 +15,7 @@ from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleet import Fleet
 from orthoscale.photo.lens import lens_of, read_calibration
 from orthoscale.photo.measure import LOWEST_ELEVATION, measure, open_photo
-from orthoscale.photo.survey import measure_together
+from orthoscale.photo.survey import measure_together, open_photos
 from orthoscale.photo.tags import Tags, read_tags
 from orthoscale.pooling import Ruler
 from orthoscale.projection.decoupled import simple_views
@@ -43,7 +43,8 @@ def write_photo(path, xmp="", exif=(), gps=None, size=SIZE):
         (tags if tag in (0x010F, 0x0110, 0x0112) else tags.get_ifd(0x8769))[tag] = value
     if gps:
         lon, lat = gps
-        tags.get_ifd(0x8825).update({1: "N", 2: dms(lat), 3: "E", 4: dms(lon)})
+        sides = {1: "NS"[lat < 0], 3: "EW"[lon < 0]}
+        tags.get_ifd(0x8825).update({**sides, 2: dms(abs(lat)), 4: dms(abs(lon))})
     inner, _, elements = xmp.partition("|")
     packet = (
         '<?xpacket begin=""?><x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
@@ -93,12 +94,13 @@ def test_makers_angles_get_one_meaning(tmp_path, xmp, pitch, roll, yaw):
     assert (tags.pitch, tags.roll, tags.yaw) == (pitch, roll, yaw)
 
 
-def test_place_altitude_and_camera(tmp_path):
+@pytest.mark.parametrize("place", [(8.5, 47.25), (-58.4, -34.6), (-91.99, 46.84)])
+def test_place_altitude_and_camera(tmp_path, place):
     xmp = 'drone-dji:RelativeAltitude="+40.10" drone-dji:CalibratedFocalLength="3666.67" drone-dji:DewarpFlag="1"'
-    path = write_photo(tmp_path / "a.jpg", xmp, {0x010F: "DJI", 0x0110: "FC6310"}, gps=(8.5, 47.25))
+    path = write_photo(tmp_path / "a.jpg", xmp, {0x010F: "DJI", 0x0110: "FC6310"}, gps=place)
     tags = read_tags(path)
     assert (tags.make, tags.model, tags.relative_altitude, tags.calibrated_px) == ("DJI", "FC6310", 40.1, 3666.67)
-    assert tags.lon_lat == pytest.approx((8.5, 47.25), abs=1e-9) and tags.dewarped
+    assert tags.lon_lat == pytest.approx(place, abs=1e-9) and tags.dewarped
 
 
 def test_damaged_xmp_is_passed_over_and_said(tmp_path):
@@ -429,6 +431,16 @@ def test_too_few_vehicles_are_exit_code_3_and_nothing_is_written(tmp_path, fligh
     done = run(folder / "c.jpg", *rules, "--out", tmp_path / "out.csv")
     assert done.returncode == 3 and "4 usable vehicles" in done.stderr
     assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_damaged_photo_among_many_is_a_line_of_the_table(tmp_path):
+    good, bad = write_photo(tmp_path / "a.jpg"), write_photo(tmp_path / "b.jpg")
+    bad.write_bytes(bad.read_bytes()[:-400])
+    told = {"focal_px": FOCAL, "pitch": -90.0}
+    photos, problems = open_photos({"a.jpg": good, "b.jpg": bad}, **told)
+    assert [p.name for p in photos] == ["a.jpg"] and "truncated" in problems["b.jpg"]
+    with pytest.raises(InputError, match="truncated"):
+        open_photos({"b.jpg": bad}, **told)
 
 
 @pytest.mark.real
