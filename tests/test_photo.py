@@ -107,6 +107,25 @@ def test_damaged_xmp_is_passed_over_and_said(tmp_path):
     assert "XMP is damaged" in read_tags(write_photo(tmp_path / "a.jpg", 'drone-dji:X="<"')).notes[0]
 
 
+def test_tags_damaged_at_random_are_read_or_refused(tmp_path):
+    xmp = 'drone-dji:GimbalPitchDegree="-89.90" drone-dji:DewarpData="x;1,2,3,4,5,6,7,8,9"'
+    exif = {0x010F: "DJI", 0xA405: 24, 0x920A: 8.8, 0xA20E: 4000.0, 0xA404: 1.0}
+    whole = write_photo(tmp_path / "a.jpg", xmp, exif, gps=(8.5, 47.25), size=(64, 48)).read_bytes()
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(300):
+        damaged = bytearray(whole)
+        for place in rng.integers(4, whole.find(b"xpacket end") + 20, 6):
+            damaged[place] = rng.integers(256)
+        (tmp_path / "b.jpg").write_bytes(damaged)
+        try:
+            assert read_tags(tmp_path / "b.jpg").width > 0
+        except InputError as error:
+            refused += 1
+            assert "b.jpg" in error.message
+    assert refused < 300
+
+
 def tags(width=4000, height=3000, full_width=None, **values):
     return Tags(width, height, full_width or width, **values)
 
@@ -309,6 +328,7 @@ def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_pa
     assert got.altitude.value == pytest.approx(ALTITUDE, rel=0.005)
     assert got.overlap == pytest.approx(4, abs=0.1)  # all from one spot
     alone = measure(photos, found, fleet)
+    assert got.altitude.high - got.altitude.low > alone.altitude.high - alone.altitude.low
     assert got.scale.parts["sampling"] == pytest.approx(alone.scale.parts["sampling"] * got.overlap**0.5)
     longer = open_photo(tmp_path / "0.jpg", "other.jpg", focal_px=2 * FOCAL)
     with pytest.raises(UsageError, match="one lens"):
