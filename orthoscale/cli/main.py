@@ -22,6 +22,7 @@ COMMANDS = {  # name: module of this package; the function in it has the command
     "photo": "photo",
     "crop": "crop",
     "layout": "layout",
+    "evaluate": "evaluate",
     "fleets": "fleets",
     "calibrate": "calibrate",
 }
