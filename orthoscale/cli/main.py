@@ -21,6 +21,7 @@ COMMANDS = {  # name: module of this package; the function in it has the command
     "photo": "photo",
     "crop": "crop",
     "layout": "layout",
+    "report": "report",
     "fleets": "fleets",
     "calibrate": "calibrate",
 }

@@ -1,0 +1,26 @@
+"""The command that does again what a report tells."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+import click
+
+
+def command_line(path: str, settings: Mapping[str, Any]) -> str:
+    """`orthoscale estimate` of `path` with the `settings` of a report, those that are not its defaults."""
+    from .scale import estimate
+
+    words = ["orthoscale", "estimate", path]
+    for option in estimate.params:
+        value = settings.get(str(option.name))
+        if not isinstance(option, click.Option) or value is None or value == option.default:
+            continue
+        if option.is_flag:
+            words += option.opts if value == option.flag_value else []
+        else:
+            for one in value if isinstance(value, (list, tuple)) else [value]:
+                words += [option.opts[0], str(one)]
+    return shlex.join(words)
