@@ -12,8 +12,9 @@ import pytest
 from reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
 
 import orthoscale
+from orthoscale.cli.reproduce import command_line
 from orthoscale.errors import InputError, UsageError
-from orthoscale.report import judgement
+from orthoscale.report import judgement, places
 from orthoscale.report.document import read_json
 from orthoscale.report.files import redraw
 from orthoscale.report.page import page
@@ -57,7 +58,6 @@ def test_vehicles_are_plain_values_in_metres(park, report):
         assert vehicle["place_m"] == pytest.approx(np.array([x, HEIGHT - y]) * report["scale"], abs=1e-3)
         (box,) = vehicle["boxes"]
         assert box["picture"] == "park.png" and box["xylwa_px"][2] == pytest.approx(size[0] / GSD + MARGIN[0], abs=2e-3)
-        assert box["size_m"] == pytest.approx(metres, abs=1e-3)
     assert report["settings"]["fleet"] == "DE" and report["pictures"] == {"park.png": [1000, 700]}
 
 
@@ -67,7 +67,6 @@ def test_a_models_plan_keeps_distances(model):
     plan = np.array([v["place_m"] for v in report["vehicles"]])
     apart, seen = (np.linalg.norm(p - p[0], axis=1) for p in (places, plan))
     assert seen == pytest.approx(apart, rel=0.05, abs=2.0), "level ground, seen from above"
-    assert len(report["by_frame"]) > 20 and all(frame["boxes"] >= 3 for frame in report["by_frame"])
 
 
 def test_levels_of_report(tmp_path):
@@ -166,25 +165,58 @@ def test_names_from_outside_stay_text(tmp_path):
 
 
 def test_a_drift_across_the_picture_is_seen(tmp_path, report):
-    assert states(report)["Same scale everywhere"] == "ok"
-    car_park(tmp_path, drift=0.2)
+    assert states(report)["No drift"] == "ok"
+    car_park(tmp_path, drift=0.25)
     drifting = read_json(fixed(tmp_path).with_suffix(".json"))
-    assert drifting["by_place"]["trend"]["change"] == pytest.approx(0.2, abs=0.07)
     assert states(drifting)["The scale drifts"] == "look"
+    left, right = (
+        sum(c["deviation"] for c in drifting["drift"]["cells"] if (c["x_px"] > 500) is s) for s in (False, True)
+    )
+    assert left < 0 < right
+    found = places.regions(drifting)
+    assert max(region.x for region in found) < drifting["pictures"]["park.png"][0] * drifting["scale"]
+    text = page(drifting, Scene())
+    assert text.count('fill-opacity="') == len(found)
 
 
-def test_an_odd_frame_is_named(tmp_path, model):
-    usual = judgement.odd_frames(read_json(model / "report.json"))
-    found = json.loads((EXAMPLE / "detections.json").read_text())
-    frame = max(found["pictures"], key=lambda name: len(found["pictures"][name]))
-    for box in found["pictures"][frame]:
-        box["length"] *= 1.35
-        box["width"] *= 1.35
-    (tmp_path / "odd.json").write_text(json.dumps(found))
-    report = read_json(fixed_model(tmp_path, detections=tmp_path / "odd.json").with_suffix(".json"))
-    odd = [f["picture"] for f, is_odd in zip(report["by_frame"], judgement.odd_frames(report), strict=True) if is_odd]
-    assert frame in odd and len(odd) <= sum(usual) + 1
-    assert any(frame in check.detail for check in judgement.checks(report) if check.state == "look")
+def test_vehicles_too_few_to_compare_places_are_said_to_be(tmp_path):
+    car_park(tmp_path, count=20)
+    few = read_json(fixed(tmp_path).with_suffix(".json"))
+    assert states(few)["Places not compared"] == "none" and "the same everywhere?" not in page(few, Scene())
+
+
+OF_A_MODEL = {
+    "regions": [
+        {"centre_unit": [-4.5, -4.2], "scale": 14.7, "sd": 0.3, "vehicles": 10},
+        {"centre_unit": [6.3, 3.1], "scale": 15.2, "sd": 0.7, "vehicles": 6},
+    ],
+    "trend": {"percent_across": 5.2, "chance": 0.37},
+    "frames": {
+        "DJI_2.jpg": {"scale": 18.0, "sd": 0.5, "vehicles": 6},
+        "DJI_1.jpg": {"scale": 15.1, "sd": 0.4, "vehicles": 8},
+    },
+    "odd_frames": ["DJI_2.jpg"],
+}
+
+
+def test_an_odd_frame_of_a_model_is_named_first(model):
+    report = {**read_json(model / "report.json"), "drift": OF_A_MODEL}
+    first = judgement.checks(report)[0]
+    assert first.state == "look" and first.what == "1 of 2 frames stands out" and "DJI_2.jpg (+" in first.detail
+    assert states(report)["No drift"] == "ok"
+    assert [(frame.name, frame.odd) for frame in places.frames(report)] == [("DJI_1.jpg", False), ("DJI_2.jpg", True)]
+    here = places.regions(report)[0]
+    assert (here.x, here.y) == pytest.approx(np.array([-4.5, -4.2]) * report["scale"])
+    assert here.deviation == pytest.approx(np.log(14.7 / report["scale"]))
+    text = page(report, Scene())
+    assert text.count('fill-opacity="') == 2 and ">DJI_1.jpg</text>" in text
+
+
+def test_agreement_of_the_modes_is_told_as_it_was_judged(report):
+    modes = {"planar": {"scale": 0.1}, "oblique": {"scale": 0.105}}
+    judged = {"difference": 0.049, "sigmas": 1.2, "contradicts": False}
+    (check,) = [c for c in judgement.checks({**report, "modes": modes, "agreement": judged}) if "Planar" in c.what]
+    assert check.state == "ok" and "+5.0 % (1.2 sigma)" in check.detail
 
 
 @pytest.mark.parametrize(
@@ -195,6 +227,10 @@ def test_an_odd_frame_is_named(tmp_path, model):
         ({"checks": {"length": 0.09, "width": 0.11, "tension_sigmas": 3.0}}, "Lengths and widths disagree"),
         ({"modes": {"planar": {"scale": 0.1}, "oblique": {"scale": 0.11}}}, "Planar and oblique disagree"),
         ({"remarks": ["something is odd"]}, "Remark"),
+        (
+            {"claim": {"verdict": "disagrees", "believed": True, "guesses": [], "ratio": 0.3, "sigmas": 25.0}},
+            "Own georeferencing disagrees",
+        ),
     ],
 )
 def test_what_speaks_against_a_scale_comes_first(report, change, what):
@@ -217,9 +253,16 @@ def test_unknown_parts_of_the_uncertainty_and_far_checks_are_borne(report):
     changed = copy.deepcopy(report)
     changed["uncertainty"]["known distance"] = 0.5
     changed["checks"]["length_minus_width"] = -7.0
-    changed["by_place"] = changed["by_frame"] = None
+    changed["drift"] = None
+    changed["evidence"] = [
+        {"kind": "ground control", "scale": 1.01 * changed["scale"], "relative_sd": 0.01, "says": ""}
+    ]
     text = page(changed, Scene())
-    assert "Least known: known distance" in text and "length − width</text>" not in text
+    assert (
+        "Least known: known distance" in text
+        and ">ground control</text>" in text
+        and "length − width</text>" not in text
+    )
 
 
 @pytest.mark.parametrize(
@@ -256,6 +299,22 @@ def test_the_command_draws_beside_the_json_and_keeps_what_is_there(park, tmp_pat
     assert done.returncode == 0 and done.stdout.strip() == str(tmp_path / "scaled.tif.html"), done.stderr
     again = subprocess.run(command, capture_output=True, text=True)
     assert again.returncode == 2 and "already exists" in again.stderr
+
+
+def test_the_command_to_reproduce_has_what_is_not_a_default():
+    settings = {
+        "fleet": "DE",
+        "target": 0.005,
+        "seed": 3,
+        "cache": True,
+        "exhaustive": True,
+        "vehicle_classes": ["car", "a b"],
+    }
+    words = command_line("my ortho.tif", settings)
+    assert words == (
+        "orthoscale estimate 'my ortho.tif' --fleet DE --exhaustive --seed 3 --vehicle-class car --vehicle-class 'a b'"
+    )
+    assert command_line("x.tif", {"cache": False}) == "orthoscale estimate x.tif --no-cache"
 
 
 @pytest.fixture(scope="module")

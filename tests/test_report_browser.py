@@ -31,7 +31,7 @@ def browser():
             pytest.skip(
                 f"no browser: none of {', '.join(BROWSERS)} on PATH, and none from `playwright install chromium`"
             )
-        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
         yield browser
         browser.close()
 
@@ -46,6 +46,15 @@ def pages(tmp_path_factory):
     worst = {
         "verdict": "refuse",
         "modes": {"planar": {"scale": 13.0, "interval90": [12, 14]}, "oblique": {"scale": 16, "interval90": [15, 17]}},
+        "drift": {
+            "regions": [
+                {"centre_unit": [x, y], "scale": s, "sd": 0.5, "vehicles": 9}
+                for x, y, s in ((-4, -4, 12.0), (6, 3, 19.0), (0, 5, 15.0))
+            ],
+            "trend": {"percent_across": 40.0, "chance": 1e-6},
+            "frames": {f"DJI_{k:04d}.jpg": {"scale": 14 + k % 3, "sd": 0.6, "vehicles": 5} for k in range(170)},
+            "odd_frames": ["DJI_0002.jpg"],
+        },
         "remarks": ["widths give a larger scale than lengths: " + "a_very_long_word_" * 12],
         "input": {"path": "no/such/" + "deep_folder/" * 20, "sha256": ""},
     }

@@ -19,7 +19,8 @@ def command_line(path: str, settings: Mapping[str, Any]) -> str:
         if not isinstance(option, click.Option) or value is None or value == option.default:
             continue
         if option.is_flag:
-            words += option.opts if value == option.flag_value else []
+            alone = option.flag_value is not False  # what the bare flag stands for
+            words += option.opts[:1] if value is alone else option.secondary_opts[:1]
         else:
             for one in value if isinstance(value, (list, tuple)) else [value]:
                 words += [option.opts[0], str(one)]

@@ -126,13 +126,14 @@ def place_map(vehicles: np.ndarray, regions: Sequence[Region], label: str) -> Ma
     def px(x: float, y: float) -> tuple[float, float]:
         return shift + (x - low[0]) * zoom, BADGE[1] / 2 + (high[1] - y) * zoom
 
-    parts = []
+    height = zoom * (high[1] - low[1]) + BADGE[1]
+    parts = [_tag("rect", x=0, y=0, width=WIDTH, height=height, rx=4, class_="paper")]
     for region in regions:
         x, y = px(region.x, region.y)
-        width, height = max(region.width * zoom, BADGE[0]), max(region.height * zoom, BADGE[1])
+        wide, tall = max(region.width * zoom, BADGE[0]), max(region.height * zoom, BADGE[1])
         sigmas = min(abs(region.deviation) / region.sd / FULL_COLOUR, 1.0) if region.sd > 0 else 0.0
         colour = "larger" if region.deviation > 0 else "smaller"
-        box = {"x": x - width / 2, "y": y - height / 2, "width": width, "height": height, "rx": 3}
+        box = {"x": x - wide / 2, "y": y - tall / 2, "width": wide, "height": tall, "rx": 3}
         parts.append(_tag("rect", **box, class_="ground"))
         parts.append(_tag("rect", **box, class_=colour, fill_opacity=f"{sigmas**2:.2f}"))
     for vehicle in vehicles:
@@ -142,7 +143,7 @@ def place_map(vehicles: np.ndarray, regions: Sequence[Region], label: str) -> Ma
         x, y = px(region.x, region.y)
         parts.append(_text(x, y - 2, f"{100 * region.deviation:+.1f}".replace("-", "−"), class_="strong halo"))
         parts.append(_text(x, y + 12, f"± {100 * Z90 * region.sd:.1f}", class_="halo"))
-    return _svg(zoom * (high[1] - low[1]) + BADGE[1], parts, label)
+    return _svg(height, parts, label)
 
 
 def frames(rows: Sequence[Frame], label: str) -> Markup:

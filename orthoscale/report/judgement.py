@@ -93,8 +93,8 @@ def _places(report: Mapping[str, Any]) -> Check:
     known = "" if found.sd is None else f" ± {100 * Z90 * found.sd:.1f}"
     figures = f"{100 * found.change:.1f}{known} % from side to side"
     if found.drifts:
-        return Check("look", "The scale drifts", figures + ", more than chance gives")
-    return Check("ok", "Same scale everywhere", figures + ", as chance gives")
+        return Check("look", "The scale drifts", figures + ", more than chance makes")
+    return Check("ok", "No drift", figures + ", which may be chance")
 
 
 def _frames(report: Mapping[str, Any]) -> Check | None:
@@ -126,9 +126,11 @@ def _modes(report: Mapping[str, Any]) -> Check | None:
     if not {"planar", "oblique"} <= modes.keys():
         return None
     difference = modes["oblique"]["scale"] / modes["planar"]["scale"] - 1
-    ok = abs(difference) <= MODES
+    agreement = report.get("agreement")
+    ok = abs(difference) <= MODES if agreement is None else not agreement["contradicts"]
     what = "Planar and oblique agree" if ok else "Planar and oblique disagree"
-    return Check("ok" if ok else "look", what, f"oblique frames give {signed(difference)}")
+    sigmas = "" if agreement is None else f" ({agreement['sigmas']:.1f} sigma)"
+    return Check("ok" if ok else "look", what, f"oblique frames give {signed(difference)}{sigmas}")
 
 
 def _largest(report: Mapping[str, Any]) -> Check | None:
