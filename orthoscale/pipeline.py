@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from .sources.source import Source
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
+REPORTS = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by its level
 CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
 
 
@@ -53,6 +54,7 @@ class Result:
     seconds: float
     drift: Drift | None = None  # of the scale within an orthophoto
     method: Method = field(default_factory=Method)
+    settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
 
     @property
     def projection(self) -> str:
@@ -128,6 +130,7 @@ def estimate(
     scheduler, cache). `path` may be a source that `open_source` opened.
     Raises InputError, UsageError, TooLittleEvidence.
     """
+    settings = _plain(locals())
     started = time.perf_counter()
     if zoom is not None and gsd_hint is not None:
         raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
@@ -179,7 +182,9 @@ def estimate(
         (whole,) = source.pictures
         within = drift(votes, scale, found.ruler, whole.width, whole.height)
     seconds = time.perf_counter() - started
-    return Result(source, ruler_fleet, found, boxes, picture, votes, scale, choice, rejected, seconds, within, method)
+    return Result(
+        source, ruler_fleet, found, boxes, picture, votes, scale, choice, rejected, seconds, within, method, settings
+    )
 
 
 def fix(
@@ -193,21 +198,25 @@ def fix(
     keep_origin: bool = False,
     cog: bool = False,
     also: Sequence[str] = (),
+    report: str = "html",
     **options: Any,
 ) -> Result:
     """Estimate the scale of `path` (see `estimate` for `options`) and write a copy of it in metres at `out`.
 
-    An orthophoto becomes the GeoTIFF `out` with `out`.json and `out`.png beside it; a model the folder `out` with
-    sim3.txt, report.json and vehicles.png in it. All of them appear, or none.
+    An orthophoto becomes the GeoTIFF `out` with `out`.json, `out`.png and `out`.html beside it; a model the folder
+    `out` with sim3.txt, report.json, vehicles.png and report.html in it. All of them appear, or none.
 
     overwrite : replace what is at `out`. override : rescale although the input's own georeferencing gives a scale.
     keep_origin : an orthophoto keeps its coordinate reference system, first corner and direction; else local metres.
     cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.EXTRAS`.
     force : write although the evidence is too uncertain to be useful (verdict ``refuse``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
+    report : ``html``, ``json`` (without the page) or ``none``.
     Raises what `estimate` raises, EvidenceDisagrees, OutputError.
     """
     path, out = Path(path), Path(out)
+    if report not in REPORTS:
+        raise UsageError(f"--report {report} is none of {', '.join(REPORTS)}")
     check_free(out, overwrite)
     if out.resolve() == path.resolve():
         raise UsageError(f"{out} is the input itself", "The input is never touched: choose another --out.")
@@ -215,8 +224,9 @@ def fix(
     from .report.extras import chosen
 
     extras = [(extra.place(out), extra.write) for extra in chosen(also)]
+    parts = report_paths(out, source.unit, report)
     if source.unit == "m/px":
-        for beside in (_beside(out, ".png"), _beside(out, ".json"), *(place for place, _ in extras)):
+        for beside in (*parts.values(), *(place for place, _ in extras)):
             check_free(beside, overwrite)
     elif keep_origin or cog or also:
         raise UsageError("--keep-origin, --cog and --also are for orthophotos", f"{path} is a model.")
@@ -230,14 +240,12 @@ def fix(
     result = estimate(source, **options)
     if not force:
         result.require_useful()
-    from .report.document import document, write_json
-    from .report.pictures import draw
+    from .report.files import write_report
 
     with ExitStack() as outputs:  # renamed into place in reverse order, the main output last
         if source.unit == "m/px":
             main = outputs.enter_context(new_file(out, overwrite))
-            picture = outputs.enter_context(new_file(_beside(out, ".png"), overwrite))
-            report = outputs.enter_context(new_file(_beside(out, ".json"), overwrite))
+            parts = {kind: outputs.enter_context(new_file(place, overwrite)) for kind, place in parts.items()}
             raster = cast("RasterSource", source)
             raster.write(main, result.scale.value, keep_origin, cog)
             for place, write in extras:
@@ -245,15 +253,15 @@ def fix(
                 write(result, raster.place(result.scale.value, keep_origin), partial)
         else:
             main = outputs.enter_context(new_folder(out, overwrite))
-            picture, report = main / "vehicles.png", main / "report.json"
+            parts = {kind: main / place.name for kind, place in parts.items()}
             source.write(main, result.scale.value)
             if dense:
                 (main / "dense").mkdir()
                 cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
-        draw(result, picture)
-        write_json(document(result), report)
-        if overwrite:
-            for suffix in GDAL_SIDECARS:  # those of the file that is replaced would speak for the new one
+        write_report(result, parts)
+        if overwrite and main.is_file():  # what lies beside the file that is replaced would speak for the new one
+            stale = [f".{kind}" for kind in REPORTS["html"] if kind not in parts]
+            for suffix in (*GDAL_SIDECARS, *stale):
                 _beside(out, suffix).unlink(missing_ok=True)
             if "tfw" not in also:
                 out.with_suffix(".tfw").unlink(missing_ok=True)
@@ -265,6 +273,23 @@ def _check_dense(source: Source) -> None:
     if source.unit == "m/px":
         raise UsageError("--dense is for COLMAP models", f"{source.path} is an image: leave --dense away.")
     cast("ColmapSource", source).dense  # noqa: B018  raises where there is none
+
+
+def report_paths(out: Path, unit: str, report: str) -> dict[str, Path]:
+    """Where `fix` writes the parts of a report: beside the scaled orthophoto `out`, or into the folder `out`."""
+    if unit == "m/px":
+        return {kind: _beside(out, f".{kind}") for kind in REPORTS[report]}
+    return {kind: out / ("vehicles.png" if kind == "png" else f"report.{kind}") for kind in REPORTS[report]}
+
+
+def _plain(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Options that say something, as values that JSON knows."""
+    given = {**arguments, **arguments.get("effort", {})}
+    return {
+        name: value if isinstance(value, (bool, int, float, list, tuple)) else str(value)
+        for name, value in given.items()
+        if name not in ("path", "progress", "effort") and value is not None
+    }
 
 
 def _beside(out: Path, suffix: str) -> Path:

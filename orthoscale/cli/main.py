@@ -23,6 +23,7 @@ COMMANDS = {  # name: module of this package; the function in it has the command
     "crop": "crop",
     "layout": "layout",
     "evaluate": "evaluate",
+    "report": "report",
     "fleets": "fleets",
     "calibrate": "calibrate",
 }
