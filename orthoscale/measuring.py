@@ -48,7 +48,7 @@ def _measure_planar(source: Source, found: Detections, fleet: Fleet) -> Measured
     (name,) = source.picture_names
     boxes = found.boxes.get(name, Boxes.empty())
     size = planar_size(boxes)
-    votes = gather(size, np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, repeated=False)
+    votes = gather(size, np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, False, boxes.noise)
     scale = pool(votes, fleet, found.ruler, source.unit)
     return boxes, np.full(len(boxes), name), votes, scale, _lost(found)
 
@@ -79,7 +79,8 @@ def _measure_model(source: ColmapSource, found: Detections, fleet: Fleet) -> Mea
             [exact_size(boxes, view, metres_per_unit, Hull(height=h))[:, k] for k, h in enumerate(height)], 1
         )
         solved = np.isfinite(size).all(1)
-        votes = gather(size[solved], pixel[solved], place[solved], boxes.score[solved], repeated=True)
+        own = boxes[solved]
+        votes = gather(size[solved], pixel[solved], place[solved], own.score, True, own.noise)
         scale = pool(
             votes,
             fleet,

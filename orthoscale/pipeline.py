@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -16,6 +16,8 @@ from .boxes import Boxes
 from .calibration import Calibration
 from .detect.detector import Detector
 from .detect.find import Effort, Progress, find_vehicles
+from .detect.refine import refined
+from .detect.workers import worker_count
 from .detections import Detections
 from .drift import Drift, drift
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
@@ -95,6 +97,7 @@ def estimate(
     calibration: str | Path | None = None,
     zoom: float | None = None,
     gsd_hint: float | None = None,
+    refine: bool = False,
     progress: Progress | None = None,
     **effort: Any,
 ) -> Result:
@@ -108,6 +111,7 @@ def estimate(
     numbers of the classes that count, instead of those called small vehicles.
     calibration : file of `orthoscale.calibrating.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
+    refine : look at every vehicle four times more, turned and at neighbouring zooms (`detect.refine`).
     effort : how much to look at, and with what; see `orthoscale.detect.find.Effort` (target, exhaustive, seed, workers,
     scheduler, cache). `path` may be a source that `open_source` opened.
     Raises InputError, UsageError, TooLittleEvidence.
@@ -118,6 +122,8 @@ def estimate(
     for name, value in (("--zoom", zoom), ("--gsd-hint", gsd_hint)):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise UsageError(f"{name} must be a positive number, not {value}")
+    if refine and detections is not None:
+        raise UsageError("--refine looks again, --detections does not look at all", "Leave one of them away.")
     measured = None if calibration is None else Calibration.load(Path(calibration))
     ruler_fleet = Fleet.load(fleet or "world")
     if measured is not None and measured.fleet is not None and fleet is None:
@@ -140,6 +146,11 @@ def estimate(
             )
         except TooLittleEvidence as error:
             raise TooLittleEvidence(f"{source.path}: {error.message}", error.hint) from error
+        if refine:
+            sharper = refined(
+                source.pictures, found.boxes, found.zoom, network, worker_count(how_much.workers), progress
+            )
+            found = replace(found, boxes=sharper)
     if measured is not None:
         found = measured.applied(found, Path(str(calibration)))
     try:

@@ -145,9 +145,7 @@ def pool(
         raise TooLittleEvidence(f"{int(measurable.sum())} usable vehicles, {MIN_VEHICLES} are needed")
     size = size[measurable]
     geometry = np.zeros((2, 2)) if geometry is None else geometry
-    noise = (
-        np.asarray(ruler.noise) * votes.pixel[measurable, None] / np.sqrt(np.maximum(votes.views, 1))[measurable, None]
-    )
+    noise = _noise(votes, ruler)[measurable]
     share_px = np.median(votes.pixel[measurable, None] / size, axis=0)  # one pixel as a share of length and width
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
@@ -203,6 +201,14 @@ def pool(
         fleets={c.code: float(p) for c, p in zip(candidates, probability, strict=True) if p > LIKELY},
         evidence=tuple(evidence),
     )
+
+
+def _noise(votes: Votes, ruler: Ruler) -> np.ndarray:
+    """(N, 2) one-sigma noise of each vote's size [units]: its boxes' own where they have one, else the ruler's."""
+    noise = np.asarray(ruler.noise) * votes.pixel[:, None]
+    if votes.noise is not None:
+        noise = np.where(np.isfinite(votes.noise), votes.noise * votes.size, noise)
+    return noise / np.sqrt(np.maximum(votes.views, 1))[:, None]
 
 
 def _of_fleet(log_size: np.ndarray, noise: np.ndarray, fleet: Fleet, known: Mapping[str, np.ndarray]) -> _Vehicles:
