@@ -48,7 +48,7 @@ def _measure_planar(source: Source, found: Detections, fleet: Fleet) -> Measured
     (name,) = source.picture_names
     boxes = found.boxes.get(name, Boxes.empty())
     size = planar_size(boxes)
-    votes = gather(size, np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, False, boxes.noise)
+    votes = gather(size, np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, False, boxes.spread)
     scale = pool(votes, fleet, found.ruler, source.unit)
     return boxes, np.full(len(boxes), name), votes, scale, _lost(found)
 
@@ -80,7 +80,7 @@ def _measure_model(source: ColmapSource, found: Detections, fleet: Fleet) -> Mea
         )
         solved = np.isfinite(size).all(1)
         own = boxes[solved]
-        votes = gather(size[solved], pixel[solved], place[solved], own.score, True, own.noise)
+        votes = gather(size[solved], pixel[solved], place[solved], own.score, True, own.spread)
         scale = pool(
             votes,
             fleet,

@@ -21,7 +21,7 @@ class Votes:
     place : (N, 2) or (N, 3) where it stands [source units].
     score : (N,) best confidence of its boxes.
     members : (N,) lists of the boxes' indices.
-    noise : (N, 2) relative one-sigma noise of one of its boxes' length and width, NaN where only the ruler knows.
+    spread : (N, 2) relative spread of its boxes' lengths and widths between looks (`Boxes.spread`), NaN where unknown.
     """
 
     size: np.ndarray
@@ -30,7 +30,7 @@ class Votes:
     place: np.ndarray
     score: np.ndarray
     members: list[np.ndarray]
-    noise: np.ndarray | None = None
+    spread: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.size)
@@ -42,9 +42,9 @@ def gather(
     place: np.ndarray,
     score: np.ndarray,
     repeated: bool,
-    noise: np.ndarray | None = None,
+    spread: np.ndarray | None = None,
 ) -> Votes:
-    """Votes from M boxes: sizes (M, 2), detector pixels (M,), places (M, D), scores (M,), noise (M, 2), as in `Votes`.
+    """Votes from M boxes: sizes (M, 2), detector pixels (M,), places (M, D), scores (M,), spread (M, 2), as in `Votes`.
 
     `repeated`: the boxes come from several pictures that show the same vehicles, so boxes in one place are one vehicle.
     """
@@ -64,7 +64,7 @@ def gather(
         place=over(place),
         score=over(score, np.max),
         members=members,
-        noise=None if noise is None else np.sqrt(over(noise**2, np.mean)),
+        spread=None if spread is None else np.sqrt(over(spread**2, np.mean)),
     )
 
 

@@ -1,12 +1,16 @@
-"""Looking again: turned looks see the same boxes, medians are sharper, and a box's own noise is what it strays by."""
+"""Looking again: turned looks see the same boxes, medians are sharper, and know how much their looks differed."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 from test_detect import Drawing, RectangleDetector, car_park
 
+import orthoscale
 from orthoscale.boxes import Boxes, matched
 from orthoscale.detect.refine import VIEWS, agreed, look_turned, refined
 from orthoscale.detect.tiles import sweep, tiles
+from orthoscale.errors import UsageError
 from orthoscale.fleet import Fleet
 from orthoscale.pooling import Ruler, pool
 from orthoscale.votes import gather
@@ -35,7 +39,7 @@ class Unsteady(RectangleDetector):
         return Boxes(xylwa, found.score)
 
 
-def test_medians_are_sharper_and_know_their_noise():
+def test_medians_are_sharper_and_know_their_spread():
     truth = car_park(40, 1800, 1500, 90)
     picture = Drawing(1800, 1500, truth)
     detect = Unsteady()
@@ -49,7 +53,7 @@ def test_medians_are_sharper_and_know_their_noise():
 
     before, after = errors(found["drawing"]), errors(sharper)
     assert (after < 0.65 * before).all(), "five views: the median's scatter is 0.54 of one's"
-    assert np.median(sharper.noise, axis=0) == pytest.approx([0.06, 0.09], rel=0.2)
+    assert np.median(sharper.spread, axis=0) == pytest.approx([0.06, 0.09], rel=0.2)
     assert (sharper.score == found["drawing"].score).all()
 
 
@@ -61,9 +65,9 @@ def test_steady_and_unsteady_boxes_are_told_apart():
         xylwa[1, 2] *= 1 + 0.15 * (-1) ** k
         looks.append(Boxes(xylwa, np.ones(2)))
     got = agreed(boxes, looks)
-    assert got.noise[1, 0] > 1.5 * got.noise[0, 0]
-    assert got.noise[0, 0] > 0.02, "five views that agree by luck are not believed altogether"
-    assert np.isnan(got.noise[2]).all() and (got.xylwa[2] == boxes.xylwa[2]).all()
+    assert got.spread[1, 0] > 1.5 * got.spread[0, 0]
+    assert got.spread[0, 0] > 0.02, "five views that agree by luck are not believed altogether"
+    assert np.isnan(got.spread[2]).all() and (got.xylwa[2] == boxes.xylwa[2]).all()
     assert len(agreed(Boxes.empty(), [Boxes.empty()] * 4)) == 0
 
 
@@ -74,24 +78,53 @@ def test_a_box_across_the_half_turn_keeps_its_direction():
     assert abs(turn) < 0.02
 
 
-def test_noise_travels_with_the_boxes_and_decides_in_the_pooling():
-    noise = np.array([[0.1, 0.2], [0.3, 0.4]])
-    boxes = Boxes(np.array([[0, 0, 9, 4, 0], [0, 0, 4, 9, 0]]), np.ones(2), noise)
-    assert boxes.noise.tolist() == [[0.1, 0.2], [0.4, 0.3]], "turned with its box"
+def test_the_spread_travels_with_the_boxes():
+    boxes = Boxes(np.array([[0, 0, 9, 4, 0], [0, 0, 4, 9, 0]]), np.ones(2), np.array([[0.1, 0.2], [0.3, 0.4]]))
+    assert boxes.spread.tolist() == [[0.1, 0.2], [0.4, 0.3]], "turned with its box"
     both = Boxes.concatenate([boxes[1:].mapped(2.0, (1, 1)), Boxes(boxes.xylwa, boxes.score)])
-    assert both.noise[0].tolist() == [0.4, 0.3] and np.isnan(both.noise[1:]).all()
+    assert both.spread[0].tolist() == [0.4, 0.3] and np.isnan(both.spread[1:]).all()
+    with pytest.raises(ValueError, match="spread of shape"):
+        Boxes(boxes.xylwa, boxes.score, np.zeros((3, 2)))
 
-    rng = np.random.default_rng(4)
+
+def test_steady_boxes_count_more_in_the_pooling():
+    """Half of the boxes are 15 % too large, and only by their spread can one tell which half to believe."""
     fleet = Fleet.load("DE")
-    size = fleet.sample(rng, 60)[:, :2] / 0.1
-    bad = np.arange(60) < 30
-    own = np.where(bad[:, None], 0.25, 0.01) * np.ones((60, 2))
-    size = size * np.exp(rng.normal(0, 1, (60, 2)) * own)
+    rng = np.random.default_rng(2)
+    wrong = np.arange(80) < 40
+    size = fleet.sample(rng, 80)[:, :2] / 0.1 * np.where(wrong, 1.15, 1.0)[:, None]
 
-    def sampling(noise):
-        votes = gather(size, np.ones(60), np.zeros((60, 2)), np.ones(60), False, noise)
-        return pool(votes, fleet, Ruler(noise=(0.5, 0.3)), "m/px")
+    def error(spread):
+        votes = gather(size, np.ones(80), np.zeros((80, 2)), np.ones(80), False, spread[:, None] * np.ones(2))
+        return abs(np.log(pool(votes, fleet, Ruler(noise=(5.0, 2.5)), "m/px").value / 0.1))
 
-    told, untold = sampling(own), sampling(None)
-    assert told.vehicles_used > untold.vehicles_used, "half of the boxes stray, and only their own noise says so"
-    assert abs(told.value / 0.1 - 1) < 0.04
+    unknown = error(np.full(80, np.nan))
+    assert error(np.where(wrong, 0.25, 0.01)) < 0.8 * unknown < error(np.where(wrong, 0.01, 0.25))
+
+
+def test_views_that_agree_do_not_make_boxes_exact():
+    """What views share stays as the ruler says it is."""
+    rng = np.random.default_rng(1)
+    fleet = Fleet.load("DE")
+    size = fleet.sample(rng, 40)[:, :2] / 0.1
+
+    def sampling(spread):
+        votes = gather(size, np.ones(40), np.zeros((40, 2)), np.ones(40), False, np.full((40, 2), spread))
+        return pool(votes, fleet, Ruler(noise=(4.0, 2.4)), "m/px").parts["sampling"]
+
+    assert sampling(0.001) == pytest.approx(sampling(np.nan), rel=0.02)
+    assert sampling(0.07) < sampling(np.nan)
+
+
+@pytest.mark.slow
+def test_refined_boxes_reach_the_pooling():
+    town = Path(__file__).parent.parent / "examples" / "town" / "ortho.jpg"
+    plain, sharp = (orthoscale.estimate(town, fleet="DE", gsd_hint=0.085, refine=r, cache=False) for r in (False, True))
+    assert np.isnan(plain.votes.spread).all() and np.isfinite(sharp.votes.spread).mean() > 0.8
+    assert sharp.scale.value == pytest.approx(plain.scale.value, rel=0.02)
+    assert sharp.scale.value != plain.scale.value
+
+
+def test_boxes_from_a_file_cannot_be_looked_at_again(tmp_path):
+    with pytest.raises(UsageError, match="--refine looks again"):
+        orthoscale.estimate(tmp_path / "a.png", detections=tmp_path / "a.json", refine=True)

@@ -1,8 +1,9 @@
 """Test-time consistency: vehicles that were found are looked at again, turned and at neighbouring zooms.
 
-A box that says the same from every side is a good measurement; one that does not knows itself how far it strays. The
-median over the views is the sharper box, and their spread its own noise. Turns are by quarters, which needs no
-resampling; zooms are a quarter octave up and down, so that a margin in pixels counts the same on average.
+A box that says the same from every side is a better measurement than one that does not. The median over the views is
+the sharper box, and their spread is part of its own noise; the pooling knows how to use it. Turns are by quarters,
+which needs no resampling; zooms are a quarter octave up and down, so that a margin in pixels counts the same on
+average.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from .tiles import Detect, Tile, place, read, tiles
 
 SAME_BOX = 0.5  # overlap at which two views show the same vehicle
 FEWEST = 3  # views of a vehicle, the first included, from which a median says more than a single box
-# What is known of a box's noise from all boxes counts like so many views of its own (Smyth 2004, moderated variances):
+# What is known of a box's spread from all boxes counts like so many views of its own (Smyth 2004, moderated variances):
 # five views alone know a standard deviation only to a third.
 PRIOR_VIEWS = 4
 
@@ -45,8 +46,8 @@ def refined(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> dict[str, Boxes]:
-    """The boxes `found` in `pictures` at `zoom`, by name, each with the median size and place of its views and its own
-    noise. Boxes that too few views show keep what they had."""
+    """The boxes `found` in `pictures` at `zoom`, by name, each with the median size and place of its views and their
+    spread. Boxes that too few views show keep what they had, without a spread."""
     jobs = [
         (picture, tile, number)
         for picture in pictures
@@ -79,7 +80,7 @@ def look_turned(picture: Picture, tile: Tile, quarters: int, detect: Detect) -> 
 
 
 def agreed(boxes: Boxes, views: Sequence[Boxes]) -> Boxes:
-    """`boxes` with median centre, size and angle over themselves and what `views` show of them, and their noise."""
+    """`boxes` with median centre, size and angle over themselves and what `views` show of them, and their spread."""
     if not len(boxes):
         return boxes
     rows = np.full((1 + len(views), len(boxes), 5), np.nan)
@@ -94,13 +95,13 @@ def agreed(boxes: Boxes, views: Sequence[Boxes]) -> Boxes:
     xylwa[:, 2:4] = np.exp(xylwa[:, 2:4])
     xylwa[:, 4] += boxes.angle
     many = count >= FEWEST
-    noise = np.full((len(boxes), 2), np.nan)
+    spread = np.full((len(boxes), 2), np.nan)
     if many.any():
         freedom = (count[many] - 1)[:, None]
         variance = np.nanvar(rows[:, many, 2:4], axis=0, ddof=1)
         usual = (freedom * variance).sum(0) / freedom.sum()
-        noise[many] = np.sqrt((freedom * variance + PRIOR_VIEWS * usual) / (freedom + PRIOR_VIEWS))
-    return Boxes(np.where(many[:, None], xylwa, boxes.xylwa), boxes.score, noise)
+        spread[many] = np.sqrt((freedom * variance + PRIOR_VIEWS * usual) / (freedom + PRIOR_VIEWS))
+    return Boxes(np.where(many[:, None], xylwa, boxes.xylwa), boxes.score, spread)
 
 
 def _with_vehicles(places: Sequence[Tile], boxes: Boxes) -> list[Tile]:
