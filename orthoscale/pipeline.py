@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from .sources.source import Source
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
+HIGHEST_ZOOM = 10.0  # vehicles are then 4 px long, half of what can be measured
 CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
 
 
@@ -140,6 +141,11 @@ def estimate(
         network = Detector(_path(detector), decoder, vehicle_classes, how_much.threads_each)
         if gsd_hint is not None:
             zoom = network.card.best_length * gsd_hint / float(ruler_fleet.mean[0])
+        if zoom is not None and zoom > HIGHEST_ZOOM:
+            raise UsageError(
+                f"a zoom of {zoom:.3g} would look for vehicles {network.card.best_length / zoom:.2g} px long",
+                f"--zoom is detector pixels per picture pixel, {HIGHEST_ZOOM:g} at most; --gsd-hint is in metres.",
+            )
         try:
             found, choice = find_vehicles(
                 source.pictures, network, zoom, progress, how_much, _sampling(source, ruler_fleet)
