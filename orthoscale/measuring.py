@@ -49,7 +49,7 @@ def _measure_planar(source: Source, found: Detections, fleet: Fleet, method: Met
     (name,) = source.picture_names
     boxes = found.boxes.get(name, Boxes.empty())
     size = planar_size(boxes)
-    votes = gather(size, np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, repeated=False)
+    votes = gather(size, np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, False, boxes.spread)
     objects = found.objects.get(name, {})
     more = orthophoto_evidence(votes, boxes.angle, objects, found.zoom, found.ruler, fleet.code)
     scale = method.pool(votes, fleet, found.ruler, source.unit, more=more if method.surroundings else ())
@@ -80,7 +80,8 @@ def _measure_model(source: ColmapSource, found: Detections, fleet: Fleet, method
     for _ in range(ROUNDS):
         size = method.sizes(boxes, view, metres_per_unit, height, fleet)
         solved = np.isfinite(size).all(1)
-        votes = gather(size[solved], pixel[solved], place[solved], boxes.score[solved], repeated=True)
+        own = boxes[solved]
+        votes = gather(size[solved], pixel[solved], place[solved], own.score, True, own.spread)
         scale = method.pool(
             votes,
             fleet,

@@ -64,6 +64,9 @@ def evidence_options(command: Callable) -> Callable:
             click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
             click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search."),
             click.option(
+                "--refine", is_flag=True, help="Look at every vehicle four times more: sharper boxes, for small inputs."
+            ),
+            click.option(
                 "--target",
                 type=click.FloatRange(min=0, min_open=True),
                 default=0.005,
