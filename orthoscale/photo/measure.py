@@ -86,7 +86,7 @@ def open_photo(
     path: Path,
     name: str | None = None,
     *,
-    calibration: Path | None = None,
+    lens_file: Path | None = None,
     focal_px: float | None = None,
     pitch: float | None = None,
     roll: float | None = None,
@@ -97,7 +97,7 @@ def open_photo(
     """
     tags = read_tags(path)
     try:
-        lens = lens_of(tags, calibration, focal_px)
+        lens = lens_of(tags, lens_file, focal_px)
     except InputError as error:
         raise InputError(f"{path}: {error.message}", error.hint) from error
     if pitch is not None:
