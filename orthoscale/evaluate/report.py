@@ -17,8 +17,9 @@ from ..detect.find import Progress
 from ..detections import Detections
 from ..errors import InputError, TooLittleEvidence
 from ..fleet import Fleet
+from ..paper import MIN_SCORE, MIN_VEHICLES
 from . import score
-from .methods import METHODS, MIN_SCORE, MIN_VEHICLES
+from .methods import METHODS
 from .readers import Sample, read_samples
 
 
