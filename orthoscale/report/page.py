@@ -54,7 +54,7 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
         reasons={**report["vehicles_rejected"], **report["boxes_rejected"]},
         histograms=[_histogram(report, axis) for axis in ("length", "width")],
         estimates=_estimates(report),
-        modes=_modes(report),
+        modes={name: _mode(mode, report) for name, mode in _modes(report).items()},
         places=_places(report),
         frames=_frames(report),
         uncertainty=_uncertainty(report),
@@ -136,6 +136,14 @@ def _estimates(report: Mapping[str, Any]) -> Markup:
 def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:
     modes = report.get("modes") or {}
     return {name: modes[name] for name in MODES if modes.get(name)}
+
+
+def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:
+    """One way of measuring, in words."""
+    values, unit = judgement.quantity(report, mode["scale"], *mode.get("interval90", ()))
+    interval = f", {values[1]} to {values[2]} with 90 %" if len(values) == 3 else ""
+    vehicles = f", {mode['vehicles_used']} vehicles" if "vehicles_used" in mode else ""
+    return f"{values[0]} {unit}{interval}{vehicles}"
 
 
 def _places(report: Mapping[str, Any]) -> Markup | None:
