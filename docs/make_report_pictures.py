@@ -19,13 +19,18 @@ from pathlib import Path
 from playwright.sync_api import Page, sync_playwright
 
 import orthoscale
-from orthoscale.report.files import redraw
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples"
 OUT = HERE / "report"
 DESK, PHONE = (860, 700), (360, 640)
-SECTIONS = {"vehicles": 1, "sizes": 2, "measurements": 3, "places": 4, "uncertainty": 5}  # of the page, by their order
+SECTIONS = {  # picture: report, and the heading of its section
+    "vehicles": ("sheffield", "Are these the vehicles?"),
+    "sizes": ("sheffield", "Do they have the sizes of the fleet?"),
+    "measurements": ("town", "Do the measurements agree?"),
+    "places": ("town", "Is the scale the same everywhere?"),
+    "uncertainty": ("town", "Where the uncertainty comes from"),
+}
 
 
 def reports(folder: Path, data: Path) -> dict[str, Path]:
@@ -63,25 +68,22 @@ def pages(paths: dict[str, Path]) -> Iterator[dict[str, Page]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=HERE.parent.parent / "shared" / "data")
-    parser.add_argument("--redraw", type=Path, help="Use this report.json for the reconstruction instead.")
     options = parser.parse_args()
     OUT.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         paths = reports(Path(folder), options.data)
-        if options.redraw:
-            redraw(options.redraw, paths["sheffield"], overwrite=True)
         with pages(paths) as opened:
-            for name in ("town", "stretched"):
+            for name in opened:
                 opened[name].locator("header").screenshot(path=OUT / f"{name}.png")
-            sheffield = opened["sheffield"]
-            for name, index in SECTIONS.items():
-                part = sheffield.locator("section").nth(index - 1)
+            for name, (report, heading) in SECTIONS.items():
+                part = opened[report].locator("section", has_text=heading)
                 part = part.locator(".chips").first if name == "vehicles" else part
-                form = {"type": "jpeg", "quality": 80} if name == "vehicles" else {"type": "png"}
-                part.screenshot(path=OUT / f"{name}.{form['type']}".replace("jpeg", "jpg"), **form)
-            sheffield.locator("header").screenshot(path=OUT / "sheffield.png")
+                form = "jpeg" if name == "vehicles" else "png"
+                quality = {"quality": 80} if form == "jpeg" else {}
+                part.screenshot(path=OUT / f"{name}.{form}", type=form, **quality)
             phone = opened["town"]
             phone.set_viewport_size(dict(zip(("width", "height"), PHONE, strict=True)))
+            phone.evaluate("scrollTo(0, 0)")
             phone.screenshot(path=OUT / "phone.png")
     for path in sorted(OUT.iterdir()):
         print(f"{path}: {path.stat().st_size / 1000:.0f} kB")

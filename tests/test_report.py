@@ -228,6 +228,13 @@ def test_agreement_of_the_modes_is_told_as_it_was_judged(report):
         ({"modes": {"planar": {"scale": 0.1}, "oblique": {"scale": 0.11}}}, "Planar and oblique disagree"),
         ({"remarks": ["something is odd"]}, "Remark"),
         (
+            {
+                "evidence": [{"kind": "known distance", "scale": 0.12, "relative_sd": 0.01, "says": ""}],
+                "checks": {"length": 0.1, "width": 0.1, "tension_sigmas": 0.0, "conflict_sigmas": 5.0},
+            },
+            "Other evidence contradicts",
+        ),
+        (
             {"claim": {"verdict": "disagrees", "believed": True, "guesses": [], "ratio": 0.3, "sigmas": 25.0}},
             "Own georeferencing disagrees",
         ),
