@@ -81,8 +81,10 @@ def _shapes(report: Mapping[str, Any]) -> Check:
     return Check("ok" if ok else "look", what, f"lengths give {signed(difference)} ({tension:.1f} sigma)")
 
 
-def _places(report: Mapping[str, Any]) -> Check:
+def _places(report: Mapping[str, Any]) -> Check | None:
     found = trend(report)
+    if found is None and report["unit"] != "m/px" and not report.get("drift"):
+        return None  # nobody compared them
     if found is None:
         return Check("none", "Places not compared", "too few vehicles for it")
     known = "" if found.sd is None else f" ± {100 * Z90 * found.sd:.1f}"
