@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,7 @@ class Detections:
     zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
     effective_height : up to where the boxes enclose a vehicle seen obliquely, along its length and its width [m].
     doubtful : boxes that were seen but not believed, by picture name, with the reason.
+    planar : those of a reconstruction's frames warped onto the ground, by the frame's name, in the plans' pixels.
     """
 
     boxes: dict[str, Boxes]
@@ -35,13 +37,17 @@ class Detections:
     detector_sha256: str = ""
     doubtful: dict[str, Boxes] = field(default_factory=dict)
     doubt: str = "seen at one zoom only"
+    planar: Detections | None = None
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))
 
     def save(self, path: Path) -> None:
         """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians."""
-        text = {
+        path.write_text(json.dumps(self._document(), indent=0))
+
+    def _document(self) -> dict[str, Any]:
+        text: dict[str, Any] = {
             "detector": self.detector,
             "detector_sha256": self.detector_sha256,
             "zoom": self.zoom,
@@ -49,26 +55,16 @@ class Detections:
             "ruler": asdict(self.ruler),
             "pictures": {name: _rows(boxes) for name, boxes in self.boxes.items()},
         }
-        path.write_text(json.dumps(text, indent=0))
+        if self.planar is not None:
+            text["planar"] = self.planar._document()
+        return text
 
     @classmethod
     def load(cls, path: Path) -> Detections:
         """Read what `save` wrote, or a plain ``{name: [box, ...]}``. Raises InputError."""
         try:
             text = json.loads(path.read_text(encoding="utf-8"))
-            pictures = text.get("pictures", text)
-            boxes = {name: _boxes(rows) for name, rows in pictures.items()}
-            ruler = Ruler.from_json(text["ruler"]) if "ruler" in text else UNKNOWN_RULER
-            return cls(
-                boxes=boxes,
-                zoom=float(text["zoom"]) if "pictures" in text else 1.0,
-                ruler=ruler,
-                effective_height=_pair(text["effective_height"]) if "pictures" in text else UNKNOWN_HEIGHT,
-                detector=str(text.get("detector", f"boxes of {path.name}"))
-                if "pictures" in text
-                else f"boxes of {path.name}",
-                detector_sha256=str(text["detector_sha256"]) if "pictures" in text else "",
-            )
+            return cls._of(text, path)
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a detections file.") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -76,6 +72,22 @@ class Detections:
                 f"{path}: not a detections file ({error!r})",
                 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.',
             ) from error
+
+    @classmethod
+    def _of(cls, text: dict[str, Any], path: Path) -> Detections:
+        pictures = text.get("pictures", text)
+        boxes = {name: _boxes(rows) for name, rows in pictures.items()}
+        if "pictures" not in text:
+            return cls(boxes, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, f"boxes of {path.name}")
+        return cls(
+            boxes=boxes,
+            zoom=float(text["zoom"]),
+            ruler=Ruler.from_json(text["ruler"]) if "ruler" in text else UNKNOWN_RULER,
+            effective_height=_pair(text["effective_height"]),
+            detector=str(text.get("detector", f"boxes of {path.name}")),
+            detector_sha256=str(text["detector_sha256"]),
+            planar=cls._of(text["planar"], path) if "planar" in text else None,
+        )
 
 
 def _pair(values: list[float]) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,13 +17,15 @@ from .detect.find import Progress, find_vehicles
 from .detections import Detections
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
 from .fleet import Fleet
-from .measuring import measure
+from .looks import find_in_model, measure_model
+from .measuring import Measured, measure
 from .pooling import Scale
 from .votes import Votes
 
 if TYPE_CHECKING:
     from .detect.zoom import ZoomChoice
     from .sources.colmap import ColmapSource
+    from .sources.picture import Picture
     from .sources.source import Source
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
@@ -36,13 +39,39 @@ class Result:
     source: Source
     fleet: Fleet
     detections: Detections
-    boxes: Boxes  # all that entered the projection, of all pictures
-    picture: np.ndarray = field(repr=False)  # (M,) name of each box's picture
-    votes: Votes = field(repr=False)
-    scale: Scale = field(repr=True)
     zoom_choice: ZoomChoice | None
-    rejected_boxes: dict[str, int]  # boxes that never became votes, by reason
     seconds: float
+    measured: Measured = field(repr=False)
+
+    @property
+    def scale(self) -> Scale:
+        return self.measured.scale
+
+    @property
+    def votes(self) -> Votes:
+        return self.measured.votes
+
+    @property
+    def boxes(self) -> Boxes:
+        """All boxes that entered the projection, of all pictures."""
+        return self.measured.boxes
+
+    @property
+    def picture(self) -> np.ndarray:
+        """(M,) name of each box's picture."""
+        return self.measured.picture
+
+    @property
+    def rejected_boxes(self) -> dict[str, int]:
+        """Boxes that never became votes, by reason."""
+        return {reason: count for reason, count in self.measured.lost.items() if count}
+
+    @property
+    def pictures(self) -> Sequence[Picture]:
+        """The pictures that the boxes lie in, as far as they are at hand."""
+        if set(self.picture) <= set(self.source.picture_names):
+            return self.source.pictures
+        return [p for p in cast("ColmapSource", self.source).ground_pictures if p.frame is not None]
 
     def require_useful(self) -> None:
         """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
@@ -53,6 +82,13 @@ class Result:
                 f"{self.scale.unit}",
                 "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with "
                 "--force.",
+            )
+        agreement = self.measured.agreement
+        if agreement is not None and agreement.contradicts:
+            raise EvidenceDisagrees(
+                f"{self.source.path}: {agreement.sentence()}",
+                "Look at the boxes (--save-detections) and the poses, choose one way with --mode, or write all the "
+                "same with --force.",
             )
         if self.scale.tension > CONFLICT:
             raise EvidenceDisagrees(
@@ -86,12 +122,14 @@ def estimate(
     zoom: float | None = None,
     gsd_hint: float | None = None,
     progress: Progress | None = None,
+    mode: str | None = None,
 ) -> Result:
     """Find the scale of an orthophoto (metres per pixel) or a COLMAP model (metres per model unit).
 
     fleet : code of the country's fleet, or a JSON file. images : folder of a model's frames, when not beside it.
     detections : boxes from a file instead of the detector. detector : an ONNX file instead of the shipped one.
     zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
+    mode : how a model is measured, one of `looks.MODES`; by default in every way that there is evidence for.
     `path` may be a source that `open_source` opened. Raises InputError, UsageError, TooLittleEvidence.
     """
     started = time.perf_counter()
@@ -105,6 +143,9 @@ def estimate(
         source = open_source(Path(path), _path(images), need_images=detections is None)
     else:
         source = path
+    model = None if source.unit == "m/px" else cast("ColmapSource", source)
+    if model is None and mode is not None:
+        raise UsageError("--mode is for COLMAP models", f"{source.path} is an image: leave --mode away.")
     choice = None
     if detections is not None:
         found = Detections.load(Path(detections))
@@ -114,11 +155,16 @@ def estimate(
         if gsd_hint is not None:
             zoom = _zoom_for(gsd_hint, ruler_fleet, detector_file)
         try:
-            found, choice = find_vehicles(source.pictures, detector_file, zoom, progress)
+            if model is None:
+                found, choice = find_vehicles(source.pictures, detector_file, zoom, progress)
+            else:
+                found, choice = find_in_model(model, mode, detector_file, zoom, progress)
         except TooLittleEvidence as error:
             raise TooLittleEvidence(f"{source.path}: {error.message}", error.hint) from error
     try:
-        boxes, picture, votes, scale, lost = measure(source, found, ruler_fleet)
+        measured = (
+            measure(source, found, ruler_fleet) if model is None else measure_model(model, found, ruler_fleet, mode)
+        )
     except TooLittleEvidence as error:
         raise TooLittleEvidence(
             f"{source.path}: {error.message} (looked at zoom {found.zoom:.2f}, vehicles about "
@@ -126,9 +172,7 @@ def estimate(
             "Try the fleet of the country (--fleet), another zoom (--gsd-hint METRES_PER_PIXEL, --zoom FACTOR), "
             "or a scene with more vehicles.",
         ) from error
-    rejected = {reason: count for reason, count in lost.items() if count}
-    seconds = time.perf_counter() - started
-    return Result(source, ruler_fleet, found, boxes, picture, votes, scale, choice, rejected, seconds)
+    return Result(source, ruler_fleet, found, choice, time.perf_counter() - started, measured)
 
 
 def fix(

@@ -36,6 +36,12 @@ def evidence_options(command: Callable) -> Callable:
             click.option("--detector", type=click.Path(path_type=Path), help="Another ONNX detector with a card."),
             click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
             click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search."),
+            click.option(
+                "--mode",
+                type=click.Choice(["both", "oblique", "planar"]),
+                help="Measure a model in its frames (oblique), in frames warped onto the ground (planar), or both "
+                "(the default, where it can be done).",
+            ),
             click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on standard output."),
             click.option("--debug", is_flag=True, help="Show the traceback of an error."),
         ]

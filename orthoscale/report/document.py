@@ -46,6 +46,7 @@ def document(result: Result) -> dict[str, Any]:
             "votes": result.zoom_choice.votes,
             "runner_up": result.zoom_choice.rival,
         },
+        **result.measured.findings,
         "input": {"path": str(result.source.path), "sha256": result.source.content_hash()},
         "versions": {
             "orthoscale": __version__,

@@ -28,7 +28,7 @@ def draw(result: Result, path: Path) -> None:
     """Write a PNG: an overview with used (green) and rejected (red) vehicles, and a contact sheet of 24 of them;
     for a reconstruction a plan of its points and vehicles first (and only, when the frames are not at hand)."""
     panels = [_title(result)]
-    pictures = {picture.name: picture for picture in result.source.pictures}
+    pictures: dict[str, Picture] = {picture.name: picture for picture in result.pictures}
     if result.source.unit == "m/model-unit":
         panels.append(_plan(result))
     if pictures:

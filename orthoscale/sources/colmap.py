@@ -21,6 +21,7 @@ from ..rescale.sim3 import Sim3
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
 from .database import pose_priors
+from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
 
 if TYPE_CHECKING:
@@ -94,6 +95,11 @@ class ColmapSource:
             points = self.sparse[0]
         return Ground.fit(points, np.array([image.projection_center() for image in self._images.values()]))
 
+    @cached_property
+    def ground_pictures(self) -> list[GroundPicture]:
+        """The near-nadir parts of the frames, warped onto the ground."""
+        return ground_pictures(self)
+
     @property
     def camera_height(self) -> float:
         """Median height of the cameras over the ground [model units]."""
@@ -158,6 +164,30 @@ class ColmapSource:
         seen[~ok] = (0, 0, self.camera_height)
         views = Views(seen, np.where(ok[:, None], normal @ rotation.T, (0, 0, -1.0)), lens)
         return views, world, ok & (views.elevation >= np.radians(lowest_elevation))
+
+    def centre(self, name: str) -> np.ndarray:
+        """(3,) where the camera of the image `name` stands [model units, world]."""
+        return self._images[name].projection_center()
+
+    def rotation(self, name: str) -> np.ndarray:
+        """(3, 3) `camera_from_world` of the image `name`: its rows are the camera's x, y and z in the world."""
+        return self._images[name].cam_from_world().rotation.matrix()
+
+    def image_size(self, name: str) -> tuple[int, int]:
+        """Width and height of the image `name` [px]."""
+        camera = self._model.camera(self._images[name].camera_id)
+        return camera.width, camera.height
+
+    def project(self, name: str, world: np.ndarray) -> np.ndarray:
+        """(N, 2) pixels at which the image `name` has the points `world` (N, 3); NaN where it cannot."""
+        image = self._images[name]
+        pose = image.cam_from_world()
+        seen = world @ pose.rotation.matrix().T + pose.translation
+        ahead = seen[:, 2] > 1e-6 * self.camera_height
+        pixels = np.full((len(world), 2), np.nan)
+        if ahead.any():
+            pixels[ahead] = np.array(self._model.camera(image.camera_id).img_from_cam(seen[ahead]), float)
+        return pixels
 
     def write(self, folder: Path, metres_per_unit: float) -> None:
         """Write the model in metres into the empty `folder`, in the format it came in, with sim3.json and sim3.txt.
