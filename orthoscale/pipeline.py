@@ -101,6 +101,10 @@ def open_source(path: Path, images: Path | None = None, need_images: bool = True
     """The source at `path`: a folder is a COLMAP model, a file an image. Raises InputError."""
     if not path.exists():
         raise InputError(f"{path} does not exist", "Give an orthophoto, or the folder of a COLMAP model.")
+    from .sources.exchange import ExchangeSource, find_exchange
+
+    if (text := find_exchange(path)) is not None:
+        return ExchangeSource.open(text, images=images, need_images=need_images)
     if path.is_dir():
         from .sources.colmap import ColmapSource
 

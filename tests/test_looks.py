@@ -15,7 +15,7 @@ from orthoscale.detections import Detections
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.fleet import Fleet
 from orthoscale.looks import measure_model
-from orthoscale.pipeline import estimate, fix
+from orthoscale.pipeline import estimate, fix, open_source
 from orthoscale.pooling import Ruler
 from orthoscale.projection.exact import Hull
 from orthoscale.sources.colmap import ColmapSource
@@ -62,7 +62,7 @@ def enclosing(points, heading, margin):
 def found_by(folder, turn, noise=0.3, seed=0):
     """Detections of a perfect detector whose boxes reach HEIGHT and exceed the vehicle by MARGIN."""
     rng = np.random.default_rng(seed)
-    source = ColmapSource.open(folder)
+    source = open_source(folder)
     bodies, ends = vehicles(turn)
     frames, plans = {}, {}
     for name in source.picture_names:

@@ -68,21 +68,7 @@ class ColmapSource:
         files = open_model(Path(path))
         model = read_model(files.folder, files.format)
         notes = list(files.notes)
-        names = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
-        pictures = []
-        try:
-            root, missing = _find_images(files.folder, Path(images) if images is not None else None, sorted(names))
-        except InputError as error:
-            if need_images or images is not None:
-                raise
-            notes.append(error.message)
-        else:
-            if missing:
-                notes.append(f"{len(missing)} of {len(names)} frames are not in {root}, the first is {missing[0]}")
-            for name in sorted(names.keys() - set(missing)):
-                camera = model.camera(names[name].camera_id)
-                pictures.append(PictureFile(name, root / name, camera.width, camera.height))
-                pictures[-1].check_size()
+        pictures = find_frames(model, files.folder, images, need_images, notes)
         if note := pose_priors(files.folder):
             notes.append(note)
         return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
@@ -255,6 +241,28 @@ class ColmapSource:
             why = "because it is not in metres (`orthoscale apply` scales it) or is large"
             notes.append(f"left in {self.folder}, {why}: {', '.join(left)}")
         return notes
+
+
+def find_frames(
+    model: pycolmap.Reconstruction, folder: Path, images: Path | str | None, need_images: bool, notes: list[str]
+) -> list[PictureFile]:
+    """The frames of `model`, which lies in `folder`, that are on disk; see `ColmapSource.open`, whose notes grow."""
+    registered = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
+    try:
+        root, missing = _find_images(folder, Path(images) if images is not None else None, sorted(registered))
+    except InputError as error:
+        if need_images or images is not None:
+            raise
+        notes.append(error.message)
+        return []
+    if missing:
+        notes.append(f"{len(missing)} of {len(registered)} frames are not in {root}, the first is {missing[0]}")
+    pictures = []
+    for name in sorted(registered.keys() - set(missing)):
+        camera = model.camera(registered[name].camera_id)
+        pictures.append(PictureFile(name, root / name, camera.width, camera.height))
+        pictures[-1].check_size()
+    return pictures
 
 
 def _find_images(folder: Path, given: Path | None, names: Sequence[str]) -> tuple[Path, list[str]]:
