@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.special import pdtrc
 
 from .agreement import Agreement, compare
 from .errors import TooLittleEvidence, UsageError
@@ -25,7 +26,7 @@ SAME_VEHICLE = 0.35  # of a vehicle's length: how far apart one may stand in the
 LIKELY = 0.25  # the two scales differ by less, so that chance alignments need not be tried
 PAIRS = 20_000  # pairs of vehicles that are tried
 MIN_COMMON = 6
-BEYOND_CHANCE = 4.0  # times as many as would fall on one another anyhow
+BY_CHANCE = 1e-3  # of so many tries, how many may reach as many common vehicles where there are none
 
 
 @dataclass(frozen=True)
@@ -116,16 +117,16 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
     factor = (zb[m[partner]] - zb[k[partner]]) / (za[j[p]] - za[i[p]])
     shift = zb[k[partner]] - factor * za[i[p]]
     tree = cKDTree(b)
-    best = (0, 0j, 0j)
-    for f, s in zip(factor, shift, strict=True):
-        z = f * za + s
-        count = int((tree.query(np.column_stack([z.real, z.imag]), distance_upper_bound=reach)[0] < np.inf).sum())
-        if count > best[0]:
-            best = (count, f, s)
-    count, f, s = best
+    counts = []
+    for part in np.array_split(np.arange(PAIRS), PAIRS // 1000):
+        z = factor[part, None] * za + shift[part, None]
+        distance = tree.query(np.stack([z.real, z.imag], -1), distance_upper_bound=reach)[0]
+        counts.append((distance < np.inf).sum(1))
+    best = int(np.argmax(np.concatenate(counts)))
+    f, s = factor[best], shift[best]
     for _ in range(5):
         z = f * za + s
-        distance, index = tree.query(np.column_stack([z.real, z.imag]), distance_upper_bound=reach)
+        distance, index = tree.query(np.stack([z.real, z.imag], -1), distance_upper_bound=reach)
         near = distance < np.inf
         if near.sum() < MIN_COMMON:
             return None
@@ -133,6 +134,6 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
         f = np.vdot(x - x.mean(), y - y.mean()) / np.vdot(x - x.mean(), x - x.mean())
         s = y.mean() - f * x.mean()
     chance = len(a) * min(len(b) * np.pi * reach**2 / max(float(np.prod(np.ptp(b, axis=0))), 1e-300), 1.0)
-    if near.sum() < BEYOND_CHANCE * chance:
+    if PAIRS * pdtrc(int(near.sum()) - 1, chance) > BY_CHANCE:
         return None
     return float(abs(f)), int(near.sum())

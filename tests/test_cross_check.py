@@ -74,7 +74,7 @@ def results(pair):
 
 def test_an_orthophoto_and_its_model_agree(results):
     checked = check_against_model(*results)
-    assert checked.units_per_pixel == pytest.approx(GSD / UNIT, rel=0.005), "from places alone, better than any size"
+    assert checked.units_per_pixel == pytest.approx(GSD / UNIT, rel=0.01), "from places alone, better than by sizes"
     assert checked.by_model == pytest.approx(GSD, rel=0.03) and checked.common > 30
     low, high = checked.interval90_by_model
     assert low < GSD < high and not checked.agreement.contradicts
