@@ -6,8 +6,10 @@ import importlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -196,6 +198,35 @@ def test_hloc(bench, hooks, monkeypatch):
     assert bench.stamps() == before
     assert np.allclose(metric.image(1).projection_center(), again.image(1).projection_center())
     assert (bench.work / "sfm_metric/sim3.json").is_file()
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_a_kill_leaves_nothing(bench, how):
+    """Killed while it writes: the stand-in for a slow disk stops in the middle of the model."""
+    bench.sparse()
+    slow = bench.work / "slow.py"
+    slow.write_text(
+        "import pathlib, sys, time, pycolmap\n"
+        "there = sys.argv.pop()\n"
+        "def stuck(model, folder):\n"
+        "    (pathlib.Path(folder) / 'points3D.bin').write_bytes(b'half')\n"
+        "    pathlib.Path(there).touch()\n"
+        "    time.sleep(60)\n"
+        "pycolmap.Reconstruction.write_binary = stuck\n"
+        "from orthoscale.cli import main\n"
+        "main()\n"
+    )
+    there = bench.work / "there"
+    command = [sys.executable, slow, "fix", bench.work / "sparse/0", "--out", bench.work / "out", *OPTIONS, there]
+    with subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, env=bench.environment) as process:
+        for _ in range(600):
+            if there.exists():
+                break
+            time.sleep(0.1)
+        process.send_signal(how)
+        assert b"nothing was written" in process.communicate()[1]
+    assert process.returncode == 130
+    assert sorted(p.name for p in bench.work.iterdir()) == ["images", "slow.py", "sparse", "there"]
 
 
 def test_odm(bench):

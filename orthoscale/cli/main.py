@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import traceback
 from importlib import import_module
@@ -45,6 +46,7 @@ def cli() -> None:
 def main() -> None:
     """Entry point: errors become one message and an exit code; `--debug` shows the traceback as well."""
     debug = "--debug" in sys.argv
+    signal.signal(signal.SIGTERM, _stop)
     try:
         sys.exit(cli.main(standalone_mode=False) or 0)
     except OrthoscaleError as error:
@@ -63,6 +65,11 @@ def main() -> None:
         if not debug:
             click.echo("This is a bug in orthoscale. Run again with --debug and report what it shows.", err=True)
         sys.exit(1)
+
+
+def _stop(number: int, frame: object) -> None:
+    """A polite kill ends like Ctrl-C: temporary files go with it."""
+    raise KeyboardInterrupt
 
 
 def _complain(error: Exception, debug: bool) -> None:
