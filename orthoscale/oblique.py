@@ -13,7 +13,7 @@ import numpy as np
 
 from .boxes import Boxes
 from .detections import Detections
-from .drift import drift
+from .model_drift import drift
 from .errors import TooLittleEvidence
 from .fleet import Fleet
 from .measuring import Measured, doubts

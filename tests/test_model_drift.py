@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orthoscale.drift import by_region, drift
+from orthoscale.model_drift import by_region, drift
 from orthoscale.fleet import Fleet
 from orthoscale.pooling import Ruler, pool
 from orthoscale.votes import gather
