@@ -111,6 +111,29 @@ def by_gsd(name: str) -> str:
     return table(["fleet", *(f"{100 * g:.0f} cm/px" for g in GSDS)], rows)
 
 
+def without_country(scenes: int = 200) -> str:
+    """Vehicles of a country drawn anew for each scene, pooled as of a fleet to be found, and as of the world's."""
+    auto = Fleet.load("auto")
+    rows = []
+    for name in ("vehicles only", "both"):
+        vans, false = CONDITIONS[name]
+        cells = []
+        for ruler_fleet in (auto, Fleet.load("WORLD")):
+            errors, sds, hits = [], [], []
+            for k in range(scenes):
+                rng, gsd = np.random.default_rng([3, k]), GSDS[k % len(GSDS)]
+                country = auto.candidates[rng.integers(len(auto.candidates))]
+                scale = pool(car_park(rng, country, VEHICLES, gsd, RULER, vans, false), ruler_fleet, RULER, "m/px")
+                low, high = scale.interval90
+                errors.append(np.log(scale.value / gsd))
+                sds.append(scale.relative_sd)
+                hits.append(low <= gsd <= high)
+            error, sd, hit = map(np.array, (errors, sds, hits))
+            cells.append(f"{100 * hit.mean():.0f} % ({100 * error.mean():+.1f}, {rms(error)}, {rms(sd)})")
+        rows.append([name, *cells])
+    return table(["vehicles of a random country", "fleet auto", "fleet world"], rows)
+
+
 def by_count(code: str, vans: float, false: float, scenes: int = 200) -> str:
     """Error against the number of boxes, and what the paper's mean makes of the same boxes."""
     rows = []
@@ -152,6 +175,7 @@ def main() -> None:
     print(f"{SCENES} scenes of {VEHICLES} boxes, at {gsds} cm/px in turn, with box margins\n\n{by_fleet(RULER)}\n")
     print(f"Without box margins\n\n{by_fleet(NO_MARGIN)}\n")
     print(f"With margins, 25 % vans and 10 % false boxes, by pixel size\n\n{by_gsd('both')}\n")
+    print(f"The country not known, 200 scenes\n\n{without_country()}\n")
     print("## Error against the number of boxes [%]\n")
     for code in ("DE", "US", "WORLD"):
         print(f"{code}, vehicles only\n\n{by_count(code, 0.0, 0.0)}\n")

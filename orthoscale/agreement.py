@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .pooling import Z90, Scale
+from .pooling import Scale
+from .posterior import Z90
 
 CONTRADICTION = 3.0  # sigmas from which two measurements of one scale contradict each other
 SHARED = {"fleet"}  # parts of the uncertainty that both have: the vehicles are the same

@@ -16,7 +16,7 @@ from scipy.special import pdtrc
 
 from .agreement import Agreement, compare
 from .errors import TooLittleEvidence, UsageError
-from .pooling import Z90
+from .posterior import Z90
 
 if TYPE_CHECKING:
     from .pipeline import Result

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .boxes import Boxes
 from .errors import InputError
 from .pooling import Ruler
+
+if TYPE_CHECKING:
+    from .detect.sweep import Swept
 
 # Boxes from a file that does not say what ruler they are: a margin nobody has measured.
 UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.03), noise=(2.0, 1.2))
@@ -27,6 +31,7 @@ class Detections:
     effective_height : up to where the boxes enclose a vehicle seen obliquely, along its length and its width [m].
     doubtful : boxes that were seen but not believed, by picture name, with the reason.
     planar : those of a reconstruction's frames warped onto the ground, by the frame's name, in the plans' pixels.
+    swept : which tiles were looked at, where the boxes do not come from a file.
     """
 
     boxes: dict[str, Boxes]
@@ -38,33 +43,57 @@ class Detections:
     doubtful: dict[str, Boxes] = field(default_factory=dict)
     doubt: str = "seen at one zoom only"
     planar: Detections | None = None
+    swept: Swept | None = None
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))
+
+    def about(self) -> dict[str, Any]:
+        """All that is needed to measure with the boxes, as plain values."""
+        return {
+            "detector": self.detector,
+            "detector_sha256": self.detector_sha256,
+            "zoom": self.zoom,
+            "effective_height": list(self.effective_height),
+            "ruler": asdict(self.ruler),
+        }
+
+    @classmethod
+    def of(cls, boxes: dict[str, Boxes], about: Mapping[str, Any] | None, name: str, origin: str) -> Detections:
+        """Boxes from a file, with what `about` says of them; without that they are those of `name`, a detector that
+        nobody has measured. Raises InputError, which calls the file `origin`."""
+        if about is None:
+            return cls(boxes, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, name)
+        try:
+            return cls(
+                boxes=boxes,
+                zoom=float(about["zoom"]),
+                ruler=Ruler.from_json(about["ruler"]) if "ruler" in about else UNKNOWN_RULER,
+                effective_height=_pair(about["effective_height"]),
+                detector=str(about.get("detector", name)),
+                detector_sha256=str(about["detector_sha256"]),
+            )
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(
+                f"{origin}: not a detections file (what it says of its detector is damaged: {error!r})",
+                "Save the detections again.",
+            ) from error
 
     def save(self, path: Path) -> None:
         """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians."""
         path.write_text(json.dumps(self._document(), indent=0))
 
     def _document(self) -> dict[str, Any]:
-        text: dict[str, Any] = {
-            "detector": self.detector,
-            "detector_sha256": self.detector_sha256,
-            "zoom": self.zoom,
-            "effective_height": list(self.effective_height),
-            "ruler": asdict(self.ruler),
-            "pictures": {name: _rows(boxes) for name, boxes in self.boxes.items()},
-        }
-        if self.planar is not None:
-            text["planar"] = self.planar._document()
-        return text
+        text = {**self.about(), "pictures": {name: _rows(boxes) for name, boxes in self.boxes.items()}}
+        return text if self.planar is None else {**text, "planar": self.planar._document()}
 
     @classmethod
     def load(cls, path: Path) -> Detections:
         """Read what `save` wrote, or a plain ``{name: [box, ...]}``. Raises InputError."""
         try:
             text = json.loads(path.read_text(encoding="utf-8"))
-            return cls._of(text, path)
+            boxes = _pictures(text)
+            planar = _pictures(text["planar"]) if "pictures" in text and "planar" in text else None
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a detections file.") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -72,22 +101,13 @@ class Detections:
                 f"{path}: not a detections file ({error!r})",
                 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.',
             ) from error
+        about, name = text if "pictures" in text else None, f"boxes of {path.name}"
+        found = cls.of(boxes, about, name, str(path))
+        return found if planar is None else replace(found, planar=cls.of(planar, text["planar"], name, str(path)))
 
-    @classmethod
-    def _of(cls, text: dict[str, Any], path: Path) -> Detections:
-        pictures = text.get("pictures", text)
-        boxes = {name: _boxes(rows) for name, rows in pictures.items()}
-        if "pictures" not in text:
-            return cls(boxes, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, f"boxes of {path.name}")
-        return cls(
-            boxes=boxes,
-            zoom=float(text["zoom"]),
-            ruler=Ruler.from_json(text["ruler"]) if "ruler" in text else UNKNOWN_RULER,
-            effective_height=_pair(text["effective_height"]),
-            detector=str(text.get("detector", f"boxes of {path.name}")),
-            detector_sha256=str(text["detector_sha256"]),
-            planar=cls._of(text["planar"], path) if "planar" in text else None,
-        )
+
+def _pictures(text: dict[str, Any]) -> dict[str, Boxes]:
+    return {name: _boxes(rows) for name, rows in text.get("pictures", text).items()}
 
 
 def _pair(values: list[float]) -> tuple[float, float]:

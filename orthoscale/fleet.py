@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,11 @@ MEAN_CORRELATION = 0.85
 # How far the vehicles of one place (a car park, a district) stray from their country's mean, relative, one sigma, for
 # length and width. An assumption: pickups being 10 % more or less frequent move the US means by 2.2 % and 0.9 %.
 LOCAL_SD = np.array([0.025, 0.012])
+
+
+AUTO = "auto"
+# Not one country's vehicles on the road: parts of a fleet, new vehicles, a continent, a figure without a source.
+NO_COUNTRY = ("PAPER", "EU", "US_cars", "US_pickup")
 
 
 @dataclass(frozen=True)
@@ -63,20 +68,27 @@ class Fleet:
     classes: tuple[Class, ...]
     year: int
     source: str
+    candidates: tuple[Fleet, ...] = ()  # fleets of which one stands here, not known which
 
     @classmethod
     def load(cls, name: str | Path) -> Fleet:
         """A fleet by code (``US``, ``DE``, ``world``; case does not matter) or from a JSON file of one such entry.
 
-        Raises UsageError for an unknown code, InputError for a file that is no fleet.
+        ``auto`` is the world's, with the fleets of all countries as candidates. Raises UsageError for an unknown code,
+        InputError for a file that is no fleet.
         """
+        if str(name).lower() == AUTO:
+            rivals = tuple(cls.from_entry(code, entry) for code, entry in _table().items() if _on_the_road(code))
+            return replace(cls.load("WORLD"), code=AUTO, name="found by the vehicles' shapes", candidates=rivals)
         known = {code.lower(): code for code in _table()}
         if str(name).lower() in known:
             code = known[str(name).lower()]
             return cls.from_entry(code, _table()[code])
         path = Path(name)
         if path.suffix != ".json":
-            raise UsageError(f"no fleet is called {name!r}", f"Known fleets: {', '.join(_table())}; or a .json file.")
+            raise UsageError(
+                f"no fleet is called {name!r}", f"Known fleets: {', '.join(_table())}, {AUTO}; or a .json file."
+            )
         try:
             return cls.from_entry(path.stem, json.loads(path.read_text()))
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -125,6 +137,10 @@ class Fleet:
 def codes() -> list[str]:
     """The codes of the built-in fleets."""
     return list(_table())
+
+
+def _on_the_road(code: str) -> bool:
+    return code not in NO_COUNTRY and not code.endswith("_new")
 
 
 @cache

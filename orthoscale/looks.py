@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .agreement import compare, together
-from .detect.find import Progress, find_vehicles
+from .detect.detector import Detector
+from .detect.find import Effort, Progress, find_vehicles
 from .detections import Detections
 from .errors import TooLittleEvidence, UsageError
 from .fleet import Fleet
@@ -28,19 +28,20 @@ ENOUGH = 5  # boxes in the frames that tell how long vehicles are, so that the s
 
 def find_in_model(
     source: ColmapSource,
-    mode: str | None = None,
-    detector_file: Path | None = None,
+    mode: str | None,
+    detector: Detector,
     zoom: float | None = None,
     progress: Progress | None = None,
+    effort: Effort | None = None,
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles in the frames of `source`, and in `planar` those in its pictures of the ground, as `mode` asks.
 
     zoom : of the frames; by default it is searched for. Raises TooLittleEvidence.
     """
     if mode == PLANAR:
-        planar, choice = find_vehicles(_plans(source, True), detector_file, zoom, progress)
+        planar, choice = find_vehicles(_plans(source, True), detector, zoom, progress, effort)
         return replace(planar, boxes={}, doubtful={}, planar=planar), choice
-    found, choice = find_vehicles(source.pictures, detector_file, zoom, progress)
+    found, choice = find_vehicles(source.pictures, detector, zoom, progress, effort)
     if mode == OBLIQUE:
         return found, choice
     plans = _plans(source, mode == BOTH)
@@ -48,7 +49,7 @@ def find_in_model(
         return found, choice
     planar_zoom = _zoom_of_plans(source, found, plans[0].unit_per_pixel)
     try:
-        planar, _ = find_vehicles(plans, detector_file, planar_zoom, _named(progress))
+        planar, _ = find_vehicles(plans, detector, planar_zoom, _named(progress), effort)
     except TooLittleEvidence as error:
         source.notes.append(f"planar sweep: {error.message}")
         return found, choice
@@ -110,7 +111,7 @@ def measure_model(source: ColmapSource, found: Detections, fleet: Fleet, mode: s
     answer = next(iter(measured.values()))
     scales = {name: m.scale for name, m in measured.items()}
     findings: dict[str, Any] = {**answer.findings, "modes": {name: _plain(m) for name, m in measured.items()}}
-    remarks = answer.findings.get("drift", {}).get("remarks", [])
+    remarks = answer.findings.get("consistency", {}).get("remarks", [])
     agreement = None
     scale = answer.scale
     if len(scales) == 2:

@@ -13,10 +13,10 @@ import numpy as np
 
 from .boxes import Boxes
 from .detections import Detections
-from .model_drift import drift
 from .errors import TooLittleEvidence
 from .fleet import Fleet
 from .measuring import Measured, doubts
+from .model_drift import drift
 from .pooling import MIN_VEHICLES, pool
 from .projection.calibration import Calibration, calibrate, trends
 from .projection.exact import Hull, ground_size
@@ -89,7 +89,7 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet) -> Mea
     changes = trends(flat, tight, np.degrees(view.elevation[solved]), pixel[solved], counted)
     findings = {
         "calibration": {**ruler.document(card), "trends": changes},
-        "drift": drift(tight, picture, votes, scale, source.ground.plane(votes.place)),
+        "consistency": drift(tight, picture, votes, scale, source.ground.plane(votes.place)),
     }
     return Measured(boxes[solved], picture, votes, scale, lost, findings)
 

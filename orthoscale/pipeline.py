@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -13,9 +13,13 @@ import numpy as np
 
 from .atomic import check_free, new_file, new_folder
 from .boxes import Boxes
-from .detect.find import Progress, find_vehicles
+from .calibration import Calibration
+from .detect.detector import Detector
+from .detect.find import Effort, Progress, find_vehicles
 from .detections import Detections
+from .drift import Drift, drift
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
+from .exchange import load as load_detections
 from .fleet import Fleet
 from .looks import find_in_model, measure_model
 from .measuring import Measured, measure
@@ -26,6 +30,7 @@ if TYPE_CHECKING:
     from .detect.zoom import ZoomChoice
     from .sources.colmap import ColmapSource
     from .sources.picture import Picture
+    from .sources.raster import RasterSource
     from .sources.source import Source
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
@@ -42,6 +47,7 @@ class Result:
     zoom_choice: ZoomChoice | None
     seconds: float
     measured: Measured = field(repr=False)
+    drift: Drift | None = None  # of the scale within an orthophoto
 
     @property
     def scale(self) -> Scale:
@@ -75,13 +81,10 @@ class Result:
 
     def require_useful(self) -> None:
         """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
-        if self.scale.verdict == "refuse":
-            low, high = self.scale.interval90
-            raise TooLittleEvidence(
-                f"{self.source.path}: the scale is only known to lie between {low:.4g} and {high:.4g} "
-                f"{self.scale.unit}",
-                "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with "
-                "--force.",
+        if self.scale.tension > CONFLICT:
+            raise EvidenceDisagrees(
+                f"{self.source.path}: {self.scale.remarks[0]}",
+                "Look at the boxes (--save-detections), name the country's fleet, or write all the same with --force.",
             )
         agreement = self.measured.agreement
         if agreement is not None and agreement.contradicts:
@@ -90,10 +93,13 @@ class Result:
                 "Look at the boxes (--save-detections) and the poses, choose one way with --mode, or write all the "
                 "same with --force.",
             )
-        if self.scale.tension > CONFLICT:
-            raise EvidenceDisagrees(
-                f"{self.source.path}: {self.scale.remarks[0]}",
-                "Look at the boxes (--save-detections), name the country's fleet, or write all the same with --force.",
+        if self.scale.verdict == "refuse":
+            low, high = self.scale.interval90
+            raise TooLittleEvidence(
+                f"{self.source.path}: the scale is only known to lie between {low:.4g} and {high:.4g} "
+                f"{self.scale.unit}",
+                "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with "
+                "--force.",
             )
 
 
@@ -119,22 +125,33 @@ def open_source(path: Path, images: Path | None = None, need_images: bool = True
 def estimate(
     path: str | Path | Source,
     *,
-    fleet: str | Path = "world",
+    fleet: str | Path | None = None,
     images: str | Path | None = None,
     detections: str | Path | None = None,
     detector: str | Path | None = None,
+    decoder: str | None = None,
+    vehicle_classes: Sequence[str] = (),
+    calibration: str | Path | None = None,
     zoom: float | None = None,
     gsd_hint: float | None = None,
     progress: Progress | None = None,
     mode: str | None = None,
+    **effort: Any,
 ) -> Result:
     """Find the scale of an orthophoto (metres per pixel) or a COLMAP model (metres per model unit).
 
-    fleet : code of the country's fleet, or a JSON file. images : folder of a model's frames, when not beside it.
-    detections : boxes from a file instead of the detector. detector : an ONNX file instead of the shipped one.
+    fleet : code of the country's fleet, or a JSON file; by default the calibration's own, else ``world``.
+    images : folder of a model's frames, when not beside it.
+    detections : boxes from a file instead of the detector; see `exchange` for the formats.
+    detector : an ONNX file instead of the shipped one.
+    decoder : how to read its outputs, where they do not tell (`detect.layout.DECODERS`). vehicle_classes : names or
+    numbers of the classes that count, instead of those called small vehicles.
+    calibration : file of `orthoscale.calibrating.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
     mode : how a model is measured, one of `looks.MODES`; by default in every way that there is evidence for.
-    `path` may be a source that `open_source` opened. Raises InputError, UsageError, TooLittleEvidence.
+    effort : how much to look at, and with what; see `orthoscale.detect.find.Effort` (target, exhaustive, seed, workers,
+    scheduler, cache). `path` may be a source that `open_source` opened.
+    Raises InputError, UsageError, TooLittleEvidence.
     """
     started = time.perf_counter()
     if zoom is not None and gsd_hint is not None:
@@ -142,7 +159,10 @@ def estimate(
     for name, value in (("--zoom", zoom), ("--gsd-hint", gsd_hint)):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise UsageError(f"{name} must be a positive number, not {value}")
-    ruler_fleet = Fleet.load(fleet)
+    known = None if calibration is None else Calibration.load(Path(calibration))
+    ruler_fleet = Fleet.load(fleet or "world")
+    if known is not None and known.fleet is not None and fleet is None:
+        ruler_fleet = known.fleet
     if isinstance(path, (str, Path)):
         source = open_source(Path(path), _path(images), need_images=detections is None)
     else:
@@ -152,19 +172,23 @@ def estimate(
         raise UsageError("--mode is for COLMAP models", f"{source.path} is an image: leave --mode away.")
     choice = None
     if detections is not None:
-        found = Detections.load(Path(detections))
-        found = _of_source(found, source, Path(detections))
+        found = load_detections(Path(detections), source, vehicle_classes)
     else:
-        detector_file = _path(detector)
+        how_much = Effort(**effort)
+        network = Detector(_path(detector), decoder, vehicle_classes, how_much.threads_each)
         if gsd_hint is not None:
-            zoom = _zoom_for(gsd_hint, ruler_fleet, detector_file)
+            zoom = network.card.best_length * gsd_hint / float(ruler_fleet.mean[0])
         try:
             if model is None:
-                found, choice = find_vehicles(source.pictures, detector_file, zoom, progress)
+                found, choice = find_vehicles(
+                    source.pictures, network, zoom, progress, how_much, _sampling(source, ruler_fleet)
+                )
             else:
-                found, choice = find_in_model(model, mode, detector_file, zoom, progress)
+                found, choice = find_in_model(model, mode, network, zoom, progress, how_much)
         except TooLittleEvidence as error:
             raise TooLittleEvidence(f"{source.path}: {error.message}", error.hint) from error
+    if known is not None:
+        found = known.applied(found, Path(str(calibration)))
     try:
         measured = (
             measure(source, found, ruler_fleet) if model is None else measure_model(model, found, ruler_fleet, mode)
@@ -176,7 +200,11 @@ def estimate(
             "Try the fleet of the country (--fleet), another zoom (--gsd-hint METRES_PER_PIXEL, --zoom FACTOR), "
             "or a scene with more vehicles.",
         ) from error
-    return Result(source, ruler_fleet, found, choice, time.perf_counter() - started, measured)
+    within = None
+    if model is None:
+        (whole,) = source.pictures
+        within = drift(measured.votes, measured.scale, found.ruler, whole.width, whole.height)
+    return Result(source, ruler_fleet, found, choice, time.perf_counter() - started, measured, within)
 
 
 def fix(
@@ -187,6 +215,9 @@ def fix(
     override: bool = False,
     force: bool = False,
     dense: bool = False,
+    keep_origin: bool = False,
+    cog: bool = False,
+    also: Sequence[str] = (),
     **options: Any,
 ) -> Result:
     """Estimate the scale of `path` (see `estimate` for `options`) and write a copy of it in metres at `out`.
@@ -195,6 +226,8 @@ def fix(
     sim3.txt, report.json and vehicles.png in it. All of them appear, or none.
 
     overwrite : replace what is at `out`. override : rescale although the input's own georeferencing gives a scale.
+    keep_origin : an orthophoto keeps its coordinate reference system, first corner and direction; else local metres.
+    cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.EXTRAS`.
     force : write although the evidence is too uncertain to be useful (verdict ``refuse``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
     Raises what `estimate` raises, EvidenceDisagrees, OutputError.
@@ -204,6 +237,14 @@ def fix(
     if out.resolve() == path.resolve():
         raise UsageError(f"{out} is the input itself", "The input is never touched: choose another --out.")
     source = open_source(path, _path(options.get("images")), need_images=options.get("detections") is None)
+    from .report.extras import chosen
+
+    extras = [(extra.place(out), extra.write) for extra in chosen(also)]
+    if source.unit == "m/px":
+        for beside in (_beside(out, ".png"), _beside(out, ".json"), *(place for place, _ in extras)):
+            check_free(beside, overwrite)
+    elif keep_origin or cog or also:
+        raise UsageError("--keep-origin, --cog and --also are for orthophotos", f"{path} is a model.")
     if source.metric_already and not override:  # not behind its owner's back
         raise UsageError(
             f"{path} is in metres already: {source.metric_already}",
@@ -222,18 +263,25 @@ def fix(
             main = outputs.enter_context(new_file(out, overwrite))
             picture = outputs.enter_context(new_file(_beside(out, ".png"), overwrite))
             report = outputs.enter_context(new_file(_beside(out, ".json"), overwrite))
+            raster = cast("RasterSource", source)
+            raster.write(main, result.scale.value, keep_origin, cog)
+            for place, write in extras:
+                partial = outputs.enter_context(new_file(place, overwrite))
+                write(result, raster.place(result.scale.value, keep_origin), partial)
         else:
             main = outputs.enter_context(new_folder(out, overwrite))
             picture, report = main / "vehicles.png", main / "report.json"
-        source.write(main, result.scale.value)
-        if dense:
-            (main / "dense").mkdir()
-            cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
+            source.write(main, result.scale.value)
+            if dense:
+                (main / "dense").mkdir()
+                cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
         draw(result, picture)
         write_json(document(result), report)
         if overwrite:
             for suffix in GDAL_SIDECARS:  # those of the file that is replaced would speak for the new one
                 _beside(out, suffix).unlink(missing_ok=True)
+            if "tfw" not in also:
+                out.with_suffix(".tfw").unlink(missing_ok=True)
     return result
 
 
@@ -252,28 +300,23 @@ def _path(value: str | Path | None) -> Path | None:
     return None if value is None else Path(value)
 
 
-def _of_source(found: Detections, source: Source, path: Path) -> Detections:
-    """`found` without pictures that `source` does not have: those of a workspace's other models."""
-    known = set(source.picture_names)
-    strangers = [name for name in found.boxes if name not in known]
-    if not strangers:
-        return found
-    if len(strangers) == len(found.boxes):
-        raise InputError(
-            f"{path}: {len(strangers)} of its {len(found.boxes)} pictures are not in {source.path}, "
-            f"the first is {strangers[0]!r}",
-            f"The source has pictures like {source.picture_names[0]!r}: give the detections that were made on it.",
-        )
-    source.notes.append(f"{path}: {len(strangers)} of its pictures are not in this model, the first is {strangers[0]}")
-    return replace(found, boxes={name: boxes for name, boxes in found.boxes.items() if name in known})
+def _sampling(source: Source, fleet: Fleet) -> Callable[[Detections], float] | None:
+    """The sampling part of the uncertainty after a part of a sweep.
+
+    An orthophoto's tiles show different vehicles; frames show the same ones again, and need each other.
+    """
+    if source.unit != "m/px":
+        return None
+
+    def sampling(found: Detections) -> float:
+        try:
+            return measure(source, found, fleet).scale.parts["sampling"]
+        except TooLittleEvidence:
+            return np.inf
+
+    return sampling
 
 
 def _typical_length(found: Detections) -> float:
     lengths = [boxes.length for boxes in found.boxes.values() if len(boxes)]
     return float(np.median(np.concatenate(lengths))) if lengths else 0.0
-
-
-def _zoom_for(gsd: float, fleet: Fleet, detector_file: Path | None) -> float:
-    from .detect.detector import Detector
-
-    return Detector(detector_file).card.best_length * gsd / float(fleet.mean[0])

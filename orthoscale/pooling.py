@@ -1,11 +1,11 @@
 """Many vehicles, one scale: robust pooling in log space, with an interval that says where its width comes from.
 
-In logarithms every vehicle reads ``log size = log fleet size - log scale + noise``, for length and for width. First the
-boxes that no vehicle of the fleet would give are set aside (a mixture of the fleet and an outlier class). The rest give
-two scales, one from lengths and one from widths, with a joint covariance
+In logarithms every vehicle reads ``log size = log fleet size - log scale + noise``, for length and for width. `mixture`
+sorts out which votes are vehicles of which class and gives two scales, one from lengths and one from widths, for each
+mix of vehicles that may stand there. Their joint covariance is
 
-    covariance = scatter / N  +  what is not known of the fleet's mean  +  what is not known of the detector's margin
-                 + what is not known of the geometry
+    covariance = votes and their classes  +  what is not known of the fleet's mean
+                 + what is not known of the detector's margin  + what is not known of the geometry
 
 and the answer is their best linear combination (generalised least squares). So lengths rule where pixels are coarse and
 widths where they are fine, without a rule for it. Only the first term shrinks with more vehicles.
@@ -20,21 +20,18 @@ from typing import Any
 import numpy as np
 
 from .errors import TooLittleEvidence
-from .fleet import Class, Fleet
+from .evidence import Evidence, combined
+from .fleet import Fleet
+from .mixture import Fits, fit
+from .posterior import Posterior
+from .verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
 from .votes import Votes
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
-Z90 = 1.6449  # two-sided 90 % of a normal distribution
-# Outlier class: uniform over a box in (log length, log width) as wide as anything a detector could call a vehicle.
-OUTLIER_DENSITY = 1 / (3.0 * 2.5)
-OUTLIER_SHARE = 0.1  # at the start; then estimated, between these bounds
-OUTLIER_BOUNDS = (0.01, 0.6)
 SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
 USUAL_VIEWS = 4  # views of a typical box's vehicle from which a single view counts as a mistake
-PRIOR_SHARES = 10.0  # votes that the national shares of the fleet's classes count for
 PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
-VERDICTS = (("good", 0.03), ("fair", 0.06), ("poor", 0.15))  # relative one-sigma of the scale, upper bounds
-CHECK_LIMIT = 2.5  # sigmas between length and width before the verdict is lowered
+LIKELY = 0.01  # probability below which a fleet is not reported
 
 
 @dataclass(frozen=True)
@@ -68,11 +65,14 @@ class Scale:
     """Metres per unit of the source, and how well that is known.
 
     value : metres per pixel of an orthophoto, or per unit of a model.
-    interval90 : (low, high), contains the truth nine times in ten.
-    parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry.
+    interval90 : (low, high), contains the truth nine times in ten; not always symmetric.
+    parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence.
     checks : the scale from lengths alone, from widths alone and from length minus width (free of a symmetric margin).
-    weights : share of lengths and widths in the answer.
-    tension : sigmas between the scale from lengths and that from widths.
+    weights : share of lengths and widths in what the vehicles say.
+    tension : sigmas between the scale from lengths and that from widths, or between two measurements that conflict.
+    larger_share : share of larger vehicles (vans, pickups beyond the fleet's own) among the vehicles.
+    fleets : probability of each fleet that may stand here; one entry unless the fleet was to be found.
+    evidence : what entered besides the vehicles.
     used : (N,) bool, votes that count; reasons : (N,) why the others do not ('' where used).
     """
 
@@ -88,6 +88,9 @@ class Scale:
     used: np.ndarray = field(repr=False)
     reasons: list[str] = field(repr=False)
     remarks: tuple[str, ...] = ()
+    larger_share: float = 0.0
+    fleets: Mapping[str, float] = field(default_factory=dict)
+    evidence: tuple[Evidence, ...] = ()
 
     @property
     def relative_sd(self) -> float:
@@ -106,11 +109,33 @@ class Scale:
         return dict(sorted(counts.items(), key=lambda item: -item[1]))
 
 
-def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry: np.ndarray | None = None) -> Scale:
+@dataclass(frozen=True)
+class _Vehicles:
+    """What the vehicles say, if they are of one fleet."""
+
+    posterior: Posterior
+    parts: dict[str, float]
+    estimates: np.ndarray  # (2,) log scale by lengths and by widths
+    weights: np.ndarray  # (2,) of these
+    tension: float
+    larger_share: float
+    inlier: np.ndarray  # (N,) bool, of the measurable votes
+    log_evidence: float
+
+
+def pool(
+    votes: Votes,
+    fleet: Fleet,
+    ruler: Ruler,
+    unit: str,
+    geometry: np.ndarray | None = None,
+    evidence: Sequence[Evidence] = (),
+) -> Scale:
     """The scale that `votes` give, for vehicles of `fleet`, measured with `ruler`.
 
     `geometry` (2, 2) is the relative covariance of lengths and widths that comes from the source's geometry (ground
-    height, effective height), shared by all votes.
+    height, effective height), shared by all votes. `evidence` is what else is known of the scale.
+    Where `fleet` has candidates, each is tried, and counts as much as the shape of the vehicles makes it likely.
     Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes.
     """
     size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
@@ -118,126 +143,108 @@ def pool(votes: Votes, fleet: Fleet, ruler: Ruler, unit: str, geometry: np.ndarr
     measurable = (size > SMALLEST_SHARE * votes.size).all(1) & ~fleeting
     if measurable.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(f"{int(measurable.sum())} usable vehicles, {MIN_VEHICLES} are needed")
-    log_size = np.log(size[measurable])
-    share_px = votes.pixel[measurable, None] / size[measurable]  # one pixel as a share of length and width
-    noise = (np.asarray(ruler.noise) * share_px) ** 2 / np.maximum(votes.views[measurable, None], 1)
+    size = size[measurable]
+    geometry = np.zeros((2, 2)) if geometry is None else geometry
+    noise = (
+        np.asarray(ruler.noise) * votes.pixel[measurable, None] / np.sqrt(np.maximum(votes.views, 1))[measurable, None]
+    )
+    share_px = np.median(votes.pixel[measurable, None] / size, axis=0)  # one pixel as a share of length and width
+    known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
-    systematic = fleet.log_mean_covariance + _margin_covariance(ruler, np.median(share_px, axis=0))
-    systematic = systematic + (0 if geometry is None else geometry)
-    membership, unsure = _fit(log_size, noise, fleet.classes, systematic)
-    inlier = membership.sum(0) > 0.5
-    used = np.zeros(len(votes), bool)
-    used[measurable] = inlier
-    if used.sum() < MIN_VEHICLES:
+    candidates = fleet.candidates or (fleet,)
+    each = [_of_fleet(np.log(size), noise, candidate, known) for candidate in candidates]
+    probability = _probabilities(np.array([v.log_evidence for v in each]))
+    best = each[int(np.argmax(probability))]
+    if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
-            f"{len(votes)} boxes, but only {int(used.sum())} have the sizes of vehicles of one scale; "
+            f"{len(votes)} boxes, but only {int(best.inlier.sum())} have the sizes of vehicles of one scale; "
             f"{MIN_VEHICLES} are needed"
         )
+    posterior, parts = best.posterior, dict(best.parts)
+    if len(each) > 1:
+        posterior = Posterior.mixed([v.posterior for v in each], probability)
+        others = sum(v**2 for name, v in parts.items() if name != "fleet")
+        parts["fleet"] = float(np.sqrt(max(posterior.spread**2 - others, parts["fleet"] ** 2)))
 
-    p = membership * inlier
-    w = p.sum(0)
-    gap = np.array([c.log_mean for c in fleet.classes])[:, None] - log_size  # (classes, N, 2) log scale by each
-    estimates = (p[..., None] * gap).sum((0, 1)) / w.sum()
-    effective = w.sum() ** 2 / (w**2).sum()
-    residual = gap - estimates
-    scatter = np.einsum("kn,kni,knj->ij", p, residual, residual)
-    expected = _fleet_scatter(fleet) + np.diag(np.average(noise, axis=0, weights=w))
-    covariances = {
-        "sampling": (scatter + PRIOR_VOTES * expected) / (w.sum() + PRIOR_VOTES) / effective + unsure,
-        "fleet": fleet.log_mean_covariance,
-        "margin": _margin_covariance(ruler, np.average(share_px, axis=0, weights=w)),
-        "geometry": np.zeros((2, 2)) if geometry is None else geometry,
-    }
-    total = sum(covariances.values())
-    weights = _combine(total)
-    log_scale = float(weights @ estimates)
-    parts = {name: float(np.sqrt(weights @ c @ weights)) for name, c in covariances.items()}
-
-    difference = float(estimates[0] - estimates[1])
-    tension = abs(difference) / np.sqrt(total[0, 0] + total[1, 1] - 2 * total[0, 1])
-    sd = float(np.sqrt(weights @ total @ weights)) * max(1.0, tension / CHECK_LIMIT)
-    if tension > CHECK_LIMIT:
+    remarks = []
+    difference = float(best.estimates[0] - best.estimates[1])
+    if best.tension > CHECK_LIMIT:
         # Two measurements that contradict each other know less than either claims (Birge 1932): widen what they share.
-        parts["margin"] = float(np.sqrt(sd**2 - sum(v**2 for k, v in parts.items() if k != "margin")))
-    mean = np.average(log_size, axis=0, weights=w)
-    alike = np.exp(estimates + mean)  # [m] the fleet's vehicles that stand here, by lengths and by widths
+        widened = posterior.widened(best.tension / CHECK_LIMIT)
+        parts["margin"] = float(np.sqrt(parts["margin"] ** 2 + widened.spread**2 - posterior.spread**2))
+        posterior = widened
+        remarks.append(remark_on_shape(difference))
+    vehicles = posterior
+    used = np.zeros(len(votes), bool)
+    used[measurable] = best.inlier
+    mean = np.log(size[best.inlier]).mean(0)
+    alike = np.exp(best.estimates + mean)  # [m] the fleet's vehicles that stand here, by lengths and by widths
     from_difference = (alike[0] - alike[1]) / np.subtract(*np.exp(mean))
-    verdict, remarks = _verdict(sd, tension, difference)
+    together = combined(vehicles, parts, evidence)
+    value, low, high = together.summary
     return Scale(
-        value=float(np.exp(log_scale)),
+        value=value,
         unit=unit,
-        interval90=(float(np.exp(log_scale - Z90 * sd)), float(np.exp(log_scale + Z90 * sd))),
-        parts=parts,
+        interval90=(low, high),
+        parts=together.parts,
         checks={
-            "length": float(np.exp(estimates[0])),
-            "width": float(np.exp(estimates[1])),
+            "length": float(np.exp(best.estimates[0])),
+            "width": float(np.exp(best.estimates[1])),
             "length_minus_width": float(from_difference),
         },
-        weights=(float(weights[0]), float(weights[1])),
-        tension=float(tension),
+        weights=(float(best.weights[0]), float(best.weights[1])),
+        tension=max(best.tension, together.conflict),
         fleet=fleet.code,
-        verdict=verdict,
+        verdict=verdict(together.posterior.spread, best.tension > CHECK_LIMIT, together.conflict > 0),
         used=used,
-        reasons=_reasons(used, measurable, fleeting, log_size, mean),
-        remarks=tuple(remarks),
+        reasons=reasons(used, measurable, fleeting, np.log(size), mean),
+        remarks=(*together.remarks, *remarks),
+        larger_share=best.larger_share,
+        fleets={c.code: float(p) for c, p in zip(candidates, probability, strict=True) if p > LIKELY},
+        evidence=tuple(evidence),
     )
 
 
-def _fit(
-    log_size: np.ndarray, noise: np.ndarray, classes: Sequence[Class], systematic: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which votes are vehicles of which class.
+def _of_fleet(log_size: np.ndarray, noise: np.ndarray, fleet: Fleet, known: Mapping[str, np.ndarray]) -> _Vehicles:
+    """What votes of `log_size` (N, 2) with `noise` (N, 2) [units] say, were they of `fleet`; `known` are the (2, 2)
+    covariances of what else is uncertain about them all."""
+    shared = {"fleet": fleet.log_mean_covariance, **known}
+    systematic = sum(shared.values(), np.zeros((2, 2)))
+    fits = fit(log_size, noise, fleet.classes, systematic)
+    estimates = fits.weight @ fits.log_scale
+    sampling = _sampling(fits, fleet)
+    apart = fits.log_scale - estimates
+    total = systematic + np.einsum("v,vij->ij", fits.weight, sampling + apart[:, :, None] * apart[:, None])
+    weights = _combine(total)
+    variance = np.einsum("i,vij,j->v", weights, sampling + systematic, weights)
+    posterior = Posterior(fits.weight, fits.log_scale @ weights, np.sqrt(variance))
+    parts = {name: float(np.sqrt(weights @ c @ weights)) for name, c in shared.items()}
+    rest = posterior.spread**2 - sum(v**2 for v in parts.values())
+    probable = np.einsum("v,vkn->kn", fits.weight, fits.member)
+    return _Vehicles(
+        posterior=posterior,
+        parts={"sampling": float(np.sqrt(rest)), **parts},
+        estimates=estimates,
+        weights=weights,
+        tension=float(abs(estimates[0] - estimates[1]) / np.sqrt(total[0, 0] + total[1, 1] - 2 * total[0, 1])),
+        larger_share=float(probable[-1].sum() / probable.sum()),
+        inlier=probable.sum(0) > 0.5,
+        log_evidence=fits.log_evidence,
+    )
 
-    Returns (classes, N) probabilities; what is missing from one is to be none. And the (2, 2)
-    covariance that the scales by length and width gain because classes and shares are only guessed.
 
-    Expectation-maximisation over the scale, the classes' shares and the share of outliers, from the best point of a
-    grid of scales. The shares start at the fleet's, which count as PRIOR_SHARES votes: a car park has its own mix.
-    Lengths and widths have a scale each, for fleet, margin and geometry may be off; `systematic` (2, 2) says how far
-    the two may part. With one scale for both, a fleet a little too long would turn cars into pickups.
-    """
-    national = np.array([c.weight for c in classes]) / sum(c.weight for c in classes)
-    means = np.array([c.log_mean for c in classes])
-    covariance = np.array([c.log_covariance for c in classes])[:, None] + noise[:, :, None] * np.eye(2)  # (K, N, 2, 2)
+def _sampling(fits: Fits, fleet: Fleet) -> np.ndarray:
+    """(V, 2, 2) covariance of the scales from the votes alone; never less than PRIOR_VOTES more vehicles of the fleet
+    would leave, for the scatter of a few votes is not known from themselves."""
+    count = fits.member.sum((1, 2))
+    least = _fleet_scatter(fleet) * (PRIOR_VOTES / (count + PRIOR_VOTES) / count)[:, None, None]
+    return fits.covariance + least
 
-    def density(log_scale: np.ndarray | float, inverse: np.ndarray) -> np.ndarray:
-        """(K, N), not weighted by the classes' shares."""
-        r = log_size + log_scale - means[:, None]
-        square = np.einsum("kni,knij,knj->kn", r, inverse, r)
-        return np.sqrt(np.linalg.det(inverse)) / (2 * np.pi) * np.exp(-0.5 * square)
 
-    centre = float(np.median((national @ means - log_size).mean(1)))
-    grid = centre + np.arange(-1.2, 1.2, 0.02)
-    coarse = np.linalg.inv(covariance + systematic)
-    likelihood = [
-        np.log((1 - OUTLIER_SHARE) * (national @ density(g, coarse)) + OUTLIER_SHARE * OUTLIER_DENSITY).sum()
-        for g in grid
-    ]
-    log_scale, share, outliers = np.full(2, grid[int(np.argmax(likelihood))]), national, OUTLIER_SHARE
-    inverse = np.linalg.inv(covariance)
-    together = np.linalg.inv(systematic)  # holds the two scales to one another, and leaves what they share free
-    together = together - np.outer(together.sum(0), together.sum(0)) / together.sum()
-    for _ in range(200):
-        weighted = (1 - outliers) * share[:, None] * density(log_scale, inverse)
-        p = weighted / (weighted.sum(0) + outliers * OUTLIER_DENSITY)
-        information = np.einsum("kn,knij->ij", p, inverse) + together
-        new = np.linalg.solve(information, np.einsum("kn,knij,knj->i", p, inverse, means[:, None] - log_size))
-        outliers = float(np.clip(1 - p.sum(0).mean(), *OUTLIER_BOUNDS))
-        share = (p.sum(1) + PRIOR_SHARES * national) / (p.sum() + PRIOR_SHARES)
-        done = np.abs(new - log_scale).max() < 1e-7
-        log_scale = new
-        if done:
-            break
-
-    # What is known of scales and shares together, from the votes' scores (Berndt et al. 1974), against what would be
-    # known of the scales if every vote wore its class.
-    pull = np.einsum("kn,knij,knj->ni", p, inverse, means[:, None] - log_size - log_scale)
-    score = np.hstack([pull, p.T - (1 - outliers) * share])
-    known = score.T @ score
-    known[:2, :2] += together
-    known[2:, 2:] += PRIOR_SHARES * (np.diag(share) - np.outer(share, share)) + 1e-6 * np.eye(len(share))
-    gain, axes = np.linalg.eigh(np.linalg.inv(known)[:2, :2] - np.linalg.inv(information))
-    return p, (axes * np.maximum(gain, 0)) @ axes.T
+def _probabilities(log_evidence: np.ndarray) -> np.ndarray:
+    """Of each fleet, equally likely at first."""
+    likelihood = np.exp(log_evidence - log_evidence.max())
+    return likelihood / likelihood.sum()
 
 
 def _fleet_scatter(fleet: Fleet) -> np.ndarray:
@@ -264,35 +271,7 @@ def _combine(total: np.ndarray) -> np.ndarray:
     return w / w.sum()
 
 
-def _verdict(sd: float, tension: float, difference: float) -> tuple[str, list[str]]:
-    names = [name for name, _ in VERDICTS] + ["refuse"]
-    rank = next((k for k, (_, limit) in enumerate(VERDICTS) if sd <= limit), len(VERDICTS))
-    remarks = []
-    if tension > CHECK_LIMIT:
-        rank = min(rank + 1, len(VERDICTS) - 1)
-        larger, smaller = ("lengths", "widths") if difference > 0 else ("widths", "lengths")
-        percent = 100 * abs(np.expm1(difference))
-        remarks.append(
-            f"{larger} give a larger scale than {smaller} by {percent:.0f} %: another fleet, or boxes that do not fit"
-        )
-    return names[rank], remarks
-
-
 def _fleeting(votes: Votes) -> np.ndarray:
     """(N,) bool: seen in a single frame where vehicles are usually seen in many. Mistakes flicker, parked cars stay."""
     usual = np.median(np.repeat(votes.views, votes.views)) if len(votes) else 0
     return (votes.views == 1) & (usual >= USUAL_VIEWS)
-
-
-def _reasons(
-    used: np.ndarray, measurable: np.ndarray, fleeting: np.ndarray, log_size: np.ndarray, mean: np.ndarray
-) -> list[str]:
-    reasons = ["seen in one frame only" if f else "smaller than the detector's margin" for f in fleeting]
-    for index, (d_length, d_width) in zip(np.flatnonzero(measurable), log_size - mean, strict=True):
-        if used[index]:
-            reasons[index] = ""
-        elif abs(d_length - d_width) > max(abs(d_length), abs(d_width)):
-            reasons[index] = "wrong shape for a car"
-        else:
-            reasons[index] = "too small for a car" if d_length + d_width < 0 else "too large for a car"
-    return reasons

@@ -18,3 +18,15 @@ def data() -> Path:
     if not (folder / "orthophotos").is_dir():
         pytest.skip(f"no real data in {folder} (set ORTHOSCALE_DATA)")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory):
+    """Tests keep their looks at tiles to themselves, also those that start the command as a process."""
+    before = os.environ.get("ORTHOSCALE_CACHE")
+    os.environ["ORTHOSCALE_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+    yield
+    if before is None:
+        del os.environ["ORTHOSCALE_CACHE"]
+    else:
+        os.environ["ORTHOSCALE_CACHE"] = before

@@ -158,7 +158,7 @@ def test_a_frame_of_another_scale_is_named(flight, found):
     boxes = dict(found.boxes)
     boxes[name] = Boxes(boxes[name].xylwa * [1, 1, 0.8, 0.8, 1], boxes[name].score)
     measured = measure_model(ColmapSource.open(flight[0]), replace(found, boxes=boxes), FLEET, "oblique")
-    assert measured.findings["drift"]["odd_frames"] == [name]
+    assert measured.findings["consistency"]["odd_frames"] == [name]
     assert any(name in remark for remark in measured.scale.remarks)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orthoscale.model_drift import by_region, drift
 from orthoscale.fleet import Fleet
+from orthoscale.model_drift import by_region, drift
 from orthoscale.pooling import Ruler, pool
 from orthoscale.votes import gather
 

@@ -35,6 +35,7 @@ def scene(rng, fleet, n=60, gsd=0.12, vans=0.0, false=0.0, ruler=RULER, surprise
 def test_a_clean_scene_gives_its_gsd():
     rng = np.random.default_rng(0)
     scale = pool(scene(rng, Fleet.load("DE"), 2000, surprise=False), Fleet.load("DE"), RULER, "m/px")
+    # Within 1 %: how many larger vehicles there are is never quite known, so the middle lies a little high.
     assert scale.value == pytest.approx(0.12, rel=0.01)
     assert scale.verdict in ("good", "fair") and scale.vehicles_used > 1900
     for name in ("length", "width", "length_minus_width"):
@@ -42,20 +43,43 @@ def test_a_clean_scene_gives_its_gsd():
 
 
 @pytest.mark.parametrize("code", ["US", "DE", "JP", "WORLD"])
-@pytest.mark.parametrize("vans, false", [(0, 0), (0.1, 0.1)])
+@pytest.mark.parametrize("vans, false", [(0, 0), (0.25, 0.1)])
 def test_nine_intervals_of_ten_hold_the_truth(code, vans, false):
     fleet, rng = Fleet.load(code), np.random.default_rng(7)
     inside = 0
-    for _ in range(150):
+    for _ in range(100):
         low, high = pool(scene(rng, fleet, 60, vans=vans, false=false), fleet, RULER, "m/px").interval90
         inside += low <= 0.12 <= high
-    assert 0.83 <= inside / 150 <= 0.99  # three sigmas of 150 draws around 0.9, and a little room above
+    assert 0.82 <= inside / 100 <= 0.99  # 2.7 sigmas of 100 draws around 0.9, and a little room above
+
+
+@pytest.mark.parametrize("code", ["DE", "JP"])
+def test_a_quarter_of_vans_is_seen_as_such_and_does_not_pull_the_scale(code):
+    fleet = Fleet.load(code)
+    scale = pool(scene(np.random.default_rng(11), fleet, 400, vans=0.25, surprise=False), fleet, RULER, "m/px")
+    assert scale.value == pytest.approx(0.12, rel=0.015)
+    assert scale.larger_share == pytest.approx(0.25, abs=0.05)
+
+
+def test_the_fleet_is_found_where_the_shapes_tell_it_and_the_interval_is_honest_where_not():
+    auto = Fleet.load("auto")
+    japan = pool(scene(np.random.default_rng(12), Fleet.load("JP"), 150, surprise=False), auto, RULER, "m/px")
+    assert max(japan.fleets, key=japan.fleets.get) == "JP" and japan.fleets["JP"] > 0.7
+    germany = pool(scene(np.random.default_rng(13), Fleet.load("DE"), 150, surprise=False), auto, RULER, "m/px")
+    assert max(germany.fleets.values()) < 0.9 and sum(germany.fleets.values()) <= 1.0001
+    world = pool(
+        scene(np.random.default_rng(13), Fleet.load("DE"), 150, surprise=False), Fleet.load("world"), RULER, ""
+    )
+    assert germany.parts["fleet"] < world.parts["fleet"]
+    for scale in (japan, germany):
+        low, high = scale.interval90
+        assert low < 0.12 < high
 
 
 def test_more_vehicles_shrink_the_sampling_part_only():
     fleet = Fleet.load("DE")
     few, many = (pool(scene(np.random.default_rng(1), fleet, n), fleet, RULER, "m/px") for n in (40, 4000))
-    assert many.parts["sampling"] < few.parts["sampling"] / 5
+    assert many.parts["sampling"] < few.parts["sampling"] / 3  # how many are vans is never quite known
     assert many.parts["fleet"] == pytest.approx(few.parts["fleet"], rel=0.3)
 
 

@@ -404,9 +404,9 @@ def test_world_file_alone(tmp_path):
     assert not claim.usable and "a.jgw" in claim.why
 
 
-def with_control_points(path: Path) -> Path:
+def with_control_points(path: Path, corners=((0, 0), (0, W), (H, 0), (H, W))) -> Path:
     make(path)
-    points = [GroundControlPoint(r, c, 10 + c * 1e-6, 50 - r * 1e-6, 0) for r, c in ((0, 0), (0, W), (H, 0), (H, W))]
+    points = [GroundControlPoint(r, c, 10 + c * 1e-6, 50 - r * 1e-6, 0) for r, c in corners]
     with rasterio.open(path, "r+") as d:
         d.gcps = points, CRS.from_epsg(4326)
     return path
@@ -423,11 +423,23 @@ def with_rational_polynomials(path: Path) -> Path:
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize(
-    "build, says", [(with_control_points, "4 ground control points"), (with_rational_polynomials, "rational")]
+    "build, says",
+    [
+        (with_rational_polynomials, "rational"),
+        (lambda p: with_control_points(p, corners=((0, 0), (0, W))), "only 2 ground control points"),
+        (lambda p: with_control_points(p, corners=((0, 0), (0, 100), (0, W))), "span no area"),
+    ],
 )
-def test_control_points_and_polynomials_are_named(tmp_path, build, says):
+def test_polynomials_and_too_few_control_points_are_named(tmp_path, build, says):
     claim = RasterSource.open(build(tmp_path / "a.tif")).claimed
     assert not claim.usable and says in claim.why
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_control_points_give_a_scale(tmp_path):
+    claim = RasterSource.open(with_control_points(tmp_path / "a.tif")).claimed
+    assert claim.usable and "4 ground control points" in claim.why
+    assert claim.gsd_m == pytest.approx(math.sqrt(0.0717 * 0.1112), rel=2e-3)  # a millionth of a degree at 50 N
 
 
 # Writing
@@ -509,7 +521,8 @@ def test_written_copy_is_the_same_picture_in_metres(tmp_path, build):
         source.read(0, 0, W, H, W // 2, H // 2)
         source.write(target / "b.tif", 0.123)
         usable = source.claimed.usable
-        assert any("local metres" in n for n in source.notes) == usable
+        assert any("local metres" in n for n in source.notes)
+        assert any("--keep-origin" in n for n in source.notes) == usable
     assert listing(folder) == before, "the input's folder was touched"
     assert [p.name for p in target.iterdir()] == ["b.tif"]
     with rasterio.open(path) as a, rasterio.open(target / "b.tif") as b:

@@ -9,7 +9,7 @@ import pytest
 from orthoscale.boxes import Boxes
 from orthoscale.detect.decoders import decode_maps
 from orthoscale.fleet import Fleet
-from training import augment, label_margin
+from training import augment, data, label_margin, missing
 from training.data import MARGINS, read_labels, split
 from training.evaluate import (
     Labelled,
@@ -25,6 +25,7 @@ from training.evaluate import (
     reference_scene,
     table,
 )
+from training.paste import paste
 from training.targets import CROP, encode
 
 NOTHING = np.empty((0, 5))
@@ -151,7 +152,56 @@ def test_crops_are_drawn_from_every_scene(tmp_path):
     assert 0 < sum(h > 0 for h in heats) < 20
 
 
+def test_pasted_vehicles_are_where_their_boxes_say_and_half_of_the_patches_are_bare(tmp_path):
+    box = np.array([[203.3, 190.8, 60.0, 26.0, 0.7]])
+    donors = read_labels(write_labels(tmp_path, {"a": (draw_boxes(box, paint=255, ground=200), rows(box))}))
+    rng, vehicles, patches = np.random.default_rng(3), 0, 0
+    for _ in range(80):
+        ground = np.full((CROP, CROP, 3), 20, np.uint8)
+        keep_clear = np.array([[128.0, 128.0, 40.0, 18.0, 0.0]])
+        pixels, added = paste(ground, keep_clear, donors, rng)
+        assert (np.hypot(*(added[:, :2] - 128).T) >= (added[:, 2] + 40) / 2 - 1e-9).all()
+        white = (pixels[..., 0] > 228).astype(np.uint8)
+        for x, y, length, width, _ in added:
+            assert white[int(y), int(x)]
+            if length > 30 and length / 2 < min(x, y) and max(x, y) < CROP - length / 2:
+                inside = white[max(0, int(y - length)) : int(y + length), max(0, int(x - length)) : int(x + length)]
+                assert inside.sum() >= 0.85 * length * width
+        vehicles += len(added)
+        patches += cv2.connectedComponents((pixels[..., 0] > 100).astype(np.uint8))[0] - 1
+    assert 0.3 < vehicles / patches < 0.7
+
+
 # Labels
+
+
+def test_what_was_judged_since_is_part_of_the_labels(tmp_path, monkeypatch):
+    labelled = rows([[50, 50, 40, 18, 0]]) + rows([[150, 50, 40, 18, 0], [250, 50, 40, 18, 0]], "candidate")
+    path = write_labels(tmp_path, {"a": (None, labelled), "b": (None, labelled)})
+    judged = {"vehicle": [[152, 51, 42, 19, 0.1], [150, 300, 42, 19, 0.1]], "background": [[249, 50, 40, 18, 0]]}
+    (tmp_path / "judged.json").write_text(json.dumps({"images": {"a.png": judged}}))
+    monkeypatch.setattr(data, "JUDGED", tmp_path / "judged.json")
+    a, b = read_labels(path)
+    assert a.kinds.tolist() == ["vehicle"] * 3 and b.kinds.tolist() == ["vehicle", "candidate", "candidate"]
+    assert a.vehicles[1:] == pytest.approx(np.array(judged["vehicle"])), "no margin is taken off a detector's boxes"
+
+
+def test_vehicles_that_labels_lack_are_proposed(tmp_path):
+    boxes = np.array([[100, 100, 36, 16, 0.3], [300, 100, 36, 16, 1.0], [200, 300, 36, 16, 0.0]], float)
+    labelled = rows(boxes[:1]) + rows(boxes[1:2], "candidate")
+    (image,) = read_labels(write_labels(tmp_path, {"a": (draw_boxes(boxes), labelled)}))
+
+    def detect(picture):  # every bright blob is a vehicle; the picture may be shrunk
+        contours, _ = cv2.findContours((picture[..., 0] > 145).astype(np.uint8), cv2.RETR_EXTERNAL, 2)
+        rectangles = [cv2.minAreaRect(c) for c in contours]
+        found = [(*c, max(s) + 1, min(s) + 1, np.radians(a if s[0] > s[1] else a + 90)) for c, s, a in rectangles]
+        return Boxes(np.array(found).reshape(-1, 5), np.full(len(found), 0.8))
+
+    found = missing.proposals(image, detect, 36.0)
+    order = np.argsort(found.centre[:, 1])
+    assert found.centre[order] == pytest.approx(boxes[1:, :2], abs=1.5)
+    assert found.length == pytest.approx(36, abs=2.5)
+    assert missing.cell(image, found.xylwa[0], "0").shape == (missing.CELL, missing.CELL, 3)
 
 
 def test_margins_are_taken_off_both_sides(tmp_path):

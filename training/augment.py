@@ -1,7 +1,8 @@
 """Random training crops: geometry first (one affine map), then light and sensor.
 
 A crop is drawn so that its vehicles come out 11 to 75 px long, at any rotation, mirrored or not, with the slight
-anisotropy and lean that oblique views and bent orthophotos have.
+anisotropy and lean that oblique views and bent orthophotos have. Half of the crops of scenes without vehicles get some
+pasted in.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ import cv2
 import numpy as np
 
 from .data import LabelledImage
+from .geometry import LENGTH_RANGE, MAX_ENLARGEMENT, transform_boxes, warp
+from .paste import paste
 from .targets import CROP, encode
 
-LENGTH_RANGE = (11.0, 75.0)  # vehicle length in a crop [px]
-MAX_ENLARGEMENT = 1.7  # beyond this an enlarged image shows no more detail than blur
 # Assumed length where an image has no vehicle [px]; only sets how far such ground is enlarged or shrunk.
 NOMINAL_LENGTH = 45.0
+PASTED = 0.5  # share of the crops without vehicles that get some
 
 
 def crops(images: list[LabelledImage], weights: dict[str, float], seed: int) -> Iterator[tuple[np.ndarray, ...]]:
@@ -29,13 +31,16 @@ def crops(images: list[LabelledImage], weights: dict[str, float], seed: int) -> 
     names = list(by_scene)
     p = np.array([weights.get(name, 0.1) for name in names])
     p /= p.sum()
+    donors = [image for image in images if len(image.vehicles)]
     while True:
         members = by_scene[names[rng.choice(len(names), p=p)]]
-        yield crop(members[rng.integers(len(members))], rng)
+        yield crop(members[rng.integers(len(members))], rng, donors)
 
 
-def crop(image: LabelledImage, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """One random crop of `image` with its targets."""
+def crop(
+    image: LabelledImage, rng: np.random.Generator, donors: list[LabelledImage] | None = None
+) -> tuple[np.ndarray, ...]:
+    """One random crop of `image` with its targets; vehicles of `donors` may be pasted into one without vehicles."""
     vehicles = image.vehicles
     nominal = image.median_length or NOMINAL_LENGTH
     scale = np.exp(rng.uniform(*np.log(LENGTH_RANGE))) / nominal
@@ -52,37 +57,13 @@ def crop(image: LabelledImage, rng: np.random.Generator) -> tuple[np.ndarray, ..
         linear = linear @ (np.eye(2) + rng.normal(0, 0.05, (2, 2)))
     shift = CROP / 2 - linear @ centre
 
-    pixels = photometric(warp(image, linear, shift, scale), rng)
-    boxes = transform_boxes(image.boxes, linear, shift)
-    return np.ascontiguousarray(pixels.transpose(2, 0, 1)), *encode(boxes, image.is_vehicle)
-
-
-def warp(image: LabelledImage, linear: np.ndarray, shift: np.ndarray, scale: float) -> np.ndarray:
-    """The crop's pixels, uint8 (CROP, CROP, 3); shrinking starts from a half-size level so that it does not alias."""
-    octave = int(np.clip(np.floor(np.log2(1 / scale)), 0, 3))
-    source = image.level(octave)
-    step = 2.0**octave
-    # OpenCV puts a pixel's centre at its integer index, the labels half a pixel further.
-    a = linear * step
-    t = shift + a @ (0.5, 0.5) - 0.5
-    return cv2.warpAffine(
-        source, np.c_[a, t], (CROP, CROP), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(114, 114, 114),
-    )  # fmt: skip
-
-
-def transform_boxes(boxes: np.ndarray, linear: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Boxes (N, 5) under the affine map; the width keeps the area of the sheared box."""
-    out = boxes.copy()
-    out[:, :2] = boxes[:, :2] @ linear.T + shift
-    along = np.c_[np.cos(boxes[:, 4]), np.sin(boxes[:, 4])]
-    across = np.c_[-along[:, 1], along[:, 0]]
-    long_side = (along * boxes[:, 2:3]) @ linear.T
-    short_side = (across * boxes[:, 3:4]) @ linear.T
-    out[:, 2] = np.hypot(*long_side.T)
-    out[:, 3] = np.abs(long_side[:, 0] * short_side[:, 1] - long_side[:, 1] * short_side[:, 0]) / out[:, 2]
-    out[:, 4] = np.arctan2(long_side[:, 1], long_side[:, 0])
-    return out
+    pixels, boxes = warp(image, linear, shift, scale), transform_boxes(image.boxes, linear, shift)
+    is_vehicle = image.is_vehicle
+    if donors and not is_vehicle.any() and rng.random() < PASTED:
+        pixels, added = paste(pixels, boxes, donors, rng)
+        boxes, is_vehicle = np.r_[boxes, added], np.r_[is_vehicle, np.ones(len(added), bool)]
+    lit = photometric(pixels, rng)
+    return np.ascontiguousarray(lit.transpose(2, 0, 1)), *encode(boxes, is_vehicle)
 
 
 def photometric(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -29,8 +29,13 @@ class LabelledImage:
     source: str
     licence: str
     boxes: np.ndarray  # (N, 5) centre x, centre y, length, width [px], angle [rad]
-    is_vehicle: np.ndarray  # (N,) bool; False: ignore region
+    kinds: np.ndarray  # (N,) str
     _levels: list[np.ndarray] = field(default_factory=list, repr=False)
+
+    @property
+    def is_vehicle(self) -> np.ndarray:
+        """(N,) bool; False: neither vehicle nor background."""
+        return self.kinds == "vehicle"
 
     @property
     def vehicles(self) -> np.ndarray:
@@ -56,6 +61,7 @@ class LabelledImage:
 
 
 MARGINS = Path(__file__).parent / "labels" / "margins.json"
+JUDGED = Path(__file__).parent / "labels" / "judged.json"
 LARGEST_SHARE = 0.25  # of the width that a margin may take away, so that tiny boxes stay boxes
 
 
@@ -64,8 +70,10 @@ def read_labels(label_file: Path, tighten: bool = True) -> list[LabelledImage]:
 
     People and detectors draw boxes around a vehicle with some air, and each scene's labels have their own. A network
     that learns them as they are measures a vehicle by the scene that it resembles. `tighten=False`: the boxes as drawn.
+    What the labels lack and a person has judged since (labels/judged.json) is added.
     """
     margins = json.loads(MARGINS.read_text())["margin_px"] if tighten else {}
+    judged = json.loads(JUDGED.read_text())["images"]
     folder = label_file.parent / "images"
     images = []
     for entry in json.loads(label_file.read_text())["images"]:
@@ -73,7 +81,8 @@ def read_labels(label_file: Path, tighten: bool = True) -> list[LabelledImage]:
             [[b[k] for k in ("cx", "cy", "length", "width", "angle")] for b in entry["boxes"]], float
         ).reshape(-1, 5)
         boxes[:, 2:4] -= np.minimum(margins.get(entry["set"], 0.0), LARGEST_SHARE * boxes[:, 3:4])
-        kinds = np.array([b["kind"] == "vehicle" for b in entry["boxes"]], bool)
+        kinds = np.array([b["kind"] for b in entry["boxes"]], dtype=object)
+        boxes, kinds = _with_judged(boxes, kinds, judged.get(entry["file"], {}))
         images.append(
             LabelledImage(
                 folder / entry["file"], entry["set"], entry["width"], entry["height"],
@@ -81,6 +90,18 @@ def read_labels(label_file: Path, tighten: bool = True) -> list[LabelledImage]:
             )
         )  # fmt: skip
     return images
+
+
+def _with_judged(
+    boxes: np.ndarray, kinds: np.ndarray, judged: dict[str, list[list[float]]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Labels and what was judged since; a candidate whose centre lies in a judged box is settled by that."""
+    added = np.array([row for rows in judged.values() for row in rows], float).reshape(-1, 5)
+    added_kinds = np.array([kind for kind, rows in judged.items() for _ in rows], dtype=object)
+    away = boxes[:, None, :2] - added[None, :, :2]
+    settled = (np.hypot(away[..., 0], away[..., 1]) < added[:, 3] / 2).any(1) & (kinds == "candidate")
+    kept = added_kinds != "background"
+    return np.r_[boxes[~settled], added[kept]], np.r_[kinds[~settled], added_kinds[kept]]
 
 
 def split(images: list[LabelledImage], held_out: set[str]) -> tuple[list[LabelledImage], list[LabelledImage]]:

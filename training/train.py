@@ -25,8 +25,8 @@ from .network import VehicleNet, loss
 
 # Share of the crops by scene: many small images of one car park count less, vehicle-free ground counts.
 SCENE_WEIGHTS = {
-    "munich": 0.18, "minsk": 0.14, "bogota": 0.18, "warsaw": 0.27, "ohio": 0.08,
-    "park": 0.08, "dunes": 0.03, "synthetic": 0.8,
+    "munich": 0.18, "minsk": 0.16, "bogota": 0.18, "warsaw": 0.3, "ohio": 0.08,
+    "park": 0.14, "dunes": 0.06, "synthetic": 0.75,
 }  # fmt: skip
 PEAK_RATE = 1.5e-3
 WARM_UP = 300  # steps
@@ -41,8 +41,8 @@ class Crops(IterableDataset):
         yield from crops(self.images, SCENE_WEIGHTS, self.seed + (worker.id if worker else 0))
 
 
-def learning_rate(step: int, steps: int) -> float:
-    return PEAK_RATE * min(1.0, (step + 1) / WARM_UP) * (0.5 * (1 + math.cos(math.pi * step / steps)) + 0.01)
+def learning_rate(step: int, steps: int, peak: float = PEAK_RATE) -> float:
+    return peak * min(1.0, (step + 1) / WARM_UP) * (0.5 * (1 + math.cos(math.pi * step / steps)) + 0.01)
 
 
 def main() -> None:
@@ -54,8 +54,11 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=16)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="one where others use the cores too")
+    parser.add_argument("--rate", type=float, default=PEAK_RATE, help="peak of the learning rate (%(default)s)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--resume", action="store_true")
+    start = parser.add_mutually_exclusive_group()
+    start.add_argument("--resume", action="store_true")
+    start.add_argument("--start", type=Path, metavar="CHECKPOINT", help="begin with the average of another run")
     options = parser.parse_args()
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -70,7 +73,11 @@ def main() -> None:
     optimiser = torch.optim.AdamW(network.parameters(), weight_decay=1e-4)
     average = {name: value.clone() for name, value in network.state_dict().items()}
     step = 0
-    if options.resume:
+    if options.start:
+        average = torch.load(options.start, map_location=device)["average"]
+        network.load_state_dict(average)
+        average = {name: value.clone() for name, value in average.items()}
+    elif options.resume:
         state = torch.load(checkpoint_file, map_location=device)
         network.load_state_dict(state["network"])
         optimiser.load_state_dict(state["optimiser"])
@@ -92,7 +99,7 @@ def main() -> None:
         if step >= options.steps:
             break
         for group in optimiser.param_groups:
-            group["lr"] = learning_rate(step, options.steps)
+            group["lr"] = learning_rate(step, options.steps, options.rate)
         image, *targets = (part.to(device, non_blocking=True) for part in batch)
         parts = loss(network(image.contiguous(memory_format=torch.channels_last)), *targets)
         optimiser.zero_grad()

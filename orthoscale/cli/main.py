@@ -16,8 +16,13 @@ from .options import EXIT_CODES
 COMMANDS = {  # name: module of this package; the function in it has the command's name
     "estimate": "scale",
     "fix": "scale",
+    "check": "check",
     "apply": "apply",
+    "photo": "photo",
+    "crop": "crop",
+    "layout": "layout",
     "fleets": "fleets",
+    "calibrate": "calibrate",
 }
 
 
@@ -46,7 +51,8 @@ def cli() -> None:
 def main() -> None:
     """Entry point: errors become one message and an exit code; `--debug` shows the traceback as well."""
     debug = "--debug" in sys.argv
-    signal.signal(signal.SIGTERM, _stop)
+    # A polite kill cleans up as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         sys.exit(cli.main(standalone_mode=False) or 0)
     except OrthoscaleError as error:
@@ -65,11 +71,6 @@ def main() -> None:
         if not debug:
             click.echo("This is a bug in orthoscale. Run again with --debug and report what it shows.", err=True)
         sys.exit(1)
-
-
-def _stop(number: int, frame: object) -> None:
-    """A polite kill ends like Ctrl-C: temporary files go with it."""
-    raise KeyboardInterrupt
 
 
 def _complain(error: Exception, debug: bool) -> None:

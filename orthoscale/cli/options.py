@@ -16,24 +16,50 @@ Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
 5 input unreadable or damaged; 6 output could not be written."""
 
 
+def detector_options(command: Callable) -> Callable:
+    """Options that name a detector."""
+    for option in reversed(
+        [
+            click.option("--detector", type=click.Path(path_type=Path), help="Another detector, an .onnx file."),
+            click.option("--decoder", metavar="NAME", help="Its output layout, where the file does not tell it."),
+            click.option(
+                "--vehicle-class",
+                "vehicle_classes",
+                multiple=True,
+                metavar="NAME",
+                help="Class that counts, by name or number, instead of those called small vehicles; repeatable.",
+            ),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
 def evidence_options(command: Callable) -> Callable:
     """Options that say what to measure, and how; shared by `fix` and `estimate`."""
     for option in reversed(
         [
             click.argument("path", metavar="INPUT", type=click.Path(path_type=Path)),
             click.option(
-                "--fleet", default="world", show_default=True, help="Country code (US, DE, JP ...) or fleet.json."
+                "--fleet",
+                help="Country code (US, DE, JP ...) or fleet.json; by default the calibration's own, else world.",
             ),
             click.option("--images", type=click.Path(path_type=Path), help="Folder of the model's frames."),
             click.option(
                 "--detections",
                 type=click.Path(path_type=Path),
-                help="Boxes from this file; no detector, no frames needed.",
+                help="Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector, no frames needed.",
             ),
             click.option(
-                "--save-detections", type=click.Path(path_type=Path), help="Keep the boxes found in this file."
+                "--save-detections",
+                type=click.Path(path_type=Path),
+                help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
             ),
-            click.option("--detector", type=click.Path(path_type=Path), help="Another ONNX detector with a card."),
+            click.option(
+                "--calibration",
+                type=click.Path(path_type=Path),
+                help="The detector's ruler as `orthoscale calibrate` measured it.",
+            ),
             click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
             click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search."),
             click.option(
@@ -41,6 +67,25 @@ def evidence_options(command: Callable) -> Callable:
                 type=click.Choice(["both", "oblique", "planar"]),
                 help="Measure a model in its frames (oblique), in frames warped onto the ground (planar), or both "
                 "(the default, where it can be done).",
+            ),
+            click.option(
+                "--target",
+                type=click.FloatRange(min=0, min_open=True),
+                default=0.005,
+                show_default=True,
+                help="Stop looking at an orthophoto when its sampling uncertainty (one sigma) is at most this.",
+            ),
+            click.option("--exhaustive", is_flag=True, help="Look at all of an orthophoto."),
+            click.option("--seed", type=int, default=0, help="Of the order in which places are looked at."),
+            click.option("--workers", type=int, help="Threads; by default one per core, eight at most."),
+            click.option("--scheduler", metavar="URL", help="Look on a Dask cluster, such as tcp://host:8786."),
+            click.option(
+                "--no-cache",
+                "cache",
+                is_flag=True,
+                default=True,
+                flag_value=False,
+                help="Keep no looks, and use none kept.",
             ),
             click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on standard output."),
             click.option("--debug", is_flag=True, help="Show the traceback of an error."),

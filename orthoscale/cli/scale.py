@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import UsageError
-from .options import EXIT_CODES, evidence_options, progress_bars
+from .options import EXIT_CODES, detector_options, evidence_options, progress_bars
 
 if TYPE_CHECKING:
     from ..workspace import Outcome
@@ -20,12 +20,14 @@ if TYPE_CHECKING:
     "  orthoscale estimate sparse/0 --images frames/ --fleet US --json\n\n" + EXIT_CODES
 )
 @evidence_options
+@detector_options
 def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
     """Print the scale of INPUT, an orthophoto or the folder of a COLMAP model, and write nothing."""
     from .. import pipeline, workspace
 
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
+    _check_savable(save_detections)
     with progress_bars() as progress:
         if models:
             outcomes = workspace.estimate_all(models, progress=progress, **options)
@@ -36,13 +38,23 @@ def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | Non
 
 @click.command(
     epilog="\b\nExamples:\n  orthoscale fix ortho.tif --out scaled.tif --fleet PH\n"
+    "  orthoscale fix utm.tif --out scaled.tif --override --keep-origin --also gpkg --also tfw\n"
     "  orthoscale fix model/ --out scaled/ --fleet US\n"
     "  orthoscale fix model/ --out scaled/ --detections boxes.json\n\n" + EXIT_CODES
 )
 @evidence_options
+@detector_options
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="GeoTIFF or folder to write.")
 @click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
 @click.option("--override", is_flag=True, help="Rescale although INPUT says that it is in metres.")
+@click.option("--keep-origin", is_flag=True, help="Keep an orthophoto's CRS, first corner and direction.")
+@click.option("--cog", is_flag=True, help="Write a cloud-optimised GeoTIFF.")
+@click.option(
+    "--also",
+    multiple=True,
+    type=click.Choice(["tfw", "scale", "gpkg", "geojson", "tiles"]),
+    help="More files beside OUT: world file, plain scale, vehicles (GeoPackage, GeoJSON), statistics per tile.",
+)
 @click.option("--force", is_flag=True, help="Write although the evidence is poor or disagrees.")
 @click.option("--dense", is_flag=True, help="The model's dense workspace too: depth maps, cloud, meshes.")
 def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
@@ -56,6 +68,7 @@ def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path
 
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
+    _check_savable(save_detections)
     with progress_bars() as progress:
         if models:
             outcomes = workspace.fix_all(models, out, progress=progress, **options)
@@ -84,12 +97,23 @@ def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None)
             click.echo(f"no scale   {outcome.error}")
 
 
+def _check_savable(path: Path | None) -> None:
+    """Before any work is done."""
+    if path is not None:
+        from ..atomic import check_free
+        from ..exchange import check_name
+
+        check_name(path)
+        check_free(path, overwrite=True)
+
+
 def _finish(result: Any, as_json: bool, save_detections: Path | None, out: Path | None = None) -> None:
     if save_detections is not None:
         from ..atomic import new_file
+        from ..exchange import save
 
         with new_file(save_detections, overwrite=True) as partial:
-            result.detections.save(partial)
+            save(result.detections, partial, result.source)
     if as_json:
         from ..report.document import document
 

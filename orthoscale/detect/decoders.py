@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -30,3 +32,35 @@ def decode_maps(maps: np.ndarray, threshold: float) -> Boxes:
         -1,
     )
     return Boxes(xylwa, 1 / (1 + np.exp(-heat)))
+
+
+def decode_ultralytics(output: np.ndarray, vehicles: Sequence[int], threshold: float) -> Boxes:
+    """Boxes [px of the network's input] from an Ultralytics OBB head, (4 + classes + 1, n).
+
+    Rows: centre x, y, width, height [px], one confidence per class, angle [rad] of the width from +x, clockwise on
+    screen. An anchor counts as the class in which it is most confident; those of other classes than `vehicles` go.
+    """
+    best = output[4:-1].argmax(0)
+    score = np.take_along_axis(output[4:-1], best[None], 0)[0]
+    keep = np.isin(best, vehicles) & (score > threshold)
+    return _plausible(np.concatenate([output[:4], output[-1:]]).T[keep], score[keep])
+
+
+def decode_ultralytics_nms_free(output: np.ndarray, vehicles: Sequence[int], threshold: float) -> Boxes:
+    """Boxes [px of the network's input] from an Ultralytics head without non-maximum suppression of ours to follow,
+    (n, 7): centre x, y, width, height [px], confidence, class, angle [rad]; unused rows have confidence 0."""
+    keep = np.isin(np.rint(output[:, 5]), vehicles) & (output[:, 4] > threshold)
+    return _plausible(output[keep][:, [0, 1, 2, 3, 6]], output[keep, 4])
+
+
+def decode_mmrotate(dets: np.ndarray, labels: np.ndarray, vehicles: Sequence[int], threshold: float) -> Boxes:
+    """Boxes [px of the network's input] from MMDeploy's rotated detectors: `dets` (n, 6), centre x, y, width, height
+    [px], angle [rad] of the width from +x, clockwise on screen, confidence; `labels` (n,) class numbers."""
+    keep = np.isin(labels, vehicles) & (dets[:, 5] > threshold)
+    return _plausible(dets[keep, :5], dets[keep, 5])
+
+
+def _plausible(xywha: np.ndarray, score: np.ndarray) -> Boxes:
+    """As Boxes, without those that have no size or are not numbers (padding rows, half-precision overflow)."""
+    good = np.isfinite(xywha).all(1) & (xywha[:, 2:4] > 0).all(1)
+    return Boxes(xywha[good], score[good])

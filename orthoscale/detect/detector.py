@@ -1,22 +1,30 @@
-"""The shipped detector: an ONNX network and the card that says what its boxes mean."""
+"""A detector: an ONNX network, the shipped one or another's, and the card that says what its boxes mean."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, field
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..boxes import Boxes
+from ..detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
 from ..errors import InputError
 from ..pooling import Ruler
-from .decoders import decode_maps
+from .layout import Layout, Normalisation, Shape, recognise
 
 SHIPPED = "small_vehicle.onnx"
-INPUT_MULTIPLE = 32  # the network halves its input five times
+# A shared library with operators that onnxruntime lacks; MMDeploy's networks need its libmmdeploy_onnxruntime_ops.
+OPERATORS = "ORTHOSCALE_ONNX_OPS"
+GREY = 114 / 255  # around pictures smaller than the network's input, as a share of white
+OVERLAP = 128  # of neighbouring windows, for networks whose input is smaller than the image [px]
+CUT = 2.0  # boxes closer than this to a window's edge may be cut by it [px]
 
 
 @dataclass(frozen=True)
@@ -27,6 +35,7 @@ class Card:
     best_length : the length at which it does best; the zoom search aims there [px].
     score : the confidence above which a box counts.
     effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
+    stride : height and width of its input must be multiples of this [px].
     """
 
     name: str
@@ -37,57 +46,174 @@ class Card:
     ruler: Ruler
     training: str = ""
     licence: str = ""
+    stride: int = 32
+    normalisation: Normalisation = Normalisation()
     extra: dict = field(default_factory=dict)
 
     @classmethod
     def from_json(cls, text: str) -> Card:
+        """Raises TypeError, ValueError, KeyError for what is no card."""
         values = json.loads(text)
         values["ruler"] = Ruler.from_json(values["ruler"])
         for name in ("usable_length", "effective_height"):
             low, high = values[name]
             values[name] = (float(low), float(high))
+        if "normalisation" in values:
+            values["normalisation"] = Normalisation.from_json(values["normalisation"])
         return cls(**values)
+
+    @classmethod
+    def unknown(cls, name: str) -> Card:
+        """Of a detector that says nothing of itself: a ruler that nobody has measured, and the sizes at which
+        detectors trained on DOTA do well; `orthoscale calibrate` measures the ruler. The score is that of
+        arXiv 2603.07535."""
+        return cls(name, (12.0, 90.0), 38.0, 0.5, UNKNOWN_HEIGHT, UNKNOWN_RULER)
 
 
 class Detector:
-    """Finds small vehicles in an RGB image. Holds one inference session; safe to call from several threads."""
+    """Finds small vehicles in an RGB image. Holds one inference session; safe to call from several threads.
 
-    def __init__(self, path: Path | None = None):
-        """`path`: an ONNX file with an orthoscale card; None: the shipped weights. Raises InputError."""
-        import onnxruntime
+    settings : (path, decoder, vehicle_classes) with which another process makes the same detector.
+    """
 
+    def __init__(
+        self,
+        path: Path | None = None,
+        decoder: str | None = None,
+        vehicle_classes: Sequence[str] = (),
+        threads: int = 0,
+    ):
+        """Load a network once.
+
+        path : an ONNX file; None: the shipped weights. decoder : its layout (`layout.DECODERS`), where it is not to be
+        recognised. vehicle_classes : names or numbers of the classes that count, instead of those called small
+        vehicles. threads : work on one image together; 0 for as many as there are cores. Raises InputError, UsageError.
+        """
+        self.settings = (path, decoder, tuple(vehicle_classes))
         if path is None:
             path = Path(str(resources.files(__package__) / "weights" / SHIPPED))
-        options = onnxruntime.SessionOptions()
-        # Spinning threads starve the reader and the decoder where cores are few.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
             content = path.read_bytes()
-            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         except OSError as error:
             raise InputError(
                 f"{path}: cannot be read ({error.strerror})", "Give a detector as an .onnx file."
             ) from error
-        except Exception as error:  # onnxruntime raises its own unrelated types
-            raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})") from error
-        try:
-            self.card = Card.from_json(self._session.get_modelmeta().custom_metadata_map["orthoscale"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{path}: an ONNX file without an orthoscale card that can be read ({error!r})",
-                "Export it with training.export.",
-            ) from error
+        self.path = path
+        self._session = _session(path, content, threads)
+        meta = self._session.get_modelmeta().custom_metadata_map
+        (image, *more), outputs = self._session.get_inputs(), self._session.get_outputs()
+        if more:
+            raise InputError(f"{path}: a network with {1 + len(more)} inputs, not one image")
+        shapes = {o.name: _shape(o.shape) for o in outputs}
+        layout = recognise(path, meta, _shape(image.shape), shapes, decoder, vehicle_classes)
+        self.card = _card(path, meta, layout)
+        if layout.decoder == "orthoscale":
+            layout = replace(layout, multiple=self.card.stride, normalisation=self.card.normalisation)
+        self.layout = layout
         self.sha256 = hashlib.sha256(content).hexdigest()
-        self._input = self._session.get_inputs()[0].name
+        self._input = image.name
+        self._type = np.float16 if image.type == "tensor(float16)" else np.float32
 
     def __call__(self, image: np.ndarray, threshold: float | None = None) -> Boxes:
         """Boxes in `image`, RGB uint8 (h, w, 3), before non-maximum suppression; coordinates in its pixels."""
+        threshold = self.card.score if threshold is None else threshold
+        if self.layout.size is None:
+            return self._run(image, threshold)
+        # The network's input has one size: look through windows of it, and leave what a window cuts to its neighbour.
+        parts = [Boxes.empty()]
         height, width = image.shape[:2]
-        padded = np.full(
-            (1, 3, -(-height // INPUT_MULTIPLE) * INPUT_MULTIPLE, -(-width // INPUT_MULTIPLE) * INPUT_MULTIPLE),
-            114 / 255,
-            np.float32,
+        for y in _starts(height, self.layout.size[0]):
+            for x in _starts(width, self.layout.size[1]):
+                window = image[y : y + self.layout.size[0], x : x + self.layout.size[1]]
+                found = self._run(window, threshold).mapped(1, (x, y))
+                low = np.where(np.array([x, y]) > 0, np.array([x, y]) + CUT, -np.inf)
+                end = np.array([x + window.shape[1], y + window.shape[0]])
+                high = np.where(end < (width, height), end - CUT, np.inf)
+                corners = found.corners
+                whole = np.logical_and(corners >= low, corners <= high).all(axis=(1, 2))
+                parts.append(found[np.flatnonzero(whole)])
+        return Boxes.concatenate(parts)
+
+    def _run(self, image: np.ndarray, threshold: float) -> Boxes:
+        height, width = image.shape[:2]
+        n = self.layout.multiple
+        rows, columns = self.layout.size or (-(-height // n) * n, -(-width // n) * n)
+        how = self.layout.normalisation
+        std = np.array(how.std, np.float32)[:, None, None]
+        shift = np.array(how.mean, np.float32)[:, None, None] / std
+        padded = np.empty((1, 3, rows, columns), np.float32)
+        padded[:] = GREY * 255 / std
+        pixels = image if how.channels == "RGB" else image[..., ::-1]
+        np.multiply(pixels.transpose(2, 0, 1), 1 / std, out=padded[0, :, :height, :width])
+        if shift.any():
+            padded -= shift
+        try:
+            arrays = self._session.run(None, {self._input: padded.astype(self._type, copy=False)})
+        except Exception as error:  # onnxruntime raises its own unrelated types
+            raise InputError(
+                f"{self.path}: the network fails on an image of {columns} x {rows} px ({_first_line(error)})",
+                "Export it again, with an input of that size or of any size.",
+            ) from error
+        return self.layout.decode(arrays, threshold)
+
+
+def _session(path: Path, content: bytes, threads: int) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 4  # what it has to say comes as an exception, once
+    # Spinning threads starve the reader and the decoder where cores are few.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    if library := os.environ.get(OPERATORS):
+        try:
+            options.register_custom_ops_library(library)
+        except Exception as error:
+            raise InputError(
+                f"{library}: no library of operators that onnxruntime can load ({_first_line(error)})",
+                f"Correct or unset the variable {OPERATORS}.",
+            ) from error
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        reason = _first_line(error)
+        if "not a registered function" in reason or "is not a registered" in reason:
+            raise InputError(
+                f"{path}: has operators that onnxruntime does not know ({reason})",
+                f"For MMDeploy's, let the variable {OPERATORS} name its libmmdeploy_onnxruntime_ops.so.",
+            ) from error
+        raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({reason})") from error
+
+
+def _card(path: Path, metadata: dict[str, str], layout: Layout) -> Card:
+    if "orthoscale" in metadata:
+        try:
+            return Card.from_json(metadata["orthoscale"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f"{path}: its orthoscale card cannot be read ({error!r})", "Export it with training.export."
+            ) from error
+    if layout.decoder == "orthoscale":
+        raise InputError(
+            f"{path}: outputs like those of orthoscale's own networks, but without an orthoscale card",
+            "Export it with training.export.",
         )
-        np.multiply(image.transpose(2, 0, 1), np.float32(1 / 255), out=padded[0, :, :height, :width])
-        (maps,) = self._session.run(None, {self._input: padded})
-        return decode_maps(maps[0], threshold or self.card.score)
+    name = metadata.get("description") or path.name
+    return Card.unknown(f"{name} ({layout.decoder}{'; assumed: ' if layout.assumed else ''}{layout.assumed})")
+
+
+def _starts(size: int, span: int) -> list[int]:
+    """Where windows of `span` px begin that cover `size` px, neighbours sharing OVERLAP px or more."""
+    if size <= span:
+        return [0]
+    shared = min(OVERLAP, span // 2)
+    count = -(-(size - shared) // (span - shared))
+    return [round(k * (size - span) / (count - 1)) for k in range(count)]
+
+
+def _shape(shape: Sequence[Any]) -> Shape:
+    return tuple(n if isinstance(n, int) and n > 0 else None for n in shape)
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else repr(error)

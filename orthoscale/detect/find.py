@@ -1,44 +1,79 @@
-"""All vehicles of some pictures: the right zoom, then two looks."""
+"""All vehicles of some pictures: the right zoom, then two looks at as many tiles as it takes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..boxes import Boxes, matched
 from ..detections import Detections
 from ..errors import TooLittleEvidence
+from .cache import TileCache, cache_key
 from .detector import Detector
-from .tiles import sweep
+from .order import visiting_order
+from .promise import promise
+from .sweep import Found, sweep_twice
+from .tiles import tiles
+from .workers import cores, visitor, worker_count
 from .zoom import ZoomChoice, search_zoom
 
 if TYPE_CHECKING:
     from ..sources.picture import Picture
 
 Progress = Callable[[str, int, int], None]  # what, done, total
-# The second look, half an octave coarser: half the pixels, another view of each mistake.
-CONFIRMING_ZOOM = 1 / np.sqrt(2)
-SAME_BOX = 0.5  # overlap at which two looks show the same vehicle
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much to look at, and with what.
+
+    target : stop when the sampling part of the scale's uncertainty (relative, one sigma) is at most this.
+    exhaustive : look at every tile. seed : of the order of tiles.
+    workers : threads; None for one per core, eight at most. scheduler : address of a Dask scheduler instead of them.
+    cache : keep the looks at tiles, and use those that were kept.
+    """
+
+    target: float = 0.005
+    exhaustive: bool = False
+    seed: int = 0
+    workers: int | None = None
+    scheduler: str | None = None
+    cache: bool = True
+
+    @property
+    def threads_each(self) -> int:
+        """Threads that a detector may use for one look, so that all workers together have one per core."""
+        return max(1, cores() // worker_count(self.workers))
 
 
 def find_vehicles(
     pictures: Sequence[Picture],
-    detector_file: Path | None = None,
+    detector: Detector | None = None,
     zoom: float | None = None,
     progress: Progress | None = None,
+    effort: Effort | None = None,
+    sampling: Callable[[Detections], float] | None = None,
 ) -> tuple[Detections, ZoomChoice | None]:
-    """Sweep `pictures` at the right zoom (searched for unless given), twice; a vehicle must show in both looks."""
+    """Sweep `pictures` at the right zoom (searched for unless given), looking twice; a vehicle must show in both looks.
+
+    detector : the shipped one by default. zoom : detector pixels per picture pixel.
+    sampling : gives the sampling part of the uncertainty that follows from what was found so far (infinite for too
+    little): the sweep ends when it reaches the effort's target. Without it, all tiles are looked at.
+    Raises TooLittleEvidence.
+    """
 
     def step(what: str) -> Callable[[int, int], None] | None:
         return (lambda done, total: progress(what, done, total)) if progress else None
 
-    detector = Detector(detector_file)
+    effort = effort or Effort()
+    count = worker_count(effort.workers)
+    detector = detector or Detector(threads=effort.threads_each)
     choice = None
     if zoom is None:
-        choice = search_zoom(pictures, detector, detector.card, step("Looking for the right zoom"))
+        choice = search_zoom(pictures, detector, detector.card, step("Looking for the right zoom"), workers=count)
         zoom = choice.zoom
         if choice.vehicle_px is None:
             raise TooLittleEvidence(
@@ -47,16 +82,31 @@ def find_vehicles(
                 "seen at two zooms)",
                 "If there are vehicles, say how large: --gsd-hint METRES_PER_PIXEL or --zoom FACTOR.",
             )
-    fine = sweep(pictures, zoom, detector, step("Finding vehicles"))
-    coarse = sweep(pictures, zoom * CONFIRMING_ZOOM, detector, step("Looking twice"))
-    boxes, doubtful = {}, {}
-    for name, found in fine.items():
-        i, j, _ = matched(found, coarse[name], SAME_BOX)
-        xylwa = found.xylwa[i].copy()
-        xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * coarse[name].xylwa[j, 2:4])
-        boxes[name] = Boxes(xylwa, (found.score[i] + coarse[name].score[j]) / 2)
-        alone = np.ones(len(found), bool)
-        alone[i] = False
-        doubtful[name] = found[alone]
     card = detector.card
-    return Detections(boxes, zoom, card.ruler, card.effective_height, card.name, detector.sha256, doubtful), choice
+
+    def detections(found: Found) -> Detections:
+        ruler = (card.ruler, card.effective_height, card.name, detector.sha256)
+        return Detections(found.boxes, zoom, *ruler, doubtful=found.doubtful, swept=found.swept)
+
+    jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
+    anytime = sampling is not None and not effort.exhaustive
+    order = np.arange(len(jobs))
+    if anytime:
+        places = [tile for _, tile in jobs]
+        evenly = visiting_order(places, np.ones(len(jobs)), effort.seed)
+        weight = promise(jobs, evenly, detector, count, step("Looking where vehicles are"))
+        order = visiting_order(places, weight, effort.seed)
+    with ExitStack() as open_things:
+        key = cache_key(pictures, detector, zoom) if effort.cache else None
+        cache = open_things.enter_context(TileCache(key)) if key else None
+        visit = open_things.enter_context(visitor(detector, count, effort.scheduler))
+        found = sweep_twice(
+            jobs,
+            order,
+            visit,
+            cache,
+            (lambda found: sampling(detections(found))) if anytime and sampling else None,
+            effort.target,
+            step("Finding vehicles"),
+        )
+    return detections(found), choice

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from ..boxes import Boxes, suppress
@@ -15,6 +16,8 @@ from ..sources.picture import Picture
 TILE = 1024  # side of the network's input [px]
 OVERLAP = 128  # shared by neighbouring tiles [px of the input]; more than the longest usable vehicle
 BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
+# The second look, half an octave coarser: half the pixels, another view of each mistake.
+CONFIRMING_ZOOM = float(1 / np.sqrt(2))
 
 Detect = Callable[[np.ndarray], Boxes]
 
@@ -29,6 +32,14 @@ class Tile:
     height: int
     out_width: int
     out_height: int
+
+
+@dataclass(frozen=True)
+class Looks:
+    """Whole vehicles that two looks at one tile found, the second at CONFIRMING_ZOOM [px of the picture]."""
+
+    fine: Boxes
+    coarse: Boxes
 
 
 def tiles(picture: Picture, zoom: float, tile: int = TILE, overlap: int = OVERLAP) -> list[Tile]:
@@ -56,6 +67,17 @@ def look(picture: Picture, tile: Tile, detect: Detect) -> Boxes:
     """Whole vehicles in one tile, in the picture's pixels; boxes that the tile's edge may cut are left to its neighbour
     (and dropped at the picture's edge, where nobody sees them whole)."""
     return place(detect(read(picture, tile)), tile)
+
+
+def look_twice(picture: Picture, tile: Tile, detect: Detect) -> Looks:
+    """Two looks at one tile, whose pixels are read once. A tile of one colour (no data) is not looked at."""
+    image = read(picture, tile)
+    if image.min() == image.max():
+        return Looks(Boxes.empty(), Boxes.empty())
+    width, height = (max(1, round(side * CONFIRMING_ZOOM)) for side in (tile.out_width, tile.out_height))
+    coarse = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    coarse_tile = replace(tile, out_width=width, out_height=height)
+    return Looks(place(detect(image), tile), place(detect(coarse), coarse_tile))
 
 
 def read(picture: Picture, tile: Tile) -> np.ndarray:

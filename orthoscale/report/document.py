@@ -8,7 +8,11 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .. import __version__
+from ..check import own_claim
+from ..drift import Drift
 from ..pipeline import Result
 
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pycolmap", "rasterio")
@@ -31,7 +35,7 @@ def document(result: Result) -> dict[str, Any]:
         "uncertainty": {name: sd for name, sd in scale.parts.items()},
         "checks": {**scale.checks, "tension_sigmas": scale.tension},
         "weights": {"length": scale.weights[0], "width": scale.weights[1]},
-        "remarks": [*scale.remarks, *result.source.notes],
+        "remarks": remarks(result),
         "detector": {
             "name": found.detector,
             "sha256": found.detector_sha256,
@@ -39,6 +43,11 @@ def document(result: Result) -> dict[str, Any]:
             "effective_height": list(found.effective_height),
             "margin_px": list(found.ruler.margin),
         },
+        "sweep": None
+        if found.swept is None
+        else {"tiles": len(found.swept.tiles), "of": found.swept.total, "from_cache": found.swept.from_cache},
+        "claim": None if (claim := own_claim(result.source, scale)) is None else claim.document(),
+        "drift": None if result.drift is None else _drift(result.drift),
         "zoom_search": None
         if result.zoom_choice is None
         else {
@@ -73,6 +82,24 @@ def document(result: Result) -> dict[str, Any]:
             }
             for k in range(len(votes))
         ],
+    }
+
+
+def remarks(result: Result) -> list[str]:
+    """What a reader should know beside the figures."""
+    drift = [result.drift.remark] if result.drift is not None and result.drift.remark else []
+    return [*result.scale.remarks, *drift, *result.source.notes]
+
+
+def _drift(drift: Drift) -> dict[str, Any]:
+    names = ("x_px", "y_px", "vehicles", "deviation", "sd")
+    return {
+        "tilt": drift.tilt,
+        "tilt_sd": drift.tilt_sd,
+        "direction_deg": float(np.degrees(drift.direction)),
+        "p_tilt": drift.p_tilt,
+        "p_bend": drift.p_bend,
+        "cells": [dict(zip(names, map(float, cell), strict=True)) for cell in drift.cells],
     }
 
 

@@ -13,6 +13,7 @@ from ..boxes import Boxes
 from ..errors import OutputError
 from ..pipeline import Result
 from ..sources.picture import Picture
+from .drift_map import drift_panel
 
 if TYPE_CHECKING:
     from ..sources.colmap import ColmapSource
@@ -34,6 +35,9 @@ def draw(result: Result, path: Path) -> None:
     if pictures:
         panels.append(_overview(result, pictures[_busiest(result, pictures)]))
         panels.append(_contact_sheet(result, pictures))
+    if result.drift is not None:
+        (whole,) = result.source.pictures
+        panels.append(drift_panel(result.drift, whole.width, whole.height, OVERVIEW))
     width = max(panel.shape[1] for panel in panels)
     sheet = np.concatenate([_padded(panel, width) for panel in panels])
     ok, png = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))

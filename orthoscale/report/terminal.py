@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..check import own_claim
 from ..pipeline import Result
+from .document import remarks
 
 WORDS = {"good": "known well", "fair": "known fairly", "poor": "known poorly", "refuse": "not known"}
 
@@ -28,7 +30,12 @@ def summary(result: Result, out: Path | None = None) -> str:
         f"checks     {checks}",
         f"detector   {result.detections.detector}, zoom {result.detections.zoom:.2f}",
     ]
-    lines += [f"note       {remark}" for remark in (*scale.remarks, *result.source.notes)]
+    if (claim := own_claim(result.source, scale)) is not None:
+        lines.append(f"claim      {claim.sentence()}")
+    swept = result.detections.swept
+    if swept is not None and len(swept.tiles) < swept.total:
+        lines.append(f"looked at  {len(swept.tiles)} of {swept.total} tiles, which was enough (--exhaustive for all)")
+    lines += [f"note       {remark}" for remark in remarks(result)]
     lines.append(f"time       {result.seconds:.1f} s")
     if out is not None:
         lines.append(f"written    {out}")

@@ -23,6 +23,7 @@ from .colmap_write import read_model, write_scaled
 from .database import pose_priors
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
+from .undistort import undistort
 
 if TYPE_CHECKING:
     import pycolmap
@@ -138,7 +139,7 @@ class ColmapSource:
             )
         image = self._images[name]
         points = np.asarray(points, float).reshape(-1, 2)
-        plane, lens, ok = _undistort(self._model.camera(image.camera_id), points)
+        plane, lens, ok = undistort(self._model.camera(image.camera_id), points)
 
         camera_from_world = image.cam_from_world()
         rotation = camera_from_world.rotation.matrix()
@@ -287,26 +288,3 @@ def _find_images(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
             "Give the folder that the image names start from with --images.",
         )
     return best, missing
-
-
-def _undistort(camera: pycolmap.Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels (N, 2) to points (N, 2) of the plane z = 1, the lens there (N, 2, 2), and (N,) bool whether that worked.
-
-    The lens is the Jacobian of the way back, from the plane to pixels, by central differences.
-    """
-    usable = np.isfinite(points).all(1)
-    plane = np.array(camera.cam_from_img(np.where(usable[:, None], points, 0.0)), float).reshape(-1, 2)
-    usable &= np.isfinite(plane).all(1)
-    plane[~usable] = 0
-
-    def project(xy: np.ndarray) -> np.ndarray:
-        return np.array(camera.img_from_cam(np.column_stack([xy, np.ones(len(xy))])), float).reshape(-1, 2)
-
-    step = 1e-5
-    lens = np.stack([project(plane + d) - project(plane - d) for d in step * np.eye(2)], 2) / (2 * step)
-    # Undistortion iterates, and with strong distortion may end somewhere else: it must lead back to the pixel.
-    with np.errstate(invalid="ignore"):
-        usable &= np.linalg.norm(project(plane) - points, axis=1) < 0.01
-    usable &= np.isfinite(lens).all((1, 2)) & (np.linalg.det(np.where(np.isfinite(lens), lens, 0)) > 0)
-    lens[~usable] = np.eye(2) * camera.mean_focal_length()
-    return plane, lens, usable

@@ -6,6 +6,7 @@ still leans outwards, as in any picture that is not a true orthophoto.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -52,6 +53,14 @@ class GroundPicture:
     def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
         """See `Picture.read`. Raises InputError as the frame does."""
         return resized(_warped(self)[y : y + height, x : x + width], out_width, out_height)
+
+    def fingerprint(self) -> str:
+        """What cached work on this picture is keyed by: the frame, and all that decides how it is warped."""
+        corners = np.array([[x, y] for x in (0, 0.5, 1) for y in (0, 0.5, 1)]) * (self.width, self.height)
+        digest = hashlib.sha256(self.frame.fingerprint().encode() if self.frame is not None else b"")
+        for values in (np.array([self.width, self.height, self.unit_per_pixel]), self.seen(corners)[0]):
+            digest.update(np.round(values, 6).tobytes())
+        return digest.hexdigest()
 
     def ground(self, points: np.ndarray) -> np.ndarray:
         """(N, 2) pixels of this picture to (N, 3) points on the ground [model units, world]."""

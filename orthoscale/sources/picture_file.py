@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from ..errors import InputError
+from ..fingerprint import fingerprint
 
 FRAMES_IN_MEMORY = 2
 
@@ -30,6 +31,10 @@ class PictureFile:
     def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
         """See `Picture.read`. Raises InputError for a file that is truncated, undecodable, or of another size."""
         return resized(self._pixels()[y : y + height, x : x + width], out_width, out_height)
+
+    def fingerprint(self) -> str:
+        """What cached work on this frame is keyed by."""
+        return fingerprint([self.path])
 
     def check_size(self) -> None:
         """Raise InputError if the file's header tells another size than this picture's; pixels are not decoded."""

@@ -9,20 +9,22 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
-import pyproj
 import rasterio
+from rasterio.crs import CRS
 from rasterio.enums import Interleaving, MaskFlags, Resampling
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader, DatasetWriter
-from rasterio.transform import Affine
+from rasterio.shutil import copy as gdal_copy
 from rasterio.windows import Window
 
 from ..errors import InputError, OutputError, UsageError
+from ..fingerprint import fingerprint
+from .georeference import Place, claim_of, kept_place, local_place
 from .picture import Picture
 
 GREY = 114
@@ -30,12 +32,6 @@ GREY = 114
 
 SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
-
-LOCAL_CRS = (
-    'LOCAL_CS["orthoscale local metres",LOCAL_DATUM["unknown",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
-    'AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
-)
-"""The engineering CRS of written copies: metres, but nowhere on Earth."""
 
 # GDAL's own cache limit is 5 % of the machine's memory, which was seen to grow past a gigabyte. In bytes: rasterio
 # does not take a small number for megabytes, as GDAL does; 256 would be no cache at all, 5 to 100 times slower.
@@ -45,22 +41,8 @@ _OPTIONS = {"GDAL_CACHEMAX": 256 * 2**20, "GDAL_TIFF_INTERNAL_MASK": True}
 
 _EXPORT_AGAIN = "Export or download it again; a transfer that broke off looks like this."
 _STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written
+_CLASSIC = 2**32 - 2**24  # [byte] a classic TIFF longer than this may not have room for another directory
 _WHOLE = 100_000_000  # [px] copies up to this size are compared with their original in full, larger ones by samples
-
-
-@dataclass(frozen=True)
-class Claim:
-    """What a raster's own georeferencing says of its scale.
-
-    gsd_m : true ground metres per pixel at the image's centre, measured on the ellipsoid (the geometric mean of
-        both axes), or None where nothing can be computed.
-    usable : True when it comes from a real coordinate reference system and may be compared with a measured scale.
-    why : for people, to follow the figure: where it comes from, or why there is none or it is not to be believed.
-    """
-
-    gsd_m: float | None
-    usable: bool
-    why: str
 
 
 class RasterSource:
@@ -72,7 +54,7 @@ class RasterSource:
     path : the file.
     unit : ``"m/px"``, what a scale of this source means.
     notes : what the user should know about how the image is read or was written.
-    claimed : what its georeferencing says; see `Claim`.
+    claimed : what its georeferencing says; see `georeference.Claim`.
     """
 
     unit = "m/px"
@@ -91,7 +73,7 @@ class RasterSource:
         self._palette = self._palette_table()
         self._masked = any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
         self._stretch = self._stretch_limits()
-        self.claimed = _claim(dataset)
+        self.claimed = claim_of(dataset)
 
     @classmethod
     def open(cls, path: str | Path) -> RasterSource:
@@ -156,6 +138,14 @@ class RasterSource:
                 return hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
             raise InputError(f"{self.path} cannot be read ({error.strerror})", "Was it moved meanwhile?") from error
+
+    def fingerprint(self) -> str:
+        """What cached work on this image is keyed by: the content of all its files, sampled where it is large."""
+        return fingerprint(Path(f) for f in self._dataset.files)
+
+    def __reduce__(self) -> tuple:
+        """Pickled as its path: another process opens it anew, once for all its tiles."""
+        return _shared, (str(self.path.absolute()),)
 
     # Reading
 
@@ -309,8 +299,12 @@ class RasterSource:
 
     # Writing
 
-    def write(self, path: Path, metres_per_pixel: float) -> None:
-        """Write a GeoTIFF with the same pixels, in local metres: north up, origin at the lower left corner.
+    def place(self, metres_per_pixel: float, keep_origin: bool = False) -> Place:
+        """The georeferencing that a copy of this scale gets: local metres, or the input's own place and direction."""
+        return (kept_place if keep_origin else local_place)(self.claimed, self.height, metres_per_pixel)
+
+    def write(self, path: Path, metres_per_pixel: float, keep_origin: bool = False, cog: bool = False) -> None:
+        """Write a GeoTIFF with the same pixels and the measured scale.
 
         A TIFF is copied and only its georeferencing is replaced; any other format is written losslessly (deflate,
         tiles, BigTIFF by need). Bands, type, nodata, alpha, mask, palette, tags and overviews stay. Former
@@ -319,6 +313,9 @@ class RasterSource:
 
         path : where to write; an existing file is replaced. Use `orthoscale.atomic.new_file` around it.
         metres_per_pixel : [m/px] the measured scale.
+        keep_origin : keep the coordinate reference system, first corner and direction of the input; else local metres,
+            north up, origin at the lower left corner.
+        cog : write a cloud-optimised GeoTIFF (lossless, deflate), with overviews.
 
         Raises UsageError for a scale that is not a positive number or a path not named .tif or .tiff; InputError when
         the input turns out to be damaged; OutputError when the copy cannot be written or does not read back alike.
@@ -330,38 +327,73 @@ class RasterSource:
             raise UsageError(f"{path.name} would be a GeoTIFF", "Let its name end in .tif.")
         if path.exists() and path.samefile(self.path):
             raise UsageError(f"{path} is the input itself", "Choose another name for the output.")
-        transform = Affine(metres_per_pixel, 0, 0, 0, -metres_per_pixel, metres_per_pixel * self.height)
+        place = self.place(metres_per_pixel, keep_origin)
+        plain = path.with_name(f"plain.{path.name}") if cog else path
         try:
             with rasterio.Env(**_OPTIONS), _no_warnings():
                 if self._can_be_copied():
-                    shutil.copyfile(self.path, path)
+                    shutil.copyfile(self.path, plain)
                 else:
-                    self._convert(path, transform)
-                with rasterio.open(path, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as copy:
+                    self._convert(plain, place)
+                with rasterio.open(plain, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as copy:
                     self._restore_properties(copy)
-                    copy.crs, copy.transform = LOCAL_CRS, transform
+                    copy.crs, copy.transform = place.crs, place.transform
+                if cog:
+                    self._optimise(plain, path)
                 # Whatever a GeoTIFF could not hold would be in here, and would not travel with a renamed file.
                 Path(f"{path}.aux.xml").unlink(missing_ok=True)
-                self._verify(path, transform)
+                self._verify(path, place)
         except (RasterioError, OSError) as error:
             reason = _reason(error)
             raise OutputError(f"{path} could not be written ({reason})", "Check the free space on its disk.") from error
-        if self.claimed.usable:
-            note = f"{path.name} has local metres; the georeferencing of {self.name} is not in it"
-            if note not in self.notes:
-                self.notes.append(note)
+        finally:
+            if cog:
+                for leftover in (plain, Path(f"{plain}.aux.xml")):
+                    leftover.unlink(missing_ok=True)
+        notes = [f"{path.name}: {place.said}"]
+        if self._is_cog and not cog:
+            notes.append(f"{path.name} is no longer cloud-optimised as {self.name} is (--cog makes it so)")
+        self.notes += [note for note in notes if note not in self.notes]
+
+    @property
+    def _is_cog(self) -> bool:
+        return self._dataset.tags(ns="IMAGE_STRUCTURE").get("LAYOUT") == "COG"
 
     def _can_be_copied(self) -> bool:
-        """A TIFF whose pixels are all in the one file, without rational polynomials (rasterio cannot remove those)."""
+        """A TIFF whose pixels are all in the one file, without rational polynomials (rasterio cannot remove those), and
+        with room for a new directory at its end if it is a classic one, whose offsets have 32 bits."""
         dataset = self._dataset
         in_one_file = not any(f.endswith(".msk") for f in dataset.files) and len(self._nodata()) <= 1
-        return dataset.driver == "GTiff" and in_one_file and not dataset.rpcs
+        return dataset.driver == "GTiff" and in_one_file and not dataset.rpcs and self._has_room()
+
+    def _has_room(self) -> bool:
+        with self.path.open("rb") as file:
+            big = file.read(4) in (b"II+\0", b"MM\0+")
+        return big or self.path.stat().st_size < _CLASSIC
 
     def _nodata(self) -> set[str]:
         """The bands' different nodata values; a GeoTIFF has room for one. As text, in which NaN equals NaN."""
         return {repr(v) for v in self._dataset.nodatavals}
 
-    def _convert(self, path: Path, transform: Affine) -> None:
+    def _optimise(self, plain: Path, path: Path) -> None:
+        """A cloud-optimised copy of the GeoTIFF `plain`. Always deflate: what JPEG compressed once stays as it was
+        decoded, at the cost of a larger file."""
+        nearest = self._palette is not None
+        floating = np.result_type(*self._dataset.dtypes).kind == "f"
+        gdal_copy(
+            plain,
+            path,
+            driver="COG",
+            COMPRESS="DEFLATE",
+            PREDICTOR="FLOATING_POINT" if floating else "STANDARD",
+            BLOCKSIZE=512,
+            BIGTIFF="IF_SAFER",
+            OVERVIEWS="AUTO",
+            RESAMPLING="NEAREST" if nearest else "AVERAGE",
+            NUM_THREADS="ALL_CPUS",
+        )
+
+    def _convert(self, path: Path, place: Place) -> None:
         source = self._dataset
         dtype = np.result_type(*source.dtypes)
         kinds = [c.name for c in source.colorinterp]
@@ -376,8 +408,8 @@ class RasterSource:
             height=self.height,
             count=source.count,
             dtype=dtype.name,
-            crs=LOCAL_CRS,
-            transform=transform,
+            crs=place.crs,
+            transform=place.transform,
             tiled=True,
             blockxsize=_STRIP,
             blockysize=_STRIP,
@@ -427,7 +459,7 @@ class RasterSource:
         with self._lock, self._damage(f"near y {window.row_off}"):
             return self._dataset.read(window=window), self._dataset.dataset_mask(window=window)
 
-    def _verify(self, path: Path, transform: Affine) -> None:
+    def _verify(self, path: Path, place: Place) -> None:
         """Read the copy back and compare; raises OutputError."""
         source = self._dataset
         with rasterio.open(path, sharing=False) as copy:
@@ -435,8 +467,8 @@ class RasterSource:
                 "size": (copy.width, copy.height, copy.count) == (source.width, source.height, source.count),
                 "type": copy.dtypes[0] == np.result_type(*source.dtypes) or copy.dtypes == source.dtypes,
                 "colours": copy.colorinterp == source.colorinterp,
-                "transform": copy.transform.almost_equals(transform, precision=1e-9 * transform.a),
-                "metres": copy.crs is not None and copy.crs.units_factor[1] == 1.0,
+                "transform": np.allclose(copy.transform, place.transform, rtol=1e-9, atol=0),
+                "coordinate reference system": copy.crs is not None and self._same_system(copy.crs, place.crs),
                 "ground control": not copy.gcps[0] and not copy.rpcs,
             }
             wrong = [name for name, right in told.items() if not right]
@@ -453,6 +485,12 @@ class RasterSource:
                 "Check the disk; if it is sound, convert the input to a plain GeoTIFF first (gdal_translate).",
             )
 
+    @staticmethod
+    def _same_system(found: CRS, meant: str | CRS) -> bool:
+        """An engineering CRS does not compare equal to what was written; its unit must."""
+        meant = CRS.from_user_input(meant)
+        return found == meant or (found.units_factor[1] == meant.units_factor[1] and not meant.is_projected)
+
     def _to_compare(self) -> Iterator[Window]:
         if self.width * self.height <= _WHOLE:
             yield from self._strips()
@@ -460,6 +498,11 @@ class RasterSource:
         rng, side = np.random.default_rng(0), min(512, self.width, self.height)
         for y in np.sort(rng.integers(0, self.height - side + 1, 64)):
             yield Window(int(rng.integers(0, self.width - side + 1)), int(y), side, side)
+
+
+@lru_cache(maxsize=4)
+def _shared(path: str) -> RasterSource:
+    return RasterSource.open(path)
 
 
 def _fits(value: float, dtype: str) -> bool:
@@ -498,70 +541,3 @@ def _reading(path: Path, what: str, hint: str) -> Iterator[None]:
 def _reason(error: BaseException) -> str:
     """What GDAL said; rasterio often keeps it in the cause and says only "see previous exception"."""
     return str(error.__cause__ or error).strip().rstrip(".")
-
-
-# Georeferencing
-
-
-def _claim(dataset: DatasetReader) -> Claim:
-    t, crs = dataset.transform, dataset.crs
-    across, down = math.hypot(t.a, t.d), math.hypot(t.b, t.e)
-    if (t.b, t.d, t.c) == (0, 0, 0) and abs(t.a) == abs(t.e) == 1 and t.f in (0, dataset.height):
-        if points := len(dataset.gcps[0]):
-            return Claim(None, False, f"only {points} ground control points, no geotransform (gdalwarp makes one)")
-        if dataset.rpcs:
-            return Claim(None, False, "only rational polynomials (RPC), no geotransform (gdalwarp makes one)")
-        return Claim(None, False, "not georeferenced")
-    if across == 0 or down == 0 or not math.isfinite(across * down):
-        return Claim(None, False, "a geotransform without area")
-    if crs is None:
-        beside = [Path(f).name for f in dataset.files[1:]]
-        shape = "square" if _square(across, down) else f"{across / down:.4g} times as wide as high"
-        return Claim(
-            None,
-            False,
-            f"{across:.6g} x {down:.6g} of an unknown unit per pixel{f' ({beside[0]})' if beside else ''}: "
-            f"there is no coordinate reference system; pixels are {shape}",
-        )
-    try:
-        system = pyproj.CRS.from_user_input(crs)
-    except pyproj.exceptions.CRSError as error:
-        return Claim(None, False, f"its coordinate reference system is not understood ({error})")
-    if system.type_name == "Engineering CRS":
-        size = math.sqrt(across * down) * system.axis_info[0].unit_conversion_factor
-        return Claim(size, False, f"in local coordinates ({system.name}), which nothing ties to the ground")
-    if (t.c, t.f) == (0, 0):
-        # OpenDroneMap without GPS: UTM zone 30N, geotransform (0, .1, 0, 0, 0, -.1).
-        return Claim(None, False, f"a placeholder: {system.name} with its origin at exactly (0, 0)")
-    try:
-        across, down = _ground_steps(dataset, system)
-    except pyproj.exceptions.ProjError as error:
-        return Claim(None, False, f"its place cannot be found on Earth from {system.name} ({error})")
-    gsd = math.sqrt(across * down)
-    shape = "" if _square(across, down) else f"; its pixels are {across:.6g} m wide and {down:.6g} m high"
-    return Claim(gsd, True, f"on the ground, from {system.name}{shape}")
-
-
-def _square(across: float, down: float) -> bool:
-    # Web Mercator treats the ellipsoid as a sphere, which stretches one axis by up to 0.7 %.
-    return abs(across / down - 1) < 0.01
-
-
-def _ground_steps(dataset: DatasetReader, system: pyproj.CRS) -> tuple[float, float]:
-    """[m] how far one step across and one step down is at the image's centre, along geodesics.
-
-    One method for metres, feet, degrees, stretched projections and rotated images. Raises ProjError when the centre
-    is not a place on Earth.
-    """
-    x, y = dataset.width / 2, dataset.height / 2
-    # Wide enough for rounding in inverse projections (some 10 nm) not to matter, narrow enough to be local.
-    half = min(100.0, x, y)
-    px, py = np.array([x - half, x + half, x, x]), np.array([y, y, y - half, y + half])
-    t = dataset.transform
-    to_degrees = pyproj.Transformer.from_crs(system, "EPSG:4326", always_xy=True)
-    lon, lat = to_degrees.transform(t.a * px + t.b * py + t.c, t.d * px + t.e * py + t.f, errcheck=True)
-    if not all(math.isfinite(a) and abs(b) <= 90 for a, b in zip(lon, lat, strict=True)):
-        raise pyproj.exceptions.ProjError("outside of longitude and latitude")
-    geod = pyproj.Geod(ellps="WGS84")
-    _, _, distance = geod.inv([lon[0], lon[2]], [lat[0], lat[2]], [lon[1], lon[3]], [lat[1], lat[3]])
-    return distance[0] / (2 * half), distance[1] / (2 * half)

@@ -1,0 +1,94 @@
+"""`orthoscale crop`: satellite crops at the scale of a photo."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .options import EXIT_CODES, progress_bars
+from .photo_options import lens_options, vehicle_options
+
+
+@click.command(
+    epilog="\b\nExamples:\n"
+    "  orthoscale crop DJI_0021.JPG --satellite sat.tif --at 8.5417,47.3769 --radius 400 --out crops/\n"
+    "  orthoscale crop DJI_0021.JPG --satellite sat.tif --square --size 384 --out crops/\n"
+    "  orthoscale crop frame.jpg --satellite sat.tif --gsd 0.08 --at 8.5417,47.3769 --out crops/\n\n" + EXIT_CODES
+)
+@click.argument("path", metavar="PHOTO", type=click.Path(path_type=Path))
+@click.option("--satellite", required=True, type=click.Path(path_type=Path), help="Georeferenced satellite picture.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write.")
+@click.option("--at", metavar="LON,LAT", help="Middle of the search area; the whole picture by default.")
+@click.option("--radius", type=float, metavar="M", help="Half of the search area's side; one crop at --at by default.")
+@click.option("--square", is_flag=True, help="Squares of the photo's shorter side, instead of the full frame.")
+@click.option("--stride", type=float, default=0.5, show_default=True, help="Shift between crops, as a share of one.")
+@click.option("--size", type=click.IntRange(16, 8192), metavar="PX", help="Longer side of the crops; the photo's own.")
+@click.option("--gsd", type=float, metavar="M", help="Metres per pixel of the photo; then nothing is measured.")
+@vehicle_options
+@lens_options
+@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was cut as JSON on standard output.")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+def crop(
+    path: Path,
+    satellite: Path,
+    out: Path,
+    at: str | None,
+    radius: float | None,
+    square: bool,
+    stride: float,
+    size: int | None,
+    gsd: float | None,
+    overwrite: bool,
+    as_json: bool,
+    debug: bool,
+    **measuring: Any,
+) -> None:
+    """Cut satellite crops that show as much ground as PHOTO does.
+
+    The photo's footprint comes from its vehicles, as by `orthoscale photo` (or from --gsd). Windows of footprint / GSD
+    of the satellite picture are cut over the search area, each shifted by half of its size, and resampled to the
+    photo's size. OUT gets query.jpg, gallery/, manifest.csv (a line per crop: file, longitude, latitude, pixels) and
+    crop.json: a gallery for any retrieval network.
+    """
+    from ..atomic import check_free
+    from ..photo import crop as cropping
+    from ..photo.footprint import footprint_of
+
+    check_free(out, overwrite)
+    place = _place(at)
+    sky = cropping.Satellite.open(satellite)
+    with progress_bars() as progress:
+        shown = footprint_of(path, gsd, progress, **measuring)
+        crops = cropping.plan_crops(sky, shown.gsd, shown.size, place, radius, square, stride, size)
+        cropping.write_crops(crops, shown.picture, shown.told, out, overwrite, progress)
+    text = cropping.document(crops, shown.told)
+    if as_json:
+        click.echo(json.dumps(text))
+        return
+    low, high = shown.told.get("gsd_interval90", (None, None))
+    known = f" (90 %: {100 * low:.4g} to {100 * high:.4g})" if low else ", as told"
+    metres = f"{crops.size[0]:.1f} x {crops.size[1]:.1f} m"
+    pixels = f"{crops.windows[0, 2]} x {crops.windows[0, 3]} px"
+    lines = [
+        f"crops      {len(crops.windows)} of {metres}, resampled to {crops.out[0]} x {crops.out[1]} px",
+        f"photo      {100 * shown.gsd:.4g} cm/px{known}",
+        f"satellite  {crops.pixel[0]:.4g} x {crops.pixel[1]:.4g} m/px, {pixels} a crop",
+        f"written    {out}: query.jpg, gallery/, manifest.csv, crop.json",
+    ]
+    click.echo("\n".join(lines))
+
+
+def _place(at: str | None) -> tuple[float, float] | None:
+    if at is None:
+        return None
+    try:
+        lon, lat = (float(v) for v in at.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{at!r} is not LON,LAT in degrees", param_hint="--at") from None
+    if not (abs(lon) <= 180 and abs(lat) <= 90):
+        raise click.BadParameter(f"{at} is not a longitude and a latitude", param_hint="--at")
+    return lon, lat

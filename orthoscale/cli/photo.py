@@ -1,0 +1,91 @@
+"""`orthoscale photo`: scale, altitude, GSD and footprint of single photos."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from .options import EXIT_CODES, progress_bars
+from .photo_options import lens_options, vehicle_options
+
+
+@click.command(
+    epilog="\b\nExamples:\n  orthoscale photo DJI_0021.JPG --fleet DE\n"
+    "  orthoscale photo flight/ --fleet US --out flight.csv --out flight.gpkg\n"
+    "  orthoscale photo frame.png --focal-px 1080 --pitch -60 --json\n"
+    "  orthoscale photo flight/ --together       one altitude from all photos of a level flight\n\n" + EXIT_CODES
+)
+@click.argument("paths", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@vehicle_options
+@lens_options
+@click.option("--together", is_flag=True, help="Also one scale of all photos: one lens, one altitude.")
+@click.option("--save-detections", type=click.Path(path_type=Path), help="Keep the boxes found in this file.")
+@click.option(
+    "--out", "outputs", multiple=True, type=click.Path(path_type=Path), help="Table to write: .csv, .json or .gpkg."
+)
+@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.option("--json", "as_json", is_flag=True, help="Print the table as JSON on standard output.")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+def photo(
+    paths: tuple[Path, ...],
+    fleet: str,
+    focal_px: float | None,
+    calibration: Path | None,
+    pitch: float | None,
+    roll: float | None,
+    together: bool,
+    detections: Path | None,
+    save_detections: Path | None,
+    detector: Path | None,
+    zoom: float | None,
+    gsd_hint: float | None,
+    outputs: tuple[Path, ...],
+    overwrite: bool,
+    as_json: bool,
+    debug: bool,
+) -> None:
+    """Measure single photos from a drone: IMAGE is a photo or a folder of them.
+
+    The focal length comes from EXIF or XMP (or --focal-px, --calibration), pitch and roll from XMP (or --pitch, --roll;
+    nadir where nothing tells them). For every photo with at least 5 vehicles: the scale of its nadir view, its altitude
+    over the ground where the vehicles stand, the average ground sampling distance, the footprint, each with a 90 %
+    interval. The ground is taken to be level.
+    """
+    from ..errors import TooLittleEvidence
+    from ..fleet import Fleet
+    from ..photo import survey, tables
+    from ..photo.measure import find_photos
+
+    ruler = Fleet.load(fleet)
+    tables.check_outputs(outputs, overwrite)
+    photos, problems = survey.open_photos(
+        find_photos(paths), calibration=calibration, focal_px=focal_px, pitch=pitch, roll=roll
+    )
+    with progress_bars() as progress:
+        found = survey.boxes_of(photos, ruler, detections, detector, zoom, gsd_hint, progress)
+    if save_detections is not None:
+        from ..atomic import new_file
+
+        with new_file(save_detections, overwrite=True) as partial:
+            found.save(partial)
+    outcomes = survey.measure_each(photos, problems, found, ruler)
+    pooled = survey.measure_together(photos, found, ruler) if together else None
+    if pooled is None and not any(outcome.measured for outcome in outcomes):
+        most = max(outcomes, key=lambda outcome: len(found.boxes.get(outcome.name, ())))
+        raise TooLittleEvidence(
+            f"none of {len(outcomes)} photos has enough vehicles; the best is {most.name}: {most.problem}"
+            if len(outcomes) > 1
+            else f"{most.name}: {most.problem}",
+            "Give photos with more vehicles, or pool those of a level flight with --together.",
+        )
+    text = tables.document(outcomes, ruler.code, found.detector, pooled)
+    if outputs:
+        tables.write(outcomes, text, outputs, overwrite)
+    if as_json:
+        click.echo(json.dumps(text))
+    else:
+        from ..photo.terminal import summary
+
+        click.echo(summary(outcomes, text, pooled, outputs))

@@ -1,0 +1,52 @@
+"""Options that say how single photos are seen and measured; shared by `photo`, `crop` and `evaluate`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+
+def lens_options(command: Callable) -> Callable:
+    """--focal-px, --calibration, --pitch, --roll: what the photo's own tags say otherwise."""
+    for option in reversed(
+        [
+            click.option("--focal-px", type=float, metavar="PX", help="Focal length, instead of EXIF's and XMP's."),
+            click.option(
+                "--calibration",
+                type=click.Path(path_type=Path),
+                help="The lens: Metashape's XML, COLMAP's cameras.txt with one camera, or JSON.",
+            ),
+            click.option(
+                "--pitch", type=float, metavar="DEG", help="Of the optical axis: -90 straight down, instead of XMP's."
+            ),
+            click.option(
+                "--roll",
+                type=float,
+                metavar="DEG",
+                help="About the optical axis, right side down, instead of XMP's.",
+            ),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+def vehicle_options(command: Callable) -> Callable:
+    """--fleet, and where the boxes come from."""
+    for option in reversed(
+        [
+            click.option(
+                "--fleet", default="world", show_default=True, help="Country code (US, DE, JP ...) or fleet.json."
+            ),
+            click.option(
+                "--detections", type=click.Path(path_type=Path), help="Boxes from this file; no detector needed."
+            ),
+            click.option("--detector", type=click.Path(path_type=Path), help="Another ONNX detector with a card."),
+            click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
+            click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search."),
+        ]
+    ):
+        command = option(command)
+    return command

@@ -1,0 +1,40 @@
+"""Which of a detector's or a file's classes are small vehicles: their names decide."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+
+# What data sets call the vehicles that a fleet describes: DOTA, DIOR, FAIR1M, VEDAI, xView, COWC, COCO, orthoscale.
+SMALL_VEHICLES = frozenset(
+    [
+        "small vehicle", "vehicle", "light vehicle", "passenger vehicle", "small car", "car", "passenger car", "sedan",
+        "hatchback", "suv", "pickup", "pick up", "pickup truck", "minivan", "taxi",
+    ]
+)  # fmt: skip
+
+# DOTA v1.0 in MMRotate's order: MMDeploy writes class numbers without names, and its models are mostly trained on it.
+DOTA = (
+    "plane", "baseball-diamond", "bridge", "ground-track-field", "small-vehicle", "large-vehicle", "ship",
+    "tennis-court", "basketball-court", "storage-tank", "soccer-ball-field", "roundabout", "harbor", "swimming-pool",
+    "helicopter",
+)  # fmt: skip
+
+
+def is_vehicle(name: str, wanted: Iterable[str] = ()) -> bool:
+    """Whether a class called `name` counts: one of `wanted` where any are given, else a small vehicle by its name.
+
+    Case, plurals and what joins words do not matter: "Small_Vehicles" is "small-vehicle".
+    """
+    names = {_plain(w) for w in wanted} or SMALL_VEHICLES
+    return _plain(name) in names
+
+
+def vehicle_numbers(names: Sequence[str], wanted: Iterable[str] = ()) -> list[int]:
+    """The numbers of the classes that count, of classes called `names`; `wanted` may hold numbers too."""
+    wanted = list(wanted)
+    return [k for k, name in enumerate(names) if is_vehicle(name, wanted) or str(k) in wanted]
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]+", " ", name.lower()).strip().removesuffix("s")

@@ -1,0 +1,43 @@
+"""In which order to visit the tiles of a large picture, so that any beginning of it is a fair sample of the whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .tiles import Tile
+
+GOLDEN = (np.sqrt(5) - 1) / 2
+
+
+def visiting_order(tiles: Sequence[Tile], weight: np.ndarray, seed: int = 0) -> np.ndarray:
+    """(N,) a permutation of the indices of `tiles`; `weight` (N,) > 0 says how early each should come.
+
+    Systematic sampling with probability proportional to weight: the tiles lie along a space-filling curve, each on a
+    stretch as long as its weight, and the multiples of the golden ratio, which fill a circle evenly however many are
+    taken, pick stretch after stretch. So tiles of one weight come equally early on average over the seeds, and any
+    number of them is spread over the picture.
+    """
+    if not len(tiles):
+        return np.empty(0, int)
+    along = np.argsort(_along_curve(np.array([[t.x + t.width / 2, t.y + t.height / 2] for t in tiles])), kind="stable")
+    end = np.cumsum(weight[along]) / weight.sum()
+    shortest = float(np.diff(end, prepend=0).min())
+    # The points of the golden ratio leave no gap longer than 2.62 over their number (three-gap theorem).
+    steps = np.arange(int(np.ceil(2.7 / shortest)))
+    points = (np.random.default_rng(seed).random() + steps * GOLDEN) % 1
+    picked = np.minimum(np.searchsorted(end, points, side="right"), len(tiles) - 1)
+    _, first = np.unique(picked, return_index=True)
+    return along[picked[np.sort(first)]]
+
+
+def _along_curve(centre: np.ndarray, bits: int = 12) -> np.ndarray:
+    """(N,) position of points (N, 2) along the Z-order curve of their bounding box (Morton 1966)."""
+    low = centre.min(0)
+    cell = ((centre - low) / max(float(np.ptp(centre, axis=0).max()), 1.0) * (2**bits - 1)).astype(np.int64)
+    position = np.zeros(len(centre), np.int64)
+    for bit in range(bits):
+        for axis in (0, 1):
+            position |= ((cell[:, axis] >> bit) & 1) << (2 * bit + axis)
+    return position

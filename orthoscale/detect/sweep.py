@@ -1,0 +1,116 @@
+"""Sweeping pictures until enough is seen: tile by tile, in an order that makes every stop a fair one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..boxes import Boxes, matched, suppress
+from ..sources.picture import Picture
+from .cache import TileCache
+from .tiles import Looks, Tile
+from .workers import Visit
+
+SAME_BOX = 0.5  # overlap at which two looks show the same vehicle
+FIRST = 16  # tiles that are looked at before asking whether they are enough
+FEWEST = 4  # tiles of any later batch
+
+
+@dataclass(frozen=True)
+class Swept:
+    """Which tiles were looked at.
+
+    tiles : (picture name, tile) of each that was, in reading order. total : how many there are.
+    from_cache : how many of the looks had been had before.
+    """
+
+    tiles: list[tuple[str, Tile]] = field(repr=False)
+    total: int
+    from_cache: int = 0
+
+
+@dataclass(frozen=True)
+class Found:
+    """Vehicles by picture name [px of the picture]: `boxes` that both looks show, `doubtful` that one alone does."""
+
+    boxes: dict[str, Boxes]
+    doubtful: dict[str, Boxes]
+    swept: Swept
+
+
+def sweep_twice(
+    jobs: Sequence[tuple[Picture, Tile]],
+    order: np.ndarray,
+    visit: Visit,
+    cache: TileCache | None = None,
+    spread: Callable[[Found], float] | None = None,
+    target: float = 0.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Found:
+    """Look at the tiles `jobs` in `order` ((N,) a permutation), until `spread` of what was found is at most `target`.
+
+    `spread` is asked after batches of tiles that depend on nothing but what was found before, never on the time or on
+    the number of workers, so the same tiles are visited every time. Without it all tiles are. `progress(done, total)`
+    counts tiles, the total being a guess when a sweep may stop early.
+    """
+    looks: dict[int, Looks] = {}
+    cached = 0
+    batch = FIRST if spread else len(order)
+    while True:
+        # Files are read fastest from the top; many (JPEG, PNG) only so.
+        numbers = np.sort(order[len(looks) : len(looks) + batch]).tolist()
+        expected = len(looks) + len(numbers)
+        missing = {}
+        for number in numbers:
+            had = cache.get(*jobs[number]) if cache else None
+            if had is None:
+                missing[number] = jobs[number]
+            else:
+                looks[number] = had
+                cached += 1
+        if progress:
+            progress(len(looks), expected)
+        for number, seen in visit(missing):
+            looks[number] = seen
+            if cache:
+                cache.put(*jobs[number], seen)
+            if progress:
+                progress(len(looks), expected)
+        found = _assembled(jobs, looks, cached)
+        if spread is None or len(looks) == len(order):
+            return found
+        reached = spread(found)
+        if reached <= target:
+            return found
+        batch = _next_batch(len(looks), reached / target if target > 0 else np.inf)
+
+
+def _next_batch(seen: int, excess: float) -> int:
+    """How many more tiles, when the spread after `seen` of them is `excess` times the target: it falls with the square
+    root of their number. At most as many again, because the guess is rough."""
+    wanted = seen * (excess**2 - 1)
+    return int(max(min(wanted, seen), FEWEST))
+
+
+def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int) -> Found:
+    """Overlapping tiles put together: non-maximum suppression in each look, then what both looks show."""
+    fine: dict[str, list[Boxes]] = {picture.name: [] for picture, _ in jobs}
+    coarse: dict[str, list[Boxes]] = {name: [] for name in fine}
+    numbers = sorted(looks)
+    for number in numbers:
+        name = jobs[number][0].name
+        fine[name].append(looks[number].fine)
+        coarse[name].append(looks[number].coarse)
+    boxes, doubtful = {}, {}
+    for name in fine:
+        first, second = (suppress(Boxes.concatenate(part[name])) for part in (fine, coarse))
+        i, j, _ = matched(first, second, SAME_BOX)
+        xylwa = first.xylwa[i].copy()
+        xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
+        boxes[name] = Boxes(xylwa, (first.score[i] + second.score[j]) / 2)
+        alone = np.ones(len(first), bool)
+        alone[i] = False
+        doubtful[name] = first[alone]
+    return Found(boxes, doubtful, Swept([(jobs[n][0].name, jobs[n][1]) for n in numbers], len(jobs), cached))

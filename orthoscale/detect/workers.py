@@ -1,0 +1,113 @@
+"""Who looks at the tiles: threads of this process, or a Dask cluster. The looks are the same, only the time differs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager, contextmanager
+from functools import lru_cache
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from ..errors import OrthoscaleError, UsageError
+from ..sources.picture import Picture
+from .detector import Detector
+from .tiles import Detect, Looks, Tile, look_twice
+
+Jobs = Mapping[int, tuple[Picture, Tile]]
+Settings = tuple[Path | None, str | None, tuple[str, ...]]
+Visit = Callable[[Jobs], Iterator[tuple[int, Looks]]]
+"""Looks at tiles; yields each with its number as soon as it is there, in any order."""
+
+MOST_THREADS = 8  # by default; each holds a tile and the network's maps of it, some 70 MB
+RETRIES = 3  # of a tile whose Dask worker was lost
+CONNECTING = "10s"
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def worker_count(asked: int | None) -> int:
+    """`asked`, or a thread per core, eight at most. Raises UsageError for less than one."""
+    if asked is not None and asked < 1:
+        raise UsageError(f"--workers must be 1 or more, not {asked}")
+    return asked or min(cores(), MOST_THREADS)
+
+
+def on_threads(jobs: Jobs, detect: Detect, count: int) -> Iterator[tuple[int, Looks]]:
+    """Each thread reads, detects and decodes its own tile, so that one reads while another computes."""
+    waiting = iter(jobs.items())
+    pool = ThreadPoolExecutor(count)
+    try:
+        running: dict[Future[Looks], int] = {}
+        while True:
+            # Few are handed out at a time: an error or Ctrl-C has only those to wait for.
+            for number, (picture, tile) in islice(waiting, 2 * count - len(running)):
+                running[pool.submit(look_twice, picture, tile, detect)] = number
+            if not running:
+                return
+            for done in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(done), done.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def visitor(detector: Detector, count: int, scheduler: str | None) -> Iterator[Visit]:
+    """The way to look at tiles: `count` threads, or the Dask cluster at the address `scheduler` (``tcp://host:8786``).
+
+    On a cluster pictures and detector are opened by their paths, so every machine must see them there.
+    Raises UsageError when Dask is not installed or nobody answers at the address.
+    """
+    if scheduler is None:
+        yield lambda jobs: on_threads(jobs, detector, count)
+        return
+    with _cluster(scheduler) as client:
+        yield lambda jobs: _on_cluster(client, jobs, detector)
+
+
+def _cluster(address: str) -> AbstractContextManager[Any]:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise UsageError("--scheduler needs Dask", "Install it: pip install 'orthoscale[dask]'.") from error
+    try:
+        return Client(address, timeout=CONNECTING, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise UsageError(
+            f"no Dask scheduler answers at {address} ({error})", "Start one: dask scheduler; dask worker ADDRESS."
+        ) from error
+
+
+def _on_cluster(client: Any, jobs: Jobs, detector: Detector) -> Iterator[tuple[int, Looks]]:
+    from distributed import KilledWorker, as_completed
+
+    path, *how = detector.settings
+    settings = (None if path is None else Path(path).absolute(), *how)
+    # A task of a worker that is lost goes to another one; `retries` is for errors such as a network drive's hiccup.
+    futures = {
+        client.submit(_look_elsewhere, picture, tile, settings, pure=False, retries=RETRIES): number
+        for number, (picture, tile) in jobs.items()
+    }
+    try:
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+    except KilledWorker as error:
+        raise OrthoscaleError(
+            f"the Dask cluster lost its workers ({error})", "Give them more memory; finished tiles are kept."
+        ) from error
+    finally:
+        client.cancel([future for future in futures if not future.done()])
+
+
+def _look_elsewhere(picture: Picture, tile: Tile, settings: Settings) -> Looks:
+    return look_twice(picture, tile, _detector(settings))
+
+
+@lru_cache(maxsize=2)
+def _detector(settings: Settings) -> Detector:
+    return Detector(*settings, threads=1)

@@ -1,0 +1,133 @@
+"""Scale by place: a tilted orthophoto shows a gradient, a bent one a bowl, and vehicles show both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .pooling import Ruler, Scale
+from .votes import Votes
+
+FEWEST = 40  # vehicles; with fewer no gradient that a picture may have could be told from chance
+PER_CELL = 6.0  # vehicles wanted in a cell of the map
+MOST_CELLS = 8  # along the longer side
+SIGNIFICANT = 0.005  # probability that vehicles without any drift look like this, in each of two tests
+NOTABLE = 0.01  # relative change across the picture below which nobody need know
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How the scale changes over one picture, relative to the whole picture's scale.
+
+    cells : (C, 5) per cell of the map with vehicles in it: centre x, centre y [px], vehicles, relative deviation of the
+        local scale, its one sigma. cell : (2,) size of a cell [px].
+    tilt : relative change of the scale from one end of the picture to the other, along the steepest direction.
+    direction : of that increase [rad], from +x, clockwise on screen. tilt_sd : one sigma of the change.
+    p_tilt, p_bend : probability of a gradient, and of a curvature besides it, as large as found, if there were none.
+    remark : a warning, empty where there is nothing to warn of.
+    """
+
+    cells: np.ndarray = field(repr=False)
+    cell: tuple[float, float]
+    tilt: float
+    tilt_sd: float
+    direction: float
+    p_tilt: float
+    p_bend: float
+    remark: str
+
+
+def local_deviation(votes: Votes, scale: Scale, ruler: Ruler) -> np.ndarray:
+    """(N,) log of the scale that each vehicle alone would give, relative to the mean of those that count."""
+    size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
+    log_scale = -np.log(np.maximum(size, 0.1 * votes.size)) @ np.asarray(scale.weights)
+    return log_scale - log_scale[scale.used].mean()
+
+
+def drift(votes: Votes, scale: Scale, ruler: Ruler, width: float, height: float) -> Drift | None:
+    """The drift of the scale within a picture of `width` x `height` px, or None for fewer than 40 vehicles.
+
+    Vehicles of one place resemble each other (a taxi rank, a works car park), so the observations are the means of
+    cells: a plane and a full quadratic are fitted to them, and judged by how the cells scatter about them (F-tests).
+    """
+    if scale.vehicles_used < FEWEST:
+        return None
+    place, deviation = votes.place[scale.used], local_deviation(votes, scale, ruler)[scale.used]
+    cells, cell = _cells(place, deviation, width, height)
+    extent = max(width, height)
+    x, y = ((cells[:, :2] - (width / 2, height / 2)) / extent).T  # -1/2 to 1/2 along the longer side
+    plane = np.stack([np.ones_like(x), x, y], 1)
+    bowl = np.column_stack([plane, x * x, x * y, y * y])
+    flat_fit, plane_fit, bowl_fit = (_Fit.of(terms, cells) for terms in (plane[:, :1], plane, bowl))
+    p_tilt, p_bend = plane_fit.p_against(flat_fit), bowl_fit.p_against(plane_fit)
+    gradient = plane_fit.coefficients[1:]
+    direction = float(np.arctan2(gradient[1], gradient[0]))
+    along = np.array([np.cos(direction), np.sin(direction)])
+    length = float(np.abs(along) @ (width, height)) / extent
+    tilt = float(np.hypot(*gradient)) * length
+    tilt_sd = float(np.sqrt(along @ plane_fit.covariance[1:, 1:] @ along)) * length
+    fitted = bowl_fit.fitted
+    bend = float(np.ptp(fitted - plane_fit.fitted))
+    return Drift(cells, cell, tilt, tilt_sd, direction, p_tilt, p_bend, _remark(tilt, direction, p_tilt, bend, p_bend))
+
+
+def _cells(place: np.ndarray, deviation: np.ndarray, width: float, height: float) -> tuple[np.ndarray, tuple]:
+    side = np.sqrt(width * height * PER_CELL / len(place))
+    side = max(side, max(width, height) / MOST_CELLS)
+    count = np.maximum(np.round([width / side, height / side]), 1).astype(int)
+    cell = np.array([width, height]) / count
+    column, row = np.clip((place / cell).astype(int), 0, count - 1).T
+    scatter = float(deviation.std())
+    cells = []
+    for key in np.unique(row * count[0] + column):
+        here = row * count[0] + column == key
+        n = int(here.sum())
+        centre = (key % count[0] + 0.5) * cell[0], (key // count[0] + 0.5) * cell[1]
+        cells.append((*centre, n, deviation[here].mean(), scatter / np.sqrt(n)))
+    return np.array(cells), (float(cell[0]), float(cell[1]))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Weighted least squares over cells; a cell counts for its vehicles."""
+
+    coefficients: np.ndarray
+    covariance: np.ndarray
+    fitted: np.ndarray
+    chi2: float
+    freedom: int
+
+    @classmethod
+    def of(cls, terms: np.ndarray, cells: np.ndarray) -> _Fit:
+        root = 1 / cells[:, 4]
+        a, b = terms * root[:, None], cells[:, 3] * root
+        coefficients = np.linalg.lstsq(a, b, rcond=None)[0]
+        chi2 = float(((b - a @ coefficients) ** 2).sum())
+        freedom = len(cells) - int(np.linalg.matrix_rank(a))
+        # Where cells scatter more than their vehicles explain, the fit is known less well.
+        excess = max(1.0, chi2 / freedom) if freedom > 0 else 1.0
+        return cls(coefficients, np.linalg.pinv(a.T @ a) * excess, terms @ coefficients, chi2, freedom)
+
+    def p_against(self, simpler: _Fit) -> float:
+        """Probability of so much better a fit than `simpler`'s by chance (F-test), 1 without cells enough to say."""
+        from scipy.special import fdtrc
+
+        more = simpler.freedom - self.freedom
+        if self.freedom < 3 or more < 1:
+            return 1.0
+        noise = max(self.chi2 / self.freedom, 1.0)  # cells cannot scatter less than their vehicles
+        return float(fdtrc(more, self.freedom, (simpler.chi2 - self.chi2) / more / noise))
+
+
+def _remark(tilt: float, direction: float, p_tilt: float, bend: float, p_bend: float) -> str:
+    found = []
+    if p_tilt < SIGNIFICANT and tilt >= NOTABLE:
+        octant = round(direction / (np.pi / 4)) % 8
+        names = ("right", "lower right", "bottom", "lower left", "left", "upper left", "top", "upper right")
+        found.append(f"grows by {100 * tilt:.1f} % towards the {names[octant]} (p = {p_tilt:.1g})")
+    if p_bend < SIGNIFICANT and bend >= NOTABLE:
+        found.append(f"is bent by {100 * bend:.1f} % (p = {p_bend:.1g})")
+    if not found:
+        return ""
+    return f"the scale {' and '.join(found)}: a tilted or bent orthophoto, or other vehicles there than here"

@@ -1,0 +1,87 @@
+"""DOTA's text files (https://captain-whu.github.io/DOTA): four corners and a class, a box per line.
+
+Labels: ``x1 y1 x2 y2 x3 y3 x4 y4 class difficult``, a file per picture, its name the picture's.
+Results: ``picture score x1 y1 x2 y2 x3 y3 x4 y4``, a file per class, called ``Task1_class.txt``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..boxes import Boxes
+from ..errors import InputError, UsageError
+from .items import Item, short_name
+
+
+def read(path: Path, only_picture: bool) -> list[Item]:
+    """The boxes of one file, or of all .txt files of a folder. Raises InputError.
+
+    only_picture : the source has one picture, so a label file need not be called like it.
+    """
+    if path.is_dir():
+        files = sorted(path.glob("*.txt"))
+        if not files:
+            raise InputError(f"{path}: a folder without .txt files", "Give DOTA's label files, one per picture.")
+        return [item for file in files for item in read(file, only_picture=False)]
+    label = path.stem.partition("_")[2] if path.stem.startswith("Task1_") else None
+    picture = None if only_picture else path.stem
+    items = []
+    for number, line in enumerate(_lines(path), 1):
+        words = line.split()
+        if not words or line.lower().startswith(("imagesource:", "gsd:")):
+            continue
+        item = _label(words, picture) or _result(words, label)
+        if item is None:
+            raise InputError(
+                f"{path}: line {number} is no box ({line.strip()[:80]!r})",
+                "Expected 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult' or 'picture score x1 y1 x2 y2 x3 y3 x4 y4'.",
+            )
+        items.append(item)
+    return items
+
+
+def write(path: Path, boxes: Mapping[str, Boxes], pictures: Sequence[str]) -> None:
+    """Write a results file, which keeps scores and picture names. Raises UsageError for names with spaces."""
+    lines = []
+    for picture, found in boxes.items():
+        name = short_name(picture, pictures)
+        if any(c.isspace() for c in name):
+            raise UsageError(
+                f"DOTA's text cannot hold the picture name {name!r}, which has a space", "Save as .json instead."
+            )
+        for corners, score in zip(found.corners, found.score, strict=True):
+            lines.append(f"{name} {score:.4f} " + " ".join(f"{v:.3f}" for v in corners.ravel()))
+    path.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a detections file.") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not text (byte {error.start})", "Give DOTA's text, or another format.") from error
+
+
+def _label(words: Sequence[str], picture: str | None) -> Item | None:
+    corners = _numbers(words[:8])
+    if corners is None or len(words) not in (9, 10) or _numbers(words[8:9]) is not None:
+        return None
+    return Item(corners.reshape(4, 2), 1.0, words[8], picture)
+
+
+def _result(words: Sequence[str], label: str | None) -> Item | None:
+    numbers = _numbers(words[1:])
+    if numbers is None or len(numbers) != 9:
+        return None
+    return Item(numbers[1:].reshape(4, 2), float(numbers[0]), label, words[0])
+
+
+def _numbers(words: Sequence[str]) -> np.ndarray | None:
+    try:
+        return np.array([float(w) for w in words])
+    except ValueError:
+        return None

@@ -1,0 +1,214 @@
+"""What can be placed: standard facilities with their sources, parking by country, or a file of one's own.
+
+The figures and the source of each lie in ``data/facilities.json``, whose ``about`` describes the format.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, UsageError
+
+ARC_STEP = 6.0  # [deg] between the points of a drawn arc
+
+
+@dataclass(frozen=True)
+class Facility:
+    """One kind of facility, about its own centre: x along its length, y to the left [m].
+
+    length, width : of the playing area. ends, sides : run-off beyond its short and its long lines [m].
+    north_south : its length should point north, so that nobody looks into a low sun.
+    stadium : it has half circles for ends. lines : what is painted, (n, 2) each.
+    look : in words, for a generative renderer. colour : RGB.
+    """
+
+    code: str
+    name: str
+    length: float
+    width: float
+    ends: float
+    sides: float
+    north_south: bool
+    stadium: bool
+    lines: tuple[np.ndarray, ...]
+    look: str
+    colour: tuple[int, int, int]
+    source: str
+
+    @property
+    def full_length(self) -> float:
+        """With the run-off at both ends [m]."""
+        return self.length + 2 * self.ends
+
+    @property
+    def full_width(self) -> float:
+        """With the run-off at both sides [m]."""
+        return self.width + 2 * self.sides
+
+    @property
+    def outline(self) -> np.ndarray:
+        """(n, 2) the playing area."""
+        if self.stadium:
+            return _stadium(self.length - self.width, self.width / 2)[:-1]
+        return _rectangle(0, 0, self.length, self.width)[:-1]
+
+
+@dataclass(frozen=True)
+class Request:
+    """One facility that is wanted; `centre` (in the CRS or pixels) and `bearing` [deg] where its place is given."""
+
+    facility: Facility
+    centre: tuple[float, float] | None = None
+    bearing: float | None = None
+
+
+def parse_requests(texts: Sequence[str], catalogue: Path | None = None) -> list[Request]:
+    """``CODE``, ``CODE:COUNT``, ``CODE@X,Y`` or ``CODE@X,Y,BEARING``; parking is ``parking-COUNTRY:BAYS``.
+
+    BEARING is that of the long side, clockwise from north; 0 by default. Raises UsageError, InputError.
+    """
+    kinds = load(catalogue)
+    requests: list[Request] = []
+    for text in texts:
+        match = re.fullmatch(r"([A-Za-z0-9_-]+)(?::(\d+))?(?:@([^@]+))?", text.strip())
+        if not match:
+            raise UsageError(f"--facility {text!r} is not understood", "Say CODE, CODE:COUNT or CODE@X,Y,BEARING.")
+        code, count, place = match[1], int(match[2] or 1), match[3]
+        if not 1 <= count <= 1000:
+            raise UsageError(f"--facility {text!r}: a count of {count}", "Give a count from 1 to 1000.")
+        if code.lower().startswith("parking"):
+            facility, count = parking(code, int(match[2] or 10)), 1
+        elif code.lower() in kinds:
+            facility = kinds[code.lower()]
+        else:
+            raise UsageError(
+                f"no facility is called {code!r}",
+                f"Known are {', '.join(kinds)}, and parking-COUNTRY:BAYS; or give a --catalogue of your own.",
+            )
+        centre, bearing = _place(place, text) if place else (None, None)
+        requests += [Request(facility, centre, bearing)] * count
+    return requests
+
+
+def _place(place: str, text: str) -> tuple[tuple[float, float], float]:
+    try:
+        x, y, *rest = (float(v) for v in place.split(","))
+        (bearing,) = rest or (0.0,)
+        if not all(map(math.isfinite, (x, y, bearing))):
+            raise ValueError
+    except ValueError:
+        raise UsageError(f"--facility {text!r}: no place in {place!r}", "Say CODE@X,Y or CODE@X,Y,BEARING.") from None
+    return (x, y), bearing
+
+
+def load(path: Path | None = None) -> dict[str, Facility]:
+    """The built-in facilities by code, and those of the file at `path` (same format), which go first."""
+    built_in = _table()["facilities"]
+    if path is None:
+        return {code: _facility(code, entry, built_in) for code, entry in built_in.items()}
+    try:
+        entries = {**built_in, **json.loads(path.read_text(encoding="utf-8"))["facilities"]}
+        return {code.lower(): _facility(code.lower(), entry, entries) for code, entry in entries.items()}
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a catalogue.") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path}: not a catalogue ({error!r})",
+            'Expected {"facilities": {CODE: {"name", "length", "width", "ends", "sides", "source"}}} in metres.',
+        ) from error
+
+
+def parking(code: str, bays: int) -> Facility:
+    """Two rows of bays at right angles to an aisle between them, for ``parking-DE`` and the like."""
+    country = code.partition("-")[2].upper()
+    bay = _table()["parking"].get(country)
+    if bay is None:
+        raise UsageError(
+            f"no parking bays are known for {country or code!r}",
+            f"Say parking-COUNTRY:BAYS, with one of {', '.join(_table()['parking'])}.",
+        )
+    per_row = math.ceil(bays / 2)
+    length, width = per_row * bay["width"], 2 * bay["length"] + bay["aisle"]
+    lines = []
+    for side, count in ((1, per_row), (-1, bays - per_row)):
+        outer, inner = side * width / 2, side * bay["aisle"] / 2
+        across = [-length / 2 + k * bay["width"] for k in range(count + 1)]
+        lines += [np.array([[x, outer], [x, inner]]) for x in across if count]
+    return Facility(
+        code=f"parking-{country}",
+        name=f"car park of {bays} bays ({country})",
+        length=length,
+        width=width,
+        ends=0.0,
+        sides=0.0,
+        north_south=False,
+        stadium=False,
+        lines=tuple(lines),
+        look=f"an asphalt car park with {bays} marked bays in two rows along an aisle",
+        colour=(120, 120, 125),
+        source=bay["source"],
+    )
+
+
+@cache
+def _table() -> dict[str, Any]:
+    path = Path(__file__).parent.parent / "data" / "facilities.json"
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _facility(code: str, entry: Mapping[str, Any], entries: Mapping[str, Mapping[str, Any]]) -> Facility:
+    sizes = {name: float(entry.get(name, 0.0)) for name in ("length", "width", "ends", "sides")}
+    if not (sizes["length"] >= sizes["width"] > 0 and min(sizes.values()) >= 0 and math.isfinite(sum(sizes.values()))):
+        raise ValueError(f"{code}: length >= width > 0 and run-off >= 0 are wanted")
+    both = [_points(line) for line in entry.get("both_ends", [])]
+    lines = [*(_points(line) for line in entry.get("lines", [])), *both, *(-line for line in both)]
+    if infield := entry.get("infield"):
+        lines += _facility(infield, entries[infield], entries).lines
+    red, green, blue = (int(v) for v in entry.get("colour", (160, 160, 160)))
+    return Facility(
+        code=code,
+        name=str(entry["name"]),
+        north_south=bool(entry.get("north_south", False)),
+        stadium=entry.get("shape") == "stadium",
+        lines=tuple(lines) or (_rectangle(0, 0, sizes["length"], sizes["width"]),),
+        look=str(entry.get("look", f"a {entry['name']}")),
+        colour=(red, green, blue),
+        source=str(entry["source"]),
+        **sizes,
+    )
+
+
+def _points(line: Sequence[Any]) -> np.ndarray:
+    kind, *values = line
+    return DRAWN[kind](*(float(v) for v in values))
+
+
+def _rectangle(cx: float, cy: float, length: float, width: float) -> np.ndarray:
+    x, y = length / 2, width / 2
+    return np.array([[cx + x, cy + y], [cx - x, cy + y], [cx - x, cy - y], [cx + x, cy - y], [cx + x, cy + y]])
+
+
+def _line(x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
+    return np.array([[x0, y0], [x1, y1]])
+
+
+def _arc(cx: float, cy: float, radius: float, start: float, end: float) -> np.ndarray:
+    angle = np.radians(np.linspace(start, end, max(2, math.ceil((end - start) / ARC_STEP) + 1)))
+    return np.stack([cx + radius * np.cos(angle), cy + radius * np.sin(angle)], -1)
+
+
+def _stadium(straight: float, radius: float) -> np.ndarray:
+    right, left = _arc(straight / 2, 0, radius, -90, 90), _arc(-straight / 2, 0, radius, 90, 270)
+    return np.concatenate([right, left, right[:1]])
+
+
+DRAWN: dict[str, Callable[..., np.ndarray]] = {"rect": _rectangle, "line": _line, "arc": _arc, "stadium": _stadium}

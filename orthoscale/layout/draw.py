@@ -1,0 +1,151 @@
+"""The layout to the pixel: a mask, a line drawing, and the orthophoto with it laid over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from rasterio.features import rasterize
+from shapely.geometry.base import BaseGeometry
+
+from .ground import Ground
+from .place import Placed
+
+LINE_M = 0.05  # width of painted lines [m]: 5 cm in the rules of basketball, tennis and others
+MARGIN = 0.06  # of the lot, around it
+OVERLAY = 1600  # longest side of the overlay [px]
+LOT, RUN_OFF = (255, 220, 40), (255, 255, 255)  # RGB
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of the picture [px]."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+def window_of(ground: Ground, lot: BaseGeometry) -> Window:
+    """The lot with a margin, inside of the picture."""
+    x0, y0, x1, y1 = ground.mapped(lot, ground.to_pixels).bounds
+    margin = MARGIN * max(x1 - x0, y1 - y0)
+    left, top = max(0, int(x0 - margin)), max(0, int(y0 - margin))
+    right, bottom = min(ground.source.width, int(x1 + margin) + 1), min(ground.source.height, int(y1 + margin) + 1)
+    return Window(left, top, right - left, bottom - top)
+
+
+def mask(ground: Ground, placed: Sequence[Placed], window: Window) -> np.ndarray:
+    """(2, h, w) uint16: the number of the facility (1, 2 ...) whose playing area holds the pixel's centre, and whose
+    area with run-off does; 0 for none."""
+    bands = []
+    for areas in ([p.area for p in placed], [p.full_area for p in placed]):
+        shapes = [(_shifted(ground, area, window), k) for k, area in enumerate(areas, 1)]
+        size = (window.height, window.width)
+        bands.append(rasterize(shapes, out_shape=size, dtype="uint16") if shapes else np.zeros(size, np.uint16))
+    return np.stack(bands)
+
+
+def lines(ground: Ground, placed: Sequence[Placed], window: Window) -> np.ndarray:
+    """(h, w) uint8: 255 on painted lines and on the playing areas' edges, else 0; no half tones."""
+    drawing = np.zeros((window.height, window.width), np.uint8)
+    thickness = max(1, round(LINE_M / ground.gsd))
+    for place in placed:
+        outline = place.facility.outline
+        for line in (*place.facility.lines, np.concatenate([outline, outline[:1]])):
+            _polyline(drawing, ground, place.on_ground(line), window, 1.0, 255, thickness, cv2.LINE_8)
+    return drawing
+
+
+def overlay(ground: Ground, lot: BaseGeometry, placed: Sequence[Placed], window: Window) -> np.ndarray:
+    """(h, w, 3) uint8 RGB: the orthophoto with the lot, the facilities and their lines, a scale bar and north."""
+    zoom = min(OVERLAY / max(window.width, window.height), 4.0)
+    size = max(1, round(window.width * zoom)), max(1, round(window.height * zoom))
+    image = ground.source.read(window.x, window.y, window.width, window.height, *size).copy()
+    tint = image.copy()
+    for place in placed:
+        cv2.fillPoly(tint, [_points(ground, _ring(place.full_area), window, zoom)], (205, 205, 195), shift=4)
+        cv2.fillPoly(tint, [_points(ground, _ring(place.area), window, zoom)], place.facility.colour, shift=4)
+    image = cv2.addWeighted(tint, 0.72, image, 0.28, 0)
+    for ring in _rings(lot):
+        _polyline(image, ground, ring, window, zoom, LOT, 2, cv2.LINE_AA)
+    for place in placed:
+        _polyline(image, ground, _ring(place.full_area), window, zoom, RUN_OFF, 1, cv2.LINE_AA)
+        for line in (*place.facility.lines, _ring_of(place.facility.outline)):
+            _polyline(image, ground, place.on_ground(line), window, zoom, (255, 255, 255), 1, cv2.LINE_AA)
+    for number, place in enumerate(placed, 1):
+        x, y = _points(ground, np.array([place.centre]), window, zoom)[0] / 16
+        _label(image, f"{number} {place.facility.code}", int(x), int(y))
+    _scale_bar(image, ground.gsd / zoom)
+    _north_arrow(image, ground.north)
+    return image
+
+
+def _ring(area: BaseGeometry) -> np.ndarray:
+    return np.asarray(area.exterior.coords)[:, :2]
+
+
+def _ring_of(outline: np.ndarray) -> np.ndarray:
+    return np.concatenate([outline, outline[:1]])
+
+
+def _rings(area: BaseGeometry) -> list[np.ndarray]:
+    parts = getattr(area, "geoms", [area])
+    return [np.asarray(r.coords)[:, :2] for p in parts for r in (p.exterior, *p.interiors)]
+
+
+def _shifted(ground: Ground, area: BaseGeometry, window: Window) -> BaseGeometry:
+    return ground.mapped(area, lambda metres: ground.to_pixels(metres) - (window.x, window.y))
+
+
+def _points(ground: Ground, metres: np.ndarray, window: Window, zoom: float) -> np.ndarray:
+    """(n, 2) int32, in sixteenths of a pixel as OpenCV takes them; its pixel centres are integers, ours end in .5."""
+    pixels = (ground.to_pixels(metres) - (window.x, window.y)) * zoom - 0.5
+    return np.round(pixels * 16).astype(np.int32)
+
+
+def _polyline(
+    image: np.ndarray,
+    ground: Ground,
+    metres: np.ndarray,
+    window: Window,
+    zoom: float,
+    colour,
+    thickness: int,
+    kind: int,
+) -> None:
+    cv2.polylines(image, [_points(ground, metres, window, zoom)], False, colour, thickness, kind, shift=4)
+
+
+def _label(image: np.ndarray, text: str, x: int, y: int) -> None:
+    (width, height), base = cv2.getTextSize(text, FONT, 0.6, 1)
+    x, y = int(np.clip(x - width // 2, 4, max(4, image.shape[1] - width - 4))), y + height // 2
+    cv2.rectangle(image, (x - 4, y - height - 4), (x + width + 4, y + base), (45, 45, 45), -1)
+    cv2.putText(image, text, (x, y), FONT, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
+
+
+def _scale_bar(image: np.ndarray, metres_per_px: float) -> None:
+    wanted = image.shape[1] / 5 * metres_per_px
+    step = 10.0 ** np.floor(np.log10(wanted))
+    metres = step * max(k for k in (1, 2, 5) if k * step <= wanted)
+    x, y = 14, image.shape[0] - 14
+    right = x + round(metres / metres_per_px)
+    cv2.line(image, (x, y), (right, y), (0, 0, 0), 7)
+    cv2.line(image, (x, y), (right, y), (255, 255, 255), 3)
+    _label(image, f"{metres:g} m", right + 36, y - 4)
+
+
+def _north_arrow(image: np.ndarray, north: float) -> None:
+    middle = np.array([image.shape[1] - 36, 44])
+    angle = np.radians(north)
+    tip = middle + 26 * np.array([np.sin(angle), -np.cos(angle)])
+    tail = 2 * middle - tip
+    for colour, thickness in (((0, 0, 0), 5), ((255, 255, 255), 2)):
+        cv2.arrowedLine(
+            image, tail.astype(int).tolist(), tip.astype(int).tolist(), colour, thickness, cv2.LINE_AA, 0, 0.35
+        )
+    _label(image, "N", *(middle + (tail - middle) * 1.6).astype(int).tolist())

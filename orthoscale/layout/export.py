@@ -1,0 +1,128 @@
+"""The layout's files: vectors for GIS, a drawing for CAD, rasters on the orthophoto's own grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import rasterio
+import shapely
+from rasterio.windows import Window as RasterWindow
+
+from ..errors import OutputError
+from ..vector import write_layer
+from . import draw
+
+if TYPE_CHECKING:
+    from .plan import Layout
+
+TILE = 256
+
+
+def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """layout.gpkg in the orthophoto's CRS, with layers facilities, run_off, lines and lot; and layout.geojson: the
+    playing areas, in longitude and latitude where the orthophoto has a place on Earth, else in its own coordinates."""
+    ground = layout.ground
+    crs = ground.crs.to_wkt()
+
+    def in_crs(shape: Any) -> Any:
+        return ground.mapped(shape, ground.to_crs)
+
+    package = folder / "layout.gpkg"
+    lot = [{"what": "lot", "area_m2": round(layout.lot.area, 1)}]
+    write_layer(package, "lot", [shapely.MultiPolygon(_polygons(in_crs(layout.lot)))], lot, "MultiPolygon", crs)
+    if not layout.placed:
+        return
+    areas = [in_crs(p.area) for p in layout.placed]
+    write_layer(package, "facilities", areas, rows, "Polygon", crs)
+    write_layer(package, "run_off", [in_crs(p.full_area) for p in layout.placed], rows, "Polygon", crs)
+    drawn = [(k, line) for k, p in enumerate(layout.placed, 1) for line in map(p.on_ground, p.facility.lines)]
+    painted = [in_crs(shapely.LineString(line)) for _, line in drawn]
+    write_layer(package, "lines", painted, [{"number": k} for k, _ in drawn], "LineString", crs)
+    on_earth = ground.source.claimed.usable
+    if on_earth:
+        import pyproj
+
+        there = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(ground.crs), "EPSG:4326", always_xy=True)
+        areas = [shapely.transform(a, lambda c: np.column_stack(there.transform(*c.T))) for a in areas]
+    write_layer(folder / "layout.geojson", "facilities", areas, rows, "Polygon", "EPSG:4326" if on_earth else None)
+
+
+def write_dxf(layout: Layout, path: Path) -> None:
+    """A drawing in metres, east and north of the orthophoto's lower left corner; layers LOT, RUN_OFF, FACILITIES,
+    LINES and LABELS."""
+    import ezdxf
+
+    drawing = ezdxf.new("R2010", units=ezdxf.units.M)
+    for name, colour in (("LOT", 2), ("RUN_OFF", 8), ("FACILITIES", 3), ("LINES", 7), ("LABELS", 5)):
+        drawing.layers.add(name, color=colour)
+    space = drawing.modelspace()
+
+    def ring(points: np.ndarray, layer: str) -> None:
+        space.add_lwpolyline(points.tolist(), close=True, dxfattribs={"layer": layer})
+
+    for polygon in _polygons(layout.lot):
+        for edge in (polygon.exterior, *polygon.interiors):
+            ring(np.asarray(edge.coords)[:-1, :2], "LOT")
+    for number, place in enumerate(layout.placed, 1):
+        ring(np.asarray(place.full_area.exterior.coords)[:-1, :2], "RUN_OFF")
+        ring(place.on_ground(place.facility.outline), "FACILITIES")
+        for line in place.facility.lines:
+            space.add_lwpolyline(place.on_ground(line).tolist(), dxfattribs={"layer": "LINES"})
+        label = space.add_text(f"{number} {place.facility.name}", height=1.0, dxfattribs={"layer": "LABELS"})
+        label.set_placement(place.centre, align=ezdxf.enums.TextEntityAlignment.MIDDLE_CENTER)
+    drawing.saveas(path)
+
+
+def write_pictures(layout: Layout, folder: Path) -> None:
+    """mask.tif and lines.tif on the orthophoto's grid; lines.png, mask.png, lot.png (the same part of each, for a
+    renderer); overlay.png for people."""
+    ground, source = layout.ground, layout.ground.source
+    window = draw.window_of(ground, layout.lot)
+    numbers = draw.mask(ground, layout.placed, window)
+    lines = draw.lines(ground, layout.placed, window)
+    _write_grid(layout, folder / "mask.tif", numbers, window, ("playing area", "with run-off"))
+    _write_grid(layout, folder / "lines.tif", lines[None], window, ("painted lines",))
+    _write_png(folder / "lines.png", lines)
+    _write_png(folder / "mask.png", np.minimum(numbers[0], 255).astype(np.uint8))
+    size = window.width, window.height
+    _write_png(folder / "lot.png", source.read(window.x, window.y, *size, *size))
+    _write_png(folder / "overlay.png", draw.overlay(ground, layout.lot, layout.placed, window))
+
+
+def _write_grid(layout: Layout, path: Path, bands: np.ndarray, window: draw.Window, names: Sequence[str]) -> None:
+    """A GeoTIFF of the orthophoto's size; what lies outside of `window` is 0 and takes no space."""
+    ground = layout.ground
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=ground.source.width,
+        height=ground.source.height,
+        count=len(bands),
+        dtype=bands.dtype.name,
+        crs=ground.crs,
+        transform=ground.transform,
+        tiled=True,
+        blockxsize=TILE,
+        blockysize=TILE,
+        compress="deflate",
+        sparse_ok=True,
+        bigtiff="IF_SAFER",
+    ) as out:
+        out.write(bands, window=RasterWindow(window.x, window.y, window.width, window.height))
+        out.descriptions = tuple(names)
+
+
+def _write_png(path: Path, image: np.ndarray) -> None:
+    ok, png = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image)
+    if not ok:
+        raise OutputError(f"{path}: the picture could not be encoded")
+    path.write_bytes(png.tobytes())
+
+
+def _polygons(area: Any) -> list[Any]:
+    return [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]

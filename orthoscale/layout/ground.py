@@ -1,0 +1,176 @@
+"""The ground that an orthophoto shows: pixels, metres to the east and north, and the coordinates of its CRS."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+import rasterio
+import shapely
+from rasterio.transform import Affine
+from shapely.geometry.base import BaseGeometry
+
+from ..errors import InputError, UsageError
+from ..sources.raster import RasterSource
+
+
+@dataclass(frozen=True)
+class Ground:
+    """An orthophoto with metres.
+
+    pixel : (2,) true ground size of one pixel, across and down [m].
+    north : bearing of north in the picture, clockwise from its top [deg]. transform, crs : of the file.
+    interval : (low, high), the 90 % interval of the scale over its value; None where nobody tells it.
+    notes : what the user should know of all that.
+    """
+
+    source: RasterSource
+    pixel: np.ndarray
+    north: float
+    transform: Affine
+    crs: Any
+    interval: tuple[float, float] | None
+    notes: tuple[str, ...]
+
+    @property
+    def gsd(self) -> float:
+        """[m/px], the geometric mean of both axes."""
+        return float(np.sqrt(self.pixel.prod()))
+
+    @property
+    def _axes(self) -> np.ndarray:
+        """(2, 2) rows east and north, as (right, up) on the picture."""
+        a = math.radians(self.north)
+        return np.array([[math.cos(a), -math.sin(a)], [math.sin(a), math.cos(a)]])
+
+    def to_metres(self, pixels: np.ndarray) -> np.ndarray:
+        """(n, 2) pixels to metres east and north of the picture's lower left corner."""
+        right_up = (np.asarray(pixels, float) * (1, -1) + (0, self.source.height)) * self.pixel
+        return right_up @ self._axes.T
+
+    def to_pixels(self, metres: np.ndarray) -> np.ndarray:
+        """(n, 2) the way back."""
+        right_up = np.asarray(metres, float) @ self._axes / self.pixel
+        return (right_up - (0, self.source.height)) * (1, -1)
+
+    def to_crs(self, metres: np.ndarray) -> np.ndarray:
+        """(n, 2) metres to the coordinates of the file's CRS."""
+        return _apply(self.transform, self.to_pixels(metres))
+
+    def from_crs(self, coordinates: np.ndarray) -> np.ndarray:
+        """(n, 2) the way back."""
+        return self.to_metres(_apply(~self.transform, coordinates))
+
+    def mapped(self, shape: BaseGeometry, to: Callable[[np.ndarray], np.ndarray]) -> BaseGeometry:
+        """A shape with `to` applied to its coordinates, such as ``ground.to_pixels``."""
+        return shapely.transform(shape, to)
+
+
+def _apply(t: Affine, points: np.ndarray) -> np.ndarray:
+    """(n, 2) points through an affine transform."""
+    x, y = np.asarray(points, float).T
+    return np.stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f], -1)
+
+
+def open_ground(path: Path, scale_error: float | None = None) -> Ground:
+    """The orthophoto at `path`. Raises InputError for one without metres.
+
+    scale_error : half of the scale's 90 % interval, as a share; by default from the report that `orthoscale fix` wrote
+    beside the file.
+    """
+    source = RasterSource.open(path)
+    gsd = source.claimed.gsd_m
+    if gsd is None:
+        raise InputError(
+            f"{path} has no metres: {source.claimed.why}",
+            "Give it its scale first: orthoscale fix ORTHO --out SCALED.tif",
+        )
+    with rasterio.open(path) as dataset:
+        transform, crs = dataset.transform, dataset.crs
+    across, down = math.hypot(transform.a, transform.d), math.hypot(transform.b, transform.e)
+    aspect = math.sqrt(across / down)
+    north, notes = _north(source, transform, crs)
+    interval, told = _interval(path, scale_error)
+    return Ground(source, gsd * np.array([aspect, 1 / aspect]), north, transform, crs, interval, (*notes, *told))
+
+
+def _north(source: RasterSource, transform: Affine, crs: Any) -> tuple[float, tuple[str, ...]]:
+    if not source.claimed.usable:
+        return 0.0, ("north is taken to be the top of the picture: nothing ties it to the ground",)
+    system = pyproj.CRS.from_user_input(crs)
+    there = pyproj.Transformer.from_crs(system, "EPSG:4326", always_xy=True)
+    middle = np.array([[source.width / 2, source.height / 2]])
+    lon, lat = there.transform(*_apply(transform, middle)[0])
+    up = there.transform(lon, lat + 1e-4, direction="INVERSE")
+    right, down = (_apply(~transform, np.array([up])) - middle)[0]
+    return math.degrees(math.atan2(right, -down)), ()
+
+
+def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float] | None, tuple[str, ...]]:
+    if scale_error is not None:
+        if not 0 <= scale_error < 1:
+            raise UsageError("--scale-error must lie between 0 and 100 per cent")
+        return (1 - scale_error, 1 + scale_error), ()
+    report = path.with_name(path.name + ".json")
+    try:
+        text = json.loads(report.read_text(encoding="utf-8"))
+        low, high = (float(v) / float(text["scale"]) for v in text["interval90"])
+        if 0 < low <= 1 <= high:
+            return (low, high), ()
+    except (OSError, ValueError, KeyError, TypeError, ZeroDivisionError):
+        pass
+    return None, (f"how well the scale is known is not: there is no {report.name} (or say --scale-error PERCENT)",)
+
+
+def read_area(path: Path, ground: Ground, pixels: bool = False) -> tuple[BaseGeometry, tuple[str, ...]]:
+    """The polygons of a vector file as one area in `ground`'s metres, and notes on how they were read.
+
+    pixels : coordinates are columns and rows of the picture. Otherwise those of a file with a CRS of its own are
+    transformed, if the picture has a place on Earth; those of a picture in local metres are taken as they are.
+    Raises InputError.
+    """
+    import pyogrio
+
+    try:
+        meta, _, shapes, _ = pyogrio.raw.read(path)
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
+        raise InputError(
+            f"{path}: no vector file that GDAL can read ({error})", "Give GeoJSON, GeoPackage ..."
+        ) from error
+    parts = [shapely.make_valid(shapely.force_2d(shapely.from_wkb(s))) for s in shapes if s is not None]
+    area = shapely.union_all([p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon"])
+    if area.is_empty or not np.isfinite(shapely.get_coordinates(area)).all():
+        raise InputError(f"{path}: no polygon in it", "Draw the area as a polygon.")
+    notes: list[str] = []
+    if pixels:
+        area = ground.mapped(area, ground.to_metres)
+    else:
+        own = meta["crs"]
+        lon_lat = bool((np.abs(shapely.get_coordinates(area)) <= [180, 90]).all())
+        # GeoJSON knows longitude and latitude alone; a file in other coordinates is read as if it were that.
+        if ground.source.claimed.usable and own and not (own == "EPSG:4326" and not lon_lat):
+            there = pyproj.Transformer.from_crs(own, pyproj.CRS.from_user_input(ground.crs), always_xy=True)
+            area = shapely.transform(area, lambda c: np.column_stack(there.transform(*c.T)))
+        elif ground.source.claimed.usable:
+            notes.append(f"{path.name}: its coordinates are taken for those of the picture's CRS")
+        area = ground.mapped(area, ground.from_crs)
+    picture = ground.mapped(shapely.box(0, 0, ground.source.width, ground.source.height), ground.to_metres)
+    inside = area.intersection(picture)
+    if inside.area < 1e-3 * area.area or not area.area > 0:
+        (x0, y0), (x1, y1) = ground.to_crs(
+            ground.to_metres(np.array([[0, ground.source.height], [ground.source.width, 0]]))
+        )
+        raise InputError(
+            f"{path}: lies outside of {ground.source.name}",
+            f"The picture goes from ({x0:.10g}, {y0:.10g}) to ({x1:.10g}, {y1:.10g}) in its own coordinates; "
+            "for columns and rows say --lot-pixels.",
+        )
+    if inside.area < 0.999 * area.area:
+        notes.append(f"{path.name}: {100 * (1 - inside.area / area.area):.0f} % lies outside of the picture, left out")
+    return inside, tuple(notes)

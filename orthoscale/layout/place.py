@@ -1,0 +1,281 @@
+"""Where facilities go: inside the lot, clear of each other, north to south where they can. Pure geometry, in metres.
+
+Where may the centre of a rectangle be, so that it lies inside a free area? In the area less the Minkowski sum of its
+boundary with the rectangle; for straight edges that is a union of convex hulls, so the answer is an exact polygon, and
+its corners are the tightest places. Facilities are placed one after the other, the largest first, each as far towards
+one corner of the lot as it goes; of several attempts with other corners the best counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import shapely
+from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from .catalogue import Facility
+
+TOLERANCE = 20.0  # [deg] from north within which a facility counts as lying north to south
+STEP = 5.0  # [deg] between the directions that are tried
+SLACK = 1e-3  # [m] by which a rectangle may touch what it must not cross
+PRECISION = 0.05  # [m] to which it is told how much is missing
+WORTH_TELLING = 0.5  # share of a side that must be left for "so many metres shorter" to be an option
+CORNERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
+ATTEMPTS = 16  # the first four towards one corner each, the others with a corner drawn for each facility
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A facility at `centre` [m], its length along `bearing`, clockwise from north [deg, 0..180)."""
+
+    facility: Facility
+    centre: tuple[float, float]
+    bearing: float
+
+    def on_ground(self, points: np.ndarray) -> np.ndarray:
+        """(n, 2) from the facility's own axes to east and north [m]."""
+        angle = np.radians(90 - self.bearing)
+        ahead, left = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        return points[:, :1] * ahead + points[:, 1:] * left + self.centre
+
+    @property
+    def area(self) -> Polygon:
+        """The playing area."""
+        return Polygon(self.on_ground(self.facility.outline))
+
+    @property
+    def full_area(self) -> Polygon:
+        """With the run-off, as a rectangle."""
+        return self.grown(1.0)
+
+    def grown(self, factor: float) -> Polygon:
+        """`full_area` enlarged about its centre."""
+        f = self.facility
+        return Polygon(self.on_ground(_corners(f.full_length * factor, f.full_width * factor)))
+
+    @property
+    def from_north(self) -> float:
+        """How far its length is turned away from north-south [deg, 0..90]."""
+        return min(self.bearing % 180, 180 - self.bearing % 180)
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A facility that was not placed, and why; `place` where one was asked for.
+
+    short_length, short_width : what the free space lacks at full width and at full length [m]; None where half of
+    that side or more would have to go. share : how large it could be in its own proportions, 0..1.
+    empty_lot : it would fit if it were alone. outside, overlapping : square metres, at a given place.
+    """
+
+    facility: Facility
+    empty_lot: bool
+    share: float = 0.0
+    short_length: float | None = None
+    short_width: float | None = None
+    place: Placed | None = None
+    outside: float = 0.0
+    overlapping: float = 0.0
+
+    def sentence(self) -> str:
+        """For people."""
+        size = f"{self.facility.full_length:.1f} x {self.facility.full_width:.1f} m with its run-off"
+        if self.place is not None:
+            excess = ((self.outside, "outside of the free lot"), (self.overlapping, "on others"))
+            parts = [f"{area:.1f} m2 {where}" for area, where in excess if area > 0]
+            return f"{self.facility.name} ({size}) does not fit where it was asked for: {', '.join(parts)}"
+        sides = ((self.short_length, "length at full width"), (self.short_width, "width at full length"))
+        lacks = [f"{short:.1f} m of {what}" for short, what in sides if short is not None]
+        if not lacks:
+            short = [side * (1 - self.share) for side in (self.facility.full_length, self.facility.full_width)]
+            lacks = [f"{short[0]:.1f} m of length and {short[1]:.1f} m of width"]
+        where = "there is no room left" if self.empty_lot else "the lot is too small even when empty"
+        return f"{self.facility.name} ({size}) does not fit: {where}, it lacks {' or '.join(lacks)}"
+
+
+def arrange(
+    lot: BaseGeometry,
+    wanted: Sequence[Facility],
+    fixed: Sequence[Placed] = (),
+    clearance: float = 1.0,
+    avoid: BaseGeometry | None = None,
+) -> tuple[list[Placed], list[Missing]]:
+    """Place `wanted` (and `fixed`, where they are asked to be) inside `lot`; east and north in metres.
+
+    clearance : between facilities, run-off included, and to the lot's edge [m]. avoid : what must stay free of them.
+    """
+    space = shapely.buffer(lot, -clearance, join_style="mitre") if clearance else lot
+    if avoid is not None and not avoid.is_empty:
+        space = space.difference(shapely.buffer(avoid, clearance, join_style="mitre"))
+    kept, missing = _fix(space, fixed, clearance)
+    directions = _directions(lot)
+    hopeless = {f.code for f in wanted if not _fits(space, f.full_length, f.full_width, directions)}
+    by_area = sorted(wanted, key=lambda f: -f.full_length * f.full_width)
+    rng = np.random.default_rng(0)
+    best: tuple[list[Placed], list[Facility]] | None = None
+    for attempt in range(ATTEMPTS if by_area else 1):
+        placed, failed, full = list(kept), [], set(hopeless)
+        free = _without(space, kept, clearance)
+        for facility in by_area:
+            corner = CORNERS[attempt] if attempt < len(CORNERS) else rng.choice(CORNERS)
+            found = None if facility.code in full else _best_place(free, facility, directions, corner)
+            if found is None:
+                full.add(facility.code)
+                failed.append(facility)
+                continue
+            placed.append(found)
+            free = _without(free, [found], clearance)
+        if best is None or _merit(placed) > _merit(best[0]):
+            best = placed, failed
+        if attempt + 1 >= len(CORNERS) and {f.code for f in best[1]} <= hopeless:
+            break
+    assert best is not None
+    placed, failed = best
+    free = _without(space, placed, clearance)
+    accounts: dict[str, Missing] = {}
+    for facility in failed:
+        if facility.code not in accounts:
+            accounts[facility.code] = _shortfall(space, free, facility, directions)
+        missing.append(accounts[facility.code])
+    return placed, missing
+
+
+def holds(lot: BaseGeometry, placed: Sequence[Placed], factor: float) -> list[bool]:
+    """Whether each would still lie in the lot and clear of the others, were all `factor` times as large on the picture:
+    what remains of a layout when the scale is that much off."""
+    areas = [p.grown(factor) for p in placed]
+    roomy = shapely.buffer(lot, SLACK)
+    return [
+        bool(roomy.covers(area))
+        and all(k == j or area.intersection(other).area < 0.01 for j, other in enumerate(areas))
+        for k, area in enumerate(areas)
+    ]
+
+
+def centres(free: BaseGeometry, length: float, width: float, bearing: float) -> BaseGeometry:
+    """Where the centre of a `length` x `width` m rectangle along `bearing` may be, so that it lies within `free`."""
+    corners = Placed(_NOTHING, (0.0, 0.0), bearing).on_ground(_corners(length - SLACK, width - SLACK))
+    hulls = []
+    for ring in _rings(free):
+        for a, b in pairwise(np.asarray(ring.coords)[:, :2]):
+            hulls.append(np.concatenate([corners + a, corners + b]))
+    if not hulls:
+        return Polygon()
+    blocked = shapely.convex_hull(shapely.multipoints([shapely.points(h) for h in hulls]))
+    return free.difference(shapely.union_all(blocked))
+
+
+_NOTHING = Facility("", "", 1.0, 1.0, 0.0, 0.0, False, False, (), "", (0, 0, 0), "")
+
+
+def _corners(length: float, width: float) -> np.ndarray:
+    return np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]) * (length / 2, width / 2)
+
+
+def _rings(area: BaseGeometry) -> Iterator[BaseGeometry]:
+    for part in shapely.get_parts(area):
+        if part.geom_type == "Polygon":
+            yield part.exterior
+            yield from part.interiors
+
+
+def _directions(lot: BaseGeometry) -> list[float]:
+    """Bearings to try [deg, 0..180): those of the lot's long edges and their normals, and a comb of all."""
+    hull = np.asarray(shapely.simplify(lot.convex_hull, 0.5).exterior.coords)
+    edges = np.diff(hull, axis=0)
+    length = np.linalg.norm(edges, axis=1)
+    along = np.degrees(np.arctan2(*edges[length > 0.1 * length.max()].T)) % 180
+    own = [round(float(b), 3) for b in np.concatenate([along, (along + 90) % 180])]
+    return list(dict.fromkeys([*own, *np.arange(0.0, 180.0, STEP).tolist()]))
+
+
+def _ranked(facility: Facility, directions: Sequence[float]) -> list[list[float]]:
+    """Groups of bearings, the better first: close to north where that matters, and those of the lot first of all."""
+    if not facility.north_south:
+        return [list(directions)]
+    turned = {b: min(b, 180 - b) for b in directions}
+    near = [b for b in directions if turned[b] <= TOLERANCE]
+    rest = sorted((b for b in directions if turned[b] > TOLERANCE), key=lambda b: round(turned[b] / TOLERANCE))
+    return [near, rest]
+
+
+def _best_place(
+    free: BaseGeometry, facility: Facility, directions: Sequence[float], corner: np.ndarray
+) -> Placed | None:
+    """The tightest place towards `corner`, in the first group of directions that has any."""
+    for group in _ranked(facility, directions):
+        options = []
+        for rank, bearing in enumerate(group):
+            may_be = centres(free, facility.full_length, facility.full_width, bearing)
+            points = shapely.get_coordinates(may_be)
+            if len(points):
+                # Far towards the corner, least for the direction's rank: a tenth of the length for the whole list.
+                pull = points @ corner - 0.1 * facility.full_length * rank / len(group)
+                k = int(np.argmax(pull))
+                options.append((float(pull[k]), bearing, (float(points[k, 0]), float(points[k, 1]))))
+        if options:
+            _, bearing, centre = max(options)
+            return Placed(facility, centre, bearing)
+    return None
+
+
+def _merit(placed: Sequence[Placed]) -> tuple[float, float, float]:
+    """More area first, then fewer degrees from north, then less sprawl."""
+    area = sum(p.full_area.area for p in placed)
+    turned = sum(max(p.from_north - TOLERANCE, 0) for p in placed if p.facility.north_south)
+    sprawl = shapely.MultiPolygon([p.full_area for p in placed]).convex_hull.area if placed else 0.0
+    return round(area, 3), -turned, -sprawl
+
+
+def _without(free: BaseGeometry, placed: Sequence[Placed], clearance: float) -> BaseGeometry:
+    taken = [shapely.buffer(p.full_area, clearance, join_style="mitre") for p in placed]
+    return free.difference(shapely.union_all(taken)) if taken else free
+
+
+def _fix(space: BaseGeometry, fixed: Sequence[Placed], clearance: float) -> tuple[list[Placed], list[Missing]]:
+    kept: list[Placed] = []
+    missing = []
+    for place in fixed:
+        area = place.full_area
+        others = shapely.union_all([shapely.buffer(p.full_area, clearance, join_style="mitre") for p in kept])
+        outside, over = area.difference(space).area, area.intersection(others).area
+        if outside > 0.01 or over > 0.01:
+            missing.append(Missing(place.facility, True, place=place, outside=outside, overlapping=over))
+        else:
+            kept.append(place)
+    return kept, missing
+
+
+def _fits(free: BaseGeometry, length: float, width: float, directions: Sequence[float]) -> bool:
+    return any(not centres(free, length, width, b).is_empty for b in directions)
+
+
+def _shortfall(space: BaseGeometry, free: BaseGeometry, facility: Facility, directions: Sequence[float]) -> Missing:
+    """By how much: the longest of full width, the widest of full length, and the largest of its proportions that still
+    find a place."""
+    length, width = facility.full_length, facility.full_width
+    empty_lot = _fits(space, length, width, directions)
+    free = free if empty_lot else space
+
+    def largest(fits: Callable[[float], bool]) -> float:
+        """Of the shares of a side, to PRECISION of the length."""
+        low, high = 0.0, 1.0
+        while (high - low) * length > PRECISION:
+            middle = (low + high) / 2
+            low, high = (middle, high) if fits(middle) else (low, middle)
+        return low
+
+    share = largest(lambda v: _fits(free, v * length, v * width, directions))
+    long = largest(lambda v: _fits(free, v * length, width, directions))
+    wide = largest(lambda v: _fits(free, length, v * width, directions))
+    return Missing(
+        facility,
+        empty_lot=empty_lot,
+        share=share,
+        short_length=(1 - long) * length if long > WORTH_TELLING else None,
+        short_width=(1 - wide) * width if wide > WORTH_TELLING else None,
+    )

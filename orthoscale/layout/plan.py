@@ -1,0 +1,190 @@
+"""From a lot and a list of wishes to the layout, and to the folder that holds it in every form."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from .. import __version__
+from ..atomic import check_free, new_folder
+from ..errors import UsageError
+from .catalogue import Facility, Request, parse_requests
+from .ground import Ground, open_ground, read_area
+from .place import Missing, Placed, arrange, holds
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What was placed where, what was not and why; metres east and north of the picture's lower left corner.
+
+    holds_low, holds_high : of each placed facility, whether it still fits where it is if the scale is at that end of
+    its 90 % interval; None where the interval is not known.
+    """
+
+    ground: Ground
+    lot: BaseGeometry
+    avoid: BaseGeometry | None
+    placed: list[Placed]
+    missing: list[Missing]
+    holds_low: list[bool] | None
+    holds_high: list[bool] | None
+    notes: tuple[str, ...]
+
+
+def plan(
+    raster: Path,
+    lot: Path,
+    wishes: Sequence[str],
+    *,
+    catalogue: Path | None = None,
+    avoid: Path | None = None,
+    clearance: float = 1.0,
+    scale_error: float | None = None,
+    lot_pixels: bool = False,
+) -> Layout:
+    """Place the facilities of `wishes` (see `parse_requests`) inside `lot` on the orthophoto `raster`.
+
+    avoid : a file of polygons to keep free. clearance : between facilities, their run-off included, and to the lot's
+    edge [m]. scale_error : see `open_ground`. lot_pixels : vector coordinates, and those of wishes, are columns and
+    rows. Raises InputError, UsageError.
+    """
+    if not (np.isfinite(clearance) and clearance >= 0):
+        raise UsageError(f"--clearance must be zero or more metres, not {clearance:g}")
+    requests = parse_requests(wishes, catalogue)
+    ground = open_ground(raster, scale_error)
+    area, notes = read_area(lot, ground, lot_pixels)
+    blocked = None
+    if avoid is not None:
+        blocked, more = read_area(avoid, ground, lot_pixels)
+        notes += more
+    fixed = [_fixed(r, ground, lot_pixels) for r in requests if r.centre is not None]
+    wanted = [r.facility for r in requests if r.centre is None]
+    placed, missing = arrange(area, wanted, fixed, clearance, blocked)
+    low = high = None
+    if ground.interval is not None:
+        # A scale at the low end makes the lot smaller on the ground, so facilities larger on the picture.
+        low, high = (holds(area, placed, 1 / bound) for bound in ground.interval)
+    return Layout(ground, area, blocked, placed, missing, low, high, (*ground.notes, *notes))
+
+
+def _fixed(request: Request, ground: Ground, pixels: bool) -> Placed:
+    place = np.array([request.centre])
+    x, y = (ground.to_metres(place) if pixels else ground.from_crs(place))[0]
+    return Placed(request.facility, (float(x), float(y)), float(request.bearing or 0.0) % 180)
+
+
+def write(layout: Layout, folder: Path, overwrite: bool = False) -> None:
+    """Write the folder: layout.json, layout.gpkg, layout.geojson, layout.dxf, mask.tif, lines.tif, lines.png, lot.png,
+    overlay.png, prompt.txt. It appears whole or not at all. Raises UsageError, OutputError."""
+    from . import export
+
+    with new_folder(folder, overwrite) as partial:
+        (partial / "layout.json").write_text(json.dumps(document(layout), indent=1) + "\n", encoding="utf-8")
+        (partial / "prompt.txt").write_text(prompt(layout) + "\n", encoding="utf-8")
+        export.write_vectors(layout, partial, document(layout)["facilities"])
+        export.write_dxf(layout, partial / "layout.dxf")
+        export.write_pictures(layout, partial)
+
+
+def check_output(folder: Path, overwrite: bool) -> None:
+    """Refuse early what `write` would refuse late."""
+    check_free(folder, overwrite)
+
+
+def document(layout: Layout) -> dict[str, Any]:
+    """The layout as plain values. Metres and degrees unless a name says px."""
+    ground = layout.ground
+    return {
+        "orthophoto": str(ground.source.path),
+        "gsd": ground.gsd,
+        "scale_interval90": None if ground.interval is None else [ground.gsd * bound for bound in ground.interval],
+        "lot_area_m2": round(layout.lot.area, 1),
+        "free_area_m2": round(layout.lot.area - sum(p.full_area.area for p in layout.placed), 1),
+        "north_in_picture": round(ground.north, 3),
+        "facilities": [_row(layout, k) for k in range(len(layout.placed))],
+        "missing": [
+            {
+                "code": m.facility.code,
+                "name": m.facility.name,
+                "why": m.sentence(),
+                "fits_empty_lot": m.empty_lot,
+                "short_length": _round(m.short_length),
+                "short_width": _round(m.short_width),
+            }
+            for m in layout.missing
+        ],
+        "notes": list(layout.notes),
+        "prompt": prompt(layout),
+        "version": __version__,
+    }
+
+
+def _row(layout: Layout, k: int) -> dict[str, Any]:
+    place, ground = layout.placed[k], layout.ground
+    f = place.facility
+    centre = np.array([place.centre])
+    px, py = ground.to_pixels(centre)[0]
+    x, y = ground.to_crs(centre)[0]
+    off = [None, None] if ground.interval is None else [bound - 1 for bound in ground.interval]
+    return {
+        "number": k + 1,
+        "code": f.code,
+        "name": f.name,
+        "length": f.length,
+        "width": f.width,
+        "full_length": f.full_length,
+        "full_width": f.full_width,
+        "bearing": round(place.bearing, 2),
+        "turned_from_north": round(place.from_north, 2),
+        "prefers_north_south": f.north_south,
+        "east": round(place.centre[0], 3),
+        "north": round(place.centre[1], 3),
+        "x": float(x),
+        "y": float(y),
+        "column_px": round(float(px), 2),
+        "row_px": round(float(py), 2),
+        # What is drawn as `length` is this much shorter or longer on the ground, at the ends of the scale's interval.
+        "length_low": None if off[0] is None else round(f.length * off[0], 3),
+        "length_high": None if off[1] is None else round(f.length * off[1], 3),
+        "width_low": None if off[0] is None else round(f.width * off[0], 3),
+        "width_high": None if off[1] is None else round(f.width * off[1], 3),
+        "fits_at_low_scale": None if layout.holds_low is None else layout.holds_low[k],
+        "fits_at_high_scale": None if layout.holds_high is None else layout.holds_high[k],
+        "source": f.source,
+    }
+
+
+def prompt(layout: Layout) -> str:
+    """What is to be drawn where, for a generative renderer that gets lines.png beside it."""
+    kinds: dict[str, tuple[Facility, list[Placed]]] = {}
+    for place in layout.placed:
+        kinds.setdefault(place.facility.name, (place.facility, []))[1].append(place)
+    parts = []
+    for facility, places in kinds.values():
+        count = f"{len(places)} times " if len(places) > 1 else ""
+        where = "; ".join(_where(layout, place) for place in places)
+        parts.append(f"{count}{facility.look}, {facility.length:g} x {facility.width:g} m ({where})")
+    return (
+        "Vertical aerial photograph, true orthophoto seen from straight above, no perspective, no people, midday light "
+        f"with short shadows, {100 * layout.ground.gsd:.1f} cm per pixel. Lines of the conditioning image are white "
+        "paint on the ground; keep them exactly where they are. Show: " + "; ".join(parts) + ". Around them mown grass "
+        "and paved paths, blending into the surroundings of the photograph."
+    )
+
+
+def _where(layout: Layout, place: Placed) -> str:
+    x0, y0, x1, y1 = layout.lot.bounds
+    across, up = (place.centre[0] - x0) / max(x1 - x0, 1e-9), (place.centre[1] - y0) / max(y1 - y0, 1e-9)
+    names = [("south", "", "north")[min(int(3 * up), 2)], ("west", "", "east")[min(int(3 * across), 2)]]
+    there = "".join(names) or "middle"
+    return f"{there} of the lot, long side {place.bearing:.0f} degrees from north"
+
+
+def _round(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)

@@ -1,0 +1,58 @@
+"""What a person reads of a layout: what fits, what does not, and how far to trust the metres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .catalogue import load
+from .plan import Layout
+
+
+def summary(layout: Layout, out: Path | None) -> str:
+    """A few calm lines."""
+    ground = layout.ground
+    count = len(layout.placed) + len(layout.missing)
+    used = sum(p.full_area.area for p in layout.placed)
+    lines = [
+        f"placed     {len(layout.placed)} of {count} facilities on a lot of {layout.lot.area:.0f} m2, "
+        f"{100 * used / layout.lot.area:.0f} % of it used"
+    ]
+    for k, place in enumerate(layout.placed):
+        f = place.facility
+        line = f"  {k + 1:2d}  {f.name}, {f.length:g} x {f.width:g} m, {_direction(place.bearing)}"
+        if f.north_south and place.from_north > 20:
+            line += f", {place.from_north:.0f} degrees off north-south"
+        if ground.interval is not None:
+            low, high = ((bound - 1) * f.length for bound in ground.interval)
+            line += f"; its length {low:+.2f} to {high:+.2f} m on the ground"
+            if layout.holds_low is not None and not layout.holds_low[k]:
+                line += ", too large for its place at the low end"
+        lines.append(line)
+    for sentence in dict.fromkeys(m.sentence() for m in layout.missing):
+        times = sum(m.sentence() == sentence for m in layout.missing)
+        lines.append(f"missing    {f'{times} x ' if times > 1 else ''}{sentence}")
+    scale = f"scale      {100 * ground.gsd:.4g} cm/px"
+    if ground.interval is not None:
+        low, high = (100 * ground.gsd * bound for bound in ground.interval)
+        scale += f"   (90 %: {low:.4g} to {high:.4g})"
+    lines.append(scale)
+    lines += [f"note       {note}" for note in layout.notes]
+    if out is not None:
+        lines.append(f"written    {out}: look at overlay.png")
+    return "\n".join(lines)
+
+
+def catalogue_table(path: Path | None) -> str:
+    """The facilities by code, with sizes and sources."""
+    lines = []
+    for f in load(path).values():
+        size = f"{f.length:g} x {f.width:g} m"
+        full = f"{f.full_length:.2f} x {f.full_width:.2f} m"
+        lines.append(f"{f.code:12s} {f.name}, {size}, {full} with run-off\n{'':12s} {f.source}")
+    lines.append("parking-CC:N two rows of N bays in all, as usual in country CC, along an aisle")
+    return "\n".join(lines)
+
+
+def _direction(bearing: float) -> str:
+    names = ("N-S", "NNE-SSW", "NE-SW", "ENE-WSW", "E-W", "ESE-WNW", "SE-NW", "SSE-NNW")
+    return names[round(bearing / 22.5) % 8]

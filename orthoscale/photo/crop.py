@@ -1,0 +1,203 @@
+"""Satellite crops as large as a photo's footprint, for cross-view retrieval (arXiv 2603.07535, scale-adaptive crops).
+
+A photo of ``footprint`` metres covers ``footprint / GSD_sat`` pixels of a satellite picture. Windows of that size are
+cut over a search area, each shifted by half of its size, and resampled to the photo's size, so that a network that
+knows nothing of scale compares like with like.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pyproj
+import rasterio
+
+from ..atomic import new_folder
+from ..errors import OutputError, UsageError
+from ..sources.picture import Picture
+from ..sources.raster import RasterSource
+
+MOST_WINDOWS = 100_000
+QUALITY = 95  # of the JPEGs
+COLUMNS = ("file", "longitude", "latitude", "column_px", "row_px", "width_px", "height_px", "width_m", "height_m")
+
+
+@dataclass(frozen=True)
+class Satellite:
+    """A georeferenced satellite picture. Open it with `Satellite.open`."""
+
+    source: RasterSource
+    transform: Any
+    crs: pyproj.CRS
+
+    @classmethod
+    def open(cls, path: Path) -> Satellite:
+        """Raises InputError for what is no picture, UsageError for one without a place on Earth."""
+        source = RasterSource.open(path)
+        if not source.claimed.usable:
+            raise UsageError(
+                f"{path} has no place on Earth: {source.claimed.why}", "Give a georeferenced satellite picture."
+            )
+        with rasterio.open(path) as dataset:
+            return cls(source, dataset.transform, pyproj.CRS.from_user_input(dataset.crs))
+
+    def lon_lat(self, pixels: np.ndarray) -> np.ndarray:
+        """(n, 2) pixels to longitude and latitude [deg]."""
+        t, (x, y) = self.transform, np.asarray(pixels, float).reshape(-1, 2).T
+        there = pyproj.Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True)
+        return np.column_stack(there.transform(t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f))
+
+    def pixel_of(self, lon: float, lat: float) -> np.ndarray:
+        """(2,) the pixel at a place; it may lie outside of the picture, NaN where the projection has none."""
+        x, y = pyproj.Transformer.from_crs("EPSG:4326", self.crs, always_xy=True).transform(lon, lat)
+        t = ~self.transform
+        pixel = np.array([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f])
+        return np.where(np.isfinite(pixel), pixel, np.nan)
+
+    def pixel_size(self, pixel: np.ndarray) -> np.ndarray:
+        """(2,) true ground metres of one pixel, across and down, around `pixel`: projections stretch by place."""
+        half = 50.0
+        (west, east), (up, down) = (self.lon_lat(pixel + np.outer([-half, half], axis)) for axis in np.eye(2))
+        geod = pyproj.Geod(ellps="WGS84")
+        return np.array([geod.inv(*west, *east)[2], geod.inv(*up, *down)[2]]) / (2 * half)
+
+
+@dataclass(frozen=True)
+class Crops:
+    """Windows (n, 4) x, y, width, height of the satellite picture [px], each `size` (2,) metres on the ground, to be
+    resampled to `out` (width, height) px; `query` is the part of the photo that matches (x, y, width, height)."""
+
+    satellite: Satellite
+    windows: np.ndarray
+    size: np.ndarray
+    pixel: np.ndarray
+    out: tuple[int, int]
+    query: tuple[int, int, int, int]
+
+
+def plan_crops(
+    satellite: Satellite,
+    gsd: float,
+    photo_size: tuple[int, int],
+    at: tuple[float, float] | None = None,
+    radius: float | None = None,
+    square: bool = False,
+    stride: float = 0.5,
+    out_px: int | None = None,
+) -> Crops:
+    """Windows as large as the footprint of a photo with `photo_size` px at `gsd` metres per pixel.
+
+    at : longitude and latitude of the search area's middle; the whole picture by default. radius : half of its side
+    [m]; one window at `at` by default. square : of the photo's shorter side, for networks that want squares.
+    stride : by which share of its size each window is shifted. out_px : longer side of the crops, the photo's own by
+    default. Raises UsageError for a place or a footprint that the satellite picture does not hold.
+    """
+    if not 0 < stride <= 1:
+        raise UsageError(f"--stride must lie between 0 and 1, not {stride:g}")
+    if radius is not None and at is None:
+        raise UsageError("--radius needs the middle of the search area", "Say --at LON,LAT.")
+    if not (math.isfinite(gsd) and gsd > 0) or (radius is not None and not radius > 0):
+        raise UsageError("a GSD or radius that is not a positive number of metres")
+    width, height = photo_size
+    query = (0, 0, width, height)
+    if square:
+        side = min(photo_size)
+        query = ((width - side) // 2, (height - side) // 2, side, side)
+    whole = np.array([satellite.source.width, satellite.source.height], float)
+    middle = whole / 2 if at is None else satellite.pixel_of(*at)
+    if not ((middle >= 0) & (middle <= whole)).all():
+        low, high = satellite.lon_lat(np.array([[0, whole[1]], [whole[0], 0]]))
+        raise UsageError(
+            f"{at[0] if at else 0:g}, {at[1] if at else 0:g} is not in {satellite.source.name}",
+            f"It goes from {low[0]:.6f}, {low[1]:.6f} to {high[0]:.6f}, {high[1]:.6f} (longitude, latitude).",
+        )
+    pixel = satellite.pixel_size(middle)
+    size = gsd * np.array(query[2:], float)
+    window = np.maximum(np.rint(size / pixel).astype(int), 1)
+    if (window > whole).any():
+        raise UsageError(
+            f"the photo shows {size[0]:.0f} x {size[1]:.0f} m, {window[0]} x {window[1]} px of "
+            f"{satellite.source.name}, which has {whole[0]:.0f} x {whole[1]:.0f}",
+            "Give a larger satellite picture.",
+        )
+    reach = np.array([0.0, 0.0]) if radius is None else radius / pixel
+    low, high = (np.zeros(2), whole) if at is None else (middle - reach, middle + reach)
+    starts = [_starts(low[k], high[k], int(window[k]), int(whole[k]), stride) for k in (0, 1)]
+    count = len(starts[0]) * len(starts[1])
+    if count > MOST_WINDOWS:
+        raise UsageError(f"{count} windows are too many", "Say where to search: --at LON,LAT --radius METRES.")
+    x, y = (a.ravel() for a in np.meshgrid(*starts))
+    windows = np.column_stack([x, y, np.full(count, window[0]), np.full(count, window[1])])
+    longer = max(query[2:])
+    zoom = 1.0 if out_px is None else out_px / longer
+    out = max(1, round(query[2] * zoom)), max(1, round(query[3] * zoom))
+    return Crops(satellite, windows, window * pixel, pixel, out, query)
+
+
+def _starts(low: float, high: float, window: int, whole: int, stride: float) -> np.ndarray:
+    """First pixels of windows whose centres go evenly from `low` to `high`, by `stride` windows at most; with the
+    windows themselves inside of 0..`whole`."""
+    first, last = low - window / 2, high - window / 2
+    first, last = np.clip([first, last], 0, whole - window)
+    steps = math.ceil((last - first) / (stride * window) - 1e-9)
+    return np.unique(np.rint(np.linspace(first, last, steps + 1)).astype(int))
+
+
+def write_crops(
+    crops: Crops,
+    photo: Picture,
+    told: dict[str, Any],
+    folder: Path,
+    overwrite: bool = False,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> None:
+    """Write the folder: query.jpg, gallery/*.jpg, manifest.csv with a line per crop, crop.json with what was done.
+
+    told : what crop.json says of the photo. All appears, or nothing. Raises OutputError, InputError.
+    """
+    source = crops.satellite.source
+    centres = crops.satellite.lon_lat(crops.windows[:, :2] + crops.windows[:, 2:] / 2)
+    digits = max(4, len(str(len(crops.windows))))
+    with new_folder(folder, overwrite) as partial:
+        (partial / "gallery").mkdir()
+        x, y, width, height = crops.query
+        _write_jpeg(partial / "query.jpg", photo.read(x, y, width, height, *crops.out))
+        with (partial / "manifest.csv").open("w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file)
+            table.writerow(COLUMNS)
+            for k, ((x, y, width, height), (lon, lat)) in enumerate(zip(crops.windows.tolist(), centres, strict=True)):
+                name = f"gallery/{k:0{digits}d}.jpg"
+                _write_jpeg(partial / name, source.read(x, y, width, height, *crops.out))
+                metres = [f"{v:.3f}" for v in crops.size]
+                table.writerow([name, f"{lon:.8f}", f"{lat:.8f}", x, y, width, height, *metres])
+                if progress:
+                    progress("Cutting crops", k + 1, len(crops.windows))
+        (partial / "crop.json").write_text(json.dumps(document(crops, told), indent=1) + "\n", encoding="utf-8")
+
+
+def document(crops: Crops, told: dict[str, Any]) -> dict[str, Any]:
+    """What was cut, as plain values."""
+    return told | {
+        "satellite": str(crops.satellite.source.path),
+        "satellite_pixel_m": crops.pixel.tolist(),
+        "window_px": crops.windows[0, 2:].tolist(),
+        "window_m": crops.size.tolist(),
+        "out_px": list(crops.out),
+        "query_px": list(crops.query),
+        "crops": len(crops.windows),
+    }
+
+
+def _write_jpeg(path: Path, image: np.ndarray) -> None:
+    ok, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    if not ok:
+        raise OutputError(f"{path}: the picture could not be encoded")
+    path.write_bytes(data.tobytes())

@@ -1,0 +1,69 @@
+"""How much ground a photo shows: measured from its vehicles, or by a GSD that is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..detect.find import Progress
+from ..errors import TooLittleEvidence
+from ..fleet import Fleet
+from ..sources.picture_file import PictureFile
+from .measure import measure, open_photo
+from .survey import boxes_of
+from .tags import read_tags
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """gsd : average ground sampling distance of the photo [m/px]. size : of its picture [px]. told : for reports."""
+
+    picture: PictureFile
+    gsd: float
+    size: tuple[int, int]
+    told: dict[str, Any]
+
+
+def footprint_of(
+    path: Path,
+    gsd: float | None,
+    progress: Progress | None = None,
+    *,
+    fleet: str = "world",
+    detections: Path | None = None,
+    detector: Path | None = None,
+    zoom: float | None = None,
+    gsd_hint: float | None = None,
+    **lens: Any,
+) -> Footprint:
+    """The ground of the photo at `path`; `lens` as for `open_photo`, the other options as for `boxes_of`.
+
+    Raises InputError, UsageError, TooLittleEvidence.
+    """
+    if gsd is not None:
+        tags = read_tags(path)
+        picture = PictureFile(path.name, path, tags.width, tags.height)
+        return Footprint(picture, gsd, (tags.width, tags.height), {"photo": str(path), "gsd": gsd})
+    ruler = Fleet.load(fleet)
+    photo = open_photo(path, **lens)
+    found = boxes_of([photo], ruler, detections, detector, zoom, gsd_hint, progress)
+    try:
+        got = measure([photo], found, ruler)
+    except TooLittleEvidence as error:
+        raise TooLittleEvidence(
+            f"{path}: {error.message}", "Say how many metres a pixel of the photo is (--gsd), if you know."
+        ) from error
+    told = {
+        "photo": str(path),
+        "gsd": got.gsd.value,
+        "gsd_interval90": [got.gsd.low, got.gsd.high],
+        "altitude": got.altitude.value,
+        "altitude_interval90": [got.altitude.low, got.altitude.high],
+        "vehicles_used": got.scale.vehicles_used,
+        "verdict": got.scale.verdict,
+        "fleet": ruler.code,
+        "attitude": photo.attitude,
+        "focal_source": photo.lens.source,
+    }
+    return Footprint(photo.picture, got.gsd.value, (photo.tags.width, photo.tags.height), told)

@@ -1,0 +1,189 @@
+"""The lens of a photo: from a calibration file, from a focal length that is told, or from the photo's own tags."""
+
+from __future__ import annotations
+
+import json
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import InputError, UsageError
+from .tags import Tags
+
+if TYPE_CHECKING:
+    import pycolmap
+
+DIAGONAL_35MM = math.hypot(36.0, 24.0)  # [mm] what a 35 mm equivalent focal length refers to (CIPA DCG-001-2005)
+# Sensors are 4:3 or 3:2; a wider picture is a crop of one, and its diagonal is not the sensor's. Drones' sensors are
+# 4:3 more often than not, and a crop keeps their full width.
+WIDEST_SENSOR = 1.6
+SENSOR_ASPECT = 4 / 3
+# Relative one-sigma of the focal length, by where it comes from: a calibration holds to some tenths of a per cent
+# between flights; what people type and makers engrave to one or two. Assumptions, but for the rounding to whole
+# millimetres of a 35 mm equivalent, which is 0.29 mm.
+CALIBRATED_SD, MAKERS_SD, TOLD_SD, NOMINAL_SD, CROP_SD, ZOOM_SD = 0.003, 0.01, 0.01, 0.02, 0.03, 0.1
+ROUNDING_MM = 0.29
+IMPLAUSIBLE = 0.25  # a maker's calibrated focal length further than this from the 35 mm equivalent has another unit
+
+
+@dataclass(frozen=True)
+class Lens:
+    """camera : with the photo's size. sd : relative one-sigma of its focal length. source : where it is from."""
+
+    camera: pycolmap.Camera
+    sd: float
+    source: str
+
+    @property
+    def focal_px(self) -> float:
+        """The geometric mean of both axes' focal lengths [px]."""
+        return math.sqrt(self.camera.focal_length_x * self.camera.focal_length_y)
+
+
+def lens_of(tags: Tags, calibration: Path | None = None, focal_px: float | None = None) -> Lens:
+    """The lens of the photo with these `tags`; a calibration or a told focal length [px] goes first.
+
+    Raises InputError for a calibration that does not fit the photo, or where no focal length is known.
+    """
+    size = tags.width, tags.height
+    if calibration is not None:
+        return Lens(_resized(read_calibration(calibration), size, calibration), CALIBRATED_SD, f"from {calibration}")
+    if focal_px is not None:
+        if not (math.isfinite(focal_px) and focal_px > 0):
+            raise UsageError(f"--focal-px must be a positive number, not {focal_px}")
+        return Lens(brown(size, focal_px, focal_px), TOLD_SD, "as told")
+    share = tags.width / tags.full_width  # of the full image's pixels, where the photo was made smaller
+    nominal = _nominal(tags)
+    if tags.dewarp is not None:
+        fx, fy, cx, cy, k1, k2, p1, p2, k3 = tags.dewarp
+        middle = (size[0] / 2 + cx * share, size[1] / 2 + cy * share)
+        bend = (0.0,) * 5 if tags.dewarped else (k1, k2, p1, p2, k3)
+        return Lens(brown(size, fx * share, fy * share, middle, bend), CALIBRATED_SD, "from the maker's DewarpData")
+    if tags.calibrated_px is not None:
+        focal = tags.calibrated_px * share
+        if nominal is None or abs(math.log(focal / nominal.focal_px)) < IMPLAUSIBLE:
+            return Lens(brown(size, focal, focal), MAKERS_SD, "from the maker's CalibratedFocalLength")
+    if nominal is None:
+        raise InputError(
+            f"its EXIF and XMP tell no focal length ({tags.make or 'unknown maker'} {tags.model})".rstrip(),
+            "Give it in pixels (--focal-px), or a calibration file (--calibration).",
+        )
+    return nominal
+
+
+def _nominal(tags: Tags) -> Lens | None:
+    """By the focal length that EXIF tells, in millimetres and as a 35 mm equivalent."""
+    size = tags.width, tags.height
+    if tags.focal_mm and tags.plane_px_per_mm:
+        focal = tags.focal_mm * tags.plane_px_per_mm * tags.width / tags.full_width
+        return Lens(brown(size, focal, focal), NOMINAL_SD, f"{tags.focal_mm:g} mm and the sensor's resolution in EXIF")
+    if not tags.focal_35mm:
+        return None
+    wide, high = max(size), min(size)
+    sd = [NOMINAL_SD, ROUNDING_MM / tags.focal_35mm]
+    source = f"{tags.focal_35mm:g} mm equivalent in EXIF"
+    diagonal = math.hypot(wide, high)
+    if wide / high > WIDEST_SENSOR:
+        diagonal = math.hypot(wide, wide / SENSOR_ASPECT)
+        sd.append(CROP_SD)
+        source += ", the picture taken for the full width of a 4:3 sensor"
+    if tags.digital_zoom > 1:
+        sd.append(ZOOM_SD)
+        source += f", digital zoom {tags.digital_zoom:g} taken to be in it"
+    focal = tags.focal_35mm / DIAGONAL_35MM * diagonal
+    return Lens(brown(size, focal, focal), math.hypot(*sd), source)
+
+
+def brown(
+    size: tuple[int, int],
+    fx: float,
+    fy: float,
+    middle: tuple[float, float] | None = None,
+    bend: tuple[float, ...] = (0.0,) * 5,
+) -> pycolmap.Camera:
+    """A camera of `size` px with Brown distortion k1, k2, p1, p2, k3 as in OpenCV; `middle` by default the image's."""
+    import pycolmap
+
+    cx, cy = middle or (size[0] / 2, size[1] / 2)
+    if not any(bend):
+        return pycolmap.Camera(model="PINHOLE", width=size[0], height=size[1], params=[fx, fy, cx, cy])
+    parameters = [fx, fy, cx, cy, *bend, 0, 0, 0]
+    return pycolmap.Camera(model="FULL_OPENCV", width=size[0], height=size[1], params=parameters)
+
+
+def read_calibration(path: Path) -> pycolmap.Camera:
+    """The camera in a calibration file, of the size that it was calibrated at.
+
+    Three forms: COLMAP's ``cameras.txt`` with one camera; the XML that Metashape exports; JSON with ``width``,
+    ``height``, ``fx`` (or ``focal_px``), and where known ``fy``, ``cx``, ``cy``, ``k1``, ``k2``, ``p1``, ``p2``,
+    ``k3``, pixels and distortion as in OpenCV. Raises InputError.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not text"
+        raise InputError(f"{path}: cannot be read ({reason})", "Give a calibration file.") from error
+    readers = {".xml": _from_metashape, ".json": _from_json, ".txt": _from_colmap}
+    if path.suffix.lower() not in readers:
+        raise InputError(f"{path}: not a calibration file", "Give Metashape's XML, COLMAP's cameras.txt, or JSON.")
+    try:
+        camera = readers[path.suffix.lower()](text)
+        if not (math.isfinite(sum(camera.params)) and camera.mean_focal_length() > 0 and camera.width > 0):
+            raise ValueError("a focal length or size that is not a positive number")
+    except (KeyError, ValueError, TypeError, AttributeError, ElementTree.ParseError) as error:
+        raise InputError(
+            f"{path}: no calibration in it ({error})", "Give Metashape's XML, COLMAP's cameras.txt, or JSON."
+        ) from error
+    return camera
+
+
+def _from_metashape(text: str) -> pycolmap.Camera:
+    """``<calibration>`` with width, height, f, cx, cy (from the middle), k1 to k3, p1, p2, b1, b2 (Metashape manual,
+    appendix D: there p1 is what OpenCV calls p2, and the skew b2 is nil in a frame camera)."""
+    root = ElementTree.fromstring(text)
+
+    def value(name: str, default: float | None = None) -> float:
+        found = root.findtext(f".//{name}", default=None)
+        if found is None and default is None:
+            raise KeyError(f"no <{name}>")
+        return float(found) if found is not None else float(default or 0)
+
+    size, f = (int(value("width")), int(value("height"))), value("f")
+    middle = (size[0] / 2 + value("cx", 0.0), size[1] / 2 + value("cy", 0.0))
+    k1, k2, k3, p1, p2 = (value(name, 0.0) for name in ("k1", "k2", "k3", "p1", "p2"))
+    return brown(size, f + value("b1", 0.0), f, middle, (k1, k2, p2, p1, k3))
+
+
+def _from_json(text: str) -> pycolmap.Camera:
+    values: Mapping[str, float] = json.loads(text)
+    size = int(values["width"]), int(values["height"])
+    fx = float(values["fx"] if "fx" in values else values["focal_px"])
+    middle = (float(values.get("cx", size[0] / 2)), float(values.get("cy", size[1] / 2)))
+    bend = tuple(float(values.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3"))
+    return brown(size, fx, float(values.get("fy", fx)), middle, bend)
+
+
+def _from_colmap(text: str) -> pycolmap.Camera:
+    import pycolmap
+
+    lines = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if len(lines) != 1:
+        raise ValueError(f"{len(lines)} cameras, one is wanted")
+    _, model, width, height, *parameters = lines[0]
+    camera = pycolmap.Camera(model=model, width=int(width), height=int(height), params=[float(p) for p in parameters])
+    if not camera.verify_params():
+        raise ValueError(f"{len(parameters)} parameters do not make a {model}")
+    return camera
+
+
+def _resized(camera: pycolmap.Camera, size: tuple[int, int], path: Path) -> pycolmap.Camera:
+    if abs(size[0] * camera.height - size[1] * camera.width) > 0.005 * size[0] * camera.height:
+        raise InputError(
+            f"{path} is for {camera.width} x {camera.height} px, the photo has {size[0]} x {size[1]}",
+            "Give the calibration of this camera in this format.",
+        )
+    camera.rescale(*size)
+    return camera

@@ -1,0 +1,273 @@
+"""One photo over level ground: from the boxes of its vehicles to scale, altitude, GSD and footprint.
+
+The unit is chosen so that the pooled scale is the paper's ``s`` (arXiv 2603.07535): metres per pixel of the nadir view
+from the same altitude. Then altitude = s f, ground sampling distance r = s / |sin pitch|, footprint = r W_img.
+Vehicles are measured by the exact model, not by the paper's. What is not known of pitch, roll, focal length and of the
+detector's effective height is carried through by measuring again with each a little off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..boxes import Boxes
+from ..detections import Detections
+from ..errors import InputError, TooLittleEvidence, UsageError
+from ..fleet import Fleet
+from ..oblique import HEIGHT_SD, ROUNDS, SETTLED
+from ..pooling import MIN_VEHICLES, Scale, pool
+from ..posterior import Z90
+from ..projection.exact import Hull, ground_size
+from ..projection.level import level_axes, level_views, up_from_gimbal
+from ..projection.view import Views
+from ..sources.picture_file import PictureFile
+from ..sources.undistort import undistort
+from ..votes import gather
+from .lens import Lens, brown, lens_of
+from .tags import Tags, read_tags
+
+LOWEST_ELEVATION = np.radians(25.0)  # flatter rays meet the ground too far off, and see vehicles from the side
+# One sigma of pitch and roll [rad]: a gimbal's own word (it trembles by some tenths of a degree, and its zero is off by
+# as much), what a person tells, and a nadir that nobody told. Assumptions.
+GIMBAL_SD, TOLD_SD, ASSUMED_SD = np.radians([0.5, 1.0, 3.0])
+RIGHT = np.array([1.0, 0.0, 0.0])  # the camera's own
+IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One photo: its pixels, its lens, and which way it looks.
+
+    up : (3,) the vertical in camera coordinates, as in `projection.level`. up_sd : one sigma of its tilt [rad].
+    attitude : where that comes from, for people.
+    """
+
+    name: str
+    path: Path
+    tags: Tags
+    lens: Lens
+    up: np.ndarray
+    up_sd: float
+    attitude: str
+
+    @property
+    def picture(self) -> PictureFile:
+        return PictureFile(self.name, self.path, self.tags.width, self.tags.height)
+
+    @property
+    def pitch(self) -> float:
+        """Of the optical axis, -pi/2 straight down [rad]."""
+        return float(np.arcsin(np.clip(self.up[2], -1, 1)))
+
+    def views(self, pixels: np.ndarray, altitude: float) -> tuple[Views, np.ndarray]:
+        """How level ground `altitude` below is seen at pixels (N, 2); and (N,) bool whether it is, steeply enough."""
+        plane, lens, ok = undistort(self.lens.camera, pixels)
+        views, seen = level_views(plane, lens, self.up, altitude, LOWEST_ELEVATION)
+        return views, ok & seen
+
+    def turned(self, axis: np.ndarray, angle: float) -> Photo:
+        """The same photo with its camera turned by `angle` [rad] about `axis` (3,), a unit vector of the camera."""
+        return replace(self, up=self.up * np.cos(angle) + np.cross(axis, self.up) * np.sin(angle))
+
+    def refocused(self, factor: float) -> Photo:
+        """The same photo with `factor` times the focal length; distortion, which is second to that, left away."""
+        camera = self.lens.camera
+        focal = self.lens.focal_px * factor
+        middle = (camera.principal_point_x, camera.principal_point_y)
+        return replace(self, lens=replace(self.lens, camera=brown((camera.width, camera.height), focal, focal, middle)))
+
+
+def open_photo(
+    path: Path,
+    name: str | None = None,
+    *,
+    calibration: Path | None = None,
+    focal_px: float | None = None,
+    pitch: float | None = None,
+    roll: float | None = None,
+) -> Photo:
+    """The photo at `path`. What is told (angles in degrees) goes before what its tags say; nadir where nothing is.
+
+    Raises InputError for what is no photo or has no focal length, UsageError for an impossible pitch.
+    """
+    tags = read_tags(path)
+    try:
+        lens = lens_of(tags, calibration, focal_px)
+    except InputError as error:
+        raise InputError(f"{path}: {error.message}", error.hint) from error
+    if pitch is not None:
+        if not -90 <= pitch < 0:
+            raise UsageError(f"--pitch must lie between -90 (straight down) and 0 (the horizon), not {pitch:g}")
+        angles, sd, attitude = (pitch, roll or 0.0), TOLD_SD, f"pitch {pitch:g}, as told"
+    elif tags.pitch is not None:
+        angles = (tags.pitch, tags.roll or 0.0 if roll is None else roll)
+        sd, attitude = GIMBAL_SD, f"pitch {tags.pitch:g}, roll {angles[1]:g}, from XMP"
+    else:
+        angles, sd, attitude = (-90.0, roll or 0.0), ASSUMED_SD, "nadir, assumed: the photo does not tell its pitch"
+    up = up_from_gimbal(*np.radians(angles))
+    return Photo(name or path.name, path, tags, lens, up, float(sd), attitude)
+
+
+def find_photos(paths: Sequence[Path]) -> dict[str, Path]:
+    """Photos by name: files by their own, those of a folder (at any depth) by their path in it.
+
+    Raises InputError for a missing path, a folder without photos, or two photos of one name.
+    """
+    found: dict[str, Path] = {}
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+            if not inside:
+                raise InputError(f"{path}: no photo in this folder", "Photos are JPEG, PNG or TIFF files.")
+            named = {p.relative_to(path).as_posix(): p for p in inside}
+        elif path.exists():
+            named = {path.name: path}
+        else:
+            raise InputError(f"{path} does not exist", "Give photos, or a folder of them.")
+        for name, place in named.items():
+            if found.setdefault(name, place) != place:
+                raise InputError(f"{place} and {found[name]} have the same name", "Measure them one after the other.")
+    return found
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A value with its 90 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def log_normal(cls, value: float, sd: float) -> Measure:
+        return cls(value, value * np.exp(-Z90 * sd), value * np.exp(Z90 * sd))
+
+    def __mul__(self, factor: float) -> Measure:
+        return Measure(self.value * factor, self.low * factor, self.high * factor)
+
+
+@dataclass(frozen=True)
+class PhotoScale:
+    """What the vehicles of a photo say, or those of several photos from one altitude (`overlap` > 1).
+
+    scale : metres per pixel of the nadir view from the same altitude, with `used` and `reasons` by box.
+    altitude : over the ground where the vehicles stand [m]. gsd : average, r = s / |sin pitch| [m/px].
+    footprint : r times the picture's width and height [m].
+    boxes : (N,) those that were measured; picture : (N,) the name of each one's photo.
+    overlap : how many of the photos show a place, on average; the vehicles are fewer by that factor than the boxes.
+    """
+
+    photo: Photo
+    scale: Scale
+    altitude: Measure
+    gsd: Measure
+    footprint: tuple[Measure, Measure]
+    boxes: Boxes = field(repr=False)
+    picture: np.ndarray = field(repr=False)
+    overlap: float = 1.0
+
+    def outline(self) -> np.ndarray | None:
+        """(4, 2) the picture's corners on level ground [m], right and forward of the point below the camera, from the
+        upper left clockwise; None when one lies above the horizon or sees the ground flatter than 10 degrees."""
+        width, height = self.photo.tags.width, self.photo.tags.height
+        corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+        plane, lens, ok = undistort(self.photo.lens.camera, corners)
+        views, seen = level_views(plane, lens, self.photo.up, self.altitude.value, np.radians(10.0))
+        return views.ground @ level_axes(self.photo.up).T if (ok & seen).all() else None
+
+
+def measure(
+    photos: Sequence[Photo], found: Detections, fleet: Fleet, overlap: float = 1.0, min_vehicles: int = MIN_VEHICLES
+) -> PhotoScale:
+    """One scale from the vehicles of `photos`, which were taken with one lens from one altitude (or are a single one).
+
+    overlap : see `PhotoScale`; the sampling part of the interval grows by its square root.
+    Raises TooLittleEvidence for fewer than `min_vehicles` usable boxes.
+    """
+    first = photos[0]
+    seen = [(p, found.boxes.get(p.name, Boxes.empty())) for p in photos]
+    usable = [(p, b[p.views(b.centre, 1.0)[1]]) for p, b in seen if len(b)]
+    boxes = Boxes.concatenate([b for _, b in usable])
+    if len(boxes) < min_vehicles:
+        raise TooLittleEvidence(
+            f"{len(boxes)} usable vehicles, {min_vehicles} are needed",
+            "Give photos that show more vehicles, or pool those of one altitude with --together.",
+        )
+    picture = np.array([p.name for p, b in usable for _ in range(len(b))])
+
+    def views(change=lambda photo: photo) -> Views:
+        parts = [(change(p), b) for p, b in usable]
+        return Views.concatenate([p.views(b.centre, p.lens.focal_px)[0] for p, b in parts])
+
+    view = views()
+    off = {
+        "pitch": views(lambda p: p.turned(RIGHT, p.up_sd)),
+        "roll": views(lambda p: p.turned(np.cross(p.up, RIGHT) / np.linalg.norm(np.cross(p.up, RIGHT)), p.up_sd)),
+        "focal": views(lambda p: p.refocused(1 + p.lens.sd)),
+    }
+    height = np.array(found.effective_height)
+    metres_per_unit = float(fleet.mean[0] / np.median(boxes.length * view.unit_per_pixel))
+    for _ in range(ROUNDS):
+        size = _sizes(boxes, view, metres_per_unit, height)
+        solved = np.isfinite(size).all(1)
+        if solved.sum() < min_vehicles:
+            raise TooLittleEvidence(f"{int(solved.sum())} boxes that a vehicle explains, {min_vehicles} are needed")
+
+        def shift(other: np.ndarray, size: np.ndarray = size) -> np.ndarray:
+            """(2,) by how much lengths and widths (log) are larger in `other`."""
+            return np.nanmedian(np.log(other / size), axis=0)
+
+        shifts = {name: shift(_sizes(boxes, v, metres_per_unit, height)) for name, v in off.items()}
+        raised = shift(_sizes(boxes, view, metres_per_unit, height + HEIGHT_SD))
+        geometry = np.diag(raised**2) + sum(np.outer(s, s) for s in shifts.values())
+        votes = gather(
+            size[solved],
+            view.unit_per_pixel[solved] / found.zoom,
+            view.ground[solved],
+            boxes.score[solved],
+            repeated=False,
+        )
+        scale = pool(votes, fleet, found.ruler, "m/px", geometry)
+        change = abs(np.log(scale.value / metres_per_unit))
+        metres_per_unit = scale.value
+        if change < SETTLED:
+            break
+    if overlap > 1:
+        scale = _thinned(scale, overlap)
+    return _assembled(first, scale, shifts, boxes[solved], picture[solved], overlap)
+
+
+def _sizes(boxes: Boxes, view: Views, metres_per_unit: float, height: np.ndarray) -> np.ndarray:
+    """(N, 2) length and width [units of `view`], each by the effective height of its own."""
+    parts = [ground_size(boxes, view, metres_per_unit, Hull(height=h))[:, k] for k, h in enumerate(height)]
+    return np.stack(parts, 1)
+
+
+def _thinned(scale: Scale, overlap: float) -> Scale:
+    """The same with its sampling part for `overlap` times fewer vehicles."""
+    parts = {**scale.parts, "sampling": scale.parts["sampling"] * np.sqrt(overlap)}
+    wider = np.sqrt(sum(v**2 for v in parts.values())) / scale.relative_sd
+    low, high = (scale.value * (end / scale.value) ** wider for end in scale.interval90)
+    return replace(scale, parts=parts, interval90=(float(low), float(high)))
+
+
+def _assembled(
+    photo: Photo, scale: Scale, shifts: Mapping[str, np.ndarray], boxes: Boxes, picture: np.ndarray, overlap: float
+) -> PhotoScale:
+    """Altitude, GSD and footprint from the scale. Focal length and pitch enter both the scale and what follows from
+    it, so their parts are added as they are before they are squared."""
+    own = {name: -float(np.dot(scale.weights, s)) for name, s in shifts.items()}  # of the log scale
+
+    def sd(name: str, extra: float) -> float:
+        return float(np.sqrt(max(scale.relative_sd**2 - own[name] ** 2, 0) + (own[name] + extra) ** 2))
+
+    altitude = Measure.log_normal(scale.value * photo.lens.focal_px, sd("focal", np.log1p(photo.lens.sd)))
+    steepness = abs(photo.up[2])
+    tilted = abs(photo.turned(RIGHT, photo.up_sd).up[2])
+    gsd = Measure.log_normal(scale.value / steepness, sd("pitch", -np.log(tilted / steepness)))
+    footprint = gsd * photo.tags.width, gsd * photo.tags.height
+    return PhotoScale(photo, scale, altitude, gsd, footprint, boxes, picture, overlap)

@@ -1,0 +1,122 @@
+"""A set of photos: found, measured each by itself, and on demand all together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..detect.find import Progress, find_vehicles
+from ..detections import Detections
+from ..errors import InputError, TooLittleEvidence, UsageError
+from ..fleet import Fleet
+from .measure import Photo, PhotoScale, measure, open_photo
+from .tables import Outcome
+
+SAME_FOCAL = 0.001  # relative difference of focal lengths up to which photos are of one lens
+
+
+def open_photos(paths: dict[str, Path], **told: object) -> tuple[list[Photo], dict[str, str]]:
+    """The photos that can be used (see `open_photo` for `told`), and why the others cannot. A single one must."""
+    photos, problems = [], {}
+    for name, path in paths.items():
+        try:
+            photos.append(open_photo(path, name, **told))  # type: ignore[arg-type]
+        except InputError as error:
+            if len(paths) == 1:
+                raise
+            problems[name] = error.message
+    if not photos:
+        name = next(iter(problems))
+        raise InputError(f"none of {len(problems)} photos can be used; {problems[name]}", "Look at the first one.")
+    return photos, problems
+
+
+def boxes_of(
+    photos: Sequence[Photo],
+    fleet: Fleet,
+    detections: Path | None = None,
+    detector: Path | None = None,
+    zoom: float | None = None,
+    gsd_hint: float | None = None,
+    progress: Progress | None = None,
+) -> Detections:
+    """The boxes of `photos`, from a file or by the detector; options as in `pipeline.estimate`.
+
+    All photos share one zoom, as those of a flight do: measure flights at different heights in one run each.
+    Raises InputError, UsageError, TooLittleEvidence.
+    """
+    for name, value in (("--zoom", zoom), ("--gsd-hint", gsd_hint)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise UsageError(f"{name} must be a positive number, not {value}")
+    if zoom is not None and gsd_hint is not None:
+        raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
+    if detections is not None:
+        found = Detections.load(detections)
+        if not any(p.name in found.boxes for p in photos):
+            raise InputError(
+                f"{detections}: has no boxes for {photos[0].name}" + (" or any other photo" if len(photos) > 1 else ""),
+                f"Its pictures are named like {next(iter(found.boxes), 'nothing')!r}.",
+            )
+        return found
+    from ..detect.detector import Detector
+
+    network = Detector(detector)
+    if gsd_hint is not None:
+        zoom = network.card.best_length * gsd_hint / float(fleet.mean[0])
+    try:
+        return find_vehicles([p.picture for p in photos], network, zoom, progress)[0]
+    except TooLittleEvidence as error:
+        where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
+        raise TooLittleEvidence(f"{where}: {error.message}", error.hint) from error
+
+
+def measure_each(photos: Sequence[Photo], problems: dict[str, str], found: Detections, fleet: Fleet) -> list[Outcome]:
+    """Every photo by itself, and those that could not be read, in the order of their names."""
+    outcomes = [Outcome(name, None, None, problem) for name, problem in problems.items()]
+    for photo in photos:
+        try:
+            outcomes.append(Outcome(photo.name, photo, measure([photo], found, fleet)))
+        except TooLittleEvidence as error:
+            outcomes.append(Outcome(photo.name, photo, None, error.message))
+    return sorted(outcomes, key=lambda outcome: outcome.name)
+
+
+def measure_together(photos: Sequence[Photo], found: Detections, fleet: Fleet) -> PhotoScale:
+    """One scale for photos that one lens took from one height over the ground. Raises UsageError for several lenses.
+
+    A vehicle that k photos show has k votes, and which are the same is not known from boxes alone. So the sampling part
+    of the interval is that of k times fewer vehicles, where k is how many of the photos show a place: from where they
+    were taken, or, where EXIF does not tell that, all of them.
+    """
+    focal = np.array([p.lens.focal_px for p in photos])
+    if np.ptp(focal) > SAME_FOCAL * focal.mean():
+        raise UsageError(
+            f"--together is for photos of one lens; focal lengths go from {focal.min():.0f} to {focal.max():.0f} px",
+            "Measure them in one run each.",
+        )
+    alone = measure(photos, found, fleet)
+    looking = [p for p in photos if len(found.boxes.get(p.name, ()))]
+    return measure(photos, found, fleet, overlap=photos_per_place(looking, alone))
+
+
+def photos_per_place(photos: Sequence[Photo], scale: PhotoScale) -> float:
+    """How many of `photos` show a place that any of them shows, on average; all of them where it is not known.
+
+    Each photo counts as a disc of its footprint's area about the camera's place: headings matter little to that.
+    """
+    import pyproj
+    import shapely
+
+    places = [p.tags.lon_lat for p in photos]
+    if any(place is None for place in places) or len(photos) < 2:
+        return float(max(len(photos), 1))
+    lon, lat = np.array(places, float).T
+    azimuth, _, distance = pyproj.Geod(ellps="WGS84").inv(
+        np.full(len(lon), lon[0]), np.full(len(lat), lat[0]), lon, lat
+    )
+    x, y = distance * np.sin(np.radians(azimuth)), distance * np.cos(np.radians(azimuth))
+    area = scale.footprint[0].value * scale.footprint[1].value
+    discs = shapely.buffer(shapely.points(x, y), np.sqrt(area / np.pi))
+    return float(shapely.area(discs).sum() / shapely.union_all(discs).area)

@@ -1,0 +1,149 @@
+"""Photos and what was measured of them, as rows: CSV, JSON, and a GeoPackage with places and footprints."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..atomic import check_free, new_file
+from ..errors import UsageError
+from .measure import Measure, Photo, PhotoScale
+
+FORMATS = (".csv", ".json", ".gpkg")
+MEASURES = ("scale_m_per_px", "altitude_m", "gsd_m", "footprint_width_m", "footprint_height_m")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One photo: what was measured, or why nothing was. `photo` is None where it could not even be read."""
+
+    name: str
+    photo: Photo | None
+    measured: PhotoScale | None
+    problem: str = ""
+
+
+def row(outcome: Outcome) -> dict[str, Any]:
+    """Plain values; lengths in metres, angles in degrees, each measure with the bounds of its 90 % interval."""
+    photo, got = outcome.photo, outcome.measured
+    measures: dict[str, Any] = {}
+    values = [None] * len(MEASURES) if got is None else [_scale(got), got.altitude, got.gsd, *got.footprint]
+    for name, value in zip(MEASURES, values, strict=True):
+        for suffix, part in (("", "value"), ("_low", "low"), ("_high", "high")):
+            measures[name + suffix] = None if value is None else round(float(getattr(value, part)), 6)
+    tags = photo.tags if photo else None
+    return {
+        "photo": outcome.name,
+        "measured": got is not None,
+        "problem": outcome.problem,
+        "verdict": got.scale.verdict if got else "",
+        "vehicles_used": got.scale.vehicles_used if got else 0,
+        "boxes": len(got.boxes) if got else 0,
+        **measures,
+        "focal_px": round(photo.lens.focal_px, 2) if photo else None,
+        "focal_source": photo.lens.source if photo else "",
+        "pitch_deg": round(float(np.degrees(photo.pitch)), 2) if photo else None,
+        "attitude": photo.attitude if photo else "",
+        "told_relative_altitude_m": tags.relative_altitude if tags else None,
+        "longitude": tags.lon_lat[0] if tags and tags.lon_lat else None,
+        "latitude": tags.lon_lat[1] if tags and tags.lon_lat else None,
+        "taken": tags.taken if tags else "",
+        "camera": f"{tags.make} {tags.model}".strip() if tags else "",
+        "notes": "; ".join(tags.notes) if tags else "",
+    }
+
+
+def document(outcomes: Sequence[Outcome], fleet: str, detector: str, together: PhotoScale | None) -> dict[str, Any]:
+    """All rows, with the share of photos that had enough vehicles; and the scale of all together where it was asked."""
+    used = sum(outcome.measured is not None for outcome in outcomes)
+    text: dict[str, Any] = {
+        "photos": len(outcomes),
+        "measured": used,
+        "used_ratio": used / len(outcomes) if outcomes else 0.0,
+        "fleet": fleet,
+        "detector": detector,
+        "interval_level": 0.9,
+    }
+    if together is not None:
+        pooled = row(Outcome("all together", together.photo, together))
+        own = ("photo", "taken", "longitude", "latitude", "told_relative_altitude_m", "notes", "problem")
+        text["together"] = {k: v for k, v in pooled.items() if k not in own} | {
+            "photos_per_place": round(together.overlap, 2),
+            "uncertainty": together.scale.parts,
+            "remarks": list(together.scale.remarks),
+        }
+    return text | {"rows": [row(outcome) for outcome in outcomes]}
+
+
+def check_outputs(paths: Sequence[Path], overwrite: bool) -> None:
+    """Refuse early what `write` would refuse late. Raises UsageError, OutputError."""
+    for path in paths:
+        if path.suffix.lower() not in FORMATS:
+            raise UsageError(f"{path.name} is none of {', '.join(FORMATS)}", "Its ending says how it is written.")
+        check_free(path, overwrite)
+
+
+def write(outcomes: Sequence[Outcome], text: Mapping[str, Any], paths: Sequence[Path], overwrite: bool) -> None:
+    """Write the table to each of `paths`, in the format of its ending; all of them appear, or none."""
+    with ExitStack() as outputs:
+        for path in paths:
+            partial = outputs.enter_context(new_file(path, overwrite))
+            if path.suffix.lower() == ".json":
+                partial.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+            elif path.suffix.lower() == ".csv":
+                _write_csv(text["rows"], partial)
+            else:
+                _write_geopackage(outcomes, text["rows"], partial)
+
+
+def _write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, list(rows[0]))
+        table.writeheader()
+        table.writerows(rows)
+
+
+def _write_geopackage(outcomes: Sequence[Outcome], rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Layer ``photos``: all rows, at the camera's place where EXIF tells it. Layer ``footprints``: the ground that each
+    measured photo shows, where place and heading are told; longitude and latitude."""
+    import shapely
+
+    from ..vector import write_layer
+
+    places = [
+        shapely.Point(o.photo.tags.lon_lat) if o.photo is not None and o.photo.tags.lon_lat else None for o in outcomes
+    ]
+    write_layer(path, "photos", places, rows, "Point", "EPSG:4326")
+    outlines = [(r, shape) for o, r in zip(outcomes, rows, strict=True) if (shape := footprint_on_earth(o)) is not None]
+    if outlines:
+        write_layer(path, "footprints", [s for _, s in outlines], [r for r, _ in outlines], "Polygon", "EPSG:4326")
+
+
+def footprint_on_earth(outcome: Outcome) -> Any:
+    """The ground that the photo shows, as a polygon of longitudes and latitudes; None where that is not known."""
+    import pyproj
+    import shapely
+
+    photo, got = outcome.photo, outcome.measured
+    if photo is None or got is None or photo.tags.lon_lat is None or photo.tags.yaw is None:
+        return None
+    outline = got.outline()
+    if outline is None:
+        return None
+    right, ahead = outline.T
+    lon, lat = photo.tags.lon_lat
+    bearing = photo.tags.yaw + np.degrees(np.arctan2(right, ahead))
+    ones = np.ones(len(outline))
+    x, y, _ = pyproj.Geod(ellps="WGS84").fwd(lon * ones, lat * ones, bearing, np.hypot(right, ahead))
+    return shapely.Polygon(np.column_stack([x, y]))
+
+
+def _scale(got: PhotoScale) -> Measure:
+    return Measure(got.scale.value, *got.scale.interval90)

@@ -1,0 +1,192 @@
+"""What a photo says of itself: EXIF, and the XMP that drones add. Pillow reads both; here they get one meaning.
+
+Makers disagree about angles. Here all are gimbal angles, as DJI writes them: pitch -90 straight down and 0 at the
+horizon, roll positive with the right side down, yaw clockwise from north; degrees.
+
+- `GimbalPitchDegree` (DJI, Autel, Teal), `CameraPitchDegree` (Parrot) and `CameraOrientationNED` (Skydio) are such.
+- `Camera:Pitch` (Pix4D's and senseFly's schema) is 0 straight down and 90 at the horizon. Some Autel models write
+  gimbal angles there; those are negative, which the schema's are not for a camera that looks forward
+  (github.com/Theta-Limited/OpenAthenaIOS/issues/62).
+- A DJI Mini 2 writes zeros for all three angles, whatever the gimbal does
+  (github.com/dji-sdk/Mobile-SDK-Android/issues/1233): they are passed over.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+
+RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
+MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF FocalPlaneResolutionUnit: inch, cm, mm, micrometre
+BACKWARDS = -30.0  # [deg] a `Camera:Pitch` below this is a gimbal angle: no survey camera looks that far backwards
+
+
+@dataclass(frozen=True)
+class Tags:
+    """EXIF and XMP of one photo; None where they say nothing.
+
+    width, height : as stored, before any EXIF rotation [px]. full_width : as the camera wrote it [px].
+    lon_lat : [deg]. relative_altitude : over the take-off point, as the drone has it [m].
+    focal_mm : physical. focal_35mm : for the same field of view on 36 x 24 mm, by the diagonal (CIPA DCG-001).
+    plane_px_per_mm : pixels of the full image per millimetre of the sensor.
+    calibrated_px : the maker's calibrated focal length [px of the full image].
+    dewarp : the maker's fx, fy, cx, cy, k1, k2, p1, p2, k3 [px of the full image; cx and cy from its middle].
+    dewarped : the camera has taken the distortion out already.
+    pitch, roll, yaw : see above [deg]. notes : what was passed over, and why.
+    """
+
+    width: int
+    height: int
+    full_width: int
+    make: str = ""
+    model: str = ""
+    taken: str = ""
+    lon_lat: tuple[float, float] | None = None
+    relative_altitude: float | None = None
+    focal_mm: float | None = None
+    focal_35mm: float | None = None
+    plane_px_per_mm: float | None = None
+    digital_zoom: float = 1.0
+    calibrated_px: float | None = None
+    dewarp: tuple[float, ...] | None = None
+    dewarped: bool = False
+    pitch: float | None = None
+    roll: float | None = None
+    yaw: float | None = None
+    notes: tuple[str, ...] = field(default=())
+
+
+def read_tags(path: Path) -> Tags:
+    """The tags of the photo at `path`; its pixels are not decoded. Raises InputError for what is no image."""
+    from PIL import Image, UnidentifiedImageError
+    from PIL.ExifTags import IFD
+
+    try:
+        with Image.open(path) as image:
+            (width, height), packet = image.size, image.info.get("xmp", b"")
+            base = image.getexif()
+            exif, gps = base.get_ifd(IFD.Exif), base.get_ifd(IFD.GPSInfo)
+    except UnidentifiedImageError as error:
+        raise InputError(f"{path}: not an image", "Give photos as JPEG, TIFF or PNG.") from error
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"{path}: cannot be read ({reason})", "Check the path, or copy the file again.") from error
+    except (ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: is damaged ({error})", "Copy it again from its original.") from error
+    xmp, notes = _flat_xmp(packet)
+    pitch, roll, yaw = _angles(xmp, notes)
+    if int(_number(base.get(0x0112)) or 1) in (5, 6, 7, 8):
+        notes.append("EXIF says to show it upright by a quarter turn; pixels and angles are those of the sensor")
+    unit = MM_PER_UNIT.get(int(_number(exif.get(0xA210)) or 2), 25.4)
+    resolution = _positive(exif.get(0xA20E))
+    dewarp = _dewarp(xmp.get("DewarpData", ""))
+    return Tags(
+        width=width,
+        height=height,
+        full_width=int(_positive(exif.get(0xA002)) or width),
+        make=str(base.get(0x010F, "")).strip("\0 "),
+        model=str(base.get(0x0110, "")).strip("\0 "),
+        taken=str(exif.get(0x9003, base.get(0x0132, ""))).strip("\0 "),
+        lon_lat=_lon_lat(gps),
+        relative_altitude=_number(xmp.get("RelativeAltitude", xmp.get("AboveGroundAltitude"))),
+        focal_mm=_positive(exif.get(0x920A)),
+        focal_35mm=_positive(exif.get(0xA405)),
+        plane_px_per_mm=resolution / unit if resolution else None,
+        digital_zoom=_positive(exif.get(0xA404)) or 1.0,
+        calibrated_px=_positive(xmp.get("CalibratedFocalLength")),
+        dewarp=dewarp,
+        dewarped=xmp.get("DewarpFlag", "0").strip() == "1",
+        pitch=pitch,
+        roll=roll,
+        yaw=yaw,
+        notes=tuple(notes),
+    )
+
+
+def _flat_xmp(packet: bytes | str) -> tuple[dict[str, str], list[str]]:
+    """Properties by local name, those of a structure as ``Structure.Property``; and what could not be read."""
+    text = packet.encode() if isinstance(packet, str) else bytes(packet)
+    start, end = text.find(b"<x:xmpmeta"), text.rfind(b"</x:xmpmeta>")
+    if start < 0 or end < 0:
+        return {}, []
+    try:
+        root = ElementTree.fromstring(text[start : end + len(b"</x:xmpmeta>")])
+    except ElementTree.ParseError as error:
+        return {}, [f"its XMP is damaged ({error}) and was passed over"]
+    found: dict[str, str] = {}
+
+    def collect(element: ElementTree.Element, prefix: str) -> None:
+        for name, value in element.attrib.items():
+            if not name.startswith(RDF):
+                found.setdefault(prefix + _local(name), value)
+        for child in element:
+            name = prefix + _local(child.tag)
+            if child.text and child.text.strip():
+                found.setdefault(name, child.text.strip())
+            collect(child, "" if child.tag.startswith(RDF) else name + ".")
+
+    collect(root, "")
+    return found, []
+
+
+def _local(name: str) -> str:
+    return name.rpartition("}")[2]
+
+
+def _angles(xmp: Mapping[str, str], notes: list[str]) -> tuple[float | None, float | None, float | None]:
+    """Pitch, roll, yaw [deg] from whichever schema has a pitch."""
+    for form in ("Gimbal{}Degree", "Camera{}Degree", "CameraOrientationNED.{}"):
+        pitch, roll, yaw = (_number(xmp.get(form.format(axis))) for axis in ("Pitch", "Roll", "Yaw"))
+        if pitch is None:
+            continue
+        if pitch == roll == yaw == 0:
+            notes.append("its gimbal angles are all exactly zero, as by a camera that does not know them: passed over")
+            continue
+        return pitch, roll, yaw
+    pitch, roll, yaw = (_number(xmp.get(axis)) for axis in ("Pitch", "Roll", "Yaw"))
+    if pitch is None:
+        return None, None, None
+    if pitch < BACKWARDS:
+        notes.append(f"its Camera:Pitch of {pitch:g} is taken for a gimbal angle, -90 straight down")
+        return pitch, roll, yaw
+    return pitch - 90.0, roll, yaw
+
+
+def _dewarp(text: str) -> tuple[float, ...] | None:
+    """DJI's ``date;fx,fy,cx,cy,k1,k2,p1,p2,k3``."""
+    try:
+        values = tuple(float(v) for v in text.rpartition(";")[2].split(","))
+    except ValueError:
+        return None
+    return values if len(values) == 9 and all(map(math.isfinite, values)) and min(values[:2]) > 0 else None
+
+
+def _lon_lat(gps: Mapping[int, Any]) -> tuple[float, float] | None:
+    try:
+        lat, lon = (sum(float(part) / 60**k for k, part in enumerate(gps[tag])) for tag in (2, 4))
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    lat = -lat if gps.get(1) == "S" else lat
+    lon = -lon if gps.get(3) == "W" else lon
+    if not (abs(lat) <= 90 and abs(lon) <= 180) or (lat, lon) == (0, 0):
+        return None
+    return lon, lat
+
+
+def _number(value: Any) -> float | None:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _positive(value: Any) -> float | None:
+    number = _number(value)
+    return number if number and number > 0 else None

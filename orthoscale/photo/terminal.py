@@ -1,0 +1,86 @@
+"""What a person reads of measured photos: the answer first, a line per photo."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from .measure import Measure, PhotoScale
+from .tables import Outcome
+
+LONGEST = 40  # photos that are listed
+
+
+def summary(
+    outcomes: Sequence[Outcome], text: Mapping[str, Any], together: PhotoScale | None, outputs: Sequence[Path]
+) -> str:
+    """A few calm lines; one photo in full, many as a table."""
+    if together is not None:
+        lines = _in_full(together)
+        lines.append(f"vehicles   {together.scale.vehicles_used} boxes of {len(outcomes)} photos, "
+                     f"each place in {together.overlap:.1f} of them")  # fmt: skip
+    elif len(outcomes) == 1:
+        (only,) = outcomes
+        assert only.measured is not None
+        lines = [*_in_full(only.measured), f"vehicles   {only.measured.scale.vehicles_used} used"]
+    else:
+        lines = []
+    if len(outcomes) > 1:
+        lines.append(f"measured   {text['measured']} of {text['photos']} photos ({100 * text['used_ratio']:.0f} %)")
+        width = max(len(o.name) for o in outcomes)
+        for o in outcomes[:LONGEST]:
+            got = o.measured
+            line = o.problem if got is None else _short(got)
+            lines.append(f"  {o.name:{width}s}  {line}")
+        if len(outcomes) > LONGEST:
+            lines.append(f"  and {len(outcomes) - LONGEST} more: --out TABLE.csv has them all")
+    photos = [o.photo for o in outcomes if o.photo is not None]
+    lines += _told("focal", [f"{p.lens.focal_px:.1f} px, {p.lens.source}" for p in photos])
+    lines += _told("attitude", [p.attitude for p in photos])
+    lines += _told("note", [note for p in photos for note in p.tags.notes])
+    for got in (together, *(o.measured for o in outcomes)):
+        lines += [f"note       {got.photo.name}: {remark}" for remark in got.scale.remarks] if got else []
+    lines += [f"written    {path}" for path in outputs]
+    return "\n".join(lines)
+
+
+def _in_full(got: PhotoScale) -> list[str]:
+    width, height = got.footprint
+    parts = ", ".join(f"{name} {100 * sd:.1f} %" for name, sd in got.scale.parts.items() if sd > 0)
+    scale = Measure(got.scale.value, *got.scale.interval90)
+    lines = [
+        f"altitude   {_interval(got.altitude, 'm')}   ({got.scale.verdict})",
+        f"GSD        {_interval(got.gsd * 100, 'cm/px')}",
+        f"scale      {_interval(scale * 100, 'cm/px')}, of the nadir view",
+        f"footprint  {_interval(width, 'm')} wide, {_interval(height, 'm')} high",
+        f"uncertain  {parts}   (one sigma)",
+    ]
+    if told := got.photo.tags.relative_altitude:
+        off = 100 * (got.altitude.value / told - 1)
+        lines.append(f"check      the drone says {told:g} m over its take-off point: {off:+.1f} %")
+    return lines
+
+
+def _short(got: PhotoScale) -> str:
+    width, height = got.footprint
+    return (
+        f"altitude {got.altitude.value:6.1f} m ({got.altitude.low:.0f} to {got.altitude.high:.0f})  "
+        f"GSD {100 * got.gsd.value:5.2f} cm  footprint {width.value:.0f} x {height.value:.0f} m  "
+        f"{got.scale.vehicles_used} vehicles  {got.scale.verdict}"
+    )
+
+
+def _interval(m: Measure, unit: str) -> str:
+    return f"{m.value:.4g} {unit} (90 %: {m.low:.4g} to {m.high:.4g})"
+
+
+def _told(what: str, texts: Sequence[str]) -> list[str]:
+    """Each different text once, with how many photos it is true of."""
+    counts: dict[str, int] = {}
+    for text in texts:
+        counts[text] = counts.get(text, 0) + 1
+    many = len(texts) > 1 and len(counts) > 1
+    shown = sorted(counts.items(), key=lambda item: -item[1])[:4]
+    lines = [f"{what:10s} {text}" + (f" ({count} photos)" if many else "") for text, count in shown]
+    return lines + ([f"{what:10s} and {len(counts) - 4} others"] if len(counts) > 4 else [])

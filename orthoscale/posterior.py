@@ -1,0 +1,68 @@
+"""What is known of a scale: a mixture of normal distributions of its logarithm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+Z90 = 1.6449  # two-sided 90 % of a normal distribution
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Weights, means and one-sigmas (K,) of the logarithm; weights sum to one."""
+
+    weight: np.ndarray
+    mean: np.ndarray
+    sd: np.ndarray
+
+    @classmethod
+    def normal(cls, mean: float, sd: float) -> Posterior:
+        return cls(np.ones(1), np.array([mean]), np.array([sd]))
+
+    @classmethod
+    def mixed(cls, parts: Sequence[Posterior], weight: np.ndarray) -> Posterior:
+        """Several posteriors, of which one holds, with probabilities `weight`."""
+        return cls(
+            np.concatenate([w * p.weight for p, w in zip(parts, weight, strict=True)]),
+            np.concatenate([p.mean for p in parts]),
+            np.concatenate([p.sd for p in parts]),
+        )
+
+    @property
+    def centre(self) -> float:
+        """The mean."""
+        return float(self.weight @ self.mean)
+
+    @property
+    def spread(self) -> float:
+        """The standard deviation."""
+        return float(np.sqrt(self.weight @ (self.sd**2 + (self.mean - self.centre) ** 2)))
+
+    def quantile(self, share: float) -> float:
+        """Below it lies `share` of the probability; by bisection, to 1e-9."""
+        low, high = (float(f(self.mean + k * self.sd)) for f, k in ((np.min, -9), (np.max, 9)))
+        while high - low > 1e-9:
+            middle = (low + high) / 2
+            if self.weight @ ndtr((middle - self.mean) / self.sd) < share:
+                low = middle
+            else:
+                high = middle
+        return (low + high) / 2
+
+    def widened(self, factor: float) -> Posterior:
+        """The same, every distance from the centre `factor` times as large."""
+        return Posterior(self.weight, self.centre + factor * (self.mean - self.centre), factor * self.sd)
+
+    def times(self, other: Posterior) -> Posterior:
+        """What is known when `other`, measured independently, is known as well (Bayes' product)."""
+        variance, more = self.sd[:, None] ** 2, other.sd**2
+        total = variance + more
+        log_weight = np.log(self.weight)[:, None] + np.log(other.weight) - 0.5 * np.log(total)
+        log_weight = log_weight - 0.5 * (self.mean[:, None] - other.mean) ** 2 / total
+        weight = np.exp(log_weight - log_weight.max()).ravel()
+        mean = (self.mean[:, None] * more + other.mean * variance) / total
+        return Posterior(weight / weight.sum(), mean.ravel(), np.sqrt(variance * more / total).ravel())

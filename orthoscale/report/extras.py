@@ -1,0 +1,76 @@
+"""Files that `fix --also` writes beside a scaled orthophoto, for other programs."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..drift import local_deviation
+from ..pipeline import Result
+from ..sources.georeference import Place
+from .geo import write_geojson, write_geopackage
+
+
+@dataclass(frozen=True)
+class Extra:
+    """place : the file's path, from that of the main output. write : makes it."""
+
+    place: Callable[[Path], Path]
+    write: Callable[[Result, Place, Path], None]
+
+
+def write_world_file(result: Result, place: Place, path: Path) -> None:
+    """Six lines: the transform's linear part, then the centre of the first pixel (ESRI's convention)."""
+    t = place.transform
+    x, y = t.c + (t.a + t.b) / 2, t.f + (t.d + t.e) / 2
+    path.write_text("".join(f"{value:.17g}\n" for value in (t.a, t.d, t.b, t.e, x, y)))
+
+
+def write_scale_file(result: Result, place: Place, path: Path) -> None:
+    """The scale as the first word; what it is, after a ``#``."""
+    low, high = result.scale.interval90
+    path.write_text(
+        f"{result.scale.value:.17g}  # {result.scale.unit}, 90 % from {low:.6g} to {high:.6g}, "
+        f"{result.scale.vehicles_used} vehicles, fleet {result.scale.fleet}\n"
+    )
+
+
+def write_tiles(result: Result, place: Place, path: Path) -> None:
+    """A line per tile that was looked at: where it is, how many vehicles stand in it, what scale they give."""
+    swept = result.detections.swept
+    votes, scale = result.votes, result.scale
+    rows = []
+    if swept is not None:
+        tiles = [tile for _, tile in swept.tiles]
+        centre = np.array([[t.x + t.width / 2, t.y + t.height / 2] for t in tiles])
+        span = np.array([[t.width, t.height] for t in tiles])
+        deviation = local_deviation(votes, scale, result.detections.ruler)
+        # Tiles overlap: a vehicle counts in the one whose centre is nearest.
+        owner = np.array([np.argmin((np.abs(p - centre) / span).max(1)) for p in votes.place], int)
+        for k, tile in enumerate(tiles):
+            here, used = owner == k, (owner == k) & scale.used
+            n = int(used.sum())
+            local = scale.value * np.exp(deviation[used].mean()) if n else float("nan")
+            spread = deviation[used].std(ddof=1) if n > 1 else float("nan")
+            rows.append([tile.x, tile.y, tile.width, tile.height, int(here.sum()), n, f"{local:.6g}", f"{spread:.4g}"])
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["x_px", "y_px", "width_px", "height_px", "vehicles", "used", "m_per_px", "relative_spread"])
+        writer.writerows(rows)
+
+
+EXTRAS = {
+    "tfw": Extra(lambda out: out.with_suffix(".tfw"), write_world_file),
+    "scale": Extra(lambda out: out.with_name(f"{out.name}.scale.txt"), write_scale_file),
+    "gpkg": Extra(lambda out: out.with_name(f"{out.name}.gpkg"), write_geopackage),
+    "geojson": Extra(lambda out: out.with_name(f"{out.name}.geojson"), write_geojson),
+    "tiles": Extra(lambda out: out.with_name(f"{out.name}.tiles.csv"), write_tiles),
+}
+
+
+def chosen(kinds: Sequence[str]) -> list[Extra]:
+    return [EXTRAS[kind] for kind in dict.fromkeys(kinds)]

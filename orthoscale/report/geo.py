@@ -1,0 +1,143 @@
+"""Vehicles as a GeoPackage in metres, with a style for QGIS inside, and as GeoJSON."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rasterio.warp import transform_geom
+
+from ..drift import local_deviation
+from ..errors import OutputError, UsageError
+from ..pipeline import Result
+from ..sources.georeference import Place
+
+LAYER = "vehicles"
+# Used green, others red, as in the picture; what a QGIS layer loads as its default style from the table layer_styles.
+STYLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
+<qgis styleCategories="Symbology">
+ <renderer-v2 type="categorizedSymbol" attr="used" symbollevels="0" enableorderby="0" forceraster="0">
+  <categories>
+   <category value="true" label="used" symbol="0" render="true"/>
+   <category value="false" label="not used" symbol="1" render="true"/>
+  </categories>
+  <symbols>{used}{rejected}</symbols>
+ </renderer-v2>
+</qgis>
+"""
+SYMBOL = """<symbol type="fill" name="{name}" alpha="1" clip_to_extent="1" force_rhr="0">
+   <layer class="SimpleFill" enabled="1" pass="0" locked="0">
+    <Option type="Map">
+     <Option type="QString" name="color" value="{rgb},40"/>
+     <Option type="QString" name="outline_color" value="{rgb},255"/>
+     <Option type="QString" name="outline_style" value="solid"/>
+     <Option type="QString" name="outline_width" value="0.5"/>
+     <Option type="QString" name="outline_width_unit" value="MM"/>
+     <Option type="QString" name="style" value="solid"/>
+    </Option>
+   </layer>
+  </symbol>"""
+STYLES_TABLE = """CREATE TABLE layer_styles (
+ id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT(256), f_table_schema TEXT(256),
+ f_table_name TEXT(256), f_geometry_column TEXT(256), styleName TEXT(30), styleQML TEXT, styleSLD TEXT,
+ useAsDefault BOOLEAN, description TEXT, owner TEXT(30), ui TEXT(30),
+ update_time DATETIME DEFAULT CURRENT_TIMESTAMP)"""
+
+
+def table(result: Result) -> dict[str, np.ndarray]:
+    """One value per vehicle, lengths in metres."""
+    votes, scale = result.votes, result.scale
+    size = votes.size * scale.value
+    box = np.array([members[0] for members in votes.members], int)
+    return {
+        "length_m": size[:, 0],
+        "width_m": size[:, 1],
+        "score": votes.score,
+        "used": scale.used.astype(bool),
+        "reason": np.array(scale.reasons, object),
+        # Clockwise from the image's upward direction, as a compass shows it on a north-up map.
+        "heading_deg": (np.degrees(result.boxes.angle[box]) + 90) % 180,
+        "scale_deviation_percent": 100 * local_deviation(votes, scale, result.detections.ruler),
+        "x_px": votes.place[:, 0],
+        "y_px": votes.place[:, 1],
+    }
+
+
+def outlines(result: Result, place: Place) -> np.ndarray:
+    """(N, 5, 2) closed outlines of the vehicles in the coordinates of `place`."""
+    box = np.array([members[0] for members in result.votes.members], int)
+    corners = result.boxes[box].corners
+    a, b, c, d, e, f = place.transform[:6]
+    x, y = corners[..., 0], corners[..., 1]
+    ring = np.stack([a * x + b * y + c, d * x + e * y + f], -1)
+    return np.concatenate([ring, ring[:, :1]], 1)
+
+
+def write_geopackage(result: Result, place: Place, path: Path) -> None:
+    """Vehicles as polygons in the CRS of the scaled copy, layer ``vehicles``. Raises UsageError without pyogrio."""
+    try:
+        from pyogrio.raw import write
+    except ImportError as error:
+        raise UsageError("a GeoPackage needs pyogrio", "Install it: pip install 'orthoscale[geo]'.") from error
+    columns = table(result)
+    try:
+        write(
+            path,
+            np.array([_wkb(ring) for ring in outlines(result, place)], object),
+            list(columns.values()),
+            list(columns),
+            layer=LAYER,
+            driver="GPKG",
+            geometry_type="Polygon",
+            crs=place.crs if isinstance(place.crs, str) else place.crs.to_wkt(),
+        )
+        _add_style(path)
+    except (sqlite3.Error, RuntimeError) as error:  # pyogrio's errors are RuntimeErrors
+        raise OutputError(f"{path} could not be written ({error})", "Check the free space on its disk.") from error
+
+
+def write_geojson(result: Result, place: Place, path: Path) -> None:
+    """Vehicles as polygons; longitude and latitude where the copy lies on the Earth, else local metres, said inside."""
+    columns = {name: values.tolist() for name, values in table(result).items()}
+    features = []
+    on_earth = not isinstance(place.crs, str) and (place.crs.is_geographic or place.crs.is_projected)
+    for k, ring in enumerate(outlines(result, place)):
+        geometry: dict[str, Any] = {"type": "Polygon", "coordinates": [ring.tolist()]}
+        if on_earth:
+            geometry = transform_geom(place.crs, "EPSG:4326", geometry)
+        properties = {name: values[k] for name, values in columns.items()}
+        features.append({"type": "Feature", "geometry": geometry, "properties": properties})
+    text = {
+        "type": "FeatureCollection",
+        "name": LAYER,
+        "coordinates": "longitude, latitude (WGS 84)" if on_earth else "local metres of the scaled copy",
+        "features": features,
+    }
+    path.write_text(json.dumps(text), encoding="utf-8")
+
+
+def _wkb(ring: np.ndarray) -> bytes:
+    """A polygon of one ring as well-known binary, little endian (OGC 06-103r4)."""
+    head = np.array([3, 1, len(ring)], "<u4").tobytes()
+    return b"\x01" + head + np.ascontiguousarray(ring, "<f8").tobytes()
+
+
+def _add_style(path: Path) -> None:
+    style = STYLE.format(used=SYMBOL.format(name=0, rgb="40,180,60"), rejected=SYMBOL.format(name=1, rgb="230,60,40"))
+    with sqlite3.connect(path) as file:
+        geometry = file.execute("SELECT column_name FROM gpkg_geometry_columns").fetchone()[0]
+        file.execute(STYLES_TABLE)
+        file.execute(
+            "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, styleName, "
+            "styleQML, styleSLD, useAsDefault, description, owner) "
+            "VALUES ('', '', ?, ?, 'orthoscale', ?, '', 1, '', '')",
+            (LAYER, geometry, style),
+        )
+        file.execute(
+            "INSERT INTO gpkg_contents (table_name, data_type, identifier) "
+            "VALUES ('layer_styles', 'attributes', 'layer_styles')"
+        )
+    file.close()

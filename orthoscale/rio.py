@@ -1,0 +1,31 @@
+"""`rio orthoscale`: the same commands inside rasterio's own command line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from .cli.main import Commands
+from .errors import OrthoscaleError
+
+
+class RioCommands(Commands):
+    """rio knows click's errors only, and would show a traceback of ours."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except OrthoscaleError as error:
+            click.echo(f"error: {error}", err=True)
+            ctx.exit(error.exit_code)
+
+
+@click.group(cls=RioCommands, short_help="Recover the scale of an orthophoto from its vehicles.")
+def orthoscale() -> None:
+    """Give an orthophoto its ground sampling distance: vehicles are the ruler.
+
+    \b
+    rio orthoscale check ortho.tif --fleet DE
+    rio orthoscale fix ortho.tif --out scaled.tif --fleet DE
+    """

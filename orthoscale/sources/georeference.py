@@ -1,0 +1,186 @@
+"""Where a raster lies and how large its pixels are on the ground: what a file claims, and what its copy is given."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyproj
+from rasterio.crs import CRS
+from rasterio.errors import RasterioError
+from rasterio.io import DatasetReader
+from rasterio.transform import Affine, from_gcps
+
+LOCAL_CRS = (
+    'LOCAL_CS["orthoscale local metres",LOCAL_DATUM["unknown",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
+    'AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
+)
+"""The engineering CRS of written copies: metres, but nowhere on Earth."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a raster's own georeferencing says of its scale.
+
+    gsd_m : ground metres per pixel at the image's centre, measured on the ellipsoid (the geometric mean of both axes);
+        where nothing ties the image to the Earth, what its figures would mean in metres; None without any figure.
+    usable : True when it comes from a real coordinate reference system and may be compared with a measured scale.
+    why : for people, to follow the figure: where it comes from, or why there is none or it is not to be believed.
+    crs, transform : the georeferencing behind it, from ground control points where there is no geotransform; None
+        without any.
+    """
+
+    gsd_m: float | None
+    usable: bool
+    why: str
+    crs: CRS | None = None
+    transform: Affine | None = None
+
+
+@dataclass(frozen=True)
+class Place:
+    """The georeferencing of a copy with the measured scale. said : for people, what became of the input's own."""
+
+    crs: str | CRS
+    transform: Affine
+    said: str
+
+
+def claim_of(dataset: DatasetReader) -> Claim:
+    """What the georeferencing of `dataset` says, and whether to believe it. Never raises for strange georeferencing."""
+    t, crs = dataset.transform, dataset.crs
+    if (t.b, t.d, t.c) == (0, 0, 0) and abs(t.a) == abs(t.e) == 1 and t.f in (0, dataset.height):
+        if dataset.gcps[0]:
+            return _claim_of_gcps(dataset)
+        if dataset.rpcs:
+            return Claim(None, False, "only rational polynomials (RPC), no geotransform (gdalwarp makes one)")
+        return Claim(None, False, "not georeferenced")
+    across, down = math.hypot(t.a, t.d), math.hypot(t.b, t.e)
+    size = math.sqrt(abs(t.determinant))
+    if size == 0 or not math.isfinite(across * down):
+        return Claim(None, False, "a geotransform without area")
+    if crs is None:
+        beside = [Path(f).name for f in dataset.files[1:]]
+        shape = "square" if _square(across, down) else f"{across / down:.4g} times as wide as high"
+        why = (
+            f"{across:.6g} x {down:.6g} of an unknown unit per pixel{f' ({beside[0]})' if beside else ''}: "
+            f"there is no coordinate reference system; pixels are {shape}"
+        )
+        return Claim(size, False, why + _attitude(t), None, t)
+    try:
+        system = pyproj.CRS.from_user_input(crs)
+    except pyproj.exceptions.CRSError as error:
+        return Claim(None, False, f"its coordinate reference system is not understood ({error})")
+    if system.type_name == "Engineering CRS":
+        size *= system.axis_info[0].unit_conversion_factor
+        why = f"in local coordinates ({system.name}), which nothing ties to the ground"
+        return Claim(size, False, why + _attitude(t), crs, t)
+    if (t.c, t.f) == (0, 0):
+        # OpenDroneMap without GPS: UTM zone 30N, geotransform (0, .1, 0, 0, 0, -.1).
+        return Claim(None, False, f"a placeholder: {system.name} with its origin at exactly (0, 0)")
+    return _claim_on_earth(dataset, crs, t, f"on the ground, from {system.name}")
+
+
+def _claim_of_gcps(dataset: DatasetReader) -> Claim:
+    points, crs = dataset.gcps
+    if crs is None or len(points) < 3:
+        return Claim(None, False, f"only {len(points)} ground control points, without what ties them to the ground")
+    try:
+        t = from_gcps(points)
+    except (RasterioError, ValueError):
+        t = Affine(0, 0, 0, 0, 0, 0)
+    if not abs(t.determinant) > 0:
+        return Claim(None, False, f"{len(points)} ground control points that span no area")
+    return _claim_on_earth(dataset, crs, t, f"on the ground, from {len(points)} ground control points")
+
+
+def _claim_on_earth(dataset: DatasetReader, crs: CRS, t: Affine, why: str) -> Claim:
+    system = pyproj.CRS.from_user_input(crs)
+    try:
+        across, down = _ground_steps(dataset.width, dataset.height, t, system)
+    except pyproj.exceptions.ProjError as error:
+        return Claim(None, False, f"its place cannot be found on Earth from {system.name} ({error})")
+    gsd = math.sqrt(across * down)
+    size = math.sqrt(abs(t.determinant))
+    unit = system.axis_info[0].unit_name if system.axis_info else "unit"
+    if system.is_geographic:
+        why += f"; {size:.6g} degrees per pixel"
+    elif abs(size / gsd - 1) > 0.002:  # feet, or a projection that stretches: Mercator by 1/cos(latitude)
+        why += f"; {size:.6g} {unit} per pixel there"
+    if not _square(across, down):
+        why += f"; its pixels are {across:.6g} m wide and {down:.6g} m high"
+    return Claim(gsd, True, why + _attitude(t), crs, t)
+
+
+def _attitude(t: Affine) -> str:
+    """What is unusual about how the image lies."""
+    words = []
+    if t.determinant > 0:
+        words.append("south-up (its first row is the southernmost)")
+    turned = math.degrees(math.atan2(t.d, t.a))
+    turned = (turned + 180) % 360 - 180
+    if abs(turned) > 0.01:
+        words.append(f"rotated by {turned:.4g} degrees")
+    return "".join(f"; {word}" for word in words)
+
+
+def local_place(claim: Claim, height: int, gsd_m: float) -> Place:
+    """Local metres, north up, origin at the lower left corner of the image of `height` px.
+
+    An image whose first row is its southernmost keeps that order, or the copy would be a mirror image of the ground.
+    """
+    said = "local metres, origin at the lower left corner"
+    t = claim.transform
+    if claim.usable:
+        said += f"; the georeferencing of the input ({claim.why}) is not in it (--keep-origin keeps its place)"
+    elif t is not None or "not georeferenced" not in claim.why:
+        said += f"; not believed and not in it: {claim.why}"
+    if t is not None and t.determinant > 0:
+        return Place(LOCAL_CRS, Affine(gsd_m, 0, 0, 0, gsd_m, 0), said + "; rows go north, as in the input")
+    return Place(LOCAL_CRS, Affine(gsd_m, 0, 0, 0, -gsd_m, gsd_m * height), said)
+
+
+def kept_place(claim: Claim, height: int, gsd_m: float) -> Place:
+    """The input's own coordinate reference system, first corner and direction, with pixels of the measured size.
+
+    One factor on the geotransform does it in metres, feet and degrees, stretched or not. Where there is no place to
+    keep, `local_place`.
+    """
+    t = claim.transform
+    if t is None or claim.gsd_m is None:
+        place = local_place(claim, height, gsd_m)
+        return Place(place.crs, place.transform, f"{place.said}; there was no origin to keep")
+    k = gsd_m / claim.gsd_m
+    transform = Affine(t.a * k, t.b * k, t.c, t.d * k, t.e * k, t.f)
+    name = pyproj.CRS.from_user_input(claim.crs).name if claim.crs is not None else "local metres"
+    return Place(
+        claim.crs or LOCAL_CRS,
+        transform,
+        f"{name}; the first corner is where it was, pixels are {k:.5g} times as large",
+    )
+
+
+def _square(across: float, down: float) -> bool:
+    # Web Mercator treats the ellipsoid as a sphere, which stretches one axis by up to 0.7 %.
+    return abs(across / down - 1) < 0.01
+
+
+def _ground_steps(width: int, height: int, t: Affine, system: pyproj.CRS) -> tuple[float, float]:
+    """[m] how far one step across and one step down is at the image's centre, along geodesics.
+
+    One method for metres, feet, degrees, stretched projections and rotated images. Raises ProjError when the centre
+    is not a place on Earth.
+    """
+    x, y = width / 2, height / 2
+    # Wide enough for rounding in inverse projections (some 10 nm) not to matter, narrow enough to be local.
+    half = min(100.0, x, y)
+    px, py = np.array([x - half, x + half, x, x]), np.array([y, y, y - half, y + half])
+    to_degrees = pyproj.Transformer.from_crs(system, "EPSG:4326", always_xy=True)
+    lon, lat = to_degrees.transform(t.a * px + t.b * py + t.c, t.d * px + t.e * py + t.f, errcheck=True)
+    if not all(math.isfinite(a) and abs(b) <= 90 for a, b in zip(lon, lat, strict=True)):
+        raise pyproj.exceptions.ProjError("outside of longitude and latitude")
+    geod = pyproj.Geod(ellps="WGS84")
+    _, _, distance = geod.inv([lon[0], lon[2]], [lat[0], lat[2]], [lon[1], lon[3]], [lat[1], lat[3]])
+    return distance[0] / (2 * half), distance[1] / (2 * half)

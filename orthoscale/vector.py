@@ -1,0 +1,57 @@
+"""Shapes with attributes into GIS files, through GDAL."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
+
+
+def write_layer(
+    path: Path, layer: str, shapes: Sequence[Any], rows: Sequence[Mapping[str, Any]], kind: str, crs: str | None
+) -> None:
+    """Write shapely `shapes` (None for no place) of one `kind` ("Polygon" ...) with their `rows` as one layer.
+
+    The file's ending says the format: .gpkg (layers are added to an existing file) or .geojson (one layer only).
+    All rows have the same keys; a missing value is None. `crs` is anything GDAL understands. Raises OSError.
+    """
+    import pyogrio
+    import shapely
+
+    suffix = path.suffix.lower()
+    columns = [_column([row[name] for row in rows]) for name in rows[0]]
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="'crs' was not provided")  # local metres have none that travels
+            pyogrio.raw.write(
+                path,
+                geometry=np.array([None if s is None else shapely.to_wkb(s) for s in shapes], object),
+                field_data=[values for values, _ in columns],
+                field_mask=[mask for _, mask in columns],
+                fields=list(rows[0]),
+                geometry_type=kind,
+                crs=crs,
+                driver=DRIVERS[suffix],
+                layer=layer if suffix == ".gpkg" else None,
+                append=False,
+            )
+    except pyogrio.errors.DataSourceError as error:
+        raise OSError(f"GDAL could not write the layer {layer} ({error})") from error
+
+
+def _column(values: list[Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Values as one array of the narrowest type, and which of them are missing."""
+    mask = np.array([v is None for v in values])
+    known = [v for v in values if v is not None]
+    if known and all(isinstance(v, bool) for v in known):
+        return np.array([bool(v) for v in values]), mask
+    if known and all(isinstance(v, int) for v in known):
+        return np.array([0 if v is None else v for v in values], np.int64), mask
+    if all(isinstance(v, int | float) for v in known):
+        return np.array([np.nan if v is None else v for v in values], np.float64), mask
+    return np.array(["" if v is None else str(v) for v in values], object), mask

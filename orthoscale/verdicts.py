@@ -1,0 +1,46 @@
+"""What to think of a scale, in one word, and why votes were set aside, in a few."""
+
+from __future__ import annotations
+
+import numpy as np
+
+VERDICTS = (("good", 0.03), ("fair", 0.06), ("poor", 0.15))  # relative one-sigma of the scale, upper bounds
+CHECK_LIMIT = 2.5  # sigmas between length and width before the verdict is lowered
+
+
+def verdict(sd: float, odd_shape: bool, conflict: bool) -> str:
+    """``good``, ``fair``, ``poor`` or ``refuse``.
+
+    sd : relative one-sigma of the scale. odd_shape : lengths and widths give different scales; one step down, to
+    ``poor`` at worst. conflict : two measurements contradict each other; nothing is known then.
+    """
+    names = [name for name, _ in VERDICTS]
+    rank = next((k for k, (_, limit) in enumerate(VERDICTS) if sd <= limit), len(VERDICTS))
+    if conflict or rank == len(VERDICTS):
+        return "refuse"
+    return names[min(rank + odd_shape, len(VERDICTS) - 1)]
+
+
+def remark_on_shape(difference: float) -> str:
+    """`difference` is log scale by lengths less that by widths."""
+    larger, smaller = ("lengths", "widths") if difference > 0 else ("widths", "lengths")
+    percent = 100 * abs(np.expm1(difference))
+    return f"{larger} give a larger scale than {smaller} by {percent:.0f} %: another fleet, or boxes that do not fit"
+
+
+def reasons(
+    used: np.ndarray, measurable: np.ndarray, fleeting: np.ndarray, log_size: np.ndarray, mean: np.ndarray
+) -> list[str]:
+    """Why each vote does not count, '' where it does.
+
+    used, measurable, fleeting : (N,) bool. log_size : (M, 2) of the measurable ones, whose mean where used is `mean`.
+    """
+    out = ["seen in one frame only" if f else "smaller than the detector's margin" for f in fleeting]
+    for index, (d_length, d_width) in zip(np.flatnonzero(measurable), log_size - mean, strict=True):
+        if used[index]:
+            out[index] = ""
+        elif abs(d_length - d_width) > max(abs(d_length), abs(d_width)):
+            out[index] = "wrong shape for a car"
+        else:
+            out[index] = "too small for a car" if d_length + d_width < 0 else "too large for a car"
+    return out

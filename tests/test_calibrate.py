@@ -1,0 +1,210 @@
+"""Calibration: a margin that is known comes back, from simulated boxes and through the whole program."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orthoscale
+from orthoscale.boxes import Boxes
+from orthoscale.calibrating import box_noise, measure_ruler, same_vehicles
+from orthoscale.calibration import Calibration, fit_margin, scaled_fleet
+from orthoscale.cli.main import cli
+from orthoscale.detections import UNKNOWN_RULER
+from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+from orthoscale.fleet import Fleet
+from orthoscale.pooling import Ruler
+
+GSD = 0.1
+ZOOMS = np.array([0.6, 0.85, 1.2])
+
+
+def looks_at(sizes, margin, noise, rng):
+    """Boxes [px of the picture] of vehicles of `sizes` (N, 2) [m] at ZOOMS, `margin` and `noise` in detector px."""
+    spots = np.stack(np.meshgrid(np.arange(len(sizes)) * 70.0, [50.0]), -1).reshape(-1, 2)
+    return [
+        Boxes(
+            np.column_stack([spots, sizes / GSD + (margin + noise * rng.standard_normal(sizes.shape)) / z,
+                             np.zeros(len(sizes))]),
+            np.full(len(sizes), 0.9),
+        )
+        for z in ZOOMS
+    ]  # fmt: skip
+
+
+def test_exact_sizes_and_margins_are_solved_for():
+    pixel = np.array([0.08, 0.11, 0.16])
+    fit = fit_margin(4.4 + 2.5 * pixel, pixel, np.full(3, 0.01), (4.6, 9.0), (0.0, 99.0))
+    assert (fit.size, fit.margin) == (pytest.approx(4.4, abs=0.001), pytest.approx(2.5, abs=0.01))
+    held = fit_margin(4.4 + 2.5 * pixel, pixel, np.full(3, 9.0), (4.4, 0.001), (0.0, 1e4))
+    assert held.margin == pytest.approx(2.5, abs=0.01), "without the zooms' help the fleet tells the margin"
+    assert held.margin_sd < 99
+
+
+def test_a_contradiction_widens():
+    pixel = np.array([0.08, 0.11, 0.16])
+    agreed = fit_margin(4.4 + 0 * pixel, pixel, np.full(3, 0.05), (4.4, 0.1), (0.0, 0.5))
+    torn = fit_margin(4.4 + 4 * pixel, pixel, np.full(3, 0.05), (4.4, 0.1), (0.0, 0.5))
+    assert torn.margin_sd > 1.5 * agreed.margin_sd
+
+
+@pytest.mark.parametrize("ruler", [UNKNOWN_RULER, Ruler()], ids=["unknown detector", "detector with a card"])
+def test_the_margin_is_within_what_is_said_of_it(ruler):
+    """Places whose fleet, margin and boxes stray as much as they claim to."""
+    fleet = Fleet.load("DE")
+    pulls = []
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        margin = np.array([3.0, 2.0]) if ruler is UNKNOWN_RULER else rng.normal(ruler.margin, ruler.margin_sd)
+        stray = np.exp(rng.multivariate_normal([0, 0], fleet.log_mean_covariance + ruler.common_sd**2))
+        sizes = fleet.sample(rng, 80)[:, :2] * stray
+        looks = looks_at(sizes, margin, np.array([2.0, 1.2]), rng)
+        got, fits, used, _ = measure_ruler(looks, ZOOMS, GSD, fleet, ruler)
+        pulls.append((np.array(got.margin) - margin) / got.margin_sd)
+        assert used > 60 and fits[0].margin == got.margin[0]
+    spread = np.sqrt(np.mean(np.square(pulls), axis=0))
+    assert (spread > 0.5).all() and (spread < 1.4).all()
+    assert np.abs(np.mean(pulls, axis=0)).max() < 0.6
+
+
+def test_box_noise_comes_back():
+    rng = np.random.default_rng(1)
+    looks = looks_at(Fleet.load("US").sample(rng, 600)[:, :2], 0.0, np.array([2.0, 1.2]), rng)
+    assert box_noise(looks, ZOOMS) == pytest.approx((2.0, 1.2), rel=0.15)
+
+
+def test_only_vehicles_that_all_looks_show_count():
+    rng = np.random.default_rng(2)
+    fine, middle, coarse = looks_at(np.full((5, 2), [4.4, 1.8]), 0.0, 0.1, rng)
+    here = same_vehicles([fine[np.array([4, 1, 2])], middle[np.array([0, 2, 4])], coarse[np.array([2, 4, 3, 1])]])
+    assert [look.centre[:, 0].tolist() for look in here] in ([[140.0, 280.0]] * 3, [[280.0, 140.0]] * 3)
+
+
+def test_vehicles_of_another_scale_are_refused():
+    rng = np.random.default_rng(0)
+    looks = looks_at(Fleet.load("DE").sample(rng, 60)[:, :2] * 2, 0.0, 1.0, rng)
+    with pytest.raises(InputError, match="would be"):
+        measure_ruler(looks, ZOOMS, GSD, Fleet.load("DE"), Ruler())
+
+
+def test_a_fleet_grows_class_by_class():
+    japan = Fleet.load("JP")
+    entry = scaled_fleet(japan, np.array([1.1, 1.05]), np.array([0.01, 0.02]), "a place", "a test")
+    local = Fleet.from_entry("local", json.loads(json.dumps(entry)))
+    assert local.mean == pytest.approx(japan.mean * [1.1, 1.05, 1], abs=1e-3)
+    assert local.mean_sd[:2] == pytest.approx(local.mean[:2] * [0.01, 0.02], rel=0.01)
+    assert len(local.classes) == len(japan.classes) == 3
+    assert local.classes[0].mean[0] == pytest.approx(1.1 * japan.classes[0].mean[0], abs=1e-3)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A picture at 0.1 m/px and a network that boxes its 60 German vehicles 3 px too long and 2 px too wide, at any
+    zoom, which it reads off a white square of 100 px."""
+    onnx = pytest.importorskip("onnx")
+    helper, numpy_helper = onnx.helper, onnx.numpy_helper
+    folder = tmp_path_factory.mktemp("place")
+    image = np.full((800, 800, 3), 60, np.uint8)
+    image[600:700, 600:700] = 255
+    cv2.imwrite(str(folder / "place.png"), image)
+    n = 60
+    rng = np.random.default_rng(5)
+    sizes = Fleet.load("DE").sample(rng, n)[:, :2] / GSD
+    spots = np.stack(np.meshgrid(np.arange(10) * 65 + 60.0, np.arange(6) * 65 + 60.0), -1).reshape(-1, 2)
+    sized = np.column_stack([spots, sizes, np.zeros((n, 2))])[None]
+    rest = np.tile([0, 0, 3, 2, 0.3, 0.9], (n, 1))[None]
+    nodes = [
+        helper.make_node("Greater", ["images", "half"], ["white"]),
+        helper.make_node("Cast", ["white"], ["white_share"], to=1),
+        helper.make_node("ReduceSum", ["white_share"], ["area"], keepdims=0),
+        helper.make_node("Mul", ["area", "per_area"], ["zoom_squared"]),
+        helper.make_node("Sqrt", ["zoom_squared"], ["zoom"]),
+        helper.make_node("Mul", ["sized", "zoom"], ["boxes"]),
+        helper.make_node("Add", ["boxes", "rest"], ["dets"]),
+        helper.make_node("Identity", ["fours"], ["labels"]),
+    ]
+    weights = {"sized": np.float32(sized), "rest": np.float32(rest), "fours": np.full((1, n), 4),
+               "half": np.float32(0.7), "per_area": np.float32(1 / 3 / 100**2)}  # fmt: skip
+    graph = helper.make_graph(
+        nodes,
+        "margins",
+        [helper.make_tensor_value_info("images", 1, [1, 3, "h", "w"])],
+        [helper.make_tensor_value_info("dets", 1, [1, n, 6]), helper.make_tensor_value_info("labels", 7, [1, n])],
+        [numpy_helper.from_array(w, name) for name, w in weights.items()],
+    )
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), folder / "net.onnx")
+    return folder
+
+
+def command(*words):
+    return CliRunner().invoke(cli, [str(w) for w in words])
+
+
+def test_a_calibrated_detector_measures_better(place, tmp_path):
+    common = ["--detector", place / "net.onnx", "--fleet", "DE"]
+    out = tmp_path / "ruler.json"
+    result = command("calibrate", place / "place.png", "--gsd", GSD, *common, "--out", out)
+    assert result.exception is None, result.output
+    assert "60, at 0.1 m/px, against fleet DE" in result.output
+    ruler = Calibration.load(out).ruler
+    assert ruler.margin == pytest.approx((3, 2), abs=0.8)
+    assert ruler.noise[0] < 1
+
+    options = {"detector": place / "net.onnx", "zoom": 0.9, "fleet": "DE"}
+    before = orthoscale.estimate(place / "place.png", **options)
+    after = orthoscale.estimate(place / "place.png", calibration=out, **options)
+    assert before.scale.value < 0.96 * GSD
+    assert after.scale.value == pytest.approx(GSD, rel=0.02)
+    assert after.scale.relative_sd < before.scale.relative_sd
+    assert after.detections.ruler == ruler
+
+
+def test_the_local_fleet_travels_with_the_file(place, tmp_path):
+    out = tmp_path / "ruler.json"
+    words = ["calibrate", place / "place.png", "--gsd", GSD, "--detector", place / "net.onnx", "--fleet", "US"]
+    result = command(*words, "--local-fleet", "--out", out, "--json")
+    assert result.exception is None, result.output
+    told = json.loads(result.output)
+    assert told == json.loads(out.read_text())
+    american = Fleet.load("US").mean
+    assert told["fleet"]["length"][0] < american[0], "these are German vehicles"
+    options = {"detector": place / "net.onnx", "zoom": 0.9, "calibration": out}
+    local = orthoscale.estimate(place / "place.png", **options)
+    assert local.fleet.code == "local" and local.scale.value == pytest.approx(GSD, rel=0.02)
+    assert orthoscale.estimate(place / "place.png", fleet="DE", **options).fleet.code == "DE"
+
+
+def test_a_calibration_is_for_its_own_detector(place, tmp_path):
+    out = tmp_path / "ruler.json"
+    Calibration("another", "ff", Ruler(), None, {}).save(out)
+    with pytest.raises(UsageError, match="was measured for another, but these boxes are those of"):
+        orthoscale.estimate(place / "place.png", detector=place / "net.onnx", zoom=0.9, calibration=out)
+
+
+def test_what_cannot_be_calibrated(place, tmp_path):
+    from orthoscale.calibrating import calibrate
+
+    with pytest.raises(UsageError, match="scale is not known"):
+        calibrate(place / "place.png", detector=place / "net.onnx")
+    with pytest.raises(UsageError, match="positive"):
+        calibrate(place / "place.png", gsd=-1)
+    with pytest.raises((InputError, TooLittleEvidence)):
+        calibrate(place / "place.png", gsd=0.3, detector=place / "net.onnx", fleet="DE")
+    cv2.imwrite(str(tmp_path / "empty.png"), np.full((200, 200, 3), 60, np.uint8))
+    with pytest.raises(TooLittleEvidence, match="0 vehicles seen at all three zooms"):
+        calibrate(tmp_path / "empty.png", gsd=0.1, detector=place / "net.onnx", fleet="DE")
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "[]", '{"kind": "another"}', '{"kind": "orthoscale calibration 1", "detector": "x"}',
+             '{"kind": "orthoscale calibration 1", "detector": "x", "detector_sha256": "", "ruler": {},'
+             ' "fleet": {"name": "x"}, "made_from": {}}']
+)  # fmt: skip
+def test_a_file_that_is_no_calibration(tmp_path, text):
+    (tmp_path / "bad.json").write_text(text)
+    with pytest.raises(InputError, match=r"bad\.json: not a calibration"):
+        Calibration.load(tmp_path / "bad.json")
+    with pytest.raises(InputError, match="cannot be read"):
+        Calibration.load(tmp_path / "none.json")

@@ -1,0 +1,156 @@
+"""Satellite crops: as much ground as the photo shows, where they say that they are."""
+
+import csv
+import json
+
+import cv2
+import in_process
+import numpy as np
+import pyproj
+import pytest
+import rasterio
+from PIL import Image
+from rasterio.transform import Affine
+from test_photo import ALTITUDE, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
+
+from orthoscale.errors import UsageError
+from orthoscale.photo.crop import Satellite, plan_crops
+
+LON, LAT = 9.0, 60.0
+GEOD = pyproj.Geod(ellps="WGS84")
+
+
+def satellite(path, crs="EPSG:32632", step=0.5, size=1600, turned=0.0):
+    """A picture whose red is the column and whose green is the row, over 10 px, around a place in Norway."""
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(LON, LAT)
+    a = np.radians(turned)
+    right, down = step * np.array([np.cos(a), -np.sin(a)]), step * np.array([-np.sin(a), -np.cos(a)])
+    corner = np.array([x, y]) - size / 2 * (right + down)
+    transform = Affine(right[0], down[0], corner[0], right[1], down[1], corner[1])
+    rows, columns = np.indices((size, size))
+    pixels = np.stack([columns // 10, rows // 10, 0 * rows]).astype(np.uint8)
+    with rasterio.open(path, "w", "GTiff", size, size, 3, crs, transform, "uint8", photometric="RGB") as out:
+        out.write(pixels)
+    return path
+
+
+@pytest.mark.parametrize("crs, step, turned, pixel", [
+    ("EPSG:32632", 0.5, 0, 0.5), ("EPSG:3857", 0.6, 0, 0.3), ("EPSG:32632", 0.5, 25, 0.5),
+])  # fmt: skip
+def test_crops_are_as_large_on_the_ground_as_the_footprint(tmp_path, crs, step, turned, pixel):
+    sky = Satellite.open(satellite(tmp_path / "sat.tif", crs, step, turned=turned))
+    crops = plan_crops(sky, gsd=0.08, photo_size=(1000, 750), at=(LON, LAT))
+    assert crops.pixel == pytest.approx([pixel] * 2, rel=0.005)
+    ((x, y, width, height),) = crops.windows
+    assert (width, height) == (round(80 / crops.pixel[0]), round(60 / crops.pixel[1]))
+    corners = sky.lon_lat(np.array([[x, y], [x + width, y], [x + width, y + height]]))
+    sides = [GEOD.inv(*corners[k], *corners[k + 1])[2] for k in (0, 1)]
+    assert sides == pytest.approx([80, 60], abs=0.6 * pixel)
+    assert sky.lon_lat(np.array([[x + width / 2, y + height / 2]]))[0] == pytest.approx([LON, LAT], abs=1e-5)
+    assert crops.out == (1000, 750) and crops.query == (0, 0, 1000, 750)
+
+
+def test_squares_are_those_of_the_shorter_side(tmp_path):
+    sky = Satellite.open(satellite(tmp_path / "sat.tif"))
+    crops = plan_crops(sky, 0.08, (1000, 750), (LON, LAT), square=True, out_px=384)
+    assert crops.windows[0, 2:].tolist() == [120, 120]
+    assert crops.query == (125, 0, 750, 750) and crops.out == (384, 384)
+
+
+@pytest.mark.parametrize("stride", [0.5, 0.25, 1.0])
+def test_windows_cover_the_search_area_by_the_stride(tmp_path, stride):
+    sky = Satellite.open(satellite(tmp_path / "sat.tif"))
+    crops = plan_crops(sky, 0.08, (1000, 750), (LON, LAT), radius=200, stride=stride)
+    for axis, window in ((0, 160), (1, 120)):
+        starts = np.unique(crops.windows[:, axis])
+        assert np.diff(starts).max() <= stride * window + 1
+        assert starts[0] + window / 2 == pytest.approx(800 - 400, abs=1)
+        assert starts[-1] + window / 2 == pytest.approx(800 + 400, abs=1)
+    assert len(np.unique(crops.windows[:, :2], axis=0)) == len(crops.windows)
+
+
+def test_without_a_place_the_whole_picture_is_searched(tmp_path):
+    sky = Satellite.open(satellite(tmp_path / "sat.tif"))
+    windows = plan_crops(sky, 0.08, (1000, 750)).windows
+    assert windows[:, :2].min(0).tolist() == [0, 0]
+    assert (windows[:, :2] + windows[:, 2:]).max(0).tolist() == [1600, 1600]
+    assert len(windows) == 19 * 26  # (1600 - 160) / 80 + 1 and, rounded up, (1600 - 120) / 60 + 1
+
+
+@pytest.mark.parametrize(
+    "options, word",
+    [
+        ({"at": (LON + 1, LAT)}, "is not in sat.tif"),
+        ({"gsd": 2.0}, "larger satellite picture"),
+        ({"stride": 0}, "stride"),
+        ({"radius": 100}, "--at"),
+        ({"gsd": -1.0}, "positive"),
+        ({"stride": 0.001}, "too many"),
+    ],
+)
+def test_impossible_wishes_are_refused(tmp_path, options, word):
+    sky = Satellite.open(satellite(tmp_path / "sat.tif"))
+    with pytest.raises(UsageError, match=word):
+        plan_crops(sky, **{"gsd": 0.08, "photo_size": (1000, 750), **options})
+
+
+def run(*arguments):
+    return in_process.run("crop", *arguments)
+
+
+def test_a_gallery_with_its_manifest(tmp_path):
+    path = satellite(tmp_path / "sat.tif")
+    photo = write_photo(tmp_path / "a.jpg")
+    (tmp_path / "cars.json").write_text(json.dumps(CARS))
+    detections_of({"a.jpg": boxes_in(view_from(-90))}).save(tmp_path / "boxes.json")
+    out = tmp_path / "crops"
+    lens = ["--focal-px", FOCAL, "--pitch", -90]
+    rules = ["--detections", tmp_path / "boxes.json", "--fleet", tmp_path / "cars.json", *lens]
+    area = ["--satellite", path, "--at", f"{LON},{LAT}", "--radius", 60, "--size", 200, "--out", out]
+    done = run(photo, *rules, *area, "--json")
+    assert done.returncode == 0, done.stderr
+    text = json.loads(done.stdout)
+    assert text == json.loads((out / "crop.json").read_text())
+    truth = ALTITUDE / FOCAL
+    assert text["gsd"] == pytest.approx(truth, rel=0.005)
+    assert text["window_m"] == pytest.approx([truth * SIZE[0], truth * SIZE[1]], rel=0.01)
+    assert text["gsd_interval90"][0] < truth < text["gsd_interval90"][1]
+    with Image.open(out / "query.jpg") as query:
+        assert query.size == (200, 150)
+    rows = list(csv.DictReader((out / "manifest.csv").open()))
+    assert len(rows) == text["crops"] == len(list((out / "gallery").iterdir())) > 4
+    with rasterio.open(path) as sky:
+        to_crs = pyproj.Transformer.from_crs("EPSG:4326", sky.crs, always_xy=True)
+        for row in rows[::3]:
+            image = cv2.imread(str(out / row["file"]))
+            assert image.shape == (150, 200, 3)
+            # The pixels of the crop's middle say where they are from, and so does the manifest.
+            down, across = sky.index(*to_crs.transform(float(row["longitude"]), float(row["latitude"])))
+            assert int(image[75, 100, 2]) * 10 == pytest.approx(across, abs=25)
+            assert int(image[75, 100, 1]) * 10 == pytest.approx(down, abs=25)
+            assert across == pytest.approx(int(row["column_px"]) + int(row["width_px"]) / 2, abs=1.5)
+    shown = run(photo, "--gsd", 0.05, *area, "--overwrite")
+    assert shown.returncode == 0 and "as told" in shown.stdout and "50.0 x 37.5 m" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    "photo, sky, options, code, word",
+    [
+        ("a.jpg", "sat.tif", ["--gsd", 0.05, "--at", "north"], 2, "--at"),
+        ("a.jpg", "sat.tif", ["--gsd", 0.05, "--at", "200,95"], 2, "--at"),
+        ("a.jpg", "plain.png", ["--gsd", 0.05], 2, "no place on Earth"),
+        ("a.jpg", "none.tif", ["--gsd", 0.05], 5, "does not exist"),
+        ("none.jpg", "sat.tif", ["--gsd", 0.05], 5, "none.jpg"),
+        ("a.jpg", "sat.tif", [], 5, "no focal length"),
+        ("a.jpg", "sat.tif", ["--focal-px", 900, "--detections", "few.json"], 3, "--gsd"),
+    ],
+)
+def test_bad_input_ends_in_one_sentence_and_nothing_written(tmp_path, monkeypatch, photo, sky, options, code, word):
+    monkeypatch.chdir(tmp_path)
+    satellite(tmp_path / "sat.tif", size=300)
+    cv2.imwrite("plain.png", np.full((300, 300, 3), 120, np.uint8))
+    write_photo(tmp_path / "a.jpg")
+    detections_of({"a.jpg": boxes_in(view_from(-90), 3)}).save(tmp_path / "few.json")
+    done = run(photo, "--satellite", sky, *options, "--out", "out")
+    assert done.returncode == code, done.stderr
+    assert word in done.stderr and "Traceback" not in done.stderr and not (tmp_path / "out").exists()

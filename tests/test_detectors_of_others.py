@@ -1,0 +1,321 @@
+"""Detectors of others: tiny ONNX networks with known output, in each layout, recognised and read."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+import orthoscale
+from orthoscale.detect.classes import is_vehicle, vehicle_numbers
+from orthoscale.detect.detector import Detector
+from orthoscale.errors import InputError, OrthoscaleError, UsageError
+
+onnx = pytest.importorskip("onnx")
+helper, numpy_helper = onnx.helper, onnx.numpy_helper
+
+# Centre x, y, width, height [px], angle [rad], confidence, class: a car written long side first, one written short side
+# first, a large vehicle, a doubtful car.
+TRUTH = np.array(
+    [
+        [40.0, 30.0, 36.0, 15.0, 0.4, 0.9, 1],
+        [90.0, 50.0, 14.0, 33.0, 0.2, 0.8, 1],
+        [20.0, 80.0, 90.0, 24.0, 0.0, 0.9, 0],
+        [60.0, 90.0, 35.0, 15.0, 0.1, 0.2, 1],
+    ]
+)
+CARS = [[40, 30, 36, 15, 0.4], [90, 50, 33, 14, 0.2 - np.pi / 2]]
+NAMES = {"names": "{0: 'large vehicle', 1: 'small vehicle', 2: 'ship'}", "task": "obb", "stride": "32"}
+
+
+def network(path, outputs, metadata=None, size=("h", "w"), open_shapes=False, dtype=onnx.TensorProto.FLOAT):
+    """An ONNX file whose outputs, arrays by name, do not depend on its image, but for a zero made of it."""
+    nodes, values, weights = [], [], []
+    nodes.append(helper.make_node("ReduceMax", ["images"], ["brightest"], keepdims=0))
+    for name, array in outputs.items():
+        array = np.asarray(array)
+        kind = onnx.TensorProto.INT64 if array.dtype.kind == "i" else dtype
+        weights.append(numpy_helper.from_array(array.astype(helper.tensor_dtype_to_np_dtype(kind)), f"{name}_known"))
+        nodes += [
+            helper.make_node("Cast", ["brightest"], [f"{name}_cast"], to=kind),
+            helper.make_node("Sub", [f"{name}_cast", f"{name}_cast"], [f"{name}_zero"]),
+            helper.make_node("Add", [f"{name}_known", f"{name}_zero"], [name]),
+        ]
+        shape = [f"{name}{k}" for k in range(array.ndim)] if open_shapes else array.shape
+        values.append(helper.make_tensor_value_info(name, kind, shape))
+    image = helper.make_tensor_value_info("images", dtype, [1, 3, *size])
+    model = helper.make_model(
+        helper.make_graph(nodes, "tiny", [image], values, weights),
+        opset_imports=[helper.make_opsetid("", 17)],
+        ir_version=8,
+    )
+    helper.set_model_props(model, metadata or {})
+    onnx.save(model, path)
+    return path
+
+
+def raw(classes=3):
+    """As [1, 4 + classes + 1, n]; the classes that are not named are a little possible too."""
+    scores = np.full((len(TRUTH), classes), 0.01)
+    scores[np.arange(len(TRUTH)), TRUTH[:, 6].astype(int)] = TRUTH[:, 5]
+    return np.hstack([TRUTH[:, :4], scores, TRUTH[:, 4:5]]).T[None]
+
+
+def nms_free():
+    """As [1, n, 7], with the rows of zeros that fill up the rest."""
+    return np.vstack([TRUTH[:, [0, 1, 2, 3, 5, 6, 4]], np.zeros((3, 7))])[None]
+
+
+def mmrotate(large=5, small=4):
+    """dets [1, n, 6] and labels [1, n], in DOTA's numbers."""
+    return {"dets": TRUTH[None, :, :6], "labels": np.where(TRUTH[:, 6] == 1, small, large)[None]}
+
+
+def found(path, size=(128, 128), **options):
+    detector = Detector(path, **options)
+    boxes = detector(np.zeros((*size, 3), np.uint8))
+    return detector, boxes[np.argsort(-boxes.score)]
+
+
+@pytest.mark.parametrize("open_shapes", [False, True])
+@pytest.mark.parametrize(
+    "decoder, outputs, metadata",
+    [
+        ("ultralytics", {"output0": raw()}, NAMES),
+        ("ultralytics-nms-free", {"output0": nms_free()}, {**NAMES, "end2end": "True"}),
+        ("mmrotate", mmrotate(), {}),
+    ],
+)
+def test_layouts_are_recognised_and_read(tmp_path, decoder, outputs, metadata, open_shapes):
+    path = network(tmp_path / "theirs.onnx", outputs, metadata, open_shapes=open_shapes)
+    detector, cars = found(path)
+    assert detector.layout.decoder == decoder
+    assert cars.xylwa == pytest.approx(np.array(CARS), abs=1e-5)
+    assert cars.score == pytest.approx([0.9, 0.8])
+    assert len(detector(np.zeros((128, 128, 3), np.uint8), threshold=0.1)) == 3, "the doubtful one as well"
+    assert decoder in detector.card.name
+
+
+@pytest.mark.parametrize(
+    "decoder, outputs, metadata",
+    [
+        ("ultralytics", {"out": raw()}, NAMES),
+        ("ultralytics-nms-free", {"out": nms_free()}, NAMES),
+        ("mmrotate", mmrotate(), {}),
+        ("rtmdet", mmrotate(), {}),
+    ],
+)
+def test_layouts_by_name(tmp_path, decoder, outputs, metadata):
+    detector, cars = found(network(tmp_path / "a.onnx", outputs, metadata), decoder=decoder)
+    assert detector.layout.decoder == decoder and len(cars) == 2
+    with pytest.raises(InputError, match="not those that the decoder 'orthoscale' reads"):
+        Detector(tmp_path / "a.onnx", decoder="orthoscale")
+    with pytest.raises(UsageError, match="no decoder is called 'yolo'"):
+        Detector(tmp_path / "a.onnx", decoder="yolo")
+
+
+def test_seven_by_seven_is_told_by_the_metadata(tmp_path):
+    two = {"names": "{0: 'large vehicle', 1: 'small vehicle'}", "task": "obb"}
+    seven = np.zeros((1, 7, 7))
+    for layout, extra in (("ultralytics", {}), ("ultralytics-nms-free", {"args": "{'nms': True, 'half': False}"})):
+        path = network(tmp_path / f"{layout}.onnx", {"output0": seven}, {**two, **extra})
+        assert Detector(path).layout.decoder == layout
+
+
+def test_what_decides_over_boxes_is_in_the_layouts_text(tmp_path):
+    """Kept looks are found again by it, in another process too."""
+    path = network(tmp_path / "a.onnx", {"output0": raw()}, NAMES)
+    cars, buses = (repr(Detector(path, vehicle_classes=classes).layout) for classes in ([], ["large vehicle"]))
+    assert cars != buses and " at 0x" not in cars + repr(Detector().layout)
+
+
+def test_padding_and_overflow_are_no_boxes(tmp_path):
+    rows = nms_free()
+    rows[0, 4:] = [[50, 50, 0, 10, 0.9, 1, 0], [50, 50, np.nan, 10, 0.9, 1, 0], [np.inf, 50, 30, 10, 0.9, 1, 0]]
+    assert len(found(network(tmp_path / "a.onnx", {"output0": rows}, NAMES))[1]) == 2
+
+
+def test_half_precision_networks(tmp_path):
+    path = network(tmp_path / "half.onnx", {"output0": raw()}, NAMES, dtype=onnx.TensorProto.FLOAT16)
+    assert found(path)[1].xylwa == pytest.approx(np.array(CARS), abs=0.02)
+
+
+def test_class_names_decide(tmp_path):
+    path = network(tmp_path / "a.onnx", {"output0": raw()}, {**NAMES, "names": "{0: 'Bus', 1: 'Cars', 2: 'ship'}"})
+    assert len(found(path)[1]) == 2
+    ((bus,),) = (found(path, vehicle_classes=["bus"])[1].xylwa,)
+    assert bus[2] == pytest.approx(90)
+    assert len(found(path, vehicle_classes=["bus", "1"])[1]) == 3
+    boats = network(tmp_path / "b.onnx", {"output0": raw()}, {**NAMES, "names": "{0: 'ship', 1: 'plane', 2: 'dock'}"})
+    with pytest.raises(InputError, match=r"b\.onnx: no class whose name means small vehicles among ship, plane, dock"):
+        Detector(boats)
+    with pytest.raises(InputError, match="no class called lorry"):
+        Detector(boats, vehicle_classes=["lorry"])
+
+
+@pytest.mark.parametrize(
+    "name, counts",
+    [("small-vehicle", True), ("Small_Car", True), ("CARS", True), ("pickup truck", True), ("large-vehicle", False)]
+    + [("cargo truck", False), ("train car wagon", False), ("", False)],
+)
+def test_which_names_are_vehicles(name, counts):
+    assert is_vehicle(name) == counts
+    assert vehicle_numbers(["ship", name]) == ([1] if counts else [])
+
+
+def test_nameless_classes_need_a_number(tmp_path):
+    path = network(tmp_path / "a.onnx", {"output0": raw()}, {"task": "obb"})
+    with pytest.raises(UsageError, match="does not say what its classes are called"):
+        Detector(path)
+    assert len(found(path, vehicle_classes=["1"])[1]) == 2
+    path = network(tmp_path / "b.onnx", mmrotate(large=3, small=18))
+    assert len(found(path, vehicle_classes=["18"])[1]) == 2, "DIOR has more classes than DOTA"
+
+
+def bright(path, std, mean):
+    """A network that boxes what is exactly the colour (200, 100, 50) after its normalisation; one box of score 1."""
+    colour = (np.array([200, 100, 50]) - mean) / std
+    weights = [
+        numpy_helper.from_array(colour.astype(np.float32).reshape(1, 3, 1, 1), "colour"),
+        numpy_helper.from_array(np.array([[[50, 50, 30, 12, 0, 0]]], np.float32), "box"),
+        numpy_helper.from_array(np.array([[[0, 0, 0, 0, 0, 1]]], np.float32), "one"),
+        numpy_helper.from_array(np.array([[4]]), "labels_known"),
+        numpy_helper.from_array(np.float32(1e-3), "small"),
+    ]
+    nodes = [
+        helper.make_node("Sub", ["images", "colour"], ["d"]),
+        helper.make_node("Abs", ["d"], ["distance"]),
+        helper.make_node("ReduceMax", ["distance"], ["farthest_channel"], axes=[1], keepdims=0),
+        helper.make_node("ReduceMin", ["farthest_channel"], ["nearest"], keepdims=0),
+        helper.make_node("Less", ["nearest", "small"], ["hit"]),
+        helper.make_node("Cast", ["hit"], ["score"], to=1),
+        helper.make_node("Mul", ["one", "score"], ["last"]),
+        helper.make_node("Add", ["box", "last"], ["dets"]),
+        helper.make_node("Identity", ["labels_known"], ["labels"]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "bright",
+        [helper.make_tensor_value_info("images", 1, [1, 3, "h", "w"])],
+        [helper.make_tensor_value_info("dets", 1, [1, 1, 6]), helper.make_tensor_value_info("labels", 7, [1, 1])],
+        weights,
+    )
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path)
+    return path
+
+
+def test_the_image_is_normalised_as_each_decoder_wants_it(tmp_path):
+    image = np.zeros((96, 96, 3), np.uint8)
+    image[10, 10] = (200, 100, 50)
+    rgb = bright(tmp_path / "rgb.onnx", np.array([58.395, 57.12, 57.375]), np.array([123.675, 116.28, 103.53]))
+    assert len(Detector(rgb)(image)) == 1
+    assert len(Detector(rgb, decoder="rtmdet")(image)) == 0
+    image[10, 10] = (50, 100, 200)  # BGR
+    bgr = bright(tmp_path / "bgr.onnx", np.array([57.375, 57.12, 58.395]), np.array([103.53, 116.28, 123.675]))
+    assert len(Detector(bgr, decoder="rtmdet")(image)) == 1
+    assert "ImageNet" in Detector(bgr).card.name, "what was taken for granted is said"
+
+
+def test_mmdeploys_pipeline_file_is_believed(tmp_path):
+    image = np.zeros((96, 96, 3), np.uint8)
+    image[10, 10] = (50, 100, 200)
+    path = bright(tmp_path / "end2end.onnx", np.array([2.0, 3, 4]), np.array([1.0, 2, 3]))
+    assert len(Detector(path)(image)) == 0
+    step = {"type": "Normalize", "mean": [1, 2, 3], "std": [2, 3, 4], "to_rgb": False}
+    pipeline = {
+        "pipeline": {"tasks": [{"module": "Transform", "transforms": [{"type": "Pad"}, step]}, {"module": "Net"}]}
+    }
+    (tmp_path / "pipeline.json").write_text(json.dumps(pipeline))
+    assert len(Detector(path)(image)) == 1
+    (tmp_path / "pipeline.json").write_text('{"pipeline": {"tasks": [{"transforms": [{"type": "Normalize"}]}]}}')
+    with pytest.raises(InputError, match=r"pipeline\.json"):
+        Detector(path)
+
+
+def test_an_input_of_one_size_is_moved_over_the_image(tmp_path):
+    """The network gives the same boxes wherever it looks; each window's are there, but those its inner edges cut."""
+    boxes = raw().copy()
+    boxes[0, :2, 0] = [4.0, 20.0]  # one car lies across the window's left edge
+    path = network(tmp_path / "fixed.onnx", {"output0": boxes}, NAMES, size=(128, 128))
+    image = np.zeros((128, 192, 3), np.uint8)
+    at = sorted(map(tuple, np.round(Detector(path)(image).centre).tolist()))
+    assert at == [(4, 20), (90, 50), (64 + 90, 50)], "at the image's own edge it is left to the caller"
+    assert len(Detector(path)(np.zeros((60, 70, 3), np.uint8))) == 2, "a small image is padded"
+
+
+@pytest.mark.parametrize(
+    "outputs, metadata, message",
+    [
+        ({"output0": np.zeros((1, 84, 8400))}, {**NAMES, "task": "detect"}, "'detect', whose boxes have no direction"),
+        ({"output0": raw()}, {**NAMES, "names": "{0: 'car'}"}, "contradicts itself"),
+        ({"dets": np.zeros((1, 5, 5)), "labels": np.zeros((1, 5), int)}, {}, "no detector of oriented boxes"),
+        ({"output0": np.zeros((1, 1000))}, {}, r"outputs output0 \[1, 1000\] are those of no detector"),
+        ({"boxes": np.zeros((5, 4)), "scores": np.zeros(5), "labels": np.zeros(5, int)}, {}, "no detector"),
+    ],
+)
+def test_other_networks_are_refused_in_words(tmp_path, outputs, metadata, message):
+    path = network(tmp_path / "other.onnx", outputs, metadata)
+    with pytest.raises(InputError, match=message):
+        Detector(path)
+
+
+def test_operators_of_others_and_their_library(tmp_path, monkeypatch):
+    node = helper.make_node("NMSRotated", ["images"], ["dets"], domain="mmdeploy")
+    graph = helper.make_graph(
+        [node],
+        "rotated",
+        [helper.make_tensor_value_info("images", 1, [1, 3, 32, 32])],
+        [helper.make_tensor_value_info("dets", 1, [1, 5, 6])],
+    )
+    opsets = [helper.make_opsetid("", 17), helper.make_opsetid("mmdeploy", 1)]
+    onnx.save(helper.make_model(graph, opset_imports=opsets, ir_version=8), tmp_path / "rotated.onnx")
+    with pytest.raises(InputError, match="ORTHOSCALE_ONNX_OPS name its libmmdeploy_onnxruntime_ops"):
+        Detector(tmp_path / "rotated.onnx")
+    monkeypatch.setenv("ORTHOSCALE_ONNX_OPS", str(tmp_path / "missing.so"))
+    with pytest.raises(InputError, match="no library of operators"):
+        Detector(tmp_path / "rotated.onnx")
+
+
+@pytest.mark.parametrize(
+    "size, batch", [((128, 128), 4), ((128, 128), 1)], ids=["batches of four", "one channel too many"]
+)
+def test_inputs_that_are_no_picture(tmp_path, size, batch):
+    model = onnx.load(network(tmp_path / "a.onnx", {"output0": raw()}, NAMES, size=size))
+    dims = model.graph.input[0].type.tensor_type.shape.dim
+    dims[0].dim_value, dims[1].dim_value = batch, 3 if batch == 4 else 4
+    onnx.save(model, tmp_path / "a.onnx")
+    with pytest.raises(OrthoscaleError, match="its input has shape"):
+        Detector(tmp_path / "a.onnx")
+
+
+def test_the_whole_way_with_a_detector_of_others(tmp_path):
+    """Twelve cars that a network of another family sees in a picture of 768 x 768 px, at every zoom."""
+    cars = np.array([[60 + 110 * (k % 6), 80 + 300 * (k // 6), 40 + k % 3, 17, 0.1 * k, 0.9] for k in range(12)])
+    weights = {
+        "size": cars[None] * [1, 1, 1, 1, 0, 0] / 768,
+        "rest": cars[None] * [0, 0, 0, 0, 1, 1],
+    }
+    nodes = [
+        helper.make_node("Shape", ["images"], ["shape"], start=3, end=4),
+        helper.make_node("Cast", ["shape"], ["width"], to=1),
+        helper.make_node("Mul", ["size", "width"], ["sized"]),
+        helper.make_node("Add", ["sized", "rest"], ["dets"]),
+        helper.make_node("Identity", ["known_labels"], ["labels"]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "twelve",
+        [helper.make_tensor_value_info("images", 1, [1, 3, "h", "w"])],
+        [helper.make_tensor_value_info("dets", 1, [1, 12, 6]), helper.make_tensor_value_info("labels", 7, [1, 12])],
+        [numpy_helper.from_array(w.astype(np.float32), name) for name, w in weights.items()]
+        + [numpy_helper.from_array(np.full((1, 12), 4), "known_labels")],
+    )
+    path = tmp_path / "a.onnx"
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path)
+    cv2.imwrite(str(tmp_path / "a.png"), np.random.default_rng(0).integers(80, 100, (768, 768, 3), np.uint8))
+    result = orthoscale.estimate(tmp_path / "a.png", detector=path, zoom=1.0, fleet="DE")
+    assert result.scale.vehicles_used == 12
+    assert result.scale.value == pytest.approx(4.37 / 41, rel=0.05)
+    assert "mmrotate" in result.detections.detector
+    hinted = orthoscale.estimate(tmp_path / "a.png", detector=path, gsd_hint=4.37 / 41, fleet="DE")
+    assert hinted.detections.zoom == pytest.approx(38 / 41, rel=0.01)

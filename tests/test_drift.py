@@ -1,0 +1,62 @@
+"""Drift of the scale within a picture: found where there is one, silent where there is none."""
+
+import numpy as np
+import pytest
+
+from orthoscale.drift import FEWEST, drift
+from orthoscale.fleet import Fleet
+from orthoscale.pooling import Ruler, pool
+from orthoscale.votes import gather
+
+WIDTH, HEIGHT, GSD = 8000, 6000, 0.1
+
+
+def measured(rng, n, change=lambda x, y: 0.0, clusters=None):
+    """Votes and scale for `n` vehicles whose local scale is GSD * (1 + change); x, y in -1/2..1/2 of each side."""
+    place = rng.random((n, 2)) if clusters is None else rng.random((clusters, 2))[rng.integers(clusters, size=n)]
+    place = np.clip(place + (0 if clusters is None else rng.normal(0, 0.01, (n, 2))), 0, 0.999)
+    local = GSD * (1 + np.array([change(*(p - 0.5)) for p in place]))
+    size = np.exp(rng.multivariate_normal(np.log([4.4, 1.8]), [[0.006, 0.002], [0.002, 0.002]], n)) / local[:, None]
+    votes = gather(size, np.ones(n), place * (WIDTH, HEIGHT), np.ones(n), repeated=False)
+    ruler = Ruler()
+    return votes, pool(votes, Fleet.load("DE"), ruler, "m/px"), ruler
+
+
+def test_a_tilt_is_found_with_its_size_and_direction():
+    result = drift(*measured(np.random.default_rng(1), 600, lambda x, y: 0.08 * x), WIDTH, HEIGHT)
+    assert result.tilt == pytest.approx(0.08, abs=3 * result.tilt_sd) and result.tilt_sd < 0.015
+    assert abs(result.direction) < 0.4 and result.p_tilt < 1e-4
+    assert "towards the right" in result.remark and "is bent" not in result.remark
+    upwards = drift(*measured(np.random.default_rng(1), 600, lambda x, y: -0.08 * y), WIDTH, HEIGHT)
+    assert "towards the top" in upwards.remark
+
+
+def test_a_bowl_is_found():
+    result = drift(*measured(np.random.default_rng(2), 900, lambda x, y: 0.3 * (x * x + y * y)), WIDTH, HEIGHT)
+    assert result.p_bend < 1e-4 and "bent" in result.remark
+
+
+def test_the_map_shows_the_scale_by_place():
+    result = drift(*measured(np.random.default_rng(3), 2000, lambda x, y: 0.1 * x), WIDTH, HEIGHT)
+    assert result.cells[:, 2].sum() > 1900 and len(result.cells) == 8 * 6
+    slope = np.polyfit(result.cells[:, 0] / WIDTH, result.cells[:, 3], 1)[0]
+    assert slope == pytest.approx(0.1, abs=0.015)
+
+
+@pytest.mark.parametrize("clusters", [None, 12])
+def test_false_alarms_are_as_rare_as_promised(clusters):
+    rng = np.random.default_rng(4)
+    alarms = sum(bool(drift(*measured(rng, 120, clusters=clusters), WIDTH, HEIGHT).remark) for _ in range(80))
+    assert alarms <= 4, "two tests at half a per cent: 0.8 expected"
+
+
+def test_too_few_vehicles_say_nothing():
+    assert drift(*measured(np.random.default_rng(5), FEWEST - 5), WIDTH, HEIGHT) is None
+
+
+def test_vehicles_in_one_corner_are_no_drift():
+    rng = np.random.default_rng(6)
+    votes, scale, ruler = measured(rng, 100)
+    corner = gather(votes.size, votes.pixel, votes.place * 0.05, votes.score, repeated=False)
+    result = drift(corner, scale, ruler, WIDTH, HEIGHT)
+    assert result.remark == "" and result.p_tilt == 1.0

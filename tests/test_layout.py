@@ -1,0 +1,380 @@
+"""Facilities in lots of known size, and the files that say where they are."""
+
+import json
+import math
+
+import cv2
+import ezdxf
+import in_process
+import numpy as np
+import pyogrio
+import pyproj
+import pytest
+import rasterio
+import shapely
+from rasterio.transform import Affine
+from shapely import Polygon, box
+
+from orthoscale.errors import InputError, UsageError
+from orthoscale.layout import draw
+from orthoscale.layout.catalogue import load, parking, parse_requests
+from orthoscale.layout.ground import open_ground
+from orthoscale.layout.place import Placed, arrange, centres, holds
+from orthoscale.layout.plan import document, plan, prompt
+from orthoscale.sources.raster import RasterSource
+
+FACILITIES = load()
+
+
+@pytest.mark.parametrize("code", FACILITIES)
+def test_every_facility_has_a_source_and_lines_within_it(code):
+    f = FACILITIES[code]
+    assert len(f.source) > 20 and f.length >= f.width > 0
+    lines = np.concatenate(f.lines)
+    assert (np.abs(lines) <= np.array([f.length, f.width]) / 2 + 0.95).all(), "net posts stand 0.91 m outside"
+    assert lines.max(0) + lines.min(0) == pytest.approx([0, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "code, full",
+    [("basketball", (32, 19)), ("tennis", (36.57, 18.29)), ("badminton", (17.4, 9.1)), ("volleyball", (24, 15))],
+)
+def test_sizes_with_run_off_are_those_of_the_sources(code, full):
+    f = FACILITIES[code]
+    assert (f.full_length, f.full_width) == pytest.approx(full)
+
+
+def test_the_track_is_400_metres_long():
+    f = FACILITIES["track"]
+    straight = f.length - f.width
+    kerb = f.width / 2 - 8 * 1.22
+    assert kerb == pytest.approx(36.5) and straight == pytest.approx(84.39)
+    assert 2 * straight + 2 * math.pi * (kerb + 0.30) == pytest.approx(400, abs=0.02)  # measured 30 cm off the kerb
+    inside = Polygon(FACILITIES["football"].outline)
+    assert Polygon(f.lines[0]).contains(inside), "the stadium's pitch lies within its track"
+
+
+def test_parking_has_as_many_bays_as_asked_for():
+    f = parking("parking-US", 15)
+    assert f.length == pytest.approx(8 * 2.74) and f.width == pytest.approx(2 * 5.49 + 7.32)
+    assert len(f.lines) == 9 + 8  # eight bays on one side, seven on the other
+
+
+@pytest.mark.parametrize(
+    "text, count, centre, bearing",
+    [
+        ("tennis", 1, None, None),
+        ("tennis:3", 3, None, None),
+        ("Tennis@10,20", 1, (10, 20), 0),
+        ("tennis@10.5,-20,35", 1, (10.5, -20), 35),
+        ("parking-de:12", 1, None, None),
+    ],
+)
+def test_wishes(text, count, centre, bearing):
+    requests = parse_requests([text])
+    assert len(requests) == count and (requests[0].centre, requests[0].bearing) == (centre, bearing)
+
+
+@pytest.mark.parametrize(
+    "text, word", [("curling", "Known are basketball"), ("tennis:0", "count"), ("tennis@a,b", "no place"),
+                   ("tennis@1", "no place"), ("parking-ZZ:4", "parking-COUNTRY"), ("a b", "not understood")]
+)  # fmt: skip
+def test_wishes_that_make_no_sense(text, word):
+    with pytest.raises(UsageError, match=word):
+        parse_requests([text])
+
+
+def test_a_catalogue_of_ones_own(tmp_path):
+    path = tmp_path / "own.json"
+    own = {"Boules": {"name": "boules court", "length": 15, "width": 4, "ends": 1, "sides": 1, "source": "FIPJP"}}
+    path.write_text(json.dumps({"facilities": own}))
+    (request,) = parse_requests(["boules"], path)
+    assert (request.facility.full_length, request.facility.full_width) == (17, 6)
+    own["Boules"]["length"] = 3
+    path.write_text(json.dumps({"facilities": own}))
+    with pytest.raises(InputError, match="length >= width"):
+        load(path)
+
+
+# Placing
+
+
+def test_where_a_rectangle_may_be_is_exact_in_a_rectangle():
+    free = centres(box(0, 0, 50, 30), 20, 10, 0)
+    assert shapely.bounds(free) == pytest.approx([5, 10, 45, 20], abs=0.002)
+    assert shapely.bounds(centres(box(0, 0, 50, 30), 20, 10, 90)) == pytest.approx([10, 5, 40, 25], abs=0.002)
+    assert not centres(box(0, 0, 20, 10), 20, 10, 90).is_empty, "an exact fit is one"
+    assert centres(box(0, 0, 19.9, 10), 20, 10, 90).is_empty
+
+
+def test_where_a_rectangle_may_be_agrees_with_trying():
+    lot = Polygon([(0, 0), (60, 5), (70, 40), (35, 30), (20, 55), (-5, 30)], [[(20, 15), (30, 15), (30, 20), (20, 20)]])
+    rng = np.random.default_rng(0)
+    for bearing in (0.0, 20.0, 115.0):
+        free = centres(lot, 16, 8, bearing)
+        for x, y in rng.uniform([-5, 0], [70, 55], (300, 2)):
+            place = Polygon(Placed(FACILITIES["padel"], (x, y), bearing).on_ground(np.array(
+                [[8, 4], [-8, 4], [-8, -4], [8, -4]])))  # fmt: skip
+            if shapely.distance(free.boundary, shapely.Point(x, y)) > 0.01:
+                assert free.contains(shapely.Point(x, y)) == lot.contains(place)
+
+
+def check(lot, placed, clearance):
+    for k, place in enumerate(placed):
+        assert shapely.buffer(lot, -clearance + 0.01, join_style="mitre").covers(place.full_area)
+        for other in placed[:k]:
+            assert place.full_area.distance(other.full_area) >= clearance - 0.01
+
+
+@pytest.mark.parametrize("clearance", [0.0, 1.0, 3.0])
+def test_facilities_lie_inside_clear_of_each_other_and_north_to_south(clearance):
+    lot = Polygon([(0, 0), (110, 10), (100, 90), (20, 80)])
+    avoid = box(50, 40, 60, 50)
+    wanted = [r.facility for r in parse_requests(["basketball", "tennis:2", "badminton:3", "playground"])]
+    placed, missing = arrange(lot, wanted, clearance=clearance, avoid=avoid)
+    assert not missing and len(placed) == 7
+    check(lot, placed, clearance)
+    assert all(p.full_area.distance(avoid) >= clearance - 0.01 for p in placed)
+    assert all(p.from_north <= 20 for p in placed if p.facility.north_south)
+
+
+def test_north_to_south_is_a_preference_not_a_law():
+    placed, missing = arrange(box(0, 0, 40, 20), [FACILITIES["basketball"]], clearance=0)
+    assert not missing and placed[0].from_north == pytest.approx(90)
+
+
+def test_an_exact_fit_is_found():
+    placed, missing = arrange(box(0, 0, 19, 64), [FACILITIES["basketball"]] * 2, clearance=0)
+    assert len(placed) == 2 and not missing
+
+
+@pytest.mark.parametrize(
+    "lot, length, width, empty",
+    [
+        (box(0, 0, 30, 19.5), 2.0, None, False),  # 32 x 19 wanted: two metres too short, and not wide enough instead
+        (box(0, 0, 40, 15), None, 4.0, False),
+        (box(0, 0, 30, 15), None, None, False),
+    ],
+)
+def test_what_does_not_fit_is_told_by_how_much(lot, length, width, empty):
+    placed, (missing,) = arrange(lot, [FACILITIES["basketball"]], clearance=0)
+    assert not placed and missing.empty_lot is empty
+    for told, truth in ((missing.short_length, length), (missing.short_width, width)):
+        assert told == (None if truth is None else pytest.approx(truth, abs=0.1))
+    if length is None and width is None:
+        assert missing.share == pytest.approx(15 / 19, abs=0.01)
+    assert "does not fit: the lot is too small even when empty, it lacks" in missing.sentence()
+
+
+def test_no_room_left_is_another_reason():
+    placed, (missing,) = arrange(box(0, 0, 25, 40), [FACILITIES["basketball"]] * 2, clearance=0)
+    assert len(placed) == 1 and missing.empty_lot and "no room left" in missing.sentence()
+
+
+def test_given_places_are_kept_and_judged():
+    good = Placed(FACILITIES["badminton"], (20.0, 20.0), 30.0)
+    outside = Placed(FACILITIES["badminton"], (0.0, 20.0), 0.0)
+    over = Placed(FACILITIES["badminton"], (22.0, 20.0), 30.0)
+    lot = box(0, 0, 60, 60)
+    placed, missing = arrange(lot, [FACILITIES["tennis"]], [good, outside, over], clearance=1.0)
+    assert placed[0] is good and placed[1].facility.code == "tennis"
+    check(lot, placed, 1.0)
+    assert missing[0].outside == pytest.approx((9.1 / 2 + 1) * 17.4, rel=0.01) and missing[0].overlapping == 0
+    assert missing[1].overlapping > 0 and "does not fit where it was asked for" in missing[1].sentence()
+
+
+def test_what_remains_when_the_scale_is_off():
+    lot = box(0, 0, 40, 40)
+    middle = [Placed(FACILITIES["basketball"], (20.0, 20.0), 0.0)]
+    assert holds(lot, middle, 1.2) == [True] and holds(lot, middle, 1.3) == [False]
+
+
+# Rasters and files
+
+
+def orthophoto(folder, gsd=0.1, size=(700, 500), report=None):
+    """A noisy picture in local metres, as `orthoscale fix` writes it."""
+    rng = np.random.default_rng(0)
+    cv2.imwrite(str(folder / "plain.png"), rng.integers(90, 150, (size[1], size[0], 3), np.uint8))
+    path = folder / "scaled.tif"
+    with RasterSource.open(folder / "plain.png") as source:
+        source.write(path, gsd)
+    if report:
+        (folder / "scaled.tif.json").write_text(json.dumps(report))
+    return path
+
+
+def lot_file(path, ring, crs=None):
+    text = {"type": "Polygon", "coordinates": [[list(map(float, p)) for p in [*ring, ring[0]]]]}
+    path.write_text(json.dumps(text))
+    return path
+
+
+def test_the_mask_is_exact_to_the_pixel(tmp_path):
+    ground = open_ground(orthophoto(tmp_path))
+    place = Placed(FACILITIES["badminton"], (30.02, 25.03), 0.0)
+    window = draw.Window(0, 0, 700, 500)
+    playing, full = draw.mask(ground, [place], window)
+    y, x = (np.indices((500, 700)) + 0.5) * 0.1
+    for band, width, length in ((playing, 6.1, 13.4), (full, 9.1, 17.4)):
+        inside = (np.abs(x - 30.02) < width / 2) & (np.abs(50 - y - 25.03) < length / 2)
+        assert np.array_equal(band == 1, inside)
+    lines = draw.lines(ground, [place], window)
+    assert set(np.unique(lines)) == {0, 255}
+    rows, columns = np.nonzero(lines)
+    assert (columns.min(), columns.max()) == (int((30.02 - 3.05) * 10), int((30.02 + 3.05) * 10))
+    assert (rows.min(), rows.max()) == (int((50 - 25.03 - 6.7) * 10), int((50 - 25.03 + 6.7) * 10))
+
+
+def test_metres_pixels_and_coordinates_go_there_and_back(tmp_path):
+    ground = open_ground(orthophoto(tmp_path))
+    points = np.array([[3.0, 4.0], [60.0, 45.0]])
+    assert ground.to_metres(ground.to_pixels(points)) == pytest.approx(points)
+    assert ground.to_crs(points) == pytest.approx(points), "local metres start at the lower left corner"
+    assert ground.from_crs(ground.to_crs(points)) == pytest.approx(points)
+
+
+def projected(path, crs, lon, lat, step, turned=0.0):
+    """A raster of 900 x 900 px in `crs` around a place; `step` [CRS units per px]; `turned` clockwise [deg]."""
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
+    right = np.array([math.cos(math.radians(turned)), -math.sin(math.radians(turned))]) * step
+    down = np.array([-math.sin(math.radians(turned)), -math.cos(math.radians(turned))]) * step
+    corner = np.array([x, y]) - 450 * (right + down)
+    transform = Affine(right[0], down[0], corner[0], right[1], down[1], corner[1])
+    with rasterio.open(path, "w", "GTiff", 900, 900, 3, crs, transform, "uint8") as out:
+        out.write(np.full((3, 900, 900), 128, np.uint8))
+    return path
+
+
+@pytest.mark.parametrize(
+    "crs, step, turned, gsd",
+    [("EPSG:32632", 0.1, 0, 0.1), ("EPSG:3857", 0.2, 0, 0.1), ("EPSG:32632", 0.1, 30, 0.1)],
+)
+def test_places_on_earth_have_true_metres_and_true_north(tmp_path, crs, step, turned, gsd):
+    """At 60 degrees north, metres of EPSG:3857 are half as long as they say."""
+    path = projected(tmp_path / "a.tif", crs, 9.0, 60.0, step, turned)
+    geod = pyproj.Geod(ellps="WGS84")
+    ring = [geod.fwd(9.0, 60.0, b, 45)[:2] for b in (45, 135, 225, 315)]
+    made = plan(path, lot_file(tmp_path / "lot.geojson", ring), ["basketball"])
+    assert made.ground.gsd == pytest.approx(gsd, rel=0.005)
+    assert made.lot.area == pytest.approx(2 * 45**2, rel=0.01)
+    (place,) = made.placed
+    corners = shapely.get_coordinates(made.ground.mapped(place.full_area, made.ground.to_crs))[:4]
+    lon, lat = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(*corners.T)
+    azimuth, _, length = geod.inv(lon, lat, np.roll(lon, -1), np.roll(lat, -1))
+    assert sorted(length) == pytest.approx([19, 19, 32, 32], rel=0.005)
+    along = azimuth[np.argmax(length)] % 180
+    assert min(abs(along - place.bearing), 180 - abs(along - place.bearing)) < 0.2
+    assert made.ground.north == pytest.approx(-turned, abs=0.1)
+
+
+def test_how_well_the_metres_are_known_is_told_per_facility(tmp_path):
+    report = {"scale": 0.1, "interval90": [0.092, 0.106]}
+    path = orthophoto(tmp_path, report=report)
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
+    row = document(plan(path, lot, ["basketball@30,25"]))["facilities"][0]
+    assert (row["length_low"], row["length_high"]) == pytest.approx((-28 * 0.08, 28 * 0.06))
+    assert row["fits_at_low_scale"] and row["fits_at_high_scale"]
+    told = document(plan(path, lot, ["basketball@30,25"], scale_error=0.3))["facilities"][0]
+    assert told["fits_at_low_scale"] is False and told["width_high"] == pytest.approx(4.5)
+    (tmp_path / "scaled.tif.json").unlink()
+    unknown = plan(path, lot, ["basketball"])
+    assert document(unknown)["facilities"][0]["length_low"] is None
+    assert any("no scaled.tif.json" in note for note in unknown.notes)
+
+
+def run(*arguments):
+    return in_process.run("layout", *arguments)
+
+
+def test_a_folder_with_everything_in_it(tmp_path):
+    path = orthophoto(tmp_path, report={"scale": 0.1, "interval90": [0.096, 0.104]})
+    lot = lot_file(tmp_path / "lot.geojson", [(50, 50), (650, 40), (660, 450), (60, 440)])
+    wishes = ["basketball", "badminton:2", "parking-DE:8", "football"]
+    options = [part for wish in wishes for part in ("--facility", wish)]
+    out = tmp_path / "layout"
+    before = path.read_bytes()
+    done = run(path, "--lot", lot, "--lot-pixels", *options, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("placed     4 of 5 facilities") and done.stderr == ""
+    assert "football pitch (111.0 x 74.0 m with its run-off) does not fit" in done.stdout
+    names = (
+        "layout.json layout.gpkg layout.geojson layout.dxf mask.tif lines.tif mask.png lines.png lot.png overlay.png"
+    )
+    assert {p.name for p in out.iterdir()} == {*names.split(), "prompt.txt"}
+    text = json.loads((out / "layout.json").read_text())
+    assert [f["number"] for f in text["facilities"]] == [1, 2, 3, 4]
+    assert "28 x 15 m" in (out / "prompt.txt").read_text()
+
+    assert set(pyogrio.list_layers(out / "layout.gpkg")[:, 0]) == {"lot", "facilities", "run_off", "lines"}
+    meta, _, shapes, _ = pyogrio.raw.read(out / "layout.gpkg", layer="facilities")
+    areas = [shapely.from_wkb(s).area for s in shapes]
+    assert areas == pytest.approx([f["length"] * f["width"] for f in text["facilities"]])
+    assert "orthoscale local metres" in meta["crs"]
+    first = json.loads((out / "layout.geojson").read_text())["features"][0]
+    assert shapely.geometry.shape(first["geometry"]).area == pytest.approx(areas[0])
+
+    drawing = ezdxf.readfile(out / "layout.dxf")
+    assert drawing.units == ezdxf.units.M
+    in_cad = [Polygon([p[:2] for p in e]) for e in drawing.modelspace().query('LWPOLYLINE[layer=="FACILITIES"]')]
+    assert [p.area for p in in_cad] == pytest.approx(areas)
+
+    with (
+        rasterio.open(out / "mask.tif") as mask,
+        rasterio.open(path) as ortho,
+        rasterio.open(out / "lines.tif") as lines,
+    ):
+        for raster in (mask, lines):
+            assert (raster.shape, raster.transform, raster.crs) == (ortho.shape, ortho.transform, ortho.crs)
+        numbers = mask.read(1)
+        for row, area in zip(text["facilities"], areas, strict=True):
+            assert (numbers == row["number"]).sum() * 0.01 == pytest.approx(area, rel=0.02)
+            assert numbers[int(row["row_px"]), int(row["column_px"])] == row["number"]
+        drawn = lines.read(1)
+    crop = cv2.imread(str(out / "lines.png"), cv2.IMREAD_UNCHANGED)
+    assert (crop == 255).sum() == (drawn == 255).sum() > 1000
+    assert crop.shape == cv2.imread(str(out / "lot.png")).shape[:2]
+    assert path.read_bytes() == before
+    again = run(path, "--lot", lot, "--lot-pixels", *options, "--out", out)
+    assert again.returncode == 2 and "already exists" in again.stderr
+
+
+def test_the_prompt_names_sizes_and_places(tmp_path):
+    path = orthophoto(tmp_path)
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
+    text = prompt(plan(path, lot, ["badminton@15,16", "badminton@55,34"]))
+    assert "2 times a badminton court" in text and "southwest of the lot" in text and "northeast of the lot" in text
+
+
+@pytest.mark.parametrize(
+    "ring, options, code, word",
+    [
+        ([(5, 5), (65, 5), (65, 45)], ["--facility", "curling"], 2, "Known are"),
+        ([(5, 5), (65, 5), (65, 45)], ["--facility", "football"], 2, "nothing fits"),
+        ([(5, 5), (65, 5), (65, 45)], [], 2, "--facility"),
+        ([(5, 5), (65, 5), (65, 45)], ["--facility", "padel", "--clearance", "-1"], 2, "clearance"),
+        ([(5, 5), (65, 5), (65, 45)], ["--facility", "padel", "--scale-error", "120"], 2, "100 per cent"),
+        ([(500, 500), (560, 500), (560, 560)], ["--facility", "padel"], 5, "outside"),
+        ([(5, 5), (5, 5), (5, 5)], ["--facility", "padel"], 5, "no polygon"),
+        (None, ["--facility", "padel"], 5, "vector file"),
+    ],
+)
+def test_bad_input_ends_in_one_sentence_and_nothing_written(tmp_path, ring, options, code, word):
+    path = orthophoto(tmp_path)
+    lot = tmp_path / "lot.geojson"
+    lot.write_text("no GeoJSON") if ring is None else lot_file(lot, ring)
+    done = run(path, "--lot", lot, *options, "--out", tmp_path / "out")
+    assert done.returncode == code, done.stderr
+    assert word in done.stderr and "Traceback" not in done.stderr and not (tmp_path / "out").exists()
+
+
+def test_an_orthophoto_without_metres_is_refused(tmp_path):
+    orthophoto(tmp_path)
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45)])
+    done = run(tmp_path / "plain.png", "--lot", lot, "--facility", "padel")
+    assert done.returncode == 5 and "has no metres" in done.stderr and "orthoscale fix" in done.stderr
+
+
+def test_the_list_has_sources():
+    shown = run("--list")
+    assert shown.returncode == 0 and "FIBA" in shown.stdout and "parking-CC:N" in shown.stdout

@@ -1,0 +1,299 @@
+"""What `fix` writes for orthophotos as they really are, what `check` says of their claims, and files for others."""
+
+import csv
+import json
+import math
+import sqlite3
+
+import numpy as np
+import pyproj
+import pytest
+import rasterio
+from click.testing import CliRunner
+from rasterio.control import GroundControlPoint
+from rasterio.transform import Affine
+
+import orthoscale
+from orthoscale.check import Comparison, comparisons
+from orthoscale.errors import UsageError
+from orthoscale.report.geo import outlines
+from orthoscale.sources.raster import RasterSource
+
+pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul")
+W, H, GSD = 900, 700, 0.08
+UTM = Affine(GSD * 0.9996, 0, 500_000, 0, -GSD * 0.9996, 5_400_000)  # GSD on the ground, at the central meridian
+
+
+def picture(path, crs=None, transform=None, gcps=None, **profile):
+    pixels = np.random.default_rng(0).integers(0, 255, (3, H, W), dtype=np.uint8)
+    profile = {"driver": "GTiff", "width": W, "height": H, "count": 3, "dtype": "uint8", **profile}
+    if transform is not None:
+        profile["transform"] = transform
+    with rasterio.open(path, "w", crs=crs, **profile) as dataset:
+        dataset.write(pixels)
+        if gcps:
+            dataset.gcps = gcps
+    return path
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory):
+    """Detections that give GSD: 80 vehicles of the German fleet, 4.37 x 1.79 m with its spread."""
+    rng = np.random.default_rng(1)
+    size = np.exp(rng.multivariate_normal(np.log([4.37, 1.79]), [[0.008, 0.003], [0.003, 0.002]], 80)) / GSD
+    rows = [
+        {"cx": x, "cy": y, "length": length, "width": width, "angle": a, "score": 0.8}
+        for (x, y), (length, width), a in zip(
+            rng.uniform(60, [W - 60, H - 60], (80, 2)), size, rng.uniform(-1.5, 1.5, 80), strict=True
+        )
+    ]
+    path = tmp_path_factory.mktemp("boxes") / "boxes.json"
+    path.write_text(json.dumps({"a.tif": rows}))
+    return path
+
+
+def fixed(path, out, boxes, **options):
+    return orthoscale.fix(path, out, detections=boxes, fleet="DE", override=True, force=True, **options)
+
+
+# Where the copy lies
+
+
+def gcps(gsd=GSD):
+    t = Affine(gsd * 0.9996, 0, 500_000, 0, -gsd * 0.9996, 5_400_000) * Affine.rotation(10)
+    points = [(0, 0), (W, 0), (0, H), (W, H)]
+    return [GroundControlPoint(row=y, col=x, x=(t * (x, y))[0], y=(t * (x, y))[1]) for x, y in points], "EPSG:32632"
+
+
+CASES = {
+    "nothing": ({}, "local metres, origin at the lower left corner"),
+    "UTM": ({"crs": "EPSG:32632", "transform": UTM}, "WGS 84 / UTM zone 32N"),
+    "rotated": ({"crs": "EPSG:32632", "transform": UTM * Affine.rotation(25)}, "rotated by"),
+    "south-up": ({"crs": "EPSG:32632", "transform": UTM * Affine.scale(1, -1)}, "rows go north"),
+    "degrees": ({"crs": "EPSG:4326", "transform": Affine(1e-6, 0, 10, 0, -7e-7, 50)}, "degrees per pixel"),
+    "feet": ({"crs": "EPSG:3734", "transform": Affine(0.26, 0, 2e6, 0, -0.26, 6e5)}, "US survey foot per pixel"),
+    "Web Mercator": ({"crs": "EPSG:3857", "transform": Affine(0.16, 0, 1e6, 0, -0.16, 8_399_738)}, "metre per pixel"),
+    "fake UTM": ({"crs": "EPSG:32630", "transform": Affine(0.1, 0, 0, 0, -0.1, 0)}, "placeholder"),
+    "GCP": ({"gcps": gcps()}, "4 ground control points"),
+    "world file": ({"transform": Affine(0.1, 0, 500, 0, -0.1, 900)}, "unknown unit"),
+}
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("profile, says", CASES.values(), ids=CASES)
+def test_each_case_is_handled_and_said(tmp_path, boxes, profile, says):
+    path = picture(tmp_path / "a.tif", **profile)
+    out = tmp_path / "out.tif"
+    result = fixed(path, out, boxes)
+    assert any(says in note for note in result.source.notes), result.source.notes
+    s = result.scale.value
+    with rasterio.open(path) as a, rasterio.open(out) as b:
+        assert np.array_equal(a.read(), b.read()) and not b.gcps[0]
+        assert b.crs.units_factor[1] == 1.0 and not b.crs.is_projected
+        up = "south-up" in " ".join(result.source.notes)
+        assert np.allclose(b.transform[:6], (s, 0, 0, 0, s, 0) if up else (s, 0, 0, 0, -s, s * H))
+        assert (b.bounds.left, min(b.bounds.bottom, b.bounds.top)) == (0, 0), "origin at the lower left"
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("name", [n for n in CASES if n not in ("nothing", "fake UTM", "world file")])
+def test_a_copy_that_keeps_its_origin_has_the_measured_size_on_the_ground(tmp_path, boxes, name):
+    path = picture(tmp_path / "a.tif", **CASES[name][0])
+    out = tmp_path / "out.tif"
+    result = fixed(path, out, boxes, keep_origin=True)
+    before, after = RasterSource.open(path).claimed, RasterSource.open(out).claimed
+    assert after.usable and after.gsd_m == pytest.approx(result.scale.value, rel=2e-5)
+    assert (after.transform.c, after.transform.f) == pytest.approx((before.transform.c, before.transform.f))
+    assert after.crs == before.crs
+    angle = [math.atan2(c.transform.d, c.transform.a) for c in (before, after)]
+    assert angle[0] == pytest.approx(angle[1], abs=1e-9)
+    assert (before.transform.determinant > 0) == (after.transform.determinant > 0)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_there_may_be_no_origin_to_keep(tmp_path, boxes):
+    result = fixed(picture(tmp_path / "a.tif"), tmp_path / "out.tif", boxes, keep_origin=True)
+    assert any("no origin to keep" in note for note in result.source.notes)
+
+
+def test_a_world_files_corner_is_kept_in_local_metres(tmp_path, boxes):
+    path = picture(tmp_path / "a.tif", **CASES["world file"][0])
+    result = fixed(path, tmp_path / "out.tif", boxes, keep_origin=True)
+    with rasterio.open(tmp_path / "out.tif") as d:
+        assert d.transform[:6] == pytest.approx((result.scale.value, 0, 500, 0, -result.scale.value, 900))
+
+
+@pytest.mark.parametrize("options", [{}, {"compress": "jpeg", "photometric": "ycbcr"}, {"nodata": 7}], ids=str)
+def test_a_cog_stays_one_on_demand(tmp_path, boxes, options):
+    from rasterio.shutil import copy
+
+    plain = picture(tmp_path / "plain.tif", crs="EPSG:32632", transform=UTM, tiled=True, **options)
+    copy(plain, tmp_path / "a.tif", driver="COG", BLOCKSIZE=256, OVERVIEW_COUNT=1)
+    result = fixed(tmp_path / "a.tif", tmp_path / "plainly.tif", boxes)
+    assert any("no longer cloud-optimised" in note for note in result.source.notes)
+    result = fixed(tmp_path / "a.tif", tmp_path / "out.tif", boxes, cog=True, keep_origin=True)
+    with rasterio.open(tmp_path / "a.tif") as a, rasterio.open(tmp_path / "out.tif") as b:
+        assert b.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG" and b.overviews(1)
+        assert np.array_equal(a.read(), b.read()) and a.nodata == b.nodata
+        assert b.crs == a.crs
+    assert not list(tmp_path.glob("plain.out*")) and not list(tmp_path.glob(".*partial"))
+
+
+def test_a_classic_tiff_without_room_becomes_a_bigtiff_by_need(tmp_path, boxes, monkeypatch):
+    monkeypatch.setattr("orthoscale.sources.raster._CLASSIC", 1000)
+    path = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM)
+    fixed(path, tmp_path / "out.tif", boxes)
+    with rasterio.open(path) as a, rasterio.open(tmp_path / "out.tif") as b:
+        assert np.array_equal(a.read(), b.read()) and b.block_shapes[0] == (256, 256), "converted, not copied"
+    big = picture(tmp_path / "b.tif", crs="EPSG:32632", transform=UTM, BIGTIFF="YES")
+    assert RasterSource.open(big)._can_be_copied() and not RasterSource.open(path)._can_be_copied()
+
+
+# Files for other programs
+
+
+@pytest.fixture(scope="module")
+def everything(tmp_path_factory, boxes):
+    pytest.importorskip("pyogrio")
+    folder = tmp_path_factory.mktemp("all")
+    path = picture(folder / "a.tif", crs="EPSG:32632", transform=UTM)
+    kinds = ("tfw", "scale", "gpkg", "geojson", "tiles")
+    return folder, fixed(path, folder / "out.tif", boxes, also=kinds, keep_origin=True)
+
+
+def test_the_world_file_says_the_same_as_the_geotiff(everything):
+    folder, _ = everything
+    a, d, b, e, x, y = (float(line) for line in (folder / "out.tfw").read_text().split())
+    with rasterio.open(folder / "out.tif") as raster:
+        assert raster.transform[:6] == pytest.approx((a, b, x - a / 2 - b / 2, d, e, y - d / 2 - e / 2))
+
+
+def test_the_scale_file_begins_with_the_scale(everything):
+    folder, result = everything
+    assert float((folder / "out.tif.scale.txt").read_text().split()[0]) == result.scale.value
+
+
+def test_the_geopackage_holds_the_vehicles_in_metres_with_a_style(everything):
+    from pyogrio import read_info
+    from pyogrio.raw import read
+
+    folder, result = everything
+    path = folder / "out.tif.gpkg"
+    info = read_info(path, layer="vehicles")
+    assert info["features"] == len(result.votes) and info["crs"] == "EPSG:32632"
+    _, _, geometry, columns = read(path, layer="vehicles")
+    values = dict(zip(info["fields"], columns, strict=True))
+    from shapely import from_wkb
+
+    shapes = from_wkb(geometry)
+    # 0.04 %: the projection's own scale; lengths in the table are on the ground.
+    assert [s.minimum_rotated_rectangle.area for s in shapes] == pytest.approx(
+        values["length_m"] * values["width_m"], rel=2e-3
+    )
+    assert values["used"].sum() == result.scale.vehicles_used
+    with sqlite3.connect(path) as file:
+        ((name, qml),) = file.execute("SELECT f_table_name, styleQML FROM layer_styles WHERE useAsDefault")
+    from xml.etree import ElementTree
+
+    renderer = ElementTree.fromstring(qml).find("renderer-v2")
+    assert name == "vehicles" and renderer.get("attr") == "used"
+    assert len(renderer.findall("symbols/symbol")) == len(renderer.findall("categories/category")) == 2
+
+
+def test_boxes_lie_where_the_vehicles_are_in_the_copy(everything):
+    folder, result = everything
+    rings = outlines(result, result.source.place(result.scale.value, keep_origin=True))
+    with rasterio.open(folder / "out.tif") as raster:
+        centre = np.array([~raster.transform * tuple(ring[:4].mean(0)) for ring in rings])
+    assert centre == pytest.approx(result.votes.place, abs=1e-3)
+
+
+def test_geojson_is_longitude_and_latitude_on_earth_and_says_local_elsewhere(everything, tmp_path, boxes):
+    folder, result = everything
+    text = json.loads((folder / "out.tif.geojson").read_text())
+    assert "WGS 84" in text["coordinates"] and len(text["features"]) == len(result.votes)
+    ring = np.array(text["features"][0]["geometry"]["coordinates"][0])
+    _, _, sides = pyproj.Geod(ellps="WGS84").inv(*ring[:-1].T, *ring[1:].T)
+    properties = text["features"][0]["properties"]
+    assert sorted(sides)[::2] == pytest.approx([properties["width_m"], properties["length_m"]], rel=2e-3)
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+        plain = picture(tmp_path / "a.tif")
+    fixed(plain, tmp_path / "out.tif", boxes, also=["geojson"])
+    assert "local metres" in json.loads((tmp_path / "out.tif.geojson").read_text())["coordinates"]
+
+
+def test_tiles_without_a_sweep_are_a_header(everything):
+    with (everything[0] / "out.tif.tiles.csv").open() as file:
+        assert len(list(csv.reader(file))) == 1, "boxes from a file: no tile was looked at"
+
+
+def test_all_outputs_are_refused_before_any_work(tmp_path, boxes):
+    path = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM)
+    (tmp_path / "out.tfw").write_text("precious")
+    with pytest.raises(UsageError, match=r"out\.tfw already exists"):
+        fixed(path, tmp_path / "out.tif", boxes, also=["tfw"])
+    assert not (tmp_path / "out.tif").exists() and (tmp_path / "out.tfw").read_text() == "precious"
+
+
+# Check
+
+
+@pytest.mark.parametrize(
+    "ratio, sd, verdict, guess",
+    [
+        (1.0, 0.03, "agrees", ""),
+        (1.04, 0.03, "agrees", ""),
+        (1.07, 0.03, "doubtful", ""),
+        (0.5, 0.03, "disagrees", "enlarged"),
+        (2.05, 0.03, "disagrees", "halved"),
+        (0.31, 0.03, "disagrees", "feet were taken for metres"),
+        (1.4, 0.03, "disagrees", ""),
+    ],
+)
+def test_comparisons(ratio, sd, verdict, guess):
+    comparison = Comparison("somebody claims", 0.1, 0.1 * ratio, sd)
+    assert comparison.verdict == verdict
+    assert (guess in comparison.sentence()) and bool(comparison.guesses) == bool(guess)
+    assert comparison.sigmas == pytest.approx(abs(math.log(ratio)) / sd)
+
+
+def check(*arguments):
+    from orthoscale.cli.check import check as command
+
+    return CliRunner().invoke(command, [str(a) for a in arguments])
+
+
+def test_check_agrees_disagrees_and_says_so(tmp_path, boxes):
+    path = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM)
+    done = check(path, "--detections", boxes, "--fleet", "DE")
+    assert done.exit_code == 0 and "agrees" in done.stdout and "UTM zone 32N" in done.stdout
+    wrong = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM * Affine.scale(1 / 0.3048))
+    done = check(wrong, "--detections", boxes, "--fleet", "DE", "--json")
+    (found,) = json.loads(done.stdout)["comparisons"]
+    assert done.exit_code == 4 and found["verdict"] == "disagrees" and "feet" in found["guesses"][0]
+    assert found["claimed"] == pytest.approx(GSD / 0.3048, rel=1e-3)
+
+
+def test_check_compares_what_nothing_ties_to_the_ground_and_says_so(tmp_path, boxes):
+    path = picture(tmp_path / "a.tif", **CASES["world file"][0])
+    done = check(path, "--detections", boxes, "--fleet", "DE")
+    assert "not tied to the ground" in done.stdout and "0.1 m/px" in done.stdout
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_check_needs_a_claim(tmp_path, boxes):
+    done = check(picture(tmp_path / "a.tif"), "--detections", boxes)
+    assert isinstance(done.exception, UsageError) and "not georeferenced" in str(done.exception)
+
+
+def test_the_report_of_an_estimate_compares_too(tmp_path, boxes):
+    path = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM)
+    result = orthoscale.estimate(path, detections=boxes, fleet="DE")
+    assert comparisons(result)[0].verdict == "agrees"
+    from orthoscale.report.document import document
+    from orthoscale.report.terminal import summary
+
+    report = document(result)
+    assert report["claim"]["verdict"] == "agrees" and json.dumps(report)
+    assert report["drift"]["p_tilt"] > 0 and len(report["drift"]["cells"]) > 5
+    assert "claim      agrees" in summary(result)

@@ -1,0 +1,443 @@
+"""Single photos: what their tags say, and level ground seen by cameras of known pose."""
+
+import csv
+import json
+
+import in_process
+import numpy as np
+import pyogrio
+import pytest
+from PIL import Image
+
+from orthoscale.boxes import Boxes
+from orthoscale.detections import Detections
+from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+from orthoscale.fleet import Fleet
+from orthoscale.photo.lens import lens_of, read_calibration
+from orthoscale.photo.measure import LOWEST_ELEVATION, measure, open_photo
+from orthoscale.photo.survey import measure_together
+from orthoscale.photo.tags import Tags, read_tags
+from orthoscale.pooling import Ruler
+from orthoscale.projection.decoupled import simple_views
+from orthoscale.projection.exact import Hull
+from orthoscale.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey
+from orthoscale.synthetic import Camera, Perspective, Pose
+
+SIZE = (1000, 750)
+FOCAL, ALTITUDE = 900.0, 60.0
+CARS = {
+    "name": "of one size",
+    "source": "made for this test",
+    "length": [4.5, 0.25],
+    "width": [1.8, 0.06],
+    "height": [1.5, 0.1],
+    "mean_sd": [0.02, 0.01, 0.02],
+}
+
+
+def write_photo(path, xmp="", exif=(), gps=None, size=SIZE):
+    """A grey JPEG with these tags: `xmp` attributes or elements of rdf:Description, `exif` {tag: value}."""
+    image = Image.new("RGB", size, (120, 120, 120))
+    tags = Image.Exif()
+    for tag, value in dict(exif).items():
+        (tags if tag in (0x010F, 0x0110, 0x0112) else tags.get_ifd(0x8769))[tag] = value
+    if gps:
+        lon, lat = gps
+        tags.get_ifd(0x8825).update({1: "N", 2: dms(lat), 3: "E", 4: dms(lon)})
+    inner, _, elements = xmp.partition("|")
+    packet = (
+        '<?xpacket begin=""?><x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
+        'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
+        'xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" xmlns:Camera="http://pix4d.com/camera/1.0/" '
+        'xmlns:drone-parrot="http://www.parrot.com/drone-parrot/1.0/" xmlns:sky="https://www.skydio.com/1.0/" '
+        f"{inner}>{elements}</rdf:Description></rdf:RDF></x:xmpmeta><?xpacket end='w'?>"
+    )
+    image.save(path, exif=tags, xmp=packet.encode() if xmp else b"")
+    return path
+
+
+def dms(value):
+    degrees, rest = divmod(value * 3600, 3600)
+    return degrees, rest // 60, rest % 60
+
+
+@pytest.mark.parametrize(
+    "xmp, pitch, roll, yaw",
+    [
+        (
+            'drone-dji:GimbalPitchDegree="-89.90" drone-dji:GimbalRollDegree="+0.00" drone-dji:GimbalYawDegree="+12.3"',
+            -89.9, 0, 12.3,
+        ),
+        (
+            "|<drone-parrot:CameraPitchDegree>-78.36</drone-parrot:CameraPitchDegree>"
+            "<drone-parrot:CameraRollDegree>-0.32</drone-parrot:CameraRollDegree>",
+            -78.36, -0.32, None,
+        ),
+        ('|<sky:CameraOrientationNED sky:Pitch="-84" sky:Roll="0.2" sky:Yaw="146.5"/>', -84, 0.2, 146.5),
+        (
+            '|<sky:CameraOrientationNED rdf:parseType="Resource"><sky:Pitch>-84</sky:Pitch></sky:CameraOrientationNED>',
+            -84, None, None,
+        ),
+        ('Camera:Pitch="7.5" Camera:Roll="-1" Camera:Yaw="300"', -82.5, -1, 300),  # 0 is straight down here
+        ('Camera:Pitch="-85" Camera:Roll="0"', -85, 0, None),  # Autel's own reading of that schema
+        (  # a camera that does not know its gimbal
+            'drone-dji:GimbalPitchDegree="+0.00" drone-dji:GimbalRollDegree="+0.00" drone-dji:GimbalYawDegree="+0.00"',
+            None, None, None,
+        ),
+        ('Camera:Pitch="steep"', None, None, None),
+        ("", None, None, None),
+    ],
+)  # fmt: skip
+def test_makers_angles_get_one_meaning(tmp_path, xmp, pitch, roll, yaw):
+    tags = read_tags(write_photo(tmp_path / "a.jpg", xmp))
+    assert (tags.pitch, tags.roll, tags.yaw) == (pitch, roll, yaw)
+
+
+def test_place_altitude_and_camera(tmp_path):
+    xmp = 'drone-dji:RelativeAltitude="+40.10" drone-dji:CalibratedFocalLength="3666.67" drone-dji:DewarpFlag="1"'
+    path = write_photo(tmp_path / "a.jpg", xmp, {0x010F: "DJI", 0x0110: "FC6310"}, gps=(8.5, 47.25))
+    tags = read_tags(path)
+    assert (tags.make, tags.model, tags.relative_altitude, tags.calibrated_px) == ("DJI", "FC6310", 40.1, 3666.67)
+    assert tags.lon_lat == pytest.approx((8.5, 47.25), abs=1e-9) and tags.dewarped
+
+
+def test_damaged_xmp_is_passed_over_and_said(tmp_path):
+    assert "XMP is damaged" in read_tags(write_photo(tmp_path / "a.jpg", 'drone-dji:X="<"')).notes[0]
+
+
+def tags(width=4000, height=3000, full_width=None, **values):
+    return Tags(width, height, full_width or width, **values)
+
+
+@pytest.mark.parametrize(
+    "given, focal",
+    [
+        (tags(focal_35mm=20), 20 / np.hypot(36, 24) * 5000),  # by the diagonal, not by the width
+        (tags(5472, 3648, focal_35mm=24), 24 / np.hypot(36, 24) * np.hypot(5472, 3648)),
+        (tags(4000, 2250, focal_35mm=20), 20 / np.hypot(36, 24) * 5000),  # 16:9 out of a 4:3 sensor
+        (tags(2000, 1125, 4000, focal_35mm=20), 20 / np.hypot(36, 24) * 2500),
+        (tags(3000, 4000, focal_35mm=20), 20 / np.hypot(36, 24) * 5000),
+        (tags(focal_mm=8.8, plane_px_per_mm=4000 / 13.2), 4000 * 8.8 / 13.2),
+        (tags(2000, 1500, 4000, calibrated_px=2300.0), 1150.0),
+        (tags(calibrated_px=3.61, focal_35mm=20), 20 / np.hypot(36, 24) * 5000),  # millimetres, not pixels
+        (tags(2000, 1500, 4000, dewarp=(2310, 2310, -4, 6, -0.01, 0, 0, 0, 0), focal_35mm=24), 1155.0),
+    ],
+)
+def test_focal_length_from_tags(given, focal):
+    lens = lens_of(given)
+    assert lens.focal_px == pytest.approx(focal, rel=1e-9)
+    assert (lens.camera.width, lens.camera.height) == (given.width, given.height)
+    assert 0 < lens.sd < 0.05
+
+
+def test_dewarp_data_bends_the_lens_unless_the_camera_has_straightened_it():
+    dewarp = (2310.0, 2310.0, -4.0, 6.0, -0.01, 0.0, 0.0, 0.0, 0.0)
+    assert lens_of(tags(dewarp=dewarp)).camera.principal_point_x == 1996
+    assert lens_of(tags(dewarp=dewarp)).camera.params[4] == -0.01
+    assert lens_of(tags(dewarp=dewarp, dewarped=True)).camera.model.name == "PINHOLE"
+
+
+CALIBRATIONS = {
+    "a.xml": "<calibration><projection>frame</projection><width>4000</width><height>3000</height><f>2300</f>"
+    "<cx>12</cx><cy>-8</cy><k1>-0.02</k1><k2>0.003</k2><p1>0.0004</p1><p2>-0.0002</p2></calibration>",
+    "a.txt": "# Camera list\n1 OPENCV 4000 3000 2300 2300 2012 1492 -0.02 0.003 -0.0002 0.0004\n",
+    "a.json": '{"width": 4000, "height": 3000, "focal_px": 2300, "cx": 2012, "cy": 1492, "k1": -0.02, "k2": 0.003,'
+    ' "p1": -0.0002, "p2": 0.0004}',
+}
+
+
+def test_every_calibration_file_says_the_same_and_follows_the_photos_size(tmp_path):
+    rays = []
+    for name, text in CALIBRATIONS.items():
+        (tmp_path / name).write_text(text)
+        camera = lens_of(tags(2000, 1500), calibration=tmp_path / name).camera
+        rays.append(camera.cam_from_img(np.array([[100.0, 200.0], [1000.0, 750.0]])))
+    assert np.abs(np.array(rays) - rays[0]).max() < 1e-9
+    assert lens_of(tags(2000, 1500), calibration=tmp_path / "a.json").focal_px == pytest.approx(1150)
+
+
+@pytest.mark.parametrize(
+    "name, text, word",
+    [
+        ("a.xml", "<calibration><f>1</f>", "no calibration"),
+        ("a.xml", "<calibration><width>10</width><height>10</height></calibration>", "<f>"),
+        ("a.json", '{"width": 4000, "height": 3000}', "focal_px"),
+        ("a.json", '{"width": 4000, "height": 3000, "fx": -5}', "positive"),
+        ("a.txt", "1 OPENCV 4000 3000 2300\n", "parameters"),
+        ("a.txt", "", "0 cameras"),
+        ("a.doc", "f 2300", "not a calibration"),
+    ],
+)
+def test_bad_calibrations_are_refused(tmp_path, name, text, word):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=word):
+        read_calibration(tmp_path / name)
+
+
+def test_calibration_of_another_format_is_refused(tmp_path):
+    (tmp_path / "a.json").write_text(CALIBRATIONS["a.json"])
+    with pytest.raises(InputError, match="4000 x 3000"):
+        lens_of(tags(4000, 2250), calibration=tmp_path / "a.json")
+
+
+def test_no_focal_length_is_said():
+    with pytest.raises(InputError, match="no focal length"):
+        lens_of(tags())
+
+
+# Geometry
+
+
+@pytest.mark.parametrize("pitch", [-90.0, -75.0, -50.0])
+def test_level_ground_is_that_of_the_papers_geometry(pitch):
+    pixels = np.random.default_rng(0).uniform([0, 0], SIZE, (50, 2))
+    plain = simple_views(pixels, SIZE, FOCAL, np.radians(pitch), ALTITUDE)
+    plane = (pixels - np.array(SIZE) / 2) / FOCAL
+    views, ok = level_views(plane, plain.lens, up_from_gimbal(np.radians(pitch)), ALTITUDE, np.radians(5))
+    assert ok.all()
+    assert views.ground == pytest.approx(plain.ground) and views.normal == pytest.approx(plain.normal)
+
+
+@pytest.mark.parametrize("pitch, roll, yaw", [(-90, 0, 0), (-70, 0, 40), (-60, 8, 200), (-35, -12, 300)])
+def test_up_and_axes_are_those_of_a_posed_camera(pitch, roll, yaw):
+    heading = np.radians(90 - yaw)
+    pose = Pose.looking(np.array([0, 0, ALTITUDE]), heading, np.radians(-pitch), np.radians(roll))
+    up = up_from_gimbal(np.radians(pitch), np.radians(roll))
+    assert pose.rotation @ [0, 0, 1] == pytest.approx(up, abs=1e-12)
+    if roll == 0:
+        right, ahead = level_axes(up) @ pose.rotation
+        assert ahead == pytest.approx([np.cos(heading), np.sin(heading), 0], abs=1e-9)
+        assert right == pytest.approx([np.sin(heading), -np.cos(heading), 0], abs=1e-9)
+
+
+def test_survey_angles_are_gimbal_angles_from_straight_down():
+    assert up_from_survey(np.radians(30), 0) == pytest.approx(up_from_gimbal(np.radians(-60)))
+    assert up_from_survey(0, 0.1) == pytest.approx([-np.sin(0.1), 0, -np.cos(0.1)])
+
+
+def view_from(pitch, roll=0.0):
+    centre = np.array([0.0, 0.0, ALTITUDE])
+    return Perspective(Camera(FOCAL, *SIZE), Pose.looking(centre, 0.4, np.radians(-pitch), np.radians(roll)))
+
+
+def boxes_in(view, n=40, seed=0, size=(4.5, 1.8)):
+    """Boxes of hulls of one size with any heading, on the ground that the picture shows."""
+    rng = np.random.default_rng(seed)
+    plan, heights = Hull().outline()
+    pixels = rng.uniform([60, 60], np.array(SIZE) - 60, (n, 2))
+    rays = np.column_stack([(pixels - np.array(SIZE) / 2) / FOCAL, np.ones(n)]) @ view.pose.rotation
+    steep = -rays[:, 2] / np.linalg.norm(rays, axis=1) > np.sin(LOWEST_ELEVATION) + 0.05
+    rows = []
+    for ray in rays[steep]:
+        place = view.pose.centre - ray * ALTITUDE / ray[2]
+        angle = rng.uniform(0, np.pi)
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        ground = plan * size @ turn + place[:2]
+        outline = view.project(np.column_stack([ground, heights]))
+        along = view.project(place + np.r_[turn[0], 0.0]) - view.project(place)
+        u = along / np.linalg.norm(along)
+        axes = np.stack([u, [-u[1], u[0]]])
+        extent = outline @ axes.T
+        low, high = extent.min(0), extent.max(0)
+        rows.append([*((low + high) / 2 @ axes), *(high - low), np.arctan2(u[1], u[0])])
+    return Boxes(np.array(rows), np.ones(len(rows)))
+
+
+def detections_of(boxes):
+    """A detector without margin and bias, and with an effective height that is known."""
+    ruler = Ruler((0, 0), (0.05, 0.05), (0.002, 0.002), 0.0, (0.3, 0.3))
+    return Detections(boxes, 1.0, ruler, (0.8, 0.8), "made for this test")
+
+
+@pytest.fixture
+def fleet(tmp_path):
+    path = tmp_path / "cars.json"
+    path.write_text(json.dumps(CARS))
+    return Fleet.load(path)
+
+
+@pytest.mark.parametrize("pitch, roll", [(-90, 0), (-75, 5), (-60, 0), (-50, -4)])
+def test_altitude_gsd_and_footprint_of_a_known_pose(tmp_path, fleet, pitch, roll):
+    view = view_from(pitch, roll)
+    photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL, pitch=pitch, roll=roll)
+    got = measure([photo], detections_of({"a.jpg": boxes_in(view)}), fleet)
+    s = ALTITUDE / FOCAL
+    steepness = abs(view.pose.rotation[2, 2])
+    assert got.scale.value == pytest.approx(s, rel=0.004)
+    assert got.altitude.value == pytest.approx(ALTITUDE, rel=0.004)
+    assert got.gsd.value == pytest.approx(s / steepness, rel=0.004)
+    assert got.footprint[0].value == pytest.approx(s / steepness * SIZE[0], rel=0.004)
+    for measured, truth in [(got.altitude, ALTITUDE), (got.gsd, s / steepness)]:
+        assert measured.low < truth < measured.high
+    corners = np.array([[0, 0], [SIZE[0], 0], SIZE, [0, SIZE[1]]])
+    rays = np.column_stack([(corners - np.array(SIZE) / 2) / FOCAL, np.ones(4)]) @ view.pose.rotation
+    if (rays[:, 2] / np.linalg.norm(rays, axis=1) < -np.sin(np.radians(11))).all():
+        truth = -rays[:, :2] * ALTITUDE / rays[:, 2:]
+        sides = np.linalg.norm(np.diff(got.outline(), axis=0, append=got.outline()[:1]), axis=1)
+        assert sides == pytest.approx(np.linalg.norm(np.diff(truth, axis=0, append=truth[:1]), axis=1), rel=0.005)
+
+
+def test_what_is_not_known_widens_what_depends_on_it(tmp_path, fleet):
+    path = write_photo(tmp_path / "a.jpg")
+    (tmp_path / "a.json").write_text(json.dumps({"width": SIZE[0], "height": SIZE[1], "fx": FOCAL}))
+
+    def width(m):
+        return np.log(m.high / m.low)
+
+    found = detections_of({"a.jpg": boxes_in(view_from(-90))})
+    told = measure([open_photo(path, focal_px=FOCAL, pitch=-90.0)], found, fleet)
+    calibrated = measure([open_photo(path, calibration=tmp_path / "a.json", pitch=-90.0)], found, fleet)
+    assert width(calibrated.altitude) < width(told.altitude)
+    assert width(calibrated.gsd) == pytest.approx(width(told.gsd), rel=0.01)  # focal length cancels straight down
+    oblique = detections_of({"a.jpg": boxes_in(view_from(-50))})
+    tilted = measure([open_photo(path, focal_px=FOCAL, pitch=-50.0)], oblique, fleet)
+    assert tilted.scale.parts["geometry"] > 2 * told.scale.parts["geometry"]
+
+
+def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_path, fleet):
+    all_boxes, photos = {}, []
+    for k in range(4):
+        path = write_photo(tmp_path / f"{k}.jpg", gps=(8.0 + 1e-7 * k, 47.0))
+        all_boxes[path.name] = boxes_in(view_from(-90), 3, seed=k)
+        photos.append(open_photo(path, focal_px=FOCAL, pitch=-90.0))
+    found = detections_of(all_boxes)
+    with pytest.raises(TooLittleEvidence, match="3 usable vehicles, 5 are needed"):
+        measure(photos[:1], found, fleet)
+    got = measure_together(photos, found, fleet)
+    assert got.altitude.value == pytest.approx(ALTITUDE, rel=0.005)
+    assert got.overlap == pytest.approx(4, abs=0.1)  # all from one spot
+    alone = measure(photos, found, fleet)
+    assert got.scale.parts["sampling"] == pytest.approx(alone.scale.parts["sampling"] * got.overlap**0.5)
+    longer = open_photo(tmp_path / "0.jpg", "other.jpg", focal_px=2 * FOCAL)
+    with pytest.raises(UsageError, match="one lens"):
+        measure_together([*photos, longer], found, fleet)
+
+
+# The command
+
+
+def run(*arguments):
+    return in_process.run("photo", *arguments)
+
+
+@pytest.fixture
+def flight(tmp_path):
+    """A folder of three photos, one of them without enough vehicles; its boxes, and its fleet."""
+    folder = tmp_path / "flight"
+    (folder / "more").mkdir(parents=True)
+    xmp = (
+        'drone-dji:GimbalPitchDegree="-60" drone-dji:GimbalRollDegree="0" drone-dji:GimbalYawDegree="30" '
+        'drone-dji:RelativeAltitude="59.0"'
+    )
+    exif = {0xA405: round(FOCAL * np.hypot(36, 24) / np.hypot(*SIZE))}
+    for k, name in enumerate(["a.jpg", "more/b.jpg", "c.jpg"]):
+        write_photo(folder / name, xmp, exif, gps=(8.0 + 0.001 * k, 47.0))
+    boxes = boxes_in(view_from(-60))
+    detections_of({"a.jpg": boxes, "more/b.jpg": boxes, "c.jpg": boxes[:4]}).save(tmp_path / "boxes.json")
+    (tmp_path / "cars.json").write_text(json.dumps(CARS))
+    return folder, ["--detections", tmp_path / "boxes.json", "--fleet", tmp_path / "cars.json"]
+
+
+def test_a_folder_becomes_a_table_in_every_format(tmp_path, flight):
+    folder, rules = flight
+    outputs = [tmp_path / f"out.{ending}" for ending in ("csv", "json", "gpkg")]
+    done = run(folder, *rules, *(part for path in outputs for part in ("--out", path)), "--json")
+    assert done.returncode == 0, done.stderr
+    text = json.loads(done.stdout)
+    assert (text["photos"], text["measured"], text["used_ratio"]) == (3, 2, pytest.approx(2 / 3))
+    assert json.loads(outputs[1].read_text()) == text
+    first = text["rows"][0]
+    assert first["photo"] == "a.jpg" and first["altitude_m"] == pytest.approx(ALTITUDE, rel=0.01)
+    assert first["altitude_m_low"] < ALTITUDE < first["altitude_m_high"]
+    assert first["told_relative_altitude_m"] == 59 and first["pitch_deg"] == -60
+    assert text["rows"][1]["problem"] == "4 usable vehicles, 5 are needed" and text["rows"][1]["altitude_m"] is None
+    rows = list(csv.DictReader(outputs[0].open()))
+    assert [row["photo"] for row in rows] == ["a.jpg", "c.jpg", "more/b.jpg"]
+    assert float(rows[0]["gsd_m"]) == first["gsd_m"] and rows[1]["gsd_m"] == ""
+    assert pyogrio.list_layers(outputs[2])[:, 0].tolist() == ["photos", "footprints"]
+    meta, _, places, values = pyogrio.raw.read(outputs[2], layer="photos")
+    column = list(meta["fields"]).index("altitude_m")
+    assert len(places) == 3 and np.isnan(values[column]).tolist() == [False, True, False]
+    import pyproj
+    import shapely
+
+    _, _, (outline, _), _ = pyogrio.raw.read(outputs[2], layer="footprints")
+    area, _ = pyproj.Geod(ellps="WGS84").geometry_area_perimeter(shapely.from_wkb(outline))
+    view = view_from(-60)
+    corners = np.array([[0, 0], [SIZE[0], 0], SIZE, [0, SIZE[1]]])
+    rays = np.column_stack([(corners - np.array(SIZE) / 2) / FOCAL, np.ones(4)]) @ view.pose.rotation
+    assert abs(area) == pytest.approx(shapely.Polygon(-rays[:, :2] * ALTITUDE / rays[:, 2:]).area, rel=0.02)
+
+
+def test_one_photo_is_answered_in_full(flight):
+    folder, rules = flight
+    done = run(folder / "a.jpg", *rules)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("altitude") and "90 %" in lines[0]
+    assert "the drone says 59 m over its take-off point" in done.stdout and "from XMP" in done.stdout
+    assumed = run(folder / "a.jpg", *rules, "--pitch", "-60", "--focal-px", FOCAL)
+    assert "as told" in assumed.stdout
+
+
+def test_an_unknown_pitch_is_said(tmp_path, flight):
+    _, rules = flight
+    write_photo(tmp_path / "a.jpg", exif={0xA405: 31})
+    done = run(tmp_path / "a.jpg", *rules)
+    assert "nadir, assumed" in done.stdout
+
+
+def bad_photo(folder, kind):
+    path = folder / "x.jpg"
+    if kind == "text":
+        path.write_text("no photo")
+    elif kind == "empty":
+        path.touch()
+    elif kind == "no EXIF":
+        Image.new("RGB", SIZE).save(path)
+    elif kind == "empty folder":
+        path = folder / "nothing"
+        path.mkdir()
+    return path
+
+
+@pytest.mark.parametrize(
+    "kind, options, code, word",
+    [
+        ("missing", [], 5, "does not exist"),
+        ("text", [], 5, "not an image"),
+        ("empty", [], 5, "x.jpg"),
+        ("empty folder", [], 5, "no photo"),
+        ("no EXIF", [], 5, "no focal length"),
+        ("no EXIF", ["--focal-px", "-1"], 2, "positive"),
+        ("no EXIF", ["--focal-px", "900", "--pitch", "10"], 2, "--pitch"),
+        ("no EXIF", ["--focal-px", "900", "--out", "x.doc"], 2, "x.doc"),
+        ("no EXIF", ["--focal-px", "900", "--out", "nowhere/x.csv"], 6, "nowhere"),
+        ("no EXIF", ["--focal-px", "900"], 5, "no boxes for x.jpg"),
+    ],
+)
+def test_bad_input_ends_in_one_sentence(tmp_path, flight, kind, options, code, word):
+    _, rules = flight
+    done = run(bad_photo(tmp_path, kind), *rules, *options)
+    assert done.returncode == code, done.stderr
+    assert done.stderr.startswith("error: ") and word in done.stderr and "Traceback" not in done.stderr
+    assert done.stdout == ""
+
+
+def test_too_few_vehicles_are_exit_code_3_and_nothing_is_written(tmp_path, flight):
+    folder, rules = flight
+    done = run(folder / "c.jpg", *rules, "--out", tmp_path / "out.csv")
+    assert done.returncode == 3 and "4 usable vehicles" in done.stderr
+    assert not (tmp_path / "out.csv").exists()
+
+
+@pytest.mark.real
+def test_altitude_of_a_real_flight(data):
+    """The drone's own figure, over its take-off point, is 40 m; boxes of a larger detector, as it gave them."""
+    scene = data / "reconstructions" / "brighton"
+    boxes = scene / "reference_boxes.json"
+    done = run(scene / "images", "--fleet", "US", "--together", "--detections", boxes, "--json")
+    assert done.returncode == 0, done.stderr
+    got = json.loads(done.stdout)["together"]
+    assert got["altitude_m"] == pytest.approx(40, rel=0.12)
+    assert got["altitude_m_low"] < 40 < got["altitude_m_high"]

@@ -1,0 +1,40 @@
+"""Where a crop's pixels and boxes come from: one affine map for both."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from .data import LabelledImage
+from .targets import CROP
+
+LENGTH_RANGE = (11.0, 75.0)  # vehicle length in a crop [px]
+MAX_ENLARGEMENT = 1.7  # beyond this an enlarged image shows no more detail than blur
+
+
+def warp(image: LabelledImage, linear: np.ndarray, shift: np.ndarray, scale: float) -> np.ndarray:
+    """The crop's pixels, uint8 (CROP, CROP, 3); shrinking starts from a half-size level so that it does not alias."""
+    octave = int(np.clip(np.floor(np.log2(1 / scale)), 0, 3))
+    source = image.level(octave)
+    step = 2.0**octave
+    # OpenCV puts a pixel's centre at its integer index, the labels half a pixel further.
+    a = linear * step
+    t = shift + a @ (0.5, 0.5) - 0.5
+    return cv2.warpAffine(
+        source, np.c_[a, t], (CROP, CROP), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(114, 114, 114),
+    )  # fmt: skip
+
+
+def transform_boxes(boxes: np.ndarray, linear: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Boxes (N, 5) under the affine map; the width keeps the area of the sheared box."""
+    out = boxes.copy()
+    out[:, :2] = boxes[:, :2] @ linear.T + shift
+    along = np.c_[np.cos(boxes[:, 4]), np.sin(boxes[:, 4])]
+    across = np.c_[-along[:, 1], along[:, 0]]
+    long_side = (along * boxes[:, 2:3]) @ linear.T
+    short_side = (across * boxes[:, 3:4]) @ linear.T
+    out[:, 2] = np.hypot(*long_side.T)
+    out[:, 3] = np.abs(long_side[:, 0] * short_side[:, 1] - long_side[:, 1] * short_side[:, 0]) / out[:, 2]
+    out[:, 4] = np.arctan2(long_side[:, 1], long_side[:, 0])
+    return out

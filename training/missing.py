@@ -1,0 +1,98 @@
+"""Find vehicles that the labels lack, for a person to judge.
+
+    python -m training.missing --detector WEIGHTS.onnx --labels LABELS.json --out runs/missing
+
+A vehicle that is in a training image but not in its labels is learnt as background. The previous detector proposes:
+boxes that it sees at two zooms and that overlap no label. Written are `proposals.json` (`{file: [[centre x, centre y,
+length, width, angle, score], ...]}`) and contact sheets of every proposal, numbered. What a person accepts or refuses
+there goes into `labels/judged.json`, which `data.read_labels` adds to the labels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from orthoscale.boxes import Boxes, matched, overlap, pairs_within
+from orthoscale.detect.detector import Detector
+from orthoscale.detect.tiles import sweep
+from orthoscale.sources.picture_file import PictureFile
+
+from .data import LabelledImage, read_labels
+
+LENGTH = 36.0  # a scene's vehicles as long as that in the first look [px]; the second is half an octave coarser
+SAME = 0.5  # overlap of two looks at one vehicle
+KNOWN = 0.15  # overlap with a label from which a box is that label's
+CELL, COLUMNS, ROWS = 110, 14, 9  # of a contact sheet [px, cells]
+
+
+def proposals(image: LabelledImage, detector: Detector, length: float) -> Boxes:
+    """Boxes seen at two zooms and not in the labels, geometric mean of both looks; pixels of the image."""
+    picture = PictureFile(image.path.name, image.path, image.width, image.height)
+    zoom = min(LENGTH / length, 1.7)
+    first, second = (sweep([picture], z, detector)[picture.name] for z in (zoom, zoom / np.sqrt(2)))
+    i, j, _ = matched(first, second, SAME)
+    xylwa = first.xylwa[i].copy()
+    xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
+    both = Boxes(xylwa, (first.score[i] + second.score[j]) / 2)
+    known = Boxes(image.boxes[image.kinds != "candidate"], np.ones(int((image.kinds != "candidate").sum())))
+    reach = [np.hypot(boxes.length, boxes.width) / 2 for boxes in (both, known)]
+    k, m = pairs_within(both.centre, known.centre, *reach)
+    new = np.ones(len(both), bool)
+    new[k[overlap(both.xylwa[k], known.xylwa[m]) > KNOWN]] = False
+    return both[new]
+
+
+def cell(image: LabelledImage, box: np.ndarray, text: str) -> np.ndarray:
+    """The picture around one box, the box 60 px long, drawn; RGB (CELL, CELL, 3)."""
+    scale = 60 / box[2]
+    shift = CELL / 2 - scale * box[:2]
+    pixels = cv2.warpAffine(
+        image.level(0), np.array([[scale, 0, shift[0]], [0, scale, shift[1]]]), (CELL, CELL),
+        flags=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC,
+    )  # fmt: skip
+    corners = Boxes(box[None], np.ones(1)).corners[0] * scale + shift
+    cv2.polylines(pixels, [corners.round().astype(np.int32)], True, (255, 230, 0), 1, cv2.LINE_AA)
+    cv2.putText(pixels, text, (2, 11), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 60, 60), 1, cv2.LINE_AA)
+    return pixels
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--detector", type=Path, required=True)
+    parser.add_argument("--labels", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    detector = Detector(options.detector)
+    images = read_labels(options.labels)
+    lengths: dict[str, list[float]] = {}
+    for image in images:
+        lengths.setdefault(image.scene, []).extend(image.vehicles[:, 2])
+    found: dict[str, list[list[float]]] = {}
+    cells: dict[str, list[np.ndarray]] = {}
+    for image in images:
+        typical = image.median_length or np.median(lengths[image.scene] or [LENGTH])
+        boxes = proposals(image, detector, float(typical))
+        rows = np.c_[boxes.xylwa, boxes.score][np.argsort(-boxes.score)]
+        found[image.path.name] = rows.round(3).tolist()
+        sheet = cells.setdefault(image.scene, [])
+        sheet += [cell(image, row[:5], f"{len(sheet) + n} .{row[5] * 100:02.0f}") for n, row in enumerate(rows)]
+    (options.out / "proposals.json").write_text(json.dumps(found))
+    page = COLUMNS * ROWS
+    for scene, sheet in cells.items():
+        for first in range(0, len(sheet), page):
+            part = sheet[first : first + page]
+            part += [np.zeros((CELL, CELL, 3), np.uint8)] * (-len(part) % COLUMNS)
+            rows_of_cells = [np.hstack(part[k : k + COLUMNS]) for k in range(0, len(part), COLUMNS)]
+            name = options.out / f"{scene}_{first // page:02d}.png"
+            cv2.imwrite(str(name), cv2.cvtColor(np.vstack(rows_of_cells), cv2.COLOR_RGB2BGR))
+        print(f"{scene}: {len(sheet)} proposals")
+
+
+if __name__ == "__main__":
+    main()
