@@ -10,7 +10,7 @@ from .pooling import Scale
 from .posterior import Z90
 
 CONTRADICTION = 3.0  # sigmas from which two measurements of one scale contradict each other
-SHARED = {"fleet"}  # parts of the uncertainty that both have: the vehicles are the same
+OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two looks at the same vehicles may differ
 # What one look of a detector differs by from another at the same vehicles (relative, one sigma). An assumption: the two
 # real scenes part by 3.2 % and 0.9 % in all.
 OWN_MARGIN = 0.015
@@ -48,7 +48,7 @@ def compare(scales: dict[str, Scale]) -> Agreement:
     independent, which lets them differ by more than two looks at the same vehicles should.
     """
     a, b = scales.values()
-    own = [scale.parts[name] ** 2 for scale in (a, b) for name in ("sampling", "geometry")]
+    own = [scale.parts.get(name, 0.0) ** 2 for scale in (a, b) for name in ("sampling", "geometry")]
     sd = float(np.sqrt(sum(own) + 2 * OWN_MARGIN**2))
     return Agreement(scales, float(np.log(b.value / a.value)), sd)
 
@@ -60,7 +60,7 @@ def together(agreement: Agreement) -> Scale:
     so no part of the uncertainty gets smaller than its weighted mean, and their difference is part of it.
     """
     a, b = agreement.scales.values()
-    own = np.array([sum(v**2 for k, v in s.parts.items() if k not in SHARED) for s in (a, b)])
+    own = np.array([sum(v**2 for k, v in s.parts.items() if k in OWN) for s in (a, b)])
     weight = (1 / own) / (1 / own).sum()
     log_value = float(weight @ np.log([a.value, b.value]))
     parts = {name: float(weight @ [a.parts[name], b.parts[name]]) for name in a.parts}

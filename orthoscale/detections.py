@@ -12,6 +12,7 @@ import numpy as np
 
 from .boxes import Boxes
 from .errors import InputError
+from .objects import known_objects
 from .pooling import Ruler
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ class Detections:
 
     zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
     effective_height : up to where the boxes enclose a vehicle seen obliquely, along its length and its width [m].
+    objects : boxes of other classes than vehicles, by picture name and class, for `objects.standard_object`.
     doubtful : boxes that were seen but not believed, by picture name, with the reason.
     planar : those of a reconstruction's frames warped onto the ground, by the frame's name, in the plans' pixels.
     swept : which tiles were looked at, where the boxes do not come from a file.
@@ -41,6 +43,7 @@ class Detections:
     detector: str
     detector_sha256: str = ""
     doubtful: dict[str, Boxes] = field(default_factory=dict)
+    objects: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     doubt: str = "seen at one zoom only"
     planar: Detections | None = None
     swept: Swept | None = None
@@ -84,16 +87,21 @@ class Detections:
         path.write_text(json.dumps(self._document(), indent=0))
 
     def _document(self) -> dict[str, Any]:
-        text = {**self.about(), "pictures": {name: _rows(boxes) for name, boxes in self.boxes.items()}}
+        pictures = {name: _rows(boxes) + self._object_rows(name) for name, boxes in self.boxes.items()}
+        text = {**self.about(), "pictures": pictures}
         return text if self.planar is None else {**text, "planar": self.planar._document()}
+
+    def _object_rows(self, name: str) -> list[dict[str, Any]]:
+        others = self.objects.get(name, {})
+        return [{**row, "kind": kind} for kind, boxes in others.items() for row in _rows(boxes)]
 
     @classmethod
     def load(cls, path: Path) -> Detections:
         """Read what `save` wrote, or a plain ``{name: [box, ...]}``. Raises InputError."""
         try:
             text = json.loads(path.read_text(encoding="utf-8"))
-            boxes = _pictures(text)
-            planar = _pictures(text["planar"]) if "pictures" in text and "planar" in text else None
+            boxes, objects = _pictures(text)
+            planar = _pictures(text["planar"])[0] if "pictures" in text and "planar" in text else None
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a detections file.") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -102,12 +110,15 @@ class Detections:
                 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.',
             ) from error
         about, name = text if "pictures" in text else None, f"boxes of {path.name}"
-        found = cls.of(boxes, about, name, str(path))
+        found = replace(cls.of(boxes, about, name, str(path)), objects=objects)
         return found if planar is None else replace(found, planar=cls.of(planar, text["planar"], name, str(path)))
 
 
-def _pictures(text: dict[str, Any]) -> dict[str, Boxes]:
-    return {name: _boxes(rows) for name, rows in text.get("pictures", text).items()}
+def _pictures(text: dict[str, Any]) -> tuple[dict[str, Boxes], dict[str, dict[str, Boxes]]]:
+    """Vehicles by picture, and other objects by picture and kind."""
+    pictures = text.get("pictures", text)
+    objects = {name: kinds for name, rows in pictures.items() if (kinds := _objects(rows))}
+    return {name: _boxes(rows) for name, rows in pictures.items()}, objects
 
 
 def _pair(values: list[float]) -> tuple[float, float]:
@@ -125,8 +136,13 @@ def _rows(boxes: Boxes) -> list[dict[str, float]]:
     ]
 
 
-def _boxes(rows: list[dict]) -> Boxes:
-    rows = [row for row in rows if row.get("kind", "vehicle") == "vehicle"]
+def _objects(rows: list[dict]) -> dict[str, Boxes]:
+    kinds = {row["kind"] for row in rows if row.get("kind") in known_objects()}
+    return {kind: _boxes(rows, kind) for kind in sorted(kinds)}
+
+
+def _boxes(rows: list[dict], kind: str = "vehicle") -> Boxes:
+    rows = [row for row in rows if row.get("kind", "vehicle") == kind]
     xylwa = np.array([[float(row[k]) for k in FIELDS] for row in rows], float).reshape(-1, 5)
     if not np.isfinite(xylwa).all() or (xylwa[:, 2:4] <= 0).any():
         raise ValueError("a box with a size that is not a positive number")

@@ -60,7 +60,7 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
             if sigmas > CONFLICT_LIMIT:
                 conflict = max(conflict, float(sigmas))
                 remarks.append(
-                    f"conflict: {name} say {np.exp(one.centre):.5g}, {other_name} says {np.exp(other.centre):.5g}, "
+                    f"conflict: {name}: {np.exp(one.centre):.5g}, {other_name}: {np.exp(other.centre):.5g}, "
                     f"{sigmas:.1f} sigmas apart"
                 )
     if conflict:

@@ -14,6 +14,7 @@ from .detections import Detections
 from .errors import TooLittleEvidence, UsageError
 from .fleet import Fleet
 from .measuring import Measured
+from .method import Method
 from .oblique import measure_frames
 from .planar_sweep import measure_ground
 
@@ -81,21 +82,26 @@ def _zoom_of_plans(source: ColmapSource, found: Detections, unit_per_pixel: floa
     return found.zoom * float(np.median(np.concatenate(in_frame)) / np.median(np.concatenate(on_ground)))
 
 
-def measure_model(source: ColmapSource, found: Detections, fleet: Fleet, mode: str | None = None) -> Measured:
+def measure_model(
+    source: ColmapSource, found: Detections, fleet: Fleet, method: Method | None = None, mode: str | None = None
+) -> Measured:
     """The scale of a reconstruction by the vehicles `found`, in each way that `mode` asks for and they allow.
 
     By default both ways are tried. Where one has too little evidence, the other answers; where both have enough, they
     are pooled, and `Measured.agreement` says how they fit. Raises TooLittleEvidence, UsageError.
     """
+    method = method or Method()
+    if mode is None and method.projection is not None:
+        mode = OBLIQUE  # a projection is one of frames
     if mode in (PLANAR, BOTH) and found.planar is None:
         raise UsageError(
             f"--mode {mode}: these detections hold no boxes of a planar sweep",
             "Leave --detections away, or use a file that --save-detections wrote for --mode both.",
         )
-    ways = {OBLIQUE: lambda: measure_frames(source, found, fleet)}
+    ways = {OBLIQUE: lambda: measure_frames(source, found, fleet, method)}
     if found.planar is not None:
         planar = found.planar
-        ways[PLANAR] = lambda: measure_ground(source, planar, fleet)
+        ways[PLANAR] = lambda: measure_ground(source, planar, fleet, method)
     if mode in (OBLIQUE, PLANAR):
         ways = {mode: ways[mode]}
     measured: dict[str, Measured] = {}
@@ -111,7 +117,7 @@ def measure_model(source: ColmapSource, found: Detections, fleet: Fleet, mode: s
     answer = next(iter(measured.values()))
     scales = {name: m.scale for name, m in measured.items()}
     findings: dict[str, Any] = {**answer.findings, "modes": {name: _plain(m) for name, m in measured.items()}}
-    remarks = answer.findings.get("consistency", {}).get("remarks", [])
+    remarks = answer.findings.get("drift", {}).get("remarks", [])
     agreement = None
     scale = answer.scale
     if len(scales) == 2:

@@ -9,8 +9,10 @@ import numpy as np
 from .boxes import Boxes
 from .detections import Detections
 from .fleet import Fleet
-from .pooling import Scale, pool
+from .method import Method
+from .pooling import Scale
 from .projection.planar import ground_size
+from .surroundings import orthophoto_evidence
 from .votes import Votes, gather
 
 if TYPE_CHECKING:
@@ -34,12 +36,15 @@ class Measured(NamedTuple):
     agreement: Agreement | None = None
 
 
-def measure(source: Source, found: Detections, fleet: Fleet) -> Measured:
+def measure(source: Source, found: Detections, fleet: Fleet, method: Method | None = None) -> Measured:
     """Measure the vehicles of one picture that shows the ground from straight above. Raises TooLittleEvidence."""
+    method = method or Method()
     (name,) = source.picture_names
     boxes = found.boxes.get(name, Boxes.empty())
     votes = gather(ground_size(boxes), np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, repeated=False)
-    scale = pool(votes, fleet, found.ruler, source.unit)
+    objects = found.objects.get(name, {})
+    more = orthophoto_evidence(votes, boxes.angle, objects, found.zoom, found.ruler, fleet.code)
+    scale = method.pool(votes, fleet, found.ruler, source.unit, more=more if method.surroundings else ())
     return Measured(boxes, np.full(len(boxes), name), votes, scale, doubts(found), {})
 
 

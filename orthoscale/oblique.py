@@ -16,10 +16,10 @@ from .detections import Detections
 from .errors import TooLittleEvidence
 from .fleet import Fleet
 from .measuring import Measured, doubts
+from .method import Method
 from .model_drift import drift
-from .pooling import MIN_VEHICLES, pool
+from .pooling import MIN_VEHICLES
 from .projection.calibration import Calibration, calibrate, trends
-from .projection.exact import Hull, ground_size
 from .projection.height import lean
 from .projection.view import Views
 from .votes import gather
@@ -39,7 +39,7 @@ NO_GROUND = "no ground under the box, or seen too flatly"
 NO_HULL = "no vehicle on the ground gives this box"
 
 
-def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet) -> Measured:
+def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet, method: Method) -> Measured:
     """Measure the boxes `found` in the frames of `source`. Raises TooLittleEvidence."""
     parts, names, views, places = [], [], [], []
     lost = doubts(found)
@@ -63,12 +63,10 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet) -> Mea
     card = Calibration.of_card(found, HEIGHT_SD)
     ruler = card
     for _ in range(ROUNDS):
-        size = np.stack(
-            [ground_size(boxes, view, metres_per_unit, Hull(height=h))[:, k] for k, h in enumerate(ruler.height)], 1
-        )
+        size = method.sizes(boxes, view, metres_per_unit, ruler.height, fleet)
         solved = np.isfinite(size).all(1)
         votes = gather(size[solved], pixel[solved], place[solved], boxes.score[solved], repeated=True)
-        scale = pool(
+        scale = method.pool(
             votes,
             fleet,
             replace(found.ruler, margin=_pair(ruler.margin), margin_sd=_pair(ruler.margin_sd)),
@@ -81,7 +79,8 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet) -> Mea
         if change < SETTLED:
             break
         counted = [members for members, used in zip(votes.members, scale.used, strict=True) if used]
-        ruler = calibrate(flat, leaning[solved], pixel[solved], counted, metres_per_unit, card, MAX_HEIGHT)
+        if method.projection in (None, "exact"):  # the others have no effective height, or one of their own
+            ruler = calibrate(flat, leaning[solved], pixel[solved], counted, metres_per_unit, card, MAX_HEIGHT)
     lost[NO_HULL] = int((~solved).sum())
     picture = picture[solved]
     tight = size[solved] - ruler.margin * pixel[solved, None]
@@ -89,7 +88,7 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet) -> Mea
     changes = trends(flat, tight, np.degrees(view.elevation[solved]), pixel[solved], counted)
     findings = {
         "calibration": {**ruler.document(card), "trends": changes},
-        "consistency": drift(tight, picture, votes, scale, source.ground.plane(votes.place)),
+        "drift": drift(tight, picture, votes, scale, source.ground.plane(votes.place)),
     }
     return Measured(boxes[solved], picture, votes, scale, lost, findings)
 

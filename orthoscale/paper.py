@@ -8,6 +8,11 @@ import numpy as np
 from scipy.special import stdtrit
 
 from .errors import TooLittleEvidence
+from .fleet import Fleet
+from .pooling import Scale
+from .posterior import Z90
+from .verdicts import verdict
+from .votes import Votes
 
 MIN_SCORE = 0.5
 MIN_VEHICLES = 5
@@ -56,3 +61,36 @@ def pool_iqr(
     value = float(kept.mean())
     half = float(stdtrit(len(kept) - 1, 0.95) * kept.std(ddof=1) / np.sqrt(len(kept))) if len(kept) > 1 else np.inf
     return PaperScale(value, (value - half, value + half), used)
+
+
+def pool_paper(votes: Votes, fleet: Fleet, unit: str) -> Scale:
+    """What the paper makes of `votes`: each vehicle says the mean of the scales by its length and by its width, with
+    the mean size of `fleet` (``PAPER`` has the paper's own). Boxes are taken as they are, without their margin.
+
+    Raises TooLittleEvidence.
+    """
+    by_side = fleet.mean[:2] / votes.size
+    each = by_side.mean(1)
+    found = pool_iqr(each, votes.score)
+    low, high = found.interval90
+    sd = (high - low) / (2 * Z90 * found.value)
+    apart = np.log(each) - np.log(found.value)
+    reasons = ["" if u else f"score of {MIN_SCORE:g} or less" for u in found.used]
+    for k in np.flatnonzero(~found.used & (votes.score > MIN_SCORE)):
+        reasons[k] = "beyond the whiskers, too " + ("small" if apart[k] > 0 else "large")
+    length, width = by_side[found.used].mean(0)
+    return Scale(
+        value=found.value,
+        unit=unit,
+        interval90=found.interval90,
+        parts={"sampling": sd},
+        checks={"length": float(length), "width": float(width)},
+        weights=(0.5, 0.5),
+        tension=0.0,
+        fleet=fleet.code,
+        verdict=verdict(sd, odd_shape=False, conflict=False),
+        used=found.used,
+        reasons=reasons,
+        remarks=("the paper's estimator: its interval has no part for the fleet, the boxes' margin and the geometry",),
+        fleets={fleet.code: 1.0},
+    )

@@ -14,6 +14,7 @@ import numpy as np
 from .atomic import check_free, new_file, new_folder
 from .boxes import Boxes
 from .calibration import Calibration
+from .control import read_control, read_distance
 from .detect.detector import Detector
 from .detect.find import Effort, Progress, find_vehicles
 from .detections import Detections
@@ -23,17 +24,18 @@ from .exchange import load as load_detections
 from .fleet import Fleet
 from .looks import find_in_model, measure_model
 from .measuring import Measured, measure
+from .method import Method
 from .pooling import Scale
 from .votes import Votes
 
 if TYPE_CHECKING:
     from .detect.zoom import ZoomChoice
     from .sources.colmap import ColmapSource
-    from .sources.picture import Picture
     from .sources.raster import RasterSource
     from .sources.source import Source
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
+REPORTS = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by its level
 CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
 
 
@@ -48,6 +50,13 @@ class Result:
     seconds: float
     measured: Measured = field(repr=False)
     drift: Drift | None = None  # of the scale within an orthophoto
+    method: Method = field(default_factory=Method)
+    settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
+
+    @property
+    def projection(self) -> str:
+        """The projection that was used: the one asked for, or what fits the source."""
+        return self.method.projection or ("planar" if self.source.unit == "m/px" else "exact")
 
     @property
     def scale(self) -> Scale:
@@ -72,19 +81,13 @@ class Result:
         """Boxes that never became votes, by reason."""
         return {reason: count for reason, count in self.measured.lost.items() if count}
 
-    @property
-    def pictures(self) -> Sequence[Picture]:
-        """The pictures that the boxes lie in, as far as they are at hand."""
-        if set(self.picture) <= set(self.source.picture_names):
-            return self.source.pictures
-        return [p for p in cast("ColmapSource", self.source).ground_pictures if p.frame is not None]
-
     def require_useful(self) -> None:
         """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
-        if self.scale.tension > CONFLICT:
+        if self.scale.conflict or self.scale.tension > CONFLICT:
             raise EvidenceDisagrees(
                 f"{self.source.path}: {self.scale.remarks[0]}",
-                "Look at the boxes (--save-detections), name the country's fleet, or write all the same with --force.",
+                "Look at the boxes (--save-detections), check what was given, name the country's fleet, or write all "
+                "the same with --force.",
             )
         agreement = self.measured.agreement
         if agreement is not None and agreement.contradicts:
@@ -134,6 +137,11 @@ def estimate(
     calibration: str | Path | None = None,
     zoom: float | None = None,
     gsd_hint: float | None = None,
+    projection: str | None = None,
+    estimator: str = "robust",
+    known_distance: Sequence[str] = (),
+    ground_control: str | Path | None = None,
+    surroundings: bool = True,
     progress: Progress | None = None,
     mode: str | None = None,
     **effort: Any,
@@ -148,11 +156,14 @@ def estimate(
     numbers of the classes that count, instead of those called small vehicles.
     calibration : file of `orthoscale.calibrating.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
+    projection, estimator : other ways than the usual, see `Method`. known_distance, ground_control : what is known
+    besides, see `control`. surroundings : whether parking rows and standard objects count.
     mode : how a model is measured, one of `looks.MODES`; by default in every way that there is evidence for.
     effort : how much to look at, and with what; see `orthoscale.detect.find.Effort` (target, exhaustive, seed, workers,
     scheduler, cache). `path` may be a source that `open_source` opened.
     Raises InputError, UsageError, TooLittleEvidence.
     """
+    settings = _plain(locals())
     started = time.perf_counter()
     if zoom is not None and gsd_hint is not None:
         raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
@@ -167,9 +178,15 @@ def estimate(
         source = open_source(Path(path), _path(images), need_images=detections is None)
     else:
         source = path
+    given = [read_distance(text, source) for text in known_distance]
+    if ground_control is not None:
+        given.append(read_control(Path(ground_control), source))
+    method = Method(projection, estimator, tuple(given), surroundings)
     model = None if source.unit == "m/px" else cast("ColmapSource", source)
     if model is None and mode is not None:
         raise UsageError("--mode is for COLMAP models", f"{source.path} is an image: leave --mode away.")
+    if model is None:
+        method.for_picture()
     choice = None
     if detections is not None:
         found = load_detections(Path(detections), source, vehicle_classes)
@@ -190,9 +207,10 @@ def estimate(
     if known is not None:
         found = known.applied(found, Path(str(calibration)))
     try:
-        measured = (
-            measure(source, found, ruler_fleet) if model is None else measure_model(model, found, ruler_fleet, mode)
-        )
+        if model is None:
+            measured = measure(source, found, ruler_fleet, method)
+        else:
+            measured = measure_model(model, found, ruler_fleet, method, mode)
     except TooLittleEvidence as error:
         raise TooLittleEvidence(
             f"{source.path}: {error.message} (looked at zoom {found.zoom:.2f}, vehicles about "
@@ -204,7 +222,8 @@ def estimate(
     if model is None:
         (whole,) = source.pictures
         within = drift(measured.votes, measured.scale, found.ruler, whole.width, whole.height)
-    return Result(source, ruler_fleet, found, choice, time.perf_counter() - started, measured, within)
+    seconds = time.perf_counter() - started
+    return Result(source, ruler_fleet, found, choice, seconds, measured, within, method, settings)
 
 
 def fix(
@@ -218,21 +237,25 @@ def fix(
     keep_origin: bool = False,
     cog: bool = False,
     also: Sequence[str] = (),
+    report: str = "html",
     **options: Any,
 ) -> Result:
     """Estimate the scale of `path` (see `estimate` for `options`) and write a copy of it in metres at `out`.
 
-    An orthophoto becomes the GeoTIFF `out` with `out`.json and `out`.png beside it; a model the folder `out` with
-    sim3.txt, report.json and vehicles.png in it. All of them appear, or none.
+    An orthophoto becomes the GeoTIFF `out` with `out`.json, `out`.png and `out`.html beside it; a model the folder
+    `out` with sim3.txt, report.json, vehicles.png and report.html in it. All of them appear, or none.
 
     overwrite : replace what is at `out`. override : rescale although the input's own georeferencing gives a scale.
     keep_origin : an orthophoto keeps its coordinate reference system, first corner and direction; else local metres.
     cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.EXTRAS`.
     force : write although the evidence is too uncertain to be useful (verdict ``refuse``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
+    report : ``html``, ``json`` (without the page) or ``none``.
     Raises what `estimate` raises, EvidenceDisagrees, OutputError.
     """
     path, out = Path(path), Path(out)
+    if report not in REPORTS:
+        raise UsageError(f"--report {report} is none of {', '.join(REPORTS)}")
     check_free(out, overwrite)
     if out.resolve() == path.resolve():
         raise UsageError(f"{out} is the input itself", "The input is never touched: choose another --out.")
@@ -240,8 +263,9 @@ def fix(
     from .report.extras import chosen
 
     extras = [(extra.place(out), extra.write) for extra in chosen(also)]
+    parts = report_paths(out, source.unit, report)
     if source.unit == "m/px":
-        for beside in (_beside(out, ".png"), _beside(out, ".json"), *(place for place, _ in extras)):
+        for beside in (*parts.values(), *(place for place, _ in extras)):
             check_free(beside, overwrite)
     elif keep_origin or cog or also:
         raise UsageError("--keep-origin, --cog and --also are for orthophotos", f"{path} is a model.")
@@ -255,14 +279,12 @@ def fix(
     result = estimate(source, **options)
     if not force:
         result.require_useful()
-    from .report.document import document, write_json
-    from .report.pictures import draw
+    from .report.files import write_report
 
     with ExitStack() as outputs:  # renamed into place in reverse order, the main output last
         if source.unit == "m/px":
             main = outputs.enter_context(new_file(out, overwrite))
-            picture = outputs.enter_context(new_file(_beside(out, ".png"), overwrite))
-            report = outputs.enter_context(new_file(_beside(out, ".json"), overwrite))
+            parts = {kind: outputs.enter_context(new_file(place, overwrite)) for kind, place in parts.items()}
             raster = cast("RasterSource", source)
             raster.write(main, result.scale.value, keep_origin, cog)
             for place, write in extras:
@@ -270,15 +292,15 @@ def fix(
                 write(result, raster.place(result.scale.value, keep_origin), partial)
         else:
             main = outputs.enter_context(new_folder(out, overwrite))
-            picture, report = main / "vehicles.png", main / "report.json"
+            parts = {kind: main / place.name for kind, place in parts.items()}
             source.write(main, result.scale.value)
             if dense:
                 (main / "dense").mkdir()
                 cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
-        draw(result, picture)
-        write_json(document(result), report)
-        if overwrite:
-            for suffix in GDAL_SIDECARS:  # those of the file that is replaced would speak for the new one
+        write_report(result, parts)
+        if overwrite and main.is_file():  # what lies beside the file that is replaced would speak for the new one
+            stale = [f".{kind}" for kind in REPORTS["html"] if kind not in parts]
+            for suffix in (*GDAL_SIDECARS, *stale):
                 _beside(out, suffix).unlink(missing_ok=True)
             if "tfw" not in also:
                 out.with_suffix(".tfw").unlink(missing_ok=True)
@@ -290,6 +312,23 @@ def _check_dense(source: Source) -> None:
     if source.unit == "m/px":
         raise UsageError("--dense is for COLMAP models", f"{source.path} is an image: leave --dense away.")
     cast("ColmapSource", source).dense  # noqa: B018  raises where there is none
+
+
+def report_paths(out: Path, unit: str, report: str) -> dict[str, Path]:
+    """Where `fix` writes the parts of a report: beside the scaled orthophoto `out`, or into the folder `out`."""
+    if unit == "m/px":
+        return {kind: _beside(out, f".{kind}") for kind in REPORTS[report]}
+    return {kind: out / ("vehicles.png" if kind == "png" else f"report.{kind}") for kind in REPORTS[report]}
+
+
+def _plain(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Options that say something, as values that JSON knows."""
+    given = {**arguments, **arguments.get("effort", {})}
+    return {
+        name: value if isinstance(value, (bool, int, float, list, tuple)) else str(value)
+        for name, value in given.items()
+        if name not in ("path", "progress", "effort") and value is not None
+    }
 
 
 def _beside(out: Path, suffix: str) -> Path:

@@ -16,8 +16,9 @@ from .detections import Detections
 from .errors import TooLittleEvidence
 from .fleet import Fleet
 from .measuring import Measured, doubts
+from .method import Method
 from .oblique import HEIGHT_SD, geometry
-from .pooling import MIN_VEHICLES, pool
+from .pooling import MIN_VEHICLES
 from .projection.height import lean_from_above
 from .projection.planar import ground_size
 from .votes import gather
@@ -32,7 +33,7 @@ BORDER = 2.0  # [px of the frame]
 TOO_FLAT = "cut by the frame's edge, or seen too flatly"
 
 
-def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet) -> Measured:
+def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet, method: Method) -> Measured:
     """Measure the boxes `found` in the `source.ground_pictures`. Raises TooLittleEvidence."""
     pictures = {picture.name: picture for picture in source.ground_pictures}
     lost = {**doubts(found), TOO_FLAT: 0}
@@ -59,7 +60,7 @@ def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet) -> Mea
         size = np.maximum(flat - leaning * height / metres_per_unit, 0.3 * flat)
         votes = gather(size, np.full(len(boxes), unit / found.zoom), place, boxes.score, repeated=True)
         spread = geometry(size, leaning, np.full(2, HEIGHT_SD / metres_per_unit))
-        scale = pool(votes, fleet, found.ruler, source.unit, spread)
+        scale = method.pool(votes, fleet, found.ruler, source.unit, spread)
         metres_per_unit = scale.value
     return Measured(boxes, np.array(names), votes, scale, lost, {})
 

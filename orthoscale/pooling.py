@@ -69,7 +69,8 @@ class Scale:
     parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence.
     checks : the scale from lengths alone, from widths alone and from length minus width (free of a symmetric margin).
     weights : share of lengths and widths in what the vehicles say.
-    tension : sigmas between the scale from lengths and that from widths, or between two measurements that conflict.
+    tension : sigmas between the scale from lengths and that from widths.
+    conflict : sigmas between the two measurements (vehicles, evidence) that contradict each other most, 0 if none do.
     larger_share : share of larger vehicles (vans, pickups beyond the fleet's own) among the vehicles.
     fleets : probability of each fleet that may stand here; one entry unless the fleet was to be found.
     evidence : what entered besides the vehicles.
@@ -91,6 +92,7 @@ class Scale:
     larger_share: float = 0.0
     fleets: Mapping[str, float] = field(default_factory=dict)
     evidence: tuple[Evidence, ...] = ()
+    conflict: float = 0.0
 
     @property
     def relative_sd(self) -> float:
@@ -193,7 +195,8 @@ def pool(
             "length_minus_width": float(from_difference),
         },
         weights=(float(best.weights[0]), float(best.weights[1])),
-        tension=max(best.tension, together.conflict),
+        tension=best.tension,
+        conflict=together.conflict,
         fleet=fleet.code,
         verdict=verdict(together.posterior.spread, best.tension > CHECK_LIMIT, together.conflict > 0),
         used=used,
@@ -219,6 +222,9 @@ def _of_fleet(log_size: np.ndarray, noise: np.ndarray, fleet: Fleet, known: Mapp
     variance = np.einsum("i,vij,j->v", weights, sampling + systematic, weights)
     posterior = Posterior(fits.weight, fits.log_scale @ weights, np.sqrt(variance))
     parts = {name: float(np.sqrt(weights @ c @ weights)) for name, c in shared.items()}
+    # Which mix of vehicles stands here is a thing not known of the fleet: more of them do not tell it better.
+    mix = float(fits.weight @ (posterior.mean - posterior.centre) ** 2)
+    parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(mix)))
     rest = posterior.spread**2 - sum(v**2 for v in parts.values())
     probable = np.einsum("v,vkn->kn", fits.weight, fits.member)
     return _Vehicles(

@@ -378,3 +378,22 @@ def test_an_orthophoto_without_metres_is_refused(tmp_path):
 def test_the_list_has_sources():
     shown = run("--list")
     assert shown.returncode == 0 and "FIBA" in shown.stdout and "parking-CC:N" in shown.stdout
+
+
+@pytest.mark.real
+def test_a_sports_complex_on_a_real_lot(data, tmp_path):
+    """A yard in Manila; World Mercator stretches its metres by 3.3 %, the courts have theirs all the same."""
+    yard = [(8, 1110), (120, 1130), (260, 1230), (310, 1300), (325, 1480), (300, 1560), (320, 1640), (480, 1740),
+            (470, 1800), (400, 1850), (240, 1960), (30, 1990), (8, 1900)]  # fmt: skip
+    lot = lot_file(tmp_path / "lot.geojson", yard)
+    wishes = ["basketball", "tennis", "badminton:2", "football"]
+    made = plan(data / "orthophotos" / "manila.tif", lot, wishes, lot_pixels=True, scale_error=0.07)
+    assert made.ground.gsd == pytest.approx(0.0967, rel=0.005)
+    placed = [p.facility.code for p in made.placed]
+    assert placed.count("basketball") == placed.count("tennis") == 1 and "badminton" in placed
+    check(made.lot, made.placed, 1.0)
+    court = next(p for p in made.placed if p.facility.code == "basketball")
+    sides = np.linalg.norm(np.diff(made.ground.to_pixels(court.on_ground(court.facility.outline)), axis=0), axis=1)
+    assert sides.max() == pytest.approx(28 / 0.0967, rel=0.005)
+    football = next(m for m in made.missing if m.facility.code == "football")
+    assert not football.empty_lot and "lacks" in football.sentence()

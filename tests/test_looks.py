@@ -97,7 +97,7 @@ def found(flight):
 
 @pytest.mark.parametrize("mode", [None, "oblique", "planar"])
 def test_the_scale_of_known_vehicles(flight, found, mode):
-    measured = measure_model(ColmapSource.open(flight[0]), found, FLEET, mode)
+    measured = measure_model(ColmapSource.open(flight[0]), found, FLEET, mode=mode)
     assert measured.scale.value == pytest.approx(UNIT, rel=0.03)
     low, high = measured.scale.interval90
     assert low < UNIT < high
@@ -157,8 +157,8 @@ def test_a_frame_of_another_scale_is_named(flight, found):
     name = "04.png"
     boxes = dict(found.boxes)
     boxes[name] = Boxes(boxes[name].xylwa * [1, 1, 0.8, 0.8, 1], boxes[name].score)
-    measured = measure_model(ColmapSource.open(flight[0]), replace(found, boxes=boxes), FLEET, "oblique")
-    assert measured.findings["consistency"]["odd_frames"] == [name]
+    measured = measure_model(ColmapSource.open(flight[0]), replace(found, boxes=boxes), FLEET, mode="oblique")
+    assert measured.findings["drift"]["odd_frames"] == [name]
     assert any(name in remark for remark in measured.scale.remarks)
 
 
@@ -208,7 +208,7 @@ def test_ground_pictures_show_what_the_frames_show(flight, tmp_path):
 
 
 def test_agreement_of_two_scales(flight, found):
-    scale = measure_model(ColmapSource.open(flight[0]), found, FLEET, "oblique").scale
+    scale = measure_model(ColmapSource.open(flight[0]), found, FLEET, mode="oblique").scale
     same = compare({"oblique": scale, "planar": replace(scale, value=1.01 * scale.value)})
     assert not same.contradicts and same.difference == pytest.approx(0.01, rel=0.01)
     assert together(same).value == pytest.approx(1.005 * scale.value, rel=1e-3)

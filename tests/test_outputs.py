@@ -154,7 +154,6 @@ def test_a_classic_tiff_without_room_becomes_a_bigtiff_by_need(tmp_path, boxes, 
 
 @pytest.fixture(scope="module")
 def everything(tmp_path_factory, boxes):
-    pytest.importorskip("pyogrio")
     folder = tmp_path_factory.mktemp("all")
     path = picture(folder / "a.tif", crs="EPSG:32632", transform=UTM)
     kinds = ("tfw", "scale", "gpkg", "geojson", "tiles")

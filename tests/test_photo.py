@@ -15,7 +15,7 @@ from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleet import Fleet
 from orthoscale.photo.lens import lens_of, read_calibration
 from orthoscale.photo.measure import LOWEST_ELEVATION, measure, open_photo
-from orthoscale.photo.survey import measure_together
+from orthoscale.photo.survey import measure_together, open_photos
 from orthoscale.photo.tags import Tags, read_tags
 from orthoscale.pooling import Ruler
 from orthoscale.projection.decoupled import simple_views
@@ -43,7 +43,8 @@ def write_photo(path, xmp="", exif=(), gps=None, size=SIZE):
         (tags if tag in (0x010F, 0x0110, 0x0112) else tags.get_ifd(0x8769))[tag] = value
     if gps:
         lon, lat = gps
-        tags.get_ifd(0x8825).update({1: "N", 2: dms(lat), 3: "E", 4: dms(lon)})
+        sides = {1: "NS"[lat < 0], 3: "EW"[lon < 0]}
+        tags.get_ifd(0x8825).update({**sides, 2: dms(abs(lat)), 4: dms(abs(lon))})
     inner, _, elements = xmp.partition("|")
     packet = (
         '<?xpacket begin=""?><x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
@@ -93,16 +94,36 @@ def test_makers_angles_get_one_meaning(tmp_path, xmp, pitch, roll, yaw):
     assert (tags.pitch, tags.roll, tags.yaw) == (pitch, roll, yaw)
 
 
-def test_place_altitude_and_camera(tmp_path):
+@pytest.mark.parametrize("place", [(8.5, 47.25), (-58.4, -34.6), (-91.99, 46.84)])
+def test_place_altitude_and_camera(tmp_path, place):
     xmp = 'drone-dji:RelativeAltitude="+40.10" drone-dji:CalibratedFocalLength="3666.67" drone-dji:DewarpFlag="1"'
-    path = write_photo(tmp_path / "a.jpg", xmp, {0x010F: "DJI", 0x0110: "FC6310"}, gps=(8.5, 47.25))
+    path = write_photo(tmp_path / "a.jpg", xmp, {0x010F: "DJI", 0x0110: "FC6310"}, gps=place)
     tags = read_tags(path)
     assert (tags.make, tags.model, tags.relative_altitude, tags.calibrated_px) == ("DJI", "FC6310", 40.1, 3666.67)
-    assert tags.lon_lat == pytest.approx((8.5, 47.25), abs=1e-9) and tags.dewarped
+    assert tags.lon_lat == pytest.approx(place, abs=1e-9) and tags.dewarped
 
 
 def test_damaged_xmp_is_passed_over_and_said(tmp_path):
     assert "XMP is damaged" in read_tags(write_photo(tmp_path / "a.jpg", 'drone-dji:X="<"')).notes[0]
+
+
+def test_tags_damaged_at_random_are_read_or_refused(tmp_path):
+    xmp = 'drone-dji:GimbalPitchDegree="-89.90" drone-dji:DewarpData="x;1,2,3,4,5,6,7,8,9"'
+    exif = {0x010F: "DJI", 0xA405: 24, 0x920A: 8.8, 0xA20E: 4000.0, 0xA404: 1.0}
+    whole = write_photo(tmp_path / "a.jpg", xmp, exif, gps=(8.5, 47.25), size=(64, 48)).read_bytes()
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(300):
+        damaged = bytearray(whole)
+        for place in rng.integers(4, whole.find(b"xpacket end") + 20, 6):
+            damaged[place] = rng.integers(256)
+        (tmp_path / "b.jpg").write_bytes(damaged)
+        try:
+            assert read_tags(tmp_path / "b.jpg").width > 0
+        except InputError as error:
+            refused += 1
+            assert "b.jpg" in error.message
+    assert refused < 300
 
 
 def tags(width=4000, height=3000, full_width=None, **values):
@@ -307,6 +328,7 @@ def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_pa
     assert got.altitude.value == pytest.approx(ALTITUDE, rel=0.005)
     assert got.overlap == pytest.approx(4, abs=0.1)  # all from one spot
     alone = measure(photos, found, fleet)
+    assert got.altitude.high - got.altitude.low > alone.altitude.high - alone.altitude.low
     assert got.scale.parts["sampling"] == pytest.approx(alone.scale.parts["sampling"] * got.overlap**0.5)
     longer = open_photo(tmp_path / "0.jpg", "other.jpg", focal_px=2 * FOCAL)
     with pytest.raises(UsageError, match="one lens"):
@@ -429,6 +451,16 @@ def test_too_few_vehicles_are_exit_code_3_and_nothing_is_written(tmp_path, fligh
     done = run(folder / "c.jpg", *rules, "--out", tmp_path / "out.csv")
     assert done.returncode == 3 and "4 usable vehicles" in done.stderr
     assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_damaged_photo_among_many_is_a_line_of_the_table(tmp_path):
+    good, bad = write_photo(tmp_path / "a.jpg"), write_photo(tmp_path / "b.jpg")
+    bad.write_bytes(bad.read_bytes()[:-400])
+    told = {"focal_px": FOCAL, "pitch": -90.0}
+    photos, problems = open_photos({"a.jpg": good, "b.jpg": bad}, **told)
+    assert [p.name for p in photos] == ["a.jpg"] and "truncated" in problems["b.jpg"]
+    with pytest.raises(InputError, match="truncated"):
+        open_photos({"b.jpg": bad}, **told)
 
 
 @pytest.mark.real

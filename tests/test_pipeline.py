@@ -69,7 +69,8 @@ def test_an_orthophoto_gets_its_metres(town, tmp_path):
     assert all(v["reason"] for v in report["vehicles"] if not v["used"])
     assert len(report["input"]["sha256"]) == 64 and report["versions"]["orthoscale"] == orthoscale.__version__
     assert (tmp_path / "scaled.tif.png").read_bytes()[:4] == b"\x89PNG"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["scaled.tif", "scaled.tif.json", "scaled.tif.png"]
+    parts = ["scaled.tif", "scaled.tif.html", "scaled.tif.json", "scaled.tif.png"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == parts
 
 
 @pytest.mark.slow

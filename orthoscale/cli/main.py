@@ -16,11 +16,14 @@ from .options import EXIT_CODES
 COMMANDS = {  # name: module of this package; the function in it has the command's name
     "estimate": "scale",
     "fix": "scale",
+    "explain": "explain",
     "check": "check",
     "apply": "apply",
     "photo": "photo",
     "crop": "crop",
     "layout": "layout",
+    "evaluate": "evaluate",
+    "report": "report",
     "fleets": "fleets",
     "calibrate": "calibrate",
 }

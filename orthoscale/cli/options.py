@@ -42,7 +42,8 @@ def evidence_options(command: Callable) -> Callable:
             click.argument("path", metavar="INPUT", type=click.Path(path_type=Path)),
             click.option(
                 "--fleet",
-                help="Country code (US, DE, JP ...) or fleet.json; by default the calibration's own, else world.",
+                help="Country code (US, DE, JP ...), 'auto' to find it by the vehicles' shapes, or a fleet.json; "
+                "by default the calibration's own, else world.",
             ),
             click.option("--images", type=click.Path(path_type=Path), help="Folder of the model's frames."),
             click.option(
@@ -86,6 +87,36 @@ def evidence_options(command: Callable) -> Callable:
                 default=True,
                 flag_value=False,
                 help="Keep no looks, and use none kept.",
+            ),
+            click.option(
+                "--projection",
+                type=click.Choice(["exact", "planar", "decoupled", "program", "naive"]),
+                help="From boxes in frames to the ground; exact if not given. The others are for comparison.",
+            ),
+            click.option(
+                "--estimator",
+                type=click.Choice(["robust", "iqr"]),
+                default="robust",
+                show_default=True,
+                help="From vehicles to the scale; iqr is the paper's.",
+            ),
+            click.option(
+                "--known-distance",
+                multiple=True,
+                metavar="'A B M [SD]'",
+                help="Two points, the metres between them, their sigma: '120,80 560,80 23.77'. Points are X,Y in an "
+                "orthophoto; X,Y,Z, id:NUMBER or FRAME@X,Y in a model. May be given again.",
+            ),
+            click.option(
+                "--ground-control",
+                type=click.Path(path_type=Path),
+                metavar="FILE",
+                help="Lines of POINT EAST NORTH [UP] in metres; points as for --known-distance.",
+            ),
+            click.option(
+                "--surroundings/--no-surroundings",
+                default=True,
+                help="Whether parking rows and objects of standard size count, where the boxes show them.",
             ),
             click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on standard output."),
             click.option("--debug", is_flag=True, help="Show the traceback of an error."),

@@ -60,9 +60,8 @@ def photo(
 
     ruler = Fleet.load(fleet)
     tables.check_outputs(outputs, overwrite)
-    photos, problems = survey.open_photos(
-        find_photos(paths), calibration=calibration, focal_px=focal_px, pitch=pitch, roll=roll
-    )
+    lens = {"calibration": calibration, "focal_px": focal_px, "pitch": pitch, "roll": roll}
+    photos, problems = survey.open_photos(find_photos(paths), decode=detections is None, **lens)
     with progress_bars() as progress:
         found = survey.boxes_of(photos, ruler, detections, detector, zoom, gsd_hint, progress)
     if save_detections is not None:

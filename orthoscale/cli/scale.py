@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -57,12 +59,19 @@ def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | Non
 )
 @click.option("--force", is_flag=True, help="Write although the evidence is poor or disagrees.")
 @click.option("--dense", is_flag=True, help="The model's dense workspace too: depth maps, cloud, meshes.")
+@click.option(
+    "--report",
+    type=click.Choice(["none", "json", "html"]),
+    default="html",
+    show_default=True,
+    help="html: a page for people, a picture and JSON; json: without the page.",
+)
 def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
     """Write a copy of INPUT in metres: an orthophoto with its GSD, or a COLMAP model rescaled.
 
-    An orthophoto's pixels are copied as they are; OUT.json and OUT.png come with it. A model is scaled about its own
-    origin; sim3.json, report.json and vehicles.png come with it. Of a workspace with several models (sparse/0,
-    sparse/1 ...) each gets its own scale and folder in OUT. INPUT is never touched.
+    An orthophoto's pixels are copied as they are; OUT.html, OUT.json and OUT.png come with it. A model is scaled about
+    its own origin; sim3.json, report.html, report.json and vehicles.png come with it. Of a workspace with several
+    models (sparse/0, sparse/1 ...) each gets its own scale and folder in OUT. INPUT is never touched.
     """
     from .. import pipeline, workspace
 
@@ -74,7 +83,10 @@ def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path
             outcomes = workspace.fix_all(models, out, progress=progress, **options)
         else:
             result = pipeline.fix(path, out, progress=progress, **options)
-    _finish_all(outcomes, as_json, out) if models else _finish(result, as_json, save_detections, out)
+    if models:
+        _finish_all(outcomes, as_json, out, options["report"])
+    else:
+        _finish(result, as_json, save_detections, _written(result, out, options["report"]))
 
 
 def _refuse_one_file_for_many(models: list[Path], save_detections: Path | None) -> None:
@@ -83,16 +95,24 @@ def _refuse_one_file_for_many(models: list[Path], save_detections: Path | None) 
         raise UsageError("--save-detections keeps the boxes of one model", f"Give one of {names}.")
 
 
-def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None) -> None:
+def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
+    """What a person will look for."""
+    from ..pipeline import report_paths
+
+    page = report_paths(out, result.source.unit, report).get("html")
+    return {"written": out} | ({"report": page} if page else {})
+
+
+def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None, report: str = "none") -> None:
     if as_json:
         click.echo(json.dumps({outcome.model.name: outcome.document() for outcome in outcomes}))
         return
-    from ..report.terminal import summary
+    from ..report.terminal import show
 
     for outcome in outcomes:
         click.echo(f"--- {outcome.model}")
         if outcome.result is not None:
-            click.echo(summary(outcome.result, None if out is None else out / outcome.model.name))
+            show(outcome.result, {} if out is None else _written(outcome.result, out / outcome.model.name, report))
         else:
             click.echo(f"no scale   {outcome.error}")
 
@@ -107,7 +127,9 @@ def _check_savable(path: Path | None) -> None:
         check_free(path, overwrite=True)
 
 
-def _finish(result: Any, as_json: bool, save_detections: Path | None, out: Path | None = None) -> None:
+def _finish(
+    result: Any, as_json: bool, save_detections: Path | None, written: Mapping[str, Path] = MappingProxyType({})
+) -> None:
     if save_detections is not None:
         from ..atomic import new_file
         from ..exchange import save
@@ -119,6 +141,6 @@ def _finish(result: Any, as_json: bool, save_detections: Path | None, out: Path 
 
         click.echo(json.dumps(document(result)))
     else:
-        from ..report.terminal import summary
+        from ..report.terminal import show
 
-        click.echo(summary(result, out))
+        show(result, written)

@@ -19,7 +19,8 @@ from .detector import Detector
 from .tiles import BORDER, CONFIRMING_ZOOM, OVERLAP, TILE, Looks, Tile
 
 KEPT = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
-CODE = ("boxes.py", "detect/*.py", "sources/raster.py", "sources/picture_file.py")  # what decides over boxes
+CODE = ("boxes.py", "detect/*.py", "sources/raster.py", "sources/picture_file.py")  # what decides over the looks
+NO_MATTER = {"cache.py", "find.py", "order.py", "promise.py", "sweep.py", "workers.py", "zoom.py"}  # what does not
 
 
 def cache_folder() -> Path:
@@ -53,7 +54,8 @@ def _code_hash() -> str:
     digest = hashlib.sha256()
     for pattern in CODE:
         for path in sorted(package.glob(pattern)):
-            digest.update(path.read_bytes())
+            if path.name not in NO_MATTER:
+                digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

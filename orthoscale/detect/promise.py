@@ -34,16 +34,18 @@ def promise(
     if len(jobs) < MANY:
         return np.ones(len(jobs))
 
-    def promising(number: int) -> bool:
-        picture, tile = jobs[number]
-        size = {"out_width": max(1, round(tile.out_width * FAR)), "out_height": max(1, round(tile.out_height * FAR))}
-        return len(look(picture, replace(tile, **size), lambda image: detect(image, threshold=SCORE))) > 0
-
     weight = np.full(len(jobs), UNPROMISING)
     chosen = np.sort(order[:LOOKS]).tolist()
     with ThreadPoolExecutor(workers) as pool:
-        for k, promised in enumerate(pool.map(promising, chosen)):
+        for k, promised in enumerate(pool.map(lambda number: hint(jobs[number], detect), chosen)):
             weight[chosen[k]] = 1.0 if promised else UNPROMISING
             if progress:
                 progress(k + 1, len(chosen))
     return weight
+
+
+def hint(job: tuple[Picture, Tile], detect: Detector) -> bool:
+    """Whether a far look at one tile shows anything like a vehicle."""
+    picture, tile = job
+    size = {"out_width": max(1, round(tile.out_width * FAR)), "out_height": max(1, round(tile.out_height * FAR))}
+    return len(look(picture, replace(tile, **size), lambda image: detect(image, threshold=SCORE))) > 0

@@ -94,7 +94,7 @@ def _on_cluster(client: Any, jobs: Jobs, detector: Detector) -> Iterator[tuple[i
         for number, (picture, tile) in jobs.items()
     }
     try:
-        for future in as_completed(futures):
+        for future in as_completed(futures, loop=client.loop):
             yield futures[future], future.result()
     except KilledWorker as error:
         raise OrthoscaleError(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -20,12 +19,12 @@ from shapely.geometry.base import BaseGeometry
 from .catalogue import Facility
 
 TOLERANCE = 20.0  # [deg] from north within which a facility counts as lying north to south
-STEP = 5.0  # [deg] between the directions that are tried
+STEP, COARSE_STEP = 5.0, 15.0  # [deg] between directions that are tried, to place and to tell what is missing
 SLACK = 1e-3  # [m] by which a rectangle may touch what it must not cross
 PRECISION = 0.05  # [m] to which it is told how much is missing
 WORTH_TELLING = 0.5  # share of a side that must be left for "so many metres shorter" to be an option
 CORNERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
-ATTEMPTS = 16  # the first four towards one corner each, the others with a corner drawn for each facility
+ATTEMPTS = 12  # the first four towards one corner each, the others with a corner drawn for each facility
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,7 @@ def arrange(
     accounts: dict[str, Missing] = {}
     for facility in failed:
         if facility.code not in accounts:
-            accounts[facility.code] = _shortfall(space, free, facility, directions)
+            accounts[facility.code] = _shortfall(space, free, facility, _directions(lot, COARSE_STEP))
         missing.append(accounts[facility.code])
     return placed, missing
 
@@ -158,15 +157,20 @@ def holds(lot: BaseGeometry, placed: Sequence[Placed], factor: float) -> list[bo
 
 def centres(free: BaseGeometry, length: float, width: float, bearing: float) -> BaseGeometry:
     """Where the centre of a `length` x `width` m rectangle along `bearing` may be, so that it lies within `free`."""
+    # What a disc as wide as the rectangle leaves: often nothing, which saves the rest.
+    room = shapely.buffer(free, -(min(length, width) - SLACK) / 2)
+    if room.is_empty:
+        return room
     corners = Placed(_NOTHING, (0.0, 0.0), bearing).on_ground(_corners(length - SLACK, width - SLACK))
-    hulls = []
-    for ring in _rings(free):
-        for a, b in pairwise(np.asarray(ring.coords)[:, :2]):
-            hulls.append(np.concatenate([corners + a, corners + b]))
-    if not hulls:
-        return Polygon()
-    blocked = shapely.convex_hull(shapely.multipoints([shapely.points(h) for h in hulls]))
-    return free.difference(shapely.union_all(blocked))
+    edges = np.concatenate([np.stack([r[:-1], r[1:]], 1) for r in map(_coordinates, _rings(free))])  # (E, 2 ends, 2)
+    swept = (edges[:, :, None] + corners).reshape(-1, 2)  # eight points each
+    blocked = shapely.convex_hull(shapely.multipoints(swept, indices=np.repeat(np.arange(len(edges)), 8)))
+    shapely.prepare(room)
+    return room.difference(shapely.union_all(blocked[shapely.intersects(room, blocked)]))
+
+
+def _coordinates(ring: BaseGeometry) -> np.ndarray:
+    return np.asarray(ring.coords)[:, :2]
 
 
 _NOTHING = Facility("", "", 1.0, 1.0, 0.0, 0.0, False, False, (), "", (0, 0, 0), "")
@@ -183,14 +187,14 @@ def _rings(area: BaseGeometry) -> Iterator[BaseGeometry]:
             yield from part.interiors
 
 
-def _directions(lot: BaseGeometry) -> list[float]:
+def _directions(lot: BaseGeometry, step: float = STEP) -> list[float]:
     """Bearings to try [deg, 0..180): those of the lot's long edges and their normals, and a comb of all."""
     hull = np.asarray(shapely.simplify(lot.convex_hull, 0.5).exterior.coords)
     edges = np.diff(hull, axis=0)
     length = np.linalg.norm(edges, axis=1)
     along = np.degrees(np.arctan2(*edges[length > 0.1 * length.max()].T)) % 180
     own = [round(float(b), 3) for b in np.concatenate([along, (along + 90) % 180])]
-    return list(dict.fromkeys([*own, *np.arange(0.0, 180.0, STEP).tolist()]))
+    return list(dict.fromkeys([*own, *np.arange(0.0, 180.0, step).tolist()]))
 
 
 def _ranked(facility: Facility, directions: Sequence[float]) -> list[list[float]]:
@@ -256,7 +260,7 @@ def _fits(free: BaseGeometry, length: float, width: float, directions: Sequence[
 
 def _shortfall(space: BaseGeometry, free: BaseGeometry, facility: Facility, directions: Sequence[float]) -> Missing:
     """By how much: the longest of full width, the widest of full length, and the largest of its proportions that still
-    find a place."""
+    find a place in one of `directions`."""
     length, width = facility.full_length, facility.full_width
     empty_lot = _fits(space, length, width, directions)
     free = free if empty_lot else space

@@ -26,6 +26,7 @@ from ..projection.level import level_axes, level_views, up_from_gimbal
 from ..projection.view import Views
 from ..sources.picture_file import PictureFile
 from ..sources.undistort import undistort
+from ..verdicts import VERDICTS, verdict
 from ..votes import gather
 from .lens import Lens, brown, lens_of
 from .tags import Tags, read_tags
@@ -250,9 +251,11 @@ def _sizes(boxes: Boxes, view: Views, metres_per_unit: float, height: np.ndarray
 def _thinned(scale: Scale, overlap: float) -> Scale:
     """The same with its sampling part for `overlap` times fewer vehicles."""
     parts = {**scale.parts, "sampling": scale.parts["sampling"] * np.sqrt(overlap)}
-    wider = np.sqrt(sum(v**2 for v in parts.values())) / scale.relative_sd
-    low, high = (scale.value * (end / scale.value) ** wider for end in scale.interval90)
-    return replace(scale, parts=parts, interval90=(float(low), float(high)))
+    sd = float(np.sqrt(sum(v**2 for v in parts.values())))
+    low, high = (scale.value * (end / scale.value) ** (sd / scale.relative_sd) for end in scale.interval90)
+    words = [name for name, _ in VERDICTS] + ["refuse"]
+    worse = max(scale.verdict, verdict(sd, odd_shape=False, conflict=False), key=words.index)
+    return replace(scale, parts=parts, interval90=(float(low), float(high)), verdict=worse)
 
 
 def _assembled(

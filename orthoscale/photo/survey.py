@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,12 +18,18 @@ from .tables import Outcome
 SAME_FOCAL = 0.001  # relative difference of focal lengths up to which photos are of one lens
 
 
-def open_photos(paths: dict[str, Path], **told: object) -> tuple[list[Photo], dict[str, str]]:
-    """The photos that can be used (see `open_photo` for `told`), and why the others cannot. A single one must."""
+def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tuple[list[Photo], dict[str, str]]:
+    """The photos that can be used (see `open_photo` for `told`), and why the others cannot. A single one must.
+
+    decode : look at their pixels as well, lest one damaged photo among many ends the search for vehicles.
+    """
     photos, problems = [], {}
     for name, path in paths.items():
         try:
-            photos.append(open_photo(path, name, **told))  # type: ignore[arg-type]
+            photo = open_photo(path, name, **told)
+            if decode:
+                photo.picture.read(0, 0, 1, 1, 1, 1)
+            photos.append(photo)
         except InputError as error:
             if len(paths) == 1:
                 raise

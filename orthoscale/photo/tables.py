@@ -82,11 +82,11 @@ def document(outcomes: Sequence[Outcome], fleet: str, detector: str, together: P
     return text | {"rows": [row(outcome) for outcome in outcomes]}
 
 
-def check_outputs(paths: Sequence[Path], overwrite: bool) -> None:
+def check_outputs(paths: Sequence[Path], overwrite: bool, formats: Sequence[str] = FORMATS) -> None:
     """Refuse early what `write` would refuse late. Raises UsageError, OutputError."""
     for path in paths:
-        if path.suffix.lower() not in FORMATS:
-            raise UsageError(f"{path.name} is none of {', '.join(FORMATS)}", "Its ending says how it is written.")
+        if path.suffix.lower() not in formats:
+            raise UsageError(f"{path.name} is none of {', '.join(formats)}", "Its ending says how it is written.")
         check_free(path, overwrite)
 
 

@@ -14,8 +14,10 @@ horizon, roll positive with the right side down, yaw clockwise from north; degre
 from __future__ import annotations
 
 import math
+import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -68,7 +70,8 @@ def read_tags(path: Path) -> Tags:
     from PIL.ExifTags import IFD
 
     try:
-        with Image.open(path) as image:
+        with _of_any_size(), warnings.catch_warnings(record=True) as complaints, Image.open(path) as image:
+            warnings.simplefilter("always")
             (width, height), packet = image.size, image.info.get("xmp", b"")
             base = image.getexif()
             exif, gps = base.get_ifd(IFD.Exif), base.get_ifd(IFD.GPSInfo)
@@ -77,9 +80,11 @@ def read_tags(path: Path) -> Tags:
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"{path}: cannot be read ({reason})", "Check the path, or copy the file again.") from error
-    except (ValueError, SyntaxError, Image.DecompressionBombError) as error:
+    except Exception as error:  # Pillow's readers raise whatever a damaged file makes of them
         raise InputError(f"{path}: is damaged ({error})", "Copy it again from its original.") from error
     xmp, notes = _flat_xmp(packet)
+    if complaints:
+        notes.append(f"its EXIF is damaged and was read as far as it goes ({complaints[0].message})")
     pitch, roll, yaw = _angles(xmp, notes)
     if int(_number(base.get(0x0112)) or 1) in (5, 6, 7, 8):
         notes.append("EXIF says to show it upright by a quarter turn; pixels and angles are those of the sensor")
@@ -107,6 +112,18 @@ def read_tags(path: Path) -> Tags:
         yaw=yaw,
         notes=tuple(notes),
     )
+
+
+@contextmanager
+def _of_any_size() -> Iterator[None]:
+    """Without Pillow's guard against huge pictures: nothing is decoded here, and survey cameras have 150 Mpx."""
+    from PIL import Image
+
+    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+    try:
+        yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
 
 
 def _flat_xmp(packet: bytes | str) -> tuple[dict[str, str], list[str]]:

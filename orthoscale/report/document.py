@@ -1,9 +1,11 @@
-"""The report as one JSON document; everything a person sees is drawn from it or from the same result."""
+"""The report as one JSON document; everything a person sees is drawn from it (and from the pictures)."""
 
 from __future__ import annotations
 
 import json
 import platform
+from collections.abc import Mapping
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -13,15 +15,28 @@ import numpy as np
 from .. import __version__
 from ..check import own_claim
 from ..drift import Drift
+from ..errors import InputError
+from ..fleet import Fleet
 from ..pipeline import Result
+from .above import from_above
+
+FORMAT = "orthoscale report 1"
 
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pycolmap", "rasterio")
 
 
 def document(result: Result) -> dict[str, Any]:
-    """`result` as plain values. Lengths in metres unless a name says px or unit; intervals are 90 %."""
+    """`result` as plain values. Lengths in metres unless a name says px or unit; intervals are 90 %.
+
+    ``vehicles[].length`` and ``width`` are those of the vehicle, the detector's margin taken off; ``place_m`` is its
+    place on a plan, x right and y up (see `from_above`). ``notes`` are those remarks that do not speak against the
+    scale.
+    """
     scale, found, votes = result.scale, result.detections, result.votes
+    size = (votes.size - np.asarray(found.ruler.margin) * votes.pixel[:, None]) * scale.value
+    plan = from_above(result.source, votes.place) * scale.value
     return {
+        "format": FORMAT,
         "scale": scale.value,
         "unit": scale.unit,
         "interval90": list(scale.interval90),
@@ -32,10 +47,18 @@ def document(result: Result) -> dict[str, Any]:
         "fleet": scale.fleet,
         "fleet_name": result.fleet.name,
         "fleet_source": result.fleet.source,
+        "fleets": dict(sorted(scale.fleets.items(), key=lambda item: -item[1])),
+        "larger_vehicles": scale.larger_share,
+        "evidence": [
+            {"kind": e.kind, "scale": e.value, "relative_sd": e.relative_sd, "says": e.says} for e in scale.evidence
+        ],
+        "method": {"projection": result.projection, "estimator": result.method.estimator},
+        "fleet_sizes": _fleet_sizes(result.fleet),
         "uncertainty": {name: sd for name, sd in scale.parts.items()},
-        "checks": {**scale.checks, "tension_sigmas": scale.tension},
+        "checks": {**scale.checks, "tension_sigmas": scale.tension, "conflict_sigmas": scale.conflict},
         "weights": {"length": scale.weights[0], "width": scale.weights[1]},
         "remarks": remarks(result),
+        "notes": list(result.source.notes),
         "detector": {
             "name": found.detector,
             "sha256": found.detector_sha256,
@@ -57,16 +80,20 @@ def document(result: Result) -> dict[str, Any]:
         },
         **result.measured.findings,
         "input": {"path": str(result.source.path), "sha256": result.source.content_hash()},
+        "settings": result.settings,
+        "pictures": {p.name: [p.width, p.height] for p in result.source.pictures},
         "versions": {
             "orthoscale": __version__,
             "python": platform.python_version(),
             **{name: _version(name) for name in PACKAGES},
         },
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "seconds": round(result.seconds, 2),
         "vehicles": [
             {
-                "length": float(votes.size[k, 0] * scale.value),
-                "width": float(votes.size[k, 1] * scale.value),
+                "length": float(size[k, 0]),
+                "width": float(size[k, 1]),
+                "place_m": [round(float(v), 3) for v in plan[k]],
                 "place_unit": [float(v) for v in votes.place[k]],
                 "views": int(votes.views[k]),
                 "score": round(float(votes.score[k]), 3),
@@ -76,6 +103,7 @@ def document(result: Result) -> dict[str, Any]:
                     {
                         "picture": str(result.picture[m]),
                         "xylwa_px": [round(float(v), 3) for v in result.boxes.xylwa[m]],
+                        "score": round(float(result.boxes.score[m]), 3),
                     }
                     for m in votes.members[k]
                 ],
@@ -99,12 +127,42 @@ def _drift(drift: Drift) -> dict[str, Any]:
         "direction_deg": float(np.degrees(drift.direction)),
         "p_tilt": drift.p_tilt,
         "p_bend": drift.p_bend,
+        "cell_px": list(drift.cell),
         "cells": [dict(zip(names, map(float, cell), strict=True)) for cell in drift.cells],
     }
 
 
-def write_json(report: dict[str, Any], path: Path) -> None:
+def write_json(report: Mapping[str, Any], path: Path) -> None:
     path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A report that `write_json` wrote. Raises InputError for anything else."""
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})", "Give the report that `fix` wrote.") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON ({error})", "Give the report that `fix` wrote.") from error
+    found = report.get("format") if isinstance(report, dict) else None
+    if found != FORMAT:
+        raise InputError(
+            f"{path}: not a report that this version draws (format {found!r}, expected {FORMAT!r})",
+            "Give the report.json or OUT.tif.json that `orthoscale fix` wrote, or make it again.",
+        )
+    return report
+
+
+def _fleet_sizes(fleet: Fleet) -> dict[str, Any]:
+    axes = {
+        axis: {"mean": float(fleet.mean[k]), "sd": float(fleet.sd[k]), "mean_sd": float(fleet.mean_sd[k])}
+        for k, axis in enumerate(("length", "width"))
+    }
+    classes = [
+        {"name": c.name, "weight": c.weight, "mean": c.mean[:2].tolist(), "sd": c.sd[:2].tolist()}
+        for c in fleet.classes
+    ]
+    return {**axes, "classes": classes}
 
 
 def _version(package: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from rasterio.warp import transform_geom
 
 from ..drift import local_deviation
-from ..errors import OutputError, UsageError
+from ..errors import OutputError
 from ..pipeline import Result
 from ..sources.georeference import Place
 
@@ -77,11 +77,9 @@ def outlines(result: Result, place: Place) -> np.ndarray:
 
 
 def write_geopackage(result: Result, place: Place, path: Path) -> None:
-    """Vehicles as polygons in the CRS of the scaled copy, layer ``vehicles``. Raises UsageError without pyogrio."""
-    try:
-        from pyogrio.raw import write
-    except ImportError as error:
-        raise UsageError("a GeoPackage needs pyogrio", "Install it: pip install 'orthoscale[geo]'.") from error
+    """Vehicles as polygons in the CRS of the scaled copy, layer ``vehicles``. Raises OutputError."""
+    from pyogrio.raw import write
+
     columns = table(result)
     try:
         write(

@@ -1,42 +1,83 @@
-"""What a person reads in the terminal: the answer first, then why to believe it."""
+"""What a person reads in the terminal: one table, the answer first, then why to believe it."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+
+import click
 
 from ..check import own_claim
 from ..pipeline import Result
 from .document import remarks
+from .judgement import FIT, percent
 
-WORDS = {"good": "known well", "fair": "known fairly", "poor": "known poorly", "refuse": "not known"}
+STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "refuse": "bold reverse red"}
 
 
-def summary(result: Result, out: Path | None = None) -> str:
-    """A few calm lines, without colour."""
+def show(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> None:
+    """Print what there is to say of `result`, and what was `written` where.
+
+    On a terminal as a table of its width, with colours unless the environment's NO_COLOR is set; into a pipe as one
+    line a row.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(color_system=None if os.environ.get("NO_COLOR") else "auto", highlight=False)
+    if not console.is_terminal:
+        click.echo(summary(result, written))
+        return
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for k, (label, value) in enumerate(rows(result, written)):
+        table.add_row(Text(label, "dim"), Text(value, STYLES[result.scale.verdict] if k == 0 else ""))
+    console.print(table)
+
+
+def summary(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> str:
+    """One line a row, without colours."""
+    return "\n".join(f"{label:10s} {value}" for label, value in rows(result, written))
+
+
+def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
+    """Labels and texts, the answer first; signs in ASCII, which every terminal and pipe can write."""
     scale = result.scale
     low, high = scale.interval90
-    half_width = 100 * (high - low) / 2 / scale.value
-    rejected = ", ".join(f"{count} {reason}" for reason, count in {**scale.rejected, **result.rejected_boxes}.items())
-    parts = ", ".join(f"{name} {100 * sd:.1f} %" for name, sd in scale.parts.items() if sd > 0)
-    checks = ", ".join(f"{value:.5g} from {name.replace('_', ' ')}" for name, value in scale.checks.items())
-    lines = [
-        f"scale      {scale.value:.6g} {scale.unit}   ({scale.verdict}: {WORDS[scale.verdict]})",
-        f"90 %       {low:.6g} to {high:.6g}   (+- {half_width:.1f} %)",
-        f"vehicles   {scale.vehicles_used} used"
-        + (f", seen {int(result.votes.views[scale.used].sum())} times" if result.votes.views.max() > 1 else ""),
-        f"rejected   {rejected or 'none'}",
-        f"fleet      {scale.fleet}: {result.fleet.name}",
-        f"uncertain  {parts}   (one sigma)",
-        f"checks     {checks}",
-        f"detector   {result.detections.detector}, zoom {result.detections.zoom:.2f}",
+    half_width = percent((high - low) / 2 / scale.value)
+    checks = (f"{name.replace('_', ' ')} {100 * (v / scale.value - 1):+.1f} %" for name, v in scale.checks.items())
+    parts = (f"{name} {percent(sd)}" for name, sd in scale.parts.items() if sd > 0)
+    seen = f", seen {int(result.votes.views[scale.used].sum())} times" if result.votes.views.max() > 1 else ""
+    rejected = {**scale.rejected, **result.rejected_boxes}
+    table = [
+        ("scale", f"{scale.value:.6g} {scale.unit}  +- {half_width}  {scale.verdict}, {FIT[scale.verdict][0]}"),
+        ("90 %", f"{low:.6g} to {high:.6g} {scale.unit}"),
+        ("vehicles", f"{scale.vehicles_used} used{seen}"),
+        ("rejected", ", ".join(f"{count} {reason}" for reason, count in rejected.items()) or "none"),
+        ("fleet", f"{scale.fleet}: {result.fleet.name}"),
+        *_fleets(scale.fleets),
+        ("checks", "scale from " + ", ".join(checks)),
+        ("uncertain", ", ".join(parts) + " (one sigma)"),
+        ("detector", f"{result.detections.detector}, zoom {result.detections.zoom:.2f}, {result.seconds:.1f} s"),
     ]
     if (claim := own_claim(result.source, scale)) is not None:
-        lines.append(f"claim      {claim.sentence()}")
+        table.append(("claim", claim.sentence()))
     swept = result.detections.swept
     if swept is not None and len(swept.tiles) < swept.total:
-        lines.append(f"looked at  {len(swept.tiles)} of {swept.total} tiles, which was enough (--exhaustive for all)")
-    lines += [f"note       {remark}" for remark in remarks(result)]
-    lines.append(f"time       {result.seconds:.1f} s")
-    if out is not None:
-        lines.append(f"written    {out}")
-    return "\n".join(lines)
+        looked = f"{len(swept.tiles)} of {swept.total} tiles, which was enough (--exhaustive for all)"
+        table.append(("looked at", looked))
+    table += [("also", f"{e.value:.5g} from {e.says}  +- {percent(1.645 * e.relative_sd)}") for e in scale.evidence]
+    table += [("note", remark) for remark in remarks(result)]
+    return table + [(label, str(path)) for label, path in written.items()]
+
+
+def _fleets(fleets: Mapping[str, float]) -> list[tuple[str, str]]:
+    """The likeliest fleets, where more than one was possible."""
+    if len(fleets) < 2:
+        return []
+    likely = sorted(fleets.items(), key=lambda item: -item[1])[:5]
+    return [("likely", ", ".join(f"{code} {100 * probability:.0f} %" for code, probability in likely))]

@@ -34,7 +34,8 @@ IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
 GEOMETRY = {".ply", ".obj", ".stl", ".glb", ".gltf", ".las", ".laz", ".xyz", ".pcd", ".splat", ".npz", ".npy", ".bin"}
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
 SAME_PLACE = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
-OURS = {"sim3.txt", "report.json"}  # by which a model is known to be in metres
+MARK = "sim3.txt"  # by which a model is known to be in metres
+OURS = {MARK, "sim3.json", "report.json", "report.html", "vehicles.png"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,16 +95,20 @@ class ColmapSource:
 
     @property
     def metric_already(self) -> str:
-        """Why this model counts as metric, empty if it does not: orthoscale's own files lie in its folder."""
-        if all((self.folder / name).is_file() for name in OURS):
-            return f"orthoscale wrote it: {' and '.join(sorted(OURS))} lie in it"
-        return ""
+        """Why this model counts as metric, empty if it does not: orthoscale's own file lies in its folder."""
+        return f"orthoscale wrote it: {MARK} lies in it" if (self.folder / MARK).is_file() else ""
 
     @cached_property
     def sparse(self) -> tuple[np.ndarray, np.ndarray]:
         """The sparse points: (M, 3) positions [model units] and (M, 3) uint8 RGB colours."""
         points = self._model.points3D.values()
         return np.array([p.xyz for p in points]), np.array([p.color for p in points], np.uint8)
+
+    def point(self, number: int) -> np.ndarray:
+        """(3,) position of the 3D point with this number [model units]. Raises ValueError where there is none."""
+        if number not in self._model.points3D:
+            raise ValueError(f"the model has no 3D point {number}")
+        return np.array(self._model.points3D[number].xyz)
 
     @property
     def picture_names(self) -> list[str]:
@@ -230,7 +235,7 @@ class ColmapSource:
         tables = {f"{table}.{form}" for table in (*TABLES, *RIG_TABLES) for form in ("bin", "txt")}
         copied, left = [], []
         for path in sorted(self.folder.iterdir()):
-            if not path.is_file() or path.name in {p.name for p in self._paths} | OURS | {"sim3.json"}:
+            if not path.is_file() or path.name in {p.name for p in self._paths} | OURS:
                 continue
             if path.name in tables or path.suffix.lower() in GEOMETRY or path.stat().st_size > LARGEST_COPY:
                 left.append(path.name)

@@ -71,6 +71,7 @@ class RasterSource:
         self._bands = self._colour_bands()
         self._probe()
         self._palette = self._palette_table()
+        self._overviews = dataset.overviews(self._bands[0])
         self._masked = any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
         self._stretch = self._stretch_limits()
         self.claimed = claim_of(dataset)
@@ -176,6 +177,12 @@ class RasterSource:
                 known = self._dataset.dataset_mask(window=window, out_shape=out, resampling=how)
                 rgb = np.where((known >= 128)[..., None], rgb, np.uint8(GREY))
         return np.ascontiguousarray(np.broadcast_to(rgb, (*out, 3)))
+
+    def decoded_px(self, width: int, height: int, out_width: int, out_height: int) -> float:
+        """How many pixels `read` decodes for such a window: fewer where an overview is coarse enough already."""
+        shrink = min(width / out_width, height / out_height)
+        factor = max([f for f in self._overviews if f <= shrink], default=1)
+        return width * height / factor**2
 
     def _read_palette(self, window: Window, out: tuple[int, int]) -> np.ndarray:
         """Colours, not their numbers, must be averaged; up to 4 x 4 pixels per result are."""

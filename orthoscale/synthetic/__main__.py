@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 from orthoscale.fleet import Fleet
 from orthoscale.synthetic import STYLES, make_scene, write_colmap, write_labels, write_ortho
+from orthoscale.synthetic.folders import write_csv, write_denseuav, write_visloc
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """``python -m orthoscale.synthetic ortho|model|labels OUT``."""
+    """``python -m orthoscale.synthetic ortho|model|labels|denseuav|visloc|csv OUT``."""
     parser = argparse.ArgumentParser(prog="python -m orthoscale.synthetic", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     ortho = commands.add_parser("ortho", help="an orthophoto without georeferencing: OUT.png, .tif or .jpg")
@@ -24,13 +26,24 @@ def main(arguments: list[str] | None = None) -> None:
     model.add_argument("--size", type=int, nargs=2, default=(1000, 750), metavar=("WIDTH", "HEIGHT"), help="pixels")
     model.add_argument("--k1", type=float, default=0.0, help="radial distortion")
     model.add_argument("--text", action="store_true", help="write .txt instead of .bin")
+    folders = {
+        "denseuav": "a folder as DenseUAV has it: photos named by their altitude, and detections.json",
+        "visloc": "a folder as UAV-VisLoc+ has it: regions with poses, camera.xml and a surface model",
+        "csv": "photos with photos.csv",
+    }
+    folder_writers: dict[str, Callable[..., None]] = {
+        "denseuav": write_denseuav,
+        "visloc": write_visloc,
+        "csv": write_csv,
+    }
+    sets = [commands.add_parser(name, help=text) for name, text in folders.items()]
     labels = commands.add_parser("labels", help="a folder with images/ and labels.json")
     labels.add_argument("--count", type=int, default=240)
-    for command in (ortho, model):
+    for command in (ortho, model, *sets):
         command.add_argument("--extent", type=float, default=100.0, help="side of the scene in metres (%(default)s)")
         command.add_argument("--vehicles", type=int, default=60)
         command.add_argument("--style", choices=STYLES)
-    for command in (ortho, model, labels):
+    for command in (ortho, model, labels, *sets):
         command.add_argument("out", type=Path)
         command.add_argument("--seed", type=int, default=0)
         command.add_argument(
@@ -44,6 +57,8 @@ def main(arguments: list[str] | None = None) -> None:
     scene = make_scene(a.seed, fleet, a.extent, a.vehicles, a.style)
     if a.command == "ortho":
         write_ortho(scene, a.out, a.gsd, a.seed)
+    elif a.command in folders:
+        folder_writers[a.command](scene, a.out)
     else:
         width, height = a.size
         view = (a.frames, a.pitch, a.altitude, a.focal, width, height)

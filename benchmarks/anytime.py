@@ -1,0 +1,99 @@
+"""Anytime against exhaustive: is a sweep that stops early fair, and what does stopping save?
+
+    python benchmarks/anytime.py RASTER.tif --fleet DE [--seeds 200]
+
+One exhaustive sweep of RASTER (kept in the cache, so a second run of this takes no time for it) knows what every tile
+shows. Anytime sweeps are then run over it for many seeds, each with its own order of tiles and its own far looks, and
+compared with it. What a sweep costs is counted in network pixels (of both looks and the far looks), which does not
+depend on who else uses the machine; --time also runs both for real, one after the other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from orthoscale.detect.cache import TileCache, cache_key
+from orthoscale.detect.detector import Detector
+from orthoscale.detect.find import Effort, find_vehicles
+from orthoscale.detect.order import visiting_order
+from orthoscale.detect.promise import FAR, LOOKS, UNPROMISING, hint
+from orthoscale.detect.sweep import sweep_twice
+from orthoscale.detect.tiles import CONFIRMING_ZOOM, tiles
+from orthoscale.detections import Detections
+from orthoscale.fleet import Fleet
+from orthoscale.measuring import measure
+from orthoscale.pipeline import estimate, open_source
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("raster", type=Path)
+    parser.add_argument("--fleet", default="world")
+    parser.add_argument("--target", type=float, default=Effort.target)
+    parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--zoom", type=float, help="instead of the search")
+    parser.add_argument("--time", action="store_true", help="also run both sweeps without the cache, and time them")
+    a = parser.parse_args()
+
+    source, fleet, detector = open_source(a.raster), Fleet.load(a.fleet), Detector(threads=1)
+    (picture,) = source.pictures
+    whole = estimate(source, fleet=a.fleet, exhaustive=True, zoom=a.zoom)
+    zoom = whole.detections.zoom
+    jobs = [(picture, tile) for tile in tiles(picture, zoom)]
+    places = [tile for _, tile in jobs]
+    pixels = np.array([t.out_width * t.out_height for t in places])
+    key = cache_key([picture], detector, zoom)
+    assert key is not None
+    far = np.array([hint(job, detector) for job in jobs])
+
+    def sampling(found) -> float:
+        kept = Detections(found.boxes, zoom, detector.card.ruler, detector.card.effective_height, "", "")
+        scales.append(measure(source, kept, fleet)[3])
+        return scales[-1].parts["sampling"]
+
+    rows = []
+    with TileCache(key) as cache:
+        for seed in range(a.seeds):
+            evenly = visiting_order(places, np.ones(len(jobs)), seed)
+            weight = np.full(len(jobs), UNPROMISING)
+            weight[evenly[:LOOKS]] = np.where(far[evenly[:LOOKS]], 1.0, UNPROMISING)
+            scales: list = []
+            found = sweep_twice(
+                jobs, visiting_order(places, weight, seed), lambda jobs: iter(()), cache, sampling, a.target
+            )
+            seen = pixels[[places.index(tile) for _, tile in found.swept.tiles]].sum() * (1 + CONFIRMING_ZOOM**2)
+            cost = seen + pixels[evenly[:LOOKS]].sum() * FAR**2
+            last = scales[-1]
+            rows.append((len(found.swept.tiles), cost, last.value, last.parts["sampling"], last.vehicles_used))
+    n, cost, value, sd, used = np.array(rows).T
+    all_cost = pixels.sum() * (1 + CONFIRMING_ZOOM**2)
+    error = np.log(value / whole.scale.value)
+    print(f"{a.raster.name}: {picture.width * picture.height / 1e6:.0f} Mpx, {len(jobs)} tiles at zoom {zoom:.3f}")
+    print(f"exhaustive: {whole.scale.value:.5g} m/px, {whole.scale.vehicles_used} vehicles, "
+          f"sampling {100 * whole.scale.parts['sampling']:.2f} %")  # fmt: skip
+    print(f"{a.seeds} sweeps to {100 * a.target:g} %: {np.median(n):.0f} tiles, {n.min():.0f} to {n.max():.0f}, "
+          f"{np.median(used):.0f} vehicles, sampling {100 * np.median(sd):.2f} %")  # fmt: skip
+    print(
+        f"network pixels, exhaustive over anytime: {all_cost / np.median(cost):.1f} (worst {all_cost / cost.max():.1f})"
+    )
+    standard = error.std(ddof=1) / np.sqrt(len(error))
+    print(f"anytime against exhaustive: mean {100 * error.mean():+.3f} +- {100 * standard:.3f} %, "
+          f"spread {100 * error.std(ddof=1):.2f} %, largest {100 * np.abs(error).max():.2f} %")  # fmt: skip
+    if a.time:
+        seconds = []
+        for effort in (Effort(a.target, cache=False), Effort(exhaustive=True, cache=False)):
+            start = time.perf_counter(), time.process_time()
+            scales = []
+            find_vehicles([picture], detector, zoom, effort=effort, sampling=sampling)
+            seconds.append((time.perf_counter() - start[0], time.process_time() - start[1]))
+        ratio = np.array(seconds[1]) / seconds[0]
+        print(f"sweeps alone: anytime {seconds[0][0]:.1f} s, exhaustive {seconds[1][0]:.1f} s; "
+              f"ratio {ratio[0]:.1f} (wall), {ratio[1]:.1f} (processor)")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

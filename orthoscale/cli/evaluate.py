@@ -1,0 +1,78 @@
+"""`orthoscale evaluate`: the method against known altitudes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from .options import EXIT_CODES, progress_bars
+from .photo_options import vehicle_options
+
+
+@click.command(
+    epilog="\b\nExamples:\n  orthoscale evaluate DenseUAV/test/query_drone --fleet CN\n"
+    "  orthoscale evaluate UAVVisLoc_plus/ --fleet CN --ablations --sensitivity --out visloc.json\n"
+    "  orthoscale evaluate photos.csv --fleet DE --detections boxes.json --out errors.csv\n\n" + EXIT_CODES
+)
+@click.argument("path", metavar="DATASET", type=click.Path(path_type=Path))
+@click.option("--form", type=click.Choice(["denseuav", "visloc", "csv"]), help="Of the data set; guessed by default.")
+@click.option("--focal-px", type=float, metavar="PX", help="Focal length, instead of the data set's.")
+@click.option("--calibration", type=click.Path(path_type=Path), help="The lens, instead of the data set's.")
+@vehicle_options
+@click.option("--save-detections", type=click.Path(path_type=Path), help="Keep the boxes found in this file.")
+@click.option("--max-pitch", type=float, metavar="DEG", help="Leave out photos that look flatter (the paper: -60).")
+@click.option("--ablations", is_flag=True, help="Also over score threshold and least number of vehicles.")
+@click.option("--sensitivity", is_flag=True, help="Also with wrong pitch and wrong focal length.")
+@click.option(
+    "--out", "outputs", multiple=True, type=click.Path(path_type=Path), help=".json for all of it, .csv for the photos."
+)
+@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON on standard output.")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+def evaluate(
+    path: Path,
+    form: str | None,
+    focal_px: float | None,
+    calibration: Path | None,
+    fleet: str,
+    detections: Path | None,
+    detector: Path | None,
+    zoom: float | None,
+    gsd_hint: float | None,
+    save_detections: Path | None,
+    max_pitch: float | None,
+    ablations: bool,
+    sensitivity: bool,
+    outputs: tuple[Path, ...],
+    overwrite: bool,
+    as_json: bool,
+    debug: bool,
+) -> None:
+    """Compare altitudes by vehicles with true ones: the paper's tables on data of your own.
+
+    DATASET is a folder of photos named by their altitude (DenseUAV: 000001/H80.JPG), a folder of regions with drone/,
+    reference.txt, camera.xml and a *_dsm.tif (UAV-VisLoc+), or a CSV with the columns image, altitude_m and, where
+    wanted, region, focal_px, pitch_deg, roll_deg. Three methods side by side: `exact` is this program's, `paper` the
+    paper's formula, `program` what its authors' program computes.
+    """
+    from ..evaluate import report
+    from ..fleet import Fleet
+    from ..photo.survey import boxes_of
+    from ..photo.tables import check_outputs
+
+    ruler = Fleet.load(fleet)
+    check_outputs(outputs, overwrite, (".json", ".csv"))
+    samples, notes = report.samples_of(path, form, calibration, focal_px, max_pitch)
+    with progress_bars() as progress:
+        photos = [sample.photo for sample in samples]
+        found = boxes_of(photos, ruler, detections, detector, zoom, gsd_hint, progress)
+        if save_detections is not None:
+            from ..atomic import new_file
+
+            with new_file(save_detections, overwrite=True) as partial:
+                found.save(partial)
+        text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress)
+    report.write(text, outputs, overwrite)
+    click.echo(json.dumps(text) if as_json else report.tables(text, outputs))

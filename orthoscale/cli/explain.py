@@ -1,0 +1,35 @@
+"""`orthoscale explain`: a report's uncertainty in plain words."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command(
+    epilog="\b\nExamples:\n  orthoscale explain scaled.tif.json\n"
+    "  orthoscale estimate ortho.tif --fleet DE --json > report.json; orthoscale explain report.json"
+)
+@click.argument("report", metavar="REPORT", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print the explanation as JSON.")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+def explain(report: Path, as_json: bool, debug: bool) -> None:
+    """Say where the uncertainty of a scale comes from, and what would halve it.
+
+    REPORT is the report.json (or OUT.json) that `fix` wrote, or what `estimate --json` printed.
+    """
+    from ..errors import InputError
+    from ..report import explanation
+
+    try:
+        text = json.loads(report.read_text(encoding="utf-8"))
+        found = explanation.explain(text)
+    except OSError as error:
+        raise InputError(f"{report}: cannot be read ({error.strerror})", "Give the report.json of a run.") from error
+    except ValueError as error:
+        raise InputError(f"{report}: not JSON ({error})", "Give the report.json of a run.") from error
+    except InputError as error:
+        raise InputError(f"{report}: {error.message}", error.hint) from error
+    click.echo(json.dumps(found) if as_json else explanation.in_words(found))

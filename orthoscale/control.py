@@ -1,0 +1,96 @@
+"""Distances and control points that the user knows, read and found in the source."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from .errors import InputError, UsageError
+from .evidence import Evidence, ground_control, known_distance
+
+if TYPE_CHECKING:
+    from .sources.colmap import ColmapSource
+    from .sources.source import Source
+
+DISTANCE_HINT = (
+    "Expected two points, the metres between them and, if known, their sigma: '120,80 560,80 23.77 0.05'. "
+    "A point is X,Y (pixels of an orthophoto), X,Y,Z (a model's own coordinates), id:123 (a 3D point of the model) "
+    "or NAME@X,Y (a pixel on the ground in one of its frames)."
+)
+CONTROL_HINT = (
+    "Expected one point a line, and where it is in metres: POINT EAST NORTH [UP], separated by spaces. "
+    "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model). Lines from # on do not count."
+)
+
+
+def read_distance(text: str, source: Source) -> Evidence:
+    """The known distance that `text` tells of, between two points of `source`. Raises UsageError."""
+    try:
+        first, second, metres, *sd = shlex.split(text)
+        if len(sd) > 1:
+            raise ValueError(f"{len(sd) + 3} words")
+        points = [locate(word, source) for word in (first, second)]
+        between = f" between {first} and {second}"
+        return known_distance(np.array(points), float(metres), float(sd[0]) if sd else None, between)
+    except ValueError as error:
+        raise UsageError(f"--known-distance {text!r}: {error}", DISTANCE_HINT) from error
+
+
+def read_control(path: Path, source: Source) -> Evidence:
+    """Ground control from the file at `path`, its points in `source`. Raises InputError, UsageError."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})", CONTROL_HINT) from error
+    units: list[np.ndarray] = []
+    metres: list[list[float]] = []
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            point, *place = shlex.split(line)
+            if len(place) not in (2, 3) or (metres and len(place) != len(metres[0])):
+                raise ValueError(f"{len(place)} coordinates in metres")
+            units.append(locate(point, source))
+            metres.append([float(word) for word in place])
+        except ValueError as error:
+            raise InputError(f"{path}, line {number}: {error}", CONTROL_HINT) from error
+    try:
+        return ground_control(np.array(units), np.array(metres))
+    except ValueError as error:
+        raise InputError(f"{path}: {error}", CONTROL_HINT) from error
+
+
+def locate(word: str, source: Source) -> np.ndarray:
+    """(2,) or (3,) the point that `word` names, in units of `source`. Raises ValueError."""
+    if source.unit == "m/px":
+        place = _numbers(word)
+        if len(place) != 2:
+            raise ValueError(f"{word!r} is not a point of an orthophoto")
+        return place
+    model = cast("ColmapSource", source)
+    if word.startswith("id:"):
+        return model.point(int(word[3:]))
+    if "@" in word:
+        name, _, pixel = word.rpartition("@")
+        xy = _numbers(pixel)
+        if len(xy) != 2:
+            raise ValueError(f"{pixel!r} is not a pixel")
+        _, place, ok = model.views(name, xy[None])
+        if not ok[0]:
+            raise ValueError(f"{word!r} does not see the model's ground")
+        return place[0]
+    place = _numbers(word)
+    if len(place) != 3:
+        raise ValueError(f"{word!r} is not a point of a model")
+    return place
+
+
+def _numbers(word: str) -> np.ndarray:
+    values = np.array([float(v) for v in word.split(",")])
+    if not np.isfinite(values).all():
+        raise ValueError(f"{word!r} is not finite")
+    return values

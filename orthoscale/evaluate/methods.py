@@ -1,0 +1,71 @@
+"""Altitude of one photo, by this package's method and by the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..boxes import Boxes
+from ..detections import Detections
+from ..errors import TooLittleEvidence
+from ..fleet import Fleet
+from ..paper import MIN_SCORE, MIN_VEHICLES, pool_iqr
+from ..photo.measure import Photo, measure
+from ..projection.decoupled import PROGRAM, TEXT, Variant, focal_plane_scale
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """altitude [m], its 90 % interval, and the vehicles behind it."""
+
+    altitude: float
+    low: float
+    high: float
+    vehicles: int
+
+
+Method = Callable[[Photo, Detections, Fleet, float], Estimate | None]
+
+
+def exact(photo: Photo, found: Detections, fleet: Fleet, min_score: float) -> Estimate | None:
+    """The exact projection, pooled with the fleet, as `orthoscale photo` does; None for too few vehicles."""
+    boxes = found.boxes.get(photo.name, Boxes.empty())
+    confident = Detections(
+        {photo.name: boxes[boxes.score > min_score]},
+        found.zoom,
+        found.ruler,
+        found.effective_height,
+        found.detector,
+    )
+    try:
+        got = measure([photo], confident, fleet)
+    except TooLittleEvidence:
+        return None
+    return Estimate(got.altitude.value, got.altitude.low, got.altitude.high, got.scale.vehicles_used)
+
+
+def paper(variant: Variant) -> Method:
+    """The paper's decoupled projection, its priors for every country, and its mean within the whiskers."""
+
+    def estimate(photo: Photo, found: Detections, fleet: Fleet, min_score: float) -> Estimate | None:
+        boxes = found.boxes.get(photo.name, Boxes.empty())
+        views, ok = photo.views(boxes.centre, photo.lens.focal_px)
+        boxes = boxes[ok]
+        if not len(boxes):
+            return None
+        scales = focal_plane_scale(boxes, views[ok], variant=variant).mean(1)
+        try:
+            got = pool_iqr(scales, boxes.score, min_score, min_vehicles=1)
+        except TooLittleEvidence:
+            return None
+        focal = photo.lens.focal_px
+        low, high = (max(bound, 0.0) * focal for bound in got.interval90)
+        return Estimate(got.value * focal, low, high, int(np.sum(boxes.score > min_score)))
+
+    return estimate
+
+
+METHODS: dict[str, Method] = {"exact": exact, "paper": paper(TEXT), "program": paper(PROGRAM)}
+__all__ = ["METHODS", "MIN_SCORE", "MIN_VEHICLES", "Estimate", "Method"]

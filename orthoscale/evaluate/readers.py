@@ -1,0 +1,235 @@
+"""Photos with known altitude, in the three forms that they come in.
+
+DenseUAV: photos that carry their altitude in their name (``000001/H80.JPG``, ``000001_H80.jpg``), straight down, from
+one camera. UAV-VisLoc+: a folder per region with ``drone/``, ``reference.txt`` (poses), ``camera.xml``, ``*_dsm.tif``.
+CSV: ``image,altitude_m`` and, where wanted, ``region,focal_px,pitch_deg,roll_deg``; images relative to the file.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..photo.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
+from ..photo.tags import read_tags
+from ..projection.level import up_from_survey
+from .surface import Surface
+
+NAMED_ALTITUDE = re.compile(r"(?:^|[_/ -])H_?(\d+(?:\.\d+)?)(?=\.|_|/|$)", re.IGNORECASE)
+# Of the picture's diagonal. DenseUAV's camera: 8.8 mm on a diagonal of 14.667 mm, 1080 px for 1440 x 1080 px, as the
+# paper's program has it.
+DENSEUAV_FOCAL = 8.8 / 14.667
+DSM_ENDINGS = ("_dsm.tif", "dsm.tif", "_DSM.tif", "DSM.tif")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One photo, its true altitude over the ground [m], and the region that it counts for."""
+
+    photo: Photo
+    altitude: float
+    region: str
+
+
+def read_samples(
+    path: Path, form: str | None = None, calibration: Path | None = None, focal_px: float | None = None
+) -> tuple[list[Sample], list[str]]:
+    """The photos of the data set at `path`, and notes on what was left out.
+
+    form : "denseuav", "visloc" or "csv"; by default what the folder looks like. calibration, focal_px : go before what
+    the data set says. Raises InputError.
+    """
+    if not path.exists():
+        raise InputError(f"{path} does not exist", "Give a folder, or a CSV file.")
+    form = form or _looks_like(path)
+    readers: dict[str, Callable[..., tuple[list[Sample], list[str]]]] = {
+        "denseuav": read_denseuav,
+        "visloc": read_visloc,
+        "csv": read_csv,
+    }
+    samples, notes = readers[form](path, calibration, focal_px)
+    if not samples:
+        raise InputError(f"{path}: no photo with a known altitude", "; ".join(notes) or "See --help for the forms.")
+    return samples, notes
+
+
+def _looks_like(path: Path) -> str:
+    if path.is_file():
+        return "csv"
+    return "visloc" if _regions(path) else "denseuav"
+
+
+def _photos_in(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+
+
+# DenseUAV
+
+
+def read_denseuav(folder: Path, calibration: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
+    """Photos whose name, or that of their folder, tells their altitude; nadir, one fixed camera."""
+    samples, nameless = [], []
+    for path in _photos_in(folder):
+        name = path.relative_to(folder).as_posix()
+        told = NAMED_ALTITUDE.findall(name)
+        if not told or float(told[-1]) <= 0:
+            nameless.append(name)
+            continue
+        focal = focal_px
+        if calibration is None and focal is None:
+            tags = read_tags(path)
+            focal = DENSEUAV_FOCAL * math.hypot(tags.width, tags.height)
+        photo = open_photo(path, name, calibration=calibration, focal_px=focal, pitch=-90.0)
+        samples.append(Sample(photo, float(told[-1]), folder.name))
+    notes = (
+        [f"{len(nameless)} photos without an altitude in their name, the first is {nameless[0]}"] if nameless else []
+    )
+    return samples, notes
+
+
+# UAV-VisLoc+
+
+
+def _regions(folder: Path) -> list[Path]:
+    """The folder itself, or those in it, that have photos and poses."""
+    candidates = [folder, *sorted(p for p in folder.iterdir() if p.is_dir())]
+    return [p for p in candidates if (p / "reference.txt").is_file() and (p / "drone").is_dir()]
+
+
+def read_visloc(folder: Path, calibration: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
+    """Photos with reference poses over a surface model: altitude = that of the pose less that of the ground below."""
+    samples: list[Sample] = []
+    notes: list[str] = []
+    regions = _regions(folder)
+    if not regions:
+        raise InputError(f"{folder}: no region with reference.txt and drone/", "Give the folder of the regions.")
+    for region in regions:
+        lens_file = calibration
+        if calibration is None and focal_px is None:
+            lens_file = region / "camera.xml"
+            if not lens_file.is_file():
+                raise InputError(f"{region}: no camera.xml", "Give --calibration or --focal-px.")
+        models = [p for ending in DSM_ENDINGS for p in sorted(region.glob(f"*{ending}"))]
+        if not models:
+            raise InputError(f"{region}: no surface model (*_dsm.tif)", "Without it the altitude is not known.")
+        poses = _read_poses(region / "reference.txt")
+        unposed = off_map = 0
+        with Surface.open(models[0]) as surface:
+            for path in _photos_in(region / "drone"):
+                pose = poses.get(path.name) or poses.get(path.stem)
+                if pose is None:
+                    unposed += 1
+                    continue
+                lon, lat, height, _, pitch, roll = pose
+                ground = surface.ground(lon, lat)
+                if ground is None or height <= ground:
+                    off_map += 1
+                    continue
+                name = path.relative_to(folder).as_posix()
+                photo = open_photo(path, name, calibration=lens_file, focal_px=focal_px, pitch=-90.0)
+                up = up_from_survey(*np.radians([pitch, roll]))
+                photo = replace(photo, up=up, up_sd=float(GIMBAL_SD), attitude="of the reference pose")
+                samples.append(Sample(photo, height - ground, region.name))
+        for count, what in ((unposed, "without a pose"), (off_map, "without ground below them")):
+            notes += [f"region {region.name}: {count} photos {what}"] * (count > 0)
+    return samples, notes
+
+
+def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
+    """Longitude, latitude, height [m], yaw, pitch, roll [deg] by label: the last six columns of each line.
+
+    Angles as Metashape exports them: 0, 0, 0 looks straight down with the picture's top to the north.
+    """
+    poses: dict[str, tuple[float, ...]] = {}
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})", "It is a table of poses.") from error
+    for number, line in enumerate(lines, 1):
+        parts = line.replace(",", " ").split()
+        if len(parts) < 7 or line.startswith("#"):
+            continue
+        try:
+            values = tuple(float(v) for v in parts[-6:])
+        except ValueError:
+            continue  # Metashape's own line of column names
+        if not (all(map(math.isfinite, values)) and abs(values[0]) <= 180 and abs(values[1]) <= 90):
+            raise InputError(
+                f"{path}, line {number}: {values[0]:g}, {values[1]:g} is no longitude and latitude",
+                "The last six columns are longitude, latitude, height, yaw, pitch, roll.",
+            )
+        poses[parts[0]] = values
+    if not poses:
+        raise InputError(f"{path}: no pose in it", "Lines are: label ... longitude latitude height yaw pitch roll.")
+    return poses
+
+
+# CSV
+
+
+def read_csv(path: Path, calibration: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
+    """A table of photos. Focal length and angles come from it, or else from the photos' own tags."""
+    if path.is_dir():
+        raise InputError(f"{path} is a folder", "Give the CSV file.")
+    samples = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.DictReader(file)
+            missing = {"image", "altitude_m"} - set(table.fieldnames or ())
+            if missing:
+                raise InputError(
+                    f"{path}: no column {' and '.join(sorted(missing))}",
+                    "Columns: image, altitude_m; where wanted region, focal_px, pitch_deg, roll_deg.",
+                )
+            for row in table:
+                samples.append(_row(row, path, table.line_num, calibration, focal_px))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a CSV table ({error})", "Save it as comma-separated UTF-8 text.") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})", "Check the file.") from error
+    return samples, []
+
+
+def _row(row: dict[str, str], path: Path, line: int, calibration: Path | None, focal_px: float | None) -> Sample:
+    def number(name: str) -> float | None:
+        text = (row.get(name) or "").strip()
+        if not text:
+            return None
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise InputError(f"{path}, line {line}: {name} is {text!r}, not a number", "Correct or remove the line.")
+        return value
+
+    altitude = number("altitude_m")
+    if altitude is None or altitude <= 0:
+        raise InputError(f"{path}, line {line}: altitude_m must be a positive number", "Correct or remove the line.")
+    place = path.parent / (row["image"] or "").strip()
+    if focal_px is None and calibration is None:
+        focal_px = number("focal_px")
+    photo = open_photo(
+        place,
+        (row["image"] or "").strip(),
+        calibration=calibration,
+        focal_px=focal_px,
+        pitch=number("pitch_deg"),
+        roll=number("roll_deg"),
+    )
+    return Sample(photo, altitude, (row.get("region") or "").strip() or path.stem)
+
+
+def changed(samples: Sequence[Sample], pitch_deg: float = 0.0, focal: float = 1.0) -> list[Sample]:
+    """The samples with a wrong pitch (towards the horizon) or a wrong focal length, and the truth as it was."""
+    if not pitch_deg and focal == 1:
+        return list(samples)
+    angle = -np.radians(pitch_deg)  # about the camera's right, a positive angle would lower its view
+    return [replace(s, photo=s.photo.turned(RIGHT, angle).refocused(focal)) for s in samples]

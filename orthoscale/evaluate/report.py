@@ -1,0 +1,147 @@
+"""An evaluation as one document, and the tables that a person reads."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..atomic import new_file
+from ..detect.find import Progress
+from ..detections import Detections
+from ..errors import InputError, TooLittleEvidence
+from ..fleet import Fleet
+from . import score
+from .methods import METHODS, MIN_SCORE, MIN_VEHICLES
+from .readers import Sample, read_samples
+
+
+def samples_of(
+    path: Path, form: str | None, calibration: Path | None, focal_px: float | None, max_pitch: float | None
+) -> tuple[list[Sample], list[str]]:
+    """`read_samples`, without photos that look flatter than `max_pitch` [deg]. Raises InputError."""
+    samples, notes = read_samples(path, form, calibration, focal_px)
+    if max_pitch is None:
+        return samples, notes
+    steep = [s for s in samples if s.photo.pitch <= np.radians(max_pitch)]
+    if not steep:
+        raise InputError(f"{path}: no photo looks down at {max_pitch:g} degrees or steeper", "Change --max-pitch.")
+    if len(steep) < len(samples):
+        notes = [*notes, f"{len(samples) - len(steep)} photos look flatter than {max_pitch:g} degrees, left out"]
+    return steep, notes
+
+
+def document(
+    samples: Sequence[Sample],
+    found: Detections,
+    fleet: Fleet,
+    notes: Sequence[str],
+    ablations: bool = False,
+    sensitivity: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Everything that was computed, as plain values. Raises TooLittleEvidence where no photo was usable."""
+
+    def step(what: str) -> Callable[[int, int], None] | None:
+        return (lambda done, total: progress(what, done, total)) if progress else None
+
+    methods = tuple(METHODS)
+    rows = score.score(samples, found, fleet, methods, step=step("Measuring"))
+    regions = score.by_region(rows, methods)
+    if not any(line["used"] for lines in regions.values() for line in lines):
+        raise TooLittleEvidence(
+            f"none of {len(samples)} photos shows {MIN_VEHICLES} vehicles with a score above {MIN_SCORE:g}",
+            "Look at the boxes (--save-detections), or try another zoom (--gsd-hint METRES_PER_PIXEL).",
+        )
+    text = {
+        "photos": len(samples),
+        "fleet": fleet.code,
+        "detector": found.detector,
+        "zoom": found.zoom,
+        "min_score": MIN_SCORE,
+        "min_vehicles": MIN_VEHICLES,
+        "notes": list(notes),
+        "regions": regions,
+    }
+    if ablations:
+        text["ablations"] = score.ablation(samples, found, fleet, methods, step("Ablations"))
+    if sensitivity:
+        text["sensitivity"] = score.sensitivity(samples, found, fleet, methods, step("Wrong geometry"))
+    return text | {"version": __version__, "rows": score.photo_rows(rows)}
+
+
+def write(text: dict[str, Any], outputs: Sequence[Path], overwrite: bool) -> None:
+    """The document (.json) and its photos (.csv); all of `outputs` appear, or none."""
+    with ExitStack() as files:
+        for path in outputs:
+            partial = files.enter_context(new_file(path, overwrite))
+            if path.suffix.lower() == ".json":
+                partial.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+                continue
+            with partial.open("w", newline="", encoding="utf-8") as file:
+                table = csv.DictWriter(file, list(text["rows"][0]))
+                table.writeheader()
+                table.writerows(text["rows"])
+
+
+def tables(text: dict[str, Any], outputs: Sequence[Path]) -> str:
+    """One calm table per question; errors in per cent."""
+    lines = [
+        _line(
+            "method", "region", "photos", "used", "ratio", "vehicles", "altitude", "MAPE", "median", "bias", "in 90 %"
+        )
+    ]
+    for method, regions in text["regions"].items():
+        for r in regions:
+            altitude = "-" if r["altitude_m"] is None else "{0:.0f}..{2:.0f} m".format(*r["altitude_m"])
+            inside = "-" if r["in_interval"] is None else f"{100 * r['in_interval']:.0f} %"
+            figures = [_percent(r[k]) for k in ("mape", "median_ape")] + [_percent(r["bias"], "+")]
+            ratio, vehicles = f"{100 * r['used_ratio']:.1f} %", "-" if not r["used"] else f"{r['mean_vehicles']:.1f}"
+            lines.append(
+                _line(method, r["region"], r["images"], r["used"], ratio, vehicles, altitude, *figures, inside)
+            )
+    for method in text["regions"]:
+        lines += _ablation_table(text, method) + _sensitivity_table(text, method)
+    lines += [f"note       {note}" for note in text["notes"]]
+    lines += [f"written    {path}" for path in outputs]
+    return "\n".join(lines)
+
+
+def _ablation_table(text: dict[str, Any], method: str) -> list[str]:
+    mine = [a for a in text.get("ablations", []) if a["method"] == method]
+    if not mine:
+        return []
+    lines = ["", f"{method}: MAPE (used ratio) by score above, and at least so many vehicles"]
+    lines.append(f"{'':8s}" + "".join(f"{count:>16d}" for count in score.COUNTS))
+    for min_score in score.SCORES:
+        row = [a for a in mine if a["min_score"] == min_score]
+        cells = (f"{_percent(a['mape'])} ({100 * a['used_ratio']:.0f} %)" for a in row)
+        lines.append(f"{min_score:<8g}" + "".join(f"{cell:>16s}" for cell in cells))
+    return lines
+
+
+def _sensitivity_table(text: dict[str, Any], method: str) -> list[str]:
+    mine = [s for s in text.get("sensitivity", []) if s["method"] == method]
+    if not mine:
+        return []
+    lines = ["", f"{method}: MAPE (bias) when the geometry is wrong"]
+    for what, form in (("pitch_deg", "pitch {:+g} deg"), ("focal", "focal length {:+.0%}")):
+        for s in (s for s in mine if s["wrong"] == what):
+            lines.append(f"  {form.format(s['by']):22s}{_percent(s['mape']):>9s} ({_percent(s['bias'], '+')})")
+    return lines
+
+
+def _percent(value: float | None, sign: str = "") -> str:
+    return "-" if value is None else f"{value:{sign}.1f} %"
+
+
+def _line(*cells: Any) -> str:
+    widths = (9, 14, 7, 6, 8, 9, 14, 8, 8, 8, 8)
+    first = f"{cells[0]!s:<{widths[0]}}{cells[1]!s:<{widths[1]}}"
+    return first + "".join(f"{cell!s:>{width}}" for cell, width in zip(cells[2:], widths[2:], strict=True))

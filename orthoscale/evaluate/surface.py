@@ -1,0 +1,77 @@
+"""The ground below a camera, from a digital surface model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+import rasterio
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+from ..errors import InputError
+
+RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
+LOWEST = 0.10  # share of the heights there, the lowest, whose mean is the ground: roofs and crowns are above
+
+
+class Surface:
+    """A digital surface model. Open it with `Surface.open`, in a ``with`` block."""
+
+    def __init__(self, dataset: Any, crs: pyproj.CRS):
+        self._dataset = dataset
+        self._from_degrees = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+        self._to_degrees = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+
+    @classmethod
+    def open(cls, path: Path) -> Surface:
+        """Raises InputError for what is no raster, or has no coordinate reference system."""
+        try:
+            dataset = rasterio.open(path)
+        except RasterioError as error:
+            raise InputError(f"{path}: no surface model that GDAL can read ({error})", "Give a GeoTIFF.") from error
+        if dataset.crs is None:
+            dataset.close()
+            raise InputError(f"{path}: the surface model has no coordinate reference system", "Assign one to it.")
+        return cls(dataset, pyproj.CRS.from_user_input(dataset.crs))
+
+    def __enter__(self) -> Surface:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._dataset.close()
+
+    def ground(self, lon: float, lat: float) -> float | None:
+        """Mean of the lowest tenth of the heights within 100 m of a place [m]; None where the model has none."""
+        north = pyproj.Geod(ellps="WGS84").fwd(lon, lat, 0.0, RADIUS)
+        east = pyproj.Geod(ellps="WGS84").fwd(lon, lat, 90.0, RADIUS)
+        to_pixel = ~self._dataset.transform
+        (cx, cy), (nx, ny), (ex, ey) = (
+            (to_pixel.a * x + to_pixel.b * y + to_pixel.c, to_pixel.d * x + to_pixel.e * y + to_pixel.f)
+            for x, y in (self._from_degrees.transform(*place[:2]) for place in ((lon, lat), north, east))
+        )
+        if not np.isfinite([cx, cy, nx, ny, ex, ey]).all():
+            return None
+        axes = np.array([[ex - cx, nx - cx], [ey - cy, ny - cy]]) / RADIUS  # pixels per metre east and north
+        reach = RADIUS * np.linalg.norm(axes, axis=1)
+        x0, y0 = np.maximum(np.floor([cx - reach[0], cy - reach[1]]), 0).astype(int)
+        x1, y1 = np.minimum(
+            np.ceil([cx + reach[0], cy + reach[1]]), [self._dataset.width, self._dataset.height]
+        ).astype(int)
+        if x1 <= x0 or y1 <= y0:
+            return None
+        try:
+            heights = self._dataset.read(1, window=Window(x0, y0, x1 - x0, y1 - y0), masked=True)
+        except RasterioError as error:
+            raise InputError(f"{self._dataset.name}: damaged ({error})", "Copy it again.") from error
+        y, x = np.indices(heights.shape) + 0.5
+        offset = np.linalg.solve(axes, np.stack([x.ravel() + x0 - cx, y.ravel() + y0 - cy]))
+        near = (np.hypot(*offset) <= RADIUS).reshape(heights.shape)
+        # Models without a nodata value have -32767 and the like where they know nothing.
+        known = np.sort(heights[near].compressed())
+        known = known[np.isfinite(known) & (known > -1000)]
+        if not len(known):
+            return None
+        return float(known[: max(1, round(LOWEST * len(known)))].mean())

@@ -1,0 +1,156 @@
+"""What a person should make of a report: the answer in words, and the checks that speak for or against it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import exp, floor, log, log10
+from typing import Any
+
+from ..posterior import Z90
+from ..verdicts import CHECK_LIMIT
+from .places import frames, trend
+
+FIT = {  # verdict: what it is called, what the scale is fit for
+    "good": ("known well", "Fit for metric layouts and checks."),
+    "fair": ("known fairly", "Fit for layouts that bear this tolerance."),
+    "poor": ("known poorly", "Fit for a rough idea only."),
+    "refuse": ("not known", "Not fit for use."),
+}
+SAMPLING = 0.02  # one sigma from which more vehicles would help
+REJECTED = 0.5  # share of the vehicles from which one wonders what the detector found
+MODES = 0.03  # relative difference between the planar and the oblique measurement that is put down to noise
+UNCERTAINTY = {  # part: what it is, what makes it smaller
+    "sampling": ("Vehicles differ from one another.", "more vehicles"),
+    "fleet": ("The mean vehicle of the country, and of this place, is known only so well.", "a closer fleet"),
+    "margin": ("The detector's boxes are a little larger or smaller than vehicles.", "a calibrated or better detector"),
+    "geometry": ("Ground height and viewing angles of the reconstruction.", "more images, steeper views"),
+}
+
+
+@dataclass(frozen=True)
+class Check:
+    """state : 'ok', 'look' (a person should), or 'none' (says neither). what : in short. detail : the figures."""
+
+    state: str
+    what: str
+    detail: str
+
+
+def half_width(report: Mapping[str, Any]) -> float:
+    """Half of the 90 % interval, relative to the scale."""
+    low, high = report["interval90"]
+    return (high - low) / 2 / report["scale"]
+
+
+def quantity(report: Mapping[str, Any], *values: float) -> tuple[list[str], str]:
+    """`values` with as many digits as the scale deserves (two of its uncertainty), and their unit for people."""
+    unit = {"m/px": "m/px", "m/model-unit": "m per model unit"}.get(report["unit"], report["unit"])
+    factor = 1.0
+    if report["unit"] == "m/px" and report["scale"] < 1:
+        factor, unit = 100.0, "cm/px"
+    uncertainty = half_width(report) * report["scale"] * factor
+    decimals = max(0, 1 - floor(log10(uncertainty))) if uncertainty > 0 else 6
+    return [f"{value * factor:.{decimals}f}" for value in values], unit
+
+
+def relative(scale: float, report: Mapping[str, Any]) -> float:
+    """How much larger `scale` is than the answer: 0.02 is 2 %."""
+    return scale / report["scale"] - 1
+
+
+def checks(report: Mapping[str, Any]) -> list[Check]:
+    """What speaks for the scale, or against it: first what a person should look at, then in the order of asking."""
+    made = [_vehicles, _shapes, _modes, _claim, _places, _frames, _largest]
+    remarks = [remark for remark in report["remarks"] if remark not in report["notes"]]
+    found = [check for make in made if (check := make(report))] + [
+        Check("look", "Remark", remark) for remark in remarks
+    ]
+    return sorted(found, key=lambda check: ("look", "ok", "none").index(check.state))
+
+
+def _vehicles(report: Mapping[str, Any]) -> Check:
+    used, rejected = report["vehicles_used"], sum(report["vehicles_rejected"].values())
+    sampling = report["uncertainty"].get("sampling", 0.0)
+    few, many = sampling > SAMPLING, rejected > REJECTED * (used + rejected)
+    what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
+    detail = f"{used} used, {rejected} rejected; their number leaves {percent(sampling)} open"
+    return Check("look" if few or many else "ok", what, detail)
+
+
+def _shapes(report: Mapping[str, Any]) -> Check:
+    check = report["checks"]
+    difference, tension = check["length"] / check["width"] - 1, check["tension_sigmas"]
+    ok = tension <= CHECK_LIMIT
+    what = "Lengths and widths agree" if ok else "Lengths and widths disagree"
+    return Check("ok" if ok else "look", what, f"lengths give {signed(difference)} ({tension:.1f} sigma)")
+
+
+def _places(report: Mapping[str, Any]) -> Check:
+    found = trend(report)
+    if found is None:
+        return Check("none", "Places not compared", "too few vehicles for it")
+    known = "" if found.sd is None else f" ± {100 * Z90 * found.sd:.1f}"
+    figures = f"{100 * found.change:.1f}{known} % from side to side"
+    if found.drifts:
+        return Check("look", "The scale drifts", figures + ", more than chance makes")
+    return Check("ok", "No drift", figures + ", which may be chance")
+
+
+def _frames(report: Mapping[str, Any]) -> Check | None:
+    found = frames(report)
+    if not found:
+        return None
+    odd = sorted((frame for frame in found if frame.odd), key=lambda frame: -abs(frame.deviation))
+    if not odd:
+        return Check("ok", "Frames agree", f"{len(found)} frames measure the same vehicles alike")
+    what = f"{len(odd)} of {len(found)} frames {'stands' if len(odd) == 1 else 'stand'} out"
+    named = ", ".join(f"{frame.name} ({signed(exp(frame.deviation) - 1)})" for frame in odd[:3])
+    return Check("look", what, named + ", …" * (len(odd) > 3))
+
+
+def _claim(report: Mapping[str, Any]) -> Check | None:
+    claim = report.get("claim")
+    if not claim:
+        return None
+    states = {"agrees": ("ok", "Own georeferencing agrees"), "doubtful": ("look", "Own georeferencing is doubtful")}
+    state, what = states.get(claim["verdict"], ("look", "Own georeferencing disagrees"))
+    if not claim["believed"]:
+        return None
+    guess = "".join(f"; perhaps {why}" for why in claim["guesses"])
+    return Check(state, what, f"vehicles give {signed(claim['ratio'] - 1)} ({claim['sigmas']:.1f} sigma){guess}")
+
+
+def _modes(report: Mapping[str, Any]) -> Check | None:
+    modes = report.get("modes") or {}
+    if not {"planar", "oblique"} <= modes.keys():
+        return None
+    difference = modes["oblique"]["scale"] / modes["planar"]["scale"] - 1
+    agreement = report.get("agreement")
+    ok = abs(difference) <= MODES if agreement is None else not agreement["contradicts"]
+    what = "Planar and oblique agree" if ok else "Planar and oblique disagree"
+    sigmas = "" if agreement is None else f" ({agreement['sigmas']:.1f} sigma)"
+    return Check("ok" if ok else "look", what, f"oblique frames give {signed(difference)}{sigmas}")
+
+
+def _largest(report: Mapping[str, Any]) -> Check | None:
+    parts = report["uncertainty"]
+    total = sum(sd**2 for sd in parts.values()) ** 0.5
+    name = max(parts, key=lambda part: parts[part])
+    remedy = UNCERTAINTY.get(name, ("", ""))[1]
+    share = f"{100 * parts[name]:.1f} of {percent(total)} (one sigma)"
+    return Check("none", f"Least known: {name}", share + (f"; smaller by {remedy}" if remedy else ""))
+
+
+def metres_of(report: Mapping[str, Any], length: float = 10.0) -> str:
+    """What the interval means for a length of so many metres in the copy."""
+    half = log(report["interval90"][1] / report["interval90"][0]) / 2
+    return f"{length:g} m in the copy are {length * exp(-half):.1f} to {length * exp(half):.1f} m on the ground"
+
+
+def percent(value: float) -> str:
+    return f"{100 * value:.1f} %"
+
+
+def signed(value: float) -> str:
+    return f"{100 * value:+.1f} %".replace("-", "−")

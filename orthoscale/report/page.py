@@ -1,0 +1,166 @@
+"""The report as one HTML file that needs nothing else: no network, no scripts, pictures and charts inside."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from ..cli.reproduce import command_line
+from ..errors import OutputError
+from ..posterior import Z90
+from . import charts, judgement, places
+from .judgement import percent, relative, signed
+from .scene import Panel, Scene
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+    from markupsafe import Markup
+
+JPEG_QUALITY = 82
+MODES = ("planar", "oblique")
+NAMES = {  # of the report's checks, for people
+    "length": "lengths only",
+    "width": "widths only",
+    "length_minus_width": "length − width",
+}
+FARTHEST = 0.5  # checks further off than this are left to the document: they would squeeze the others into one point
+
+
+def page(report: Mapping[str, Any], scene: Scene) -> str:
+    """The HTML of a report. `scene` has its pictures; without any, the page does without."""
+    (value, low, high), unit = judgement.quantity(report, report["scale"], *report["interval90"])
+    known, fit = judgement.FIT[report["verdict"]]
+    return _template().render(
+        report=report,
+        name=Path(report["input"]["path"]).name,
+        value=value,
+        low=low,
+        high=high,
+        unit=unit,
+        half_width=percent(judgement.half_width(report)),
+        known=known,
+        fit=fit,
+        metres=judgement.metres_of(report),
+        checks=judgement.checks(report),
+        overviews=[_picture(panel) for panel in scene.overviews],
+        used=[_picture(panel) for panel in scene.used],
+        rejected=[_picture(panel) for panel in scene.rejected],
+        reasons={**report["vehicles_rejected"], **report["boxes_rejected"]},
+        histograms=[_histogram(report, axis) for axis in ("length", "width")],
+        estimates=_estimates(report),
+        modes=_modes(report),
+        places=_places(report),
+        frames=_frames(report),
+        uncertainty=_uncertainty(report),
+        command=command_line(report["input"]["path"], report["settings"]),
+    )
+
+
+@cache
+def _template() -> Template:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("orthoscale.report", ".")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"percent": percent, "signed": signed}
+    return environment.get_template("page.html")
+
+
+def _picture(panel: Panel) -> dict[str, Any]:
+    height, width = panel.image.shape[:2]
+    return {
+        "title": panel.title,
+        "reason": panel.reason,
+        "width": width,
+        "height": height,
+        "href": _jpeg(panel.image),
+        "bar": panel.bar,
+        "outlines": [
+            {
+                "points": " ".join(f"{x:.1f},{y:.1f}" for x, y in outline.points),
+                "used": outline.used,
+                "label": outline.label,
+            }
+            for outline in sorted(panel.outlines, key=lambda o: o.used)
+        ],
+    }
+
+
+def _jpeg(image: np.ndarray) -> str:
+    ok, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not ok:
+        raise OutputError("a picture of the report could not be encoded")
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def _histogram(report: Mapping[str, Any], axis: str) -> dict[str, Any]:
+    sizes = {u: np.array([v[axis] for v in report["vehicles"] if v["used"] is u], float) for u in (True, False)}
+    k = ("length", "width").index(axis)
+    fleet = report["fleet_sizes"]
+    classes = [(c["weight"], c["mean"][k], c["sd"][k]) for c in fleet["classes"]]
+    used = sizes[True]
+    return {
+        "name": axis,
+        "chart": charts.histogram(used, sizes[False], classes, axis),
+        "mean": float(used.mean()),
+        "sd": float(used.std(ddof=1)),
+        "fleet": fleet[axis],
+    }
+
+
+def _estimates(report: Mapping[str, Any]) -> Markup:
+    low, high = (relative(v, report) for v in report["interval90"])
+    rows = [charts.Row("the answer", 0.0, (low, high), strong=True)]
+    for name, value in report["checks"].items():
+        if not name.endswith("_sigmas") and name not in MODES:
+            rows.append(charts.Row(NAMES.get(name, name.replace("_", " ")), relative(value, report)))
+    rows += [_row(name, mode, report) for name, mode in _modes(report).items()]
+    for other in report.get("evidence", []):
+        half = Z90 * other["relative_sd"]
+        rows.append(charts.Row(other["kind"], at := relative(other["scale"], report), (at - half, at + half)))
+    if report.get("claim"):
+        rows.append(charts.Row("its georeferencing", relative(report["claim"]["claimed"], report)))
+    rows = [row for row in rows if abs(row.value) < FARTHEST]
+    label = "; ".join(f"{row.name} {signed(row.value)}" for row in rows[1:])
+    return charts.estimates(rows, (low, high), f"Scale by other ways, against the answer: {label}")
+
+
+def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:
+    modes = report.get("modes") or {}
+    return {name: modes[name] for name in MODES if modes.get(name)}
+
+
+def _places(report: Mapping[str, Any]) -> Markup | None:
+    found = places.regions(report)
+    if len(found) < 2:
+        return None
+    vehicles = np.array([v["place_m"] for v in report["vehicles"] if v["used"]], float)
+    return charts.place_map(vehicles, found, "Vehicles from above, and the scale of each region against that of all")
+
+
+def _frames(report: Mapping[str, Any]) -> Markup | None:
+    found = places.frames(report)
+    return charts.frames(found, "Scale of each frame against the answer") if found else None
+
+
+def _row(name: str, values: Mapping[str, Any], report: Mapping[str, Any]) -> charts.Row:
+    interval = tuple(relative(v, report) for v in values["interval90"]) if values.get("interval90") else None
+    return charts.Row(name, relative(values["scale"], report), interval)  # type: ignore[arg-type]
+
+
+def _uncertainty(report: Mapping[str, Any]) -> dict[str, Any]:
+    parts = {name: sd for name, sd in report["uncertainty"].items() if sd > 0}
+    variance = sum(sd**2 for sd in parts.values())
+    rows = []
+    for name, sd in parts.items():
+        what, remedy = judgement.UNCERTAINTY.get(name, ("", ""))
+        rows.append({"name": name, "sd": sd, "share": sd**2 / variance, "what": what, "remedy": remedy})
+    return {"rows": rows, "total": variance**0.5}

@@ -1,0 +1,80 @@
+"""The scale by place and by frame, as a report has it: of an orthophoto by cells, of a model by regions and frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import log
+from typing import Any
+
+from ..drift import SIGNIFICANT
+
+
+@dataclass(frozen=True)
+class Region:
+    """x, y : its middle on the plan [m]. width, height : its size [m], 0 where it has none.
+    deviation : log of its scale over that of all; sd : one sigma of that."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+    deviation: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Trend:
+    """change : of the scale from one end to the other, relative. sd : one sigma of that, None where it is not told.
+    drifts : whether it is more than chance makes, as a slope or as a bend."""
+
+    change: float
+    sd: float | None
+    drifts: bool
+
+
+@dataclass(frozen=True)
+class Frame:
+    """deviation : log of the scale that this frame gives its vehicles over the one that all frames give them."""
+
+    name: str
+    deviation: float
+    sd: float
+    odd: bool
+
+
+def regions(report: Mapping[str, Any]) -> list[Region]:
+    """Places with a scale of their own; none where there are too few vehicles to compare them."""
+    drift, scale = report.get("drift") or {}, report["scale"]
+    if "cells" in drift:
+        ((_, image_height),) = report["pictures"].values()
+        width, height = (side * scale for side in drift["cell_px"])
+        return [
+            Region(c["x_px"] * scale, (image_height - c["y_px"]) * scale, width, height, c["deviation"], c["sd"])
+            for c in drift["cells"]
+        ]
+    return [
+        Region(x * scale, y * scale, 0.0, 0.0, log(r["scale"] / scale), r["sd"] / r["scale"])
+        for r in drift.get("regions", [])
+        for x, y in [r["centre_unit"]]
+    ]
+
+
+def trend(report: Mapping[str, Any]) -> Trend | None:
+    """None where there are too few vehicles to tell."""
+    drift = report.get("drift") or {}
+    if "tilt" in drift:
+        return Trend(drift["tilt"], drift["tilt_sd"], min(drift["p_tilt"], drift["p_bend"]) < SIGNIFICANT)
+    if drift.get("trend"):
+        return Trend(drift["trend"]["percent_across"] / 100, None, drift["trend"]["chance"] < SIGNIFICANT)
+    return None
+
+
+def frames(report: Mapping[str, Any]) -> list[Frame]:
+    """A model's frames that share vehicles with others, in the order of their names."""
+    drift, scale = report.get("drift") or {}, report["scale"]
+    odd = set(drift.get("odd_frames", []))
+    return [
+        Frame(name, log(f["scale"] / scale), f["sd"] / f["scale"], name in odd)
+        for name, f in sorted(drift.get("frames", {}).items())
+    ]

@@ -1,0 +1,199 @@
+"""What there is to see of a report: the scene from above, the frame with most vehicles, and vehicles one by one.
+
+Panels are pixels with outlines that lie over them; `pictures` draws them into a PNG, `page` into HTML.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
+
+import cv2
+import numpy as np
+
+from ..boxes import Boxes
+from ..sources.picture import Picture
+from .above import from_above
+
+if TYPE_CHECKING:
+    from ..sources.colmap import ColmapSource
+    from ..sources.source import Source
+
+OVERVIEW = 1600  # longest side of an overview [px]
+CHIPS, REJECTED_CHIPS = 24, 8  # vehicles shown one by one
+CHIP = 180  # side of one [px]
+CHIP_SPAN = 1.7  # side of a chip in vehicle lengths
+PAPER = 245  # grey of a plan's background
+SMALLEST_MARK = 7  # radius of a vehicle on a plan, at least [px]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """points : (K, 2) corners [px of the panel]. used : whether the vehicle counts. label : what to say of it."""
+
+    points: np.ndarray
+    used: bool
+    label: str
+
+
+@dataclass(frozen=True)
+class Panel:
+    """image : (h, w, 3) uint8 RGB. bar : a round number of metres and its length [px], where there is one scale."""
+
+    title: str
+    image: np.ndarray
+    outlines: Sequence[Outline]
+    bar: tuple[float, float] | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The pictures of a report; empty sequences where the source's own pictures are not at hand."""
+
+    overviews: Sequence[Panel] = ()
+    used: Sequence[Panel] = ()
+    rejected: Sequence[Panel] = ()
+
+    @classmethod
+    def of(cls, report: Mapping[str, Any], source: Source | None) -> Scene:
+        """The scene of a report, with the pixels of the `source` that it came from, as far as they are there."""
+        vehicles = report["vehicles"]
+        pictures = _pictures(source, vehicles) if source else {}
+        overviews = []
+        if report["unit"] == "m/model-unit":
+            overviews.append(_plan(report, cast("ColmapSource", source) if source else None))
+            name = _busiest(vehicles, pictures)
+        else:
+            name = _busiest(vehicles, report["pictures"])
+        if name is not None:
+            overviews.append(_overview(report, name, pictures.get(name)))
+        used = [v for v in vehicles if v["used"]]
+        rejected = [v for v in vehicles if not v["used"]]
+        return cls(
+            overviews,
+            _chips(_evenly(sorted(used, key=lambda v: v["length"]), CHIPS), pictures),
+            _chips(_evenly(sorted(rejected, key=lambda v: v["reason"]), REJECTED_CHIPS), pictures),
+        )
+
+
+def _pictures(source: Source, vehicles: Sequence[Mapping]) -> dict[str, Picture]:
+    """The pictures at hand that the vehicles' boxes lie in: the source's own, or its frames warped onto the ground."""
+    pictures: dict[str, Picture] = {p.name: p for p in source.pictures}
+    names = {box["picture"] for vehicle in vehicles for box in vehicle["boxes"]}
+    if pictures and not names <= set(source.picture_names):
+        plans = cast("ColmapSource", source).ground_pictures
+        pictures |= {p.name: p for p in plans if p.frame is not None}
+    return pictures
+
+
+def _busiest(vehicles: Sequence[Mapping], pictures: Mapping[str, object]) -> str | None:
+    """The picture that shows most vehicles that count."""
+    counts = dict.fromkeys(pictures, 0)
+    for vehicle in vehicles:
+        for box in vehicle["boxes"]:
+            if vehicle["used"] and box["picture"] in counts:
+                counts[box["picture"]] += 1
+    return max(counts, key=lambda name: counts[name]) if any(counts.values()) else None
+
+
+def _overview(report: Mapping[str, Any], name: str, picture: Picture | None) -> Panel:
+    width, height = report["pictures"][name] if picture is None else (picture.width, picture.height)
+    zoom = min(1.0, OVERVIEW / max(width, height))
+    size = max(1, round(width * zoom)), max(1, round(height * zoom))
+    if picture is None:
+        image = np.full((size[1], size[0], 3), PAPER, np.uint8)
+    else:
+        image = picture.read(0, 0, width, height, *size)
+    outlines = [
+        _outline(vehicle, box, zoom)
+        for vehicle in report["vehicles"]
+        for box in vehicle["boxes"]
+        if box["picture"] == name
+    ]
+    flat = report["unit"] == "m/px"
+    bar = _bar(float(report["scale"]) / zoom, size[0]) if flat else None
+    title = name if flat else f"{name}, the frame with most vehicles"
+    return Panel(title, image, outlines, bar)
+
+
+def _plan(report: Mapping[str, Any], source: ColmapSource | None) -> Panel:
+    """A model's sparse points from above, in metres, with the vehicles where they stand."""
+    scale = float(report["scale"])
+    vehicles = np.array([v["place_m"] for v in report["vehicles"]], float)
+    points, colours = vehicles, np.full((len(vehicles), 3), PAPER, np.uint8)
+    if source is not None:
+        xyz, colours = source.sparse
+        order = np.argsort(source.ground.height_above(xyz))  # what stands higher is drawn later
+        points, colours = from_above(source, xyz[order]) * scale, colours[order]
+    low, high = np.percentile(points, [1, 99], axis=0)
+    low, high = np.minimum(low, vehicles.min(0)), np.maximum(high, vehicles.max(0))
+    border = 0.02 * (high - low).max()
+    low, high = low - border, high + border
+    zoom = OVERVIEW / (high - low).max()  # px per metre
+    width, height = np.ceil((high - low) * zoom).astype(int)
+
+    def to_px(plan: np.ndarray) -> np.ndarray:
+        return np.stack([(plan[:, 0] - low[0]) * zoom, (high[1] - plan[:, 1]) * zoom], -1)
+
+    image = np.full((height, width, 3), PAPER, np.uint8)
+    dot = 2 if len(points) < 100_000 else 1
+    for (x, y), colour in zip(to_px(points).round().astype(int).tolist(), colours.tolist(), strict=True):
+        cv2.circle(image, (x, y), dot, colour, -1)
+    turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn)], -1)
+    outlines = [
+        Outline(centre + max(SMALLEST_MARK, v["length"] / 2 * zoom) * ring, v["used"], _label(v))
+        for centre, v in zip(to_px(vehicles), report["vehicles"], strict=True)
+    ]
+    title = "The model from above" if source else "The vehicles from above"
+    return Panel(title, image, outlines, _bar(1 / zoom, int(width)))
+
+
+def _evenly(vehicles: Sequence[Mapping], count: int) -> list[Mapping]:
+    """`count` of them, from the first to the last."""
+    chosen = np.unique(np.linspace(0, len(vehicles) - 1, min(count, len(vehicles))).round().astype(int))
+    return [vehicles[k] for k in chosen]
+
+
+def _chips(vehicles: Sequence[Mapping], pictures: Mapping[str, Picture]) -> list[Panel]:
+    """Each vehicle by itself, as its best box at hand shows it."""
+    chips = []
+    for vehicle in vehicles:
+        boxes = [box for box in vehicle["boxes"] if box["picture"] in pictures]
+        if boxes:
+            best = max(boxes, key=lambda box: box["score"])
+            chips.append(_chip(vehicle, best, pictures[best["picture"]]))
+    return chips
+
+
+def _chip(vehicle: Mapping, box: Mapping, picture: Picture) -> Panel:
+    cx, cy, length = box["xylwa_px"][:3]
+    span = max(8, int(length * CHIP_SPAN))
+    width, height = min(span, picture.width), min(span, picture.height)
+    x = int(np.clip(cx - width / 2, 0, picture.width - width))
+    y = int(np.clip(cy - height / 2, 0, picture.height - height))
+    zoom = CHIP / span
+    image = np.full((CHIP, CHIP, 3), PAPER, np.uint8)
+    pixels = picture.read(x, y, width, height, round(width * zoom), round(height * zoom))
+    image[: pixels.shape[0], : pixels.shape[1]] = pixels
+    title = f"{vehicle['length']:.2f} × {vehicle['width']:.2f} m"
+    return Panel(title, image, [_outline(vehicle, box, zoom, (-x * zoom, -y * zoom))], reason=vehicle["reason"])
+
+
+def _outline(vehicle: Mapping, box: Mapping, zoom: float, shift: tuple[float, float] = (0.0, 0.0)) -> Outline:
+    corners = Boxes(np.array([box["xylwa_px"]]), np.ones(1)).mapped(zoom, shift).corners[0]
+    return Outline(corners, vehicle["used"], _label(vehicle))
+
+
+def _label(vehicle: Mapping) -> str:
+    return f"{vehicle['length']:.2f} × {vehicle['width']:.2f} m, {vehicle['reason'] or 'used'}"
+
+
+def _bar(metres_per_px: float, width: int) -> tuple[float, float]:
+    """A round number of metres, about a fifth of a panel `width` px wide, and its length [px]."""
+    about = width / 5 * metres_per_px
+    step = 10.0 ** np.floor(np.log10(about))
+    metres = float(step * max(k for k in (1, 2, 5) if k * step <= about))
+    return metres, metres / metres_per_px

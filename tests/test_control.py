@@ -1,0 +1,135 @@
+"""Known distances and ground control, through the pipeline and the command."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orthoscale
+from orthoscale.errors import EvidenceDisagrees, InputError, UsageError
+from orthoscale.fleet import Fleet
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+TOWN = EXAMPLES / "town" / "ortho.jpg"
+GSD = 0.085
+MODEL = EXAMPLES / "sheffield" / "sparse"
+FOUND = EXAMPLES / "sheffield" / "detections.json"
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory):
+    """Vehicles of the German fleet on the town's picture, at its scale, with a tennis court among them."""
+    rng = np.random.default_rng(0)
+    size = Fleet.load("DE").sample(rng, 60)[:, :2] / GSD
+    rows = [{"cx": 40 + 90 * (k % 10), "cy": 40 + 90 * (k // 10), "length": s[0], "width": s[1],
+             "angle": float(rng.uniform(-1.5, 1.5))} for k, s in enumerate(size)]  # fmt: skip
+    path = tmp_path_factory.mktemp("found") / "boxes.json"
+    path.write_text(json.dumps({TOWN.name: rows}))
+    court = {"cx": 500, "cy": 700, "length": 23.77 / GSD, "width": 10.97 / GSD, "angle": 0.2, "kind": "tennis-court"}
+    path.with_name("court.json").write_text(json.dumps({TOWN.name: [*rows, court]}))
+    return path
+
+
+def test_a_distance_narrows_the_interval_and_is_in_the_report(boxes):
+    without = orthoscale.estimate(TOWN, fleet="DE", detections=boxes)
+    given = orthoscale.estimate(TOWN, fleet="DE", detections=boxes, known_distance=["10,20 310,420 42.5 0.4"])
+    assert given.scale.value == pytest.approx(GSD, rel=0.01)
+    assert given.scale.relative_sd < 0.4 * without.scale.relative_sd
+    assert [e.kind for e in given.scale.evidence] == ["known distance"]
+    assert given.scale.parts["known distance"] > given.scale.parts["fleet"]
+
+
+def test_a_distance_that_contradicts_the_vehicles_writes_nothing(boxes, tmp_path):
+    options = {"fleet": "DE", "detections": boxes, "known_distance": ["0,0 1000,0 170 1"]}
+    assert orthoscale.estimate(TOWN, **options).scale.verdict == "refuse"
+    with pytest.raises(EvidenceDisagrees, match="conflict: vehicles: 0.08.*known distance of 170 m"):
+        orthoscale.fix(TOWN, tmp_path / "out.tif", **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_court_among_the_boxes_counts_unless_told_otherwise(boxes):
+    court = boxes.with_name("court.json")
+    seen = orthoscale.estimate(TOWN, fleet="world", detections=court)
+    assert [e.kind for e in seen.scale.evidence] == ["tennis-court"]
+    assert seen.scale.value == pytest.approx(GSD, rel=0.02)
+    blind = orthoscale.estimate(TOWN, fleet="world", detections=court, surroundings=False)
+    assert not blind.scale.evidence and blind.scale.relative_sd > 2 * seen.scale.relative_sd
+    seen.detections.save(boxes.with_name("again.json"))
+    again = orthoscale.estimate(TOWN, fleet="world", detections=boxes.with_name("again.json"))
+    assert again.scale.value == pytest.approx(seen.scale.value, rel=1e-3)
+
+
+def test_ground_control_gives_an_orthophoto_its_scale(boxes, tmp_path):
+    control = tmp_path / "control.txt"
+    control.write_text("# point east north\n0,0 400000.00 5800000.00\n1000,0 400085.00 5800000.00\n"
+                       "0,1000 400000.00 5799915.00\n")  # fmt: skip
+    result = orthoscale.estimate(TOWN, fleet="DE", detections=boxes, ground_control=control)
+    assert result.scale.value == pytest.approx(GSD, rel=0.002) and result.scale.verdict == "good"
+    control.write_text("0,0 400000 5800000\n1000,0 400085\n")
+    with pytest.raises(InputError, match="control.txt, line 2: 1 coordinates"):
+        orthoscale.estimate(TOWN, fleet="DE", detections=boxes, ground_control=control)
+    with pytest.raises(InputError, match="cannot be read"):
+        orthoscale.estimate(TOWN, fleet="DE", detections=boxes, ground_control=tmp_path / "none.txt")
+
+
+def test_points_of_a_model_by_coordinates_by_number_and_by_pixel():
+    import pycolmap
+
+    model = pycolmap.Reconstruction(str(MODEL))
+    (first, a), (second, b) = list(model.points3D.items())[:2]
+    metres = 14.157 * np.linalg.norm(a.xyz - b.xyz)
+    options = {"fleet": "US", "detections": FOUND}
+    by_number = orthoscale.estimate(
+        MODEL, known_distance=[f"id:{first} id:{second} {metres} {metres / 500}"], **options
+    )
+    assert by_number.scale.value == pytest.approx(14.157, rel=0.01)
+    words = [",".join(map(str, p.xyz)) for p in (a, b)]
+    by_place = orthoscale.estimate(MODEL, known_distance=[f"{' '.join(words)} {metres} {metres / 500}"], **options)
+    assert by_place.scale.value == pytest.approx(by_number.scale.value, rel=1e-6)
+    name = next(iter(by_place.detections.boxes))
+    with pytest.raises(UsageError, match="no registered image is named nowhere"):
+        orthoscale.estimate(MODEL, known_distance=[f"nowhere@10,10 {name}@400,300 5"], **options)
+
+
+@pytest.mark.parametrize("text, why", [("1,2 3,4", "not enough"), ("1,2 3,4 five", "could not convert"),
+                                       ("1,2 1,2 5", "must differ"), ("1,2,3 4,5,6 5", "not a point of an orthophoto"),
+                                       ("1,2 3,4 5 6 7", "words"), ("nan,2 3,4 5", "not finite"),
+                                       ("1,2 '3,4 5", "quotation")])  # fmt: skip
+def test_distances_that_make_no_sense_say_what_is_expected(boxes, text, why):
+    with pytest.raises(UsageError, match=f"(?s)--known-distance .*{why}.*Expected two points"):
+        orthoscale.estimate(TOWN, detections=boxes, known_distance=[text])
+
+
+@pytest.mark.parametrize("projection", ["exact", "planar", "decoupled", "program", "naive"])
+def test_every_projection_measures_a_model(projection):
+    result = orthoscale.estimate(MODEL, fleet="US", detections=FOUND, projection=projection)
+    assert result.scale.value == pytest.approx(14.157, rel=0.35), "the comparison is in benchmarks"
+    assert result.projection == projection
+
+
+def test_the_papers_estimator_and_what_it_cannot_take(boxes):
+    result = orthoscale.estimate(TOWN, fleet="DE", detections=boxes, estimator="iqr")
+    assert result.scale.value == pytest.approx(GSD, rel=0.03) and set(result.scale.parts) == {"sampling"}
+    assert "paper's estimator" in result.scale.remarks[0]
+    for options, why in (
+        ({"estimator": "iqr", "known_distance": ["0,0 9,9 1"]}, "knows vehicles only"),
+        ({"projection": "exact"}, "an orthophoto has none"),
+        ({"projection": "mercator"}, "no projection is called"),
+        ({"estimator": "mode"}, "no estimator is called"),
+    ):
+        with pytest.raises(UsageError, match=why):
+            orthoscale.estimate(TOWN, fleet="DE", detections=boxes, **options)
+
+
+def test_the_command_takes_them_all(boxes):
+    command = [sys.executable, "-m", "orthoscale", "estimate", TOWN, "--detections", boxes, "--fleet", "auto",
+               "--known-distance", "0,0 1000,0 85 0.5", "--json"]  # fmt: skip
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["fleet"] == "auto" and len(report["fleets"]) > 3
+    assert report["method"] == {"projection": "planar", "estimator": "robust"}
+    assert report["evidence"][0]["kind"] == "known distance"

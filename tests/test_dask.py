@@ -1,0 +1,81 @@
+"""The sweep on a Dask cluster: the same result as on threads, also when a worker dies."""
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from orthoscale.detect.detector import Detector
+from orthoscale.detect.find import Effort, find_vehicles
+from orthoscale.errors import UsageError
+from orthoscale.sources.raster import RasterSource
+
+distributed = pytest.importorskip("distributed")
+
+
+@pytest.fixture(scope="module")
+def raster(tmp_path_factory):
+    town = cv2.imread(str(Path(__file__).parent.parent / "examples" / "town" / "ortho.jpg"))
+    path = tmp_path_factory.mktemp("raster") / "town.tif"
+    cv2.imwrite(str(path), np.tile(town, (2, 2, 1)))
+    return RasterSource.open(path)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Two worker processes on this machine."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        yield cluster
+
+
+def swept(raster, **effort):
+    return find_vehicles([raster], zoom=0.7, effort=Effort(cache=False, **effort))[0]
+
+
+@pytest.mark.slow
+def test_a_cluster_finds_what_threads_find_and_a_lost_worker_loses_no_tile(raster, cluster):
+    local = swept(raster, workers=2)
+    (boxes,) = local.boxes.values()
+    assert len(boxes) > 100
+    assert np.array_equal(swept(raster, scheduler=cluster.scheduler_address).boxes["town.tif"].xylwa, boxes.xylwa)
+
+    # Then again, and one of the two workers is killed as soon as it has something to do.
+    with distributed.Client(cluster) as client:
+        before = set(client.scheduler_info()["workers"])
+
+        def kill_one():
+            while not any(client.processing().values()):
+                time.sleep(0.01)
+            os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+
+        assassin = threading.Thread(target=kill_one, daemon=True)
+        assassin.start()
+        again = swept(raster, scheduler=cluster.scheduler_address)
+        assassin.join(60)
+        assert set(client.scheduler_info()["workers"]) != before, "one worker is gone, or another one in its place"
+    assert np.array_equal(again.boxes["town.tif"].xylwa, boxes.xylwa)
+    assert len(again.swept.tiles) == again.swept.total
+
+
+def test_nobody_at_the_address_is_said_so(raster, monkeypatch):
+    monkeypatch.setattr("orthoscale.detect.workers.CONNECTING", "1s")
+    with pytest.raises(UsageError, match="no Dask scheduler answers at tcp://127.0.0.1:9"):
+        swept(raster, scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(UsageError, match="no Dask scheduler answers at nonsense"):
+        swept(raster, scheduler="nonsense://x")
+
+
+def test_a_raster_travels_as_its_path(raster):
+    import pickle
+
+    other = pickle.loads(pickle.dumps(raster))
+    assert other is not raster and np.array_equal(other.read(0, 0, 99, 99, 50, 50), raster.read(0, 0, 99, 99, 50, 50))
+    assert pickle.loads(pickle.dumps(raster)) is other, "opened once for all tiles"
+    assert Detector(threads=1).card == Detector().card

@@ -1,0 +1,201 @@
+"""The paper's tables on small folders with exact truth."""
+
+import csv
+import json
+import shutil
+
+import in_process
+import numpy as np
+import pytest
+
+from orthoscale.detections import Detections
+from orthoscale.errors import InputError
+from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, changed, read_samples
+from orthoscale.evaluate.score import score, summary
+from orthoscale.evaluate.surface import Surface
+from orthoscale.fleet import Fleet
+from orthoscale.photo.measure import RIGHT
+from orthoscale.synthetic import NormalFleet, make_scene
+from orthoscale.synthetic.folders import GROUND_M, LON_LAT, survey_rotation, write_csv, write_denseuav, write_visloc
+
+# All vehicles nearly of one size, so that what is off is the method and not the luck of the draw.
+MEAN = (4.45, 1.79, 1.54)
+FLEET = {
+    "name": "of this test",
+    "source": "made for it",
+    "length": [4.45, 0.05],
+    "width": [1.79, 0.02],
+    "height": [1.54, 0.05],
+    "mean_sd": [0.02, 0.01, 0.02],
+}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """The three forms, with grey photos and the true boxes; and the fleet."""
+    base = tmp_path_factory.mktemp("sets")
+    scene = make_scene(3, NormalFleet(MEAN, (0.05, 0.02, 0.05)), 110.0, 90, "carpark")
+    for name, write in (("dense", write_denseuav), ("visloc", write_visloc), ("table", write_csv)):
+        (base / name).mkdir()
+        write(scene, base / name, pictures=False, **({"photos": 2} if name == "visloc" else {}))
+    (base / "fleet.json").write_text(json.dumps(FLEET))
+    return base
+
+
+@pytest.mark.parametrize(
+    "name, altitude",
+    [
+        ("000001/H80.JPG", "80"), ("000001_H90.jpg", "90"), ("H100_old.tif", "100"), ("a/000001_H_80.jpg", "80"),
+        ("h82.5.png", "82.5"), ("H1000A.JPG", None), ("DJI_0080.JPG", None), ("BH80.jpg", None),
+    ],
+)  # fmt: skip
+def test_altitudes_in_names(name, altitude):
+    assert (NAMED_ALTITUDE.findall(name) or [None])[-1] == altitude
+
+
+def test_a_denseuav_folder(folders):
+    samples, notes = read_samples(folders / "dense")
+    assert len(samples) == 9 and not notes
+    assert sorted({s.altitude for s in samples}) == [80, 90, 100]
+    assert samples[0].photo.lens.focal_px == pytest.approx(DENSEUAV_FOCAL * 900)
+    assert pytest.approx(1080, abs=0.1) == DENSEUAV_FOCAL * 1800  # at 1440 x 1080 px
+    assert {s.photo.pitch for s in samples} == {-np.pi / 2}
+
+
+def test_a_visloc_folder(folders):
+    samples, notes = read_samples(folders / "visloc")
+    assert len(samples) == 4 and not notes and {s.region for s in samples} == {"01", "02"}
+    for line in (folders / "visloc" / "01" / "reference.txt").read_text().splitlines()[1:]:
+        label, _, _, height, yaw, pitch, roll = line.split()
+        (sample,) = (s for s in samples if s.photo.name.endswith(label))
+        assert sample.altitude == pytest.approx(float(height) - GROUND_M, abs=0.15)
+        up = survey_rotation(*map(float, (yaw, pitch, roll))) @ [0, 0, 1]
+        assert sample.photo.up == pytest.approx(up, abs=1e-6)
+
+
+def test_ground_is_the_mean_of_the_lowest_tenth_within_100_m(folders):
+    with Surface.open(folders / "visloc" / "01" / "region01_dsm.tif") as surface:
+        # The lowest tenth of normal noise of 5 cm is 1.755 sigma below its middle; half of the model is roofs.
+        assert surface.ground(*LON_LAT) == pytest.approx(GROUND_M - 0.05 * 1.40, abs=0.01)
+        assert surface.ground(LON_LAT[0] + 1, LON_LAT[1]) is None
+
+
+def test_a_table_with_pitch_and_focal_length(folders):
+    samples, _ = read_samples(folders / "table" / "photos.csv")
+    assert [round(np.degrees(s.photo.pitch)) for s in samples] == [-90, -70, -55]
+    assert {s.photo.lens.focal_px for s in samples} == {900.0} and samples[0].region == "photos"
+
+
+def measured(folders, name):
+    path = folders / name / "photos.csv" if name == "table" else folders / name
+    samples, _ = read_samples(path)
+    return samples, Detections.load(folders / name / "detections.json"), Fleet.load(folders / "fleet.json")
+
+
+@pytest.mark.parametrize("name, worst", [("dense", 1.0), ("visloc", 1.0), ("table", 1.5)])
+def test_true_boxes_give_true_altitudes(folders, name, worst):
+    """Boxes of rectangles 0.8 m high, measured as a hull with rounded corners: a per cent or so is left."""
+    rows = score(*measured(folders, name))
+    got = summary(rows, "exact")
+    assert got["used_ratio"] == 1 and got["in_interval"] == 1
+    assert got["mape"] < worst and got["mean_vehicles"] > 10
+    assert summary(rows, "paper")["mape"] > got["mape"], "the paper's model is approximate, above all straight down"
+
+
+def test_figures_of_a_table_by_hand(folders):
+    samples, found, fleet = measured(folders, "dense")
+    rows = score(samples, found, fleet, ["exact"])
+    error = np.array([100 * (r.estimates["exact"].altitude / r.sample.altitude - 1) for r in rows])
+    got = summary(rows, "exact")
+    assert got["mape"] == pytest.approx(np.abs(error).mean()) and got["bias"] == pytest.approx(error.mean())
+    assert got["worst_ape"] == pytest.approx(np.abs(error).max())
+    vehicles = np.array([r.estimates["exact"].vehicles for r in rows])
+    half = summary(rows, "exact", int(np.median(vehicles)) + 1)
+    assert half["used"] == (vehicles > np.median(vehicles)).sum() and half["images"] == 9
+
+
+def run(*arguments):
+    return in_process.run("evaluate", *arguments)
+
+
+def rules(folders, name):
+    return ["--detections", folders / name / "detections.json", "--fleet", folders / "fleet.json"]
+
+
+def test_the_command_writes_tables_of_everything(folders, tmp_path):
+    outputs = ["--out", tmp_path / "a.json", "--out", tmp_path / "a.csv"]
+    more = ["--ablations", "--sensitivity"]
+    done = run(folders / "visloc", *rules(folders, "visloc"), *more, *outputs)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("method") and "MAPE" in done.stdout.splitlines()[0]
+    text = json.loads((tmp_path / "a.json").read_text())
+    assert [line["region"] for line in text["regions"]["exact"]] == ["01", "02", "all"]
+    assert len(list(csv.DictReader((tmp_path / "a.csv").open()))) == text["photos"] == 4
+    ratios = {(a["min_score"], a["min_vehicles"]): a["used_ratio"] for a in text["ablations"] if a["method"] == "exact"}
+    assert ratios[0.5, 5] == 1 and ratios[0.8, 5] == 1
+    biases = {(s["wrong"], s["by"]): s["bias"] for s in text["sensitivity"] if s["method"] == "exact"}
+    right = biases["focal", 0.0]
+    assert right == biases["pitch_deg", 0.0]
+    assert biases["focal", 0.05] - right == pytest.approx(5, abs=0.6), "near nadir, altitude goes with the focal length"
+    assert abs(biases["pitch_deg", 1.0] - right) < 0.6, "and a degree of pitch hardly matters"
+
+
+def test_oblique_photos_can_be_left_out(folders):
+    done = run(folders / "table" / "photos.csv", *rules(folders, "table"), "--max-pitch", -60, "--json")
+    text = json.loads(done.stdout)
+    assert text["photos"] == 2 and "1 photos look flatter than -60 degrees" in text["notes"][0]
+
+
+def test_a_wrong_pitch_is_towards_the_horizon(folders):
+    samples, _ = read_samples(folders / "table" / "photos.csv")
+    for before, after in zip(samples[1:], changed(samples, pitch_deg=2.0)[1:], strict=True):
+        assert np.degrees(after.photo.pitch - before.photo.pitch) == pytest.approx(2.0)
+        assert after.photo.up @ RIGHT == pytest.approx(0)
+
+
+def break_csv(text):
+    return lambda folder: (folder / "photos.csv").write_text(text)
+
+
+@pytest.mark.parametrize(
+    "name, damage, word",
+    [
+        ("table", break_csv("image,height\na.jpg,5\n"), "no column altitude_m"),
+        ("table", break_csv("image,altitude_m\nphotos/000.jpg,high\n"), "line 2"),
+        ("table", break_csv("image,altitude_m\nphotos/000.jpg,-5\n"), "positive"),
+        ("table", break_csv("image,altitude_m,focal_px\nnowhere.jpg,50,900\n"), "nowhere.jpg"),
+        ("table", break_csv("image,altitude_m\nphotos/000.jpg,50\n"), "no focal length"),
+        ("visloc", lambda f: (f / "01" / "camera.xml").write_text("<calibration/>"), "camera.xml"),
+        ("visloc", lambda f: (f / "01" / "camera.xml").unlink(), "no camera.xml"),
+        ("visloc", lambda f: (f / "02" / "reference.txt").write_text("a b c\n"), "no pose"),
+        ("visloc", lambda f: (f / "02" / "reference.txt").write_text("a.jpg 5e5 5e6 90 0 0 0\n"), "longitude"),
+        ("visloc", lambda f: (f / "02" / "region02_dsm.tif").write_text("no raster"), "dsm.tif"),
+        ("visloc", lambda f: (f / "02" / "region02_dsm.tif").unlink(), "surface model"),
+        ("dense", lambda f: [p.rename(p.with_name("x.jpg")) for p in f.rglob("H80.JPG")], ""),
+    ],
+)
+def test_damaged_data_sets_are_named(folders, tmp_path, name, damage, word):
+    folder = tmp_path / "copy"
+    shutil.copytree(folders / name, folder)
+    damage(folder)
+    path = folder / "photos.csv" if name == "table" else folder
+    if word:
+        with pytest.raises(InputError, match=word):
+            read_samples(path)
+    else:
+        samples, notes = read_samples(path)
+        assert len(samples) == 6 and "3 photos without an altitude" in notes[0]
+
+
+@pytest.mark.parametrize(
+    "path, code, word", [("nowhere", 5, "does not exist"), ("empty", 5, "no photo"), ("few", 3, "none of 9 photos")]
+)
+def test_bad_input_ends_in_one_sentence(folders, tmp_path, path, code, word):
+    (tmp_path / "empty").mkdir()
+    boxes = json.loads((folders / "dense" / "detections.json").read_text())
+    few = tmp_path / "few.json"
+    few.write_text(json.dumps({name: found[:3] for name, found in boxes["pictures"].items()}))
+    target = folders / "dense" if path == "few" else tmp_path / path
+    done = run(target, "--detections", few, "--fleet", "DE")
+    assert done.returncode == code, done.stderr
+    assert word in done.stderr and "Traceback" not in done.stderr and done.stdout == ""

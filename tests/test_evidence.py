@@ -1,0 +1,84 @@
+"""Evidence besides vehicles: combined where it agrees, reported where it does not."""
+
+import numpy as np
+import pytest
+
+from orthoscale.evidence import Evidence, combined, ground_control, known_distance
+from orthoscale.objects import known_objects, standard_object
+from orthoscale.posterior import Posterior
+
+VEHICLES = Posterior.normal(np.log(0.10), 0.05)
+PARTS = {"sampling": 0.03, "fleet": 0.04}
+
+
+def test_two_measurements_that_agree_are_weighed_by_their_precision():
+    together = combined(VEHICLES, PARTS, [Evidence("tape", 0.11, 0.05, "a tape")])
+    value, low, high = together.summary
+    assert value == pytest.approx(np.sqrt(0.10 * 0.11)) and together.conflict == 0
+    sd = 0.05 / np.sqrt(2)
+    assert np.log(high / low) == pytest.approx(2 * 1.6449 * sd, rel=1e-3)
+    assert sum(v**2 for v in together.parts.values()) == pytest.approx(sd**2)
+    assert together.parts["tape"] == pytest.approx(0.025)
+
+
+def test_two_that_contradict_each_other_are_reported_and_not_averaged():
+    together = combined(VEHICLES, PARTS, [Evidence("tape", 0.14, 0.01, "a tape")])
+    value, low, high = together.summary
+    assert value == pytest.approx(0.14) and low < 0.10 and high > 0.14
+    assert together.conflict == pytest.approx(np.log(1.4) / np.hypot(0.05, 0.01))
+    assert together.remarks == ["conflict: vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart"]
+
+
+def test_evidence_chooses_between_two_possibilities():
+    either = Posterior(np.array([0.5, 0.5]), np.log([0.08, 0.12]), np.array([0.02, 0.02]))
+    together = combined(either, {"fleet": either.spread}, [Evidence("tape", 0.12, 0.03, "a tape")])
+    assert together.summary[0] == pytest.approx(0.12, rel=0.01) and together.posterior.spread < 0.025
+
+
+def test_quantiles_of_a_normal_and_of_a_mixture():
+    assert VEHICLES.quantile(0.95) == pytest.approx(np.log(0.10) + 1.64485 * 0.05, abs=1e-5)
+    lopsided = Posterior(np.array([0.9, 0.1]), np.array([0.0, 1.0]), np.array([0.1, 0.1]))
+    assert lopsided.quantile(0.95) == pytest.approx(1.0, abs=1e-3)
+    assert lopsided.centre == pytest.approx(0.1) and lopsided.spread == pytest.approx(np.sqrt(0.01 + 0.09))
+
+
+def test_a_known_distance():
+    found = known_distance(np.array([[0, 0], [300, 400.0]]), 50.0, 0.25)
+    assert (found.value, found.relative_sd) == pytest.approx((0.1, 0.005))
+    assert known_distance(np.array([[0, 0, 0], [0, 0, 2.0]]), 30.0).relative_sd == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("points, metres, sd", [([[1, 1], [1, 1]], 5, 1), ([[0, 0], [1, 1]], -5, 1),
+                                                ([[0, 0], [1, 1]], 5, 0), ([[0, 0], [np.nan, 1]], 5, 1)])  # fmt: skip
+def test_a_distance_that_makes_no_sense(points, metres, sd):
+    with pytest.raises(ValueError):
+        known_distance(np.array(points, float), metres, sd)
+
+
+def test_ground_control_is_a_similarity_wherever_its_axes_point():
+    rng = np.random.default_rng(0)
+    units = rng.uniform(0, 10, (6, 3))
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    metres = 7.3 * units @ turn + [400_000, 5_800_000, 90]
+    exact = ground_control(units, metres)
+    assert exact.value == pytest.approx(7.3, rel=1e-9)
+    noisy = ground_control(units, metres + rng.normal(0, 0.5, metres.shape))
+    assert abs(np.log(noisy.value / 7.3)) < 3 * noisy.relative_sd and noisy.relative_sd > 2 * exact.relative_sd
+    with pytest.raises(ValueError, match="two points"):
+        ground_control(units[:1], metres[:1])
+
+
+def test_courts_and_containers_are_told_apart_by_their_shape():
+    pixel = np.full(2, 1.0)
+    court = standard_object("tennis-court", np.array([[237.7, 109.7], [238.5, 110.0]]), pixel)
+    assert court.value == pytest.approx(0.1, rel=0.01) and court.relative_sd < 0.02
+    boxes = np.array([[121.9, 24.4], [60.6, 24.4]])  # 40 and 20 feet
+    assert standard_object("container", boxes, pixel).value == pytest.approx(0.1, rel=0.01)
+    assert standard_object("tennis-court", np.array([[100.0, 95.0]]), pixel[:1]) is None  # no court is square
+    assert standard_object("swimming-pool", boxes, pixel) is None
+
+
+def test_every_standard_says_where_it_comes_from():
+    for standards in known_objects().values():
+        for s in standards:
+            assert s["source"] and s["length"][0] > s["width"][0] > 2 and min(s["length"][1], s["width"][1]) > 0

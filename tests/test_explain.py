@@ -1,0 +1,63 @@
+"""What a report says of its uncertainty, in words and in numbers."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from orthoscale.errors import InputError
+from orthoscale.report.explanation import explain, in_words
+
+REPORT = {
+    "scale": 0.1, "unit": "m/px", "vehicles_used": 20, "fleet": "WORLD", "verdict": "poor", "remarks": ["a remark"],
+    "uncertainty": {"sampling": 0.03, "fleet": 0.06, "margin": 0.02, "geometry": 0.0},
+}  # fmt: skip
+
+
+def test_parts_are_shares_of_the_variance_largest_first():
+    found = explain(REPORT)
+    assert found["relative_sd"] == pytest.approx(0.07)
+    assert [p["name"] for p in found["parts"]] == ["fleet", "sampling", "margin"]
+    assert sum(p["share"] for p in found["parts"]) == pytest.approx(1)
+
+
+def test_the_distance_that_it_names_does_halve_it():
+    found = explain(REPORT)
+    assert "good to 4.0 %" in found["halve"] and "20 m known to 81 cm" in found["halve"]
+    assert 1 / np.sqrt(1 / 0.07**2 + 1 / 0.0404**2) == pytest.approx(0.035, rel=1e-3)
+
+
+def test_remedies_leave_what_they_say():
+    found = {r["do"]: r["leaves"] for r in explain(REPORT)["remedies"]}
+    assert found["measure four times as many vehicles (80 instead of 20)"] == pytest.approx(
+        np.sqrt(0.0049 - 0.75 * 0.0009)
+    )
+    assert min(found, key=found.get) == "name the country (--fleet)"
+    assert "name the country" not in in_words(explain({**REPORT, "fleet": "DE"}))
+
+
+def test_a_conflict_comes_first():
+    found = explain({**REPORT, "uncertainty": {"conflict": 0.2}})
+    assert "which measurement is wrong" in found["halve"] and not found["remedies"]
+
+
+@pytest.mark.parametrize("report", [{}, [], {**REPORT, "uncertainty": {}}, {**REPORT, "uncertainty": {"fleet": "x"}},
+                                    {**REPORT, "scale": None}])  # fmt: skip
+def test_what_is_no_report_is_refused(report):
+    with pytest.raises(InputError):
+        explain(report)
+
+
+def test_the_command(tmp_path):
+    path = tmp_path / "report.json"
+    path.write_text(json.dumps(REPORT))
+    run = [sys.executable, "-m", "orthoscale", "explain", str(path)]
+    shown = subprocess.run(run, capture_output=True, text=True, timeout=60)
+    assert shown.returncode == 0 and "73 %  fleet (6.0 %)" in shown.stdout and "a remark" in shown.stdout
+    path.write_text("no json")
+    refused = subprocess.run(run, capture_output=True, text=True, timeout=60)
+    assert refused.returncode == 5 and "report.json: not JSON" in refused.stderr
+    path.unlink()
+    assert subprocess.run(run, capture_output=True, text=True, timeout=60).returncode == 5

@@ -1,0 +1,63 @@
+"""The pitch of parking rows, from places and headings alone."""
+
+import numpy as np
+import pytest
+
+from orthoscale.fleet import Fleet
+from orthoscale.parking import parking_pitch, stalls
+
+GSD = 0.1
+
+
+def car_park(rng, pitch=2.5, rows=4, stalls_each=12, taken=0.7, heading=0.3, dims=2):
+    """Places [px], headings and sizes [px] of vehicles in rows, each within 0.12 m of its stall's middle."""
+    slot, row = np.meshgrid(np.arange(stalls_each), np.arange(rows))
+    here = rng.random(slot.shape) < taken
+    across, ahead = pitch * slot[here] + rng.normal(0, 0.12, here.sum()), 11.0 * row[here]
+    ahead = ahead + rng.normal(0, 0.2, len(ahead))
+    turn = heading + rng.normal(0, 0.03, len(ahead))
+    forward, sideways = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+    place = (across[:, None] * sideways + ahead[:, None] * forward) / GSD
+    along = np.stack([np.cos(turn), np.sin(turn)], -1) * rng.choice([-1, 1], len(turn))[:, None]
+    size = Fleet.load("DE").sample(rng, len(turn))[:, :2] / GSD
+    if dims == 3:  # the same ground, tilted in space
+        tilt = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        place, along = (np.pad(v, ((0, 0), (0, 1))) @ tilt for v in (place, along))
+    return place, along, size
+
+
+@pytest.mark.parametrize("pitch, country", [(2.5, "DE"), (2.74, "US"), (2.3, "FR")])
+@pytest.mark.parametrize("dims", [2, 3])
+def test_the_pitch_gives_the_scale(pitch, country, dims):
+    found = parking_pitch(*car_park(np.random.default_rng(0), pitch, dims=dims), country)
+    assert found is not None and found.value == pytest.approx(GSD, rel=0.02)
+    assert 0.05 < found.relative_sd < 0.09
+
+
+def test_vehicles_without_rows_have_no_pitch():
+    rng = np.random.default_rng(1)
+    _, along, size = car_park(rng)
+    anywhere = rng.uniform(0, 600, (len(size), 2))
+    assert parking_pitch(anywhere, along, size, "DE") is None
+
+
+def test_rows_parked_without_stalls_have_no_pitch():
+    rng, refused = np.random.default_rng(2), 0
+    for _ in range(20):
+        place, along, size = car_park(rng, heading=0.0, taken=1.0)
+        gaps = rng.uniform(2.1, 3.9, (4, 12)).cumsum(1).ravel() / GSD
+        refused += parking_pitch(np.stack([place[:, 0], gaps], -1), along, size, "DE") is None
+    assert refused >= 14  # uneven gaps look even by chance now and then
+
+
+def test_few_vehicles_or_a_country_without_standard_say_nothing():
+    place, along, size = car_park(np.random.default_rng(3))
+    assert parking_pitch(place, along, size, "NP") is None
+    assert parking_pitch(place[:5], along[:5], size[:5], "DE") is None
+    assert parking_pitch(place[:0], along[:0], size[:0], "DE") is None
+
+
+@pytest.mark.parametrize("country", stalls())
+def test_every_stall_is_plausible_and_says_where_it_comes_from(country):
+    stall = stalls()[country]
+    assert 2.2 < stall["width"] < 2.9 and 0.05 < stall["width_sd"] < 0.25 and len(stall["source"]) > 10

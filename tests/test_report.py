@@ -1,0 +1,351 @@
+"""The report: plain values first, and a page for people that is drawn from them alone."""
+
+import copy
+import json
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
+
+import orthoscale
+from orthoscale.cli.reproduce import command_line
+from orthoscale.errors import InputError, UsageError
+from orthoscale.report import judgement, places
+from orthoscale.report.document import read_json
+from orthoscale.report.files import redraw
+from orthoscale.report.page import page
+from orthoscale.report.scene import Scene
+from orthoscale.report.terminal import show
+
+
+@pytest.fixture(scope="module")
+def park(tmp_path_factory):
+    """The folder of a car park with its report, and the truth."""
+    folder = tmp_path_factory.mktemp("park")
+    truth = car_park(folder)
+    fixed(folder)
+    return folder, truth
+
+
+@pytest.fixture(scope="module")
+def report(park):
+    return read_json(park[0] / "scaled.tif.json")
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """The folder of the reduced sheffield model in metres."""
+    return fixed_model(tmp_path_factory.mktemp("model")).parent
+
+
+def states(report):
+    return {check.what: check.state for check in judgement.checks(report)}
+
+
+def test_vehicles_are_plain_values_in_metres(park, report):
+    _, truth = park
+    assert report["scale"] == pytest.approx(GSD, rel=0.05)
+    vehicles = report["vehicles"]
+    assert len(vehicles) == 61 and [v for v in vehicles if not v["used"]] == [vehicles[60]]
+    assert vehicles[60]["reason"] == "too large for a car"
+    for vehicle, size, (x, y) in zip(vehicles[:60], truth["size"], truth["centre"], strict=True):
+        metres = size / GSD * report["scale"]  # the boxes' margin is not part of the vehicle
+        assert [vehicle["length"], vehicle["width"]] == pytest.approx(metres, abs=1e-6)
+        assert vehicle["place_m"] == pytest.approx(np.array([x, HEIGHT - y]) * report["scale"], abs=1e-3)
+        (box,) = vehicle["boxes"]
+        assert box["picture"] == "park.png" and box["xylwa_px"][2] == pytest.approx(size[0] / GSD + MARGIN[0], abs=2e-3)
+    assert report["settings"]["fleet"] == "DE" and report["pictures"] == {"park.png": [1000, 700]}
+
+
+def test_a_models_plan_keeps_distances(model):
+    report = read_json(model / "report.json")
+    places = np.array([v["place_unit"] for v in report["vehicles"]]) * report["scale"]
+    plan = np.array([v["place_m"] for v in report["vehicles"]])
+    apart, seen = (np.linalg.norm(p - p[0], axis=1) for p in (places, plan))
+    assert seen == pytest.approx(apart, rel=0.05, abs=2.0), "level ground, seen from above"
+
+
+def test_levels_of_report(tmp_path):
+    car_park(tmp_path)
+    before = {p.name for p in tmp_path.iterdir()}
+
+    def written():
+        return {p.name for p in tmp_path.iterdir()} - before
+
+    fixed(tmp_path)
+    assert written() == {"scaled.tif", "scaled.tif.json", "scaled.tif.png", "scaled.tif.html"}
+    fixed(tmp_path, report="json", overwrite=True)
+    assert written() == {"scaled.tif", "scaled.tif.json", "scaled.tif.png"}, "a page of the former copy would lie"
+    fixed(tmp_path, report="none", overwrite=True)
+    assert written() == {"scaled.tif"}
+    with pytest.raises(UsageError, match="--report pdf"):
+        fixed(tmp_path, report="pdf", overwrite=True)
+
+
+def test_a_file_in_the_reports_place_is_kept_and_found_before_any_work(tmp_path):
+    car_park(tmp_path)
+    (tmp_path / "scaled.tif.html").write_text("precious")
+    with pytest.raises(UsageError, match=r"scaled\.tif\.html already exists"):
+        fixed(tmp_path)
+    assert (tmp_path / "scaled.tif.html").read_text() == "precious" and not (tmp_path / "scaled.tif").exists()
+
+
+def test_a_model_without_report_is_still_known_to_be_in_metres(tmp_path):
+    fixed_model(tmp_path, report="none")
+    names = {p.name for p in (tmp_path / "scaled").iterdir()}
+    assert "sim3.txt" in names and not names & {"report.json", "report.html", "vehicles.png"}
+    with pytest.raises(UsageError, match="in metres already"):
+        orthoscale.fix(tmp_path / "scaled", tmp_path / "again", detections=EXAMPLE / "detections.json")
+
+
+def test_the_page_holds_everything_and_asks_for_nothing(park, model):
+    for html in (park[0] / "scaled.tif.html", model / "report.html"):
+        text = html.read_text()
+        assert "<script" not in text and "http:" not in text and "https:" not in text and "url(" not in text
+        links = re.findall(r'(?:href|src)="(.{0,30})', text)
+        assert links and all(link.startswith("data:image/jpeg;base64,") for link in links)
+        assert text.count("<polygon") >= 46 and "</html>" in text
+
+
+def test_the_page_says_the_answer_first_with_the_digits_it_deserves(park, report):
+    text = (park[0] / "scaled.tif.html").read_text()
+    heading = re.sub(r"<[^>]+>|\s+", " ", re.search(r"<h1>.*?</h1>", text, re.S)[0])
+    assert heading.split()[:3] == [report["verdict"], f"{100 * report['scale']:.2f}", "cm/px"]
+    (value,), unit = judgement.quantity({**report, "scale": 15.02, "unit": "m/model-unit", "interval90": [13.9, 16.3]},
+                                        15.02)  # fmt: skip
+    assert (value, unit) == ("15.0", "m per model unit")
+
+
+def test_the_page_shows_24_vehicles_from_the_shortest_to_the_longest(park, report):
+    scene = Scene.of(report, orthoscale.pipeline.open_source(park[0] / "park.png"))
+    assert len(scene.overviews) == 1 and len(scene.used) == 24 and len(scene.rejected) == 1
+    lengths = [float(panel.title.split()[0]) for panel in scene.used]
+    used = [v["length"] for v in report["vehicles"] if v["used"]]
+    assert lengths == sorted(lengths) and lengths[0] == round(min(used), 2) and lengths[-1] == round(max(used), 2)
+    overview = scene.overviews[0]
+    assert len(overview.outlines) == 61 and overview.bar[0] == pytest.approx(overview.bar[1] * report["scale"])
+
+
+def test_outlines_lie_on_their_vehicles(park, report):
+    scene = Scene.of(report, orthoscale.pipeline.open_source(park[0] / "park.png"))
+    for panel in scene.used:
+        inside = panel.image[85:95, 85:95].astype(float)  # a rectangle of one colour, in the middle of its chip
+        assert np.ptp(inside, axis=(0, 1)).max() <= 2
+        assert panel.outlines[0].points.mean(0) == pytest.approx([90, 90], abs=4)
+
+
+def test_the_page_can_be_drawn_again_from_its_json(park, tmp_path):
+    folder, _ = park
+    assert redraw(folder / "scaled.tif.json", tmp_path / "again.html") == ""
+    assert (tmp_path / "again.html").read_text() == (folder / "scaled.tif.html").read_text()
+
+
+@pytest.mark.parametrize("fate, why", [("gone", "not there"), ("changed", "changed since")])
+def test_without_its_input_the_page_has_charts_only_and_says_so(tmp_path, fate, why):
+    car_park(tmp_path)
+    fixed(tmp_path)
+    if fate == "gone":
+        (tmp_path / "park.png").unlink()
+    else:
+        car_park(tmp_path, seed=2)
+    assert why in redraw(tmp_path / "scaled.tif.json", tmp_path / "again.html")
+    text = (tmp_path / "again.html").read_text()
+    assert "pictures are not at hand" in text and text.count("<svg") >= 5
+
+
+def test_names_from_outside_stay_text(tmp_path):
+    name = "<img src=x onerror=alert(1)>.png"
+    car_park(tmp_path, name)
+    text = fixed(tmp_path, name).read_text()
+    assert "<img" not in text and "&lt;img src=x onerror=alert(1)&gt;.png" in text
+
+
+def test_a_drift_across_the_picture_is_seen(tmp_path, report):
+    assert states(report)["No drift"] == "ok"
+    car_park(tmp_path, drift=0.25)
+    drifting = read_json(fixed(tmp_path).with_suffix(".json"))
+    assert states(drifting)["The scale drifts"] == "look"
+    left, right = (
+        sum(c["deviation"] for c in drifting["drift"]["cells"] if (c["x_px"] > 500) is s) for s in (False, True)
+    )
+    assert left < 0 < right
+    found = places.regions(drifting)
+    assert max(region.x for region in found) < drifting["pictures"]["park.png"][0] * drifting["scale"]
+    text = page(drifting, Scene())
+    assert text.count('fill-opacity="') == len(found)
+
+
+def test_vehicles_too_few_to_compare_places_are_said_to_be(tmp_path):
+    car_park(tmp_path, count=20)
+    few = read_json(fixed(tmp_path).with_suffix(".json"))
+    assert states(few)["Places not compared"] == "none" and "the same everywhere?" not in page(few, Scene())
+
+
+OF_A_MODEL = {
+    "regions": [
+        {"centre_unit": [-4.5, -4.2], "scale": 14.7, "sd": 0.3, "vehicles": 10},
+        {"centre_unit": [6.3, 3.1], "scale": 15.2, "sd": 0.7, "vehicles": 6},
+    ],
+    "trend": {"percent_across": 5.2, "chance": 0.37},
+    "frames": {
+        "DJI_2.jpg": {"scale": 18.0, "sd": 0.5, "vehicles": 6},
+        "DJI_1.jpg": {"scale": 15.1, "sd": 0.4, "vehicles": 8},
+    },
+    "odd_frames": ["DJI_2.jpg"],
+}
+
+
+def test_an_odd_frame_of_a_model_is_named_first(model):
+    report = {**read_json(model / "report.json"), "drift": OF_A_MODEL}
+    first = judgement.checks(report)[0]
+    assert first.state == "look" and first.what == "1 of 2 frames stands out" and "DJI_2.jpg (+" in first.detail
+    assert states(report)["No drift"] == "ok"
+    assert [(frame.name, frame.odd) for frame in places.frames(report)] == [("DJI_1.jpg", False), ("DJI_2.jpg", True)]
+    here = places.regions(report)[0]
+    assert (here.x, here.y) == pytest.approx(np.array([-4.5, -4.2]) * report["scale"])
+    assert here.deviation == pytest.approx(np.log(14.7 / report["scale"]))
+    text = page(report, Scene())
+    assert text.count('fill-opacity="') == 2 and ">DJI_1.jpg</text>" in text
+
+
+def test_agreement_of_the_modes_is_told_as_it_was_judged(report):
+    modes = {"planar": {"scale": 0.1}, "oblique": {"scale": 0.105}}
+    judged = {"difference": 0.049, "sigmas": 1.2, "contradicts": False}
+    (check,) = [c for c in judgement.checks({**report, "modes": modes, "agreement": judged}) if "Planar" in c.what]
+    assert check.state == "ok" and "+5.0 % (1.2 sigma)" in check.detail
+
+
+@pytest.mark.parametrize(
+    "change, what",
+    [
+        ({"uncertainty": {"sampling": 0.04, "fleet": 0.02}}, "Few vehicles"),
+        ({"vehicles_rejected": {"too large for a car": 70}}, "Many rejected"),
+        ({"checks": {"length": 0.09, "width": 0.11, "tension_sigmas": 3.0}}, "Lengths and widths disagree"),
+        ({"modes": {"planar": {"scale": 0.1}, "oblique": {"scale": 0.11}}}, "Planar and oblique disagree"),
+        ({"remarks": ["something is odd"]}, "Remark"),
+        (
+            {"claim": {"verdict": "disagrees", "believed": True, "guesses": [], "ratio": 0.3, "sigmas": 25.0}},
+            "Own georeferencing disagrees",
+        ),
+    ],
+)
+def test_what_speaks_against_a_scale_comes_first(report, change, what):
+    first = judgement.checks({**report, **change})[0]
+    assert (first.state, first.what) == ("look", what)
+
+
+def test_planar_and_oblique_are_drawn_where_they_are(report):
+    plain = page(report, Scene())
+    modes = {
+        "planar": {"scale": 0.0995, "interval90": [0.095, 0.104], "vehicles_used": 40},
+        "oblique": {"scale": 0.1012, "interval90": [0.096, 0.106]},
+    }
+    text = page({**report, "modes": modes}, Scene())
+    assert "Planar and oblique agree" in text and "0.0995 m/px" in text and ">oblique</text>" in text
+    assert "lanar" not in plain
+
+
+def test_unknown_parts_of_the_uncertainty_and_far_checks_are_borne(report):
+    changed = copy.deepcopy(report)
+    changed["uncertainty"]["known distance"] = 0.5
+    changed["checks"]["length_minus_width"] = -7.0
+    changed["drift"] = None
+    changed["evidence"] = [
+        {"kind": "ground control", "scale": 1.01 * changed["scale"], "relative_sd": 0.01, "says": ""}
+    ]
+    text = page(changed, Scene())
+    assert (
+        "Least known: known distance" in text
+        and ">ground control</text>" in text
+        and "length − width</text>" not in text
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "no json",
+        "[1, 2]",
+        '{"scale": 1}',
+        '{"format": "orthoscale report 1"}',
+        '{"format": "orthoscale report 99", "scale": 1}',
+    ],
+)
+def test_what_is_no_report_is_an_input_error_and_nothing_is_written(tmp_path, text):
+    (tmp_path / "report.json").write_text(text)
+    with pytest.raises(InputError, match=r"report\.json"):
+        redraw(tmp_path / "report.json", tmp_path / "report.html")
+    assert [p.name for p in tmp_path.iterdir()] == ["report.json"]
+
+
+@pytest.mark.parametrize("key, value", [("scale", "x"), ("vehicles", 3), ("interval90", [1]), ("fleet_sizes", None)])
+def test_damaged_values_are_an_input_error(tmp_path, report, key, value):
+    (tmp_path / "report.json").write_text(json.dumps({**report, key: value}))
+    with pytest.raises(InputError, match="damaged report"):
+        redraw(tmp_path / "report.json", tmp_path / "report.html")
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_the_command_draws_beside_the_json_and_keeps_what_is_there(park, tmp_path):
+    path = tmp_path / "scaled.tif.json"
+    path.write_bytes((park[0] / "scaled.tif.json").read_bytes())
+    command = [sys.executable, "-m", "orthoscale", "report", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.strip() == str(tmp_path / "scaled.tif.html"), done.stderr
+    again = subprocess.run(command, capture_output=True, text=True)
+    assert again.returncode == 2 and "already exists" in again.stderr
+
+
+def test_the_command_to_reproduce_has_what_is_not_a_default():
+    settings = {
+        "fleet": "DE",
+        "target": 0.005,
+        "seed": 3,
+        "cache": True,
+        "exhaustive": True,
+        "vehicle_classes": ["car", "a b"],
+    }
+    words = command_line("my ortho.tif", settings)
+    assert words == (
+        "orthoscale estimate 'my ortho.tif' --fleet DE --exhaustive --seed 3 --vehicle-class car --vehicle-class 'a b'"
+    )
+    assert command_line("x.tif", {"cache": False}) == "orthoscale estimate x.tif --no-cache"
+
+
+@pytest.fixture(scope="module")
+def result(park):
+    folder, _ = park
+    return orthoscale.estimate(folder / "park.png", fleet="DE", detections=folder / "detections.json")
+
+
+def test_a_pipe_gets_plain_lines_the_answer_first(result, park, capsys):
+    show(result, {"written": park[0] / "scaled.tif"})
+    text = capsys.readouterr().out
+    assert "\x1b" not in text and text.isascii()
+    first, last = text.splitlines()[0], text.splitlines()[-1]
+    assert first.split()[:3] == ["scale", f"{result.scale.value:.6g}", "m/px"] and result.scale.verdict in first
+    assert last == f"written    {park[0] / 'scaled.tif'}"
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals here")
+@pytest.mark.parametrize("no_color", [False, True])
+def test_colours_on_a_terminal_unless_they_are_not_wanted(result, park, monkeypatch, no_color):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setenv("NO_COLOR", "1" if no_color else "")
+    parent, child = os.openpty()
+    with open(child, "w") as terminal:
+        monkeypatch.setattr(sys, "stdout", terminal)
+        show(result, {"written": park[0] / "scaled.tif"})
+        terminal.flush()
+        text = os.read(parent, 65536).decode()
+    os.close(parent)
+    assert ("\x1b[" in text) is not no_color
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", text).splitlines()
+    assert plain[0].split()[0] == "scale" and max(map(len, plain)) <= 60, "long lines are folded, not cut"
+    assert str(park[0]).replace("/", "")[-12:] in re.sub(r"[\s/]", "", "".join(plain))

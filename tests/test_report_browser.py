@@ -1,0 +1,123 @@
+"""The report as a browser shows it: on a phone, on a desk and in print. `.ci/run` brings the browser.
+
+With ORTHOSCALE_SCREENSHOTS naming a folder, the screenshots stay there to be looked at.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import cv2
+import pytest
+from reports import car_park, fixed, fixed_model
+
+from orthoscale.report.files import redraw
+
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+FORMS = {"phone": (360, 740), "desktop": (1280, 900)}
+SMALLEST_LETTERS = 10  # height of the smallest text in a chart [CSS px]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A headless Chromium, or a skip that says what is missing."""
+    api = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install -e '.[browser]'")
+    path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    with api.sync_playwright() as playwright:
+        if path is None and not Path(playwright.chromium.executable_path).exists():
+            pytest.skip(
+                f"no browser: none of {', '.join(BROWSERS)} on PATH, and none from `playwright install chromium`"
+            )
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """Reports of an orthophoto, and of a model without its frames that has every doubt there is."""
+    folders = {name: tmp_path_factory.mktemp(name) for name in ("ortho", "doubtful")}
+    car_park(folders["ortho"])
+    made = {"ortho": fixed(folders["ortho"])}
+    report = json.loads(fixed_model(folders["doubtful"]).with_suffix(".json").read_text())
+    worst = {
+        "verdict": "refuse",
+        "modes": {"planar": {"scale": 13.0, "interval90": [12, 14]}, "oblique": {"scale": 16, "interval90": [15, 17]}},
+        "drift": {
+            "regions": [
+                {"centre_unit": [x, y], "scale": s, "sd": 0.5, "vehicles": 9}
+                for x, y, s in ((-4, -4, 12.0), (6, 3, 19.0), (0, 5, 15.0))
+            ],
+            "trend": {"percent_across": 40.0, "chance": 1e-6},
+            "frames": {f"DJI_{k:04d}.jpg": {"scale": 14 + k % 3, "sd": 0.6, "vehicles": 5} for k in range(170)},
+            "odd_frames": ["DJI_0002.jpg"],
+        },
+        "remarks": ["widths give a larger scale than lengths: " + "a_very_long_word_" * 12],
+        "input": {"path": "no/such/" + "deep_folder/" * 20, "sha256": ""},
+    }
+    (folders["doubtful"] / "report.json").write_text(json.dumps({**report, **worst}))
+    made["doubtful"] = folders["doubtful"] / "report.html"
+    redraw(folders["doubtful"] / "report.json", made["doubtful"])
+    return made
+
+
+def shots(name: str, tmp_path: Path) -> Path:
+    folder = Path(os.environ.get("ORTHOSCALE_SCREENSHOTS") or tmp_path)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / name
+
+
+def has_a_picture(path: Path) -> bool:
+    return cv2.imread(str(path)).std() > 10
+
+
+@pytest.mark.parametrize("name", ["ortho", "doubtful"])
+@pytest.mark.parametrize("form", FORMS)
+def test_a_screen_shows_it_whole_and_quietly(browser, pages, tmp_path, name, form):
+    width, height = FORMS[form]
+    page = browser.new_page(viewport={"width": width, "height": height})
+    said, asked = [], []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(pages[name].as_uri())
+    assert said == []
+    assert [url for url in asked if not url.startswith("data:")] == [pages[name].as_uri()], "no network"
+    assert page.evaluate("document.documentElement.scrollWidth") <= width, "no scrolling to the side"
+
+    loaded = page.evaluate(
+        """async () => { const all = [...document.querySelectorAll('image')];
+        for (const i of all) { const m = new Image(); m.src = i.href.baseVal; await m.decode(); }
+        return all.length; }"""
+    )
+    assert loaded >= (25 if name == "ortho" else 1)
+    texts = page.evaluate(
+        """[...document.querySelectorAll('.chart text')].map(t => { const b = t.getBoundingClientRect();
+        return [t.textContent, b.left, b.right, b.height]; })"""
+    )
+    assert len(texts) > 20
+    cut = [text for text, left, right, _ in texts if left < 0 or right > width]
+    small = [text for text, _, _, high in texts if high < SMALLEST_LETTERS]
+    assert not cut and not small
+    first_screen = page.evaluate("document.querySelector('h1').getBoundingClientRect().bottom")
+    assert first_screen < height / 4, "the answer first"
+
+    page.screenshot(path=shots(f"{name}.{form}.png", tmp_path), full_page=True)
+    assert has_a_picture(shots(f"{name}.{form}.png", tmp_path))
+    page.close()
+
+
+@pytest.mark.parametrize("name", ["ortho", "doubtful"])
+def test_paper_holds_it_on_a_few_pages(browser, pages, tmp_path, name):
+    page = browser.new_page(viewport={"width": 794, "height": 1123})  # A4 at 96 dpi
+    page.emulate_media(media="print")
+    page.goto(pages[name].as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= 794
+    page.screenshot(path=shots(f"{name}.print.png", tmp_path), full_page=True)
+    assert has_a_picture(shots(f"{name}.print.png", tmp_path))
+    pdf = page.pdf(path=shots(f"{name}.pdf", tmp_path), prefer_css_page_size=True, print_background=True)
+    assert pdf.startswith(b"%PDF") and 2 <= pdf.count(b"/Type /Page\n") <= 6
+    page.close()

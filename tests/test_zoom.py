@@ -1,0 +1,110 @@
+"""The zoom search with the shipped detector, over the range of vehicle sizes, and what it costs to find nothing."""
+
+import cv2
+import numpy as np
+import pytest
+
+from orthoscale.boxes import Boxes
+from orthoscale.detect.detector import Detector
+from orthoscale.detect.zoom import search_zoom
+from orthoscale.fleet import Fleet
+from orthoscale.synthetic import make_scene, write_ortho
+
+GERMAN = 4.37  # mean length [m]
+
+
+class Pixels:
+    """An RGB array as a picture."""
+
+    def __init__(self, pixels, name="pixels"):
+        self.name, self.pixels = name, pixels
+        self.height, self.width = pixels.shape[:2]
+
+    def read(self, x, y, width, height, out_width, out_height):
+        how = cv2.INTER_AREA if out_width < width else cv2.INTER_CUBIC
+        return cv2.resize(self.pixels[y : y + height, x : x + width], (out_width, out_height), interpolation=how)
+
+
+class Counting:
+    """A detector that counts the pixels it is given."""
+
+    def __init__(self, detector):
+        self.detector, self.card, self.pixels = detector, detector.card, 0
+
+    def __call__(self, image, threshold=None):
+        self.pixels += image.shape[0] * image.shape[1]
+        return self.detector(image, threshold)
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory):
+    """A street at 0.07 m/px: vehicles are 62 px long."""
+    file = tmp_path_factory.mktemp("street") / "street.png"
+    scene = make_scene(seed=3, fleet=Fleet.load("DE"), extent_m=70, n_vehicles=50, style="city")
+    write_ortho(scene, file, 0.07, seed=3)
+    return cv2.cvtColor(cv2.imread(str(file)), cv2.COLOR_BGR2RGB)
+
+
+@pytest.fixture(scope="module")
+def detector():
+    return Detector()
+
+
+@pytest.mark.parametrize(
+    "length", [8, 13, 30, 62, pytest.param(125, marks=pytest.mark.slow), pytest.param(400, marks=pytest.mark.slow)]
+)
+def test_vehicles_of_8_to_400_px_are_found_at_their_size(street, detector, length):
+    factor = length / (GERMAN / 0.07)
+    half = min(int(1800 / factor), len(street) // 2)  # 3600 px at most, from the middle
+    middle = slice(len(street) // 2 - half, len(street) // 2 + half)
+    part = street[middle, middle]
+    size = round(part.shape[1] * factor), round(part.shape[0] * factor)
+    picture = Pixels(cv2.resize(part, size, interpolation=cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC))
+    choice = search_zoom([picture], detector, detector.card)
+    assert choice.vehicle_px == pytest.approx(length, rel=0.25), "the right octave, and better"
+    assert choice.zoom == pytest.approx(min(detector.card.best_length / choice.vehicle_px, 4.0))
+    assert choice.rival < 0.6
+
+
+def test_a_picture_without_vehicles_is_soon_done_with():
+    """Whatever its size: as much is looked at as takes some seconds, not all of it at all zooms."""
+
+    def nothing(image, threshold=None):
+        return Boxes.empty()
+
+    nothing.card = Detector().card
+    for side in (2000, 6000):
+        blank = Counting(nothing)
+        choice = search_zoom([Pixels(np.zeros((side, side, 3), np.uint8))], blank, blank.card)
+        assert choice.vehicle_px is None and choice.zoom == 1.0
+        assert blank.pixels < 150e6
+        assert len(choice.table) == 7, "all zooms were looked at"
+
+
+def test_only_promising_zooms_are_looked_at_more_widely():
+    """A few vehicles 40 px long in a large picture: the search goes on, but not at zooms where they are invisible."""
+    rng = np.random.default_rng(0)
+    spots = rng.uniform(100, 11900, (24, 2))
+    cars = Boxes(np.column_stack([spots, np.tile([40, 17, 0.3], (24, 1))]), np.full(24, 0.6))
+    seen = {}
+
+    class Where(Pixels):
+        def read(self, x, y, width, height, out_width, out_height):
+            self.window = (x, y, width, height, out_width / width)
+            seen[round(out_width / width, 3)] = seen.get(round(out_width / width, 3), 0) + out_width * out_height
+            return np.zeros((out_height, out_width, 3), np.uint8)
+
+    picture = Where(np.zeros((12000, 12000, 3), np.uint8))
+
+    def detect(image, threshold=None):
+        x, y, _, _, zoom = picture.window
+        usable = 12 <= 40 * zoom <= 70
+        return cars.mapped(zoom, (-x * zoom, -y * zoom)) if usable else Boxes.empty()
+
+    card = Detector().card
+    choice = search_zoom([picture], detect, card)
+    assert choice.vehicle_px == pytest.approx(40, rel=0.03) and choice.votes >= 6
+    zooms = np.array(sorted(seen))
+    pixels = np.array([seen[z] for z in zooms])
+    assert pixels[(zooms > 0.3) & (zooms < 1.5)].max() > 40e6
+    assert pixels[zooms > 3].sum() < 15e6
