@@ -50,7 +50,8 @@ class Calibration:
                 f"{path} was measured for {self.detector}, but these boxes are those of {found.detector}",
                 "Calibrate the detector that is used: orthoscale calibrate ORTHO --detector FILE.",
             )
-        return replace(found, ruler=self.ruler)
+        planar = None if found.planar is None else replace(found.planar, ruler=self.ruler)
+        return replace(found, ruler=self.ruler, planar=planar)
 
     def save(self, path: Path) -> None:
         """Write as JSON."""

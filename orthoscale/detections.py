@@ -32,6 +32,7 @@ class Detections:
     effective_height : up to where the boxes enclose a vehicle seen obliquely, along its length and its width [m].
     objects : boxes of other classes than vehicles, by picture name and class, for `objects.standard_object`.
     doubtful : boxes that were seen but not believed, by picture name, with the reason.
+    planar : those of a reconstruction's frames warped onto the ground, by the frame's name, in the plans' pixels.
     swept : which tiles were looked at, where the boxes do not come from a file.
     """
 
@@ -44,6 +45,7 @@ class Detections:
     doubtful: dict[str, Boxes] = field(default_factory=dict)
     objects: dict[str, dict[str, Boxes]] = field(default_factory=dict)
     doubt: str = "seen at one zoom only"
+    planar: Detections | None = None
     swept: Swept | None = None
 
     def __len__(self) -> int:
@@ -82,10 +84,12 @@ class Detections:
 
     def save(self, path: Path) -> None:
         """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians."""
-        text = {**self.about(), "pictures": {}}
-        for name, boxes in self.boxes.items():
-            text["pictures"][name] = _rows(boxes) + self._object_rows(name)
-        path.write_text(json.dumps(text, indent=0))
+        path.write_text(json.dumps(self._document(), indent=0))
+
+    def _document(self) -> dict[str, Any]:
+        pictures = {name: _rows(boxes) + self._object_rows(name) for name, boxes in self.boxes.items()}
+        text = {**self.about(), "pictures": pictures}
+        return text if self.planar is None else {**text, "planar": self.planar._document()}
 
     def _object_rows(self, name: str) -> list[dict[str, Any]]:
         others = self.objects.get(name, {})
@@ -96,9 +100,8 @@ class Detections:
         """Read what `save` wrote, or a plain ``{name: [box, ...]}``. Raises InputError."""
         try:
             text = json.loads(path.read_text(encoding="utf-8"))
-            pictures = text.get("pictures", text)
-            boxes = {name: _boxes(rows) for name, rows in pictures.items()}
-            objects = {name: kinds for name, rows in pictures.items() if (kinds := _objects(rows))}
+            boxes, objects = _pictures(text)
+            planar = _pictures(text["planar"])[0] if "pictures" in text and "planar" in text else None
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a detections file.") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -106,8 +109,16 @@ class Detections:
                 f"{path}: not a detections file ({error!r})",
                 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.',
             ) from error
-        found = cls.of(boxes, text if "pictures" in text else None, f"boxes of {path.name}", str(path))
-        return replace(found, objects=objects)
+        about, name = text if "pictures" in text else None, f"boxes of {path.name}"
+        found = replace(cls.of(boxes, about, name, str(path)), objects=objects)
+        return found if planar is None else replace(found, planar=cls.of(planar, text["planar"], name, str(path)))
+
+
+def _pictures(text: dict[str, Any]) -> tuple[dict[str, Boxes], dict[str, dict[str, Boxes]]]:
+    """Vehicles by picture, and other objects by picture and kind."""
+    pictures = text.get("pictures", text)
+    objects = {name: kinds for name, rows in pictures.items() if (kinds := _objects(rows))}
+    return {name: _boxes(rows) for name, rows in pictures.items()}, objects
 
 
 def _pair(values: list[float]) -> tuple[float, float]:

@@ -77,6 +77,11 @@ class Ground:
         """(N, 2) coordinates of `points` (N, 3) along the ground, as a plan shows them: x right, y up."""
         return (np.asarray(points, float).reshape(-1, 3) @ self._sheet.plane_from_world.T)[:, :2]
 
+    def lift(self, plane: np.ndarray) -> np.ndarray:
+        """(N, 3) points on the ground at the plane coordinates (N, 2)."""
+        x, y = np.asarray(plane, float).reshape(-1, 2).T
+        return np.column_stack([x, y, self._sheet.surface.ev(x, y)]) @ self._sheet.plane_from_world
+
     def intersect(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where rays from `origins` (N, 3) along `directions` (N, 3), of any length, meet the ground.
 

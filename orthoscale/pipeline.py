@@ -24,7 +24,8 @@ from .drift import Drift, drift
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
 from .exchange import load as load_detections
 from .fleet import Fleet
-from .measuring import measure
+from .looks import find_in_model, measure_model
+from .measuring import Measured, measure
 from .method import Method
 from .pooling import Scale
 from .votes import Votes
@@ -48,13 +49,9 @@ class Result:
     source: Source
     fleet: Fleet
     detections: Detections
-    boxes: Boxes  # all that entered the projection, of all pictures
-    picture: np.ndarray = field(repr=False)  # (M,) name of each box's picture
-    votes: Votes = field(repr=False)
-    scale: Scale = field(repr=True)
     zoom_choice: ZoomChoice | None
-    rejected_boxes: dict[str, int]  # boxes that never became votes, by reason
     seconds: float
+    measured: Measured = field(repr=False)
     drift: Drift | None = None  # of the scale within an orthophoto
     method: Method = field(default_factory=Method)
     settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
@@ -64,6 +61,29 @@ class Result:
         """The projection that was used: the one asked for, or what fits the source."""
         return self.method.projection or ("planar" if self.source.unit == "m/px" else "exact")
 
+    @property
+    def scale(self) -> Scale:
+        return self.measured.scale
+
+    @property
+    def votes(self) -> Votes:
+        return self.measured.votes
+
+    @property
+    def boxes(self) -> Boxes:
+        """All boxes that entered the projection, of all pictures."""
+        return self.measured.boxes
+
+    @property
+    def picture(self) -> np.ndarray:
+        """(M,) name of each box's picture."""
+        return self.measured.picture
+
+    @property
+    def rejected_boxes(self) -> dict[str, int]:
+        """Boxes that never became votes, by reason."""
+        return {reason: count for reason, count in self.measured.lost.items() if count}
+
     def require_useful(self) -> None:
         """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
         if self.scale.conflict or self.scale.tension > CONFLICT:
@@ -71,6 +91,13 @@ class Result:
                 f"{self.source.path}: {self.scale.remarks[0]}",
                 "Look at the boxes (--save-detections), check what was given, name the country's fleet, or write all "
                 "the same with --force.",
+            )
+        agreement = self.measured.agreement
+        if agreement is not None and agreement.contradicts:
+            raise EvidenceDisagrees(
+                f"{self.source.path}: {agreement.sentence()}",
+                "Look at the boxes (--save-detections) and the poses, choose one way with --mode, or write all the "
+                "same with --force.",
             )
         if self.scale.verdict == "refuse":
             low, high = self.scale.interval90
@@ -86,6 +113,10 @@ def open_source(path: Path, images: Path | None = None, need_images: bool = True
     """The source at `path`: a folder is a COLMAP model, a file an image. Raises InputError."""
     if not path.exists():
         raise InputError(f"{path} does not exist", "Give an orthophoto, or the folder of a COLMAP model.")
+    from .sources.exchange import ExchangeSource, find_exchange
+
+    if (text := find_exchange(path)) is not None:
+        return ExchangeSource.open(text, images=images, need_images=need_images)
     if path.is_dir():
         from .sources.colmap import ColmapSource
 
@@ -116,6 +147,7 @@ def estimate(
     surroundings: bool = True,
     refine: bool = False,
     progress: Progress | None = None,
+    mode: str | None = None,
     **effort: Any,
 ) -> Result:
     """Find the scale of an orthophoto (metres per pixel) or a COLMAP model (metres per model unit).
@@ -131,6 +163,7 @@ def estimate(
     projection, estimator : other ways than the usual, see `Method`. known_distance, ground_control : what is known
     besides, see `control`. surroundings : whether parking rows and standard objects count.
     refine : look at every vehicle four times more, turned and at neighbouring zooms (`detect.refine`).
+    mode : how a model is measured, one of `looks.MODES`; by default in every way that there is evidence for.
     effort : how much to look at, and with what; see `orthoscale.detect.find.Effort` (target, exhaustive, seed, workers,
     scheduler, cache). `path` may be a source that `open_source` opened.
     Raises InputError, UsageError, TooLittleEvidence.
@@ -144,10 +177,10 @@ def estimate(
             raise UsageError(f"{name} must be a positive number, not {value}")
     if refine and detections is not None:
         raise UsageError("--refine looks again, --detections does not look at all", "Leave one of them away.")
-    measured = None if calibration is None else Calibration.load(Path(calibration))
+    known = None if calibration is None else Calibration.load(Path(calibration))
     ruler_fleet = Fleet.load(fleet or "world")
-    if measured is not None and measured.fleet is not None and fleet is None:
-        ruler_fleet = measured.fleet
+    if known is not None and known.fleet is not None and fleet is None:
+        ruler_fleet = known.fleet
     if isinstance(path, (str, Path)):
         source = open_source(Path(path), _path(images), need_images=detections is None)
     else:
@@ -156,7 +189,10 @@ def estimate(
     if ground_control is not None:
         given.append(read_control(Path(ground_control), source))
     method = Method(projection, estimator, tuple(given), surroundings)
-    if source.unit == "m/px":
+    model = None if source.unit == "m/px" else cast("ColmapSource", source)
+    if model is None and mode is not None:
+        raise UsageError("--mode is for COLMAP models", f"{source.path} is an image: leave --mode away.")
+    if model is None:
         method.for_picture()
     choice = None
     if detections is not None:
@@ -172,9 +208,12 @@ def estimate(
                 f"--zoom is detector pixels per picture pixel, {HIGHEST_ZOOM:g} at most; --gsd-hint is in metres.",
             )
         try:
-            found, choice = find_vehicles(
-                source.pictures, network, zoom, progress, how_much, _sampling(source, ruler_fleet)
-            )
+            if model is None:
+                found, choice = find_vehicles(
+                    source.pictures, network, zoom, progress, how_much, _sampling(source, ruler_fleet)
+                )
+            else:
+                found, choice = find_in_model(model, mode, network, zoom, progress, how_much)
         except TooLittleEvidence as error:
             raise TooLittleEvidence(f"{source.path}: {error.message}", error.hint) from error
         if refine:
@@ -182,10 +221,13 @@ def estimate(
                 source.pictures, found.boxes, found.zoom, network, worker_count(how_much.workers), progress
             )
             found = replace(found, boxes=sharper)
-    if measured is not None:
-        found = measured.applied(found, Path(str(calibration)))
+    if known is not None:
+        found = known.applied(found, Path(str(calibration)))
     try:
-        boxes, picture, votes, scale, lost = measure(source, found, ruler_fleet, method)
+        if model is None:
+            measured = measure(source, found, ruler_fleet, method)
+        else:
+            measured = measure_model(model, found, ruler_fleet, method, mode)
     except TooLittleEvidence as error:
         raise TooLittleEvidence(
             f"{source.path}: {error.message} (looked at zoom {found.zoom:.2f}, vehicles about "
@@ -193,15 +235,12 @@ def estimate(
             "Try the fleet of the country (--fleet), another zoom (--gsd-hint METRES_PER_PIXEL, --zoom FACTOR), "
             "or a scene with more vehicles.",
         ) from error
-    rejected = {reason: count for reason, count in lost.items() if count}
     within = None
-    if source.unit == "m/px":
+    if model is None:
         (whole,) = source.pictures
-        within = drift(votes, scale, found.ruler, whole.width, whole.height)
+        within = drift(measured.votes, measured.scale, found.ruler, whole.width, whole.height)
     seconds = time.perf_counter() - started
-    return Result(
-        source, ruler_fleet, found, boxes, picture, votes, scale, choice, rejected, seconds, within, method, settings
-    )
+    return Result(source, ruler_fleet, found, choice, seconds, measured, within, method, settings)
 
 
 def fix(
@@ -327,7 +366,7 @@ def _sampling(source: Source, fleet: Fleet) -> Callable[[Detections], float] | N
 
     def sampling(found: Detections) -> float:
         try:
-            return measure(source, found, fleet)[3].parts["sampling"]
+            return measure(source, found, fleet).scale.parts["sampling"]
         except TooLittleEvidence:
             return np.inf
 

@@ -10,6 +10,7 @@ from typing import Any
 from .atomic import check_free, new_folder
 from .errors import EvidenceDisagrees, InputError, OrthoscaleError, TooLittleEvidence
 from .pipeline import Result, estimate, fix
+from .sources.exchange import find_exchange
 
 # What may befall one model and leave the others what they are.
 OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError)
@@ -41,7 +42,7 @@ class Outcome:
 
 def models_in(path: Path) -> list[Path]:
     """The models of the workspace `path`, largest names last; empty where there are not several (or it is a file)."""
-    if not path.is_dir():
+    if not path.is_dir() or find_exchange(path) is not None:
         return []
     from .sources.colmap_check import model_folders
 

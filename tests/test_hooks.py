@@ -6,13 +6,16 @@ import importlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from test_rescale import dense_workspace
 
 ROOT = Path(__file__).parent.parent
@@ -108,7 +111,9 @@ def test_automatic_reconstructor_then_metres(bench):
     assert bench.stamps() == before and len(bench.calls("colmap")) == 1
 
 
-@pytest.mark.parametrize("hook", ["post_sparse", "post_dense", "automatic_reconstructor", "nerfstudio", "gsplat"])
+@pytest.mark.parametrize(
+    "hook", ["post_sparse", "post_dense", "automatic_reconstructor", "nerfstudio", "gsplat", "odm"]
+)
 def test_a_hook_says_how_it_is_used(bench, hook):
     assert subprocess.run([HOOKS / f"{hook}.sh"], env=bench.environment, capture_output=True).returncode == 2
     assert bench.log.read_text() == ""
@@ -193,3 +198,66 @@ def test_hloc(bench, hooks, monkeypatch):
     assert bench.stamps() == before
     assert np.allclose(metric.image(1).projection_center(), again.image(1).projection_center())
     assert (bench.work / "sfm_metric/sim3.json").is_file()
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_a_kill_leaves_nothing(bench, how):
+    """Killed while it writes: the stand-in for a slow disk stops in the middle of the model."""
+    bench.sparse()
+    slow = bench.work / "slow.py"
+    slow.write_text(
+        "import pathlib, sys, time, pycolmap\n"
+        "there = sys.argv.pop()\n"
+        "def stuck(model, folder):\n"
+        "    (pathlib.Path(folder) / 'points3D.bin').write_bytes(b'half')\n"
+        "    pathlib.Path(there).touch()\n"
+        "    time.sleep(60)\n"
+        "pycolmap.Reconstruction.write_binary = stuck\n"
+        "from orthoscale.cli import main\n"
+        "main()\n"
+    )
+    there = bench.work / "there"
+    command = [sys.executable, slow, "fix", bench.work / "sparse/0", "--out", bench.work / "out", *OPTIONS, there]
+    with subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, env=bench.environment) as process:
+        for _ in range(600):
+            if there.exists():
+                break
+            time.sleep(0.1)
+        process.send_signal(how)
+        assert b"nothing was written" in process.communicate()[1]
+    assert process.returncode == 130
+    assert sorted(p.name for p in bench.work.iterdir()) == ["images", "slow.py", "sparse", "there"]
+
+
+def test_odm(bench):
+    """ODM's reconstruction stands in by the example in OpenSfM's words."""
+    model = pytest.importorskip("pycolmap").Reconstruction(str(EXAMPLE / "sparse"))
+    (camera,) = model.cameras.values()
+    side = max(camera.width, camera.height)
+    lens = {"projection_type": "simple_radial", "width": camera.width, "height": camera.height}
+    lens |= {"focal_x": camera.params[0] / side, "focal_y": camera.params[0] / side, "c_x": 0.0, "c_y": 0.0}
+    lens["k1"] = float(camera.params[3]) if len(camera.params) > 3 else 0.0
+    shots = {
+        image.name: {
+            "camera": "c",
+            "rotation": Rotation.from_matrix(image.cam_from_world().rotation.matrix()).as_rotvec().tolist(),
+            "translation": image.cam_from_world().translation.tolist(),
+        }
+        for image in model.images.values()
+    }
+    points = {str(k): {"coordinates": p.xyz.tolist(), "color": [1, 2, 3]} for k, p in model.points3D.items()}
+    (bench.work / "opensfm").mkdir()
+    text = json.dumps([{"cameras": {"c": lens}, "shots": shots, "points": points}])
+    (bench.work / "opensfm/reconstruction.json").write_text(text)
+    mesh = bench.work / "odm_texturing/odm_textured_model_geo.obj"
+    mesh.parent.mkdir()
+    mesh.write_text("v 1 0 0\n")
+    bench.frames()
+    bench.run("odm.sh", bench.work, *OPTIONS)
+    scale = json.loads((bench.work / "opensfm_metric/sim3.json").read_text())["scale"]
+    truth = json.loads((EXAMPLE / "truth.json").read_text())["metres_per_model_unit"]
+    assert scale == pytest.approx(truth, rel=0.08)
+    assert (bench.work / "odm_metric/odm_textured_model_geo.obj").read_text().split()[-3] == f"{scale:.10g}"
+    before = bench.stamps()
+    assert "nothing to do" in bench.run("odm.sh", bench.work, *OPTIONS)
+    assert bench.stamps() == before

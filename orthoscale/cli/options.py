@@ -67,6 +67,12 @@ def evidence_options(command: Callable) -> Callable:
                 "--refine", is_flag=True, help="Look at every vehicle four times more: sharper boxes, for small inputs."
             ),
             click.option(
+                "--mode",
+                type=click.Choice(["both", "oblique", "planar"]),
+                help="Measure a model in its frames (oblique), in frames warped onto the ground (planar), or both "
+                "(the default, where it can be done).",
+            ),
+            click.option(
                 "--target",
                 type=click.FloatRange(min=0, min_open=True),
                 default=0.005,

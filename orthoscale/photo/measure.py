@@ -18,7 +18,7 @@ from ..boxes import Boxes
 from ..detections import Detections
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleet import Fleet
-from ..measuring import HEIGHT_SD, ROUNDS, SETTLED
+from ..oblique import HEIGHT_SD, ROUNDS, SETTLED
 from ..pooling import MIN_VEHICLES, Scale, pool
 from ..posterior import Z90
 from ..projection.exact import Hull, ground_size

@@ -78,6 +78,7 @@ def document(result: Result) -> dict[str, Any]:
             "votes": result.zoom_choice.votes,
             "runner_up": result.zoom_choice.rival,
         },
+        **result.measured.findings,
         "input": {"path": str(result.source.path), "sha256": result.source.content_hash()},
         "settings": result.settings,
         "pictures": {p.name: [p.width, p.height] for p in result.source.pictures},

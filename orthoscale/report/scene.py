@@ -59,8 +59,8 @@ class Scene:
     @classmethod
     def of(cls, report: Mapping[str, Any], source: Source | None) -> Scene:
         """The scene of a report, with the pixels of the `source` that it came from, as far as they are there."""
-        pictures = {p.name: p for p in source.pictures} if source else {}
         vehicles = report["vehicles"]
+        pictures = _pictures(source, vehicles) if source else {}
         overviews = []
         if report["unit"] == "m/model-unit":
             overviews.append(_plan(report, cast("ColmapSource", source) if source else None))
@@ -76,6 +76,16 @@ class Scene:
             _chips(_evenly(sorted(used, key=lambda v: v["length"]), CHIPS), pictures),
             _chips(_evenly(sorted(rejected, key=lambda v: v["reason"]), REJECTED_CHIPS), pictures),
         )
+
+
+def _pictures(source: Source, vehicles: Sequence[Mapping]) -> dict[str, Picture]:
+    """The pictures at hand that the vehicles' boxes lie in: the source's own, or its frames warped onto the ground."""
+    pictures: dict[str, Picture] = {p.name: p for p in source.pictures}
+    names = {box["picture"] for vehicle in vehicles for box in vehicle["boxes"]}
+    if pictures and not names <= set(source.picture_names):
+        plans = cast("ColmapSource", source).ground_pictures
+        pictures |= {p.name: p for p in plans if p.frame is not None}
+    return pictures
 
 
 def _busiest(vehicles: Sequence[Mapping], pictures: Mapping[str, object]) -> str | None:

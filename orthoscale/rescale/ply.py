@@ -85,6 +85,32 @@ def scale_ply(source: Path, target: Path, scale: float) -> None:
             shutil.copyfileobj(file, out, 1 << 20)
 
 
+def read_points(path: Path) -> np.ndarray:
+    """(N, 3) vertices of the PLY file `path`. Raises InputError."""
+    with path.open("rb") as file:
+        _, form, elements = _header(path, file)
+        vertex = elements[0] if elements else None
+        names = [name for name, _ in vertex.properties] if vertex else []
+        if vertex is None or vertex.name != "vertex" or not vertex.fixed or not {"x", "y", "z"} <= set(names):
+            raise InputError(f"{path}: it does not begin with vertices that have x, y and z", "Export it anew.")
+        if form == "ascii":
+            rows = [file.readline().split() for _ in range(vertex.count)]
+            try:
+                columns = [[float(row[names.index(axis)]) for row in rows] for axis in "xyz"]
+            except (ValueError, IndexError) as error:
+                raise InputError(f"{path}: a vertex is missing or malformed", COPY_AGAIN) from error
+            points = np.array(columns).T.reshape(-1, 3)
+        else:
+            row = vertex.row(ORDER[form])
+            if vertex.count * row.itemsize > path.stat().st_size - file.tell():
+                raise InputError(f"{path}: ends before the last of its {vertex.count} vertices", COPY_AGAIN)
+            table = np.frombuffer(file.read(vertex.count * row.itemsize), row)
+            points = np.column_stack([table[axis].astype(float) for axis in "xyz"])
+    if not np.isfinite(points).all():
+        raise InputError(f"{path}: a vertex is not finite", COPY_AGAIN)
+    return points
+
+
 def _header(path: Path, file: BinaryIO) -> tuple[list[str], str, list[_Element]]:
     """The header's lines, the encoding and the elements; the file is left at the first byte of data."""
     lines: list[str] = []

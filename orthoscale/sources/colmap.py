@@ -21,6 +21,7 @@ from ..rescale.sim3 import Sim3
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
 from .database import pose_priors
+from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
 from .undistort import undistort
 
@@ -69,21 +70,7 @@ class ColmapSource:
         files = open_model(Path(path))
         model = read_model(files.folder, files.format)
         notes = list(files.notes)
-        names = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
-        pictures = []
-        try:
-            root, missing = _find_images(files.folder, Path(images) if images is not None else None, sorted(names))
-        except InputError as error:
-            if need_images or images is not None:
-                raise
-            notes.append(error.message)
-        else:
-            if missing:
-                notes.append(f"{len(missing)} of {len(names)} frames are not in {root}, the first is {missing[0]}")
-            for name in sorted(names.keys() - set(missing)):
-                camera = model.camera(names[name].camera_id)
-                pictures.append(PictureFile(name, root / name, camera.width, camera.height))
-                pictures[-1].check_size()
+        pictures = find_frames(model, files.folder, images, need_images, notes)
         if note := pose_priors(files.folder):
             notes.append(note)
         return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
@@ -95,6 +82,11 @@ class ColmapSource:
         if len(points) < 500:  # points that only two images see are the worst, but better than none
             points = self.sparse[0]
         return Ground.fit(points, np.array([image.projection_center() for image in self._images.values()]))
+
+    @cached_property
+    def ground_pictures(self) -> list[GroundPicture]:
+        """The near-nadir parts of the frames, warped onto the ground."""
+        return ground_pictures(self)
 
     @property
     def camera_height(self) -> float:
@@ -165,6 +157,30 @@ class ColmapSource:
         views = Views(seen, np.where(ok[:, None], normal @ rotation.T, (0, 0, -1.0)), lens)
         return views, world, ok & (views.elevation >= np.radians(lowest_elevation))
 
+    def centre(self, name: str) -> np.ndarray:
+        """(3,) where the camera of the image `name` stands [model units, world]."""
+        return self._images[name].projection_center()
+
+    def rotation(self, name: str) -> np.ndarray:
+        """(3, 3) `camera_from_world` of the image `name`: its rows are the camera's x, y and z in the world."""
+        return self._images[name].cam_from_world().rotation.matrix()
+
+    def image_size(self, name: str) -> tuple[int, int]:
+        """Width and height of the image `name` [px]."""
+        camera = self._model.camera(self._images[name].camera_id)
+        return camera.width, camera.height
+
+    def project(self, name: str, world: np.ndarray) -> np.ndarray:
+        """(N, 2) pixels at which the image `name` has the points `world` (N, 3); NaN where it cannot."""
+        image = self._images[name]
+        pose = image.cam_from_world()
+        seen = world @ pose.rotation.matrix().T + pose.translation
+        ahead = seen[:, 2] > 1e-6 * self.camera_height
+        pixels = np.full((len(world), 2), np.nan)
+        if ahead.any():
+            pixels[ahead] = np.array(self._model.camera(image.camera_id).img_from_cam(seen[ahead]), float)
+        return pixels
+
     def write(self, folder: Path, metres_per_unit: float) -> None:
         """Write the model in metres into the empty `folder`, in the format it came in, with sim3.json and sim3.txt.
 
@@ -231,6 +247,28 @@ class ColmapSource:
             why = "because it is not in metres (`orthoscale apply` scales it) or is large"
             notes.append(f"left in {self.folder}, {why}: {', '.join(left)}")
         return notes
+
+
+def find_frames(
+    model: pycolmap.Reconstruction, folder: Path, images: Path | str | None, need_images: bool, notes: list[str]
+) -> list[PictureFile]:
+    """The frames of `model`, which lies in `folder`, that are on disk; see `ColmapSource.open`, whose notes grow."""
+    registered = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
+    try:
+        root, missing = _find_images(folder, Path(images) if images is not None else None, sorted(registered))
+    except InputError as error:
+        if need_images or images is not None:
+            raise
+        notes.append(error.message)
+        return []
+    if missing:
+        notes.append(f"{len(missing)} of {len(registered)} frames are not in {root}, the first is {missing[0]}")
+    pictures = []
+    for name in sorted(registered.keys() - set(missing)):
+        camera = model.camera(registered[name].camera_id)
+        pictures.append(PictureFile(name, root / name, camera.width, camera.height))
+        pictures[-1].check_size()
+    return pictures
 
 
 def _find_images(folder: Path, given: Path | None, names: Sequence[str]) -> tuple[Path, list[str]]:

@@ -421,7 +421,12 @@ def _lines(path: Path) -> Iterator[tuple[str, str]]:
     try:
         with path.open(encoding="utf-8") as file:
             for number, line in enumerate(file, 1):
-                yield f"{path}, line {number}", line.strip()
+                where = f"{path}, line {number}"
+                if not line.endswith("\n"):  # a number may have lost its last digits
+                    raise _damaged(
+                        where, "the last line has no end", "Copy the file again; if it is whole, end the line."
+                    )
+                yield where, line.strip()
     except OSError as error:
         raise _damaged(str(path), f"cannot be read ({error.strerror})", "Check its permissions.") from error
     except UnicodeDecodeError:

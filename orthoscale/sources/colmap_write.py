@@ -76,8 +76,13 @@ def write_scaled(source: Path, form: str, model: pycolmap.Reconstruction, folder
         raise OutputError(f"{folder}: the written model differs: {problem}", "Please report this with the model.")
 
 
-def difference(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, scale: float) -> str:
-    """What differs between `written` and `model` scaled by `scale`, in words; empty if nothing does."""
+def difference(
+    model: pycolmap.Reconstruction, written: pycolmap.Reconstruction, scale: float, position: float = POSITION
+) -> str:
+    """What differs between `written` and `model` scaled by `scale`, in words; empty if nothing does.
+
+    position : by how much a point or a camera may be off, as a share of the model's size.
+    """
     for what in ("cameras", "images", "points3D", "frames", "rigs"):
         if set(getattr(model, what)) != set(getattr(written, what)):
             return f"{len(getattr(model, what))} {what} became {len(getattr(written, what))}"
@@ -100,7 +105,7 @@ def difference(model: pycolmap.Reconstruction, written: pycolmap.Reconstruction,
     size = scale * max(np.abs(points).max(), np.abs(centres).max())
     for what, old, new in (("point", points, new_points), ("camera", centres, new_centres)):
         error = np.abs(new - scale * old).max()
-        if not error <= POSITION * size:
+        if not error <= position * size:
             return f"a {what} is {error:.3g} off"
     if np.abs(new_errors - errors).max() > REPROJECTION:
         return f"point {ids[np.abs(new_errors - errors).argmax()]} has another stored error"

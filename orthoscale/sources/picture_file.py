@@ -30,11 +30,7 @@ class PictureFile:
 
     def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
         """See `Picture.read`. Raises InputError for a file that is truncated, undecodable, or of another size."""
-        window = self._pixels()[y : y + height, x : x + width]
-        if (out_width, out_height) == (width, height):
-            return window.copy()
-        shrinks = out_width * out_height < width * height
-        return cv2.resize(window, (out_width, out_height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
+        return resized(self._pixels()[y : y + height, x : x + width], out_width, out_height)
 
     def fingerprint(self) -> str:
         """What cached work on this frame is keyed by."""
@@ -63,6 +59,14 @@ class PictureFile:
         raise InputError(
             f"{self.path}: image is {size[0]} x {size[1]} px, but its camera {self.width} x {self.height} px", why
         )
+
+
+def resized(window: np.ndarray, width: int, height: int) -> np.ndarray:
+    """A copy of the pixels `window` (H, W, 3) at another size, as `Picture.read` promises."""
+    if (width, height) == (window.shape[1], window.shape[0]):
+        return window.copy()
+    shrinks = width * height < window.shape[0] * window.shape[1]
+    return cv2.resize(window, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
 
 
 @lru_cache(maxsize=FRAMES_IN_MEMORY)

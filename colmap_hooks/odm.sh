@@ -1,0 +1,28 @@
+#!/bin/sh
+# After OpenDroneMap (or OpenSfM) without GPS: the reconstruction and what was made of it, in metres.
+#
+#   odm.sh PROJECT [orthoscale options, e.g. --fleet US]
+#
+# Reads PROJECT/opensfm/reconstruction.json and PROJECT/images; writes PROJECT/opensfm_metric, and PROJECT/odm_metric
+# with the meshes and clouds there are. ODM without GPS writes a made-up UTM zone into its orthophoto: give that its
+# own scale with `orthoscale fix PROJECT/odm_orthophoto/odm_orthophoto.tif --out ...`. A second run does nothing.
+set -eu
+[ $# -ge 1 ] || { echo "usage: $0 PROJECT [orthoscale options]" >&2; exit 2; }
+project=$1
+shift
+if [ -f "$project/opensfm_metric/sim3.json" ]; then
+    echo "$project/opensfm_metric is there already"
+else
+    orthoscale fix "$project/opensfm/reconstruction.json" --images "$project/images" --out "$project/opensfm_metric" "$@"
+fi
+if [ -d "$project/odm_metric" ]; then
+    echo "$project/odm_metric is there already; nothing to do"
+    exit 0
+fi
+set --
+for file in odm_texturing/odm_textured_model_geo.obj odm_texturing/odm_textured_model_geo.glb \
+    odm_meshing/odm_mesh.ply odm_meshing/odm_25dmesh.ply odm_filterpoints/point_cloud.ply; do
+    [ -f "$project/$file" ] && set -- "$@" "$project/$file"
+done
+[ $# -gt 0 ] || exit 0
+exec orthoscale apply "$project/opensfm_metric/sim3.json" "$@" --out "$project/odm_metric"

@@ -1,0 +1,145 @@
+"""A reconstruction is looked at twice: in its frames as they are, and in frames warped onto the ground."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .agreement import compare, together
+from .detect.detector import Detector
+from .detect.find import Effort, Progress, find_vehicles
+from .detections import Detections
+from .errors import TooLittleEvidence, UsageError
+from .fleet import Fleet
+from .measuring import Measured
+from .method import Method
+from .oblique import measure_frames
+from .planar_sweep import measure_ground
+
+if TYPE_CHECKING:
+    from .detect.zoom import ZoomChoice
+    from .sources.colmap import ColmapSource
+
+OBLIQUE, PLANAR, BOTH = "oblique", "planar", "both"
+MODES = (BOTH, OBLIQUE, PLANAR)
+ENOUGH = 5  # boxes in the frames that tell how long vehicles are, so that the second look needs no search of its own
+
+
+def find_in_model(
+    source: ColmapSource,
+    mode: str | None,
+    detector: Detector,
+    zoom: float | None = None,
+    progress: Progress | None = None,
+    effort: Effort | None = None,
+) -> tuple[Detections, ZoomChoice | None]:
+    """The vehicles in the frames of `source`, and in `planar` those in its pictures of the ground, as `mode` asks.
+
+    zoom : of the frames; by default it is searched for. Raises TooLittleEvidence.
+    """
+    if mode == PLANAR:
+        planar, choice = find_vehicles(_plans(source, True), detector, zoom, progress, effort)
+        return replace(planar, boxes={}, doubtful={}, planar=planar), choice
+    found, choice = find_vehicles(source.pictures, detector, zoom, progress, effort)
+    if mode == OBLIQUE:
+        return found, choice
+    plans = _plans(source, mode == BOTH)
+    if not plans:
+        return found, choice
+    planar_zoom = _zoom_of_plans(source, found, plans[0].unit_per_pixel)
+    try:
+        planar, _ = find_vehicles(plans, detector, planar_zoom, _named(progress), effort)
+    except TooLittleEvidence as error:
+        source.notes.append(f"planar sweep: {error.message}")
+        return found, choice
+    return replace(found, planar=planar), choice
+
+
+def _plans(source: ColmapSource, needed: bool) -> list:
+    plans = [picture for picture in source.ground_pictures if picture.frame is not None]
+    if needed and not plans:
+        raise TooLittleEvidence(
+            f"no frame of {source.path} sees the ground from near the nadir", "Measure obliquely: --mode oblique."
+        )
+    return plans
+
+
+def _named(progress: Progress | None) -> Progress | None:
+    return None if progress is None else lambda what, done, total: progress(f"{what} from above", done, total)
+
+
+def _zoom_of_plans(source: ColmapSource, found: Detections, unit_per_pixel: float) -> float | None:
+    """The zoom at which vehicles in the plans are as long for the detector as those in the frames were."""
+    on_ground, in_frame = [], []
+    for name, boxes in found.boxes.items():
+        views, _, ok = source.views(name, boxes.centre)
+        on_ground.append((boxes.length * views.unit_per_pixel)[ok] / unit_per_pixel)
+        in_frame.append(boxes.length[ok])
+    if sum(map(len, in_frame)) < ENOUGH:
+        return None
+    return found.zoom * float(np.median(np.concatenate(in_frame)) / np.median(np.concatenate(on_ground)))
+
+
+def measure_model(
+    source: ColmapSource, found: Detections, fleet: Fleet, method: Method | None = None, mode: str | None = None
+) -> Measured:
+    """The scale of a reconstruction by the vehicles `found`, in each way that `mode` asks for and they allow.
+
+    By default both ways are tried. Where one has too little evidence, the other answers; where both have enough, they
+    are pooled, and `Measured.agreement` says how they fit. Raises TooLittleEvidence, UsageError.
+    """
+    method = method or Method()
+    if mode is None and method.projection is not None:
+        mode = OBLIQUE  # a projection is one of frames
+    if mode in (PLANAR, BOTH) and found.planar is None:
+        raise UsageError(
+            f"--mode {mode}: these detections hold no boxes of a planar sweep",
+            "Leave --detections away, or use a file that --save-detections wrote for --mode both.",
+        )
+    ways = {OBLIQUE: lambda: measure_frames(source, found, fleet, method)}
+    if found.planar is not None:
+        planar = found.planar
+        ways[PLANAR] = lambda: measure_ground(source, planar, fleet, method)
+    if mode in (OBLIQUE, PLANAR):
+        ways = {mode: ways[mode]}
+    measured: dict[str, Measured] = {}
+    failed: dict[str, TooLittleEvidence] = {}
+    for name, way in ways.items():
+        try:
+            measured[name] = way()
+        except TooLittleEvidence as error:
+            failed[name] = error
+    if not measured:
+        raise next(iter(failed.values()))
+    source.notes.extend(f"{name}: {error.message}" for name, error in failed.items())
+    answer = next(iter(measured.values()))
+    scales = {name: m.scale for name, m in measured.items()}
+    findings: dict[str, Any] = {**answer.findings, "modes": {name: _plain(m) for name, m in measured.items()}}
+    remarks = answer.findings.get("drift", {}).get("remarks", [])
+    agreement = None
+    scale = answer.scale
+    if len(scales) == 2:
+        agreement = compare(scales)
+        scale = together(agreement)
+        remarks = [*remarks, agreement.sentence()]
+        findings["agreement"] = {
+            "difference": agreement.difference,
+            "sigmas": agreement.tension,
+            "contradicts": agreement.contradicts,
+        }
+    scale = replace(scale, remarks=(*scale.remarks, *remarks))
+    return answer._replace(scale=scale, findings=findings, agreement=agreement)
+
+
+def _plain(measured: Measured) -> dict[str, Any]:
+    scale = measured.scale
+    return {
+        "scale": scale.value,
+        "interval90": list(scale.interval90),
+        "verdict": scale.verdict,
+        "vehicles_used": scale.vehicles_used,
+        "boxes": len(measured.boxes),
+        "uncertainty": dict(scale.parts),
+    }

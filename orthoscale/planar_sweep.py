@@ -1,0 +1,78 @@
+"""Measuring a reconstruction as if it were an orthophoto: frames warped onto the ground, the planar variant.
+
+The paper's orthophoto method without an orthophoto, and a second look that shares neither the projection model nor the
+picture with the first (`oblique`). A plan shows footprints; what remains of the vehicles' height in the near-nadir
+parts is taken off to first order.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .boxes import Boxes
+from .detections import Detections
+from .errors import TooLittleEvidence
+from .fleet import Fleet
+from .measuring import Measured, doubts
+from .method import Method
+from .oblique import HEIGHT_SD, geometry
+from .pooling import MIN_VEHICLES
+from .projection.height import lean_from_above
+from .projection.planar import ground_size
+from .votes import gather
+
+if TYPE_CHECKING:
+    from .sources.colmap import ColmapSource
+    from .sources.ground_picture import GroundPicture
+
+ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
+ROOM = 1.15  # a box, enlarged so, must lie within what the frame saw, or it may be cut
+BORDER = 2.0  # [px of the frame]
+TOO_FLAT = "cut by the frame's edge, or seen too flatly"
+
+
+def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet, method: Method) -> Measured:
+    """Measure the boxes `found` in the `source.ground_pictures`. Raises TooLittleEvidence."""
+    pictures = {picture.name: picture for picture in source.ground_pictures}
+    lost = {**doubts(found), TOO_FLAT: 0}
+    parts, names, offsets, places = [], [], [], []
+    for name, boxes in found.boxes.items():
+        picture = pictures.get(name)
+        if picture is None or not len(boxes):
+            continue
+        whole, offset = _whole(picture, boxes)
+        lost[TOO_FLAT] += int((~whole).sum())
+        parts.append(boxes[whole])
+        names += [name] * int(whole.sum())
+        offsets.append(offset[whole])
+        places.append(picture.ground(boxes.centre[whole]))
+    if len(names) < MIN_VEHICLES:
+        raise TooLittleEvidence(f"{len(names)} boxes near the nadir, {MIN_VEHICLES} vehicles are needed")
+    boxes, place = Boxes.concatenate(parts), np.concatenate(places)
+    unit = next(iter(pictures.values())).unit_per_pixel
+    leaning = lean_from_above(boxes, np.concatenate(offsets))
+    flat = ground_size(boxes) * unit
+    height = np.array(found.effective_height)
+    metres_per_unit = float(fleet.mean[0] / np.median(flat[:, 0]))
+    for _ in range(ROUNDS):
+        size = np.maximum(flat - leaning * height / metres_per_unit, 0.3 * flat)
+        votes = gather(size, np.full(len(boxes), unit / found.zoom), place, boxes.score, repeated=True)
+        spread = geometry(size, leaning, np.full(2, HEIGHT_SD / metres_per_unit))
+        scale = method.pool(votes, fleet, found.ruler, source.unit, spread)
+        metres_per_unit = scale.value
+    return Measured(boxes, np.array(names), votes, scale, lost, {})
+
+
+def _whole(picture: GroundPicture, boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) bool, boxes that the frame shows whole and steeply enough, and (N, 2) where they lie, see `seen`."""
+    from .sources.ground_picture import NEAR_NADIR
+
+    centre = boxes.centre[:, None]
+    corners = (centre + ROOM * (boxes.corners - centre)).reshape(-1, 2)
+    with np.errstate(invalid="ignore"):
+        pixels = picture.seen(corners)[0].reshape(-1, 4, 2)
+        inside = ((pixels >= BORDER) & (pixels <= np.array(picture.size) - BORDER)).all((1, 2))
+    offset = picture.seen(boxes.centre)[1]
+    return inside & (np.linalg.norm(offset, axis=1) <= 1 / np.tan(np.radians(NEAR_NADIR))), offset

@@ -1,0 +1,257 @@
+"""Reconstructions of other programs: OpenSfM's and ODM's reconstruction.json, nerfstudio's transforms.json.
+
+They are read into the same model as COLMAP's, measured in the same way, and written back as they came, in metres.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..errors import InputError, OutputError, UsageError
+from ..rescale.files import scale_path
+from ..rescale.mark import MARK
+from ..rescale.ply import read_points
+from ..rescale.poses import read_json
+from ..rescale.sim3 import Sim3
+from .colmap import ColmapSource, find_frames
+from .colmap_check import FARTHEST, model_folders
+from .colmap_write import difference
+
+if TYPE_CHECKING:
+    import pycolmap
+
+PLACES = ("reconstruction.json", "opensfm/reconstruction.json", "transforms.json")  # in a project's folder
+DIGITS = 1e-6  # of the model's size: what a point cloud in single precision may be off
+GPS_DOP = 1000.0  # from which OpenSfM means that there was no GPS
+# OpenSfM's projection types: COLMAP's model and its parameters, from focal lengths and centre [px] and distortion.
+OPENSFM = {
+    "perspective": ("RADIAL", ("f", "cx", "cy", "k1", "k2")),
+    "simple_radial": ("OPENCV", ("fx", "fy", "cx", "cy", "k1", "0", "0", "0")),
+    "radial": ("OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "0", "0")),
+    "brown": ("FULL_OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "0", "0", "0")),
+    "fisheye": ("RADIAL_FISHEYE", ("f", "cx", "cy", "k1", "k2")),
+    "fisheye_opencv": ("OPENCV_FISHEYE", ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
+}
+NERFSTUDIO = {
+    "SIMPLE_PINHOLE": ("PINHOLE", ("fx", "fy", "cx", "cy")),
+    "PINHOLE": ("PINHOLE", ("fx", "fy", "cx", "cy")),
+    "OPENCV": ("FULL_OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "0", "0", "0")),
+    "OPENCV_FISHEYE": ("OPENCV_FISHEYE", ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
+}
+
+
+def find_exchange(path: Path) -> Path | None:
+    """The file of one of these programs that `path` is, or that its folder holds where it holds no COLMAP model."""
+    if path.suffix.lower() == ".json" and path.is_file():
+        return path
+    if not path.is_dir():
+        return None
+    found = next((path / place for place in PLACES if (path / place).is_file()), None)
+    if found is not None:
+        try:
+            model_folders(path)
+        except InputError:
+            return found
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class ExchangeSource(ColmapSource):
+    """A reconstruction in one JSON file, with its frames; `folder` is the file's. Made by `ExchangeSource.open`."""
+
+    @classmethod
+    def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ExchangeSource:
+        """Open the file `path`; otherwise as `ColmapSource.open`. Raises InputError."""
+        path = Path(path)
+        model, others, notes = _read(path)
+        pictures = find_frames(model, path.parent, images, need_images, notes)
+        return cls(path, path.parent, "json", pictures, notes, (path, *others), model)
+
+    @property
+    def metric_already(self) -> str:
+        """Why it counts as metric: orthoscale's mark, or OpenSfM's alignment with GPS."""
+        text = read_json(self.path)
+        if isinstance(text, dict):
+            return "orthoscale wrote it" if MARK in text else ""
+        part, _ = _largest(self.path, text)
+        if MARK in part:
+            return "orthoscale wrote it"
+        placed = [s for s in part["shots"].values() if s.get("gps_dop", GPS_DOP) < GPS_DOP and "gps_position" in s]
+        aligned = "reference_lla" in part and len(placed) >= 3
+        return "OpenSfM aligned it with the GPS of its images" if aligned else ""
+
+    def content_hash(self) -> str:
+        """SHA-256 of the file, and of its point cloud."""
+        digest = hashlib.sha256()
+        for path in self._paths:
+            digest.update(path.read_bytes())
+        return digest.hexdigest()
+
+    @cached_property
+    def dense(self) -> Path:
+        """There is none of COLMAP's."""
+        raise UsageError(f"{self.path} has no dense workspace of COLMAP", "Bring other files with `orthoscale apply`.")
+
+    def write(self, folder: Path, metres_per_unit: float) -> None:
+        """Write the file in metres into the empty `folder`, with its point cloud, sim3.json and sim3.txt.
+
+        Raises UsageError for an impossible scale, OutputError if what was written does not read back as it was meant.
+        """
+        sim3 = Sim3(float(metres_per_unit))
+        out = folder / self.path.name
+        text = read_json(self.path)
+        try:
+            if isinstance(text, list) and len(text) > 1:  # each has its own scale, and only one was found
+                alone = folder / "largest.json"
+                alone.write_text(json.dumps([_largest(self.path, text)[0]]), encoding="utf-8")
+                scale_path(alone, out, sim3.scale)
+                alone.unlink()
+            else:
+                scale_path(self.path, out, sim3.scale)
+            sim3.save(folder)
+        except OSError as error:
+            raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
+        problem = difference(self._model, _read(out)[0], sim3.scale, DIGITS)
+        if problem:
+            raise OutputError(f"{out}: the written model differs: {problem}", "Please report this with the model.")
+
+
+def _read(path: Path) -> tuple[pycolmap.Reconstruction, list[Path], list[str]]:
+    """The model in the file `path`, other files that belong to it, and what there is to say."""
+    text = read_json(path)
+    try:
+        if isinstance(text, list):
+            part, notes = _largest(path, text)
+            return _opensfm(path, part), [], notes
+        return *_nerfstudio(path, text), []
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError) as error:
+        raise InputError(
+            f"{path}: neither OpenSfM's reconstruction.json nor nerfstudio's transforms.json ({error!r})",
+            "The file may be damaged: copy it again, or write it anew.",
+        ) from error
+
+
+def _largest(path: Path, text: list[dict[str, Any]]) -> tuple[dict[str, Any], list[str]]:
+    """The reconstruction of most images in OpenSfM's list, and a note if there are others."""
+    try:
+        sizes = [len(part["shots"]) for part in text]
+        best = text[int(np.argmax(sizes))]
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: not an OpenSfM reconstruction ({error!r})", "Expected a list of them.") from error
+    if len(text) == 1:
+        return best, []
+    note = f"{path} holds {len(text)} reconstructions: that of {max(sizes)} images is scaled, the others are left out"
+    return best, [note]
+
+
+def _model(
+    cameras: dict[Any, tuple[str, int, int, list[float]]],
+    poses: dict[str, tuple[Any, np.ndarray, np.ndarray]],
+    points: np.ndarray,
+    colours: np.ndarray,
+) -> pycolmap.Reconstruction:
+    """A COLMAP model of `cameras` (model, width, height, parameters), `poses` by image name (camera, camera_from_world
+    rotation (3, 3) and translation (3,)), and `points` (N, 3). Raises ValueError for what cannot be meant."""
+    import pycolmap
+
+    model = pycolmap.Reconstruction()
+    numbers = {key: k for k, key in enumerate(cameras, 1)}
+    for key, (name, width, height, params) in cameras.items():
+        if not (0 < width < 2**20 and 0 < height < 2**20 and np.isfinite(params).all() and params[0] > 0):
+            raise ValueError(f"camera {key} has an impossible size or focal length")
+        camera = pycolmap.Camera(camera_id=numbers[key], model=name, width=width, height=height, params=params)
+        model.add_camera_with_trivial_rig(camera)
+    for k, (name, (key, rotation, translation)) in enumerate(poses.items(), 1):
+        values = np.concatenate([rotation.ravel(), translation])
+        if not (np.abs(values) <= FARTHEST).all() or np.abs(rotation @ rotation.T - np.eye(3)).max() > 0.01:
+            raise ValueError(f"the pose of {name} is no rotation and finite position")
+        quaternion = Rotation.from_matrix(rotation).as_quat()
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(quaternion), translation)
+        image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=k)
+        model.add_image_with_trivial_frame(image, pose)
+    if not poses or not len(points) or not (np.abs(points) <= FARTHEST).all():
+        raise ValueError("no images, no points, or points that are not finite")
+    for point, colour in zip(points, colours, strict=True):
+        model.add_point3D(point, pycolmap.Track(), colour)
+    return model
+
+
+def _opensfm(path: Path, part: dict[str, Any]) -> pycolmap.Reconstruction:
+    """OpenSfM's lengths in images are shares of the longer side, from the middle; its axes are COLMAP's."""
+    cameras = {}
+    for key, camera in part["cameras"].items():
+        kind = camera.get("projection_type", "perspective")
+        if kind not in OPENSFM:
+            raise InputError(f"{path}: camera {key} is of the type {kind}", f"Known are: {', '.join(OPENSFM)}.")
+        width, height = int(camera["width"]), int(camera["height"])
+        side = max(width, height)
+        focal = camera.get("focal_x", camera.get("focal"))
+        values = {
+            **camera,
+            "f": focal * side,
+            "fx": focal * side,
+            "fy": camera.get("focal_y", focal) * side,
+            "cx": width / 2 + camera.get("c_x", 0.0) * side,
+            "cy": height / 2 + camera.get("c_y", 0.0) * side,
+        }
+        name, wanted = OPENSFM[kind]
+        cameras[key] = (name, width, height, [float(values.get(k, 0.0)) for k in wanted])
+    poses = {
+        name: (
+            shot["camera"],
+            Rotation.from_rotvec(np.array(shot["rotation"], float)).as_matrix(),
+            np.array(shot["translation"], float).reshape(3),
+        )
+        for name, shot in part["shots"].items()
+    }
+    points = list(part["points"].values())
+    xyz = np.array([point["coordinates"] for point in points], float).reshape(-1, 3)
+    colours = np.array([point.get("color", (128, 128, 128)) for point in points], float).reshape(-1, 3)
+    return _model(cameras, poses, xyz, colours.clip(0, 255).astype(np.uint8))
+
+
+def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstruction, list[Path]]:
+    """nerfstudio's poses are world_from_camera with y up and z back, as in OpenGL."""
+    cameras: dict[Any, tuple[str, int, int, list[float]]] = {}
+    poses = {}
+    for frame in text["frames"]:
+        own = {**text, **frame}
+        kind = own.get("camera_model", "OPENCV")
+        if kind not in NERFSTUDIO:
+            raise InputError(f"{path}: cameras of the model {kind}", f"Known are: {', '.join(NERFSTUDIO)}.")
+        width, height = int(own["w"]), int(own["h"])
+        fx = own["fl_x"] if "fl_x" in own else width / 2 / np.tan(own["camera_angle_x"] / 2)
+        values = {
+            **own,
+            "fx": fx,
+            "fy": own.get("fl_y", fx),
+            "cx": own.get("cx", width / 2),
+            "cy": own.get("cy", height / 2),
+        }
+        name, wanted = NERFSTUDIO[kind]
+        params = [float(values.get(k, 0.0)) for k in wanted]
+        key = (name, width, height, *params)
+        cameras.setdefault(key, (name, width, height, params))
+        matrix = np.array(frame["transform_matrix"], float).reshape(4, 4)
+        world_from_camera = matrix[:3, :3] * (1.0, -1.0, -1.0)
+        rotation = world_from_camera.T
+        file = Path(frame["file_path"]).as_posix()
+        if file in poses:
+            raise ValueError(f"{file} appears twice")
+        poses[file] = (key, rotation, -rotation @ matrix[:3, 3])
+    cloud = path.parent / text.get("ply_file_path", "sparse_pc.ply")
+    if not cloud.is_file():
+        raise InputError(
+            f"{path} has no sparse points ({cloud} does not exist), and the ground is found from them",
+            "Make it with a newer ns-process-data, or give the COLMAP model that it came from.",
+        )
+    points = read_points(cloud)
+    return _model(cameras, poses, points, np.full(points.shape, 128, np.uint8)), [cloud]

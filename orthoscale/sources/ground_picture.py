@@ -1,0 +1,138 @@
+"""Frames of a reconstruction seen from straight above: warped onto the ground, in model units per pixel.
+
+What an orthophoto would show of the near-nadir part of each frame, without the orthophoto. What stands on the ground
+still leans outwards, as in any picture that is not a true orthophoto.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from ..errors import InputError
+from .picture_file import PictureFile, resized
+
+if TYPE_CHECKING:
+    from .colmap import ColmapSource
+
+GROUND = "ground/"  # before the name of a frame: its picture of the ground
+NEAR_NADIR = 60.0  # [deg] elevation of the viewing ray from which a frame may pass for an orthophoto
+SHOWN_BELOW = 8.0  # [deg] that are shown beyond, so that a vehicle at the limit is whole
+SAMPLES = (32, 24)  # of a frame across and down, to find what it sees of the ground
+CELL = 8  # [px] of the warp; between, it is linear
+GREY = 114  # what has no data
+MIN_SIDE = 64  # [px] below which a picture shows nothing
+PICTURES_IN_MEMORY = 4
+
+
+@dataclass(eq=False)
+class GroundPicture:
+    """A `Picture` of the ground under one frame; x and y run along the ground, `unit_per_pixel` model units a pixel.
+
+    image : the frame's name; its own is GROUND + that. size : (2,) width and height of the frame [px].
+    origin : (2,) plane coordinates of the outer corner of the first pixel. axes : (2, 2) unit vectors of x and y in
+    plane coordinates (see `Ground.plane`). frame : its file, None where that is not at hand.
+    """
+
+    name: str
+    image: str
+    size: tuple[int, int]
+    width: int
+    height: int
+    unit_per_pixel: float
+    origin: np.ndarray
+    axes: np.ndarray
+    frame: PictureFile | None
+    source: ColmapSource
+
+    def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
+        """See `Picture.read`. Raises InputError as the frame does."""
+        return resized(_warped(self)[y : y + height, x : x + width], out_width, out_height)
+
+    def fingerprint(self) -> str:
+        """What cached work on this picture is keyed by: the frame, and all that decides how it is warped."""
+        corners = np.array([[x, y] for x in (0, 0.5, 1) for y in (0, 0.5, 1)]) * (self.width, self.height)
+        digest = hashlib.sha256(self.frame.fingerprint().encode() if self.frame is not None else b"")
+        for values in (np.array([self.width, self.height, self.unit_per_pixel]), self.seen(corners)[0]):
+            digest.update(np.round(values, 6).tobytes())
+        return digest.hexdigest()
+
+    def ground(self, points: np.ndarray) -> np.ndarray:
+        """(N, 2) pixels of this picture to (N, 3) points on the ground [model units, world]."""
+        plane = self.origin + np.asarray(points, float) * self.unit_per_pixel @ self.axes
+        return self.source.ground.lift(plane)
+
+    def seen(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the frame has what this picture shows at `points` (N, 2): frame pixels (N, 2), NaN behind the camera,
+        and (N, 2) plane vectors from below the camera to the points, in this picture's axes, per camera height."""
+        world = self.ground(points)
+        centre = self.source.centre(self.image)
+        offset = (self.source.ground.plane(world) - self.source.ground.plane(centre[None])) @ self.axes.T
+        height = self.source.ground.height_above(centre[None])[0]
+        return self.source.project(self.image, world), offset / height
+
+
+def ground_pictures(source: ColmapSource) -> list[GroundPicture]:
+    """The near-nadir parts of the images of `source`, all at the same model units per pixel: the median image's own.
+
+    Raises what `ColmapSource.ground` raises.
+    """
+    files = {frame.name: frame for frame in source.pictures}
+    extents, sampling = [], []
+    for name in source.picture_names:
+        size = source.image_size(name)
+        across, down = (np.linspace(0.5, side - 0.5, n) for side, n in zip(size, SAMPLES, strict=True))
+        views, world, ok = source.views(name, np.stack(np.meshgrid(across, down), -1).reshape(-1, 2), NEAR_NADIR)
+        if not ok.any():
+            continue
+        axes = _axes(source, name)
+        extents.append((name, size, axes, source.ground.plane(world[ok]) @ axes.T))
+        sampling.append(np.median(views.unit_per_pixel[ok]))
+    pitch = float(np.median(sampling)) if sampling else 1.0
+    pictures = []
+    for name, size, axes, places in extents:
+        low = places.min(0)
+        width, height = np.ceil((places.max(0) - low) / pitch).astype(int).tolist()
+        if min(width, height) >= MIN_SIDE:
+            picture = GroundPicture(
+                GROUND + name, name, size, width, height, pitch, low @ axes, axes, files.get(name), source
+            )
+            pictures.append(picture)
+    return pictures
+
+
+def _axes(source: ColmapSource, name: str) -> np.ndarray:
+    """(2, 2) plane vectors to the right and down in the frame `name`, as it looks down on the ground."""
+    to_right = source.rotation(name)[0]
+    centre = source.centre(name)
+    right = np.subtract(*source.ground.plane(np.stack([centre + to_right, centre])))
+    right /= max(float(np.linalg.norm(right)), 1e-12)
+    return np.array([right, [right[1], -right[0]]])
+
+
+@lru_cache(maxsize=PICTURES_IN_MEMORY)
+def _warped(picture: GroundPicture) -> np.ndarray:
+    """The whole picture, (height, width, 3) uint8."""
+    across, down = (np.arange(-1, -(-size // CELL) + 1) for size in (picture.width, picture.height))
+    nodes = (np.stack(np.meshgrid(across, down), -1).reshape(-1, 2) + 0.5) * CELL
+    pixels, offset = picture.seen(nodes)
+    pixels[~np.isfinite(pixels).all(1)] = -1e4
+    full = (len(across) * CELL, len(down) * CELL)
+
+    def smooth(values: np.ndarray) -> np.ndarray:
+        values = cv2.resize(values.reshape(len(down), len(across)).astype(np.float32), full)
+        return values[CELL : CELL + picture.height, CELL : CELL + picture.width]
+
+    maps = [smooth(values) for values in (pixels - 0.5).T]  # OpenCV's pixel centres are integers, ours end in .5
+    flat = smooth(np.linalg.norm(offset, axis=1)) > 1 / np.tan(np.radians(NEAR_NADIR - SHOWN_BELOW))
+    if picture.frame is None:
+        raise InputError(f"{picture.image}: its frame is not at hand", "Give the folder of the frames with --images.")
+    image = picture.frame.read(0, 0, *picture.size, *picture.size)
+    warped = cv2.remap(image, maps[0], maps[1], cv2.INTER_CUBIC, borderValue=(GREY,) * 3)
+    warped[flat] = GREY
+    return warped

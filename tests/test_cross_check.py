@@ -1,0 +1,99 @@
+"""An orthophoto and a model of the same vehicles: their places tie the two together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from test_colmap import make_model, put_frames, save
+from test_looks import UNIT, found_by, vehicles
+
+from orthoscale.boxes import Boxes
+from orthoscale.cross_check import check_against_model, match
+from orthoscale.errors import TooLittleEvidence, UsageError
+from orthoscale.pipeline import estimate
+
+GSD = 0.08  # [m/px] of the orthophoto
+
+
+def turned(points, scale, angle, shift):
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return scale * points @ turn.T + shift
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_places_give_the_similarity(seed):
+    """Half of the vehicles in common, the rest only in one, places off by half a metre."""
+    rng = np.random.default_rng(seed)
+    a = rng.uniform(0, 120, (50, 2))
+    b = turned(a, 1.08, rng.uniform(0, 6), [300, -40]) + rng.normal(0, 0.4, a.shape)
+    b = np.concatenate([b[:25], rng.uniform(b.min(0), b.max(0), (20, 2))])[rng.permutation(45)]
+    factor, common = match(a, b, 1.6)
+    assert factor == pytest.approx(1.08, rel=0.01) and common >= 22
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_strangers_do_not_match(seed):
+    rng = np.random.default_rng(seed)
+    assert match(rng.uniform(0, 120, (50, 2)), rng.uniform(0, 120, (45, 2)), 1.6) is None
+    assert match(rng.uniform(0, 120, (4, 2)), rng.uniform(0, 120, (45, 2)), 1.6) is None
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """The folder of a model with boxes of its vehicles, and an orthophoto with boxes of the same ones."""
+    folder = tmp_path_factory.mktemp("pair")
+    model, turn = make_model()
+    save(model, folder / "sparse/0", "bin")
+    put_frames(model, folder / "images")
+    found = found_by(folder, turn)
+    found.save(folder / "model.json")
+    bodies, ends = (points @ turn * UNIT for points in vehicles(turn))
+    cv2.imwrite(str(folder / "ortho.png"), np.full((1500, 1500, 3), 90, np.uint8))
+    rows = []
+    for body, end in zip(bodies, ends, strict=True):
+        plan = (body[:, :2] * (1, -1)) / GSD + 750
+        u = (end[1] - end[0])[:2] * (1, -1) / np.linalg.norm((end[1] - end[0])[:2])
+        along, across = plan @ u, plan @ (-u[1], u[0])
+        middle = [(v.min() + v.max()) / 2 for v in (along, across)]
+        centre = middle[0] * u + middle[1] * np.array([-u[1], u[0]])
+        rows.append([*centre, np.ptp(along), np.ptp(across), np.arctan2(u[1], u[0])])
+    ruler = replace(found.ruler, margin=(0.0, 0.0))
+    boxes = {"ortho.png": Boxes(np.array(rows), np.full(len(rows), 0.9))}
+    replace(found, boxes=boxes, ruler=ruler, planar=None).save(folder / "ortho.json")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results(pair):
+    ortho = estimate(pair / "ortho.png", fleet="DE", detections=pair / "ortho.json")
+    return ortho, estimate(pair, fleet="DE", detections=pair / "model.json")
+
+
+def test_an_orthophoto_and_its_model_agree(results):
+    checked = check_against_model(*results)
+    assert checked.units_per_pixel == pytest.approx(GSD / UNIT, rel=0.01), "from places alone, better than by sizes"
+    assert checked.by_model == pytest.approx(GSD, rel=0.03) and checked.common > 30
+    low, high = checked.interval90_by_model
+    assert low < GSD < high and not checked.agreement.contradicts
+    assert checked.document()["metres_per_pixel_by_model"] == checked.by_model
+
+
+def test_an_orthophoto_that_contradicts_its_model(results):
+    ortho, model = results
+    stretched = replace(ortho.measured.scale, value=1.2 * ortho.scale.value)
+    checked = check_against_model(replace(ortho, measured=ortho.measured._replace(scale=stretched)), model)
+    assert checked.agreement.contradicts
+    assert checked.by_model == pytest.approx(GSD, rel=0.03)
+
+
+def test_what_cannot_be_checked(results):
+    ortho, model = results
+    with pytest.raises(UsageError):
+        check_against_model(model, ortho)
+    elsewhere = np.random.default_rng(0).uniform(0, 1500, ortho.votes.place.shape)
+    votes = replace(ortho.votes, place=elsewhere)
+    with pytest.raises(TooLittleEvidence, match="do not fall on one another"):
+        check_against_model(replace(ortho, measured=ortho.measured._replace(votes=votes)), model)

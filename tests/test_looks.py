@@ -1,0 +1,217 @@
+"""A reconstruction measured in its frames and on its ground: exact boxes of known vehicles, so the scale is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from test_colmap import make_model, put_frames, save
+
+from orthoscale.agreement import compare, together
+from orthoscale.boxes import Boxes
+from orthoscale.detections import Detections
+from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
+from orthoscale.fleet import Fleet
+from orthoscale.looks import measure_model
+from orthoscale.pipeline import estimate, fix, open_source
+from orthoscale.pooling import Ruler
+from orthoscale.projection.exact import Hull
+from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.ground_picture import NEAR_NADIR
+
+UNIT = 5.0  # [m]: the cameras of `make_model` fly at 60 m
+HEIGHT, MARGIN = 0.8, 0.5  # of the boxes [m], [px]
+FLEET = Fleet.load("DE")
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """The folder of a model with its frames, and how its world is turned."""
+    folder = tmp_path_factory.mktemp("flight")
+    model, turn = make_model()
+    save(model, folder / "sparse" / "0", "bin")
+    put_frames(model, folder / "images")
+    return folder, turn
+
+
+def vehicles(turn, count=45, seed=1):
+    """(count, P, 3) outlines of parked vehicles and (count, 2, 3) rear and front, in the world [units]."""
+    rng = np.random.default_rng(seed)
+    place = np.array([(x, y) for x in np.arange(-9, 9.1, 2.2) for y in np.arange(-8, 8.1, 2.2)])
+    place = place[rng.permutation(len(place))[:count]] + rng.uniform(-0.4, 0.4, (count, 2))
+    size = FLEET.sample(rng, count)[:, :2] / UNIT
+    angle = rng.uniform(0, np.pi, count)
+    axes = np.stack([np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([-np.sin(angle), np.cos(angle)], -1)], 1)
+    plan, heights = Hull(height=HEIGHT).outline()
+    flat = place[:, None] + (plan * size[:, None]) @ axes
+    body = np.concatenate([flat, np.broadcast_to(heights[:, None] / UNIT, (count, len(plan), 1))], 2)
+    ends = place[:, None] + np.array([-0.05, 0.05])[:, None] * axes[:, :1]
+    return body @ turn.T, np.pad(ends, ((0, 0), (0, 0), (0, 1))) @ turn.T
+
+
+def enclosing(points, heading, margin):
+    """(5,) the box along `heading` (2,) around `points` (P, 2), larger by `margin`."""
+    u = heading / np.linalg.norm(heading)
+    axes = np.array([u, [-u[1], u[0]]])
+    low, high = (points @ axes.T).min(0), (points @ axes.T).max(0)
+    return [*((low + high) / 2 @ axes), *(high - low + margin), np.arctan2(u[1], u[0])]
+
+
+def found_by(folder, turn, noise=0.3, seed=0):
+    """Detections of a perfect detector whose boxes reach HEIGHT and exceed the vehicle by MARGIN."""
+    rng = np.random.default_rng(seed)
+    source = open_source(folder)
+    bodies, ends = vehicles(turn)
+    frames, plans = {}, {}
+    for name in source.picture_names:
+        boxes = []
+        for body, end in zip(bodies, ends, strict=True):
+            points, heading = source.project(name, body), source.project(name, end)
+            if np.isfinite(points).all() and (points > 3).all() and (points < np.array([637, 477])).all():
+                boxes.append(enclosing(points, heading[1] - heading[0], MARGIN + rng.normal(0, noise, 2)))
+        frames[name] = Boxes(np.array(boxes), np.full(len(boxes), 0.9))
+    for picture in source.ground_pictures:
+        centre, up = source.centre(picture.image), turn[:, 2]
+        boxes = []
+        for body, end in zip(bodies, ends, strict=True):
+            drop = (centre @ up) / ((centre - body) @ up)
+            shadow = centre + (body - centre) * drop[:, None]  # where the warp puts what stands above the ground
+            points, heading = (
+                (source.ground.plane(p) - picture.origin) @ picture.axes.T / picture.unit_per_pixel
+                for p in (shadow, end)
+            )
+            if (points > 0).all() and (points < (picture.width, picture.height)).all():
+                boxes.append(enclosing(points, heading[1] - heading[0], MARGIN + rng.normal(0, noise, 2)))
+        plans[picture.name] = Boxes(np.array(boxes).reshape(-1, 5), np.full(len(boxes), 0.9))
+    ruler = Ruler(margin=(MARGIN, MARGIN), margin_sd=(0.5, 0.5), noise=(noise, noise))
+    plain = Detections(frames, 1.0, ruler, (HEIGHT, HEIGHT), "perfect")
+    return replace(plain, planar=replace(plain, boxes=plans))
+
+
+@pytest.fixture(scope="module")
+def found(flight):
+    return found_by(*flight)
+
+
+@pytest.mark.parametrize("mode", [None, "oblique", "planar"])
+def test_the_scale_of_known_vehicles(flight, found, mode):
+    measured = measure_model(ColmapSource.open(flight[0]), found, FLEET, mode=mode)
+    assert measured.scale.value == pytest.approx(UNIT, rel=0.03)
+    low, high = measured.scale.interval90
+    assert low < UNIT < high
+    assert set(measured.findings["modes"]) == ({mode} if mode else {"oblique", "planar"})
+
+
+def test_both_looks_agree_and_are_pooled(flight, found):
+    measured = measure_model(ColmapSource.open(flight[0]), found, FLEET)
+    oblique, planar = (measured.findings["modes"][name]["scale"] for name in ("oblique", "planar"))
+    assert planar == pytest.approx(oblique, rel=0.02)
+    assert min(oblique, planar) <= measured.scale.value <= max(oblique, planar)
+    assert not measured.agreement.contradicts and "planar gives" in measured.scale.remarks[-1]
+    parts = measured.scale.parts
+    for name, part in parts.items():
+        assert part >= min(s.parts[name] for s in measured.agreement.scales.values()) - 1e-12, "nothing got narrower"
+
+
+@pytest.mark.parametrize(("height", "margin"), [(0.5, 2.0), (1.2, -1.0)])
+def test_a_wrong_card_is_found_out_by_the_views(flight, found, height, margin):
+    """The views know better than the card what the boxes are, and the trends that it leaves go away."""
+    ruler = replace(found.ruler, margin=(margin, margin), margin_sd=(2.0, 2.0))
+    wrong = replace(found, ruler=ruler, effective_height=(height, height), planar=None)
+    measured = measure_model(ColmapSource.open(flight[0]), wrong, FLEET)
+    calibration = measured.findings["calibration"]
+    fitted = np.array(calibration["effective_height"]["fitted"])
+    assert np.abs(fitted - HEIGHT).max() < 0.5 * abs(height - HEIGHT)
+    assert calibration["views"] > 100
+    before, after = (calibration["trends"][k]["percent_per_10_degrees"] for k in ("before", "after"))
+    assert before[0] > 3 * before[1] and abs(after[0]) < abs(before[0]) / 3
+
+
+def test_looks_that_contradict_write_nothing_unless_forced(flight, found, tmp_path):
+    planar = found.planar
+    smaller = {n: Boxes(b.xylwa * [1, 1, 0.7, 0.7, 1], b.score) for n, b in planar.boxes.items()}
+    path = tmp_path / "boxes.json"
+    replace(found, planar=replace(planar, boxes=smaller)).save(path)
+    with pytest.raises(EvidenceDisagrees, match="planar gives") as caught:
+        fix(flight[0], tmp_path / "out", fleet="DE", detections=path)
+    assert caught.value.exit_code == 4 and "--mode" in caught.value.hint
+    assert not (tmp_path / "out").exists()
+    one = fix(flight[0], tmp_path / "one", fleet="DE", detections=path, mode="oblique")
+    assert one.scale.value == pytest.approx(UNIT, rel=0.03)
+    both = fix(flight[0], tmp_path / "out", fleet="DE", detections=path, force=True)
+    low, high = both.scale.interval90
+    assert low < one.scale.value < both.scale.value < high, "the difference is part of the interval"
+
+
+def test_a_planar_sweep_alone_is_written_with_its_picture(flight, found, tmp_path):
+    found.save(tmp_path / "boxes.json")
+    again = Detections.load(tmp_path / "boxes.json")
+    assert {n: len(b) for n, b in again.planar.boxes.items()} == {n: len(b) for n, b in found.planar.boxes.items()}
+    fix(flight[0], tmp_path / "out", fleet="DE", detections=tmp_path / "boxes.json", mode="planar")
+    assert cv2.imread(str(tmp_path / "out/vehicles.png")) is not None
+
+
+def test_a_frame_of_another_scale_is_named(flight, found):
+    name = "04.png"
+    boxes = dict(found.boxes)
+    boxes[name] = Boxes(boxes[name].xylwa * [1, 1, 0.8, 0.8, 1], boxes[name].score)
+    measured = measure_model(ColmapSource.open(flight[0]), replace(found, boxes=boxes), FLEET, mode="oblique")
+    assert measured.findings["drift"]["odd_frames"] == [name]
+    assert any(name in remark for remark in measured.scale.remarks)
+
+
+def test_one_look_answers_where_the_other_has_too_little(flight, found):
+    source = ColmapSource.open(flight[0])
+    measured = measure_model(source, replace(found, planar=replace(found.planar, boxes={})), FLEET)
+    assert set(measured.findings["modes"]) == {"oblique"} and measured.agreement is None
+    assert any(note.startswith("planar: 0 boxes") for note in source.notes)
+    with pytest.raises(TooLittleEvidence):
+        measure_model(source, replace(found, boxes={}, planar=replace(found.planar, boxes={})), FLEET)
+
+
+def test_modes_that_cannot_be(flight, found, tmp_path):
+    replace(found, planar=None).save(tmp_path / "boxes.json")
+    with pytest.raises(UsageError, match="no boxes of a planar sweep"):
+        estimate(flight[0], fleet="DE", detections=tmp_path / "boxes.json", mode="both")
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((50, 50, 3), np.uint8))
+    with pytest.raises(UsageError, match="--mode is for COLMAP models"):
+        estimate(tmp_path / "a.png", mode="planar")
+
+
+def test_ground_pictures_show_what_the_frames_show(flight, tmp_path):
+    """Frames are painted by position, so that every pixel of the warp tells where it came from."""
+    across, down = np.meshgrid(np.arange(640) / 640 * 200 + 20, np.arange(480) / 480 * 200 + 20)
+    image = np.stack([across, down, np.full_like(across, 77)], -1).astype(np.uint8)
+    model, turn = make_model()
+    for number in model.images:
+        cv2.imwrite(str(tmp_path / model.images[number].name), image[..., ::-1])
+    source = ColmapSource.open(flight[0], images=tmp_path)
+    picture = source.ground_pictures[4]
+    shown = picture.read(0, 0, picture.width, picture.height, picture.width, picture.height)
+    points = np.random.default_rng(0).uniform(0, (picture.width, picture.height), (4000, 2))
+    pixels, offset = picture.seen(points)
+    elevation = np.degrees(np.arctan2(1, np.linalg.norm(offset, axis=1)))
+    good = (elevation > NEAR_NADIR) & (pixels > 2).all(1) & (pixels < (638, 478)).all(1)
+    assert good.mean() > 0.3
+    x, y = points[good].astype(int).T
+    expected = np.column_stack([pixels[good] / (640, 480) * 200 + 20, np.full(good.sum(), 77)])
+    assert np.abs(shown[y, x] - expected).max() < 3
+    flat = elevation < 45
+    assert (shown[tuple(points[flat].astype(int).T[::-1])] == 114).all()
+    # One pixel is everywhere the same length on the ground, and the plan is not mirrored.
+    a, b, c = picture.ground(np.array([[100.0, 100], [110, 100], [100, 110]]))
+    assert np.linalg.norm(b - a) == pytest.approx(10 * picture.unit_per_pixel, rel=0.01)
+    assert np.cross(b - a, c - a) @ turn[:, 2] < 0, "x right and y down, seen from above"
+    assert len({p.unit_per_pixel for p in source.ground_pictures}) == 1
+
+
+def test_agreement_of_two_scales(flight, found):
+    scale = measure_model(ColmapSource.open(flight[0]), found, FLEET, mode="oblique").scale
+    same = compare({"oblique": scale, "planar": replace(scale, value=1.01 * scale.value)})
+    assert not same.contradicts and same.difference == pytest.approx(0.01, rel=0.01)
+    assert together(same).value == pytest.approx(1.005 * scale.value, rel=1e-3)
+    apart = compare({"oblique": scale, "planar": replace(scale, value=1.5 * scale.value)})
+    assert apart.contradicts
+    assert together(apart).parts["sampling"] > 0.15

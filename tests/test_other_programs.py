@@ -1,0 +1,211 @@
+"""Reconstructions of OpenSfM and nerfstudio: the same model as COLMAP's, and back again in metres."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from test_colmap import make_model, put_frames, save
+from test_looks import UNIT, found_by
+from test_rescale import ply
+
+from orthoscale.errors import InputError, OutputError, UsageError
+from orthoscale.pipeline import fix, open_source
+from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.exchange import ExchangeSource
+from orthoscale.workspace import models_in
+
+LENS = {"f": 400.0, "k1": 0.05, "k2": -0.02}
+
+
+@pytest.fixture(scope="module")
+def made():
+    return make_model("RADIAL", (LENS["f"], 320, 240, LENS["k1"], LENS["k2"]))
+
+
+def opensfm(model, folder: Path, **camera) -> Path:
+    """The model as OpenSfM would write it."""
+    lens = {"projection_type": "perspective", "width": 640, "height": 480, "focal": LENS["f"] / 640}
+    shots, points = {}, {}
+    for image in model.images.values():
+        pose = image.cam_from_world()
+        turn = Rotation.from_matrix(pose.rotation.matrix()).as_rotvec()
+        shots[image.name] = {"camera": "c", "rotation": turn.tolist(), "translation": pose.translation.tolist()}
+    for number, point in model.points3D.items():
+        points[str(number)] = {"coordinates": point.xyz.tolist(), "color": [10, 20, 30]}
+    part = {"cameras": {"c": {**lens, "k1": LENS["k1"], "k2": LENS["k2"], **camera}}, "shots": shots, "points": points}
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "reconstruction.json").write_text(json.dumps([part]))
+    return folder / "reconstruction.json"
+
+
+def nerfstudio(model, folder: Path, **more) -> Path:
+    """The model as ns-process-data would write it."""
+    frames = []
+    for image in model.images.values():
+        pose = image.cam_from_world()
+        matrix = np.eye(4)
+        matrix[:3, :3] = pose.rotation.matrix().T * (1, -1, -1)
+        matrix[:3, 3] = image.projection_center()
+        frames.append({"file_path": f"images/{image.name}", "transform_matrix": matrix.tolist()})
+    folder.mkdir(parents=True, exist_ok=True)
+    ply(folder / "sparse_pc.ply", "ascii", ["x", "y", "z"], np.array([p.xyz for p in model.points3D.values()]))
+    text = {"camera_model": "OPENCV", "w": 640, "h": 480, "fl_x": LENS["f"], "fl_y": LENS["f"], "cx": 320, "cy": 240}
+    text |= {"k1": LENS["k1"], "k2": LENS["k2"], "frames": frames, "ply_file_path": "sparse_pc.ply", **more}
+    (folder / "transforms.json").write_text(json.dumps(text))
+    return folder / "transforms.json"
+
+
+WRITERS = {"opensfm": opensfm, "nerfstudio": nerfstudio}
+
+
+@pytest.mark.parametrize("program", WRITERS)
+def test_views_are_those_of_the_colmap_model(made, tmp_path, program):
+    model, _ = made
+    colmap = ColmapSource.open(save(model, tmp_path / "colmap", "bin"), need_images=False)
+    other = open_source(WRITERS[program](model, tmp_path / "other"), need_images=False)
+    pixels = np.random.default_rng(0).uniform((20, 20), (620, 460), (200, 2))
+    for name in colmap.picture_names[::4]:
+        theirs = name if program == "opensfm" else f"images/{name}"
+        views, world, ok = colmap.views(name, pixels)
+        views2, world2, ok2 = other.views(theirs, pixels)
+        assert (ok == ok2).all() and ok.mean() > 0.6
+        assert np.allclose(world[ok], world2[ok], atol=0.02)  # another choice of ground points
+        assert np.allclose(views.lens[ok], views2.lens[ok], rtol=1e-6, atol=1e-3)
+        assert np.allclose(colmap.project(name, world[ok]), other.project(theirs, world[ok]), atol=1e-4)
+    assert other.camera_height == pytest.approx(colmap.camera_height, rel=0.01)
+
+
+@pytest.mark.parametrize("program", WRITERS)
+def test_written_again_in_metres(made, tmp_path, program):
+    model, turn = made
+    path = WRITERS[program](model, tmp_path / "in")
+    put_frames(model, tmp_path / "in/images")
+    before = {p: p.read_bytes() for p in (tmp_path / "in").rglob("*.*")}
+    found_by(path, turn).save(tmp_path / "boxes.json")
+    result = fix(path.parent, tmp_path / "out", fleet="DE", detections=tmp_path / "boxes.json")
+    assert {p: p.read_bytes() for p in before} == before
+    assert result.scale.value == pytest.approx(UNIT, rel=0.03)
+    assert set(result.measured.findings["modes"]) == {"oblique", "planar"}
+    new = open_source(tmp_path / "out" / path.name, need_images=False)
+    assert isinstance(new, ExchangeSource)
+    assert new.camera_height == pytest.approx(result.scale.value * result.source.camera_height, rel=1e-5)
+    assert {"sim3.json", "report.json", "vehicles.png", path.name} <= {p.name for p in (tmp_path / "out").iterdir()}
+    assert new.metric_already and new.content_hash() != result.source.content_hash()
+    with pytest.raises(UsageError, match="in metres already"):
+        fix(tmp_path / "out", tmp_path / "again", fleet="DE", detections=tmp_path / "boxes.json")
+    assert models_in(path.parent) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "camera"),
+    [
+        ("brown", {"focal_x": 0.6, "focal_y": 0.62, "c_x": 0.01, "c_y": -0.02, "p1": 0.001, "p2": 0.002, "k3": 0.01}),
+        ("fisheye", {"focal": 0.6}),
+        ("fisheye_opencv", {"focal_x": 0.6, "focal_y": 0.6, "c_x": 0.0, "c_y": 0.0, "k3": 0.0, "k4": 0.0}),
+        ("simple_radial", {"focal_x": 0.6, "focal_y": 0.61, "c_x": 0.01, "c_y": 0.0}),
+        ("radial", {"focal_x": 0.6, "focal_y": 0.61, "c_x": 0.01, "c_y": 0.0}),
+    ],
+)
+def test_lenses_of_opensfm(made, tmp_path, kind, camera):
+    """Against OpenSfM's own formulas, written out here: normalised by the longer side, from the middle."""
+    values = {"k1": 0.02, "k2": -0.01, **camera}
+    source = open_source(opensfm(made[0], tmp_path, projection_type=kind, **values), need_images=False)
+    name = source.picture_names[0]
+    seen = np.array([[0.3, -0.2, 2.0], [-0.5, 0.4, 1.5], [0.05, 0.6, 3.0]])
+    world = (seen - source._images[name].cam_from_world().translation) @ source.rotation(name)
+    x, y = (seen[:, :2] / seen[:, 2:]).T
+    k1, k2, k3 = values["k1"], values["k2"], values.get("k3", 0.0)
+    if kind.startswith("fisheye"):
+        r = np.hypot(x, y)
+        theta = np.arctan(r)
+        bend = theta / r * (1 + k1 * theta**2 + k2 * theta**4)
+    else:
+        r2 = x**2 + y**2
+        bend = 1 + k1 * r2 + (k2 * r2**2 if kind != "simple_radial" else 0) + (k3 * r2**3 if kind == "brown" else 0)
+    p1, p2 = (values.get(k, 0.0) for k in ("p1", "p2"))
+    dx = 2 * p1 * x * y + p2 * (x**2 + y**2 + 2 * x**2)
+    dy = p1 * (x**2 + y**2 + 2 * y**2) + 2 * p2 * x * y
+    fx = values.get("focal_x", values.get("focal"))
+    fy = values.get("focal_y", fx)
+    u = (fx * (x * bend + dx) + values.get("c_x", 0)) * 640 + 320
+    v = (fy * (y * bend + dy) + values.get("c_y", 0)) * 640 + 240
+    assert np.allclose(source.project(name, world), np.column_stack([u, v]), atol=1e-6)
+
+
+def test_several_reconstructions_and_gps(made, tmp_path):
+    path = opensfm(made[0], tmp_path)
+    (part,) = json.loads(path.read_text())
+    few = {**part, "shots": dict(list(part["shots"].items())[:3])}
+    path.write_text(json.dumps([few, part]))
+    source = open_source(path, need_images=False)
+    assert len(source.picture_names) == 12 and "2 reconstructions" in source.notes[0]
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 2.0)
+    assert len(json.loads((tmp_path / "out/reconstruction.json").read_text())) == 1
+    assert not source.metric_already
+    for shot in part["shots"].values():
+        shot |= {"gps_position": [1, 2, 3], "gps_dop": 15.0}
+    path.write_text(json.dumps([{**part, "reference_lla": {"latitude": 1, "longitude": 2, "altitude": 0}}]))
+    assert "GPS" in open_source(path, need_images=False).metric_already
+
+
+def test_a_colmap_model_comes_first(made, tmp_path):
+    save(made[0], tmp_path / "sparse/0", "bin")
+    nerfstudio(made[0], tmp_path)
+    assert not isinstance(open_source(tmp_path, need_images=False), ExchangeSource)
+    assert isinstance(open_source(tmp_path / "transforms.json", need_images=False), ExchangeSource)
+
+
+def test_damage_is_refused(made, tmp_path):
+    path = opensfm(made[0], tmp_path / "a")
+    whole = path.read_text()
+    part = json.loads(whole)[0]
+
+    def broken(**changes):
+        return json.dumps([{**part, **changes}])
+
+    first = next(iter(part["shots"]))
+    shot = part["shots"][first]
+    damaged = [whole[: len(whole) * k // 20] for k in range(20)]
+    damaged += [broken(shots={}), broken(points={}), broken(cameras={}), "[]", "{}", "[{}]", "7", "null", '"a"']
+    damaged += [broken(shots={first: {**shot, key: value}}) for key, value in
+                [("translation", [1, 2]), ("translation", [1, 2, float("nan")]), ("translation", [1e300, 0, 0]),
+                 ("rotation", "x"), ("camera", "nobody")]]  # fmt: skip
+    lens = part["cameras"]["c"]
+    for change in (
+        {"focal": -1},
+        {"focal": None},
+        {"width": 0},
+        {"projection_type": "spherical"},
+        {"k1": float("inf")},
+    ):
+        damaged.append(broken(cameras={"c": {**lens, **change}}))
+    for text in damaged:
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"reconstruction\.json"):
+            open_source(path, need_images=False)
+
+    path = nerfstudio(made[0], tmp_path / "b")
+    text = json.loads(path.read_text())
+    frame = text["frames"][0]
+    for change in (
+        {"frames": []}, {"frames": [{"file_path": "a.jpg"}]}, {"frames": [frame, frame]}, {"w": None},
+        {"camera_model": "EQUIRECTANGULAR"}, {"ply_file_path": "nowhere.ply"}, {"fl_x": 0},
+        {"frames": [{**frame, "transform_matrix": np.full((4, 4), 2.0).tolist()}]},
+    ):  # fmt: skip
+        path.write_text(json.dumps({**text, **change}))
+        with pytest.raises(InputError):
+            open_source(path, need_images=False)
+
+
+def test_a_write_that_fails_is_noticed(made, tmp_path, monkeypatch):
+    source = open_source(opensfm(made[0], tmp_path / "in"), need_images=False)
+    (tmp_path / "out").mkdir()
+    monkeypatch.setattr("orthoscale.rescale.files.scale_reconstruction",
+                        lambda a, b, s: b.write_text(a.read_text()))  # fmt: skip
+    with pytest.raises(OutputError, match="differs"):
+        source.write(tmp_path / "out", 2.0)
