@@ -13,8 +13,8 @@ from simulate import table
 
 from orthoscale.boxes import Boxes
 from orthoscale.fleet import Fleet
+from orthoscale.projection.calibration import OwnRuler, own_ruler
 from orthoscale.projection.exact import Hull
-from orthoscale.projection.own_ruler import OwnRuler, own_ruler
 from orthoscale.projection.view import Views
 
 UNIT = 3.7  # metres
@@ -41,9 +41,15 @@ class Flight:
 
 
 def fly(
-    rng: np.random.Generator, fleet: Fleet, height: float, margin: float, vehicles: int = 70, frames: int = 36
+    rng: np.random.Generator,
+    fleet: Fleet,
+    height: float,
+    margin: float,
+    vehicles: int = 70,
+    frames: int = 36,
+    altitude: tuple[float, float] = (50.0, 130.0),
 ) -> Flight:
-    """Frames from 45 to 90 degrees and 50 to 130 m over parked vehicles; boxes reach up to `height` [m] and exceed
+    """Frames from 45 to 90 degrees at `altitude` [m] over parked vehicles; boxes reach up to `height` [m] and exceed
     that by `margin` [px]."""
     size = fleet.sample(rng, vehicles)[:, :2]
     place = np.column_stack([rng.uniform(-45, 45, (vehicles, 2)), np.zeros(vehicles)])
@@ -56,11 +62,11 @@ def fly(
     body = body + heights[:, None] * [0, 0, 1]
     parts, seen, who = [], [], []
     for _ in range(frames):
-        pitch, yaw, altitude = np.radians(rng.uniform(45, 90)), rng.uniform(0, 2 * np.pi), rng.uniform(50, 130)
+        pitch, yaw, above = np.radians(rng.uniform(45, 90)), rng.uniform(0, 2 * np.pi), rng.uniform(*altitude)
         forward = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), -np.sin(pitch)])
         right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
         rotation = np.stack([right, np.cross(forward, right), forward])  # rows: the camera's axes
-        camera = -forward * altitude / np.sin(pitch)  # looks at the origin
+        camera = -forward * above / np.sin(pitch)  # looks at the origin
 
         def project(world: np.ndarray, rotation: np.ndarray = rotation, camera: np.ndarray = camera) -> np.ndarray:
             local = (world - camera) @ rotation.T
