@@ -15,7 +15,7 @@ from .boxes import Boxes
 from .detections import Detections
 from .errors import TooLittleEvidence
 from .fleet import Fleet
-from .measuring import Measured, doubts
+from .measuring import Measured, doubts, tight
 from .method import Method
 from .model_drift import drift
 from .pooling import MIN_VEHICLES
@@ -83,14 +83,14 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet, method
             ruler = calibrate(flat, leaning[solved], pixel[solved], counted, metres_per_unit, card, MAX_HEIGHT)
     lost[NO_HULL] = int((~solved).sum())
     picture = picture[solved]
-    tight = size[solved] - ruler.margin * pixel[solved, None]
+    bare = size[solved] - ruler.margin * pixel[solved, None]
     counted = [members for members, used in zip(votes.members, scale.used, strict=True) if used]
-    changes = trends(flat, tight, np.degrees(view.elevation[solved]), pixel[solved], counted)
+    changes = trends(flat, bare, np.degrees(view.elevation[solved]), pixel[solved], counted)
     findings = {
         "calibration": {**ruler.document(card), "trends": changes},
-        "drift": drift(tight, picture, votes, scale, source.ground.plane(votes.place)),
+        "drift": drift(bare, picture, votes, scale, source.ground.plane(votes.place)),
     }
-    return Measured(boxes[solved], picture, votes, scale, lost, findings)
+    return Measured(boxes[solved], picture, votes, scale, lost, findings, tight(votes, ruler.margin))
 
 
 def _pair(values: np.ndarray) -> tuple[float, float]:

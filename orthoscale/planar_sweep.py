@@ -15,7 +15,7 @@ from .boxes import Boxes
 from .detections import Detections
 from .errors import TooLittleEvidence
 from .fleet import Fleet
-from .measuring import Measured, doubts
+from .measuring import Measured, doubts, tight
 from .method import Method
 from .oblique import HEIGHT_SD, geometry
 from .pooling import MIN_VEHICLES
@@ -62,7 +62,7 @@ def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet, method
         spread = geometry(size, leaning, np.full(2, HEIGHT_SD / metres_per_unit))
         scale = method.pool(votes, fleet, found.ruler, source.unit, spread)
         metres_per_unit = scale.value
-    return Measured(boxes, np.array(names), votes, scale, lost, {})
+    return Measured(boxes, np.array(names), votes, scale, lost, {}, tight(votes, found.ruler.margin))
 
 
 def _whole(picture: GroundPicture, boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
