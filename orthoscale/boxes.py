@@ -17,22 +17,30 @@ class Boxes:
         (0.5, 0.5), as in COLMAP and GDAL. The angle is that of the long side from +x, clockwise on screen,
         in [-pi/2, pi/2).
     score : (N,) float64, the detector's confidence in 0..1.
+    spread : (N, 2) float64, relative one-sigma spread of each box's length and width between looks, NaN where nobody
+        looked more than once.
     """
 
     xylwa: np.ndarray
     score: np.ndarray
+    spread: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         xylwa = np.array(self.xylwa, np.float64).reshape(-1, 5)
         score = np.array(self.score, np.float64).reshape(-1)
         if len(xylwa) != len(score):
             raise ValueError(f"{len(xylwa)} boxes but {len(score)} scores")
+        spread = np.full((len(score), 2), np.nan) if self.spread is None else np.array(self.spread, np.float64)
+        if spread.shape != (len(score), 2):
+            raise ValueError(f"{len(score)} boxes but spread of shape {spread.shape}")
         flat = xylwa[:, 2] < xylwa[:, 3]
+        spread[flat] = spread[flat, ::-1]
         xylwa[flat, 2], xylwa[flat, 3] = xylwa[flat, 3], xylwa[flat, 2].copy()
         xylwa[flat, 4] += np.pi / 2
         xylwa[:, 4] = (xylwa[:, 4] + np.pi / 2) % np.pi - np.pi / 2
         object.__setattr__(self, "xylwa", xylwa)
         object.__setattr__(self, "score", score)
+        object.__setattr__(self, "spread", spread)
 
     @classmethod
     def empty(cls) -> Boxes:
@@ -42,13 +50,17 @@ class Boxes:
     def concatenate(cls, parts: Sequence[Boxes]) -> Boxes:
         if not parts:
             return cls.empty()
-        return cls(np.concatenate([p.xylwa for p in parts]), np.concatenate([p.score for p in parts]))
+        xylwa, score, spread = (
+            np.concatenate([getattr(p, name) for p in parts]) for name in ("xylwa", "score", "spread")
+        )
+        return cls(xylwa, score, spread)
 
     def __len__(self) -> int:
         return len(self.score)
 
     def __getitem__(self, index: np.ndarray | slice) -> Boxes:
-        return Boxes(self.xylwa[index], self.score[index])
+        assert self.spread is not None  # since it was made
+        return Boxes(self.xylwa[index], self.score[index], self.spread[index])
 
     @property
     def centre(self) -> np.ndarray:
@@ -83,7 +95,7 @@ class Boxes:
         xylwa = self.xylwa.copy()
         xylwa[:, :4] *= scale
         xylwa[:, :2] += shift
-        return Boxes(xylwa, self.score)
+        return Boxes(xylwa, self.score, self.spread)
 
     def inside(self, width: float, height: float, border: float = 0.0) -> np.ndarray:
         """(N,) bool: all four corners at least `border` px inside an image of `width` x `height` px."""

@@ -29,7 +29,7 @@ class Comparison:
 
     claimed_by : what claims it, for people. claimed, recovered : metres per unit.
     sd : relative one sigma of the recovered scale (and of the claim, where it has one).
-    believed : False when the claim itself says that nothing ties it to the ground.
+    believed : False when the claim itself says that nothing ties it to the ground. why : where the claim comes from.
     """
 
     claimed_by: str
@@ -37,6 +37,7 @@ class Comparison:
     recovered: float
     sd: float
     believed: bool = True
+    why: str = ""
 
     @property
     def ratio(self) -> float:
@@ -71,6 +72,7 @@ class Comparison:
             "sigmas": self.sigmas,
             "verdict": self.verdict,
             "believed": self.believed,
+            "why": self.why,
             "guesses": self.guesses,
         }
 
@@ -90,11 +92,12 @@ def own_claim(source: Any, scale: Scale) -> Comparison | None:
     if claimed is None or claimed.gsd_m is None:
         return None
     return Comparison(
-        f"its georeferencing claims ({claimed.why})",
+        "its georeferencing claims",
         claimed.gsd_m,
         scale.value,
         scale.relative_sd,
-        believed=claimed.usable,
+        claimed.usable,
+        claimed.why,
     )
 
 

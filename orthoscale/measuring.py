@@ -45,7 +45,9 @@ def measure(source: Source, found: Detections, fleet: Fleet, method: Method | No
     method = method or Method()
     (name,) = source.picture_names
     boxes = found.boxes.get(name, Boxes.empty())
-    votes = gather(ground_size(boxes), np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, repeated=False)
+    votes = gather(
+        ground_size(boxes), np.full(len(boxes), 1 / found.zoom), boxes.centre, boxes.score, False, boxes.spread
+    )
     objects = found.objects.get(name, {})
     more = orthophoto_evidence(votes, boxes.angle, objects, found.zoom, found.ruler, fleet.code)
     scale = method.pool(votes, fleet, found.ruler, source.unit, more=more if method.surroundings else ())

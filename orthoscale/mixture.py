@@ -35,6 +35,7 @@ LARGER_SHARES = np.arange(0.01, 0.61, 0.02)
 STARTERS = 300  # votes from which the starting point is searched
 MANY = 1000  # votes above which STARTERS of them rule out, first, what share of larger vehicles cannot be
 RULED_OUT = 1e-4
+LEAST_KEPT = 0.02  # share of the information that is left however much the classes overlap
 # The tables' shapes (spreads, tails, shares of classes) are good to about 10 %, which is what 50 vehicles can tell of a
 # spread. More of them make neither a fleet nor a share of larger vehicles more likely than another: what they would
 # tell apart is finer than what is known.
@@ -129,7 +130,7 @@ def fit(
             break
 
     pull = -np.stack([pull0, pull1], -1)
-    covariance = np.array([_covariance(p[k], pull[k], share[k], tie, stray_prior) for k in range(len(v))])
+    covariance = np.array([_covariance(p[k], pull[k], system[k], share[k]) for k in range(len(v))])
     # Laplace's approximation of the integral over the scales, at the best shares and stray.
     log_posterior = np.log(total).sum(1) + 0.5 * np.linalg.slogdet(covariance)[1] + 0.5 * np.log(np.trace(tie))
     log_posterior -= 0.5 * np.einsum("vi,ij,vj->v", log_scale, tie, log_scale)
@@ -163,17 +164,29 @@ def _start(gap: np.ndarray, spread: np.ndarray, national: np.ndarray, shares: np
 
 
 def _covariance(
-    p: np.ndarray, pull: np.ndarray, share: np.ndarray, tie: np.ndarray, stray_prior: np.ndarray
+    p: np.ndarray,
+    pull: np.ndarray,
+    system: np.ndarray,
+    share: np.ndarray,
 ) -> np.ndarray:
-    """(2, 2) of the scales by length and width, shares and stray unknown, from the votes' scores (Berndt et al. 1974).
+    """(2, 2) of the scales by length and width, with shares and stray unknown and every vote's class only guessed.
 
+    The information of votes that wore their classes, `system` (4, 4) for scales and stray with their priors, less what
+    the guessing loses: the covariance of each vote's score over the classes that it may be of (Louis 1982).
     `pull` (K + 1, N, 2) is each vote's derivative by the scales, were it of each class.
     """
-    drawn = p[..., None] * pull
-    score = np.hstack([drawn.sum(0), -drawn[-1], p[:-1].T - p[:-1].sum(0)[:, None] * share])
-    known = score.T @ score
-    known[:2, :2] += tie
-    known[2:4, 2:4] += stray_prior
-    known[4:, 4:] += PRIOR_SHARES * (np.diag(share) - np.outer(share, share)) + 1e-6 * np.eye(len(share))
-    size = np.sqrt(np.diag(known))  # to units in which every parameter is known to one: scores span many magnitudes
-    return np.linalg.inv(known / np.outer(size, size) + 1e-9 * np.eye(len(size)))[:2, :2] / np.outer(size, size)[:2, :2]
+    many = len(share)
+    score = np.zeros((*p.shape, 4 + many))
+    score[..., :2] = pull
+    score[-1, :, 2:4] = -pull[-1]
+    score[:-1, :, 4:] = (np.eye(many) - share)[:, None]
+    expected = np.einsum("kn,knd->nd", p, score)
+    lost = np.einsum("kn,knd,kne->de", p, score, score) - expected.T @ expected
+    whole = np.zeros_like(lost)
+    whole[:4, :4] = system
+    whole[4:, 4:] = (p[:-1].sum() + PRIOR_SHARES) * (np.diag(share) - np.outer(share, share)) + 1e-6 * np.eye(many)
+    # In units in which all is known to one; a guess may lose most of what there is to know, but not more.
+    root = np.linalg.cholesky(np.linalg.inv(whole))
+    kept, axes = np.linalg.eigh(np.eye(len(whole)) - root.T @ lost @ root)
+    half = root[:2] @ axes / np.sqrt(np.maximum(kept, LEAST_KEPT))
+    return half @ half.T

@@ -65,7 +65,8 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet, method
     for _ in range(ROUNDS):
         size = method.sizes(boxes, view, metres_per_unit, ruler.height, fleet)
         solved = np.isfinite(size).all(1)
-        votes = gather(size[solved], pixel[solved], place[solved], boxes.score[solved], repeated=True)
+        own = boxes[solved]
+        votes = gather(size[solved], pixel[solved], place[solved], own.score, True, own.spread)
         scale = method.pool(
             votes,
             fleet,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -17,6 +17,8 @@ from .calibration import Calibration
 from .control import read_control, read_distance
 from .detect.detector import Detector
 from .detect.find import Effort, Progress, find_vehicles
+from .detect.refine import refined
+from .detect.workers import worker_count
 from .detections import Detections
 from .drift import Drift, drift
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
 REPORTS = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by its level
+HIGHEST_ZOOM = 10.0  # vehicles are then 4 px long, half of what can be measured
 CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
 
 
@@ -142,6 +145,7 @@ def estimate(
     known_distance: Sequence[str] = (),
     ground_control: str | Path | None = None,
     surroundings: bool = True,
+    refine: bool = False,
     progress: Progress | None = None,
     mode: str | None = None,
     **effort: Any,
@@ -158,6 +162,7 @@ def estimate(
     zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
     projection, estimator : other ways than the usual, see `Method`. known_distance, ground_control : what is known
     besides, see `control`. surroundings : whether parking rows and standard objects count.
+    refine : look at every vehicle four times more, turned and at neighbouring zooms (`detect.refine`).
     mode : how a model is measured, one of `looks.MODES`; by default in every way that there is evidence for.
     effort : how much to look at, and with what; see `orthoscale.detect.find.Effort` (target, exhaustive, seed, workers,
     scheduler, cache). `path` may be a source that `open_source` opened.
@@ -170,6 +175,8 @@ def estimate(
     for name, value in (("--zoom", zoom), ("--gsd-hint", gsd_hint)):
         if value is not None and not (np.isfinite(value) and value > 0):
             raise UsageError(f"{name} must be a positive number, not {value}")
+    if refine and detections is not None:
+        raise UsageError("--refine looks again, --detections does not look at all", "Leave one of them away.")
     known = None if calibration is None else Calibration.load(Path(calibration))
     ruler_fleet = Fleet.load(fleet or "world")
     if known is not None and known.fleet is not None and fleet is None:
@@ -195,6 +202,11 @@ def estimate(
         network = Detector(_path(detector), decoder, vehicle_classes, how_much.threads_each)
         if gsd_hint is not None:
             zoom = network.card.best_length * gsd_hint / float(ruler_fleet.mean[0])
+        if zoom is not None and zoom > HIGHEST_ZOOM:
+            raise UsageError(
+                f"a zoom of {zoom:.3g} would look for vehicles {network.card.best_length / zoom:.2g} px long",
+                f"--zoom is detector pixels per picture pixel, {HIGHEST_ZOOM:g} at most; --gsd-hint is in metres.",
+            )
         try:
             if model is None:
                 found, choice = find_vehicles(
@@ -204,6 +216,11 @@ def estimate(
                 found, choice = find_in_model(model, mode, network, zoom, progress, how_much)
         except TooLittleEvidence as error:
             raise TooLittleEvidence(f"{source.path}: {error.message}", error.hint) from error
+        if refine:
+            sharper = refined(
+                source.pictures, found.boxes, found.zoom, network, worker_count(how_much.workers), progress
+            )
+            found = replace(found, boxes=sharper)
     if known is not None:
         found = known.applied(found, Path(str(calibration)))
     try:

@@ -28,6 +28,7 @@ from .verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
 from .votes import Votes
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
+MEDIAN_VARIANCE = 0.29  # of the median of five looks, as a share of one look's (normal distribution)
 SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
 USUAL_VIEWS = 4  # views of a typical box's vehicle from which a single view counts as a mistake
 PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
@@ -147,9 +148,7 @@ def pool(
         raise TooLittleEvidence(f"{int(measurable.sum())} usable vehicles, {MIN_VEHICLES} are needed")
     size = size[measurable]
     geometry = np.zeros((2, 2)) if geometry is None else geometry
-    noise = (
-        np.asarray(ruler.noise) * votes.pixel[measurable, None] / np.sqrt(np.maximum(votes.views, 1))[measurable, None]
-    )
+    noise = _noise(votes, ruler)[measurable]
     share_px = np.median(votes.pixel[measurable, None] / size, axis=0)  # one pixel as a share of length and width
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
@@ -206,6 +205,20 @@ def pool(
         fleets={c.code: float(p) for c, p in zip(candidates, probability, strict=True) if p > LIKELY},
         evidence=tuple(evidence),
     )
+
+
+def _noise(votes: Votes, ruler: Ruler) -> np.ndarray:
+    """(N, 2) one-sigma noise of each vote's size [units].
+
+    The ruler's; where boxes are medians of several looks, with the part that looks differ by replaced by what the
+    medians of these boxes leave of it. What looks share (paint, shade, blur) stays as the ruler says.
+    """
+    variance = (np.asarray(ruler.noise) * votes.pixel[:, None]) ** 2
+    if votes.spread is not None and np.isfinite(votes.spread).any():
+        own = (votes.spread * votes.size) ** 2
+        shared = np.maximum(variance - np.nanmean(own, axis=0), 0)
+        variance = np.where(np.isfinite(own), shared + MEDIAN_VARIANCE * own, variance)
+    return np.sqrt(variance / np.maximum(votes.views, 1)[:, None])
 
 
 def _of_fleet(log_size: np.ndarray, noise: np.ndarray, fleet: Fleet, known: Mapping[str, np.ndarray]) -> _Vehicles:

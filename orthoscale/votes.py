@@ -21,6 +21,7 @@ class Votes:
     place : (N, 2) or (N, 3) where it stands [source units].
     score : (N,) best confidence of its boxes.
     members : (N,) lists of the boxes' indices.
+    spread : (N, 2) relative spread of its boxes' lengths and widths between looks (`Boxes.spread`), NaN where unknown.
     """
 
     size: np.ndarray
@@ -29,13 +30,21 @@ class Votes:
     place: np.ndarray
     score: np.ndarray
     members: list[np.ndarray]
+    spread: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.size)
 
 
-def gather(size: np.ndarray, pixel: np.ndarray, place: np.ndarray, score: np.ndarray, repeated: bool) -> Votes:
-    """Votes from M boxes: sizes (M, 2), detector pixels (M,), places (M, D), scores (M,), as in `Votes`.
+def gather(
+    size: np.ndarray,
+    pixel: np.ndarray,
+    place: np.ndarray,
+    score: np.ndarray,
+    repeated: bool,
+    spread: np.ndarray | None = None,
+) -> Votes:
+    """Votes from M boxes: sizes (M, 2), detector pixels (M,), places (M, D), scores (M,), spread (M, 2), as in `Votes`.
 
     `repeated`: the boxes come from several pictures that show the same vehicles, so boxes in one place are one vehicle.
     """
@@ -55,6 +64,7 @@ def gather(size: np.ndarray, pixel: np.ndarray, place: np.ndarray, score: np.nda
         place=over(place),
         score=over(score, np.max),
         members=members,
+        spread=None if spread is None else np.sqrt(over(spread**2, np.mean)),
     )
 
 

@@ -14,6 +14,7 @@ from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, changed,
 from orthoscale.evaluate.score import score, summary
 from orthoscale.evaluate.surface import Surface
 from orthoscale.fleet import Fleet
+from orthoscale.photo.looking import save_boxes
 from orthoscale.photo.measure import RIGHT
 from orthoscale.synthetic import NormalFleet, make_scene
 from orthoscale.synthetic.folders import GROUND_M, LON_LAT, survey_rotation, write_csv, write_denseuav, write_visloc
@@ -138,6 +139,17 @@ def test_the_command_writes_tables_of_everything(folders, tmp_path):
     assert right == biases["pitch_deg", 0.0]
     assert biases["focal", 0.05] - right == pytest.approx(5, abs=0.6), "near nadir, altitude goes with the focal length"
     assert abs(biases["pitch_deg", 1.0] - right) < 0.6, "and a degree of pitch hardly matters"
+
+
+def test_boxes_as_the_papers_authors_keep_them(folders, tmp_path):
+    """DOTA's result text; nothing is known of such boxes' margin, and the interval says so."""
+    samples, found, _ = measured(folders, "dense")
+    path = tmp_path / "Task1_small-vehicle.txt"
+    save_boxes(found, path, [s.photo for s in samples])
+    done = run(folders / "dense", "--detections", path, "--fleet", folders / "fleet.json", "--json")
+    assert done.returncode == 0, done.stderr
+    (line,) = json.loads(done.stdout)["regions"]["exact"]
+    assert line["used"] == 9 and line["mape"] < 3 and line["in_interval"] == 1
 
 
 def test_oblique_photos_can_be_left_out(folders):

@@ -315,7 +315,7 @@ def test_a_folder_with_everything_in_it(tmp_path):
     assert shapely.geometry.shape(first["geometry"]).area == pytest.approx(areas[0])
 
     drawing = ezdxf.readfile(out / "layout.dxf")
-    assert drawing.units == ezdxf.units.M
+    assert drawing.units == ezdxf.units.M and not drawing.audit().has_errors
     in_cad = [Polygon([p[:2] for p in e]) for e in drawing.modelspace().query('LWPOLYLINE[layer=="FACILITIES"]')]
     assert [p.area for p in in_cad] == pytest.approx(areas)
 

@@ -228,6 +228,13 @@ def test_agreement_of_the_modes_is_told_as_it_was_judged(report):
         ({"modes": {"planar": {"scale": 0.1}, "oblique": {"scale": 0.11}}}, "Planar and oblique disagree"),
         ({"remarks": ["something is odd"]}, "Remark"),
         (
+            {
+                "evidence": [{"kind": "known distance", "scale": 0.12, "relative_sd": 0.01, "says": ""}],
+                "checks": {"length": 0.1, "width": 0.1, "tension_sigmas": 0.0, "conflict_sigmas": 5.0},
+            },
+            "Other evidence contradicts",
+        ),
+        (
             {"claim": {"verdict": "disagrees", "believed": True, "guesses": [], "ratio": 0.3, "sigmas": 25.0}},
             "Own georeferencing disagrees",
         ),
@@ -245,7 +252,11 @@ def test_planar_and_oblique_are_drawn_where_they_are(report):
         "oblique": {"scale": 0.1012, "interval90": [0.096, 0.106]},
     }
     text = page({**report, "modes": modes}, Scene())
-    assert "Planar and oblique agree" in text and "0.0995 m/px" in text and ">oblique</text>" in text
+    assert (
+        "Planar and oblique agree" in text
+        and "9.95 cm/px, 9.50 to 10.40 with 90 %, 40 vehicles" in text
+        and ">oblique</text>" in text
+    )
     assert "lanar" not in plain
 
 

@@ -4,9 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
+import orthoscale
 from orthoscale.boxes import Boxes
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.zoom import search_zoom
+from orthoscale.errors import UsageError
 from orthoscale.fleet import Fleet
 from orthoscale.synthetic import make_scene, write_ortho
 
@@ -108,3 +110,10 @@ def test_only_promising_zooms_are_looked_at_more_widely():
     pixels = np.array([seen[z] for z in zooms])
     assert pixels[(zooms > 0.3) & (zooms < 1.5)].max() > 40e6
     assert pixels[zooms > 3].sum() < 15e6
+
+
+@pytest.mark.parametrize("wish", [{"zoom": 1e6}, {"gsd_hint": 50}])
+def test_zooms_at_which_no_vehicle_could_be_seen_are_refused(tmp_path, wish):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((200, 200, 3), np.uint8))
+    with pytest.raises(UsageError, match="would look for vehicles .* px long"):
+        orthoscale.estimate(tmp_path / "a.png", **wish)

@@ -57,7 +57,7 @@ def crop(
         linear = linear @ (np.eye(2) + rng.normal(0, 0.05, (2, 2)))
     shift = CROP / 2 - linear @ centre
 
-    pixels, boxes = warp(image, linear, shift, scale), transform_boxes(image.boxes, linear, shift)
+    pixels, boxes = warp(image, linear, shift, scale, rng), transform_boxes(image.boxes, linear, shift)
     is_vehicle = image.is_vehicle
     if donors and not is_vehicle.any() and rng.random() < PASTED:
         pixels, added = paste(pixels, boxes, donors, rng)

@@ -45,7 +45,7 @@ def paste(
         mask = np.zeros(pixels.shape[:2], np.float32)
         cv2.fillConvexPoly(mask, np.round(cv2.boxPoints(outline)).astype(np.int32), 1.0)
         mask = cv2.GaussianBlur(mask, (0, 0), 0.05 * box[3] + 0.5)[..., None]
-        pixels = (mask * warp(donor, linear, shift, scale) + (1 - mask) * pixels).round().astype(np.uint8)
+        pixels = (mask * warp(donor, linear, shift, scale, rng) + (1 - mask) * pixels).round().astype(np.uint8)
         occupied.append((box[0], box[1], box[2]))
         if not decoy:
             added.append(box)

@@ -45,7 +45,11 @@ def crop(
     overwrite: bool,
     as_json: bool,
     debug: bool,
-    **measuring: Any,
+    focal_px: float | None,
+    lens_file: Path | None,
+    pitch: float | None,
+    roll: float | None,
+    **looking: Any,
 ) -> None:
     """Cut satellite crops that show as much ground as PHOTO does.
 
@@ -57,12 +61,14 @@ def crop(
     from ..atomic import check_free
     from ..photo import crop as cropping
     from ..photo.footprint import footprint_of
+    from ..photo.looking import Looking
 
     check_free(out, overwrite)
     place = _place(at)
     sky = cropping.Satellite.open(satellite)
     with progress_bars() as progress:
-        shown = footprint_of(path, gsd, progress, **measuring)
+        lens = {"focal_px": focal_px, "lens_file": lens_file, "pitch": pitch, "roll": roll}
+        shown = footprint_of(path, gsd, Looking(**looking), progress, **lens)
         crops = cropping.plan_crops(sky, shown.gsd, shown.size, place, radius, square, stride, size)
         cropping.write_crops(crops, shown.picture, shown.told, out, overwrite, progress)
     text = cropping.document(crops, shown.told)

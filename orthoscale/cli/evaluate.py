@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -19,9 +20,15 @@ from .photo_options import vehicle_options
 @click.argument("path", metavar="DATASET", type=click.Path(path_type=Path))
 @click.option("--form", type=click.Choice(["denseuav", "visloc", "csv"]), help="Of the data set; guessed by default.")
 @click.option("--focal-px", type=float, metavar="PX", help="Focal length, instead of the data set's.")
-@click.option("--calibration", type=click.Path(path_type=Path), help="The lens, instead of the data set's.")
+@click.option(
+    "--lens", "lens_file", type=click.Path(path_type=Path), help="Calibration of the camera, instead of the data set's."
+)
 @vehicle_options
-@click.option("--save-detections", type=click.Path(path_type=Path), help="Keep the boxes found in this file.")
+@click.option(
+    "--save-detections",
+    type=click.Path(path_type=Path),
+    help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
+)
 @click.option("--max-pitch", type=float, metavar="DEG", help="Leave out photos that look flatter (the paper: -60).")
 @click.option("--ablations", is_flag=True, help="Also over score threshold and least number of vehicles.")
 @click.option("--sensitivity", is_flag=True, help="Also with wrong pitch and wrong focal length.")
@@ -35,12 +42,7 @@ def evaluate(
     path: Path,
     form: str | None,
     focal_px: float | None,
-    calibration: Path | None,
-    fleet: str,
-    detections: Path | None,
-    detector: Path | None,
-    zoom: float | None,
-    gsd_hint: float | None,
+    lens_file: Path | None,
     save_detections: Path | None,
     max_pitch: float | None,
     ablations: bool,
@@ -49,6 +51,7 @@ def evaluate(
     overwrite: bool,
     as_json: bool,
     debug: bool,
+    **looking: Any,
 ) -> None:
     """Compare altitudes by vehicles with true ones: the paper's tables on data of your own.
 
@@ -58,21 +61,19 @@ def evaluate(
     paper's formula, `program` what its authors' program computes.
     """
     from ..evaluate import report
-    from ..fleet import Fleet
-    from ..photo.survey import boxes_of
+    from ..photo import looking as boxes
     from ..photo.tables import check_outputs
 
-    ruler = Fleet.load(fleet)
+    how = boxes.Looking(**looking)
+    ruler = how.ruler_fleet()
     check_outputs(outputs, overwrite, (".json", ".csv"))
-    samples, notes = report.samples_of(path, form, calibration, focal_px, max_pitch)
+    boxes.check_savable(save_detections)
+    samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
+    photos = [sample.photo for sample in samples]
     with progress_bars() as progress:
-        photos = [sample.photo for sample in samples]
-        found = boxes_of(photos, ruler, detections, detector, zoom, gsd_hint, progress)
+        found = boxes.boxes_of(photos, how, progress)
         if save_detections is not None:
-            from ..atomic import new_file
-
-            with new_file(save_detections, overwrite=True) as partial:
-                found.save(partial)
+            boxes.save_boxes(found, save_detections, photos)
         text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress)
     report.write(text, outputs, overwrite)
     click.echo(json.dumps(text) if as_json else report.tables(text, outputs))

@@ -53,6 +53,7 @@ def layout(
     is told, and by how much. OUT gets the layout as GeoPackage, GeoJSON, DXF and JSON; a mask and a line drawing on the
     orthophoto's own grid, as the conditioning image of a generative renderer, with a prompt; and a picture.
     """
+    from ..atomic import check_free
     from ..errors import UsageError
     from ..layout import plan as planning
     from ..layout.terminal import catalogue_table, summary
@@ -65,7 +66,7 @@ def layout(
             raise click.UsageError(f"{what} is missing")
     assert path is not None and lot is not None
     if out is not None:
-        planning.check_output(out, overwrite)
+        check_free(out, overwrite)
     made = planning.plan(
         path,
         lot,

@@ -64,6 +64,9 @@ def evidence_options(command: Callable) -> Callable:
             click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
             click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search."),
             click.option(
+                "--refine", is_flag=True, help="Look at every vehicle four times more: sharper boxes, for small inputs."
+            ),
+            click.option(
                 "--mode",
                 type=click.Choice(["both", "oblique", "planar"]),
                 help="Measure a model in its frames (oblique), in frames warped onto the ground (planar), or both "

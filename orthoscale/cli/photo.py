@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -21,7 +22,11 @@ from .photo_options import lens_options, vehicle_options
 @vehicle_options
 @lens_options
 @click.option("--together", is_flag=True, help="Also one scale of all photos: one lens, one altitude.")
-@click.option("--save-detections", type=click.Path(path_type=Path), help="Keep the boxes found in this file.")
+@click.option(
+    "--save-detections",
+    type=click.Path(path_type=Path),
+    help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
+)
 @click.option(
     "--out", "outputs", multiple=True, type=click.Path(path_type=Path), help="Table to write: .csv, .json or .gpkg."
 )
@@ -30,45 +35,40 @@ from .photo_options import lens_options, vehicle_options
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def photo(
     paths: tuple[Path, ...],
-    fleet: str,
     focal_px: float | None,
-    calibration: Path | None,
+    lens_file: Path | None,
     pitch: float | None,
     roll: float | None,
     together: bool,
-    detections: Path | None,
     save_detections: Path | None,
-    detector: Path | None,
-    zoom: float | None,
-    gsd_hint: float | None,
     outputs: tuple[Path, ...],
     overwrite: bool,
     as_json: bool,
     debug: bool,
+    **looking: Any,
 ) -> None:
     """Measure single photos from a drone: IMAGE is a photo or a folder of them.
 
-    The focal length comes from EXIF or XMP (or --focal-px, --calibration), pitch and roll from XMP (or --pitch, --roll;
+    The focal length comes from EXIF or XMP (or --focal-px, --lens), pitch and roll from XMP (or --pitch, --roll;
     nadir where nothing tells them). For every photo with at least 5 vehicles: the scale of its nadir view, its altitude
     over the ground where the vehicles stand, the average ground sampling distance, the footprint, each with a 90 %
     interval. The ground is taken to be level.
     """
     from ..errors import TooLittleEvidence
-    from ..fleet import Fleet
+    from ..photo import looking as boxes
     from ..photo import survey, tables
     from ..photo.measure import find_photos
 
-    ruler = Fleet.load(fleet)
+    how = boxes.Looking(**looking)
+    ruler = how.ruler_fleet()
     tables.check_outputs(outputs, overwrite)
-    lens = {"calibration": calibration, "focal_px": focal_px, "pitch": pitch, "roll": roll}
-    photos, problems = survey.open_photos(find_photos(paths), decode=detections is None, **lens)
+    boxes.check_savable(save_detections)
+    lens = {"lens_file": lens_file, "focal_px": focal_px, "pitch": pitch, "roll": roll}
+    photos, problems = survey.open_photos(find_photos(paths), decode=how.detections is None, **lens)
     with progress_bars() as progress:
-        found = survey.boxes_of(photos, ruler, detections, detector, zoom, gsd_hint, progress)
+        found = boxes.boxes_of(photos, how, progress)
     if save_detections is not None:
-        from ..atomic import new_file
-
-        with new_file(save_detections, overwrite=True) as partial:
-            found.save(partial)
+        boxes.save_boxes(found, save_detections, photos)
     outcomes = survey.measure_each(photos, problems, found, ruler)
     pooled = survey.measure_together(photos, found, ruler) if together else None
     if pooled is None and not any(outcome.measured for outcome in outcomes):

@@ -7,16 +7,19 @@ from pathlib import Path
 
 import click
 
+from .options import detector_options
+
 
 def lens_options(command: Callable) -> Callable:
-    """--focal-px, --calibration, --pitch, --roll: what the photo's own tags say otherwise."""
+    """--focal-px, --lens, --pitch, --roll: what the photo's own tags say otherwise."""
     for option in reversed(
         [
             click.option("--focal-px", type=float, metavar="PX", help="Focal length, instead of EXIF's and XMP's."),
             click.option(
-                "--calibration",
+                "--lens",
+                "lens_file",
                 type=click.Path(path_type=Path),
-                help="The lens: Metashape's XML, COLMAP's cameras.txt with one camera, or JSON.",
+                help="Calibration of the camera: Metashape's XML, COLMAP's cameras.txt with one camera, or JSON.",
             ),
             click.option(
                 "--pitch", type=float, metavar="DEG", help="Of the optical axis: -90 straight down, instead of XMP's."
@@ -34,19 +37,26 @@ def lens_options(command: Callable) -> Callable:
 
 
 def vehicle_options(command: Callable) -> Callable:
-    """--fleet, and where the boxes come from."""
+    """The fields of `photo.looking.Looking`: --fleet, and where the boxes come from."""
     for option in reversed(
         [
             click.option(
-                "--fleet", default="world", show_default=True, help="Country code (US, DE, JP ...) or fleet.json."
+                "--fleet",
+                help="Country code (US, DE, JP ...) or fleet.json; by default the calibration's own, else world.",
             ),
             click.option(
-                "--detections", type=click.Path(path_type=Path), help="Boxes from this file; no detector needed."
+                "--detections",
+                type=click.Path(path_type=Path),
+                help="Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector needed.",
             ),
-            click.option("--detector", type=click.Path(path_type=Path), help="Another ONNX detector with a card."),
+            click.option(
+                "--calibration",
+                type=click.Path(path_type=Path),
+                help="The detector's ruler as `orthoscale calibrate` measured it.",
+            ),
             click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
             click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search."),
         ]
     ):
         command = option(command)
-    return command
+    return detector_options(command)

@@ -15,7 +15,7 @@ from .tiles import Tile, look
 FAR = 0.25  # zoom of the far look as a share of the sweep's: a sixteenth of its pixels
 SCORE = 0.5  # what the detector must be sure of there; empty ground seldom looks so much like a vehicle from afar
 MANY = 64  # tiles from which a far look pays
-LOOKS = 128  # tiles that are looked at from far away; about a second on two cores
+LOOKS = 64  # tiles that are looked at from far away; half a second on two cores
 UNPROMISING = 0.125  # how early tiles without a promise come, against those with one; never 0, for promises err
 
 

@@ -11,7 +11,7 @@ from ..boxes import Boxes
 from ..detections import Detections
 from ..errors import TooLittleEvidence
 from ..fleet import Fleet
-from ..paper import MIN_SCORE, MIN_VEHICLES, pool_iqr
+from ..paper import pool_iqr
 from ..photo.measure import Photo, measure
 from ..projection.decoupled import PROGRAM, TEXT, Variant, focal_plane_scale
 
@@ -68,4 +68,3 @@ def paper(variant: Variant) -> Method:
 
 
 METHODS: dict[str, Method] = {"exact": exact, "paper": paper(TEXT), "program": paper(PROGRAM)}
-__all__ = ["METHODS", "MIN_SCORE", "MIN_VEHICLES", "Estimate", "Method"]

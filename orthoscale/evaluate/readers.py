@@ -39,11 +39,11 @@ class Sample:
 
 
 def read_samples(
-    path: Path, form: str | None = None, calibration: Path | None = None, focal_px: float | None = None
+    path: Path, form: str | None = None, lens_file: Path | None = None, focal_px: float | None = None
 ) -> tuple[list[Sample], list[str]]:
     """The photos of the data set at `path`, and notes on what was left out.
 
-    form : "denseuav", "visloc" or "csv"; by default what the folder looks like. calibration, focal_px : go before what
+    form : "denseuav", "visloc" or "csv"; by default what the folder looks like. lens_file, focal_px : go before what
     the data set says. Raises InputError.
     """
     if not path.exists():
@@ -54,7 +54,7 @@ def read_samples(
         "visloc": read_visloc,
         "csv": read_csv,
     }
-    samples, notes = readers[form](path, calibration, focal_px)
+    samples, notes = readers[form](path, lens_file, focal_px)
     if not samples:
         raise InputError(f"{path}: no photo with a known altitude", "; ".join(notes) or "See --help for the forms.")
     return samples, notes
@@ -73,7 +73,7 @@ def _photos_in(folder: Path) -> list[Path]:
 # DenseUAV
 
 
-def read_denseuav(folder: Path, calibration: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
+def read_denseuav(folder: Path, lens_file: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
     """Photos whose name, or that of their folder, tells their altitude; nadir, one fixed camera."""
     samples, nameless = [], []
     for path in _photos_in(folder):
@@ -83,10 +83,10 @@ def read_denseuav(folder: Path, calibration: Path | None, focal_px: float | None
             nameless.append(name)
             continue
         focal = focal_px
-        if calibration is None and focal is None:
+        if lens_file is None and focal is None:
             tags = read_tags(path)
             focal = DENSEUAV_FOCAL * math.hypot(tags.width, tags.height)
-        photo = open_photo(path, name, calibration=calibration, focal_px=focal, pitch=-90.0)
+        photo = open_photo(path, name, lens_file=lens_file, focal_px=focal, pitch=-90.0)
         samples.append(Sample(photo, float(told[-1]), folder.name))
     notes = (
         [f"{len(nameless)} photos without an altitude in their name, the first is {nameless[0]}"] if nameless else []
@@ -103,7 +103,7 @@ def _regions(folder: Path) -> list[Path]:
     return [p for p in candidates if (p / "reference.txt").is_file() and (p / "drone").is_dir()]
 
 
-def read_visloc(folder: Path, calibration: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
+def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
     """Photos with reference poses over a surface model: altitude = that of the pose less that of the ground below."""
     samples: list[Sample] = []
     notes: list[str] = []
@@ -111,11 +111,11 @@ def read_visloc(folder: Path, calibration: Path | None, focal_px: float | None) 
     if not regions:
         raise InputError(f"{folder}: no region with reference.txt and drone/", "Give the folder of the regions.")
     for region in regions:
-        lens_file = calibration
-        if calibration is None and focal_px is None:
-            lens_file = region / "camera.xml"
-            if not lens_file.is_file():
-                raise InputError(f"{region}: no camera.xml", "Give --calibration or --focal-px.")
+        own_lens = lens_file
+        if lens_file is None and focal_px is None:
+            own_lens = region / "camera.xml"
+            if not own_lens.is_file():
+                raise InputError(f"{region}: no camera.xml", "Give --lens or --focal-px.")
         models = [p for ending in DSM_ENDINGS for p in sorted(region.glob(f"*{ending}"))]
         if not models:
             raise InputError(f"{region}: no surface model (*_dsm.tif)", "Without it the altitude is not known.")
@@ -133,7 +133,7 @@ def read_visloc(folder: Path, calibration: Path | None, focal_px: float | None) 
                     off_map += 1
                     continue
                 name = path.relative_to(folder).as_posix()
-                photo = open_photo(path, name, calibration=lens_file, focal_px=focal_px, pitch=-90.0)
+                photo = open_photo(path, name, lens_file=own_lens, focal_px=focal_px, pitch=-90.0)
                 up = up_from_survey(*np.radians([pitch, roll]))
                 photo = replace(photo, up=up, up_sd=float(GIMBAL_SD), attitude="of the reference pose")
                 samples.append(Sample(photo, height - ground, region.name))
@@ -174,7 +174,7 @@ def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
 # CSV
 
 
-def read_csv(path: Path, calibration: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
+def read_csv(path: Path, lens_file: Path | None, focal_px: float | None) -> tuple[list[Sample], list[str]]:
     """A table of photos. Focal length and angles come from it, or else from the photos' own tags."""
     if path.is_dir():
         raise InputError(f"{path} is a folder", "Give the CSV file.")
@@ -189,7 +189,7 @@ def read_csv(path: Path, calibration: Path | None, focal_px: float | None) -> tu
                     "Columns: image, altitude_m; where wanted region, focal_px, pitch_deg, roll_deg.",
                 )
             for row in table:
-                samples.append(_row(row, path, table.line_num, calibration, focal_px))
+                samples.append(_row(row, path, table.line_num, lens_file, focal_px))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: not a CSV table ({error})", "Save it as comma-separated UTF-8 text.") from error
     except OSError as error:
@@ -197,7 +197,7 @@ def read_csv(path: Path, calibration: Path | None, focal_px: float | None) -> tu
     return samples, []
 
 
-def _row(row: dict[str, str], path: Path, line: int, calibration: Path | None, focal_px: float | None) -> Sample:
+def _row(row: dict[str, str], path: Path, line: int, lens_file: Path | None, focal_px: float | None) -> Sample:
     def number(name: str) -> float | None:
         text = (row.get(name) or "").strip()
         if not text:
@@ -214,12 +214,12 @@ def _row(row: dict[str, str], path: Path, line: int, calibration: Path | None, f
     if altitude is None or altitude <= 0:
         raise InputError(f"{path}, line {line}: altitude_m must be a positive number", "Correct or remove the line.")
     place = path.parent / (row["image"] or "").strip()
-    if focal_px is None and calibration is None:
+    if focal_px is None and lens_file is None:
         focal_px = number("focal_px")
     photo = open_photo(
         place,
         (row["image"] or "").strip(),
-        calibration=calibration,
+        lens_file=lens_file,
         focal_px=focal_px,
         pitch=number("pitch_deg"),
         roll=number("roll_deg"),

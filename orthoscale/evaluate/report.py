@@ -17,16 +17,17 @@ from ..detect.find import Progress
 from ..detections import Detections
 from ..errors import InputError, TooLittleEvidence
 from ..fleet import Fleet
+from ..paper import MIN_SCORE, MIN_VEHICLES
 from . import score
-from .methods import METHODS, MIN_SCORE, MIN_VEHICLES
+from .methods import METHODS
 from .readers import Sample, read_samples
 
 
 def samples_of(
-    path: Path, form: str | None, calibration: Path | None, focal_px: float | None, max_pitch: float | None
+    path: Path, form: str | None, lens_file: Path | None, focal_px: float | None, max_pitch: float | None
 ) -> tuple[list[Sample], list[str]]:
     """`read_samples`, without photos that look flatter than `max_pitch` [deg]. Raises InputError."""
-    samples, notes = read_samples(path, form, calibration, focal_px)
+    samples, notes = read_samples(path, form, lens_file, focal_px)
     if max_pitch is None:
         return samples, notes
     steep = [s for s in samples if s.photo.pitch <= np.radians(max_pitch)]

@@ -10,7 +10,8 @@ import numpy as np
 
 from ..detections import Detections
 from ..fleet import Fleet
-from .methods import METHODS, MIN_SCORE, MIN_VEHICLES, Estimate
+from ..paper import MIN_SCORE, MIN_VEHICLES
+from .methods import METHODS, Estimate
 from .readers import Sample, changed
 
 SCORES = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)

@@ -13,7 +13,7 @@ import numpy as np
 from ..boxes import Boxes
 from ..detections import Detections
 from ..errors import InputError, UsageError
-from ..sources.source import Source
+from ..sources.source import Pictures
 from . import coco, dota, geo
 from .items import Item, boxes_by_picture
 
@@ -33,7 +33,7 @@ def check_name(path: Path) -> None:
         raise UsageError(f"{path.name}: no format of detections ends like this", f"Known: {known}.")
 
 
-def save(found: Detections, path: Path, source: Source) -> None:
+def save(found: Detections, path: Path, source: Pictures) -> None:
     """Write `found` to `path` in the format that its name says. Raises UsageError.
 
     All but DOTA's text also keep the zoom and the ruler, so that `load` gives back what was saved.
@@ -52,7 +52,7 @@ def save(found: Detections, path: Path, source: Source) -> None:
         found.save(path)
 
 
-def load(path: Path, source: Source, vehicle_classes: Sequence[str] = ()) -> Detections:
+def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = ()) -> Detections:
     """The vehicles that a file, or a folder of DOTA labels, has of the pictures of `source`.
 
     vehicle_classes : names of the classes that count, instead of those called small vehicles.
@@ -98,15 +98,15 @@ def _write(text: Any, path: Path) -> None:
     path.write_text(json.dumps(text) + "\n", encoding="utf-8")
 
 
-def _place(source: Source) -> geo.Place | None:
+def _place(source: Pictures) -> geo.Place | None:
     return geo.Place.of(source.path) if source.unit == "m/px" else None
 
 
-def _sizes(source: Source) -> dict[str, tuple[int, int]]:
+def _sizes(source: Pictures) -> dict[str, tuple[int, int]]:
     return {p.name: (p.width, p.height) for p in source.pictures}
 
 
-def _check_sizes(sizes: Mapping[str, tuple[int, int]], source: Source, path: Path) -> None:
+def _check_sizes(sizes: Mapping[str, tuple[int, int]], source: Pictures, path: Path) -> None:
     for name, size in _sizes(source).items():
         if sizes.get(name, size) not in (size, (0, 0)):
             raise InputError(
@@ -115,7 +115,7 @@ def _check_sizes(sizes: Mapping[str, tuple[int, int]], source: Source, path: Pat
             )
 
 
-def _checked(found: Detections, source: Source, path: Path) -> Detections:
+def _checked(found: Detections, source: Pictures, path: Path) -> Detections:
     """`found` without pictures that `source` does not have, those of a workspace's other models.
 
     Raises InputError where it has none of them, or boxes outside of them.

@@ -18,7 +18,9 @@ from shapely.geometry.base import BaseGeometry
 
 from .catalogue import Facility
 
-TOLERANCE = 20.0  # [deg] from north within which a facility counts as lying north to south
+# [deg] from north within which a facility counts as lying north to south. The ITF's Facilities Guide (2020) asks for
+# "generally north-south", 25 degrees off where latitude and season want it; how far that goes is our choice.
+TOLERANCE = 20.0
 STEP, COARSE_STEP = 5.0, 15.0  # [deg] between directions that are tried, to place and to tell what is missing
 SLACK = 1e-3  # [m] by which a rectangle may touch what it must not cross
 PRECISION = 0.05  # [m] to which it is told how much is missing

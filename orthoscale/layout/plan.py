@@ -12,7 +12,7 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from .. import __version__
-from ..atomic import check_free, new_folder
+from ..atomic import new_folder
 from ..errors import UsageError
 from .catalogue import Facility, Request, parse_requests
 from .ground import Ground, open_ground, read_area
@@ -90,11 +90,6 @@ def write(layout: Layout, folder: Path, overwrite: bool = False) -> None:
         export.write_vectors(layout, partial, document(layout)["facilities"])
         export.write_dxf(layout, partial / "layout.dxf")
         export.write_pictures(layout, partial)
-
-
-def check_output(folder: Path, overwrite: bool) -> None:
-    """Refuse early what `write` would refuse late."""
-    check_free(folder, overwrite)
 
 
 def document(layout: Layout) -> dict[str, Any]:

@@ -8,10 +8,9 @@ from typing import Any
 
 from ..detect.find import Progress
 from ..errors import TooLittleEvidence
-from ..fleet import Fleet
 from ..sources.picture_file import PictureFile
+from .looking import Looking, boxes_of
 from .measure import measure, open_photo
-from .survey import boxes_of
 from .tags import read_tags
 
 
@@ -26,18 +25,9 @@ class Footprint:
 
 
 def footprint_of(
-    path: Path,
-    gsd: float | None,
-    progress: Progress | None = None,
-    *,
-    fleet: str = "world",
-    detections: Path | None = None,
-    detector: Path | None = None,
-    zoom: float | None = None,
-    gsd_hint: float | None = None,
-    **lens: Any,
+    path: Path, gsd: float | None, how: Looking, progress: Progress | None = None, **lens: Any
 ) -> Footprint:
-    """The ground of the photo at `path`; `lens` as for `open_photo`, the other options as for `boxes_of`.
+    """The ground of the photo at `path`; `lens` as for `open_photo`.
 
     Raises InputError, UsageError, TooLittleEvidence.
     """
@@ -45,9 +35,9 @@ def footprint_of(
         tags = read_tags(path)
         picture = PictureFile(path.name, path, tags.width, tags.height)
         return Footprint(picture, gsd, (tags.width, tags.height), {"photo": str(path), "gsd": gsd})
-    ruler = Fleet.load(fleet)
+    ruler = how.ruler_fleet()
     photo = open_photo(path, **lens)
-    found = boxes_of([photo], ruler, detections, detector, zoom, gsd_hint, progress)
+    found = boxes_of([photo], how, progress)
     try:
         got = measure([photo], found, ruler)
     except TooLittleEvidence as error:

@@ -43,14 +43,14 @@ class Lens:
         return math.sqrt(self.camera.focal_length_x * self.camera.focal_length_y)
 
 
-def lens_of(tags: Tags, calibration: Path | None = None, focal_px: float | None = None) -> Lens:
+def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = None) -> Lens:
     """The lens of the photo with these `tags`; a calibration or a told focal length [px] goes first.
 
     Raises InputError for a calibration that does not fit the photo, or where no focal length is known.
     """
     size = tags.width, tags.height
-    if calibration is not None:
-        return Lens(_resized(read_calibration(calibration), size, calibration), CALIBRATED_SD, f"from {calibration}")
+    if lens_file is not None:
+        return Lens(_resized(read_calibration(lens_file), size, lens_file), CALIBRATED_SD, f"from {lens_file}")
     if focal_px is not None:
         if not (math.isfinite(focal_px) and focal_px > 0):
             raise UsageError(f"--focal-px must be a positive number, not {focal_px}")
@@ -69,7 +69,7 @@ def lens_of(tags: Tags, calibration: Path | None = None, focal_px: float | None 
     if nominal is None:
         raise InputError(
             f"its EXIF and XMP tell no focal length ({tags.make or 'unknown maker'} {tags.model})".rstrip(),
-            "Give it in pixels (--focal-px), or a calibration file (--calibration).",
+            "Give it in pixels (--focal-px), or a calibration file (--lens).",
         )
     return nominal
 

@@ -8,7 +8,7 @@ detector's effective height is carried through by measuring again with each a li
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -86,7 +86,7 @@ def open_photo(
     path: Path,
     name: str | None = None,
     *,
-    calibration: Path | None = None,
+    lens_file: Path | None = None,
     focal_px: float | None = None,
     pitch: float | None = None,
     roll: float | None = None,
@@ -97,7 +97,7 @@ def open_photo(
     """
     tags = read_tags(path)
     try:
-        lens = lens_of(tags, calibration, focal_px)
+        lens = lens_of(tags, lens_file, focal_px)
     except InputError as error:
         raise InputError(f"{path}: {error.message}", error.hint) from error
     if pitch is not None:
@@ -199,16 +199,11 @@ def measure(
             "Give photos that show more vehicles, or pool those of one altitude with --together.",
         )
     picture = np.array([p.name for p, b in usable for _ in range(len(b))])
-
-    def views(change=lambda photo: photo) -> Views:
-        parts = [(change(p), b) for p, b in usable]
-        return Views.concatenate([p.views(b.centre, p.lens.focal_px)[0] for p, b in parts])
-
-    view = views()
+    view = _together(usable, lambda photo: photo)
     off = {
-        "pitch": views(lambda p: p.turned(RIGHT, p.up_sd)),
-        "roll": views(lambda p: p.turned(np.cross(p.up, RIGHT) / np.linalg.norm(np.cross(p.up, RIGHT)), p.up_sd)),
-        "focal": views(lambda p: p.refocused(1 + p.lens.sd)),
+        "pitch": _together(usable, lambda photo: photo.turned(RIGHT, photo.up_sd)),
+        "roll": _together(usable, lambda photo: photo.turned(_sideways(photo.up), photo.up_sd)),
+        "focal": _together(usable, lambda photo: photo.refocused(1 + photo.lens.sd)),
     }
     height = np.array(found.effective_height)
     metres_per_unit = float(fleet.mean[0] / np.median(boxes.length * view.unit_per_pixel))
@@ -217,14 +212,9 @@ def measure(
         solved = np.isfinite(size).all(1)
         if solved.sum() < min_vehicles:
             raise TooLittleEvidence(f"{int(solved.sum())} boxes that a vehicle explains, {min_vehicles} are needed")
-
-        def shift(other: np.ndarray, size: np.ndarray = size) -> np.ndarray:
-            """(2,) by how much lengths and widths (log) are larger in `other`."""
-            return np.nanmedian(np.log(other / size), axis=0)
-
-        shifts = {name: shift(_sizes(boxes, v, metres_per_unit, height)) for name, v in off.items()}
-        raised = shift(_sizes(boxes, view, metres_per_unit, height + HEIGHT_SD))
-        geometry = np.diag(raised**2) + sum(np.outer(s, s) for s in shifts.values())
+        # (2,) by how much lengths and widths (log) come out larger where something is one sigma off.
+        shifts = {name: _change(size, _sizes(boxes, v, metres_per_unit, height)) for name, v in off.items()}
+        raised = _change(size, _sizes(boxes, view, metres_per_unit, height + HEIGHT_SD))
         votes = gather(
             size[solved],
             view.unit_per_pixel[solved] / found.zoom,
@@ -232,6 +222,7 @@ def measure(
             boxes.score[solved],
             repeated=False,
         )
+        geometry = np.diag(raised**2) + sum(np.outer(s, s) for s in shifts.values())
         scale = pool(votes, fleet, found.ruler, "m/px", geometry)
         change = abs(np.log(scale.value / metres_per_unit))
         metres_per_unit = scale.value
@@ -240,6 +231,23 @@ def measure(
     if overlap > 1:
         scale = _thinned(scale, overlap)
     return _assembled(first, scale, shifts, boxes[solved], picture[solved], overlap)
+
+
+def _together(usable: Sequence[tuple[Photo, Boxes]], changed: Callable[[Photo], Photo]) -> Views:
+    """How all boxes are seen, in pixels of the nadir view, if each photo were `changed`."""
+    parts = [(changed(photo), boxes) for photo, boxes in usable]
+    return Views.concatenate([photo.views(boxes.centre, photo.lens.focal_px)[0] for photo, boxes in parts])
+
+
+def _sideways(up: np.ndarray) -> np.ndarray:
+    """(3,) the axis about which the camera tilts to its side."""
+    axis = np.cross(up, RIGHT)
+    return axis / np.linalg.norm(axis)
+
+
+def _change(size: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(2,) median log ratio of lengths and of widths."""
+    return np.nanmedian(np.log(other / size), axis=0)
 
 
 def _sizes(boxes: Boxes, view: Views, metres_per_unit: float, height: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ..detect.find import Progress, find_vehicles
 from ..detections import Detections
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleet import Fleet
@@ -38,45 +37,6 @@ def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tup
         name = next(iter(problems))
         raise InputError(f"none of {len(problems)} photos can be used; {problems[name]}", "Look at the first one.")
     return photos, problems
-
-
-def boxes_of(
-    photos: Sequence[Photo],
-    fleet: Fleet,
-    detections: Path | None = None,
-    detector: Path | None = None,
-    zoom: float | None = None,
-    gsd_hint: float | None = None,
-    progress: Progress | None = None,
-) -> Detections:
-    """The boxes of `photos`, from a file or by the detector; options as in `pipeline.estimate`.
-
-    All photos share one zoom, as those of a flight do: measure flights at different heights in one run each.
-    Raises InputError, UsageError, TooLittleEvidence.
-    """
-    for name, value in (("--zoom", zoom), ("--gsd-hint", gsd_hint)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise UsageError(f"{name} must be a positive number, not {value}")
-    if zoom is not None and gsd_hint is not None:
-        raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
-    if detections is not None:
-        found = Detections.load(detections)
-        if not any(p.name in found.boxes for p in photos):
-            raise InputError(
-                f"{detections}: has no boxes for {photos[0].name}" + (" or any other photo" if len(photos) > 1 else ""),
-                f"Its pictures are named like {next(iter(found.boxes), 'nothing')!r}.",
-            )
-        return found
-    from ..detect.detector import Detector
-
-    network = Detector(detector)
-    if gsd_hint is not None:
-        zoom = network.card.best_length * gsd_hint / float(fleet.mean[0])
-    try:
-        return find_vehicles([p.picture for p in photos], network, zoom, progress)[0]
-    except TooLittleEvidence as error:
-        where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
-        raise TooLittleEvidence(f"{where}: {error.message}", error.hint) from error
 
 
 def measure_each(photos: Sequence[Photo], problems: dict[str, str], found: Detections, fleet: Fleet) -> list[Outcome]:

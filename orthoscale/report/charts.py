@@ -135,7 +135,7 @@ def place_map(vehicles: np.ndarray, regions: Sequence[Region], label: str) -> Ma
         colour = "larger" if region.deviation > 0 else "smaller"
         box = {"x": x - wide / 2, "y": y - tall / 2, "width": wide, "height": tall, "rx": 3}
         parts.append(_tag("rect", **box, class_="ground"))
-        parts.append(_tag("rect", **box, class_=colour, fill_opacity=f"{sigmas**2:.2f}"))
+        parts.append(_tag("rect", **box, class_=colour, fill_opacity=f"{0.7 * sigmas**2:.2f}"))
     for vehicle in vehicles:
         x, y = px(*vehicle)
         parts.append(_tag("circle", cx=x, cy=y, r=2, class_="dot"))

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..posterior import Z90
 from ..verdicts import CHECK_LIMIT
+from .explanation import explain
 from .places import frames, trend
 
 FIT = {  # verdict: what it is called, what the scale is fit for
@@ -20,12 +21,6 @@ FIT = {  # verdict: what it is called, what the scale is fit for
 SAMPLING = 0.02  # one sigma from which more vehicles would help
 REJECTED = 0.5  # share of the vehicles from which one wonders what the detector found
 MODES = 0.03  # relative difference between the planar and the oblique measurement that is put down to noise
-UNCERTAINTY = {  # part: what it is, what makes it smaller
-    "sampling": ("Vehicles differ from one another.", "more vehicles"),
-    "fleet": ("The mean vehicle of the country, and of this place, is known only so well.", "a closer fleet"),
-    "margin": ("The detector's boxes are a little larger or smaller than vehicles.", "a calibrated or better detector"),
-    "geometry": ("Ground height and viewing angles of the reconstruction.", "more images, steeper views"),
-}
 
 
 @dataclass(frozen=True)
@@ -61,7 +56,7 @@ def relative(scale: float, report: Mapping[str, Any]) -> float:
 
 def checks(report: Mapping[str, Any]) -> list[Check]:
     """What speaks for the scale, or against it: first what a person should look at, then in the order of asking."""
-    made = [_vehicles, _shapes, _modes, _claim, _places, _frames, _largest]
+    made = [_vehicles, _shapes, _modes, _evidence, _claim, _places, _frames, _largest]
     remarks = [remark for remark in report["remarks"] if remark not in report["notes"]]
     found = [check for make in made if (check := make(report))] + [
         Check("look", "Remark", remark) for remark in remarks
@@ -86,8 +81,10 @@ def _shapes(report: Mapping[str, Any]) -> Check:
     return Check("ok" if ok else "look", what, f"lengths give {signed(difference)} ({tension:.1f} sigma)")
 
 
-def _places(report: Mapping[str, Any]) -> Check:
+def _places(report: Mapping[str, Any]) -> Check | None:
     found = trend(report)
+    if found is None and report["unit"] != "m/px" and not report.get("drift"):
+        return None  # nobody compared them
     if found is None:
         return Check("none", "Places not compared", "too few vehicles for it")
     known = "" if found.sd is None else f" ± {100 * Z90 * found.sd:.1f}"
@@ -133,13 +130,22 @@ def _modes(report: Mapping[str, Any]) -> Check | None:
     return Check("ok" if ok else "look", what, f"oblique frames give {signed(difference)}{sigmas}")
 
 
-def _largest(report: Mapping[str, Any]) -> Check | None:
-    parts = report["uncertainty"]
-    total = sum(sd**2 for sd in parts.values()) ** 0.5
-    name = max(parts, key=lambda part: parts[part])
-    remedy = UNCERTAINTY.get(name, ("", ""))[1]
-    share = f"{100 * parts[name]:.1f} of {percent(total)} (one sigma)"
-    return Check("none", f"Least known: {name}", share + (f"; smaller by {remedy}" if remedy else ""))
+def _evidence(report: Mapping[str, Any]) -> Check | None:
+    others = report.get("evidence")
+    if not others:
+        return None
+    kinds = ", ".join(f"{e['kind']} gives {signed(relative(e['scale'], report))}" for e in others)
+    conflict = report["checks"].get("conflict_sigmas", 0.0)
+    if conflict:
+        return Check("look", "Other evidence contradicts", f"{kinds} ({conflict:.1f} sigma)")
+    return Check("ok", "Other evidence agrees", kinds)
+
+
+def _largest(report: Mapping[str, Any]) -> Check:
+    explained = explain(report)
+    part = explained["parts"][0]
+    share = f"{100 * part['relative_sd']:.1f} of {percent(explained['relative_sd'])} (one sigma)"
+    return Check("none", f"Least known: {part['name']}", f"{share}: {part['meaning']}")
 
 
 def metres_of(report: Mapping[str, Any], length: float = 10.0) -> str:

@@ -15,6 +15,7 @@ from ..cli.reproduce import command_line
 from ..errors import OutputError
 from ..posterior import Z90
 from . import charts, judgement, places
+from .explanation import explain
 from .judgement import percent, relative, signed
 from .scene import Panel, Scene
 
@@ -54,10 +55,11 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
         reasons={**report["vehicles_rejected"], **report["boxes_rejected"]},
         histograms=[_histogram(report, axis) for axis in ("length", "width")],
         estimates=_estimates(report),
-        modes=_modes(report),
+        modes={name: _mode(mode, report) for name, mode in _modes(report).items()},
         places=_places(report),
         frames=_frames(report),
-        uncertainty=_uncertainty(report),
+        uncertainty=explain(report),
+        fleets=_fleets(report),
         command=command_line(report["input"]["path"], report["settings"]),
     )
 
@@ -138,6 +140,23 @@ def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:
     return {name: modes[name] for name in MODES if modes.get(name)}
 
 
+def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:
+    """One way of measuring, in words."""
+    values, unit = judgement.quantity(report, mode["scale"], *mode.get("interval90", ()))
+    interval = f", {values[1]} to {values[2]} with 90 %" if len(values) == 3 else ""
+    vehicles = f", {mode['vehicles_used']} vehicles" if "vehicles_used" in mode else ""
+    return f"{values[0]} {unit}{interval}{vehicles}"
+
+
+def _fleets(report: Mapping[str, Any]) -> str:
+    """The likeliest fleets, where they were to be found."""
+    fleets = report.get("fleets", {})
+    if len(fleets) < 2:
+        return ""
+    likely = sorted(fleets.items(), key=lambda item: -item[1])[:5]
+    return ", ".join(f"{code} {100 * probability:.0f} %" for code, probability in likely)
+
+
 def _places(report: Mapping[str, Any]) -> Markup | None:
     found = places.regions(report)
     if len(found) < 2:
@@ -154,13 +173,3 @@ def _frames(report: Mapping[str, Any]) -> Markup | None:
 def _row(name: str, values: Mapping[str, Any], report: Mapping[str, Any]) -> charts.Row:
     interval = tuple(relative(v, report) for v in values["interval90"]) if values.get("interval90") else None
     return charts.Row(name, relative(values["scale"], report), interval)  # type: ignore[arg-type]
-
-
-def _uncertainty(report: Mapping[str, Any]) -> dict[str, Any]:
-    parts = {name: sd for name, sd in report["uncertainty"].items() if sd > 0}
-    variance = sum(sd**2 for sd in parts.values())
-    rows = []
-    for name, sd in parts.items():
-        what, remedy = judgement.UNCERTAINTY.get(name, ("", ""))
-        rows.append({"name": name, "sd": sd, "share": sd**2 / variance, "what": what, "remedy": remedy})
-    return {"rows": rows, "total": variance**0.5}

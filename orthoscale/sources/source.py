@@ -9,11 +9,10 @@ from typing import Protocol
 from .picture import Picture
 
 
-class Source(Protocol):
-    """Something with pictures and without metres: an orthophoto, or a reconstruction.
+class Pictures(Protocol):
+    """Something with pictures.
 
-    unit : what a scale of this source is measured in, "m/px" or "m/model-unit". notes : what its user should know.
-    metric_already : why the source counts as metric already, as a sentence; empty if it does not.
+    unit : what a scale of it is measured in, "m/px", "m/model-unit" ... notes : what its user should know.
     """
 
     @property
@@ -25,11 +24,19 @@ class Source(Protocol):
     @property
     def pictures(self) -> Sequence[Picture]: ...
     @property
-    def metric_already(self) -> str: ...
-    @property
     def picture_names(self) -> list[str]:
         """Names of all its pictures, also of those whose pixels are not at hand."""
         ...
+
+
+class Source(Pictures, Protocol):
+    """Something with pictures and without metres: an orthophoto, or a reconstruction.
+
+    metric_already : why the source counts as metric already, as a sentence; empty if it does not.
+    """
+
+    @property
+    def metric_already(self) -> str: ...
 
     def content_hash(self) -> str:
         """SHA-256 of its files."""

@@ -1,0 +1,109 @@
+"""Test-time consistency: vehicles that were found are looked at again, turned and at neighbouring zooms.
+
+A box that says the same from every side is a better measurement than one that does not. The median over the views is
+the sharper box, and their spread is part of its own noise; the pooling knows how to use it. Turns are by quarters,
+which needs no resampling; zooms are a quarter octave up and down, so that a margin in pixels counts the same on
+average.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..boxes import Boxes, matched, suppress
+from ..sources.picture import Picture
+from .tiles import Detect, Tile, place, read, tiles
+
+SAME_BOX = 0.5  # overlap at which two views show the same vehicle
+FEWEST = 3  # views of a vehicle, the first included, from which a median says more than a single box
+# What is known of a box's spread from all boxes counts like so many views of its own (Smyth 2004, moderated variances):
+# five views alone know a standard deviation only to a third.
+PRIOR_VIEWS = 4
+
+
+@dataclass(frozen=True)
+class View:
+    """quarters : counter-clockwise turns by 90 degrees. zoom : times the zoom of the first look."""
+
+    quarters: int
+    zoom: float
+
+
+VIEWS = (View(1, 1.0), View(2, 1.0), View(0, 2**0.25), View(0, 2**-0.25))
+
+Progress = Callable[[str, int, int], None]
+
+
+def refined(
+    pictures: Sequence[Picture],
+    found: dict[str, Boxes],
+    zoom: float,
+    detect: Detect,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> dict[str, Boxes]:
+    """The boxes `found` in `pictures` at `zoom`, by name, each with the median size and place of its views and their
+    spread. Boxes that too few views show keep what they had, without a spread."""
+    jobs = [
+        (picture, tile, number)
+        for picture in pictures
+        for number, view in enumerate(VIEWS)
+        for tile in _with_vehicles(tiles(picture, zoom * view.zoom), found.get(picture.name, Boxes.empty()))
+    ]
+    seen: dict[tuple[str, int], list[Boxes]] = {}
+    with ThreadPoolExecutor(workers) as pool:
+        looks = pool.map(lambda job: look_turned(job[0], job[1], VIEWS[job[2]].quarters, detect), jobs)
+        for done, ((picture, _, number), boxes) in enumerate(zip(jobs, looks, strict=True), 1):
+            seen.setdefault((picture.name, number), []).append(boxes)
+            if progress:
+                progress("Looking again", done, len(jobs))
+    return {
+        name: agreed(boxes, [suppress(Boxes.concatenate(seen.get((name, k), []))) for k in range(len(VIEWS))])
+        for name, boxes in found.items()
+    }
+
+
+def look_turned(picture: Picture, tile: Tile, quarters: int, detect: Detect) -> Boxes:
+    """Whole vehicles in a tile that is turned before the detector sees it, in the picture's pixels."""
+    image = read(picture, tile)
+    boxes = detect(np.ascontiguousarray(np.rot90(image, quarters)))
+    height, width = image.shape[:2]
+    # Where np.rot90 puts the point (x, y) of an image of width x height, the other way round.
+    x, y = boxes.centre.T
+    back = {0: (x, y), 1: (width - y, x), 2: (width - x, height - y), 3: (y, height - x)}[quarters % 4]
+    turned = np.column_stack([*back, boxes.length, boxes.width, boxes.angle + quarters * np.pi / 2])
+    return place(Boxes(turned, boxes.score), tile)
+
+
+def agreed(boxes: Boxes, views: Sequence[Boxes]) -> Boxes:
+    """`boxes` with median centre, size and angle over themselves and what `views` show of them, and their spread."""
+    if not len(boxes):
+        return boxes
+    rows = np.full((1 + len(views), len(boxes), 5), np.nan)
+    rows[0] = boxes.xylwa
+    for row, view in zip(rows[1:], views, strict=True):
+        i, j, _ = matched(boxes, view, SAME_BOX)
+        row[i] = view.xylwa[j]
+    count = np.isfinite(rows[..., 0]).sum(0)
+    rows[..., 4] = (rows[..., 4] - boxes.angle + np.pi / 2) % np.pi - np.pi / 2  # turns away from the first
+    rows[..., 2:4] = np.log(rows[..., 2:4])
+    xylwa = np.nanmedian(rows, axis=0)
+    xylwa[:, 2:4] = np.exp(xylwa[:, 2:4])
+    xylwa[:, 4] += boxes.angle
+    many = count >= FEWEST
+    spread = np.full((len(boxes), 2), np.nan)
+    if many.any():
+        freedom = (count[many] - 1)[:, None]
+        variance = np.nanvar(rows[:, many, 2:4], axis=0, ddof=1)
+        usual = (freedom * variance).sum(0) / freedom.sum()
+        spread[many] = np.sqrt((freedom * variance + PRIOR_VIEWS * usual) / (freedom + PRIOR_VIEWS))
+    return Boxes(np.where(many[:, None], xylwa, boxes.xylwa), boxes.score, spread)
+
+
+def _with_vehicles(places: Sequence[Tile], boxes: Boxes) -> list[Tile]:
+    x, y = boxes.centre.T
+    return [t for t in places if ((x >= t.x) & (x <= t.x + t.width) & (y >= t.y) & (y <= t.y + t.height)).any()]

@@ -1,0 +1,116 @@
+"""Where the boxes of photos come from: a detector, or a file in any format; and the fleet that they are measured by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..detect.find import Progress
+from ..detections import Detections
+from ..errors import TooLittleEvidence, UsageError
+from ..fleet import Fleet
+from ..sources.picture_file import PictureFile
+from .measure import Photo
+
+
+@dataclass(frozen=True)
+class Looking:
+    """How to look for vehicles; every field as the option of `pipeline.estimate` of that name."""
+
+    fleet: str | None = None
+    detections: Path | None = None
+    detector: Path | None = None
+    decoder: str | None = None
+    vehicle_classes: tuple[str, ...] = ()
+    calibration: Path | None = None
+    zoom: float | None = None
+    gsd_hint: float | None = None
+
+    def ruler_fleet(self) -> Fleet:
+        """The fleet that was named; else the calibration's own, else that of the world."""
+        if self.fleet is None and self.calibration is not None:
+            own = Calibration.load(self.calibration).fleet
+            if own is not None:
+                return own
+        return Fleet.load(self.fleet or "world")
+
+
+@dataclass(frozen=True)
+class Album:
+    """Photos, as `exchange` wants them for the names and sizes of their pictures."""
+
+    photos: Sequence[Photo]
+    notes: list[str] = field(default_factory=list)
+    unit: str = "m/photo"
+
+    @property
+    def path(self) -> Path:
+        return self.photos[0].path if len(self.photos) == 1 else self.photos[0].path.parent
+
+    @property
+    def pictures(self) -> list[PictureFile]:
+        return [photo.picture for photo in self.photos]
+
+    @property
+    def picture_names(self) -> list[str]:
+        return [photo.name for photo in self.photos]
+
+
+def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = None) -> Detections:
+    """The boxes of `photos`, from a file or by the detector.
+
+    All photos share one zoom, as those of a flight do: measure flights at different heights in one run each.
+    Raises InputError, UsageError, TooLittleEvidence.
+    """
+    for name, value in (("--zoom", how.zoom), ("--gsd-hint", how.gsd_hint)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise UsageError(f"{name} must be a positive number, not {value}")
+    if how.zoom is not None and how.gsd_hint is not None:
+        raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
+    if how.detections is not None:
+        from ..exchange import load
+
+        found = load(how.detections, Album(photos), how.vehicle_classes)
+    else:
+        found = _detected(photos, how, progress)
+    if how.calibration is not None:
+        found = Calibration.load(how.calibration).applied(found, how.calibration)
+    return found
+
+
+def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) -> Detections:
+    from ..detect.detector import Detector
+    from ..detect.find import find_vehicles
+
+    detector = Detector(how.detector, how.decoder, how.vehicle_classes)
+    zoom = how.zoom
+    if how.gsd_hint is not None:
+        zoom = detector.card.best_length * how.gsd_hint / float(how.ruler_fleet().mean[0])
+    try:
+        return find_vehicles([photo.picture for photo in photos], detector, zoom, progress)[0]
+    except TooLittleEvidence as error:
+        where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
+        raise TooLittleEvidence(f"{where}: {error.message}", error.hint) from error
+
+
+def save_boxes(found: Detections, path: Path, photos: Sequence[Photo]) -> None:
+    """Keep `found` in a file of the format that its name says. Raises UsageError, OutputError."""
+    from ..atomic import new_file
+    from ..exchange import save
+
+    with new_file(path, overwrite=True) as partial:
+        save(found, partial, Album(photos))
+
+
+def check_savable(path: Path | None) -> None:
+    """Refuse early what `save_boxes` would refuse late."""
+    if path is not None:
+        from ..atomic import check_free
+        from ..exchange import check_name
+
+        check_name(path)
+        check_free(path, overwrite=True)

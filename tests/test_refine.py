@@ -1,0 +1,130 @@
+"""Looking again: turned looks see the same boxes, medians are sharper, and know how much their looks differed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_detect import Drawing, RectangleDetector, car_park
+
+import orthoscale
+from orthoscale.boxes import Boxes, matched
+from orthoscale.detect.refine import VIEWS, agreed, look_turned, refined
+from orthoscale.detect.tiles import sweep, tiles
+from orthoscale.errors import UsageError
+from orthoscale.fleet import Fleet
+from orthoscale.pooling import Ruler, pool
+from orthoscale.votes import gather
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
+def test_a_turned_look_sees_the_same_boxes(quarters):
+    truth = Boxes(np.array([[60, 40, 40, 16, 0.3], [150, 90, 50, 18, -1.0], [90, 120, 30, 14, 1.4]]), np.ones(3))
+    picture = Drawing(230, 170, truth)  # neither square nor symmetric
+    (tile,) = tiles(picture, 1.0)
+    found = look_turned(picture, tile, quarters, RectangleDetector())
+    i, j, overlaps = matched(truth, found, 0.5)
+    assert len(found) == len(i) == 3 and overlaps.min() > 0.8
+    assert np.abs(found.centre[j] - truth.centre[i]).max() < 0.6
+    turn = (found.angle[j] - truth.angle[i] + np.pi / 2) % np.pi - np.pi / 2
+    assert np.abs(turn).max() < 0.05
+
+
+class Unsteady(RectangleDetector):
+    """Sizes of every look are off by 6 % and 9 % at random."""
+
+    def __call__(self, image, threshold=None):
+        found = super().__call__(image)
+        xylwa = found.xylwa.copy()
+        xylwa[:, 2:4] *= np.exp(self.rng.normal(0, [0.06, 0.09], (len(found), 2)))
+        return Boxes(xylwa, found.score)
+
+
+def test_medians_are_sharper_and_know_their_spread():
+    truth = car_park(40, 1800, 1500, 90)
+    picture = Drawing(1800, 1500, truth)
+    detect = Unsteady()
+    found = sweep([picture], 1.0, detect)
+    sharper = refined([picture], found, 1.0, detect)["drawing"]
+
+    def errors(boxes):
+        i, j, _ = matched(truth, boxes, 0.5)
+        assert len(i) == len(truth)
+        return np.std(np.log(boxes.xylwa[j, 2:4] / truth.xylwa[i, 2:4]), axis=0)
+
+    before, after = errors(found["drawing"]), errors(sharper)
+    assert (after < 0.65 * before).all(), "five views: the median's scatter is 0.54 of one's"
+    assert np.median(sharper.spread, axis=0) == pytest.approx([0.06, 0.09], rel=0.2)
+    assert (sharper.score == found["drawing"].score).all()
+
+
+def test_steady_and_unsteady_boxes_are_told_apart():
+    boxes = Boxes(np.array([[50, 50, 40, 16, 0], [150, 50, 40, 16, 0], [250, 50, 40, 16, 0]]), np.ones(3))
+    looks = []
+    for k in range(len(VIEWS)):
+        xylwa = boxes.xylwa[:2].copy()  # the third is not seen again
+        xylwa[1, 2] *= 1 + 0.15 * (-1) ** k
+        looks.append(Boxes(xylwa, np.ones(2)))
+    got = agreed(boxes, looks)
+    assert got.spread[1, 0] > 1.5 * got.spread[0, 0]
+    assert got.spread[0, 0] > 0.02, "five views that agree by luck are not believed altogether"
+    assert np.isnan(got.spread[2]).all() and (got.xylwa[2] == boxes.xylwa[2]).all()
+    assert len(agreed(Boxes.empty(), [Boxes.empty()] * 4)) == 0
+
+
+def test_a_box_across_the_half_turn_keeps_its_direction():
+    boxes = Boxes(np.array([[50, 50, 40, 16, np.pi / 2 - 0.01]]), np.ones(1))
+    looks = [Boxes(np.array([[50, 50, 40, 16, angle]]), np.ones(1)) for angle in (-1.56, 1.56, -1.55, 1.55)]
+    turn = (agreed(boxes, looks).angle[0] - np.pi / 2 + np.pi / 2) % np.pi - np.pi / 2
+    assert abs(turn) < 0.02
+
+
+def test_the_spread_travels_with_the_boxes():
+    boxes = Boxes(np.array([[0, 0, 9, 4, 0], [0, 0, 4, 9, 0]]), np.ones(2), np.array([[0.1, 0.2], [0.3, 0.4]]))
+    assert boxes.spread.tolist() == [[0.1, 0.2], [0.4, 0.3]], "turned with its box"
+    both = Boxes.concatenate([boxes[1:].mapped(2.0, (1, 1)), Boxes(boxes.xylwa, boxes.score)])
+    assert both.spread[0].tolist() == [0.4, 0.3] and np.isnan(both.spread[1:]).all()
+    with pytest.raises(ValueError, match="spread of shape"):
+        Boxes(boxes.xylwa, boxes.score, np.zeros((3, 2)))
+
+
+def test_steady_boxes_count_more_in_the_pooling():
+    """Half of the boxes are 15 % too large, and only by their spread can one tell which half to believe."""
+    fleet = Fleet.load("DE")
+    rng = np.random.default_rng(2)
+    wrong = np.arange(80) < 40
+    size = fleet.sample(rng, 80)[:, :2] / 0.1 * np.where(wrong, 1.15, 1.0)[:, None]
+
+    def error(spread):
+        votes = gather(size, np.ones(80), np.zeros((80, 2)), np.ones(80), False, spread[:, None] * np.ones(2))
+        return abs(np.log(pool(votes, fleet, Ruler(noise=(5.0, 2.5)), "m/px").value / 0.1))
+
+    unknown = error(np.full(80, np.nan))
+    assert error(np.where(wrong, 0.25, 0.01)) < 0.8 * unknown < error(np.where(wrong, 0.01, 0.25))
+
+
+def test_views_that_agree_do_not_make_boxes_exact():
+    """What views share stays as the ruler says it is."""
+    rng = np.random.default_rng(1)
+    fleet = Fleet.load("DE")
+    size = fleet.sample(rng, 40)[:, :2] / 0.1
+
+    def sampling(spread):
+        votes = gather(size, np.ones(40), np.zeros((40, 2)), np.ones(40), False, np.full((40, 2), spread))
+        return pool(votes, fleet, Ruler(noise=(4.0, 2.4)), "m/px").parts["sampling"]
+
+    assert sampling(0.001) == pytest.approx(sampling(np.nan), rel=0.02)
+    assert sampling(0.07) < sampling(np.nan)
+
+
+@pytest.mark.slow
+def test_refined_boxes_reach_the_pooling():
+    town = Path(__file__).parent.parent / "examples" / "town" / "ortho.jpg"
+    plain, sharp = (orthoscale.estimate(town, fleet="DE", gsd_hint=0.085, refine=r, cache=False) for r in (False, True))
+    assert np.isnan(plain.votes.spread).all() and np.isfinite(sharp.votes.spread).mean() > 0.8
+    assert sharp.scale.value == pytest.approx(plain.scale.value, rel=0.02)
+    assert sharp.scale.value != plain.scale.value
+
+
+def test_boxes_from_a_file_cannot_be_looked_at_again(tmp_path):
+    with pytest.raises(UsageError, match="--refine looks again"):
+        orthoscale.estimate(tmp_path / "a.png", detections=tmp_path / "a.json", refine=True)
