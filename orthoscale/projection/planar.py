@@ -13,7 +13,7 @@ def ground_size(boxes: Boxes) -> np.ndarray:
 
 
 def footprint(sides: np.ndarray, offset: np.ndarray, top: np.ndarray) -> np.ndarray:
-    """(N, 2) length and width of vehicles in a plan made by one camera, where what is above the ground lies farther out.
+    """(N, 2) length and width of vehicles in a plan made by one camera, where what is high lies farther out.
 
     sides, offset : (N, 2) of each box, along its length and its width, and how far from below the camera it is in these
     directions; in heights of the camera, as is `top` (N, 2), up to where the box encloses the vehicle.
