@@ -66,6 +66,8 @@ def main() -> None:
             print(f"| {name} | {value:.4g} | {100 * (value / truth - 1):+.1f} % | {low:.4g} to {high:.4g} |")
         for name, value in by_the_paper(result, source).items():
             print(f"| decoupled, {name} | {value:.4g} | {100 * (value / truth - 1):+.1f} % | |")
+        if measured.agreement is not None:
+            print(f"\n{measured.agreement.sentence()}")
         changes = measured.findings["calibration"]["trends"]
         for when, slopes in (changes or {}).items():
             said = ", ".join(f"{v:+.1f} +- {sd:.1f} {name.replace('_', ' ')}" for name, (v, sd) in slopes.items())

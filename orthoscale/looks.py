@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from .agreement import compare, together
 from .detect.detector import Detector
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 OBLIQUE, PLANAR, BOTH = "oblique", "planar", "both"
 MODES = (BOTH, OBLIQUE, PLANAR)
+SAME_PLACE = 0.8  # of a vehicle's width: how far apart the two looks may see one vehicle
 ENOUGH = 5  # boxes in the frames that tell how long vehicles are, so that the second look needs no search of its own
 
 
@@ -121,16 +123,27 @@ def measure_model(
     agreement = None
     scale = answer.scale
     if len(scales) == 2:
-        agreement = compare(scales)
+        agreement = compare(scales, _common(*measured.values()))
         scale = together(agreement)
         remarks = [*remarks, agreement.sentence()]
         findings["agreement"] = {
             "difference": agreement.difference,
             "sigmas": agreement.tension,
+            "common_vehicles": agreement.common,
             "contradicts": agreement.contradicts,
         }
     scale = replace(scale, remarks=(*scale.remarks, *remarks))
     return answer._replace(scale=scale, findings=findings, agreement=agreement)
+
+
+def _common(a: Measured, b: Measured) -> np.ndarray:
+    """(K, 2) log of the sizes that `a` gives over those that `b` gives, for the vehicles that count in both."""
+    used_a, used_b = (np.flatnonzero(m.scale.used) for m in (a, b))
+    tree = cKDTree(a.votes.place[used_a])
+    reach = SAME_PLACE * float(np.median(a.size[used_a, 1]))
+    distance, nearest = tree.query(b.votes.place[used_b], distance_upper_bound=reach)
+    same = np.isfinite(distance)
+    return np.log(a.size[used_a[nearest[same]]]) - np.log(b.size[used_b[same]])
 
 
 def _plain(measured: Measured) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -25,6 +26,8 @@ class Measured(NamedTuple):
 
     boxes : all that were measured, M of them. picture : (M,) name of the picture of each. lost : boxes that never
     became votes, by reason. findings : what else the report should hold, as plain values by topic.
+    size : (N, 2) of the votes' vehicles, the margin taken off [source units].
+    agreement : with the other way to measure the same source, where there was one.
     """
 
     boxes: Boxes
@@ -33,6 +36,7 @@ class Measured(NamedTuple):
     scale: Scale
     lost: dict[str, int]
     findings: dict[str, Any]
+    size: np.ndarray
     agreement: Agreement | None = None
 
 
@@ -47,7 +51,12 @@ def measure(source: Source, found: Detections, fleet: Fleet, method: Method | No
     objects = found.objects.get(name, {})
     more = orthophoto_evidence(votes, boxes.angle, objects, found.zoom, found.ruler, fleet.code)
     scale = method.pool(votes, fleet, found.ruler, source.unit, more=more if method.surroundings else ())
-    return Measured(boxes, np.full(len(boxes), name), votes, scale, doubts(found), {})
+    return Measured(boxes, np.full(len(boxes), name), votes, scale, doubts(found), {}, tight(votes, found.ruler.margin))
+
+
+def tight(votes: Votes, margin: Sequence[float] | np.ndarray) -> np.ndarray:
+    """(N, 2) sizes of the vehicles behind the votes, without the boxes' `margin` (2,) [detector px]."""
+    return votes.size - np.asarray(margin) * votes.pixel[:, None]
 
 
 def doubts(found: Detections) -> dict[str, int]:

@@ -15,7 +15,7 @@ from .boxes import Boxes
 from .detections import Detections
 from .errors import TooLittleEvidence
 from .fleet import Fleet
-from .measuring import Measured, doubts
+from .measuring import Measured, doubts, tight
 from .method import Method
 from .model_drift import drift
 from .pooling import MIN_VEHICLES
@@ -86,15 +86,15 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet, method
             ruler = own_ruler(boxes[solved], view[solved], found.zoom, counted, metres_per_unit, card, ruler)
     lost[NO_HULL] = int((~solved).sum())
     picture = picture[solved]
-    tight = size[solved] if exact else size[solved] - card.margin * pixel[solved, None]
-    shipped = card.size(boxes, view, found.zoom, metres_per_unit)[solved] if exact else tight
+    bare = size[solved] if exact else size[solved] - card.margin * pixel[solved, None]
+    shipped = card.size(boxes, view, found.zoom, metres_per_unit)[solved] if exact else bare
     counted = [members for members, used in zip(votes.members, scale.used, strict=True) if used]
-    changes = trends(shipped, tight, np.degrees(view.elevation[solved]), pixel[solved], counted)
+    changes = trends(shipped, bare, np.degrees(view.elevation[solved]), pixel[solved], counted)
     findings = {
         "calibration": {**ruler.document(card), "trends": changes},
-        "drift": drift(tight, picture, votes, scale, source.ground.plane(votes.place)),
+        "drift": drift(bare, picture, votes, scale, source.ground.plane(votes.place)),
     }
-    return Measured(boxes[solved], picture, votes, scale, lost, findings)
+    return Measured(boxes[solved], picture, votes, scale, lost, findings, tight(votes, left.margin))
 
 
 def _pair(values: np.ndarray) -> tuple[float, float]:

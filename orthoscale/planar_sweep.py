@@ -2,7 +2,7 @@
 
 The paper's orthophoto method without an orthophoto, and a second look that shares neither the projection model nor the
 picture with the first (`oblique`). A plan shows footprints; what remains of the vehicles' height in the near-nadir
-parts is taken off to first order.
+parts is taken off.
 """
 
 from __future__ import annotations
@@ -15,12 +15,11 @@ from .boxes import Boxes
 from .detections import Detections
 from .errors import TooLittleEvidence
 from .fleet import Fleet
-from .measuring import Measured, doubts
+from .measuring import Measured, doubts, tight
 from .method import Method
 from .oblique import HEIGHT_SD, geometry
 from .pooling import MIN_VEHICLES
-from .projection.height import lean_from_above
-from .projection.planar import ground_size
+from .projection.planar import footprint, ground_size
 from .votes import gather
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet, method
     """Measure the boxes `found` in the `source.ground_pictures`. Raises TooLittleEvidence."""
     pictures = {picture.name: picture for picture in source.ground_pictures}
     lost = {**doubts(found), TOO_FLAT: 0}
-    parts, names, offsets, places = [], [], [], []
+    parts, names, offsets, heights, places = [], [], [], [], []
     for name, boxes in found.boxes.items():
         picture = pictures.get(name)
         if picture is None or not len(boxes):
@@ -47,22 +46,31 @@ def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet, method
         parts.append(boxes[whole])
         names += [name] * int(whole.sum())
         offsets.append(offset[whole])
+        heights.append(np.full(int(whole.sum()), picture.camera_height))
         places.append(picture.ground(boxes.centre[whole]))
     if len(names) < MIN_VEHICLES:
         raise TooLittleEvidence(f"{len(names)} boxes near the nadir, {MIN_VEHICLES} vehicles are needed")
     boxes, place = Boxes.concatenate(parts), np.concatenate(places)
     unit = next(iter(pictures.values())).unit_per_pixel
-    leaning = lean_from_above(boxes, np.concatenate(offsets))
+    camera = np.concatenate(heights)[:, None]
+    offset = _along(boxes, np.concatenate(offsets))
     flat = ground_size(boxes) * unit
     height = np.array(found.effective_height)
     metres_per_unit = float(fleet.mean[0] / np.median(flat[:, 0]))
     for _ in range(ROUNDS):
-        size = np.maximum(flat - leaning * height / metres_per_unit, 0.3 * flat)
+        size = camera * footprint(flat / camera, offset, height / metres_per_unit / camera)
         votes = gather(size, np.full(len(boxes), unit / found.zoom), place, boxes.score, repeated=True)
-        spread = geometry(size, leaning, np.full(2, HEIGHT_SD / metres_per_unit))
+        spread = geometry(size, np.abs(offset), np.full(2, HEIGHT_SD / metres_per_unit))
         scale = method.pool(votes, fleet, found.ruler, source.unit, spread)
         metres_per_unit = scale.value
-    return Measured(boxes, np.array(names), votes, scale, lost, {})
+    return Measured(boxes, np.array(names), votes, scale, lost, {}, tight(votes, found.ruler.margin))
+
+
+def _along(boxes: Boxes, offset: np.ndarray) -> np.ndarray:
+    """(N, 2) the vectors `offset` (N, 2), in pictures' axes, along the boxes' long sides and across."""
+    heading = np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1)
+    across = np.stack([-heading[:, 1], heading[:, 0]], -1)
+    return np.stack([(offset * heading).sum(1), (offset * across).sum(1)], -1)
 
 
 def _whole(picture: GroundPicture, boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from test_colmap import make_model, put_frames, save
 from test_looks import UNIT, found_by, vehicles
 
 from orthoscale.boxes import Boxes
+from orthoscale.cli.main import cli
 from orthoscale.cross_check import check_against_model, match
 from orthoscale.errors import TooLittleEvidence, UsageError
 from orthoscale.pipeline import estimate
@@ -97,3 +100,18 @@ def test_what_cannot_be_checked(results):
     votes = replace(ortho.votes, place=elsewhere)
     with pytest.raises(TooLittleEvidence, match="do not fall on one another"):
         check_against_model(replace(ortho, measured=ortho.measured._replace(votes=votes)), model)
+
+
+def test_the_command(pair):
+    options = ["--detections", pair / "ortho.json", "--model-detections", pair / "model.json", "--fleet", "DE"]
+    command = ["check", pair / "ortho.png", "--model", pair, *options]
+    shown = CliRunner().invoke(cli, list(map(str, command)), catch_exceptions=False)
+    assert shown.exit_code == 0 and "vehicles seen in both" in shown.output
+    told = CliRunner().invoke(cli, [*map(str, command), "--json"], catch_exceptions=False)
+    assert json.loads(told.stdout)["metres_per_pixel_by_model"] == pytest.approx(GSD, rel=0.03)
+    found = json.loads((pair / "ortho.json").read_text())
+    for box in found["pictures"]["ortho.png"]:
+        box["length"], box["width"] = 1.2 * box["length"], 1.2 * box["width"]
+    (pair / "large.json").write_text(json.dumps(found))
+    command[command.index(pair / "ortho.json")] = pair / "large.json"
+    assert CliRunner().invoke(cli, list(map(str, command))).exit_code == 4

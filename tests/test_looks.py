@@ -215,3 +215,19 @@ def test_agreement_of_two_scales(flight, found):
     apart = compare({"oblique": scale, "planar": replace(scale, value=1.5 * scale.value)})
     assert apart.contradicts
     assert together(apart).parts["sampling"] > 0.15
+
+
+def test_vehicles_measured_both_ways_are_compared_themselves(flight, found):
+    """Different vehicles in the two looks part their scales, and are no contradiction."""
+    measured = measure_model(ColmapSource.open(flight[0]), found, FLEET)
+    agreement = measured.agreement
+    assert agreement.common > 15 and agreement.difference == pytest.approx(0, abs=0.01)
+    assert "vehicles measured both ways" in agreement.sentence()
+    a, b = agreement.scales.values()
+    noise = np.random.default_rng(0).normal(0, 0.02, (20, 2))
+    other = compare({"oblique": a, "planar": replace(b, value=1.06 * a.value)}, noise)
+    assert other.difference == pytest.approx(0, abs=0.02) and not other.contradicts
+    wrong = compare({"oblique": a, "planar": replace(b, value=1.06 * a.value)}, noise + 0.25)
+    assert wrong.contradicts and wrong.common == 20
+    few = compare({"oblique": a, "planar": replace(b, value=1.06 * a.value)}, noise[:3])
+    assert few.common == 0 and few.difference == pytest.approx(np.log(1.06))

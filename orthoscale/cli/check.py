@@ -14,13 +14,31 @@ from .options import evidence_options, progress_bars
 
 
 @click.command(
-    epilog="\b\nExamples:\n  orthoscale check ortho.tif --fleet DE\n  orthoscale check ortho.tif --fleet US --json\n\n"
+    epilog="\b\nExamples:\n  orthoscale check ortho.tif --fleet DE\n  orthoscale check ortho.tif --fleet US --json\n"
+    "  orthoscale check ortho.tif --model sparse/0 --images frames/ --fleet US\n\n"
     "\b\nExit codes: 0 agrees, or too close to call; 2 usage, or INPUT claims no scale;\n"
     "3 too little evidence; 4 disagrees by more than three sigma; 5 input unreadable or damaged."
 )
 @evidence_options
-def check(path: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
+@click.option(
+    "--model",
+    type=click.Path(path_type=Path),
+    help="The reconstruction that an orthophoto was made from: check with it.",
+)
+@click.option("--model-detections", type=click.Path(path_type=Path), help="Boxes of its frames from this file.")
+def check(
+    path: Path,
+    as_json: bool,
+    debug: bool,
+    save_detections: Path | None,
+    model: Path | None,
+    model_detections: Path | None,
+    **options: Any,
+) -> None:
     """Compare the scale that INPUT claims with the scale of the vehicles in it. Nothing is written.
+
+    With --model the orthophoto is compared with its source frames instead (--images are theirs): the same vehicles,
+    found in both, tie the one to the other, claim or no claim.
 
     The claim is measured on the ellipsoid at the image's centre: feet, degrees and stretched projections such as
     EPSG:3857 come out in true metres.
@@ -28,6 +46,9 @@ def check(path: Path, as_json: bool, debug: bool, save_detections: Path | None, 
     from .. import pipeline
     from ..check import comparisons
 
+    if model is not None:
+        _against_model(path, as_json, model, model_detections, options)
+        return
     source = pipeline.open_source(path, options.pop("images"), need_images=options["detections"] is None)
     claimed = getattr(source, "claimed", None)
     if claimed is None or claimed.gsd_m is None:
@@ -66,4 +87,29 @@ def check(path: Path, as_json: bool, debug: bool, save_detections: Path | None, 
         for remark in (*result.scale.remarks, *result.source.notes):
             click.echo(f"note       {remark}")
     if any(c.verdict == "disagrees" for c in found):
+        sys.exit(EvidenceDisagrees.exit_code)
+
+
+def _against_model(
+    path: Path, as_json: bool, model: Path, model_detections: Path | None, options: dict[str, Any]
+) -> None:
+    from .. import pipeline
+    from ..cross_check import check_against_model
+
+    images = options.pop("images")
+    mode = options.pop("mode")
+    with progress_bars() as progress:
+        ortho = pipeline.estimate(path, progress=progress, **options)
+        options |= {"detections": model_detections, "zoom": None, "gsd_hint": None}
+        frames = pipeline.estimate(model, images=images, progress=progress, mode=mode, **options)
+    checked = check_against_model(ortho, frames)
+    if as_json:
+        click.echo(json.dumps(checked.document()))
+    else:
+        low, high = checked.interval90_by_model
+        click.echo(f"orthophoto {checked.by_ortho:.5g} m/px by the vehicles in it")
+        click.echo(f"model      {checked.by_model:.5g} m/px, 90 % {low:.5g} to {high:.5g}")
+        click.echo(f"tied by    {checked.common} vehicles seen in both")
+        click.echo(f"           {checked.agreement.sentence()}")
+    if checked.agreement.contradicts:
         sys.exit(EvidenceDisagrees.exit_code)

@@ -21,11 +21,3 @@ def lean(boxes: Boxes, views: Views) -> np.ndarray:
     cosine = np.clip(np.abs((along * radial).sum(1)), 0, 1)
     cotangent = 1 / np.tan(views.elevation)
     return np.stack([cosine, np.sqrt(1 - cosine**2)], -1) * cotangent[:, None]
-
-
-def lean_from_above(boxes: Boxes, offset: np.ndarray) -> np.ndarray:
-    """(N, 2) the same for boxes in a plan of the ground, `offset` (N, 2) being the way from below the camera to each,
-    in the plan's axes and in camera heights."""
-    heading = np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1)
-    across = np.stack([-heading[:, 1], heading[:, 0]], -1)
-    return np.abs(np.stack([(offset * heading).sum(1), (offset * across).sum(1)], -1))

@@ -73,8 +73,12 @@ class GroundPicture:
         world = self.ground(points)
         centre = self.source.centre(self.image)
         offset = (self.source.ground.plane(world) - self.source.ground.plane(centre[None])) @ self.axes.T
-        height = self.source.ground.height_above(centre[None])[0]
-        return self.source.project(self.image, world), offset / height
+        return self.source.project(self.image, world), offset / self.camera_height
+
+    @property
+    def camera_height(self) -> float:
+        """Of the frame's camera over the ground [model units]."""
+        return float(self.source.ground.height_above(self.source.centre(self.image)[None])[0])
 
 
 def ground_pictures(source: ColmapSource) -> list[GroundPicture]:
