@@ -29,6 +29,7 @@ SECTIONS = {  # picture: report, and the heading of its section
     "sizes": ("sheffield", "Do they have the sizes of the fleet?"),
     "measurements": ("town", "Do the measurements agree?"),
     "places": ("town", "Is the scale the same everywhere?"),
+    "frames": ("sheffield", "Is the scale the same everywhere?"),
     "uncertainty": ("town", "Where the uncertainty comes from"),
 }
 

@@ -13,6 +13,7 @@ from .boxes import Boxes, matched
 from .calibration import Calibration, MarginFit, fit_margin, scaled_fleet
 from .detect.detector import Detector
 from .detect.tiles import sweep
+from .detect.zoom import check_zoom
 from .detections import UNKNOWN_RULER
 from .errors import InputError, TooLittleEvidence, UsageError
 from .fleet import Fleet
@@ -65,6 +66,7 @@ def calibrate(
     prior = Fleet.load(fleet)
     network = Detector(None if detector is None else Path(detector), decoder, vehicle_classes)
     zooms = LOOKS * network.card.best_length * gsd / float(prior.mean[0])
+    check_zoom(float(zooms.max()), network.card)
 
     def step(k: int) -> Callable[[int, int], None] | None:
         return (lambda done, total: progress(f"Look {k + 1} of {len(zooms)}", done, total)) if progress else None

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from .errors import InputError, UsageError
 
@@ -26,12 +25,6 @@ MEAN_CORRELATION = 0.85
 # length and width. An assumption: pickups being 10 % more or less frequent move the US means by 2.2 % and 0.9 %.
 LOCAL_SD = np.array([0.025, 0.012])
 
-
-# Relative uncertainty of the mean length above which a fleet is tried at STRATA equally probable sizes. Its larger
-# vehicles have known sizes whatever the mean is, so which votes are larger ones depends on where the mean lies: small
-# cars taken for a poorly known fleet's mean would make its ordinary ones vans. Below, the difference is not worth time.
-POORLY_KNOWN = 0.03
-STRATA = 7
 
 AUTO = "auto"
 # Not one country's vehicles on the road: parts of a fleet, new vehicles, a continent, a figure without a source.
@@ -117,21 +110,6 @@ class Fleet:
         if mean_sd.shape != (3,) or not (mean > 0).all() or not (sd > 0).all() or not (mean_sd > 0).all():
             raise ValueError("sizes, spreads and mean_sd must be positive, for length, width and height")
         return cls(code, entry["name"], mean, sd, mean_sd, tuple(classes), int(entry.get("year", 0)), entry["source"])
-
-    @property
-    def possible(self) -> tuple[Fleet, ...]:
-        """The fleets of which one stands at a place, each as probable as the next: the candidates; or, for a mean that
-        is poorly known, this fleet at several sizes, with what uncertainty is left to each."""
-        if self.candidates or self.mean_sd[0] / self.mean[0] <= POORLY_KNOWN:
-            return self.candidates or (self,)
-        density = np.exp(-(ndtri(np.linspace(0, 1, STRATA + 1)) ** 2) / 2) / np.sqrt(2 * np.pi)
-        sigmas = STRATA * (density[:-1] - density[1:])  # mean of each stratum of a normal distribution
-        left = np.sqrt(1 - np.mean(sigmas**2))
-        return tuple(self._resized(np.exp(s * self.mean_sd / self.mean), left * self.mean_sd) for s in sigmas)
-
-    def _resized(self, factor: np.ndarray, mean_sd: np.ndarray) -> Fleet:
-        classes = tuple(replace(c, mean=c.mean * factor, sd=c.sd * factor) for c in self.classes)
-        return replace(self, mean=self.mean * factor, sd=self.sd * factor, mean_sd=mean_sd, classes=classes)
 
     @property
     def log_mean(self) -> np.ndarray:

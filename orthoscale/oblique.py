@@ -19,7 +19,7 @@ from .measuring import Measured, doubts, tight
 from .method import Method
 from .model_drift import drift
 from .pooling import MIN_VEHICLES
-from .projection.calibration import Calibration, calibrate, trends
+from .projection.calibration import OwnRuler, own_ruler, trends
 from .projection.height import lean
 from .projection.view import Views
 from .votes import gather
@@ -32,9 +32,7 @@ SETTLED = 1e-4  # relative change of the scale at which the rounds end
 # Relative uncertainty of a reconstruction's ground under the vehicles (one sigma), as a share of the camera's height:
 # sparse points on bare ground scatter by about this much on the two real scenes.
 GROUND_SD = 0.01
-# How far a detector's effective height strays from its card between scenes (one sigma) [m], and its upper bound.
-HEIGHT_SD = 0.25
-MAX_HEIGHT = 1.5
+HEIGHT_SD = 0.25  # how far a detector's effective height strays from its card between scenes (one sigma) [m]
 NO_GROUND = "no ground under the box, or seen too flatly"
 NO_HULL = "no vehicle on the ground gives this box"
 
@@ -60,38 +58,43 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet, method
     leaning = lean(boxes, view)
     # The height's share of a box is a small correction, so a few rounds of measuring and pooling settle the scale.
     metres_per_unit = float(fleet.mean[0] / np.median(boxes.length * view.unit_per_pixel))
-    card = Calibration.of_card(found, HEIGHT_SD)
+    # The other projections have no effective height, or one of their own: they measure by the detector's card.
+    exact = method.projection in (None, "exact")
+    card = OwnRuler.shipped(found.effective_height, found.ruler.margin, (HEIGHT_SD, HEIGHT_SD), found.ruler.margin_sd)
     ruler = card
     for _ in range(ROUNDS):
-        size = method.sizes(boxes, view, metres_per_unit, ruler.height, fleet)
+        if exact:
+            size, slopes = (f(boxes, view, found.zoom, metres_per_unit) for f in (ruler.size, ruler.slopes))
+        else:
+            size, slopes = method.sizes(boxes, view, metres_per_unit, ruler.height, fleet), None
         solved = np.isfinite(size).all(1)
         own = boxes[solved]
         votes = gather(size[solved], pixel[solved], place[solved], own.score, True, own.spread)
-        scale = method.pool(
-            votes,
-            fleet,
-            replace(found.ruler, margin=_pair(ruler.margin), margin_sd=_pair(ruler.margin_sd)),
-            source.unit,
-            geometry(size[solved], leaning[solved], ruler.height_sd / metres_per_unit),
-        )
+        spread, left = geometry(size[solved], leaning[solved], np.full(2, HEIGHT_SD / metres_per_unit)), found.ruler
+        if slopes is not None and solved.any():
+            by_height, by_margin = ruler.relative_sd(size[solved], slopes[solved]).T
+            spread = np.diag(by_height**2) + GROUND_SD**2
+            per_pixel = np.median(pixel[solved, None] / size[solved], axis=0)
+            left = replace(found.ruler, margin=(0.0, 0.0), margin_sd=_pair(by_margin / per_pixel))  # it is off already
+        scale = method.pool(votes, fleet, left, source.unit, spread)
         change = abs(np.log(scale.value / metres_per_unit))
         metres_per_unit = scale.value
-        flat = size[solved] + leaning[solved] * ruler.height / metres_per_unit
         if change < SETTLED:
             break
         counted = [members for members, used in zip(votes.members, scale.used, strict=True) if used]
-        if method.projection in (None, "exact"):  # the others have no effective height, or one of their own
-            ruler = calibrate(flat, leaning[solved], pixel[solved], counted, metres_per_unit, card, MAX_HEIGHT)
+        if exact:
+            ruler = own_ruler(boxes[solved], view[solved], found.zoom, counted, metres_per_unit, card, ruler)
     lost[NO_HULL] = int((~solved).sum())
     picture = picture[solved]
-    bare = size[solved] - ruler.margin * pixel[solved, None]
+    bare = size[solved] if exact else size[solved] - card.margin * pixel[solved, None]
+    shipped = card.size(boxes, view, found.zoom, metres_per_unit)[solved] if exact else bare
     counted = [members for members, used in zip(votes.members, scale.used, strict=True) if used]
-    changes = trends(flat, bare, np.degrees(view.elevation[solved]), pixel[solved], counted)
+    changes = trends(shipped, bare, np.degrees(view.elevation[solved]), pixel[solved], counted)
     findings = {
         "calibration": {**ruler.document(card), "trends": changes},
         "drift": drift(bare, picture, votes, scale, source.ground.plane(votes.place)),
     }
-    return Measured(boxes[solved], picture, votes, scale, lost, findings, tight(votes, ruler.margin))
+    return Measured(boxes[solved], picture, votes, scale, lost, findings, tight(votes, left.margin))
 
 
 def _pair(values: np.ndarray) -> tuple[float, float]:

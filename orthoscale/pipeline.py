@@ -19,6 +19,7 @@ from .detect.detector import Detector
 from .detect.find import Effort, Progress, find_vehicles
 from .detect.refine import refined
 from .detect.workers import worker_count
+from .detect.zoom import check_zoom
 from .detections import Detections
 from .drift import Drift, drift
 from .errors import EvidenceDisagrees, InputError, TooLittleEvidence, UsageError
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
 REPORTS = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by its level
-HIGHEST_ZOOM = 10.0  # vehicles are then 4 px long, half of what can be measured
 CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
 
 
@@ -202,11 +202,8 @@ def estimate(
         network = Detector(_path(detector), decoder, vehicle_classes, how_much.threads_each)
         if gsd_hint is not None:
             zoom = network.card.best_length * gsd_hint / float(ruler_fleet.mean[0])
-        if zoom is not None and zoom > HIGHEST_ZOOM:
-            raise UsageError(
-                f"a zoom of {zoom:.3g} would look for vehicles {network.card.best_length / zoom:.2g} px long",
-                f"--zoom is detector pixels per picture pixel, {HIGHEST_ZOOM:g} at most; --gsd-hint is in metres.",
-            )
+        if zoom is not None:
+            check_zoom(zoom, network.card)
         try:
             if model is None:
                 found, choice = find_vehicles(

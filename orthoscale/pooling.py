@@ -138,7 +138,7 @@ def pool(
 
     `geometry` (2, 2) is the relative covariance of lengths and widths that comes from the source's geometry (ground
     height, effective height), shared by all votes. `evidence` is what else is known of the scale.
-    Each of the fleets that `fleet` may be is tried, and counts as much as the shape of the vehicles makes it likely.
+    Where `fleet` has candidates, each is tried, and counts as much as the shape of the vehicles makes it likely.
     Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes.
     """
     size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
@@ -152,7 +152,7 @@ def pool(
     share_px = np.median(votes.pixel[measurable, None] / size, axis=0)  # one pixel as a share of length and width
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
-    candidates = fleet.possible
+    candidates = fleet.candidates or (fleet,)
     each = [_of_fleet(np.log(size), noise, candidate, known) for candidate in candidates]
     probability = _probabilities(np.array([v.log_evidence for v in each]))
     best = each[int(np.argmax(probability))]
@@ -202,16 +202,9 @@ def pool(
         reasons=reasons(used, measurable, fleeting, np.log(size), mean),
         remarks=(*together.remarks, *remarks),
         larger_share=best.larger_share,
-        fleets=_by_code(candidates, probability),
+        fleets={c.code: float(p) for c, p in zip(candidates, probability, strict=True) if p > LIKELY},
         evidence=tuple(evidence),
     )
-
-
-def _by_code(fleets: Sequence[Fleet], probability: np.ndarray) -> dict[str, float]:
-    total: dict[str, float] = {}
-    for fleet, p in zip(fleets, probability, strict=True):
-        total[fleet.code] = total.get(fleet.code, 0.0) + float(p)
-    return {code: p for code, p in total.items() if p > LIKELY}
 
 
 def _noise(votes: Votes, ruler: Ruler) -> np.ndarray:

@@ -138,6 +138,14 @@ def test_dota_labels(plain, tmp_path):
     assert len(load_text(plain, tmp_path, "a.txt", text, vehicle_classes=["large vehicle", "ship"])) == 2
 
 
+def test_standard_objects_come_along(plain, tmp_path):
+    court = "100 100 220 100 220 155 100 155"
+    text = f"{CAR} small-vehicle 0\n{court} tennis-court 0\n{court} harbor 0\n"
+    found = load_text(plain, tmp_path, "any.txt", text)
+    assert list(found.objects["ortho.tif"]) == ["tennis-court"] and len(found) == 1
+    assert found.objects["ortho.tif"]["tennis-court"].xylwa[0] == pytest.approx([160, 127.5, 120, 55, 0])
+
+
 def test_dota_results(plain, tmp_path):
     found = load_text(plain, tmp_path, "Task1_small-vehicle.txt", f"ortho 0.83 {CAR}\n")
     assert found.boxes["ortho.tif"].score.tolist() == [0.83]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orthoscale.errors import InputError, UsageError
-from orthoscale.fleet import STRATA, Fleet, codes
+from orthoscale.fleet import Fleet, codes
 
 
 @pytest.mark.parametrize("code", codes())
@@ -49,18 +49,3 @@ def test_a_fleet_of_ones_own(tmp_path):
 def test_what_is_unknown_does_not_depend_on_how_many_are_seen():
     world, germany = Fleet.load("WORLD"), Fleet.load("DE")
     assert world.log_mean_covariance[0, 0] > 3 * germany.log_mean_covariance[0, 0]
-
-
-def test_a_poorly_known_fleet_is_tried_at_several_sizes_that_together_are_as_uncertain():
-    world = Fleet.load("world")
-    tried = world.possible
-    assert len(tried) == STRATA and {f.code for f in tried} == {"WORLD"}
-    mean = np.log([f.mean for f in tried])
-    left = tried[0].mean_sd / tried[0].mean
-    assert np.sqrt(mean.var(0) + left**2) == pytest.approx(world.mean_sd / world.mean, rel=0.02)
-    assert mean.mean(0) == pytest.approx(np.log(world.mean), abs=1e-9)
-    assert [c.mean[0] / f.mean[0] for f in tried for c in f.classes[:1]] == pytest.approx(
-        [world.classes[0].mean[0] / world.mean[0]] * STRATA
-    )
-    (only,) = Fleet.load("DE").possible
-    assert only.code == "DE"

@@ -107,11 +107,12 @@ def test_elevation_and_pixel_size():
 
 
 @pytest.mark.slow
-def test_a_hundred_thousand_boxes_stay_within_reach():
+def test_a_hundred_thousand_boxes_take_two_seconds():
     boxes, views, _ = flight(100_000, 60, np.random.default_rng(5))
-    start = time.perf_counter()
+    ground_size(boxes[:5000], views[:5000], 0.07)
+    start = time.process_time()  # of this process: the machine may be shared
     ground_size(boxes, views, 0.07)
-    assert time.perf_counter() - start < 30  # a guard against quadratic work, not a claim of speed
+    assert time.process_time() - start < 2.0 * len(boxes) / 100_000
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (3.0, 8.0), (0.0, 20.0), (25.0, 15.0), (-1.0, 2.5)])

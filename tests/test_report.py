@@ -212,6 +212,21 @@ def test_an_odd_frame_of_a_model_is_named_first(model):
     assert text.count('fill-opacity="') == 2 and ">DJI_1.jpg</text>" in text
 
 
+def test_what_the_views_said_of_the_ruler_is_told(model):
+    calibration = {
+        "views": 512,
+        "effective_height": {"card": [0.7, 0.45], "fitted": [0.71, 0.587], "sd": [0.1, 0.06]},
+        "margin_px": {"card": [-0.3, -0.2], "fitted": [0.01, -0.88], "sd": [0.7, 0.6]},
+        "trends": {
+            "before": {"percent_per_10_degrees": [3.2, 0.6], "percent_per_pixel_doubling": [18.7, 3.4]},
+            "after": {"percent_per_10_degrees": [-0.7, 0.7], "percent_per_pixel_doubling": [1.1, 3.7]},
+        },
+    }
+    text = page({**read_json(model / "report.json"), "calibration": calibration}, Scene())
+    assert "512 views" in text and "<td>0.70, 0.45 m</td><td>0.71, 0.59 m</td>" in text
+    assert "<td>+18.7, +3.4 %</td><td>+1.1, +3.7 %</td>" in text
+
+
 def test_agreement_of_the_modes_is_told_as_it_was_judged(report):
     modes = {"planar": {"scale": 0.1}, "oblique": {"scale": 0.105}}
     judged = {"difference": 0.049, "sigmas": 1.2, "contradicts": False}

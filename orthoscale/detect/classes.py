@@ -26,8 +26,8 @@ def is_vehicle(name: str, wanted: Iterable[str] = ()) -> bool:
 
     Case, plurals and what joins words do not matter: "Small_Vehicles" is "small-vehicle".
     """
-    names = {_plain(w) for w in wanted} or SMALL_VEHICLES
-    return _plain(name) in names
+    names = {plain(w) for w in wanted} or SMALL_VEHICLES
+    return plain(name) in names
 
 
 def vehicle_numbers(names: Sequence[str], wanted: Iterable[str] = ()) -> list[int]:
@@ -36,5 +36,6 @@ def vehicle_numbers(names: Sequence[str], wanted: Iterable[str] = ()) -> list[in
     return [k for k, name in enumerate(names) if is_vehicle(name, wanted) or str(k) in wanted]
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
+    """A class name without what does not tell classes apart: case, joints, the plural's s."""
     return re.sub(r"[^a-z0-9]+", " ", name.lower()).strip().removesuffix("s")

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..boxes import Boxes, matched, suppress
+from ..errors import UsageError
 from ..sources.picture import Picture
 from .detector import Card
 from .tiles import Detect, Tile, look, tiles
@@ -35,6 +36,7 @@ FEWEST = 3.0  # votes below which no zoom is right; five vehicles that two zooms
 SAME_BOX = 0.5  # overlap at which two zooms see the same vehicle
 KERNEL = 0.12  # width of the vote histogram's kernel in log length, about the spread of a fleet's lengths
 MAX_ZOOM = 4.0
+HIGHEST_ZOOM = 10.0  # that may be asked for: vehicles are then 4 px long, half of what can be measured
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,15 @@ class ZoomChoice:
     votes: float
     rival: float
     table: list[tuple[float, int, int, float]]
+
+
+def check_zoom(zoom: float, card: Card) -> None:
+    """Raises UsageError for a zoom at which no vehicle could be seen, and which would take forever."""
+    if zoom > HIGHEST_ZOOM:
+        raise UsageError(
+            f"a zoom of {zoom:.3g} would look for vehicles {card.best_length / zoom:.2g} px long",
+            f"A zoom is detector pixels per picture pixel, {HIGHEST_ZOOM:g} at most; a GSD is in metres per pixel.",
+        )
 
 
 def search_zoom(

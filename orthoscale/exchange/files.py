@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from ..boxes import Boxes
+from ..detect.classes import plain
 from ..detections import Detections
 from ..errors import InputError, UsageError
+from ..objects import known_objects
 from ..sources.source import Pictures
 from . import coco, dota, geo
 from .items import Item, boxes_by_picture
@@ -55,8 +57,9 @@ def save(found: Detections, path: Path, source: Pictures) -> None:
 def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = ()) -> Detections:
     """The vehicles that a file, or a folder of DOTA labels, has of the pictures of `source`.
 
-    vehicle_classes : names of the classes that count, instead of those called small vehicles.
-    Boxes of others have no ruler: theirs is one that nobody has measured. Raises InputError.
+    vehicle_classes : names of the classes that count, instead of those called small vehicles. Standard objects (tennis
+    courts ...) come along as `Detections.objects`. Boxes of others have no ruler: theirs is one that nobody has
+    measured. Raises InputError.
     """
     suffix = path.suffix.lower()
     about: Mapping[str, Any] | None = None
@@ -79,8 +82,19 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = ()) -> D
             return _checked(Detections.load(path), source, path)
     boxes = boxes_by_picture(items, source.picture_names, vehicle_classes, str(path))
     found = Detections.of(boxes, about, f"boxes of {path.name}", str(path))
+    found = replace(found, objects=_objects(items, source, path))
     _check_sizes(sizes, source, path)
     return _checked(found, source, path)
+
+
+def _objects(items: Sequence[Item], source: Pictures, path: Path) -> dict[str, dict[str, Boxes]]:
+    """Boxes of standard objects among `items`, by picture and class."""
+    objects: dict[str, dict[str, Boxes]] = {}
+    for kind in known_objects():
+        those = [item for item in items if plain(item.label or "") == plain(kind)]
+        for name, boxes in boxes_by_picture(those, source.picture_names, [kind], str(path)).items():
+            objects.setdefault(name, {})[kind] = boxes
+    return objects
 
 
 def _json(path: Path) -> Any:

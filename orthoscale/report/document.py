@@ -33,7 +33,9 @@ def document(result: Result) -> dict[str, Any]:
     scale.
     """
     scale, found, votes = result.scale, result.detections, result.votes
-    size = (votes.size - np.asarray(found.ruler.margin) * votes.pixel[:, None]) * scale.value
+    fitted = result.measured.findings.get("calibration", {}).get("margin_px", {})  # by a model's own views
+    margin = np.asarray(fitted.get("fitted", found.ruler.margin))
+    size = (votes.size - margin * votes.pixel[:, None]) * scale.value
     plan = from_above(result.source, votes.place) * scale.value
     return {
         "format": FORMAT,
@@ -58,7 +60,7 @@ def document(result: Result) -> dict[str, Any]:
         "checks": {**scale.checks, "tension_sigmas": scale.tension, "conflict_sigmas": scale.conflict},
         "weights": {"length": scale.weights[0], "width": scale.weights[1]},
         "remarks": remarks(result),
-        "notes": list(result.source.notes),
+        "notes": _notes(result),
         "detector": {
             "name": found.detector,
             "sha256": found.detector_sha256,
@@ -117,6 +119,14 @@ def remarks(result: Result) -> list[str]:
     """What a reader should know beside the figures."""
     drift = [result.drift.remark] if result.drift is not None and result.drift.remark else []
     return [*result.scale.remarks, *drift, *result.source.notes]
+
+
+def _notes(result: Result) -> list[str]:
+    """Those of the remarks that do not speak against the scale."""
+    agreement = result.measured.agreement
+    if agreement is None or agreement.contradicts:
+        return list(result.source.notes)
+    return [*result.source.notes, agreement.sentence()]
 
 
 def _drift(drift: Drift) -> dict[str, Any]:

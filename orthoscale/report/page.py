@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 JPEG_QUALITY = 82
 MODES = ("planar", "oblique")
+TRENDS = ("percent_per_10_degrees", "percent_per_pixel_doubling")  # of a vehicle's size, before and after calibration
 NAMES = {  # of the report's checks, for people
     "length": "lengths only",
     "width": "widths only",
@@ -56,6 +57,7 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
         histograms=[_histogram(report, axis) for axis in ("length", "width")],
         estimates=_estimates(report),
         modes={name: _mode(mode, report) for name, mode in _modes(report).items()},
+        calibration=_calibration(report),
         places=_places(report),
         frames=_frames(report),
         uncertainty=explain(report),
@@ -155,6 +157,26 @@ def _fleets(report: Mapping[str, Any]) -> str:
         return ""
     likely = sorted(fleets.items(), key=lambda item: -item[1])[:5]
     return ", ".join(f"{code} {100 * probability:.0f} %" for code, probability in likely)
+
+
+def _calibration(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """What a model's views said of the detector's ruler: name, before and after, for lengths and widths."""
+    found = report.get("calibration")
+    if not found:
+        return []
+    height, margin, trends = found["effective_height"], found["margin_px"], found["trends"]
+    steeper, nearer = ([trends[when][key] for when in ("before", "after")] for key in TRENDS)
+    table = [
+        ("effective height", height["card"], height["fitted"], "{:.2f}", " m"),
+        ("margin of boxes", margin["card"], margin["fitted"], "{:+.1f}", " px"),
+        ("steeper by 10 degrees", *steeper, "{:+.1f}", " %"),
+        ("half as far", *nearer, "{:+.1f}", " %"),
+    ]
+    return [(name, _pair(a, form, unit), _pair(b, form, unit)) for name, a, b, form, unit in table]
+
+
+def _pair(values: Sequence[float], form: str, unit: str) -> str:
+    return ", ".join(form.format(value) for value in values).replace("-", "−") + unit
 
 
 def _places(report: Mapping[str, Any]) -> Markup | None:

@@ -1,0 +1,122 @@
+"""Does a reconstruction find its own ruler? ``python benchmarks/ruler_calibration.py``
+
+Simulated flights over parked vehicles, whose boxes enclose a known height and exceed that by a known margin. The
+detector's card says something else; the views must find both, and the scale must not suffer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from simulate import table
+
+from orthoscale.boxes import Boxes
+from orthoscale.fleet import Fleet
+from orthoscale.projection.calibration import OwnRuler, own_ruler
+from orthoscale.projection.exact import Hull
+from orthoscale.projection.view import Views
+
+UNIT = 3.7  # metres
+FOCAL, WIDTH, HEIGHT = 1000.0, 1440.0, 1080.0
+NOISE = (0.8, 0.6)  # px of one box's length and width
+# What the detector claims, and how sure it is: right for none of the flights.
+CARD_HEIGHT, CARD_MARGIN, CARD_HEIGHT_SD, CARD_MARGIN_SD = (0.9, 0.9), (1.5, 1.5), (0.5, 0.5), (2.0, 2.0)
+HEIGHTS, MARGINS = (0.5, 0.8, 1.2, 1.6), (0.0, 2.0, 4.0)
+FLIGHTS = 6
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Boxes of all frames, how they are seen, and the vehicle of each; true sizes [m] of the vehicles."""
+
+    boxes: Boxes
+    views: Views
+    vehicle: np.ndarray
+    size: np.ndarray
+
+    @property
+    def members(self) -> list[np.ndarray]:
+        return [np.flatnonzero(self.vehicle == k) for k in range(len(self.size))]
+
+
+def fly(
+    rng: np.random.Generator,
+    fleet: Fleet,
+    height: float,
+    margin: float,
+    vehicles: int = 70,
+    frames: int = 36,
+    altitude: tuple[float, float] = (50.0, 130.0),
+) -> Flight:
+    """Frames from 45 to 90 degrees at `altitude` [m] over parked vehicles; boxes reach up to `height` [m] and exceed
+    that by `margin` [px]."""
+    size = fleet.sample(rng, vehicles)[:, :2]
+    place = np.column_stack([rng.uniform(-45, 45, (vehicles, 2)), np.zeros(vehicles)])
+    heading = rng.uniform(0, 2 * np.pi, vehicles)
+    along = np.stack([np.cos(heading), np.sin(heading), 0 * heading], -1)
+    across = np.stack([-np.sin(heading), np.cos(heading), 0 * heading], -1)
+    plan, heights = Hull(height=height).outline()
+    offset = plan * size[:, None]
+    body = place[:, None] + offset[..., :1] * along[:, None] + offset[..., 1:] * across[:, None]
+    body = body + heights[:, None] * [0, 0, 1]
+    parts, seen, who = [], [], []
+    for _ in range(frames):
+        pitch, yaw, above = np.radians(rng.uniform(45, 90)), rng.uniform(0, 2 * np.pi), rng.uniform(*altitude)
+        forward = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), -np.sin(pitch)])
+        right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
+        rotation = np.stack([right, np.cross(forward, right), forward])  # rows: the camera's axes
+        camera = -forward * above / np.sin(pitch)  # looks at the origin
+
+        def project(world: np.ndarray, rotation: np.ndarray = rotation, camera: np.ndarray = camera) -> np.ndarray:
+            local = (world - camera) @ rotation.T
+            return local[..., :2] / local[..., 2:] * FOCAL
+
+        tip = project(place + 1e-3 * along) - project(place)
+        angle = np.arctan2(tip[:, 1], tip[:, 0])
+        u = np.stack([np.cos(angle), np.sin(angle)], -1)
+        axes = np.stack([u, np.stack([-u[:, 1], u[:, 0]], -1)], 1)
+        drawn = np.einsum("nij,npj->npi", axes, project(body))
+        low, high = drawn.min(1), drawn.max(1)
+        sides = high - low + margin + rng.normal(0, NOISE, low.shape)
+        middle = np.einsum("nij,ni->nj", axes, (low + high) / 2)
+        inside = (np.abs(middle) < [WIDTH / 2 - 60, HEIGHT / 2 - 60]).all(1) & (sides[:, 0] > sides[:, 1])
+        rays = np.column_stack([middle / FOCAL, np.ones(vehicles)]) @ rotation
+        ground = camera + rays * (-camera[2] / rays[:, 2])[:, None]
+        n = int(inside.sum())
+        views = Views(
+            ((ground - camera) @ rotation.T / UNIT)[inside],
+            np.broadcast_to(rotation[:, 2], (n, 3)),
+            np.broadcast_to(np.eye(2) * FOCAL, (n, 2, 2)),
+        )
+        seen.append(views)
+        parts.append(Boxes(np.column_stack([middle, sides, angle])[inside], np.ones(n)))
+        who.append(np.flatnonzero(inside))
+    return Flight(Boxes.concatenate(parts), Views.concatenate(seen), np.concatenate(who), size)
+
+
+def find(flight: Flight, metres_per_unit: float = UNIT) -> tuple[OwnRuler, np.ndarray]:
+    """The ruler that the flight finds, and the error of the scale by lengths and by widths that it leaves."""
+    card = OwnRuler.shipped(CARD_HEIGHT, CARD_MARGIN, CARD_HEIGHT_SD, CARD_MARGIN_SD)
+    ruler = own_ruler(flight.boxes, flight.views, 1.0, flight.members, metres_per_unit, card)
+    size = ruler.size(flight.boxes, flight.views, 1.0, metres_per_unit) * UNIT
+    return ruler, np.nanmean(np.log(flight.size[flight.vehicle] / size), axis=0)
+
+
+def main() -> None:
+    fleet = Fleet.load("DE")
+    rows = []
+    for height in HEIGHTS:
+        for margin in MARGINS:
+            found = [find(fly(np.random.default_rng([k, 1]), fleet, height, margin)) for k in range(FLIGHTS)]
+            value = np.array([ruler.value for ruler, _ in found])  # (flights, axes, height and margin)
+            error = 100 * np.array([e for _, e in found])
+            cells = [f"{v.mean():.2f} ± {v.std():.2f}" for v in value.transpose(2, 1, 0).reshape(4, -1)]
+            cells += [f"{e.mean():+.2f} ± {e.std():.2f}" for e in (*error.T, error.mean(1))]
+            rows.append([f"{height}", f"{margin:.0f}", *cells])
+    head = ["height [m]", "margin [px]", "height by lengths", "by widths", "margin by lengths", "by widths"]
+    print(table([*head, "scale by lengths [%]", "by widths", "both"], rows))
+
+
+if __name__ == "__main__":
+    main()
