@@ -8,14 +8,13 @@ import numpy as np
 
 from .pooling import Scale
 from .posterior import Z90
+from .verdicts import CHECK_LIMIT, verdict
 
 CONTRADICTION = 3.0  # sigmas from which two measurements of one scale contradict each other
 OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two looks at the same vehicles may differ
 # What one look of a detector differs by from another at the same vehicles (relative, one sigma). An assumption: on
 # the two real scenes the vehicles measured both ways part by 2.4 % and 0.7 % in all.
 OWN_MARGIN = 0.015
-
-
 MIN_COMMON = 5  # vehicles measured in both ways from which these alone are compared
 
 
@@ -89,5 +88,6 @@ def together(agreement: Agreement) -> Scale:
         value=float(np.exp(log_value)),
         interval90=(float(np.exp(log_value - Z90 * sd)), float(np.exp(log_value + Z90 * sd))),
         parts=parts,
+        verdict=verdict(float(sd), a.tension > CHECK_LIMIT, a.verdict == "refuse" or agreement.contradicts),
         checks={**a.checks, **{name: scale.value for name, scale in agreement.scales.items()}},
     )

@@ -214,7 +214,7 @@ def test_agreement_of_two_scales(flight, found):
     assert together(same).value == pytest.approx(1.005 * scale.value, rel=1e-3)
     apart = compare({"oblique": scale, "planar": replace(scale, value=1.5 * scale.value)})
     assert apart.contradicts
-    assert together(apart).parts["sampling"] > 0.15
+    assert together(apart).parts["sampling"] > 0.15 and together(apart).verdict == "refuse"
 
 
 def test_vehicles_measured_both_ways_are_compared_themselves(flight, found):
