@@ -26,7 +26,8 @@ from orthoscale.detect.tiles import CONFIRMING_ZOOM, tiles
 from orthoscale.detections import Detections
 from orthoscale.fleet import Fleet
 from orthoscale.measuring import measure
-from orthoscale.pipeline import estimate, open_source
+from orthoscale.pipeline import estimate
+from orthoscale.sources.opening import open_source
 
 
 def main() -> None:

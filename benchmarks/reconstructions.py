@@ -15,9 +15,10 @@ import numpy as np
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleet import Fleet
 from orthoscale.paper import pool_iqr
-from orthoscale.pipeline import Result, estimate
+from orthoscale.pipeline import estimate
 from orthoscale.projection.decoupled import PRIORS, VARIANTS, paper_scale
 from orthoscale.projection.view import Views
+from orthoscale.result import Result
 
 SCENES = {"sheffield": "US", "brighton": "US"}
 # Outer corners of the northern tennis court in one frame, picked by hand [px], and its size [m].

@@ -20,7 +20,7 @@ import pycolmap
 from orthoscale.detect.find import find_vehicles
 from orthoscale.detections import Detections
 from orthoscale.fleet import Fleet
-from orthoscale.pipeline import open_source
+from orthoscale.sources.opening import open_source
 from orthoscale.synthetic import make_scene, write_ortho
 
 HERE = Path(__file__).parent

@@ -18,18 +18,20 @@ if TYPE_CHECKING:
     from .detections import Detections
     from .errors import OrthoscaleError
     from .fleet import Fleet
-    from .pipeline import Result, estimate, fix
+    from .pipeline import estimate
     from .pooling import Scale
+    from .result import Result
+    from .writing import fix
 
 _HOME = {
     "Boxes": "boxes",
     "Detections": "detections",
     "Fleet": "fleet",
     "OrthoscaleError": "errors",
-    "Result": "pipeline",
+    "Result": "result",
     "Scale": "pooling",
     "estimate": "pipeline",
-    "fix": "pipeline",
+    "fix": "writing",
 }
 
 

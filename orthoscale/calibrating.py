@@ -51,7 +51,7 @@ def calibrate(
     better the ruler. local_fleet : also fit the sizes of the vehicles that stand here. The other options are those of
     `orthoscale.estimate`. Raises InputError, UsageError, TooLittleEvidence.
     """
-    from .pipeline import open_source
+    from .sources.opening import open_source
 
     path = Path(path)
     if gsd is not None and not (np.isfinite(gsd) and gsd > 0):

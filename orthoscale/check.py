@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from .pipeline import Result
 from .pooling import Scale
 from .posterior import Z90
+from .result import Result
 
 CLEAR = 3.0  # sigmas from which a disagreement is no chance
 # Factors (truth over claim) that mistakes make, and the mistake. A ratio close to one of them is a hint, no proof.

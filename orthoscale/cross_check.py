@@ -19,7 +19,7 @@ from .errors import TooLittleEvidence, UsageError
 from .posterior import Z90
 
 if TYPE_CHECKING:
-    from .pipeline import Result
+    from .result import Result
     from .sources.colmap import ColmapSource
 
 SAME_VEHICLE = 0.35  # of a vehicle's length: how far apart one may stand in the two

@@ -9,8 +9,10 @@ from typing import Any
 
 from .atomic import check_free, new_folder
 from .errors import EvidenceDisagrees, InputError, OrthoscaleError, TooLittleEvidence
-from .pipeline import Result, estimate, fix
+from .pipeline import estimate
+from .result import Result
 from .sources.exchange import find_exchange
+from .writing import fix
 
 # What may befall one model and leave the others what they are.
 OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError)

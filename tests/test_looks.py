@@ -15,11 +15,13 @@ from orthoscale.detections import Detections
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.fleet import Fleet
 from orthoscale.looks import measure_model
-from orthoscale.pipeline import estimate, fix, open_source
+from orthoscale.pipeline import estimate
 from orthoscale.pooling import Ruler
 from orthoscale.projection.exact import Hull
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.ground_picture import NEAR_NADIR
+from orthoscale.sources.opening import open_source
+from orthoscale.writing import fix
 
 UNIT = 5.0  # [m]: the cameras of `make_model` fly at 60 m
 HEIGHT, MARGIN = 0.8, 0.5  # of the boxes [m], [px]

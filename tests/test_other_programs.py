@@ -13,10 +13,11 @@ from test_looks import UNIT, found_by
 from test_rescale import ply
 
 from orthoscale.errors import InputError, OutputError, UsageError
-from orthoscale.pipeline import fix, open_source
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.exchange import ExchangeSource
+from orthoscale.sources.opening import open_source
 from orthoscale.workspace import models_in
+from orthoscale.writing import fix
 
 LENS = {"f": 400.0, "k1": 0.05, "k2": -0.02}
 

@@ -20,6 +20,7 @@ from orthoscale.report.files import redraw
 from orthoscale.report.page import page
 from orthoscale.report.scene import Scene
 from orthoscale.report.terminal import show
+from orthoscale.sources.opening import open_source
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +122,7 @@ def test_the_page_says_the_answer_first_with_the_digits_it_deserves(park, report
 
 
 def test_the_page_shows_24_vehicles_from_the_shortest_to_the_longest(park, report):
-    scene = Scene.of(report, orthoscale.pipeline.open_source(park[0] / "park.png"))
+    scene = Scene.of(report, open_source(park[0] / "park.png"))
     assert len(scene.overviews) == 1 and len(scene.used) == 24 and len(scene.rejected) == 1
     lengths = [float(panel.title.split()[0]) for panel in scene.used]
     used = [v["length"] for v in report["vehicles"] if v["used"]]
@@ -131,7 +132,7 @@ def test_the_page_shows_24_vehicles_from_the_shortest_to_the_longest(park, repor
 
 
 def test_outlines_lie_on_their_vehicles(park, report):
-    scene = Scene.of(report, orthoscale.pipeline.open_source(park[0] / "park.png"))
+    scene = Scene.of(report, open_source(park[0] / "park.png"))
     for panel in scene.used:
         inside = panel.image[85:95, 85:95].astype(float)  # a rectangle of one colour, in the middle of its chip
         assert np.ptp(inside, axis=(0, 1)).max() <= 2

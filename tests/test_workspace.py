@@ -13,9 +13,9 @@ from test_rescale import dense_workspace
 
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
-from orthoscale.pipeline import fix
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.workspace import fix_all, models_in
+from orthoscale.writing import fix
 
 pycolmap = pytest.importorskip("pycolmap")
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"

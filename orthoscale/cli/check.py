@@ -45,11 +45,12 @@ def check(
     """
     from .. import pipeline
     from ..check import comparisons
+    from ..sources.opening import open_source
 
     if model is not None:
         _against_model(path, as_json, model, model_detections, options)
         return
-    source = pipeline.open_source(path, options.pop("images"), need_images=options["detections"] is None)
+    source = open_source(path, options.pop("images"), need_images=options["detections"] is None)
     claimed = getattr(source, "claimed", None)
     if claimed is None or claimed.gsd_m is None:
         why = "" if claimed is None else f": {claimed.why}"

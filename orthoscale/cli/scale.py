@@ -70,10 +70,10 @@ def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path
     """Write a copy of INPUT in metres: an orthophoto with its GSD, or a COLMAP model rescaled.
 
     An orthophoto's pixels are copied as they are; OUT.html, OUT.json and OUT.png come with it. A model is scaled about
-    its own origin; sim3.json, report.html, report.json and vehicles.png come with it. Of a workspace with several
-    models (sparse/0, sparse/1 ...) each gets its own scale and folder in OUT. INPUT is never touched.
+    its own origin; sim3.txt, sim3.json, report.html, report.json and vehicles.png come with it. Of a workspace with
+    several models (sparse/0, sparse/1 ...) each gets its own scale and folder in OUT. INPUT is never touched.
     """
-    from .. import pipeline, workspace
+    from .. import workspace, writing
 
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
@@ -82,7 +82,7 @@ def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path
         if models:
             outcomes = workspace.fix_all(models, out, progress=progress, **options)
         else:
-            result = pipeline.fix(path, out, progress=progress, **options)
+            result = writing.fix(path, out, progress=progress, **options)
     if models:
         _finish_all(outcomes, as_json, out, options["report"])
     else:
@@ -97,7 +97,7 @@ def _refuse_one_file_for_many(models: list[Path], save_detections: Path | None) 
 
 def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
     """What a person will look for."""
-    from ..pipeline import report_paths
+    from ..writing import report_paths
 
     page = report_paths(out, result.source.unit, report).get("html")
     return {"written": out} | ({"report": page} if page else {})

@@ -17,7 +17,7 @@ from ..check import own_claim
 from ..drift import Drift
 from ..errors import InputError
 from ..fleet import Fleet
-from ..pipeline import Result
+from ..result import Result
 from .above import from_above
 
 FORMAT = "orthoscale report 1"

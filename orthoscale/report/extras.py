@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..drift import local_deviation
-from ..pipeline import Result
+from ..result import Result
 from ..sources.georeference import Place
 from .geo import write_geojson, write_geopackage
 

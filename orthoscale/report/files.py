@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..atomic import check_free, new_file
 from ..errors import InputError, OrthoscaleError
-from ..pipeline import Result, open_source
+from ..result import Result
+from ..sources.opening import open_source
 from .document import document, read_json, write_json
 from .page import page
 from .pictures import draw

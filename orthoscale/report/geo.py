@@ -12,7 +12,7 @@ from rasterio.warp import transform_geom
 
 from ..drift import local_deviation
 from ..errors import OutputError
-from ..pipeline import Result
+from ..result import Result
 from ..sources.georeference import Place
 
 LAYER = "vehicles"

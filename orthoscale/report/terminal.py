@@ -10,7 +10,7 @@ from types import MappingProxyType
 import click
 
 from ..check import own_claim
-from ..pipeline import Result
+from ..result import Result
 from .document import remarks
 from .judgement import FIT, percent
 

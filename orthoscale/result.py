@@ -1,0 +1,91 @@
+"""What was found in one source, and the scale that follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .boxes import Boxes
+from .detections import Detections
+from .drift import Drift
+from .errors import EvidenceDisagrees, TooLittleEvidence
+from .fleet import Fleet
+from .measuring import Measured
+from .method import Method
+from .pooling import Scale
+from .votes import Votes
+
+if TYPE_CHECKING:
+    from .detect.zoom import ZoomChoice
+    from .sources.source import Source
+
+CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
+
+
+@dataclass(frozen=True)
+class Result:
+    """A measured source; what `fix` writes and every report shows."""
+
+    source: Source
+    fleet: Fleet
+    detections: Detections
+    zoom_choice: ZoomChoice | None
+    seconds: float
+    measured: Measured = field(repr=False)
+    drift: Drift | None = None  # of the scale within an orthophoto
+    method: Method = field(default_factory=Method)
+    settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
+
+    @property
+    def projection(self) -> str:
+        """The projection that was used: the one asked for, or what fits the source."""
+        return self.method.projection or ("planar" if self.source.unit == "m/px" else "exact")
+
+    @property
+    def scale(self) -> Scale:
+        return self.measured.scale
+
+    @property
+    def votes(self) -> Votes:
+        return self.measured.votes
+
+    @property
+    def boxes(self) -> Boxes:
+        """All boxes that entered the projection, of all pictures."""
+        return self.measured.boxes
+
+    @property
+    def picture(self) -> np.ndarray:
+        """(M,) name of each box's picture."""
+        return self.measured.picture
+
+    @property
+    def rejected_boxes(self) -> dict[str, int]:
+        """Boxes that never became votes, by reason."""
+        return {reason: count for reason, count in self.measured.lost.items() if count}
+
+    def require_useful(self) -> None:
+        """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
+        if self.scale.conflict or self.scale.tension > CONFLICT:
+            raise EvidenceDisagrees(
+                f"{self.source.path}: {self.scale.remarks[0]}",
+                "Look at the boxes (--save-detections), check what was given, name the country's fleet, or write all "
+                "the same with --force.",
+            )
+        agreement = self.measured.agreement
+        if agreement is not None and agreement.contradicts:
+            raise EvidenceDisagrees(
+                f"{self.source.path}: {agreement.sentence()}",
+                "Look at the boxes (--save-detections) and the poses, choose one way with --mode, or write all the "
+                "same with --force.",
+            )
+        if self.scale.verdict == "refuse":
+            low, high = self.scale.interval90
+            raise TooLittleEvidence(
+                f"{self.source.path}: the scale is only known to lie between {low:.4g} and {high:.4g} "
+                f"{self.scale.unit}",
+                "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with "
+                "--force.",
+            )

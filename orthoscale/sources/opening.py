@@ -1,0 +1,28 @@
+"""Which kind of source lies at a path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import InputError, UsageError
+from .source import Source
+
+
+def open_source(path: str | Path, images: str | Path | None = None, need_images: bool = True) -> Source:
+    """The source at `path`: a folder is a COLMAP model, a file an image. Raises InputError."""
+    path, images = Path(path), None if images is None else Path(images)
+    if not path.exists():
+        raise InputError(f"{path} does not exist", "Give an orthophoto, or the folder of a COLMAP model.")
+    from .exchange import ExchangeSource, find_exchange
+
+    if (text := find_exchange(path)) is not None:
+        return ExchangeSource.open(text, images=images, need_images=need_images)
+    if path.is_dir():
+        from .colmap import ColmapSource
+
+        return ColmapSource.open(path, images=images, need_images=need_images)
+    if images is not None:
+        raise UsageError("--images is for COLMAP models", f"{path} is a file: leave --images away.")
+    from .raster import RasterSource
+
+    return RasterSource.open(path)
