@@ -352,7 +352,7 @@ def test_a_killed_sweep_continues_and_ctrl_c_leaves_nothing_half_written(wide, t
 
     resumed = json.loads(command(*job, cache=tmp_path).communicate()[0])
     assert 4 <= resumed["sweep"]["from_cache"] < resumed["sweep"]["tiles"] == resumed["sweep"]["of"]
-    assert {p.name for p in out.iterdir()} == {"a.tif", "a.tif.json", "a.tif.png"}
+    assert {p.name for p in out.iterdir()} == {"a.tif", "a.tif.json", "a.tif.png", "a.tif.html"}
     job = ["estimate", *job[1:6], "--exhaustive", "--no-cache", "--json"]
     fresh = json.loads(command(*job, cache=tmp_path / "no").communicate()[0])
     assert fresh["sweep"]["from_cache"] == 0 and not (tmp_path / "no").exists()
