@@ -150,12 +150,12 @@ def test_promising_tiles_are_those_that_show_something_from_afar():
             bright = (image[..., 0] > 170).any()
             return Boxes([[20, 20, 9, 4, 0]] if bright else np.empty((0, 5)), np.ones(int(bright)))
 
-    truth = Boxes([[500, 500, 40, 17, 0], [8500, 8500, 40, 17, 0]], np.ones(2))
-    picture = Drawing(9000, 9000, truth)
+    truth = Boxes([[500, 500, 40, 17, 0], [6500, 6500, 40, 17, 0]], np.ones(2))
+    picture = Drawing(7000, 7000, truth)
     picture.FINER = 1
     jobs = jobs_of(picture)
     weight = promise(jobs, np.arange(len(jobs)), Far(), 2)
-    hit = [t.x <= 500 < t.x + t.width and t.y <= 500 < t.y + t.height or t.x + t.width > 8500 and t.y + t.height > 8500
+    hit = [t.x <= 500 < t.x + t.width and t.y <= 500 < t.y + t.height or t.x + t.width > 6500 and t.y + t.height > 6500
            for _, t in jobs]  # fmt: skip
     assert (weight == np.where(hit, 1.0, UNPROMISING)).all() and 0 < sum(hit) < len(jobs)
 
