@@ -40,7 +40,7 @@ def main() -> None:
             f"{name:22s}{scale.value:12.5g}{f'{low:.5g} to {high:.5g}':>22s}{true_scale:10.5g}{error:+8.1f} %"
             f"  {scale.vehicles_used:5d}   [{scale.unit}]"
         )
-    print(f"\nPictures of the vehicles: {OUT / 'town.tif.png'}, {OUT / 'sheffield' / 'vehicles.png'}")
+    print(f"\nTo open in a browser: {OUT / 'town.tif.html'}, {OUT / 'sheffield' / 'report.html'}")
     if missed:
         sys.exit("an interval does not hold the truth")
 

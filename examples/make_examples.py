@@ -17,10 +17,11 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from orthoscale.detect.find import find_vehicles
+from orthoscale.detect.detector import Detector
 from orthoscale.detections import Detections
 from orthoscale.fleet import Fleet
-from orthoscale.sources.opening import open_source
+from orthoscale.looks import find_in_model
+from orthoscale.sources.colmap import ColmapSource
 from orthoscale.synthetic import make_scene, write_ortho
 
 HERE = Path(__file__).parent
@@ -43,8 +44,8 @@ def make_sheffield(data: Path) -> None:
     (folder / "sparse").mkdir(parents=True)
     original = data / "reconstructions" / "sheffield"
     reduced(pycolmap.Reconstruction(str(original / "sparse"))).write_binary(str(folder / "sparse"))
-    source = open_source(original)
-    found, _ = find_vehicles(source.pictures)
+    source = ColmapSource.open(original)
+    found, _ = find_in_model(source, None, Detector())
     Detections.save(found, folder / "detections.json")
     truth = json.loads((original / "truth.json").read_text())
     keep = {key: truth[key] for key in ("metres_per_model_unit", "how", "relative_uncertainty")}

@@ -27,8 +27,13 @@ LOCAL_SD = np.array([0.025, 0.012])
 
 
 AUTO = "auto"
+WORLD = "WORLD"
+# A place of which nothing is known has a country all the same. Half of the prior goes to the world's average, whose
+# uncertainty is the scatter of the countries about it; half to the countries as they are: their vehicles' shapes may
+# tell which it is. The average alone takes a country of small cars with some vans for one of ordinary cars.
+AVERAGE_SHARE = 0.5
 # Not one country's vehicles on the road: parts of a fleet, new vehicles, a continent, a figure without a source.
-NO_COUNTRY = ("PAPER", "EU", "US_cars", "US_pickup")
+NO_COUNTRY = (WORLD, "PAPER", "EU", "US_cars", "US_pickup")
 
 
 @dataclass(frozen=True)
@@ -69,17 +74,24 @@ class Fleet:
     year: int
     source: str
     candidates: tuple[Fleet, ...] = ()  # fleets of which one stands here, not known which
+    prior: tuple[float, ...] = ()  # probability of each candidate
 
     @classmethod
     def load(cls, name: str | Path) -> Fleet:
         """A fleet by code (``US``, ``DE``, ``world``; case does not matter) or from a JSON file of one such entry.
 
-        ``auto`` is the world's, with the fleets of all countries as candidates. Raises UsageError for an unknown code,
-        InputError for a file that is no fleet.
+        ``world`` and ``auto`` have the fleets of all countries and the world's average as candidates: half of the
+        prior is the average's, or all are equally likely. Raises UsageError for an unknown code, InputError for a file
+        that is no fleet.
         """
-        if str(name).lower() == AUTO:
-            rivals = tuple(cls.from_entry(code, entry) for code, entry in _table().items() if _on_the_road(code))
-            return replace(cls.load("WORLD"), code=AUTO, name="found by the vehicles' shapes", candidates=rivals)
+        if str(name).upper() in (WORLD, AUTO.upper()):
+            average = cls.from_entry(WORLD, _table()[WORLD])
+            countries = [cls.from_entry(code, entry) for code, entry in _table().items() if _country(code)]
+            if str(name).upper() == WORLD:
+                share = (AVERAGE_SHARE, *[(1 - AVERAGE_SHARE) / len(countries)] * len(countries))
+                return replace(average, candidates=(average, *countries), prior=share)
+            name, share = "found by the vehicles' shapes", (1 / (1 + len(countries)),) * (1 + len(countries))
+            return replace(average, code=AUTO, name=name, candidates=(average, *countries), prior=share)
         known = {code.lower(): code for code in _table()}
         if str(name).lower() in known:
             code = known[str(name).lower()]
@@ -139,7 +151,7 @@ def codes() -> list[str]:
     return list(_table())
 
 
-def _on_the_road(code: str) -> bool:
+def _country(code: str) -> bool:
     return code not in NO_COUNTRY and not code.endswith("_new")
 
 

@@ -167,10 +167,11 @@ def _path(value: str | Path | None) -> Path | None:
 def _sampling(source: Source, fleet: Fleet) -> Callable[[Detections], float]:
     """The sampling part of the uncertainty after a part of an orthophoto's sweep. Frames are all looked at: they show
     the same vehicles again, and need each other."""
+    one = replace(fleet, candidates=(), prior=())  # which fleet it is matters little here, and trying all takes time
 
     def sampling(found: Detections) -> float:
         try:
-            return measure(source, found, fleet).scale.parts["sampling"]
+            return measure(source, found, one).scale.parts["sampling"]
         except TooLittleEvidence:
             return np.inf
 

@@ -154,7 +154,7 @@ def pool(
 
     candidates = fleet.candidates or (fleet,)
     each = [_of_fleet(np.log(size), noise, candidate, known) for candidate in candidates]
-    probability = _probabilities(np.array([v.log_evidence for v in each]))
+    probability = _probabilities(np.array([v.log_evidence for v in each]), fleet.prior or (1.0,))
     best = each[int(np.argmax(probability))]
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
@@ -260,9 +260,9 @@ def _sampling(fits: Fits, fleet: Fleet) -> np.ndarray:
     return fits.covariance + least
 
 
-def _probabilities(log_evidence: np.ndarray) -> np.ndarray:
-    """Of each fleet, equally likely at first."""
-    likelihood = np.exp(log_evidence - log_evidence.max())
+def _probabilities(log_evidence: np.ndarray, prior: Sequence[float]) -> np.ndarray:
+    """Of each fleet, by what it makes of the vehicles and how likely it was at first."""
+    likelihood = np.asarray(prior) * np.exp(log_evidence - log_evidence.max())
     return likelihood / likelihood.sum()
 
 

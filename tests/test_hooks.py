@@ -218,7 +218,10 @@ def test_a_kill_leaves_nothing(bench, how):
     )
     there = bench.work / "there"
     command = [sys.executable, slow, "fix", bench.work / "sparse/0", "--out", bench.work / "out", *OPTIONS, there]
-    with subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, env=bench.environment) as process:
+    # A shell's background jobs, this test among them, start with Ctrl-C ignored, and hand that on.
+    listening = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    pipes = {"stderr": subprocess.PIPE, "env": bench.environment}
+    with subprocess.Popen(list(map(str, command)), **pipes, **listening) as process:
         for _ in range(600):
             if there.exists():
                 break

@@ -316,7 +316,10 @@ def wide(tmp_path_factory):
 def command(*arguments, cache):
     environment = {**os.environ, "ORTHOSCALE_CACHE": str(cache)}
     job = [sys.executable, "-m", "orthoscale", *map(str, arguments)]
-    return subprocess.Popen(job, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    # A shell's background jobs, this test among them, start with Ctrl-C ignored, and hand that on.
+    listening = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    return subprocess.Popen(job, text=True, env=environment, **pipes, **listening)
 
 
 def wait_for_tiles(cache, count, process):
