@@ -1,10 +1,12 @@
-"""Make orthophotos of any size from rendered scenes: what the benchmarks of the sweep read.
+"""Make orthophotos of any size, from rendered scenes or real frames: what the benchmarks of the sweep read.
 
     python benchmarks/large_raster.py OUT.tif --mpx 460 --scenes FOLDER [--compress deflate] [--overviews]
+    python benchmarks/large_raster.py OUT.tif --mpx 460 --frames ../shared/data/reconstructions/sheffield/images
 
 Thirty scenes of 2048 x 2048 px at 0.1 m/px are rendered once and kept in FOLDER (five minutes of one core). The raster
 is a grid of them, each turned and mirrored at random: most blocks are parks and villages with few vehicles, as most of
-a survey is. A third of the blocks have streets or car parks. The seed decides everything.
+a survey is. A third of the blocks have streets or car parks. Frames, all of one size, are taken alike, mirrored at
+random. The seed decides everything.
 """
 
 from __future__ import annotations
@@ -50,40 +52,50 @@ def scenes(folder: Path) -> list[list[Path]]:
     return files
 
 
-def make(out: Path, mpx: float, folder: Path, compress: str, overviews: bool, seed: int = 0) -> None:
+def make(
+    out: Path, mpx: float, files: list[list[Path]], shares: list[float], compress: str, overviews: bool, seed: int = 0
+) -> None:
+    """A grid of blocks, each a picture of one kind of `files`, kinds drawn by `shares`."""
     rng = np.random.default_rng(seed)
-    files = scenes(folder)
-    side = max(1, round(np.sqrt(mpx * 1e6) / SIDE))
     pictures = {p: cv2.cvtColor(cv2.imread(str(p)), cv2.COLOR_BGR2RGB) for kind in files for p in kind}
-    profile = {"driver": "GTiff", "width": side * SIDE, "height": side * SIDE, "count": 3, "dtype": "uint8"}
+    height, width = next(iter(pictures.values())).shape[:2]
+    rows, columns = (max(1, round(np.sqrt(mpx * 1e6) / side)) for side in (height, width))
+    profile = {"driver": "GTiff", "width": columns * width, "height": rows * height, "count": 3, "dtype": "uint8"}
     profile |= {"tiled": True, "blockxsize": 512, "blockysize": 512, "compress": compress, "bigtiff": "IF_SAFER"}
     profile |= {"photometric": "YCBCR", "jpeg_quality": 90} if compress == "jpeg" else {"predictor": 2, "zlevel": 1}
     profile |= {"num_threads": 2, "interleave": "pixel"}
     with rasterio.Env(GDAL_CACHEMAX=256 * 2**20):
         with rasterio.open(out, "w", **profile) as raster:
-            for row in range(side):
-                for column in range(side):
-                    kind = files[rng.choice(len(KINDS), p=[share for *_, share in KINDS])]
-                    block = np.rot90(pictures[kind[rng.integers(len(kind))]], rng.integers(4))
+            for row in range(rows):
+                for column in range(columns):
+                    kind = files[rng.choice(len(files), p=shares)]
+                    quarters = rng.integers(4) if width == height else 2 * rng.integers(2)
+                    block = np.rot90(pictures[kind[rng.integers(len(kind))]], quarters)
                     if rng.random() < 0.5:
                         block = block[:, ::-1]
-                    window = Window(column * SIDE, row * SIDE, SIDE, SIDE)
+                    window = Window(column * width, row * height, width, height)
                     raster.write(np.moveaxis(block, -1, 0), window=window)
         if overviews:
             with rasterio.open(out, "r+") as raster:
                 raster.build_overviews([2, 4, 8, 16, 32], Resampling.average)
-    print(f"{out}: {side * SIDE} x {side * SIDE} px, {out.stat().st_size / 1e6:.0f} MB")
+    print(f"{out}: {columns * width} x {rows * height} px, {out.stat().st_size / 1e6:.0f} MB")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--mpx", type=float, default=460)
-    parser.add_argument("--scenes", type=Path, required=True)
+    given = parser.add_mutually_exclusive_group(required=True)
+    given.add_argument("--scenes", type=Path, help="folder that keeps the rendered scenes")
+    given.add_argument("--frames", type=Path, help="folder of real frames")
     parser.add_argument("--compress", choices=("deflate", "jpeg"), default="deflate")
     parser.add_argument("--overviews", action="store_true")
     a = parser.parse_args()
-    make(a.out, a.mpx, a.scenes, a.compress, a.overviews)
+    if a.scenes:
+        make(a.out, a.mpx, scenes(a.scenes), [share for *_, share in KINDS], a.compress, a.overviews)
+    else:
+        frames = sorted(p for p in a.frames.iterdir() if p.suffix.lower() in (".jpg", ".jpeg", ".png"))
+        make(a.out, a.mpx, [frames], [1.0], a.compress, a.overviews)
 
 
 if __name__ == "__main__":
