@@ -34,7 +34,8 @@ def drift(size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale, pla
     remarks = []
     if odd:
         worst = ", ".join(f"{name} by {100 * stray:+.0f} %" for name, stray in odd[:5])
-        remarks.append(f"{len(odd)} frames disagree with the others about the same vehicles: {worst}")
+        who = "a frame disagrees" if len(odd) == 1 else f"{len(odd)} frames disagree"
+        remarks.append(f"{who} with the others about the same vehicles: {worst}")
     if trend is not None and trend["chance"] < SIGNIFICANT:
         remarks.append(
             f"the scale changes by {trend['percent_across']:.0f} % across the model: it may be bent, or its vehicles "

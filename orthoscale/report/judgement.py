@@ -57,7 +57,9 @@ def relative(scale: float, report: Mapping[str, Any]) -> float:
 def checks(report: Mapping[str, Any]) -> list[Check]:
     """What speaks for the scale, or against it: first what a person should look at, then in the order of asking."""
     made = [_vehicles, _shapes, _modes, _evidence, _claim, _places, _frames, _largest]
-    remarks = [remark for remark in report["remarks"] if remark not in report["notes"]]
+    # What a model's drift has to say, the checks of places and frames say.
+    told = {*report["notes"], *(report.get("drift") or {}).get("remarks", [])}
+    remarks = [remark for remark in report["remarks"] if remark not in told]
     found = [check for make in made if (check := make(report))] + [
         Check("look", "Remark", remark) for remark in remarks
     ]
