@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from .options import EXIT_CODES, progress_bars
-from .photo_options import lens_options, vehicle_options
+from .options import EXIT_CODES, progress_bars, vehicle_options
+from .photo_options import lens_options
 
 
 @click.command(

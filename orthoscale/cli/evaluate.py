@@ -8,8 +8,7 @@ from typing import Any
 
 import click
 
-from .options import EXIT_CODES, progress_bars
-from .photo_options import vehicle_options
+from .options import EXIT_CODES, progress_bars, vehicle_options
 
 
 @click.command(

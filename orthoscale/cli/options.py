@@ -35,26 +35,20 @@ def detector_options(command: Callable) -> Callable:
     return command
 
 
-def evidence_options(command: Callable) -> Callable:
-    """Options that say what to measure, and how; shared by `fix` and `estimate`."""
+def vehicle_options(command: Callable) -> Callable:
+    """Options that say of which fleet the vehicles are, and where their boxes come from; shared by all that measure."""
+    command = detector_options(command)
     for option in reversed(
         [
-            click.argument("path", metavar="INPUT", type=click.Path(path_type=Path)),
             click.option(
                 "--fleet",
                 help="Country code (US, DE, JP ...), 'auto' to find it by the vehicles' shapes, or a fleet.json; "
                 "by default the calibration's own, else world.",
             ),
-            click.option("--images", type=click.Path(path_type=Path), help="Folder of the model's frames."),
             click.option(
                 "--detections",
                 type=click.Path(path_type=Path),
-                help="Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector, no frames needed.",
-            ),
-            click.option(
-                "--save-detections",
-                type=click.Path(path_type=Path),
-                help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
+                help="Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector needed.",
             ),
             click.option(
                 "--calibration",
@@ -63,6 +57,23 @@ def evidence_options(command: Callable) -> Callable:
             ),
             click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
             click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search."),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+def evidence_options(command: Callable) -> Callable:
+    """Options that say what to measure, and how; shared by `fix` and `estimate`."""
+    for option in reversed(
+        [
+            click.argument("path", metavar="INPUT", type=click.Path(path_type=Path)),
+            click.option("--images", type=click.Path(path_type=Path), help="Folder of the model's frames."),
+            click.option(
+                "--save-detections",
+                type=click.Path(path_type=Path),
+                help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
+            ),
             click.option(
                 "--refine", is_flag=True, help="Look at every vehicle four times more: sharper boxes, for small inputs."
             ),
@@ -126,7 +137,7 @@ def evidence_options(command: Callable) -> Callable:
         ]
     ):
         command = option(command)
-    return command
+    return vehicle_options(command)
 
 
 @contextmanager

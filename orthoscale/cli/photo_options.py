@@ -7,8 +7,6 @@ from pathlib import Path
 
 import click
 
-from .options import detector_options
-
 
 def lens_options(command: Callable) -> Callable:
     """--focal-px, --lens, --pitch, --roll: what the photo's own tags say otherwise."""
@@ -34,29 +32,3 @@ def lens_options(command: Callable) -> Callable:
     ):
         command = option(command)
     return command
-
-
-def vehicle_options(command: Callable) -> Callable:
-    """The fields of `photo.looking.Looking`: --fleet, and where the boxes come from."""
-    for option in reversed(
-        [
-            click.option(
-                "--fleet",
-                help="Country code (US, DE, JP ...) or fleet.json; by default the calibration's own, else world.",
-            ),
-            click.option(
-                "--detections",
-                type=click.Path(path_type=Path),
-                help="Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector needed.",
-            ),
-            click.option(
-                "--calibration",
-                type=click.Path(path_type=Path),
-                help="The detector's ruler as `orthoscale calibrate` measured it.",
-            ),
-            click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
-            click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search."),
-        ]
-    ):
-        command = option(command)
-    return detector_options(command)

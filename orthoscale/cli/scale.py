@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import UsageError
-from .options import EXIT_CODES, detector_options, evidence_options, progress_bars
+from .options import EXIT_CODES, evidence_options, progress_bars
 
 if TYPE_CHECKING:
     from ..workspace import Outcome
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     "  orthoscale estimate sparse/0 --images frames/ --fleet US --json\n\n" + EXIT_CODES
 )
 @evidence_options
-@detector_options
 def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
     """Print the scale of INPUT, an orthophoto or the folder of a COLMAP model, and write nothing."""
     from .. import pipeline, workspace
@@ -45,7 +44,6 @@ def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | Non
     "  orthoscale fix model/ --out scaled/ --detections boxes.json\n\n" + EXIT_CODES
 )
 @evidence_options
-@detector_options
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="GeoTIFF or folder to write.")
 @click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
 @click.option("--override", is_flag=True, help="Rescale although INPUT says that it is in metres.")

@@ -23,7 +23,6 @@ class Surface:
     def __init__(self, dataset: Any, crs: pyproj.CRS):
         self._dataset = dataset
         self._from_degrees = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
-        self._to_degrees = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
 
     @classmethod
     def open(cls, path: Path) -> Surface:

@@ -44,7 +44,6 @@ CABINS = {
     "van": (0.01, 0.03, 0.68, 0.84),
     "pickup": (0.39, 0.43, 0.58, 0.71),
 }
-SHAPES = tuple(CABINS)
 
 Profile = Callable[[np.ndarray], np.ndarray]
 """Height [m] over the vehicle's own x [m]."""
