@@ -13,6 +13,7 @@ from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
 from rasterio.transform import Affine, from_gcps
 
+LINE = 1e-6  # width over length from which points count as lying on a line
 LOCAL_CRS = (
     'LOCAL_CS["orthoscale local metres",LOCAL_DATUM["unknown",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
     'AXIS["Easting",EAST],AXIS["Northing",NORTH]]'
@@ -87,13 +88,20 @@ def _claim_of_gcps(dataset: DatasetReader) -> Claim:
     points, crs = dataset.gcps
     if crs is None or len(points) < 3:
         return Claim(None, False, f"only {len(points)} ground control points, without what ties them to the ground")
+    # GDAL fits something through points on a line too, and what that is depends on rounding.
+    flat = (_on_a_line([(p.col, p.row) for p in points]), _on_a_line([(p.x, p.y) for p in points]))
     try:
-        t = from_gcps(points)
+        t = Affine(0, 0, 0, 0, 0, 0) if any(flat) else from_gcps(points)
     except (RasterioError, ValueError):
         t = Affine(0, 0, 0, 0, 0, 0)
     if not abs(t.determinant) > 0:
         return Claim(None, False, f"{len(points)} ground control points that span no area")
     return _claim_on_earth(dataset, crs, t, f"on the ground, from {len(points)} ground control points")
+
+
+def _on_a_line(points: list[tuple[float, float]]) -> bool:
+    spread = np.linalg.svd(np.array(points) - np.mean(points, axis=0), compute_uv=False)
+    return bool(spread[1] <= LINE * spread[0])
 
 
 def _claim_on_earth(dataset: DatasetReader, crs: CRS, t: Affine, why: str) -> Claim:
