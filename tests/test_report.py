@@ -339,7 +339,7 @@ def test_the_command_to_reproduce_has_what_is_not_a_default():
     }
     words = command_line("my ortho.tif", settings)
     assert words == (
-        "orthoscale estimate 'my ortho.tif' --fleet DE --exhaustive --seed 3 --vehicle-class car --vehicle-class 'a b'"
+        "orthoscale estimate 'my ortho.tif' --fleet DE --vehicle-class car --vehicle-class 'a b' --exhaustive --seed 3"
     )
     assert command_line("x.tif", {"cache": False}) == "orthoscale estimate x.tif --no-cache"
 
