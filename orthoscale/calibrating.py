@@ -12,6 +12,8 @@ import numpy as np
 from .boxes import Boxes, matched
 from .calibration import Calibration, MarginFit, fit_margin, scaled_fleet
 from .detect.detector import Detector
+from .detect.find import Progress
+from .detect.sweep import SAME_BOX
 from .detect.tiles import sweep
 from .detect.zoom import check_zoom
 from .detections import UNKNOWN_RULER
@@ -24,10 +26,7 @@ from .votes import gather
 if TYPE_CHECKING:
     from .sources.raster import RasterSource
 
-Progress = Callable[[str, int, int], None]
-
 LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms, as shares of the detector's best; a vehicle must show in all
-SAME_BOX = 0.5  # overlap at which two looks show the same vehicle
 FEWEST = 20  # vehicles; a mean length is then known to 2 %
 NO_PRIOR = (6.0, 4.0)  # how far the margin of a detector without a card may be from none, one sigma [detector px]
 ROBUST = 1.48  # a normal distribution's standard deviation per median absolute deviation

@@ -92,6 +92,12 @@ class Calibration:
             ) from error
 
 
+def fleet_of(name: str | Path | None, known: Calibration | None) -> Fleet:
+    """The fleet that was named; else the calibration's own, else that of the world. Raises UsageError, InputError."""
+    own = known.fleet if known is not None else None
+    return own if name is None and own is not None else Fleet.load(name or "world")
+
+
 @dataclass(frozen=True)
 class MarginFit:
     """size, margin : the vehicles' mean size [m] and the boxes' margin [detector px]; `_sd` their one sigma each."""

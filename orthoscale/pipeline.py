@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from .calibration import Calibration
+from .calibration import Calibration, fleet_of
 from .control import read_control, read_distance
 from .detect.detector import Detector
 from .detect.find import Effort, Progress, find_vehicles
 from .detect.refine import refined
 from .detect.workers import worker_count
-from .detect.zoom import check_zoom
+from .detect.zoom import check_told, told_zoom
 from .detections import Detections
 from .drift import drift
 from .errors import TooLittleEvidence, UsageError
@@ -76,11 +76,11 @@ def estimate(
     """
     settings = _plain(locals())
     started = time.perf_counter()
-    _check_options(zoom, gsd_hint, refine, detections)
+    check_told(zoom, gsd_hint)
+    if refine and detections is not None:
+        raise UsageError("--refine looks again, --detections does not look at all", "Leave one of them away.")
     known = None if calibration is None else Calibration.load(Path(calibration))
-    ruler_fleet = Fleet.load(fleet or "world")
-    if known is not None and known.fleet is not None and fleet is None:
-        ruler_fleet = known.fleet
+    ruler_fleet = fleet_of(fleet, known)
     source = open_source(path, images, detections is None) if isinstance(path, (str, Path)) else path
     model = None if source.unit == "m/px" else cast("ColmapSource", source)
     method = Method(projection, estimator, tuple(_given(source, known_distance, ground_control)), surroundings)
@@ -94,10 +94,7 @@ def estimate(
     else:
         how_much = Effort(**effort)
         network = Detector(_path(detector), decoder, vehicle_classes, how_much.threads_each)
-        if gsd_hint is not None:
-            zoom = network.card.best_length * gsd_hint / float(ruler_fleet.mean[0])
-        if zoom is not None:
-            check_zoom(zoom, network.card)
+        zoom = told_zoom(zoom, gsd_hint, network.card, float(ruler_fleet.mean[0]))
         try:
             if model is None:
                 sampling = _sampling(source, ruler_fleet)
@@ -129,17 +126,6 @@ def estimate(
         within = drift(measured.votes, measured.scale, found.ruler, whole.width, whole.height)
     seconds = time.perf_counter() - started
     return Result(source, ruler_fleet, found, choice, seconds, measured, within, method, settings)
-
-
-def _check_options(zoom: float | None, gsd_hint: float | None, refine: bool, detections: str | Path | None) -> None:
-    """Raises UsageError for what makes no sense, before anything is read."""
-    if zoom is not None and gsd_hint is not None:
-        raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
-    for name, value in (("--zoom", zoom), ("--gsd-hint", gsd_hint)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise UsageError(f"{name} must be a positive number, not {value}")
-    if refine and detections is not None:
-        raise UsageError("--refine looks again, --detections does not look at all", "Leave one of them away.")
 
 
 def _given(source: Source, known_distance: Sequence[str], ground_control: str | Path | None) -> list[Evidence]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from .options import EXIT_CODES, progress_bars, vehicle_options
+from .options import EXIT_CODES, progress_bars, save_option, vehicle_options
 
 
 @click.command(
@@ -23,11 +23,7 @@ from .options import EXIT_CODES, progress_bars, vehicle_options
     "--lens", "lens_file", type=click.Path(path_type=Path), help="Calibration of the camera, instead of the data set's."
 )
 @vehicle_options
-@click.option(
-    "--save-detections",
-    type=click.Path(path_type=Path),
-    help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
-)
+@save_option
 @click.option("--max-pitch", type=float, metavar="DEG", help="Leave out photos that look flatter (the paper: -60).")
 @click.option("--ablations", is_flag=True, help="Also over score threshold and least number of vehicles.")
 @click.option("--sensitivity", is_flag=True, help="Also with wrong pitch and wrong focal length.")
@@ -60,13 +56,14 @@ def evaluate(
     paper's formula, `program` what its authors' program computes.
     """
     from ..evaluate import report
+    from ..exchange import check_savable
     from ..photo import looking as boxes
     from ..photo.tables import check_outputs
 
     how = boxes.Looking(**looking)
     ruler = how.ruler_fleet()
     check_outputs(outputs, overwrite, (".json", ".csv"))
-    boxes.check_savable(save_detections)
+    check_savable(save_detections)
     samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
     photos = [sample.photo for sample in samples]
     with progress_bars() as progress:

@@ -16,6 +16,13 @@ Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
 5 input unreadable or damaged; 6 output could not be written."""
 
 
+save_option = click.option(
+    "--save-detections",
+    type=click.Path(path_type=Path),
+    help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
+)
+
+
 def detector_options(command: Callable) -> Callable:
     """Options that name a detector."""
     for option in reversed(
@@ -69,11 +76,7 @@ def evidence_options(command: Callable) -> Callable:
         [
             click.argument("path", metavar="INPUT", type=click.Path(path_type=Path)),
             click.option("--images", type=click.Path(path_type=Path), help="Folder of the model's frames."),
-            click.option(
-                "--save-detections",
-                type=click.Path(path_type=Path),
-                help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
-            ),
+            save_option,
             click.option(
                 "--refine", is_flag=True, help="Look at every vehicle four times more: sharper boxes, for small inputs."
             ),

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from .options import EXIT_CODES, progress_bars, vehicle_options
+from .options import EXIT_CODES, progress_bars, save_option, vehicle_options
 from .photo_options import lens_options
 
 
@@ -22,11 +22,7 @@ from .photo_options import lens_options
 @vehicle_options
 @lens_options
 @click.option("--together", is_flag=True, help="Also one scale of all photos: one lens, one altitude.")
-@click.option(
-    "--save-detections",
-    type=click.Path(path_type=Path),
-    help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
-)
+@save_option
 @click.option(
     "--out", "outputs", multiple=True, type=click.Path(path_type=Path), help="Table to write: .csv, .json or .gpkg."
 )
@@ -55,6 +51,7 @@ def photo(
     interval. The ground is taken to be level.
     """
     from ..errors import TooLittleEvidence
+    from ..exchange import check_savable
     from ..photo import looking as boxes
     from ..photo import survey, tables
     from ..photo.measure import find_photos
@@ -62,7 +59,7 @@ def photo(
     how = boxes.Looking(**looking)
     ruler = how.ruler_fleet()
     tables.check_outputs(outputs, overwrite)
-    boxes.check_savable(save_detections)
+    check_savable(save_detections)
     lens = {"lens_file": lens_file, "focal_px": focal_px, "pitch": pitch, "roll": roll}
     photos, problems = survey.open_photos(find_photos(paths), decode=how.detections is None, **lens)
     with progress_bars() as progress:

@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
     """Print the scale of INPUT, an orthophoto or the folder of a COLMAP model, and write nothing."""
     from .. import pipeline, workspace
+    from ..exchange import check_savable
 
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
-    _check_savable(save_detections)
+    check_savable(save_detections)
     with progress_bars() as progress:
         if models:
             outcomes = workspace.estimate_all(models, progress=progress, **options)
@@ -72,10 +73,11 @@ def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path
     several models (sparse/0, sparse/1 ...) each gets its own scale and folder in OUT. INPUT is never touched.
     """
     from .. import workspace, writing
+    from ..exchange import check_savable
 
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
-    _check_savable(save_detections)
+    check_savable(save_detections)
     with progress_bars() as progress:
         if models:
             outcomes = workspace.fix_all(models, out, progress=progress, **options)
@@ -115,25 +117,13 @@ def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None,
             click.echo(f"no scale   {outcome.error}")
 
 
-def _check_savable(path: Path | None) -> None:
-    """Before any work is done."""
-    if path is not None:
-        from ..atomic import check_free
-        from ..exchange import check_name
-
-        check_name(path)
-        check_free(path, overwrite=True)
-
-
 def _finish(
     result: Any, as_json: bool, save_detections: Path | None, written: Mapping[str, Path] = MappingProxyType({})
 ) -> None:
     if save_detections is not None:
-        from ..atomic import new_file
-        from ..exchange import save
+        from ..exchange import keep
 
-        with new_file(save_detections, overwrite=True) as partial:
-            save(result.detections, partial, result.source)
+        keep(result.detections, save_detections, result.source)
     if as_json:
         from ..report.document import document
 

@@ -8,7 +8,7 @@ average.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from ..boxes import Boxes, matched, suppress
 from ..sources.picture import Picture
+from .find import Progress
 from .tiles import Detect, Tile, place, read, tiles
 
 SAME_BOX = 0.5  # overlap at which two views show the same vehicle
@@ -34,8 +35,6 @@ class View:
 
 
 VIEWS = (View(1, 1.0), View(2, 1.0), View(0, 2**0.25), View(0, 2**-0.25))
-
-Progress = Callable[[str, int, int], None]
 
 
 def refined(

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
-from ..calibration import Calibration
+from ..calibration import Calibration, fleet_of
 from ..detect.find import Progress
+from ..detect.zoom import check_told, told_zoom
 from ..detections import Detections
-from ..errors import TooLittleEvidence, UsageError
+from ..errors import TooLittleEvidence
 from ..fleet import Fleet
 from ..sources.picture_file import PictureFile
 from .measure import Photo
@@ -32,11 +31,7 @@ class Looking:
 
     def ruler_fleet(self) -> Fleet:
         """The fleet that was named; else the calibration's own, else that of the world."""
-        if self.fleet is None and self.calibration is not None:
-            own = Calibration.load(self.calibration).fleet
-            if own is not None:
-                return own
-        return Fleet.load(self.fleet or "world")
+        return fleet_of(self.fleet, None if self.calibration is None else Calibration.load(self.calibration))
 
 
 @dataclass(frozen=True)
@@ -66,11 +61,7 @@ def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = 
     All photos share one zoom, as those of a flight do: measure flights at different heights in one run each.
     Raises InputError, UsageError, TooLittleEvidence.
     """
-    for name, value in (("--zoom", how.zoom), ("--gsd-hint", how.gsd_hint)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise UsageError(f"{name} must be a positive number, not {value}")
-    if how.zoom is not None and how.gsd_hint is not None:
-        raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
+    check_told(how.zoom, how.gsd_hint)
     if how.detections is not None:
         from ..exchange import load
 
@@ -87,9 +78,7 @@ def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) 
     from ..detect.find import find_vehicles
 
     detector = Detector(how.detector, how.decoder, how.vehicle_classes)
-    zoom = how.zoom
-    if how.gsd_hint is not None:
-        zoom = detector.card.best_length * how.gsd_hint / float(how.ruler_fleet().mean[0])
+    zoom = told_zoom(how.zoom, how.gsd_hint, detector.card, float(how.ruler_fleet().mean[0]))
     try:
         return find_vehicles([photo.picture for photo in photos], detector, zoom, progress)[0]
     except TooLittleEvidence as error:
@@ -99,18 +88,6 @@ def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) 
 
 def save_boxes(found: Detections, path: Path, photos: Sequence[Photo]) -> None:
     """Keep `found` in a file of the format that its name says. Raises UsageError, OutputError."""
-    from ..atomic import new_file
-    from ..exchange import save
+    from ..exchange import keep
 
-    with new_file(path, overwrite=True) as partial:
-        save(found, partial, Album(photos))
-
-
-def check_savable(path: Path | None) -> None:
-    """Refuse early what `save_boxes` would refuse late."""
-    if path is not None:
-        from ..atomic import check_free
-        from ..exchange import check_name
-
-        check_name(path)
-        check_free(path, overwrite=True)
+    keep(found, path, Album(photos))

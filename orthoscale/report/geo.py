@@ -14,6 +14,7 @@ from ..drift import local_deviation
 from ..errors import OutputError
 from ..result import Result
 from ..sources.georeference import Place
+from ..vector import write_layer
 
 LAYER = "vehicles"
 # Used green, others red, as in the picture; what a QGIS layer loads as its default style from the table layer_styles.
@@ -78,22 +79,15 @@ def outlines(result: Result, place: Place) -> np.ndarray:
 
 def write_geopackage(result: Result, place: Place, path: Path) -> None:
     """Vehicles as polygons in the CRS of the scaled copy, layer ``vehicles``. Raises OutputError."""
-    from pyogrio.raw import write
+    import shapely
 
-    columns = table(result)
+    columns = {name: values.tolist() for name, values in table(result).items()}
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    crs = place.crs if isinstance(place.crs, str) else place.crs.to_wkt()
     try:
-        write(
-            path,
-            np.array([_wkb(ring) for ring in outlines(result, place)], object),
-            list(columns.values()),
-            list(columns),
-            layer=LAYER,
-            driver="GPKG",
-            geometry_type="Polygon",
-            crs=place.crs if isinstance(place.crs, str) else place.crs.to_wkt(),
-        )
+        write_layer(path, LAYER, shapely.polygons(outlines(result, place)), rows, "Polygon", crs)
         _add_style(path)
-    except (sqlite3.Error, RuntimeError) as error:  # pyogrio's errors are RuntimeErrors
+    except (OSError, sqlite3.Error, RuntimeError) as error:  # pyogrio's other errors are RuntimeErrors
         raise OutputError(f"{path} could not be written ({error})", "Check the free space on its disk.") from error
 
 
@@ -115,12 +109,6 @@ def write_geojson(result: Result, place: Place, path: Path) -> None:
         "features": features,
     }
     path.write_text(json.dumps(text), encoding="utf-8")
-
-
-def _wkb(ring: np.ndarray) -> bytes:
-    """A polygon of one ring as well-known binary, little endian (OGC 06-103r4)."""
-    head = np.array([3, 1, len(ring)], "<u4").tobytes()
-    return b"\x01" + head + np.ascontiguousarray(ring, "<f8").tobytes()
 
 
 def _add_style(path: Path) -> None:
