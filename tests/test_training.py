@@ -1,6 +1,7 @@
 """Training: targets and augmentation keep boxes on their pixels, margins and figures are what they say they are."""
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from training.evaluate import (
     Labelled,
     Scene,
     average_precision,
+    checked_scenes,
     compare,
     draw,
     evaluate,
@@ -272,7 +274,7 @@ def test_a_scene_is_swept_at_its_zoom_and_summed_up(tmp_path):
         )
         return Boxes(boxes, [0.9, 0.3, 0.8, 0.7]).mapped(0.5)
 
-    result, comparisons = evaluate(scene, detect, best_length=20, score=0.5)
+    result, comparisons = evaluate(scene, detect, best_length=20, score=0.5, looks=1)
     assert (result.pictures, result.vehicles, result.zoom, result.false) == (1, 3, 0.5, 1)
     assert result.precision == pytest.approx(1 / 2) and result.recall == pytest.approx(1 / 3)
     assert result.average_precision == pytest.approx((1 + 2 / 3) / 3)
@@ -285,9 +287,39 @@ def test_a_scene_is_swept_at_its_zoom_and_summed_up(tmp_path):
         labelled_scenes(labels, ["b"])
 
 
+def test_two_looks_leave_out_what_one_alone_shows(tmp_path):
+    vehicles = np.array([[100, 100, 40, 18, 0.2], [300, 100, 40, 18, 0.2]])
+    (scene,) = labelled_scenes(write_labels(tmp_path, {"a": (draw_boxes(vehicles), rows(vehicles))}), [])
+
+    def detect(image):
+        """Both vehicles, the second one less surely from afar; one mistake that shows from near alone."""
+        zoom = image.shape[0] / 400
+        near = zoom == 1
+        boxes = np.r_[vehicles, [[200, 300, 40, 18, 0]]][: 3 if near else 2]
+        return Boxes(boxes, [0.9, 0.9, 0.8] if near else [0.8, 0.3]).mapped(zoom)
+
+    result, _ = evaluate(scene, detect, best_length=40, score=0.5)
+    assert (result.false, result.precision, result.recall) == (0, 1, 0.5)
+    assert result.average_precision == 1
+    result, _ = evaluate(scene, detect, best_length=40, score=0.5, looks=1)
+    assert (result.false, result.recall) == (1, 1)
+
+
+def test_checked_pictures_are_those_of_the_shared_data():
+    scenes = {scene.name: scene for scene in checked_scenes(Path("data"))}
+    assert {name: len(scene.pictures) for name, scene in scenes.items()} == {
+        "manila": 1, "sheffield": 10, "brighton": 18,
+    }  # fmt: skip
+    assert all(scene.complete for scene in scenes.values())
+    for scene in scenes.values():
+        for p in scene.pictures:
+            assert p.picture.path.parts[0] == "data"
+            assert Boxes(p.vehicles, np.ones(len(p.vehicles))).inside(p.picture.width, p.picture.height, 0).all()
+
+
 def test_a_scene_without_vehicles_has_false_boxes_only(tmp_path):
     (scene,) = labelled_scenes(write_labels(tmp_path, {"dunes": (None, [])}), ["dunes"])
-    result, _ = evaluate(scene, lambda image: Boxes([[100, 100, 40, 18, 0]], [0.9]), 45, 0.5)
+    result, _ = evaluate(scene, lambda image: Boxes([[100, 100, 40, 18, 0]], [0.9]), 45, 0.5, looks=1)
     assert result.false == 1 and result.recall is None and result.average_precision is None and result.length is None
     assert "(1 false)" in table([result])
 
@@ -298,7 +330,7 @@ def test_incomplete_references_say_nothing_about_precision(tmp_path):
     reference.write_text(json.dumps({"a.png": rows([[200, 200, 40, 18, 0.1]])}))
     scene = reference_scene(f"place={path.parent / 'images'}:{reference}")
     assert scene.name == "place" and [p.picture.name for p in scene.pictures] == ["a.png"]
-    result, _ = evaluate(scene, lambda image: Boxes([[200, 200, 40, 18, 0.1]] * 1, [0.9]), 40, 0.5)
+    result, _ = evaluate(scene, lambda image: Boxes([[200, 200, 40, 18, 0.1]], [0.9]), 40, 0.5, looks=1)
     assert result.recall == 1 and result.precision is None and result.average_precision is None
     assert "n/a (incomplete)" in table([result])
     reference.write_text(json.dumps({"z.png": []}))

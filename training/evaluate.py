@@ -2,17 +2,19 @@ r"""How good a detector's boxes are: found or not, and of what size.
 
     python -m training.evaluate --detector orthoscale/detect/weights/small_vehicle.onnx \\
         --labels ../shared/data/vehicles/labels.json --scenes ohio \\
-        --reference sheffield=../shared/data/reconstructions/sheffield/images:BOXES.json \\
+        --checked ../shared/data --reference sheffield=../shared/data/reconstructions/sheffield/images:BOXES.json \\
         --margin ../shared/data/orthophotos/manila.tif:0.0967:PH --json evaluation.json --picture evaluation.png
 
-Every picture is swept as a user's would be (`orthoscale.detect.tiles`), at the zoom that brings the median labelled
-vehicle of its scene to the detector's best length. A box that overlaps a label by half or more (intersection over
-union) is a hit. Where the labels do not speak (other kinds, vehicles cut by the picture's edge) boxes count neither
-way.
+Every picture is swept as a user's would be (`orthoscale.detect.sweep`: a vehicle must show in two looks; `--looks 1`
+for the network alone), at the zoom that brings the median labelled vehicle of its scene to the detector's best length.
+A box that overlaps a label by half or more (intersection over union) is a hit. Where the labels do not speak (other
+kinds, vehicles cut by the picture's edge) boxes count neither way.
 
 Only scenes that the detector has not seen say how it does; in `warsaw` and `bogota` not every vehicle is labelled, so
-that precision is too low there. References are boxes of another detector on scenes never trained on: precise where they
-are, but incomplete, so they give recall and sizes only, and the sizes carry that detector's margin.
+that precision is too low there. `--checked` are pictures never trained on in which a person has looked for every
+vehicle (`labels/checked.json`); their boxes were proposed by detector version 2, so their sizes are no measure of
+it. References are boxes of another detector on scenes never trained on: precise where they are, but incomplete, so they
+give recall and sizes only, and the sizes carry that detector's margin.
 
 ``--margin`` measures what the card's ruler needs: the pixels by which the detector's boxes are longer and wider than
 vehicles, from near-vertical pictures of known ground sampling distance.
@@ -31,7 +33,8 @@ import cv2
 import numpy as np
 
 from orthoscale.boxes import Boxes, matched
-from orthoscale.detect.tiles import BORDER, sweep
+from orthoscale.detect.sweep import sweep_twice
+from orthoscale.detect.tiles import BORDER, look_twice, sweep, tiles
 from orthoscale.detections import Detections
 from orthoscale.fleet import Fleet
 from orthoscale.sources.picture_file import PictureFile, stored_size
@@ -39,6 +42,7 @@ from orthoscale.sources.picture_file import PictureFile, stored_size
 from .augment import NOMINAL_LENGTH
 from .data import read_labels
 
+CHECKED = Path(__file__).parent / "labels" / "checked.json"
 IOU = 0.5
 LOWEST_SCORE = 0.05  # boxes below are not asked for; the precision-recall curve ends there
 ROBUST = 1.48  # a normal distribution's standard deviation per median absolute deviation
@@ -186,6 +190,25 @@ def labelled_scenes(label_file: Path, names: Sequence[str]) -> list[Scene]:
     ]  # fmt: skip
 
 
+def checked_scenes(data: Path) -> list[Scene]:
+    """The scenes of labels/checked.json, whose pictures lie under `data`."""
+    entries = json.loads(CHECKED.read_text())["images"]
+    return [
+        Scene(
+            name,
+            [
+                Labelled(
+                    PictureFile(Path(file).name, data / file, *entry["size"]),
+                    *(np.array(entry.get(kind, []), float).reshape(-1, 5) for kind in ("vehicle", "ignore")),
+                )
+                for file, entry in entries.items()
+                if entry["scene"] == name
+            ],
+        )
+        for name in dict.fromkeys(entry["scene"] for entry in entries.values())
+    ]
+
+
 def reference_scene(text: str) -> Scene:
     """A scene from ``NAME=IMAGES_FOLDER_OR_IMAGE:BOXES.json``, boxes as `Detections.load` reads them."""
     name, _, rest = text.partition("=")
@@ -212,11 +235,17 @@ def _decoded_size(path: Path) -> tuple[int, int]:
 
 
 def evaluate(
-    scene: Scene, detect: Callable[[np.ndarray], Boxes], best_length: float, score: float
+    scene: Scene, detect: Callable[[np.ndarray], Boxes], best_length: float, score: float, looks: int = 2
 ) -> tuple[Result, list[Comparison]]:
     """Sweep a scene's pictures and compare. `detect` gives boxes of all scores, `score` is that of the figures."""
     zoom = best_length / scene.length
-    found = sweep([p.picture for p in scene.pictures], zoom, detect)
+    pictures = [p.picture for p in scene.pictures]
+    if looks == 1:
+        found = sweep(pictures, zoom, detect)
+    else:
+        jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
+        visit = ((number, look_twice(*job, detect)) for number, job in enumerate(jobs))
+        found = sweep_twice(jobs, np.arange(len(jobs)), lambda _: visit).boxes
     comparisons = []
     for p in scene.pictures:
         # The sweep drops boxes that the picture's edge may cut, so labels there are nobody's to find.
@@ -349,33 +378,40 @@ def main() -> None:
     parser.add_argument("--detector", type=Path, required=True, help="ONNX file with an orthoscale card")
     parser.add_argument("--labels", type=Path, help="label file")
     parser.add_argument("--scenes", default="", help="scenes of the label file, comma separated; all by default")
+    parser.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json")
+    parser.add_argument(
+        "--looks", type=int, choices=(1, 2), default=2, help="that a vehicle must show in (%(default)s)"
+    )
+    parser.add_argument("--score", type=float, help="of the figures; the card's by default")
     parser.add_argument("--reference", action="append", default=[], metavar="NAME=IMAGES:BOXES.json")
     parser.add_argument("--margin", action="append", default=[], metavar="PICTURES:GSD:FLEET")
     parser.add_argument("--json", type=Path, help="write all figures here")
     parser.add_argument("--picture", type=Path, help="draw one picture of each scene into this image")
     options = parser.parse_args()
-    if not (options.labels or options.reference or options.margin):
-        parser.error("nothing to compare with: give --labels, --reference or --margin")
+    if not (options.labels or options.checked or options.reference or options.margin):
+        parser.error("nothing to compare with: give --labels, --checked, --reference or --margin")
 
     from orthoscale.detect.detector import Detector
 
     detector = Detector(options.detector)
     card = detector.card
+    score = card.score if options.score is None else options.score
     detect = partial(detector, threshold=LOWEST_SCORE)
     scenes = labelled_scenes(options.labels, list(filter(None, options.scenes.split(",")))) if options.labels else []
+    scenes += checked_scenes(options.checked) if options.checked else []
     scenes += [reference_scene(text) for text in options.reference]
     results, pictures = [], []
     for scene in scenes:
-        result, comparisons = evaluate(scene, detect, card.best_length, card.score)
+        result, comparisons = evaluate(scene, detect, card.best_length, score, options.looks)
         results.append(result)
         if options.picture:
-            pictures.append(draw(comparisons, scene, card.score))
-    report: dict = {"detector": options.detector.name, "sha256": detector.sha256, "score": card.score}
+            pictures.append(draw(comparisons, scene, score))
+    report: dict = {"detector": detector.path.name, "sha256": detector.sha256, "score": score, "looks": options.looks}
     if results:
         print(table(results))
         report["scenes"] = [asdict(result) for result in results]
     if options.margin:
-        known = [known_boxes(text, detect, card.best_length, card.score) for text in options.margin]
+        known = [known_boxes(text, detect, card.best_length, score) for text in options.margin]
         names = [Path(text.rsplit(":", 2)[0]).name for text in options.margin]
         margin = fit_margin(known)
         print(margin_table(names, known, margin))

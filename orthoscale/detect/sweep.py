@@ -33,7 +33,10 @@ class Swept:
 
 @dataclass(frozen=True)
 class Found:
-    """Vehicles by picture name [px of the picture]: `boxes` that both looks show, `doubtful` that one alone does."""
+    """Vehicles by picture name [px of the picture]: `boxes` that both looks show, `doubtful` that one alone does.
+
+    A box's score is that of the less sure look: those of at least s are the ones that a sweep with score s would find.
+    """
 
     boxes: dict[str, Boxes]
     doubtful: dict[str, Boxes]
@@ -109,7 +112,7 @@ def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], ca
         i, j, _ = matched(first, second, SAME_BOX)
         xylwa = first.xylwa[i].copy()
         xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
-        boxes[name] = Boxes(xylwa, (first.score[i] + second.score[j]) / 2)
+        boxes[name] = Boxes(xylwa, np.minimum(first.score[i], second.score[j]))
         alone = np.ones(len(first), bool)
         alone[i] = False
         doubtful[name] = first[alone]
