@@ -278,9 +278,8 @@ def test_a_scene_is_swept_at_its_zoom_and_summed_up(tmp_path):
     assert (result.pictures, result.vehicles, result.zoom, result.false) == (1, 3, 0.5, 1)
     assert result.precision == pytest.approx(1 / 2) and result.recall == pytest.approx(1 / 3)
     assert result.average_precision == pytest.approx((1 + 2 / 3) / 3)
-    assert result.length == pytest.approx((np.log(1.1), 0), abs=1e-9) and result.width == pytest.approx(
-        (0, 0), abs=1e-9
-    )
+    assert result.length == pytest.approx((np.log(1.1), 0, np.log(1.1)), abs=1e-9)
+    assert result.width == pytest.approx((0, 0, 0), abs=1e-9)
     assert "0.500 (1 false)" in table([result])
     assert draw(comparisons, scene, 0.5, width=300).shape == (300, 300, 3)
     with pytest.raises(ValueError, match="no such scene .*: b; there are a"):
@@ -332,7 +331,7 @@ def test_incomplete_references_say_nothing_about_precision(tmp_path):
     assert scene.name == "place" and [p.picture.name for p in scene.pictures] == ["a.png"]
     result, _ = evaluate(scene, lambda image: Boxes([[200, 200, 40, 18, 0.1]], [0.9]), 40, 0.5, looks=1)
     assert result.recall == 1 and result.precision is None and result.average_precision is None
-    assert "n/a (incomplete)" in table([result])
+    assert "(incomplete)" in table([result])
     reference.write_text(json.dumps({"z.png": []}))
     with pytest.raises(ValueError, match="none of the pictures"):
         reference_scene(f"place={path.parent / 'images'}:{reference}")

@@ -90,8 +90,8 @@ class Comparison:
 class Result:
     """One scene in figures; None where it cannot be told.
 
-    false : boxes that are no vehicle, at the card's score. length, width : median and robust spread of
-    log(box / label). angle : median absolute difference [deg].
+    false : boxes that are no vehicle, at the card's score. length, width : of log(box / label) its median, its robust
+    spread, and the median of its size, the usual error. angle : median absolute difference [deg].
     """
 
     scene: str
@@ -102,8 +102,8 @@ class Result:
     precision: float | None
     recall: float | None
     average_precision: float | None
-    length: tuple[float, float] | None
-    width: tuple[float, float] | None
+    length: tuple[float, float, float] | None
+    width: tuple[float, float, float] | None
     angle: float | None
 
 
@@ -155,18 +155,18 @@ def summarise(scene: Scene, comparisons: list[Comparison], zoom: float, score: f
         precision=hits / (hits + false) if tell and hits else None,
         recall=hits / vehicles if vehicles else None,
         average_precision=average_precision(scores, is_hit, vehicles) if tell and vehicles else None,
-        length=_centre_and_spread(np.log(box[:, 2] / label[:, 2])),
-        width=_centre_and_spread(np.log(box[:, 3] / label[:, 3])),
+        length=_errors(np.log(box[:, 2] / label[:, 2])),
+        width=_errors(np.log(box[:, 3] / label[:, 3])),
         angle=float(np.degrees(np.median(np.abs(turn)))) if len(turn) else None,
     )
 
 
-def _centre_and_spread(values: np.ndarray) -> tuple[float, float] | None:
-    """Median and 1.48 times the median absolute deviation; None of nothing."""
+def _errors(values: np.ndarray) -> tuple[float, float, float] | None:
+    """Median, 1.48 times the median deviation from it, and median size; None of nothing."""
     if not len(values):
         return None
     centre = np.median(values)
-    return float(centre), float(ROBUST * np.median(np.abs(values - centre)))
+    return float(centre), float(ROBUST * np.median(np.abs(values - centre))), float(np.median(np.abs(values)))
 
 
 def labelled_scenes(label_file: Path, names: Sequence[str]) -> list[Scene]:
@@ -258,16 +258,19 @@ def evaluate(
 
 def table(results: Iterable[Result]) -> str:
     lines = [
-        "                                                      average    log(length ratio)  log(width ratio)  angle",
-        "scene      pictures vehicles  zoom  precision recall  precision  median  spread     median  spread   [deg]",
+        f"{'':55s}average   {'log(length ratio)':^20s}   {'log(width ratio)':^20s}  angle",
+        "scene      pictures vehicles zoom precision      recall precision"
+        "   median spread usual   median spread usual  [deg]",
     ]
     for r in results:
-        precision = "n/a (incomplete)" if r.false is None else f"{_figure(r.precision)} ({r.false} false)"
-        sizes = [_figure(v, "+.3f") for pair in (r.length, r.width) for v in pair or (None, None)]
+        precision = "(incomplete)" if r.false is None else f"{_figure(r.precision)} ({r.false} false)"
+        length, width = (
+            f"{_figure(e[0], '+.3f'):>6s}  {_figure(e[1]):>5s} {_figure(e[2]):>5s}"
+            for e in (r.length or (None,) * 3, r.width or (None,) * 3)
+        )
         lines.append(
-            f"{r.scene:12s}{r.pictures:5d} {r.vehicles:8d} {r.zoom:6.2f}  {precision:16s} {_figure(r.recall):>5s}"
-            f"  {_figure(r.average_precision):>5s}     {sizes[0]:>6s}  {sizes[1]:>6s}    {sizes[2]:>6s}  {sizes[3]:>6s}"
-            f"   {_figure(r.angle, '.1f'):>4s}"
+            f"{r.scene:10s} {r.pictures:8d} {r.vehicles:8d} {r.zoom:4.2f} {precision:16s} {_figure(r.recall):>5s}"
+            f"    {_figure(r.average_precision):>5s}   {length}   {width}   {_figure(r.angle, '.1f'):>4s}"
         )
     return "\n".join(lines)
 

@@ -14,17 +14,17 @@ def conv(inputs: int, outputs: int, stride: int = 1, size: int = 3) -> nn.Sequen
 
 
 class Residual(nn.Module):
-    def __init__(self, channels: int):
+    def __init__(self, channels: int, inner: int):
         super().__init__()
-        self.first = conv(channels, channels)
-        self.second = nn.Sequential(nn.Conv2d(channels, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
+        self.first = conv(channels, inner)
+        self.second = nn.Sequential(nn.Conv2d(inner, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
 
     def forward(self, x: Tensor) -> Tensor:
         return F.relu(x + self.second(self.first(x)))
 
 
-def stage(inputs: int, outputs: int, blocks: int) -> nn.Sequential:
-    return nn.Sequential(conv(inputs, outputs, 2), *(Residual(outputs) for _ in range(blocks)))
+def stage(inputs: int, outputs: int, inner: int, blocks: int) -> nn.Sequential:
+    return nn.Sequential(conv(inputs, outputs, 2), *(Residual(outputs, inner) for _ in range(blocks)))
 
 
 class VehicleNet(nn.Module):
@@ -33,10 +33,10 @@ class VehicleNet(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.stem = conv(3, 16, 2)
-        self.stage4 = stage(16, 24, 1)
-        self.stage8 = stage(24, 48, 2)
-        self.stage16 = stage(48, 96, 2)
-        self.stage32 = stage(96, 128, 2)
+        self.stage4 = stage(16, 24, 16, 1)
+        self.stage8 = stage(24, 48, 32, 2)
+        self.stage16 = stage(48, 96, 64, 2)
+        self.stage32 = stage(96, 128, 96, 2)
         self.lateral32 = nn.Conv2d(128, 64, 1)
         self.lateral16 = nn.Conv2d(96, 64, 1)
         self.merge16 = conv(64, 64)
@@ -45,8 +45,8 @@ class VehicleNet(nn.Module):
         self.merge8 = conv(32, 32)
         self.lateral4 = nn.Conv2d(24, 32, 1)
         self.merge4 = conv(32, 32)
-        self.head = conv(32, 48)
-        self.maps = nn.Conv2d(48, 7, 1)
+        self.head = conv(32, 32)
+        self.maps = nn.Conv2d(32, 7, 1)
         nn.init.zeros_(self.maps.bias)
         nn.init.constant_(self.maps.bias[:1], -4.6)  # a heat of 0.01 everywhere at the start
 

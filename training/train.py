@@ -45,10 +45,6 @@ def learning_rate(step: int, steps: int, peak: float = PEAK_RATE) -> float:
     return peak * min(1.0, (step + 1) / WARM_UP) * (0.5 * (1 + math.cos(math.pi * step / steps)) + 0.01)
 
 
-def _fits(value: torch.Tensor, place: torch.Tensor | None) -> bool:
-    return place is not None and place.shape == value.shape
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--labels", type=Path, action="append", required=True, help="label file; may be repeated")
@@ -62,9 +58,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--resume", action="store_true")
-    start.add_argument(
-        "--start", type=Path, metavar="CHECKPOINT", help="begin with the average of another run, where shapes agree"
-    )
+    start.add_argument("--start", type=Path, metavar="CHECKPOINT", help="begin with the average of another run")
     options = parser.parse_args()
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -80,11 +74,9 @@ def main() -> None:
     average = {name: value.clone() for name, value in network.state_dict().items()}
     step = 0
     if options.start:
-        earlier = torch.load(options.start, map_location=device)["average"]
-        fitting = {name: value for name, value in earlier.items() if _fits(value, average.get(name))}
-        print(f"{options.start}: {len(fitting)} of the network's {len(average)} tensors taken over")
-        network.load_state_dict(fitting, strict=False)
-        average = {name: value.clone() for name, value in network.state_dict().items()}
+        average = torch.load(options.start, map_location=device)["average"]
+        network.load_state_dict(average)
+        average = {name: value.clone() for name, value in average.items()}
     elif options.resume:
         state = torch.load(checkpoint_file, map_location=device)
         network.load_state_dict(state["network"])
