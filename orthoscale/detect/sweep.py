@@ -33,10 +33,8 @@ class Swept:
 
 @dataclass(frozen=True)
 class Found:
-    """Vehicles by picture name [px of the picture]: `boxes` that both looks show, `doubtful` that one alone does.
-
-    A box's score is that of the less sure look: those of at least s are the ones that a sweep with score s would find.
-    """
+    """Vehicles by picture name [px of the picture]: `boxes` that both looks show, `doubtful` that one alone does, or
+    both without being sure. A box's score is the mean of both looks'."""
 
     boxes: dict[str, Boxes]
     doubtful: dict[str, Boxes]
@@ -51,12 +49,14 @@ def sweep_twice(
     spread: Callable[[Found], float] | None = None,
     target: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
+    sure: float = 0.0,
 ) -> Found:
     """Look at the tiles `jobs` in `order` ((N,) a permutation), until `spread` of what was found is at most `target`.
 
     `spread` is asked after batches of tiles that depend on nothing but what was found before, never on the time or on
     the number of workers, so the same tiles are visited every time. Without it all tiles are. `progress(done, total)`
-    counts tiles, the total being a guess when a sweep may stop early.
+    counts tiles, the total being a guess when a sweep may stop early. A vehicle counts when the mean score of its two
+    looks is at least `sure`.
     """
     looks: dict[int, Looks] = {}
     cached = 0
@@ -81,7 +81,7 @@ def sweep_twice(
                 cache.put(*jobs[number], seen)
             if progress:
                 progress(len(looks), expected)
-        found = _assembled(jobs, looks, cached)
+        found = _assembled(jobs, looks, cached, sure)
         if spread is None or len(looks) == len(order):
             return found
         reached = spread(found)
@@ -97,7 +97,7 @@ def _next_batch(seen: int, excess: float) -> int:
     return int(max(min(wanted, seen), FEWEST))
 
 
-def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int) -> Found:
+def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int, sure: float) -> Found:
     """Overlapping tiles put together: non-maximum suppression in each look, then what both looks show."""
     fine: dict[str, list[Boxes]] = {picture.name: [] for picture, _ in jobs}
     coarse: dict[str, list[Boxes]] = {name: [] for name in fine}
@@ -112,8 +112,10 @@ def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], ca
         i, j, _ = matched(first, second, SAME_BOX)
         xylwa = first.xylwa[i].copy()
         xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
-        boxes[name] = Boxes(xylwa, np.minimum(first.score[i], second.score[j]))
+        score = (first.score[i] + second.score[j]) / 2
+        believed = score >= sure
+        boxes[name] = Boxes(xylwa[believed], score[believed])
         alone = np.ones(len(first), bool)
-        alone[i] = False
+        alone[i[believed]] = False
         doubtful[name] = first[alone]
     return Found(boxes, doubtful, Swept([(jobs[n][0].name, jobs[n][1]) for n in numbers], len(jobs), cached))
