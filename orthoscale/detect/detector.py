@@ -17,6 +17,7 @@ from ..boxes import Boxes
 from ..detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
 from ..errors import InputError
 from ..pooling import Ruler
+from ..projection.exact import BODIES
 from .layout import Layout, Normalisation, Shape, recognise
 
 SHIPPED = "small_vehicle.onnx"
@@ -36,6 +37,7 @@ class Card:
     score : the confidence above which a box counts.
     effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
     stride : height and width of its input must be multiples of this [px].
+    body : what the vehicles that it finds are shaped like, one of `projection.exact.BODIES`.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Card:
     training: str = ""
     licence: str = ""
     stride: int = 32
+    body: str = "car"
     normalisation: Normalisation = Normalisation()
     extra: dict = field(default_factory=dict)
 
@@ -60,6 +63,8 @@ class Card:
             values[name] = (float(low), float(high))
         if "normalisation" in values:
             values["normalisation"] = Normalisation.from_json(values["normalisation"])
+        if values.get("body", "car") not in BODIES:
+            raise ValueError(f"body {values['body']!r} is none of {', '.join(BODIES)}")
         return cls(**values)
 
     @classmethod
