@@ -20,9 +20,10 @@ from .view import Views
 
 MIN_VIEWS = 3  # views of one vehicle from which its own mean is taken off
 MIN_RESIDUALS = 20  # observations below which nothing is fitted
-STEPS = 12
+STEPS = 16
 STRIDE = (0.3, 3.0, 0.08, 0.08)  # of one step, at most: far from the answer the slopes are another body's
 HEIGHT, MARGIN, LEAN, CORNER = range(4)
+SHAPES = 3  # parameters of another shape: the lean of ends, the lean of sides, the corner
 DIFFERENCES = (0.05, 0.25, 0.05, 0.05)  # that give the slopes: [m], [detector px], [1/m], share of the width
 SETTLED, SAME_SLOPES = 0.03, 0.3  # shares of STRIDE at which the steps end, and slopes are not measured again
 HIGHEST = 2.2  # of the effective height [m]: the roof of a van
@@ -162,18 +163,41 @@ def own_ruler(
     index = np.concatenate(often)
     vehicle = np.repeat(np.arange(len(often)), [len(m) for m in often])
     some, seen = boxes[index], views[index]
-    common = [HEIGHT, MARGIN, LEAN] if _far_and_near(seen, vehicle) else [HEIGHT, LEAN]
-    ruler, change, slopes = start or shipped, np.inf, np.empty(0)
+    common = [HEIGHT, MARGIN] if _far_and_near(seen, vehicle) else [HEIGHT]
+
+    def settled(ruler: OwnRuler, free: Sequence[list[int]]) -> OwnRuler:
+        return _settled(ruler, some, seen, zoom, metres_per_unit, vehicle, shipped, free)
+
+    plain = settled(start or shipped, (common, common))
+    # Corners show where the ground is foreshortened athwart: in lengths.
+    shaped = settled(plain, ([*common, LEAN, CORNER], [*common, LEAN]))
+    sizes = [r.size(some, seen, zoom, metres_per_unit) for r in (plain, shaped)]
+    gain = _gain(*sizes, vehicle)
+    # Another shape only where the views ask for it: the Bayesian information criterion (Schwarz 1978).
+    return shaped if gain > SHAPES * np.log(len(some)) else plain
+
+
+def _settled(
+    ruler: OwnRuler,
+    boxes: Boxes,
+    views: Views,
+    zoom: float,
+    metres_per_unit: float,
+    vehicle: np.ndarray,
+    shipped: OwnRuler,
+    free: Sequence[list[int]],
+) -> OwnRuler:
+    """From `ruler`, that for which each `vehicle` (N,) has one size; by axis, what is not `free` is as shipped."""
+    change, slopes = np.inf, np.empty(0)
     for _ in range(STEPS):
-        size = ruler.size(some, seen, zoom, metres_per_unit)
+        size = ruler.size(boxes, views, zoom, metres_per_unit)
         if change > SAME_SLOPES:
-            slopes = ruler.slopes(some, seen, zoom, metres_per_unit)
+            slopes = ruler.slopes(boxes, views, zoom, metres_per_unit)
         good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
         value, covariance = shipped.value.copy(), shipped.covariance.copy()
-        # Corners show where the ground is foreshortened athwart: in lengths.
-        for axis, free in enumerate(([*common, CORNER], common)):
+        for axis in range(2):
             least = ruler.hulls[axis].least_lean[axis]
-            for fitted in (free, [k for k in free if k != LEAN]):
+            for fitted in (free[axis], [k for k in free[axis] if k != LEAN]):
                 x = slopes[good, axis][:, fitted]
                 y = size[good, axis] + x @ ruler.value[axis, fitted]
                 chosen = np.ix_(fitted, fitted)
@@ -192,6 +216,22 @@ def own_ruler(
         if change < SETTLED:
             break
     return ruler
+
+
+def _gain(plain: np.ndarray, shaped: np.ndarray, vehicle: np.ndarray) -> float:
+    """By how much `shaped` sizes (N, 2) of each `vehicle` (N,) agree better than `plain` ones: twice the difference
+    of their Huber losses, in the noise that the shaped ones leave."""
+    good = np.isfinite(plain).all(1) & np.isfinite(shaped).all(1)
+    vehicle = vehicle[good]
+    count = np.maximum(np.bincount(vehicle), 1)
+    total = 0.0
+    for before, after in zip(np.log(plain[good]).T, np.log(shaped[good]).T, strict=True):
+        apart = [np.abs(z - (np.bincount(vehicle, z) / count)[vehicle]) for z in (before, after)]
+        noise = max(1.4826 * float(np.median(apart[1])), 1e-9)
+        old, new = (r / noise for r in apart)
+        loss = [np.where(r < HUBER, r**2, HUBER * (2 * r - HUBER)).sum() for r in (old, new)]
+        total += float(loss[0] - loss[1])
+    return total
 
 
 def trends(
