@@ -109,7 +109,7 @@ def main() -> None:
     for height in HEIGHTS:
         for margin in MARGINS:
             found = [find(fly(np.random.default_rng([k, 1]), fleet, height, margin)) for k in range(FLIGHTS)]
-            value = np.array([ruler.value for ruler, _ in found])  # (flights, axes, height and margin)
+            value = np.array([ruler.value[:, :2] for ruler, _ in found])  # (flights, axes, height and margin)
             error = 100 * np.array([e for _, e in found])
             cells = [f"{v.mean():.2f} ± {v.std():.2f}" for v in value.transpose(2, 1, 0).reshape(4, -1)]
             cells += [f"{e.mean():+.2f} ± {e.std():.2f}" for e in (*error.T, error.mean(1))]
