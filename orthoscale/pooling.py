@@ -33,6 +33,7 @@ SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
 USUAL_VIEWS = 4  # views of a typical box's vehicle from which a single view counts as a mistake
 PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
 LIKELY = 0.01  # probability below which a fleet is not reported
+ENOUGH = 300  # votes by which candidate fleets are compared: their shapes count for 50 (`mixture`), their means for none
 
 
 @dataclass(frozen=True)
@@ -165,9 +166,14 @@ def pool(
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
     candidates = fleet.candidates or (fleet,)
-    each = [_of_fleet(np.log(size), noise, candidate, known, ruler.drawing) for candidate in candidates]
+    count = len(size)
+    some = np.linspace(0, count - 1, min(count, ENOUGH)).astype(int) if len(candidates) > 1 else np.arange(count)
+    each = [_of_fleet(np.log(size[some]), noise[some], candidate, known, ruler.drawing) for candidate in candidates]
     probability = _probabilities(np.array([v.log_evidence for v in each]), fleet.prior or (1.0,))
-    best = each[int(np.argmax(probability))]
+    likeliest = int(np.argmax(probability))
+    if len(some) < count:
+        each[likeliest] = _of_fleet(np.log(size), noise, candidates[likeliest], known, ruler.drawing)
+    best = each[likeliest]
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
             f"{len(votes)} boxes, but only {int(best.inlier.sum())} have the sizes of vehicles of one scale; "
