@@ -33,7 +33,7 @@ SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
 USUAL_VIEWS = 4  # views of a typical box's vehicle from which a single view counts as a mistake
 PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
 LIKELY = 0.01  # probability below which a fleet is not reported
-ENOUGH = 300  # votes by which candidate fleets are compared: their shapes count for 50 (`mixture`), their means for none
+ENOUGH = 300  # votes by which candidate fleets are compared; their shapes count for 50 at most (`mixture`)
 
 
 @dataclass(frozen=True)
