@@ -34,7 +34,7 @@ def test_shrink_usual_and_noise_are_recovered():
 
 def test_known_vehicles_are_in_metres_and_boxes_in_detector_pixels(tmp_path):
     path = tmp_path / "t.png"
-    cv2.imwrite(str(path), np.full((800, 800, 3), 90, np.uint8))
+    cv2.imwrite(str(path), np.random.default_rng(2).integers(0, 255, (800, 800, 3), np.uint8))
     boxes = [{"cx": 60 + 120 * (k % 6), "cy": 60 + 120 * (k // 6), "length": 80, "width": 36, "angle": 0, "visible": 1}
              for k in range(18)]  # fmt: skip
     boxes[0]["visible"] = 0.3

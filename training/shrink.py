@@ -4,8 +4,8 @@ r"""How strongly a detector draws sizes to the usual: small vehicles too large, 
     python -m training.shrink --detector orthoscale/detect/weights/small_vehicle.onnx runs/truth/*.png
 
 Rendered orthophotos with exact boxes, each with the ``.truth.json`` that `orthoscale.synthetic` writes beside it; of
-several fleets, small vehicles and large ones among them, and several pixel sizes. Each is swept at the zoom that brings
-its median vehicle to the detector's best length. Per axis, over all pictures together,
+several fleets, small vehicles and large ones among them, and several pixel sizes. Each is swept as a user's is, with
+two looks, at the zoom that brings its median vehicle to the detector's best length. Per axis, over all pictures together,
 
     log((box - margin) / vehicle) = shrink * (log usual - log vehicle)
 
@@ -25,7 +25,8 @@ from pathlib import Path
 import numpy as np
 
 from orthoscale.boxes import Boxes, matched
-from orthoscale.detect.tiles import sweep
+from orthoscale.detect.sweep import sweep_twice
+from orthoscale.detect.tiles import look_twice, tiles
 
 from .evaluate import IOU, picture_files
 
@@ -73,7 +74,9 @@ def known_vehicles(
     rows = [[b[k] for k in ("cx", "cy", "length", "width", "angle")] for b in truth["boxes"] if b["visible"] > WHOLE]
     exact = Boxes(np.array(rows), np.ones(len(rows)))
     zoom = best_length / float(np.median(exact.length))
-    found = Boxes.concatenate(list(sweep(picture_files(path), zoom, detect).values()))
+    jobs = [(picture, tile) for picture in picture_files(path) for tile in tiles(picture, zoom)]
+    looks = ((number, look_twice(*job, detect)) for number, job in enumerate(jobs))
+    found = Boxes.concatenate(list(sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks).boxes.values()))
     found = found[found.score >= score]
     i, j, _ = matched(exact, found, IOU)
     if len(i) < MIN_VEHICLES:
