@@ -5,7 +5,7 @@ r"""How strongly a detector draws sizes to the usual: small vehicles too large, 
 
 Rendered orthophotos with exact boxes, each with the ``.truth.json`` that `orthoscale.synthetic` writes beside it; of
 several fleets, small vehicles and large ones among them, and several pixel sizes. Each is swept as a user's is, with
-two looks, at the zoom that brings its median vehicle to the detector's best length. Per axis, over all pictures together,
+two looks, at the zoom that brings its median vehicle to the detector's best length. Per axis, over all pictures,
 
     log((box - margin) / vehicle) = shrink * (log usual - log vehicle)
 
