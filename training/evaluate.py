@@ -415,7 +415,7 @@ def main() -> None:
         print(table(results))
         report["scenes"] = [asdict(result) for result in results]
     if options.margin:
-        known = [known_boxes(text, detect, card.best_length, score) for text in options.margin]
+        known = [known_boxes(text, detect, card.best_length, options.score or card.score) for text in options.margin]
         names = [Path(text.rsplit(":", 2)[0]).name for text in options.margin]
         margin = fit_margin(known)
         print(margin_table(names, known, margin))
