@@ -72,8 +72,8 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet, method
         votes = gather(size[solved], pixel[solved], place[solved], own.score, True, own.spread)
         spread, left = geometry(size[solved], leaning[solved], np.full(2, HEIGHT_SD / metres_per_unit)), found.ruler
         if slopes is not None and solved.any():
-            by_height, by_margin = ruler.relative_sd(size[solved], slopes[solved]).T
-            spread = np.diag(by_height**2) + GROUND_SD**2
+            by_height, by_margin, by_undercut = ruler.relative_sd(size[solved], slopes[solved]).T
+            spread = np.diag(by_height**2 + by_undercut**2) + GROUND_SD**2
             per_pixel = np.median(pixel[solved, None] / size[solved], axis=0)
             left = replace(found.ruler, margin=(0.0, 0.0), margin_sd=_pair(by_margin / per_pixel))  # it is off already
         scale = method.pool(votes, fleet, left, source.unit, spread)
