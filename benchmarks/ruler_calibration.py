@@ -13,6 +13,7 @@ from simulate import table
 
 from orthoscale.boxes import Boxes
 from orthoscale.fleet import Fleet
+from orthoscale.projection import calibration
 from orthoscale.projection.calibration import OwnRuler, own_ruler
 from orthoscale.projection.exact import Hull
 from orthoscale.projection.view import Views
@@ -23,6 +24,7 @@ NOISE = (0.8, 0.6)  # px of one box's length and width
 # What the detector claims, and how sure it is: right for none of the flights.
 CARD_HEIGHT, CARD_MARGIN, CARD_HEIGHT_SD, CARD_MARGIN_SD = (0.9, 0.9), (1.5, 1.5), (0.5, 0.5), (2.0, 2.0)
 HEIGHTS, MARGINS = (0.5, 0.8, 1.2, 1.6), (0.0, 2.0, 4.0)
+UNDERCUTS = ((0.9, 2.0, 0.15), (0.9, 2.0, 0.3), (1.3, 2.0, 0.3))  # of some more, with their height and margin [m]
 FLIGHTS = 6
 
 
@@ -48,9 +50,10 @@ def fly(
     vehicles: int = 70,
     frames: int = 36,
     altitude: tuple[float, float] = (50.0, 130.0),
+    undercut: float = 0.0,
 ) -> Flight:
     """Frames from 45 to 90 degrees at `altitude` [m] over parked vehicles; boxes reach up to `height` [m] and exceed
-    that by `margin` [px]."""
+    that by `margin` [px]. On the ground the bodies that they enclose recede by `undercut` [m] on all sides."""
     size = fleet.sample(rng, vehicles)[:, :2]
     place = np.column_stack([rng.uniform(-45, 45, (vehicles, 2)), np.zeros(vehicles)])
     heading = rng.uniform(0, 2 * np.pi, vehicles)
@@ -58,6 +61,7 @@ def fly(
     across = np.stack([-np.sin(heading), np.cos(heading), 0 * heading], -1)
     plan, heights = Hull(height=height).outline()
     offset = plan * size[:, None]
+    offset -= np.sign(offset) * np.where(heights == 0, undercut, 0.0)[:, None]
     body = place[:, None] + offset[..., :1] * along[:, None] + offset[..., 1:] * across[:, None]
     body = body + heights[:, None] * [0, 0, 1]
     parts, seen, who = [], [], []
@@ -106,15 +110,17 @@ def find(flight: Flight, metres_per_unit: float = UNIT) -> tuple[OwnRuler, np.nd
 def main() -> None:
     fleet = Fleet.load("DE")
     rows = []
-    for height in HEIGHTS:
-        for margin in MARGINS:
-            found = [find(fly(np.random.default_rng([k, 1]), fleet, height, margin)) for k in range(FLIGHTS)]
-            value = np.array([ruler.value[:, :2] for ruler, _ in found])  # (flights, axes, height and margin)
-            error = 100 * np.array([e for _, e in found])
-            cells = [f"{v.mean():.2f} ± {v.std():.2f}" for v in value.transpose(2, 1, 0).reshape(4, -1)]
-            cells += [f"{e.mean():+.2f} ± {e.std():.2f}" for e in (*error.T, error.mean(1))]
-            rows.append([f"{height}", f"{margin:.0f}", *cells])
-    head = ["height [m]", "margin [px]", "height by lengths", "by widths", "margin by lengths", "by widths"]
+    for height, margin, undercut in [*((h, m, 0.0) for h in HEIGHTS for m in MARGINS), *UNDERCUTS]:
+        flights = [fly(np.random.default_rng([k, 1]), fleet, height, margin, undercut=undercut) for k in range(FLIGHTS)]
+        found = [find(flight) for flight in flights]
+        shown = [calibration.HEIGHT, calibration.MARGIN, calibration.UNDERCUT]
+        value = np.array([ruler.value[:, shown] for ruler, _ in found])  # (flights, axes, shown)
+        error = 100 * np.array([e for _, e in found])
+        cells = [f"{v.mean():.2f} ± {v.std():.2f}" for v in value.transpose(2, 1, 0).reshape(6, -1)]
+        cells += [f"{e.mean():+.2f} ± {e.std():.2f}" for e in (*error.T, error.mean(1))]
+        rows.append([f"{height}", f"{margin:.0f}", f"{undercut}", *cells])
+    head = ["height [m]", "margin [px]", "undercut [m]"]
+    head += [name for what in ("height", "margin", "undercut") for name in (f"{what} by lengths", "by widths")]
     print(table([*head, "scale by lengths [%]", "by widths", "both"], rows))
 
 

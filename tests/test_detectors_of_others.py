@@ -7,9 +7,17 @@ import numpy as np
 import pytest
 
 import orthoscale
+from orthoscale.boxes import Boxes
+from orthoscale.detect.cache import TileCache
 from orthoscale.detect.classes import is_vehicle, vehicle_numbers
 from orthoscale.detect.detector import Detector
+from orthoscale.detect.sweep import sweep_twice
+from orthoscale.detect.tiles import Looks, Tile, look_twice
+from orthoscale.detections import Detections
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
+from orthoscale.fleet import Fleet
+from orthoscale.measuring import measure
+from orthoscale.pooling import Ruler
 
 onnx = pytest.importorskip("onnx")
 helper, numpy_helper = onnx.helper, onnx.numpy_helper
@@ -319,3 +327,97 @@ def test_the_whole_way_with_a_detector_of_others(tmp_path):
     assert "mmrotate" in result.detections.detector
     hinted = orthoscale.estimate(tmp_path / "a.png", detector=path, gsd_hint=4.37 / 41, fleet="DE")
     assert hinted.detections.zoom == pytest.approx(38 / 41, rel=0.01)
+
+
+# --- Objects of a standard size --------------------------------------------------------------------------------------
+
+# Tennis courts: a whole one, one that ends 5 px from the left edge, one as large as the picture, a doubtful one.
+COURTS = np.array(
+    [
+        [150.0, 120.0, 24.0 * 8, 11.0 * 8, 0.3, 0.9, 2],
+        [49.0, 330.0, 11.0 * 8, 110.0, 0.0, 0.9, 2],
+        [256.0, 256.0, 507.0, 236.0, 0.0, 0.9, 2],
+        [300.0, 400.0, 24.0 * 8, 11.0 * 8, 0.0, 0.1, 2],
+    ]
+)
+
+
+def with_courts(layout):
+    rows = np.vstack([TRUTH, COURTS])
+    names = {**NAMES, "names": "{0: 'large vehicle', 1: 'small vehicle', 2: 'Tennis Court'}"}
+    if layout == "mmrotate":
+        return {"dets": rows[None, :, :6], "labels": np.array([5, 4, 7])[rows[:, 6].astype(int)][None]}, {}
+    if layout == "ultralytics-nms-free":
+        return {"out": rows[None][:, :, [0, 1, 2, 3, 5, 6, 4]]}, {**names, "end2end": "True"}
+    scores = np.full((len(rows), 3), 0.01)
+    scores[np.arange(len(rows)), rows[:, 6].astype(int)] = rows[:, 5]
+    return {"out": np.hstack([rows[:, :4], scores, rows[:, 4:5]]).T[None]}, names
+
+
+@pytest.mark.parametrize("layout", ["ultralytics", "ultralytics-nms-free", "mmrotate"])
+def test_standard_objects_are_seen_beside_vehicles(tmp_path, layout):
+    outputs, names = with_courts(layout)
+    detector = Detector(network(tmp_path / "a.onnx", outputs, names))
+    image = np.zeros((512, 512, 3), np.uint8)
+    seen = detector.see(image)
+    assert seen["vehicle"].xylwa[np.argsort(-seen["vehicle"].score)] == pytest.approx(np.array(CARS), abs=1e-5)
+    assert np.array_equal(detector(image).xylwa, seen["vehicle"].xylwa)
+    assert set(seen) >= {"vehicle", "tennis-court"} and len(seen["tennis-court"]) == 3
+
+
+def test_what_counts_as_vehicle_is_no_object(tmp_path):
+    outputs, names = with_courts("ultralytics")
+    called = Detector(network(tmp_path / "a.onnx", outputs, names), vehicle_classes=["tennis court"])
+    assert not called.layout.objects
+    outputs, _ = with_courts("mmrotate")
+    numbered = Detector(network(tmp_path / "b.onnx", outputs), vehicle_classes=["7"])
+    assert not numbered.layout.objects, "numbers of classes that are not DOTA's"
+
+
+class Court:
+    """A picture of nothing, but not of one colour."""
+
+    name, width, height = "court.png", 512, 512
+
+    def read(self, x, y, width, height, out_width, out_height):
+        image = np.zeros((out_height, out_width, 3), np.uint8)
+        image[::2] = 9
+        return image
+
+
+def test_objects_cut_by_an_edge_do_not_count(tmp_path):
+    outputs, names = with_courts("ultralytics")
+    detector = Detector(network(tmp_path / "a.onnx", outputs, names))
+    looks = look_twice(Court(), Tile(0, 0, 512, 512, 512, 512), detector)
+    fine, coarse = looks.objects["tennis-court"]
+    assert fine.xylwa == pytest.approx(np.array([[150, 120, 192, 88, 0.3]]), abs=1e-4)
+    assert len(coarse) == 1 and len(looks.fine) == 2
+    cache = TileCache("key", tmp_path)
+    with cache:
+        tile = Tile(0, 0, 512, 512, 512, 512)
+        cache.put(Court(), tile, looks)
+        again = cache.get(Court(), tile)
+    assert np.array_equal(again.objects["tennis-court"][0].xylwa, fine.xylwa)
+    assert np.array_equal(again.fine.xylwa, looks.fine.xylwa)
+
+
+def test_a_court_in_two_tiles_counts_once_and_becomes_evidence():
+    court = Boxes([[900.0, 300.0, 237.7, 109.7, 0.2]], [0.9])
+    none = Boxes.empty()
+    jobs = [(Court(), Tile(x, 0, 1024, 1024, 1024, 1024)) for x in (0, 700)]
+    cars = Boxes([[100.0 + 60 * k, 100, 44.0 + k % 3, 18.5, 0.1] for k in range(12)], np.full(12, 0.9))
+
+    def visit(wanted):
+        for number in wanted:
+            yield number, Looks(cars, cars, {"tennis-court": (court, court), "container": (court, none)})
+
+    found = sweep_twice(jobs, np.arange(2), visit)
+    assert list(found.objects) == ["court.png"] and list(found.objects["court.png"]) == ["tennis-court"]
+    (box,) = found.objects["court.png"]["tennis-court"].xylwa
+    assert box == pytest.approx([900, 300, 237.7, 109.7, 0.2])
+    ruler = Ruler(margin=(0, 0))
+    detections = Detections(found.boxes, 1.0, ruler, (0.7, 0.5), "test", objects=found.objects)
+    source = type("Ortho", (), {"picture_names": ["court.png"], "unit": "m/px"})()
+    scale = measure(source, detections, Fleet.load("DE")).scale
+    (evidence,) = [e for e in scale.evidence if e.kind == "tennis-court"]
+    assert evidence.value == pytest.approx(0.1, rel=0.002)

@@ -218,6 +218,7 @@ def test_what_the_views_said_of_the_ruler_is_told(model):
         "views": 512,
         "effective_height": {"card": [0.7, 0.45], "fitted": [0.71, 0.587], "sd": [0.1, 0.06]},
         "margin_px": {"card": [-0.3, -0.2], "fitted": [0.01, -0.88], "sd": [0.7, 0.6]},
+        "undercut": {"card": [0.0, 0.0], "fitted": [0.25, 0.31], "sd": [0.05, 0.04]},
         "trends": {
             "before": {"percent_per_10_degrees": [3.2, 0.6], "percent_per_pixel_doubling": [18.7, 3.4]},
             "after": {"percent_per_10_degrees": [-0.7, 0.7], "percent_per_pixel_doubling": [1.1, 3.7]},

@@ -90,8 +90,13 @@ class TileCache:
     def get(self, picture: Picture, tile: Tile) -> Looks | None:
         if self._file is None:
             return None
-        row = self._file.execute("SELECT fine, coarse FROM looks WHERE tile = ?", (_name(picture, tile),)).fetchone()
-        return None if row is None else Looks(*(_boxes(part) for part in row))
+        name = (_name(picture, tile),)
+        row = self._file.execute("SELECT fine, coarse FROM looks WHERE tile = ?", name).fetchone()
+        objects = self._file.execute("SELECT kind, fine, coarse FROM objects WHERE tile = ?", name).fetchall()
+        if row is None:
+            return None
+        others = {kind: (_boxes(fine), _boxes(coarse)) for kind, fine, coarse in objects}
+        return Looks(_boxes(row[0]), _boxes(row[1]), others)
 
     def put(self, picture: Picture, tile: Tile, looks: Looks) -> None:
         if self._file is None:
@@ -100,6 +105,9 @@ class TileCache:
             with self._file:
                 row = (_name(picture, tile), _bytes(looks.fine), _bytes(looks.coarse))
                 self._file.execute("INSERT OR REPLACE INTO looks VALUES (?, ?, ?)", row)
+                for kind, pair in looks.objects.items():
+                    more = (row[0], kind, *map(_bytes, pair))
+                    self._file.execute("INSERT OR REPLACE INTO objects VALUES (?, ?, ?, ?)", more)
         except sqlite3.Error:  # a full disk: what cannot be kept is looked at again another time
             self._file.close()
             self._file = None
@@ -111,6 +119,8 @@ def _open(path: Path) -> sqlite3.Connection:
     file.execute("PRAGMA journal_mode = WAL")
     file.execute("PRAGMA synchronous = NORMAL")
     file.execute("CREATE TABLE IF NOT EXISTS looks (tile TEXT PRIMARY KEY, fine BLOB NOT NULL, coarse BLOB NOT NULL)")
+    columns = "tile TEXT, kind TEXT, fine BLOB NOT NULL, coarse BLOB NOT NULL, PRIMARY KEY (tile, kind)"
+    file.execute(f"CREATE TABLE IF NOT EXISTS objects ({columns})")
     os.utime(path)
     return file
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
+from ..objects import known_objects
+
 # What data sets call the vehicles that a fleet describes: DOTA, DIOR, FAIR1M, VEDAI, xView, COWC, COCO, orthoscale.
 SMALL_VEHICLES = frozenset(
     [
@@ -34,6 +36,12 @@ def vehicle_numbers(names: Sequence[str], wanted: Iterable[str] = ()) -> list[in
     """The numbers of the classes that count, of classes called `names`; `wanted` may hold numbers too."""
     wanted = list(wanted)
     return [k for k, name in enumerate(names) if is_vehicle(name, wanted) or str(k) in wanted]
+
+
+def object_numbers(names: Sequence[str]) -> dict[str, list[int]]:
+    """The numbers of the classes, of classes called `names`, that are objects of a standard size, by kind."""
+    numbers = {kind: [k for k, name in enumerate(names) if plain(name) == plain(kind)] for kind in known_objects()}
+    return {kind: found for kind, found in numbers.items() if found}
 
 
 def plain(name: str) -> str:

@@ -25,7 +25,9 @@ SHIPPED = "small_vehicle.onnx"
 OPERATORS = "ORTHOSCALE_ONNX_OPS"
 GREY = 114 / 255  # around pictures smaller than the network's input, as a share of white
 OVERLAP = 128  # of neighbouring windows, for networks whose input is smaller than the image [px]
+VEHICLES = "vehicle"
 CUT = 2.0  # boxes closer than this to a window's edge may be cut by it [px]
+CUT_OBJECT = 8.0  # the same for objects, which are larger, and so are the errors of their boxes [px]
 
 
 @dataclass(frozen=True)
@@ -123,25 +125,31 @@ class Detector:
 
     def __call__(self, image: np.ndarray, threshold: float | None = None) -> Boxes:
         """Boxes in `image`, RGB uint8 (h, w, 3), before non-maximum suppression; coordinates in its pixels."""
+        return self.see(image, threshold)[VEHICLES]
+
+    def see(self, image: np.ndarray, threshold: float | None = None) -> dict[str, Boxes]:
+        """As a call, and with the VEHICLES what else is in `image` of a standard size, by kind (`objects`)."""
         threshold = self.card.score if threshold is None else threshold
         if self.layout.size is None:
             return self._run(image, threshold)
         # The network's input has one size: look through windows of it, and leave what a window cuts to its neighbour.
-        parts = [Boxes.empty()]
+        parts: dict[str, list[Boxes]] = {kind: [Boxes.empty()] for kind in (VEHICLES, *self.layout.objects)}
         height, width = image.shape[:2]
         for y in _starts(height, self.layout.size[0]):
             for x in _starts(width, self.layout.size[1]):
                 window = image[y : y + self.layout.size[0], x : x + self.layout.size[1]]
-                found = self._run(window, threshold).mapped(1, (x, y))
-                low = np.where(np.array([x, y]) > 0, np.array([x, y]) + CUT, -np.inf)
                 end = np.array([x + window.shape[1], y + window.shape[0]])
-                high = np.where(end < (width, height), end - CUT, np.inf)
-                corners = found.corners
-                whole = np.logical_and(corners >= low, corners <= high).all(axis=(1, 2))
-                parts.append(found[np.flatnonzero(whole)])
-        return Boxes.concatenate(parts)
+                for kind, boxes in self._run(window, threshold).items():
+                    found = boxes.mapped(1, (x, y))
+                    cut = CUT if kind == VEHICLES else CUT_OBJECT
+                    low = np.where(np.array([x, y]) > 0, np.array([x, y]) + cut, -np.inf)
+                    high = np.where(end < (width, height), end - cut, np.inf)
+                    corners = found.corners
+                    whole = np.logical_and(corners >= low, corners <= high).all(axis=(1, 2))
+                    parts[kind].append(found[np.flatnonzero(whole)])
+        return {kind: Boxes.concatenate(some) for kind, some in parts.items()}
 
-    def _run(self, image: np.ndarray, threshold: float) -> Boxes:
+    def _run(self, image: np.ndarray, threshold: float) -> dict[str, Boxes]:
         height, width = image.shape[:2]
         n = self.layout.multiple
         rows, columns = self.layout.size or (-(-height // n) * n, -(-width // n) * n)
@@ -161,7 +169,8 @@ class Detector:
                 f"{self.path}: the network fails on an image of {columns} x {rows} px ({_first_line(error)})",
                 "Export it again, with an input of that size or of any size.",
             ) from error
-        return self.layout.decode(arrays, threshold)
+        classes = {VEHICLES: self.layout.vehicles, **self.layout.objects}
+        return {kind: self.layout.decode(arrays, numbers, threshold) for kind, numbers in classes.items()}
 
 
 def _session(path: Path, content: bytes, threads: int) -> Any:

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..boxes import Boxes
 from ..errors import InputError, UsageError
-from .classes import DOTA, vehicle_numbers
+from .classes import DOTA, object_numbers, vehicle_numbers
 from .decoders import decode_maps, decode_mmrotate, decode_ultralytics, decode_ultralytics_nms_free
 
 DECODERS = ("orthoscale", "ultralytics", "ultralytics-nms-free", "mmrotate", "rtmdet")
@@ -57,17 +57,19 @@ class Layout:
     """How to feed a network and how to read it.
 
     multiple : height and width of its input must be multiples of this [px]. size : (height, width) where the file
-    fixes them [px]. decode : from its outputs and a score to boxes [px of its input]. vehicles : numbers of the classes
-    that count. assumed : what the file does not say and was taken for granted, for people.
+    fixes them [px]. decode : from its outputs, numbers of classes and a score to boxes of these [px of its input].
+    vehicles : numbers of the classes that count. objects : those of standard objects, by kind. assumed : what the file
+    does not say and was taken for granted, for people.
     """
 
     decoder: str
     normalisation: Normalisation
     multiple: int
     size: tuple[int, int] | None
-    decode: Callable[[Sequence[np.ndarray], float], Boxes] = field(repr=False)  # two processes print the same layout
+    decode: Callable[[Sequence[np.ndarray], Sequence[int], float], Boxes] = field(repr=False)  # the same in any process
     vehicles: tuple[int, ...] = ()
     assumed: str = ""
+    objects: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
 
 def recognise(
@@ -107,7 +109,7 @@ def recognise(
         raise InputError(f"{path}: its input has shape {list(input_shape)}, not [1, 3, height, width]")
     size = _fixed(input_shape)
     if found == "orthoscale":
-        return Layout(found, Normalisation(), 32, size, lambda arrays, score: decode_maps(arrays[0][0], score))
+        return Layout(found, Normalisation(), 32, size, lambda arrays, _, score: decode_maps(arrays[0][0], score))
     if found.startswith("ultralytics"):
         return _ultralytics(path, found, metadata, outputs, size, vehicle_classes)
     return _mmrotate(path, found, outputs, size, vehicle_classes, named=decoder is not None)
@@ -184,11 +186,12 @@ def _ultralytics(
     except ValueError:
         stride = 32
 
-    def decode(arrays: Sequence[np.ndarray], score: float) -> Boxes:
+    def decode(arrays: Sequence[np.ndarray], classes: Sequence[int], score: float) -> Boxes:
         read = decode_ultralytics if decoder == "ultralytics" else decode_ultralytics_nms_free
-        return read(arrays[0][0].astype(np.float64), vehicles, score)
+        return read(arrays[0][0].astype(np.float64), classes, score)
 
-    return Layout(decoder, Normalisation(), max(stride, 1), size, decode, tuple(vehicles))
+    objects = _others(names, vehicles)
+    return Layout(decoder, Normalisation(), max(stride, 1), size, decode, tuple(vehicles), objects=objects)
 
 
 def _mmrotate(
@@ -210,10 +213,12 @@ def _mmrotate(
             assumed.append("ImageNet's normalisation (for RTMDet-R say --decoder rtmdet)")
     dets, labels = list(outputs).index("dets"), list(outputs).index("labels")
 
-    def decode(arrays: Sequence[np.ndarray], score: float) -> Boxes:
-        return decode_mmrotate(arrays[dets][0].astype(np.float64), arrays[labels][0], vehicles, score)
+    def decode(arrays: Sequence[np.ndarray], classes: Sequence[int], score: float) -> Boxes:
+        return decode_mmrotate(arrays[dets][0].astype(np.float64), arrays[labels][0], classes, score)
 
-    return Layout(decoder, normalisation, 32, size, decode, tuple(vehicles), "; ".join(assumed))
+    # Where the user numbers the classes, they are not known to be DOTA's.
+    objects = {} if numbers else _others(names, vehicles)
+    return Layout(decoder, normalisation, 32, size, decode, tuple(vehicles), "; ".join(assumed), objects)
 
 
 def _vehicles(path: Path, names: Sequence[str], wanted: Sequence[str]) -> list[int]:
@@ -223,6 +228,11 @@ def _vehicles(path: Path, names: Sequence[str], wanted: Sequence[str]) -> list[i
         what = f"no class called {' or '.join(wanted)}" if wanted else "no class whose name means small vehicles"
         raise InputError(f"{path}: {what} among {listed}", "Name the right one by --vehicle-class.")
     return vehicles
+
+
+def _others(names: Sequence[str], vehicles: Sequence[int]) -> dict[str, list[int]]:
+    """Numbers of the classes of standard objects, by kind; a class that the user calls vehicles is none."""
+    return {kind: n for kind, n in object_numbers(names).items() if not set(n) & set(vehicles)}
 
 
 def _names(metadata: Mapping[str, str]) -> list[str] | None:

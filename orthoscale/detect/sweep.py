@@ -34,11 +34,15 @@ class Swept:
 @dataclass(frozen=True)
 class Found:
     """Vehicles by picture name [px of the picture]: `boxes` that both looks show, `doubtful` that one alone does, or
-    both without being sure. A box's score is the mean of both looks'."""
+    both without being sure. A box's score is the mean of both looks'.
+
+    objects : those of a standard size that both looks show, by picture name and kind.
+    """
 
     boxes: dict[str, Boxes]
     doubtful: dict[str, Boxes]
     swept: Swept
+    objects: dict[str, dict[str, Boxes]] = field(default_factory=dict)
 
 
 def sweep_twice(
@@ -99,23 +103,32 @@ def _next_batch(seen: int, excess: float) -> int:
 
 def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int, sure: float) -> Found:
     """Overlapping tiles put together: non-maximum suppression in each look, then what both looks show."""
-    fine: dict[str, list[Boxes]] = {picture.name: [] for picture, _ in jobs}
-    coarse: dict[str, list[Boxes]] = {name: [] for name in fine}
+    names = list(dict.fromkeys(picture.name for picture, _ in jobs))
+    pairs: dict[str, list[tuple[Boxes, Boxes]]] = {name: [] for name in names}
+    others: dict[str, dict[str, list[tuple[Boxes, Boxes]]]] = {name: {} for name in names}
     numbers = sorted(looks)
     for number in numbers:
-        name = jobs[number][0].name
-        fine[name].append(looks[number].fine)
-        coarse[name].append(looks[number].coarse)
-    boxes, doubtful = {}, {}
-    for name in fine:
-        first, second = (suppress(Boxes.concatenate(part[name])) for part in (fine, coarse))
-        i, j, _ = matched(first, second, SAME_BOX)
-        xylwa = first.xylwa[i].copy()
-        xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
-        score = (first.score[i] + second.score[j]) / 2
-        believed = score >= sure
-        boxes[name] = Boxes(xylwa[believed], score[believed])
-        alone = np.ones(len(first), bool)
-        alone[i[believed]] = False
-        doubtful[name] = first[alone]
-    return Found(boxes, doubtful, Swept([(jobs[n][0].name, jobs[n][1]) for n in numbers], len(jobs), cached))
+        name, seen = jobs[number][0].name, looks[number]
+        pairs[name].append((seen.fine, seen.coarse))
+        for kind, pair in seen.objects.items():
+            others[name].setdefault(kind, []).append(pair)
+    boxes, doubtful, objects = {}, {}, {}
+    for name in names:
+        boxes[name], doubtful[name] = _in_both(pairs[name], sure)
+        both = {kind: _in_both(seen, sure)[0] for kind, seen in others[name].items()}
+        objects[name] = {kind: found for kind, found in both.items() if len(found)}
+    swept = Swept([(jobs[n][0].name, jobs[n][1]) for n in numbers], len(jobs), cached)
+    return Found(boxes, doubtful, swept, {name: kinds for name, kinds in objects.items() if kinds})
+
+
+def _in_both(pairs: Sequence[tuple[Boxes, Boxes]], sure: float) -> tuple[Boxes, Boxes]:
+    """Boxes that both looks at some tiles show, `sure` enough together, and the others of the first look."""
+    first, second = (suppress(Boxes.concatenate([pair[k] for pair in pairs])) for k in (0, 1))
+    i, j, _ = matched(first, second, SAME_BOX)
+    xylwa = first.xylwa[i].copy()
+    xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
+    score = (first.score[i] + second.score[j]) / 2
+    believed = score >= sure
+    alone = np.ones(len(first), bool)
+    alone[i[believed]] = False
+    return Boxes(xylwa[believed], score[believed]), first[alone]

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
 from ..boxes import Boxes, suppress
 from ..sources.picture import Picture
+from .detector import CUT_OBJECT, VEHICLES, Detector
 
 TILE = 1024  # side of the network's input [px]
 OVERLAP = 128  # shared by neighbouring tiles [px of the input]; more than the longest usable vehicle
@@ -36,10 +37,14 @@ class Tile:
 
 @dataclass(frozen=True)
 class Looks:
-    """Whole vehicles that two looks at one tile found, the second at CONFIRMING_ZOOM [px of the picture]."""
+    """Whole vehicles that two looks at one tile found, the second at CONFIRMING_ZOOM [px of the picture].
+
+    objects : whole objects of a standard size, by kind, that the first and the second look found.
+    """
 
     fine: Boxes
     coarse: Boxes
+    objects: dict[str, tuple[Boxes, Boxes]] = field(default_factory=dict)
 
 
 def tiles(picture: Picture, zoom: float, tile: int = TILE, overlap: int = OVERLAP) -> list[Tile]:
@@ -77,15 +82,23 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect) -> Looks:
     width, height = (max(1, round(side * CONFIRMING_ZOOM)) for side in (tile.out_width, tile.out_height))
     coarse = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     coarse_tile = replace(tile, out_width=width, out_height=height)
-    return Looks(place(detect(image), tile), place(detect(coarse), coarse_tile))
+    # A plain function knows vehicles only.
+    see = detect.see if isinstance(detect, Detector) else lambda pixels: {VEHICLES: detect(pixels)}
+    first, second = see(image), see(coarse)
+    objects = {
+        kind: (place(boxes, tile, CUT_OBJECT), place(second[kind], coarse_tile, CUT_OBJECT))
+        for kind, boxes in first.items()
+        if kind != VEHICLES
+    }
+    return Looks(place(first[VEHICLES], tile), place(second[VEHICLES], coarse_tile), objects)
 
 
 def read(picture: Picture, tile: Tile) -> np.ndarray:
     return picture.read(tile.x, tile.y, tile.width, tile.height, tile.out_width, tile.out_height)
 
 
-def place(boxes: Boxes, tile: Tile) -> Boxes:
-    whole = boxes[boxes.inside(tile.out_width, tile.out_height, BORDER)]
+def place(boxes: Boxes, tile: Tile, border: float = BORDER) -> Boxes:
+    whole = boxes[boxes.inside(tile.out_width, tile.out_height, border)]
     return whole.mapped(tile.width / tile.out_width, (tile.x, tile.y))
 
 

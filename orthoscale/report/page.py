@@ -165,10 +165,12 @@ def _calibration(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     if not found:
         return []
     height, margin, trends = found["effective_height"], found["margin_px"], found["trends"]
+    undercut = found.get("undercut", {"card": (0.0, 0.0), "fitted": (0.0, 0.0)})  # reports of 0.1.0 do not name it
     steeper, nearer = ([trends[when][key] for when in ("before", "after")] for key in TRENDS)
     table = [
         ("effective height", height["card"], height["fitted"], "{:.2f}", " m"),
         ("margin of boxes", margin["card"], margin["fitted"], "{:+.1f}", " px"),
+        ("undercut of bodies", undercut["card"], undercut["fitted"], "{:.2f}", " m"),
         ("steeper by 10 degrees", *steeper, "{:+.1f}", " %"),
         ("half as far", *nearer, "{:+.1f}", " %"),
     ]

@@ -12,8 +12,12 @@ from .mesh import CLOUDS, MESHES, scale_mesh
 from .obj import scale_obj
 from .ply import scale_ply
 from .poses import read_json, scale_reconstruction, scale_transforms
+from .text_models import SUFFIXES, scale_text_model
 
-KNOWN = "PLY (splats too), OBJ, GLB, glTF, transforms.json, reconstruction.json, depth maps, folders of COLMAP"
+KNOWN = (
+    "PLY (splats too), OBJ, GLB, glTF, transforms.json, reconstruction.json, bundle.out, NVM, depth maps, folders of "
+    "COLMAP"
+)
 
 
 def scale_path(source: Path, target: Path, scale: float) -> list[str]:
@@ -46,6 +50,8 @@ def _scale_file(source: Path, target: Path, scale: float) -> list[str]:
         clouds = scale_transforms(source, target, scale)
     elif suffix == ".bin" and source.parent.name == "depth_maps":
         scale_depth_map(source, target, scale)
+    elif suffix in SUFFIXES:
+        scale_text_model(source, target, scale)
     elif suffix in MESHES | CLOUDS:
         scale_mesh(source, target, scale)
     else:

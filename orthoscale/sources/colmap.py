@@ -255,7 +255,7 @@ def find_frames(
     """The frames of `model`, which lies in `folder`, that are on disk; see `ColmapSource.open`, whose notes grow."""
     registered = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
     try:
-        root, missing = _find_images(folder, Path(images) if images is not None else None, sorted(registered))
+        root, missing = image_folder(folder, Path(images) if images is not None else None, sorted(registered))
     except InputError as error:
         if need_images or images is not None:
             raise
@@ -271,8 +271,11 @@ def find_frames(
     return pictures
 
 
-def _find_images(folder: Path, given: Path | None, names: Sequence[str]) -> tuple[Path, list[str]]:
-    """The folder that holds most of the `names`, and the names it lacks."""
+def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tuple[Path, list[str]]:
+    """The folder that holds most of the image `names` of the model in `folder`, and the names it lacks.
+
+    given : where to look instead of beside and above the model. Raises InputError where it holds none of them.
+    """
     if given is not None:
         places = [given]
     else:

@@ -21,6 +21,7 @@ from ..rescale.mark import MARK
 from ..rescale.ply import read_points
 from ..rescale.poses import read_json
 from ..rescale.sim3 import Sim3
+from ..rescale.text_models import SUFFIXES
 from .colmap import ColmapSource, find_frames
 from .colmap_check import FARTHEST, model_folders
 from .colmap_write import difference
@@ -28,7 +29,7 @@ from .colmap_write import difference
 if TYPE_CHECKING:
     import pycolmap
 
-PLACES = ("reconstruction.json", "opensfm/reconstruction.json", "transforms.json")  # in a project's folder
+PLACES = ("reconstruction.json", "opensfm/reconstruction.json", "transforms.json", "bundle.out", "bundle/bundle.out")
 DIGITS = 1e-6  # of the model's size: what a point cloud in single precision may be off
 GPS_DOP = 1000.0  # from which OpenSfM means that there was no GPS
 # OpenSfM's projection types: COLMAP's model and its parameters, from focal lengths and centre [px] and distortion.
@@ -49,12 +50,13 @@ NERFSTUDIO = {
 
 
 def find_exchange(path: Path) -> Path | None:
-    """The file of one of these programs that `path` is, or that its folder holds where it holds no COLMAP model."""
-    if path.suffix.lower() == ".json" and path.is_file():
+    """The file of another program that `path` is, or that its folder holds where it holds no COLMAP model."""
+    if path.suffix.lower() in (".json", *SUFFIXES) and path.is_file():
         return path
     if not path.is_dir():
         return None
-    found = next((path / place for place in PLACES if (path / place).is_file()), None)
+    places = [*(path / place for place in PLACES), *sorted(path.glob("*.nvm"))]
+    found = next((place for place in places if place.is_file()), None)
     if found is not None:
         try:
             model_folders(path)
@@ -152,7 +154,7 @@ def _largest(path: Path, text: list[dict[str, Any]]) -> tuple[dict[str, Any], li
     return best, [note]
 
 
-def _model(
+def build_model(
     cameras: dict[Any, tuple[str, int, int, list[float]]],
     poses: dict[str, tuple[Any, np.ndarray, np.ndarray]],
     points: np.ndarray,
@@ -215,7 +217,7 @@ def _opensfm(path: Path, part: dict[str, Any]) -> pycolmap.Reconstruction:
     points = list(part["points"].values())
     xyz = np.array([point["coordinates"] for point in points], float).reshape(-1, 3)
     colours = np.array([point.get("color", (128, 128, 128)) for point in points], float).reshape(-1, 3)
-    return _model(cameras, poses, xyz, colours.clip(0, 255).astype(np.uint8))
+    return build_model(cameras, poses, xyz, colours.clip(0, 255).astype(np.uint8))
 
 
 def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstruction, list[Path]]:
@@ -254,4 +256,4 @@ def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstructi
             "Make it with a newer ns-process-data, or give the COLMAP model that it came from.",
         )
     points = read_points(cloud)
-    return _model(cameras, poses, points, np.full(points.shape, 128, np.uint8)), [cloud]
+    return build_model(cameras, poses, points, np.full(points.shape, 128, np.uint8)), [cloud]

@@ -9,13 +9,18 @@ from .source import Source
 
 
 def open_source(path: str | Path, images: str | Path | None = None, need_images: bool = True) -> Source:
-    """The source at `path`: a folder is a COLMAP model, a file an image. Raises InputError."""
+    """The source at `path`: a folder or text file is a reconstruction, another file an image. Raises InputError."""
     path, images = Path(path), None if images is None else Path(images)
     if not path.exists():
         raise InputError(f"{path} does not exist", "Give an orthophoto, or the folder of a COLMAP model.")
+    from ..rescale.text_models import SUFFIXES
     from .exchange import ExchangeSource, find_exchange
 
     if (text := find_exchange(path)) is not None:
+        if text.suffix.lower() in SUFFIXES:
+            from .text_model import TextSource
+
+            return TextSource.open(text, images=images, need_images=need_images)
         return ExchangeSource.open(text, images=images, need_images=need_images)
     if path.is_dir():
         from .colmap import ColmapSource

@@ -1,0 +1,197 @@
+"""Reconstructions of Bundler and VisualSFM: the same model as COLMAP's, and back again in metres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from test_colmap import make_model, put_frames, save
+from test_looks import UNIT, found_by
+
+from orthoscale.errors import InputError, OutputError, UsageError
+from orthoscale.rescale.files import scale_path
+from orthoscale.rescale.text_models import read_text_model
+from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.opening import open_source
+from orthoscale.sources.text_model import TextSource
+from orthoscale.writing import fix
+
+K1, K2 = 0.05, -0.02
+FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+@pytest.fixture(scope="module")
+def made():
+    return make_model("RADIAL", (400.0, 320, 240, K1, K2))
+
+
+@pytest.fixture(scope="module")
+def pinhole():
+    return make_model("SIMPLE_PINHOLE", (400.0, 320, 240))
+
+
+def bundler(model, folder: Path, k=(K1, K2), lost: int = 1) -> Path:
+    """The model as Bundler would write it, after `lost` images that it did not register."""
+    names = [f"lost{i}.jpg" for i in range(lost)] + [image.name for image in model.images.values()]
+    lines = ["# Bundle file v0.3", f"{len(names)} {len(model.points3D)}"]
+    lines += ["0 0 0", *["0 0 0"] * 3, "0 0 0"] * lost
+    for image in model.images.values():
+        pose = image.cam_from_world()
+        rows = [*(FLIP @ pose.rotation.matrix()), FLIP @ pose.translation]
+        lines += [
+            f"{float(image.camera.params[0])!r} {k[0]} {k[1]}",
+            *(" ".join(map(repr, row.tolist())) for row in rows),
+        ]
+    for point in model.points3D.values():
+        lines += [" ".join(map(repr, point.xyz.tolist())), "10 20 30", "1 0 7 1.5 -2.5"]
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "bundle.out").write_text("\n".join(lines) + "\n")
+    (folder / "list.txt").write_text("".join(f"./{name} 0 400.0\n" for name in names))
+    return folder / "bundle.out"
+
+
+def nvm(model, folder: Path, r: float = 0.0, head: str = "NVM_V3", more: str = "0\n") -> Path:
+    """The model as VisualSFM would write it."""
+    lines = [head, "", str(len(model.images))]
+    for image in model.images.values():
+        x, y, z, w = Rotation.from_matrix(image.cam_from_world().rotation.matrix()).as_quat()
+        values = [image.camera.params[0], w, x, y, z, *image.projection_center(), r]
+        lines.append(f"{image.name} " + " ".join(repr(float(v)) for v in values) + " 0")
+    lines += ["", str(len(model.points3D))]
+    lines += [" ".join(map(repr, p.xyz.tolist())) + " 10 20 30 1 0 7 1.5 -2.5" for p in model.points3D.values()]
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "scene.nvm").write_text("\n".join([*lines, "", more]))
+    return folder / "scene.nvm"
+
+
+def same_views(colmap: ColmapSource, other: TextSource) -> None:
+    pixels = np.random.default_rng(0).uniform((20, 20), (620, 460), (100, 2))
+    for name in colmap.picture_names[::5]:
+        views, world, ok = colmap.views(name, pixels)
+        views2, world2, ok2 = other.views(name, pixels)
+        assert (ok == ok2).all() and ok.mean() > 0.6
+        assert np.allclose(world[ok], world2[ok], atol=0.02)  # another choice of ground points
+        assert np.allclose(views.lens[ok], views2.lens[ok], rtol=1e-6, atol=1e-3)
+        assert np.allclose(colmap.project(name, world[ok]), other.project(name, world[ok]), atol=1e-4)
+
+
+def test_views_are_those_of_the_colmap_model(made, pinhole, tmp_path):
+    for number, (model, path) in enumerate([(made[0], bundler(made[0], tmp_path / "b")),
+                                            (pinhole[0], nvm(pinhole[0], tmp_path / "n"))]):  # fmt: skip
+        put_frames(model, path.parent / "images")
+        colmap = ColmapSource.open(save(model, tmp_path / f"colmap{number}", "bin"), need_images=False)
+        other = open_source(path)
+        assert isinstance(other, TextSource) and len(other.pictures) == len(other.picture_names) == 12
+        same_views(colmap, other)
+
+
+def test_distortion_of_visualsfm_is_that_of_measurements(pinhole, tmp_path):
+    """Its manual: where the pinhole sees p, the picture has m, (1 + r |m|^2) m = p."""
+    r = 0.08
+    path = nvm(pinhole[0], tmp_path, r, head="NVM_V3 FixedK 400 330 400 250 0")
+    put_frames(pinhole[0], tmp_path / "images")
+    source = open_source(path)
+    name = source.picture_names[0]
+    m = np.array([[0.3, -0.2], [-0.25, 0.35], [0.05, 0.3]])
+    p = (1 + r * (m**2).sum(1, keepdims=True)) * m
+    seen = np.column_stack([p, np.ones(3)]) * 2.5
+    world = (seen - source._images[name].cam_from_world().translation) @ source.rotation(name)
+    assert np.allclose(source.project(name, world), 400 * m + (330, 250), atol=0.02)
+
+
+@pytest.mark.parametrize("writer", [bundler, nvm])
+def test_written_again_in_metres(made, tmp_path, writer):
+    model, turn = made
+    path = writer(model, tmp_path / "in")
+    put_frames(model, tmp_path / "in/images")
+    before = {p: p.read_bytes() for p in (tmp_path / "in").rglob("*.*")}
+    found_by(path, turn).save(tmp_path / "boxes.json")
+    result = fix(path.parent, tmp_path / "out", fleet="DE", detections=tmp_path / "boxes.json")
+    assert {p: p.read_bytes() for p in before} == before
+    assert result.scale.value == pytest.approx(UNIT, rel=0.03)
+    new = open_source(tmp_path / "out", images=tmp_path / "in/images")
+    assert new.path == tmp_path / "out" / path.name
+    assert new.camera_height == pytest.approx(result.scale.value * result.source.camera_height, rel=1e-6)
+    assert new.metric_already
+    with pytest.raises(UsageError, match="in metres already"):
+        fix(tmp_path / "out", tmp_path / "again", fleet="DE", images=tmp_path / "in/images",
+            detections=tmp_path / "boxes.json")  # fmt: skip
+
+
+@pytest.mark.parametrize("writer", [bundler, nvm])
+def test_only_lengths_change(pinhole, tmp_path, writer):
+    path = writer(pinhole[0], tmp_path)
+    scale_path(path, tmp_path / f"new{path.suffix}", 2.0)
+    old, new = (read_text_model(p) for p in (path, tmp_path / f"new{path.suffix}"))
+    assert np.allclose(new.points, 2 * old.points, rtol=1e-15)
+    assert np.allclose(new.translation, 2 * old.translation, rtol=1e-15)
+    for same in ("focal", "distortion", "rotation", "colours"):
+        assert (getattr(new, same) == getattr(old, same)).all()
+    lines = [p.read_text().split("\n") for p in (path, tmp_path / f"new{path.suffix}")]
+    kept = [a == b for a, b in zip(*lines, strict=False)]
+    assert 0.3 < np.mean(kept) < 0.9 if writer is bundler else not any(kept[3:15])
+
+
+def test_only_the_first_of_several_models_is_taken(pinhole, tmp_path):
+    alone = nvm(pinhole[0], tmp_path / "a").read_text()
+    path = nvm(pinhole[0], tmp_path / "b", more=alone.split("\n", 1)[1])
+    scale_path(path, tmp_path / "new.nvm", 3.0)
+    assert len(read_text_model(path).focal) == 12
+    assert (tmp_path / "new.nvm").read_text().endswith("\n0\n")
+    assert len((tmp_path / "new.nvm").read_text()) < 1.2 * len(alone)
+
+
+def test_what_is_missing_is_said(made, tmp_path):
+    path = bundler(made[0], tmp_path)
+    with pytest.raises(InputError, match="no frame of the model"):
+        open_source(path, need_images=False)
+    put_frames(made[0], tmp_path / "images")
+    first = sorted((tmp_path / "images").iterdir())[0]
+    first.unlink()
+    source = open_source(tmp_path)
+    assert len(source.picture_names) == 11 and "left out" in source.notes[0]
+    (tmp_path / "list.txt").write_text("a.jpg\n")
+    with pytest.raises(InputError, match="names 1 images"):
+        open_source(path)
+    (tmp_path / "list.txt").unlink()
+    with pytest.raises(InputError, match="no list"):
+        open_source(path)
+
+
+@pytest.mark.parametrize("writer", [bundler, nvm])
+def test_damage_is_refused(pinhole, tmp_path, writer):
+    path = writer(pinhole[0], tmp_path)
+    put_frames(pinhole[0], tmp_path / "images")
+    whole = path.read_text()
+    lines = whole.split("\n")
+    cut = whole.rindex("0.") if writer is nvm else len(whole)  # what follows the last point is not read
+    damaged = [whole[: cut * k // 20] for k in range(20)]
+    counts = 1 if writer is bundler else 2
+    for words in ("99999999999 5", "-1 -1", "x", "1e9", ""):
+        damaged.append("\n".join([*lines[:counts], words, *lines[counts + 1 :]]))
+    camera = 9 if writer is bundler else 4
+    for word in ("nan", "inf", "1e300", "abc"):
+        place = slice(6, 9) if writer is nvm else slice(0, 3)
+        words = lines[camera + (2 if writer is bundler else 0)].split()
+        words[place] = [word] * 3
+        at = camera + (2 if writer is bundler else 0)
+        damaged.append("\n".join([*lines[:at], " ".join(words), *lines[at + 1 :]]))
+    for text in damaged:
+        path.write_text(text)
+        with pytest.raises(InputError, match=path.name):
+            open_source(path)
+    path.write_bytes(b"\xff\xfe\x00" * 100)
+    with pytest.raises(InputError, match=path.name):
+        open_source(path)
+
+
+def test_a_write_that_fails_is_noticed(pinhole, tmp_path, monkeypatch):
+    path = nvm(pinhole[0], tmp_path / "in")
+    put_frames(pinhole[0], tmp_path / "in/images")
+    source = open_source(path)
+    (tmp_path / "out").mkdir()
+    monkeypatch.setattr("orthoscale.rescale.files.scale_text_model", lambda a, b, s: b.write_text(a.read_text()))
+    with pytest.raises(OutputError, match="differs"):
+        source.write(tmp_path / "out", 2.0)
