@@ -10,8 +10,8 @@ import numpy as np
 
 AXES = ("length", "width", "height")
 # Classes are merged while that loses at most so much of what a vehicle's box tells of its class [nats]. A higher limit
-# would merge Japan's small and ordinary cars; a lower one keeps classes apart whose shares no car park tells, and with
-# those free, vans were taken for large cars (simulated: 86 instead of 90 % coverage for DE).
+# would merge Japan's small and ordinary cars; a lower one keeps classes apart whose shares no car park tells, takes
+# longer, and is no nearer.
 TOLD_APART = 0.2
 BOX_NOISE = 0.05  # of a box's length and width, relative: usual for the shipped detector
 
@@ -84,8 +84,7 @@ def told_apart(classes: Sequence[Class]) -> tuple[Class, ...]:
 
     What a merger loses is Runnalls' bound of the Kullback-Leibler divergence between the mixtures before and after
     (IEEE Trans. Aerosp. Electron. Syst. 43 (2007) 989), in log length and log width with BOX_NOISE. The mean and
-    the covariance of the whole stay. Fitted apart, classes that overlap would be given whatever shares suit a wrong
-    scale.
+    the covariance of the whole stay.
     """
     left = list(classes)
     while len(left) > 1:

@@ -120,7 +120,7 @@ def test_intervals_hold_the_truth_for_a_detector_that_draws_to_the_usual(code):
     inside = 0
     for _ in range(80):
         votes = scene(rng, fleet, 60)
-        shrink = np.array(ruler.shrink) + ruler.shrink_sd * rng.standard_normal()
+        shrink = np.array(ruler.shrink) + np.array(ruler.shrink_sd) * rng.standard_normal()
         low, high = pool(drawn(votes, 0.12, shrink, ruler.usual), fleet, ruler, "m/px").interval90
         inside += low <= 0.12 <= high
     assert 0.81 <= inside / 80 <= 1.0  # 2.7 sigmas of 80 draws below 0.9; box noise is drawn in with the vehicles here
