@@ -171,8 +171,8 @@ def own_ruler(
     plain = settled(start or shipped, (common, common))
     # Corners show where the ground is foreshortened athwart: in lengths.
     shaped = settled(plain, ([*common, LEAN, CORNER], [*common, LEAN]))
-    sizes = [r.size(some, seen, zoom, metres_per_unit) for r in (plain, shaped)]
-    gain = _gain(*sizes, vehicle)
+    before, after = (r.size(some, seen, zoom, metres_per_unit) for r in (plain, shaped))
+    gain = _gain(before, after, vehicle)
     # Another shape only where the views ask for it: the Bayesian information criterion (Schwarz 1978).
     return shaped if gain > SHAPES * np.log(len(some)) else plain
 
