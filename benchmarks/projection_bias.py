@@ -123,7 +123,7 @@ def bias(flight: Flight, tight: bool = False) -> str:
     return table(["boxes made from", "pitch", *METHODS], rows)
 
 
-def other_bodies(flight: Flight, vehicles: int = 150) -> str:
+def other_bodies(flight: Flight, vehicles: int = 100) -> str:
     """Exact with the hull that the views themselves give, on boxes of hulls and meshes that it does not assume."""
     rows = []
     whole = {f"{name}, hull": body for name, body in OTHERS.items()}

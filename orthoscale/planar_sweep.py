@@ -65,8 +65,10 @@ def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet, method
         size = camera * footprint(flat / camera, offset, height / metres_per_unit / camera)
         votes = gather(size, np.full(len(boxes), unit / found.zoom), place, boxes.score, repeated=True)
         spread = geometry(size, np.abs(offset), np.full(2, HEIGHT_SD / metres_per_unit))
-        rows = rows_in_model(replace(votes, size=tight(votes, found.ruler.margin)), along, fleet.code)
-        more = [rows] if rows and method.surroundings else []
+        more = []
+        if method.surroundings:
+            rows = rows_in_model(replace(votes, size=tight(votes, found.ruler.margin)), along, fleet.code)
+            more = [rows] if rows else []
         scale = method.pool(votes, fleet, found.ruler, source.unit, spread, more)
         metres_per_unit = scale.value
     return Measured(boxes, np.array(names), votes, scale, lost, {}, tight(votes, found.ruler.margin))

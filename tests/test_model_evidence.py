@@ -21,6 +21,7 @@ from orthoscale.sources.colmap import ColmapSource
 from orthoscale.surroundings import objects_in_model
 
 UNIT, STALL = 5.0, 2.5  # [m]
+FLEET = Fleet.load("DE")
 HEIGHT = 0.5  # of the vehicles' boxes [m]
 COURT, CONTAINER = (23.77, 10.97, 0.01), (12.192, 2.438, 2.591)
 
@@ -44,7 +45,7 @@ def car(size, place, heading):
 def car_park(stall=STALL):
     """36 vehicles in three rows, each within 0.1 m of its stall's middle."""
     rng = np.random.default_rng(0)
-    sizes = Fleet.load("DE").sample(rng, 36)[:, :2]
+    sizes = FLEET.sample(rng, 36)[:, :2]
     slots = np.array([[stall * (k % 12 - 6), 11.0 * (k // 12 - 1)] for k in range(36)])
     slots = (slots + rng.normal(0, 0.1, slots.shape)) / UNIT
     return [car(s, p, np.pi / 2 + rng.normal(0, 0.02)) for s, p in zip(sizes, slots, strict=True)]
@@ -80,15 +81,20 @@ def found_in(model, stall=STALL):
     return Detections(boxes_of(model, car_park(stall)), 1.0, ruler, (HEIGHT, HEIGHT), "perfect")
 
 
-def test_rows_seen_in_many_frames_are_one_measurement(model):
-    scale = measure_model(model[0], found_in(model), Fleet.load("DE")).scale
+@pytest.fixture(scope="module")
+def scales(model):
+    """The scale with the rows, and without."""
+    return tuple(measure_model(model[0], found_in(model), FLEET, Method(surroundings=s)).scale for s in (True, False))
+
+
+def test_rows_seen_in_many_frames_are_one_measurement(scales):
+    scale, without = scales
     (pitch,) = scale.evidence
     assert pitch.kind == "parking pitch" and pitch.value == pytest.approx(UNIT, rel=0.02)
     assert 0.05 < pitch.relative_sd < 0.09, "as sure as the standard, however many frames there are"
     assert "36 vehicles" in pitch.says and scale.parts["parking pitch"] > 0 and scale.conflict == 0
     low, high = scale.interval90
     assert low < UNIT < high
-    without = measure_model(model[0], found_in(model), Fleet.load("DE"), Method(surroundings=False)).scale
     assert not without.evidence and without.relative_sd > scale.relative_sd
 
 
@@ -113,27 +119,22 @@ def test_an_object_cut_by_the_frame_or_of_another_shape_says_nothing(model):
     assert objects_in_model(model[0], {name: {"tennis-court": square}}, 1.0, UNIT) == []
 
 
-def test_a_court_that_contradicts_the_vehicles_is_a_conflict(model):
+def test_a_court_that_contradicts_the_vehicles_is_a_conflict(model, scales):
     wrong = [block((1.5 * COURT[0], 1.5 * COURT[1], 0.01), np.array([-1.0, 5.5]), 0.0)]
     objects = {name: {"tennis-court": boxes} for name, boxes in boxes_of(model, wrong).items()}
-    scale = measure_model(model[0], replace(found_in(model), objects=objects), Fleet.load("DE")).scale
+    scale = measure_model(model[0], replace(found_in(model), objects=objects), FLEET).scale
     assert scale.conflict > 3 and scale.verdict == "refuse"
     assert any("conflict" in remark and "tennis-court" in remark for remark in scale.remarks)
     low, high = scale.interval90
     assert low < UNIT / 1.5 and high > UNIT
-    other = measure_model(model[0], found_in(model), Fleet.load("DE")).scale
-    for pair in ((scale, other), (other, scale)):
+    for pair in ((scale, scales[0]), (scales[0], scale)):
         both = together(compare(dict(zip(("oblique", "planar"), pair, strict=True))))
         assert both.interval90 == scale.interval90 and both.verdict == "refuse", "a conflict is never averaged away"
 
 
-def test_looks_of_which_one_sees_rows_are_pooled(model):
-    found = found_in(model)
-    seen, unseen = (
-        measure_model(model[0], found, Fleet.load("DE"), Method(surroundings=s)).scale for s in (True, False)
-    )
-    for pair in ((seen, unseen), (unseen, seen)):
+def test_looks_of_which_one_sees_rows_are_pooled(scales):
+    for pair in (scales, scales[::-1]):
         both = together(compare(dict(zip(("oblique", "planar"), pair, strict=True))))
-        assert 0 < both.parts["parking pitch"] < seen.parts["parking pitch"] and len(both.evidence) == 1
+        assert 0 < both.parts["parking pitch"] < scales[0].parts["parking pitch"] and len(both.evidence) == 1
         low, high = both.interval90
         assert low < UNIT < high

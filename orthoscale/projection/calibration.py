@@ -122,14 +122,14 @@ class OwnRuler:
         swapped = xylwa[:, 2] < xylwa[:, 3]  # `Boxes` would call the shorter side the width
         xylwa[swapped, 2:4] = boxes.xylwa[swapped, 2:4]
         tight = Boxes(xylwa, boxes.score)
-        flat = [replace(hull, height=FLAT, end_lean=0.0, side_lean=0.0) for hull in self.hulls]
-        upright, outline = (
-            np.stack([ground_size(tight, views, metres_per_unit, hull)[:, k] for k, hull in enumerate(hulls)], 1)
-            for hulls in (self.hulls, flat)
+        size = np.stack(
+            [ground_size(tight, views, metres_per_unit, hull)[:, k] for k, hull in enumerate(self.hulls)], 1
         )
-        above = -(views.ground * views.normal).sum(1, keepdims=True)  # (N, 1) the camera over the ground
-        nearer = 1 - self.height / metres_per_unit / above  # a waist at that height is so much closer than the ground
-        size = np.minimum(upright + self.undercut / metres_per_unit, np.maximum(outline * nearer, upright))
+        if self.undercut.any():
+            above = -(views.ground * views.normal).sum(1, keepdims=True)  # (N, 1) the camera over the ground
+            nearer = 1 - self.height / metres_per_unit / above  # a waist so high is closer than the ground
+            waist = ground_size(tight, views, metres_per_unit, replace(self.body, height=FLAT)) * nearer
+            size = np.minimum(size + self.undercut / metres_per_unit, np.maximum(waist, size))
         size[swapped] = np.nan
         return size
 
@@ -271,18 +271,26 @@ def _with_undercut(covariance: np.ndarray) -> np.ndarray:
 
 def _gain(plain: np.ndarray, shaped: np.ndarray, vehicle: np.ndarray) -> float:
     """By how much `shaped` sizes (N, 2) of each `vehicle` (N,) agree better than `plain` ones: twice the difference
-    of their Huber losses, in the noise that the shaped ones leave."""
+    of their Huber losses, in the noise that the shaped ones leave.
+
+    The less of two: as shares of their own sizes, and of the plain ones. A body that makes vehicles larger makes their
+    noise a smaller share of them, one that makes them smaller makes it smaller itself; neither is an agreement.
+    """
     good = np.isfinite(plain).all(1) & np.isfinite(shaped).all(1)
-    vehicle = vehicle[good]
+    plain, shaped, vehicle = plain[good], shaped[good], vehicle[good]
     count = np.maximum(np.bincount(vehicle), 1)
-    total = 0.0
-    for before, after in zip(np.log(plain[good]).T, np.log(shaped[good]).T, strict=True):
-        apart = [np.abs(z - (np.bincount(vehicle, z) / count)[vehicle]) for z in (before, after)]
-        noise = max(1.4826 * float(np.median(apart[1])), 1e-9)
-        old, new = (r / noise for r in apart)
-        loss = [np.where(r < HUBER, r**2, HUBER * (2 * r - HUBER)).sum() for r in (old, new)]
-        total += float(loss[0] - loss[1])
-    return total
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(vehicle, column) / count for column in values.T], 1)[vehicle]
+
+    typical = np.exp(mean(np.log(plain)))
+    gains = []
+    for before, after in ((np.log(plain), np.log(shaped)), (plain / typical, shaped / typical)):
+        old, new = (np.abs(values - mean(values)) for values in (before, after))
+        noise = np.maximum(1.4826 * np.median(new, axis=0), 1e-9)
+        loss = [np.where(r < HUBER, r**2, HUBER * (2 * r - HUBER)).sum() for r in (old / noise, new / noise)]
+        gains.append(float(loss[0] - loss[1]))
+    return min(gains)
 
 
 def trends(
