@@ -14,8 +14,10 @@ from functools import partial
 import numpy as np
 from simulate import DENSEUAV, VISLOC, Body, Flight, Seen, cuboid, fly, table
 
+from orthoscale.boxes import Boxes
 from orthoscale.projection import decoupled, exact
-from orthoscale.projection.exact import Hull
+from orthoscale.projection.calibration import CORNER, HEIGHT, LEAN, OwnRuler, own_ruler
+from orthoscale.projection.exact import BODIES, Hull
 from orthoscale.projection.view import Views
 from orthoscale.synthetic.vehicle import Vehicle
 
@@ -34,7 +36,7 @@ ASSUMED = {
     "car, boxes reach the roof, 1.5 m": (Body.of("", Hull(height=1.5), CAR), Hull(height=1.5)),
     "cuboid 1.6 m": (Body.of("", cuboid(1.6), CAR), cuboid(1.6)),
 }
-OTHERS = {  # what exact is told: the shipped hull
+OTHERS = {  # none of them known to exact
     "saloon": Body.of("", Hull(1.45, belt=0.8, roof=1.45, front_inset=0.36, rear_inset=0.2, side_inset=0.13), CAR),
     "SUV": Body.of("", Hull(1.7, belt=1.0, roof=1.7, front_inset=0.26, rear_inset=0.06, side_inset=0.08), (4.7, 1.9)),
     "van": Body.of("", Hull(2.0, belt=1.1, roof=2.0, front_inset=0.18, rear_inset=0.02, side_inset=0.06), (5.3, 2.0)),
@@ -100,15 +102,16 @@ def cut(body: Body, height: float) -> Body:
     return Body(body.name, body.size, np.concatenate([*plans[: last + 1], top]), np.repeat(levels, len(top)))
 
 
-def fitted_height(flights: list[Seen], body: Body) -> float:
-    """The effective height [m] for which a vehicle gets one size at all pitches. No metres are needed to find it."""
-
-    some = [Seen(s.boxes[:400], s.altitude[:400], s.flight, s.pitch) for s in flights]
-
-    def disagreement(height: float) -> float:
-        return float(np.var([np.nanmean(error(s, body, "exact", Hull(height=height))) for s in some]))
-
-    return float(min(np.arange(0.2, 2.3, 0.1), key=disagreement))
+def found_ruler(flights: list[Seen], body: str) -> OwnRuler:
+    """Height, lean and corner for which a vehicle gets one size at all pitches, found as in a reconstruction: without
+    metres, here from groups of boxes of one vehicle. What they are shaped like is taken to be one of BODIES."""
+    boxes, views = (
+        Boxes.concatenate([s.boxes for s in flights]),
+        Views.concatenate([s.views(unit=UNIT) for s in flights]),
+    )
+    groups = np.array_split(np.random.default_rng(0).permutation(len(boxes)), len(boxes) // 20)
+    card = OwnRuler.shipped((0.8, 0.8), (0.0, 0.0), (0.6, 0.6), (1e-3, 1e-3), BODIES[body])
+    return own_ruler(boxes, views, 1.0, groups, UNIT, card)
 
 
 def bias(flight: Flight, tight: bool = False) -> str:
@@ -120,27 +123,30 @@ def bias(flight: Flight, tight: bool = False) -> str:
     return table(["boxes made from", "pitch", *METHODS], rows)
 
 
-def other_bodies(flight: Flight) -> str:
+def other_bodies(flight: Flight, vehicles: int = 150) -> str:
+    """Exact with the hull that the views themselves give, on boxes of hulls and meshes that it does not assume."""
     rows = []
-    for name, whole in OTHERS.items():
-        for reach, body in (("0.8 m", cut(whole, 0.8)), ("the roof", whole)):
-            seen = [fly(np.random.default_rng(-p), VEHICLES, flight, p, body) for p in PITCHES]
-            hull = Hull() if reach == "0.8 m" else Hull(height=fitted_height(seen, body))
-            for pitch, s in zip(PITCHES, seen, strict=True):
-                cells = [cell(error(s, body, m, hull)) for m in METHODS]
-                rows.append([f"{name}, boxes reach {reach}", f"{pitch}", *cells, f"{hull.height:.2f} m"])
-    return table(["boxes made from", "pitch", *METHODS, "height told or fitted"], rows)
-
-
-def meshes(flight: Flight, vehicles: int = 500) -> str:
-    """Exact with its shipped hull and a height fitted without metres, on boxes of car meshes, in part or whole."""
-    rows = []
-    for shape in MESHES:
-        for name, body in ((f"{shape}, up to 0.8 m", car_mesh(shape, 0.8)), (f"{shape}, whole", car_mesh(shape))):
+    whole = {f"{name}, hull": body for name, body in OTHERS.items()}
+    whole |= {f"{shape}, mesh": car_mesh(shape) for shape in MESHES}
+    low = {f"{name}, hull": cut(body, 0.8) for name, body in OTHERS.items()}
+    low |= {f"{shape}, mesh": car_mesh(shape, 0.8) for shape in MESHES}
+    told = [(name, body) for name in whole for body in ("van", "cuboid") if name.startswith(body)]
+    for reach, bodies, as_what in (
+        ("0.8 m", low, [(name, "car") for name in low]),
+        ("the roof", whole, [(name, "car") for name in whole] + told),
+    ):
+        for name, kind in as_what:
+            body = bodies[name]
             seen = [fly(np.random.default_rng(-p), vehicles, flight, p, body) for p in PITCHES]
-            hull = Hull(height=fitted_height(seen, body))
-            rows.append([name, f"{hull.height:.2f} m", *(cell(error(s, body, "exact", hull)) for s in seen)])
-    return table(["car mesh", "height fitted", *map(str, PITCHES)], rows)
+            ruler = found_ruler(seen, kind)
+            cells = []
+            for s in seen:
+                size = UNIT * ruler.size(s.boxes, s.views(unit=UNIT), 1.0, UNIT)
+                cells.append(cell(np.log(body.size / size).mean(1)))
+            found = [" / ".join(f"{v:.2f}" for v in ruler.value[:, k]) for k in (HEIGHT, LEAN)]
+            rows.append([name, reach, kind, *found, f"{ruler.value[0, CORNER]:.2f}", *cells])
+    head = ["boxes made from", "up to", "taken for a", "height [m]", "lean [1/m]", "corner", *map(str, PITCHES)]
+    return table(head, rows)
 
 
 def sensitivity(flight: Flight) -> str:
@@ -189,8 +195,7 @@ def main() -> None:
         low, high = flight.altitude
         print(f"## {flight.name}: f {flight.focal_px:.0f} px, {low:.0f} to {high:.0f} m\n")
         print(f"Boxes from the body that exact assumes; bias ± spread [%]\n\n{bias(flight)}\n")
-        print(f"Boxes from other bodies; exact assumes its shipped hull\n\n{other_bodies(flight)}\n")
-        print(f"Boxes of car meshes, exact with its shipped hull\n\n{meshes(flight)}\n")
+        print(f"Boxes from other bodies; the ruler found by the views\n\n{other_bodies(flight)}\n")
         print(f"Boxes of least area instead of boxes along the heading\n\n{bias(flight, tight=True)}\n")
         print(f"Sensitivity: change of altitude / of footprint [%]\n\n{sensitivity(flight)}\n")
     print(f"## Run time\n\n{run_time()}")

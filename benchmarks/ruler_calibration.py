@@ -13,6 +13,7 @@ from simulate import table
 
 from orthoscale.boxes import Boxes
 from orthoscale.fleet import Fleet
+from orthoscale.projection import calibration
 from orthoscale.projection.calibration import OwnRuler, own_ruler
 from orthoscale.projection.exact import Hull
 from orthoscale.projection.view import Views
@@ -25,6 +26,7 @@ CARD_HEIGHT, CARD_MARGIN, CARD_HEIGHT_SD, CARD_MARGIN_SD = (0.9, 0.9), (1.5, 1.5
 HEIGHTS, MARGINS = (0.5, 0.8, 1.2, 1.6), (0.0, 2.0, 4.0)
 UNDERCUTS = ((0.9, 2.0, 0.15), (0.9, 2.0, 0.3), (1.3, 2.0, 0.3))  # of some more, with their height and margin [m]
 FLIGHTS = 6
+COLUMNS = [calibration.HEIGHT, calibration.MARGIN, calibration.UNDERCUT]  # of a ruler's values
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,7 @@ def main() -> None:
     for height, margin, undercut in [*((h, m, 0.0) for h in HEIGHTS for m in MARGINS), *UNDERCUTS]:
         flights = [fly(np.random.default_rng([k, 1]), fleet, height, margin, undercut=undercut) for k in range(FLIGHTS)]
         found = [find(flight) for flight in flights]
-        value = np.array([ruler.value for ruler, _ in found])  # (flights, axes, height and margin and undercut)
+        value = np.array([ruler.value[:, COLUMNS] for ruler, _ in found])  # (flights, axes, 3)
         error = 100 * np.array([e for _, e in found])
         cells = [f"{v.mean():.2f} ± {v.std():.2f}" for v in value.transpose(2, 1, 0).reshape(6, -1)]
         cells += [f"{e.mean():+.2f} ± {e.std():.2f}" for e in (*error.T, error.mean(1))]

@@ -75,10 +75,14 @@ def together(agreement: Agreement) -> Scale:
     difference is part of it.
     """
     a, b = agreement.scales.values()
+    for scale in (a, b):
+        if scale.conflict:  # what else is known contradicts the vehicles: that stands, and nothing is averaged
+            return replace(scale, checks={**scale.checks, **{name: s.value for name, s in agreement.scales.items()}})
     own = np.array([sum(v**2 for k, v in s.parts.items() if k in OWN) for s in (a, b)])
     weight = (1 / own) / (1 / own).sum()
     log_value = float(weight @ np.log([a.value, b.value]))
-    parts = {name: float(weight @ [a.parts[name], b.parts[name]]) for name in a.parts}
+    names = {**a.parts, **b.parts}  # one look may see parking rows where the other does not
+    parts = {name: float(weight @ [s.parts.get(name, 0.0) for s in (a, b)]) for name in names}
     apart = np.log(b.value / a.value) if agreement.contradicts else 0.0
     excess = weight[0] * weight[1] * apart**2
     parts["sampling"] = float(np.hypot(parts["sampling"], np.sqrt(excess)))
@@ -90,4 +94,5 @@ def together(agreement: Agreement) -> Scale:
         parts=parts,
         verdict=verdict(float(sd), a.tension > CHECK_LIMIT, a.verdict == "refuse" or agreement.contradicts),
         checks={**a.checks, **{name: scale.value for name, scale in agreement.scales.items()}},
+        evidence=a.evidence or b.evidence,
     )

@@ -14,6 +14,7 @@ from .boxes import Boxes
 from .errors import InputError
 from .objects import known_objects
 from .pooling import Ruler
+from .projection.exact import BODIES
 
 if TYPE_CHECKING:
     from .detect.sweep import Swept
@@ -33,6 +34,7 @@ class Detections:
     objects : boxes of other classes than vehicles, by picture name and class, for `objects.standard_object`.
     doubtful : boxes that were seen but not believed, by picture name, with the reason.
     planar : those of a reconstruction's frames warped onto the ground, by the frame's name, in the plans' pixels.
+    body : what the vehicles are shaped like, one of `projection.exact.BODIES`; the card's.
     swept : which tiles were looked at, where the boxes do not come from a file.
     """
 
@@ -47,6 +49,7 @@ class Detections:
     doubt: str = "seen at one zoom only"
     planar: Detections | None = None
     swept: Swept | None = None
+    body: str = "car"
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))
@@ -58,6 +61,7 @@ class Detections:
             "detector_sha256": self.detector_sha256,
             "zoom": self.zoom,
             "effective_height": list(self.effective_height),
+            "body": self.body,
             "ruler": asdict(self.ruler),
         }
 
@@ -75,6 +79,7 @@ class Detections:
                 effective_height=_pair(about["effective_height"]),
                 detector=str(about.get("detector", name)),
                 detector_sha256=str(about["detector_sha256"]),
+                body=_body(about.get("body", "car")),
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(
@@ -119,6 +124,12 @@ def _pictures(text: dict[str, Any]) -> tuple[dict[str, Boxes], dict[str, dict[st
     pictures = text.get("pictures", text)
     objects = {name: kinds for name, rows in pictures.items() if (kinds := _objects(rows))}
     return {name: _boxes(rows) for name, rows in pictures.items()}, objects
+
+
+def _body(name: str) -> str:
+    if name not in BODIES:
+        raise ValueError(f"body {name!r} is none of {', '.join(BODIES)}")
+    return name
 
 
 def _pair(values: list[float]) -> tuple[float, float]:

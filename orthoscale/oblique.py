@@ -20,8 +20,10 @@ from .method import Method
 from .model_drift import drift
 from .pooling import MIN_VEHICLES
 from .projection.calibration import OwnRuler, own_ruler, trends
+from .projection.exact import BODIES
 from .projection.height import lean
 from .projection.view import Views
+from .surroundings import GROUND_SD, objects_in_model, rows_in_model, world_axes
 from .votes import gather
 
 if TYPE_CHECKING:
@@ -29,9 +31,6 @@ if TYPE_CHECKING:
 
 ROUNDS = 6  # of projection and pooling; the scale enters its own projection only through the vehicles' height
 SETTLED = 1e-4  # relative change of the scale at which the rounds end
-# Relative uncertainty of a reconstruction's ground under the vehicles (one sigma), as a share of the camera's height:
-# sparse points on bare ground scatter by about this much on the two real scenes.
-GROUND_SD = 0.01
 HEIGHT_SD = 0.25  # how far a detector's effective height strays from its card between scenes (one sigma) [m]
 NO_GROUND = "no ground under the box, or seen too flatly"
 NO_HULL = "no vehicle on the ground gives this box"
@@ -56,11 +55,14 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet, method
     view = Views.concatenate(views)
     pixel = view.unit_per_pixel / found.zoom
     leaning = lean(boxes, view)
+    along = world_axes(source, picture, boxes, view)
     # The height's share of a box is a small correction, so a few rounds of measuring and pooling settle the scale.
     metres_per_unit = float(fleet.mean[0] / np.median(boxes.length * view.unit_per_pixel))
     # The other projections have no effective height, or one of their own: they measure by the detector's card.
     exact = method.projection in (None, "exact")
-    card = OwnRuler.shipped(found.effective_height, found.ruler.margin, (HEIGHT_SD, HEIGHT_SD), found.ruler.margin_sd)
+    card = OwnRuler.shipped(
+        found.effective_height, found.ruler.margin, (HEIGHT_SD, HEIGHT_SD), found.ruler.margin_sd, BODIES[found.body]
+    )
     ruler = card
     for _ in range(ROUNDS):
         if exact:
@@ -72,11 +74,15 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet, method
         votes = gather(size[solved], pixel[solved], place[solved], own.score, True, own.spread)
         spread, left = geometry(size[solved], leaning[solved], np.full(2, HEIGHT_SD / metres_per_unit)), found.ruler
         if slopes is not None and solved.any():
-            by_height, by_margin, by_undercut = ruler.relative_sd(size[solved], slopes[solved]).T
-            spread = np.diag(by_height**2 + by_undercut**2) + GROUND_SD**2
+            by_height, by_margin, *by_shape = ruler.relative_sd(size[solved], slopes[solved]).T
+            spread = np.diag(by_height**2 + np.square(by_shape).sum(0)) + GROUND_SD**2
             per_pixel = np.median(pixel[solved, None] / size[solved], axis=0)
             left = replace(found.ruler, margin=(0.0, 0.0), margin_sd=_pair(by_margin / per_pixel))  # it is off already
-        scale = method.pool(votes, fleet, left, source.unit, spread)
+        more = []
+        if method.surroundings:
+            rows = rows_in_model(replace(votes, size=tight(votes, left.margin)), along[solved], fleet.code)
+            more = objects_in_model(source, found.objects, found.zoom, metres_per_unit) + ([rows] if rows else [])
+        scale = method.pool(votes, fleet, left, source.unit, spread, more)
         change = abs(np.log(scale.value / metres_per_unit))
         metres_per_unit = scale.value
         if change < SETTLED:

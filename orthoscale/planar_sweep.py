@@ -7,6 +7,7 @@ parts is taken off.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ from .method import Method
 from .oblique import HEIGHT_SD, geometry
 from .pooling import MIN_VEHICLES
 from .projection.planar import footprint, ground_size
+from .surroundings import rows_in_model
 from .votes import gather
 
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet, method
     """Measure the boxes `found` in the `source.ground_pictures`. Raises TooLittleEvidence."""
     pictures = {picture.name: picture for picture in source.ground_pictures}
     lost = {**doubts(found), TOO_FLAT: 0}
-    parts, names, offsets, heights, places = [], [], [], [], []
+    parts, names, offsets, heights, places, alongs = [], [], [], [], [], []
     for name, boxes in found.boxes.items():
         picture = pictures.get(name)
         if picture is None or not len(boxes):
@@ -48,9 +50,11 @@ def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet, method
         offsets.append(offset[whole])
         heights.append(np.full(int(whole.sum()), picture.camera_height))
         places.append(picture.ground(boxes.centre[whole]))
+        alongs.append(picture.ground(boxes.centre[whole] + _heading(boxes[whole])) - places[-1])
     if len(names) < MIN_VEHICLES:
         raise TooLittleEvidence(f"{len(names)} boxes near the nadir, {MIN_VEHICLES} vehicles are needed")
-    boxes, place = Boxes.concatenate(parts), np.concatenate(places)
+    boxes, place, along = Boxes.concatenate(parts), np.concatenate(places), np.concatenate(alongs)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
     unit = next(iter(pictures.values())).unit_per_pixel
     camera = np.concatenate(heights)[:, None]
     offset = _along(boxes, np.concatenate(offsets))
@@ -61,16 +65,23 @@ def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet, method
         size = camera * footprint(flat / camera, offset, height / metres_per_unit / camera)
         votes = gather(size, np.full(len(boxes), unit / found.zoom), place, boxes.score, repeated=True)
         spread = geometry(size, np.abs(offset), np.full(2, HEIGHT_SD / metres_per_unit))
-        scale = method.pool(votes, fleet, found.ruler, source.unit, spread)
+        rows = rows_in_model(replace(votes, size=tight(votes, found.ruler.margin)), along, fleet.code)
+        more = [rows] if rows and method.surroundings else []
+        scale = method.pool(votes, fleet, found.ruler, source.unit, spread, more)
         metres_per_unit = scale.value
     return Measured(boxes, np.array(names), votes, scale, lost, {}, tight(votes, found.ruler.margin))
 
 
 def _along(boxes: Boxes, offset: np.ndarray) -> np.ndarray:
     """(N, 2) the vectors `offset` (N, 2), in pictures' axes, along the boxes' long sides and across."""
-    heading = np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1)
+    heading = _heading(boxes)
     across = np.stack([-heading[:, 1], heading[:, 0]], -1)
     return np.stack([(offset * heading).sum(1), (offset * across).sum(1)], -1)
+
+
+def _heading(boxes: Boxes) -> np.ndarray:
+    """(N, 2) unit vectors along the boxes' long sides, in their picture's axes."""
+    return np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1)
 
 
 def _whole(picture: GroundPicture, boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:

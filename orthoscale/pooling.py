@@ -30,7 +30,6 @@ from .votes import Votes
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
 MEDIAN_VARIANCE = 0.29  # of the median of five looks, as a share of one look's (normal distribution)
 SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
-USUAL_VIEWS = 4  # views of a typical box's vehicle from which a single view counts as a mistake
 PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
 LIKELY = 0.01  # probability below which a fleet is not reported
 
@@ -142,7 +141,7 @@ def pool(
     Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes.
     """
     size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
-    fleeting = _fleeting(votes)
+    fleeting = votes.fleeting
     measurable = (size > SMALLEST_SHARE * votes.size).all(1) & ~fleeting
     if measurable.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(f"{int(measurable.sum())} usable vehicles, {MIN_VEHICLES} are needed")
@@ -288,9 +287,3 @@ def _combine(total: np.ndarray) -> np.ndarray:
     w = np.linalg.solve(total, np.ones(2))
     w = np.clip(w / w.sum(), 0, 1)
     return w / w.sum()
-
-
-def _fleeting(votes: Votes) -> np.ndarray:
-    """(N,) bool: seen in a single frame where vehicles are usually seen in many. Mistakes flicker, parked cars stay."""
-    usual = np.median(np.repeat(votes.views, votes.views)) if len(votes) else 0
-    return (votes.views == 1) & (usual >= USUAL_VIEWS)

@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .boxes import Boxes
 from .evidence import Evidence
-from .objects import standard_object
+from .objects import known_objects, standard_object
 from .parking import parking_pitch
 from .pooling import Ruler
-from .votes import Votes
+from .projection.exact import Hull, ground_axes, ground_size
+from .projection.view import Views
+from .votes import Votes, gather
+
+if TYPE_CHECKING:
+    from .sources.colmap import ColmapSource
+
+# Relative uncertainty of a reconstruction's ground (one sigma), as a share of the camera's height: sparse points on
+# bare ground scatter by about this much on the two real scenes. Whatever is measured on the ground errs with it.
+GROUND_SD = 0.01
+FLAT = 0.01  # [m] height of what is painted on the ground
+WHOLE = 3.0  # [px] from a frame's border: nearer, a box may be cut
 
 
 def orthophoto_evidence(
@@ -27,3 +40,83 @@ def orthophoto_evidence(
     for kind, boxes in objects.items():
         found.append(standard_object(kind, boxes.xylwa[:, 2:4], np.full(len(boxes), 1 / zoom)))
     return [evidence for evidence in found if evidence is not None]
+
+
+def rows_in_model(votes: Votes, along: np.ndarray, country: str) -> Evidence | None:
+    """The pitch of parking rows on a reconstruction's ground, one place for each vehicle however often it was seen.
+
+    votes : of vehicles, `place` (N, 3) in the world, `size` without the margin. along : (M, 3) unit vectors of the
+    long sides of all boxes, in the world. Vehicles seen once where others are seen often are left out.
+    """
+    kept = ~votes.fleeting
+    members = [m for m, keep in zip(votes.members, kept, strict=True) if keep]
+    axes = np.array([_mean_axis(along[m]) for m in members]).reshape(-1, 3)
+    found = parking_pitch(votes.place[kept], axes, votes.size[kept], country)
+    return None if found is None else _on_ground(found)
+
+
+def world_axes(source: ColmapSource, names: np.ndarray, boxes: Boxes, views: Views) -> np.ndarray:
+    """(N, 3) unit vectors in the world along the long sides of boxes (N,) in the frames `names` (N,)."""
+    along, _ = ground_axes(views, np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1))
+    out = np.empty_like(along)
+    for name in np.unique(names):
+        here = names == name
+        out[here] = along[here] @ source.rotation(str(name))
+    return out
+
+
+def objects_in_model(
+    source: ColmapSource, objects: Mapping[str, Mapping[str, Boxes]], zoom: float, metres_per_unit: float
+) -> list[Evidence]:
+    """Objects of standard size in a reconstruction's frames, one vote for each object however often it was seen.
+
+    objects : boxes by frame and class. `metres_per_unit` is the scale so far, for the heights of what is not flat. Up
+    to where boxes enclose that, nobody has measured: half its height is assumed, and what the whole and none of it
+    would make of the scale is in the uncertainty.
+    """
+    found = []
+    for kind, standards in known_objects().items():
+        parts, views, places = [], [], []
+        for name, kinds in objects.items():
+            boxes = kinds.get(kind, Boxes.empty())
+            last = np.subtract(source.image_size(name), WHOLE)
+            boxes = boxes[((boxes.corners >= WHOLE) & (boxes.corners <= last)).all((1, 2))]
+            if not len(boxes):
+                continue
+            view, place, ok = source.views(name, boxes.centre)
+            parts.append(boxes[ok])
+            views.append(view[ok])
+            places.append(place[ok])
+        if not sum(map(len, parts)):
+            continue
+        boxes, view, place = Boxes.concatenate(parts), Views.concatenate(views), np.concatenate(places)
+        tall = max(s["height"][0] if "height" in s else FLAT for s in standards)
+        by_height = [_objects(kind, boxes, view, place, zoom, metres_per_unit, h) for h in (tall / 2, tall, FLAT)]
+        middle, whole, none = by_height
+        if middle is None:
+            continue
+        unsure = 0.0
+        if tall > FLAT and whole is not None and none is not None:
+            unsure = abs(float(np.log(whole.value / none.value))) / np.sqrt(12)  # one sigma of anything in between
+        found.append(_on_ground(replace(middle, relative_sd=float(np.hypot(middle.relative_sd, unsure)))))
+    return found
+
+
+def _objects(
+    kind: str, boxes: Boxes, views: Views, place: np.ndarray, zoom: float, metres_per_unit: float, height: float
+) -> Evidence | None:
+    size = ground_size(boxes, views, metres_per_unit, Hull(height=height, belt=height, roof=height, corner=0.0))
+    solved = np.isfinite(size).all(1)
+    size = np.sort(size[solved], axis=1)[:, ::-1]  # foreshortened, the longer side may be the box's shorter one
+    pixel = views.unit_per_pixel[solved] / zoom
+    votes = gather(size, pixel, place[solved], boxes.score[solved], repeated=True)
+    return standard_object(kind, votes.size, votes.pixel)
+
+
+def _on_ground(evidence: Evidence) -> Evidence:
+    return replace(evidence, relative_sd=float(np.hypot(evidence.relative_sd, GROUND_SD)))
+
+
+def _mean_axis(directions: np.ndarray) -> np.ndarray:
+    """(3,) the direction that unit vectors (K, 3) share, whichever way along it each points."""
+    return np.linalg.eigh(directions.T @ directions)[1][:, -1]

@@ -9,6 +9,7 @@ import numpy as np
 # Views whose ground points lie closer than this share of the typical width are the same vehicle. Parked side by side,
 # vehicles stand 1.35 widths apart or more (stalls of 2.4 m and up), so chains do not form.
 SAME_PLACE = 0.6
+USUAL_VIEWS = 4  # views of a typical box's vehicle from which a single view counts as a mistake
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,12 @@ class Votes:
 
     def __len__(self) -> int:
         return len(self.size)
+
+    @property
+    def fleeting(self) -> np.ndarray:
+        """(N,) bool: seen in one frame where vehicles are usually seen in many. Mistakes flicker, parked cars stay."""
+        usual = np.median(np.repeat(self.views, self.views)) if len(self) else 0
+        return (self.views == 1) & (usual >= USUAL_VIEWS)
 
 
 def gather(

@@ -17,7 +17,7 @@ def test_what_is_saved_reads_back(tmp_path):
     Detections(boxes, 0.8, ruler, (0.7, 0.5), "test", "abc").save(tmp_path / "d.json")
     again = Detections.load(tmp_path / "d.json")
     assert again.boxes["a.jpg"].xylwa == pytest.approx(boxes["a.jpg"].xylwa, abs=0.01)
-    assert len(again) == 1 and len(again.boxes["b.jpg"]) == 0
+    assert len(again) == 1 and len(again.boxes["b.jpg"]) == 0 and again.body == "car"
     assert (again.zoom, again.ruler, again.effective_height, again.detector) == (0.8, ruler, (0.7, 0.5), "test")
 
 
@@ -41,6 +41,7 @@ def test_plain_boxes_of_others_get_a_careful_ruler(tmp_path):
         '{"a.jpg": [{"cx": NaN, "cy": 1, "length": 4, "width": 2, "angle": 0}]}',
         '{"pictures": {"a.jpg": []}, "zoom": "wide"}',
         '{"pictures": {}, "zoom": 1, "ruler": {"margins": [0, 0]}}',
+        '{"pictures": {}, "zoom": 1, "effective_height": [1, 1], "detector_sha256": "", "body": "boat"}',
     ],
 )
 def test_a_file_that_is_none_is_refused_by_name(tmp_path, content):

@@ -1,12 +1,20 @@
 """The exact projection against boxes made from hulls of known size, seen by cameras of known pose."""
 
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+import projection_bias  # noqa: E402
+from simulate import DENSEUAV, cuboid  # noqa: E402
+from simulate import fly as flown  # noqa: E402
+
 from orthoscale.boxes import Boxes
-from orthoscale.projection.exact import Hull, ground_size
+from orthoscale.projection.exact import BEND, BODIES, Hull, ground_size
 from orthoscale.projection.planar import footprint
 from orthoscale.projection.view import Views
 
@@ -86,6 +94,35 @@ def test_another_body_than_the_one_assumed_costs_little_near_nadir(pitch, worst)
     boxes, views, size = flight(300, pitch, np.random.default_rng(2), hull=taller, altitude=90)
     error = np.log(ground_size(boxes, views, 0.07, Hull(height=1.5)) * 0.07 / size)
     assert np.abs(np.nanmean(error, 0)).max() < worst
+
+
+BODY = {
+    "a hatchback's mesh up to 0.8 m": (projection_bias.car_mesh("hatch", 0.8), "car", 0.015),
+    "the whole of it": (projection_bias.car_mesh("hatch"), "car", 0.02),
+    "a sharp block, told": (projection_bias.Body.of("", cuboid(1.6)), "cuboid", 0.003),
+}
+
+
+@pytest.mark.parametrize("name", BODY)
+def test_the_views_of_another_body_tell_a_ruler_that_suits_it(name):
+    body, told, worst = BODY[name]
+    seen = [flown(np.random.default_rng(-p), 60, DENSEUAV, p, body) for p in projection_bias.PITCHES]
+    ruler = projection_bias.found_ruler(seen, told)
+    unit = projection_bias.UNIT
+    for s in seen:
+        error = np.log(body.size / (unit * ruler.size(s.boxes, s.views(unit=unit), 1.0, unit)))
+        assert abs(np.nanmean(error)) < worst, s.pitch
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_walls_lean_from_the_bumpers_up_and_never_outwards(body):
+    def widths(side_lean):
+        plan, heights = Hull(**{**vars(BODIES[body]), "height": 1.6, "side_lean": side_lean}).outline()
+        return {float(h): 2 * plan[heights == h, 1].max() for h in np.unique(heights)}
+
+    tapered, upright = widths(0.05), widths(BODIES[body].least_lean[1] - 5.0)
+    assert tapered[0.0] == tapered[BEND] == 1.0 and tapered[1.6] <= 1 - 2 * 0.05 * (1.6 - BEND) + 1e-9
+    assert set(upright.values()) == {1.0}
 
 
 def test_a_wrong_guess_of_the_scale_hardly_matters():

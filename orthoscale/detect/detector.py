@@ -17,6 +17,7 @@ from ..boxes import Boxes
 from ..detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
 from ..errors import InputError
 from ..pooling import Ruler
+from ..projection.exact import BODIES
 from .layout import Layout, Normalisation, Shape, recognise
 
 SHIPPED = "small_vehicle.onnx"
@@ -38,6 +39,7 @@ class Card:
     score : the confidence above which a box counts.
     effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
     stride : height and width of its input must be multiples of this [px].
+    body : what the vehicles that it finds are shaped like, one of `projection.exact.BODIES`.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Card:
     training: str = ""
     licence: str = ""
     stride: int = 32
+    body: str = "car"
     normalisation: Normalisation = Normalisation()
     extra: dict = field(default_factory=dict)
 
@@ -62,6 +65,8 @@ class Card:
             values[name] = (float(low), float(high))
         if "normalisation" in values:
             values["normalisation"] = Normalisation.from_json(values["normalisation"])
+        if values.get("body", "car") not in BODIES:
+            raise ValueError(f"body {values['body']!r} is none of {', '.join(BODIES)}")
         return cls(**values)
 
     @classmethod

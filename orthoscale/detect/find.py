@@ -86,7 +86,15 @@ def find_vehicles(
 
     def detections(found: Found) -> Detections:
         ruler = (card.ruler, card.effective_height, card.name, detector.sha256)
-        return Detections(found.boxes, zoom, *ruler, doubtful=found.doubtful, objects=found.objects, swept=found.swept)
+        return Detections(
+            found.boxes,
+            zoom,
+            *ruler,
+            doubtful=found.doubtful,
+            objects=found.objects,
+            swept=found.swept,
+            body=card.body,
+        )
 
     jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
     anytime = sampling is not None and not effort.exhaustive

@@ -10,7 +10,7 @@ measuring again: nothing is linear but the step, and steps are repeated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,15 +21,24 @@ from .view import Views
 
 MIN_VIEWS = 3  # views of one vehicle from which its own mean is taken off
 MIN_RESIDUALS = 20  # observations below which nothing is fitted
-STEPS = 10
-HEIGHT, MARGIN, UNDERCUT = 0, 1, 2  # columns of `OwnRuler.value`
-STEP = (0.05, 0.25, 0.05)  # of the differences that give the slopes [m], [detector px], [m]
-SETTLED = 0.01  # change of height [m], margin [px] and undercut [m] at which the steps end
+STEPS = 16
+STRIDE = (0.3, 3.0, 0.08, 0.08, 0.3)  # of one step, at most: far from the answer the slopes are another body's
+HEIGHT, MARGIN, LEAN, CORNER, UNDERCUT = range(5)
+SHAPES = 3  # parameters of another shape: the lean of ends, the lean of sides, the corner
+UNDERCUTS = 2  # of ends and of sides
+DIFFERENCES = (0.05, 0.25, 0.05, 0.05, 0.05)  # that give the slopes: [m], [detector px], [1/m], share of the width, [m]
+SETTLED, SAME_SLOPES = 0.03, 0.3  # shares of STRIDE at which the steps end, and slopes are not measured again
+HIGHEST = 2.2  # of the effective height [m]: the roof of a van
+# How far vehicles' shapes stray from the hull's, one sigma, held against what views tell: their lean by lengths and
+# widths (`Hull.end_lean`, `Hull.side_lean`), and the corner. Roofs of saloons begin 0.44 and end 0.28 of the length
+# from the bumpers, those of vans 0.16 and 0.01; sides lean in by 0.14 of the width up to a saloon's roof, 0.05 a van's.
+LEAN_SD = (0.1, 0.08)
+CORNER_SD = 0.07
+LOWEST, LARGEST = (0.0, -np.inf, -1.0, 0.0, 0.0), (HIGHEST, np.inf, 1.0, 0.3, 1.0)
 FLAT = 0.01  # [m] height of an outline without a body
-HIGHEST = 1.6  # of the effective height [m]: the roof of a car
 # A card knows no undercut: its effective height is that of a body with upright sides, which grows as much in a view of
-# USUAL_LEAN (cotangent of the elevation, along the side in question). UNDERCUT_SD is the prior's one sigma.
-UNDERCUT_SD, MOST_UNDERCUT = 0.3, 1.0  # [m]
+# USUAL_LEAN (cotangent of the elevation, along the side in question). UNDERCUT_SD is the prior's one sigma [m].
+UNDERCUT_SD = 0.3
 USUAL_LEAN = 0.7
 # How much distances to one vehicle must differ, one sigma, beyond what its elevation angles explain, before its views
 # tell a margin. At one altitude, distance and elevation are one thing, and a margin would take up whatever else makes
@@ -40,29 +49,38 @@ HUBER = 1.5  # residuals beyond so many sigmas count less (Huber 1964)
 
 @dataclass(frozen=True)
 class OwnRuler:
-    """For lengths and widths apart: height [m], margin [detector px], and undercut [m].
+    """For lengths and widths apart: height [m], margin [detector px], lean [1/m], corner [share of the width] and
+    undercut [m].
 
     A vehicle is widest above the ground; below, it recedes into its own shade. Seen from steeply above, its outline is
     that of the waist on all sides, and it looks no larger than it is. Seen more flatly, the near side shows what lies
     under the waist, `undercut` further in, and only then does height make a box larger. A straight line through the
     flat views alone, as a body with upright sides gives it, takes too much off all: on `sheffield` 11 % of the widths.
 
-    value : (2, 3) by axis, in this order. covariance : (2, 3, 3) of these, by axis.
+    value : (2, 5) by axis, in that order. covariance : (2, 5, 5) of these, by axis.
     views : how many boxes told something about them, 0 where they are the detector's.
+    body : the hull that height, lean and corner are those of.
     """
 
     value: np.ndarray
     covariance: np.ndarray
     views: int = 0
+    body: Hull = Hull()
 
     @classmethod
     def shipped(
-        cls, height: Sequence[float], margin: Sequence[float], height_sd: Sequence[float], margin_sd: Sequence[float]
+        cls,
+        height: Sequence[float],
+        margin: Sequence[float],
+        height_sd: Sequence[float],
+        margin_sd: Sequence[float],
+        body: Hull | None = None,
     ) -> OwnRuler:
         """What the detector's card says, (2,) each, by lengths and by widths; it knows no undercut."""
-        covariance = [np.diag([float(h) ** 2, float(m) ** 2, 0.0]) for h, m in zip(height_sd, margin_sd, strict=True)]
-        value = np.stack([np.asarray(height, float), np.asarray(margin, float), np.zeros(2)], 1)
-        return cls(value, np.array(covariance))
+        body = body or Hull()
+        value = [[h, m, 0.0, body.corner, 0.0] for h, m in zip(height, margin, strict=True)]
+        sd = [[h, m, lean, CORNER_SD, 0.0] for h, m, lean in zip(height_sd, margin_sd, LEAN_SD, strict=True)]
+        return cls(np.array(value, float), np.array([np.diag(np.square(one)) for one in sd]), body=body)
 
     @property
     def height(self) -> np.ndarray:
@@ -81,8 +99,17 @@ class OwnRuler:
 
     @property
     def sd(self) -> np.ndarray:
-        """(2, 3) one-sigmas, as `value`."""
+        """(2, 5) one-sigmas, as `value`."""
         return np.sqrt(np.einsum("kii->ki", self.covariance))
+
+    @property
+    def hulls(self) -> tuple[Hull, Hull]:
+        """The bodies by which lengths and widths are measured."""
+        along, across = (
+            replace(self.body, height=height, end_lean=lean, side_lean=lean, corner=corner)
+            for height, _, lean, corner, _ in self.value.tolist()
+        )
+        return along, across
 
     def size(self, boxes: Boxes, views: Views, zoom: float, metres_per_unit: float) -> np.ndarray:
         """(N, 2) length and width on the ground [units], the margin taken off; NaN where no vehicle gives the box.
@@ -95,32 +122,33 @@ class OwnRuler:
         swapped = xylwa[:, 2] < xylwa[:, 3]  # `Boxes` would call the shorter side the width
         xylwa[swapped, 2:4] = boxes.xylwa[swapped, 2:4]
         tight = Boxes(xylwa, boxes.score)
-        hulls = [Hull(height=float(height)) for height in self.height]
-        upright = np.stack([ground_size(tight, views, metres_per_unit, hull)[:, k] for k, hull in enumerate(hulls)], 1)
-        above = -(views.ground * views.normal).sum(1, keepdims=True)  # (N, 1) the camera over the ground
-        nearer = 1 - self.height / metres_per_unit / above  # a waist at that height is so much closer than the ground
-        waist = ground_size(tight, views, metres_per_unit, Hull(height=FLAT)) * nearer
-        size = np.minimum(upright + self.undercut / metres_per_unit, np.maximum(waist, upright))
+        sides = [ground_size(tight, views, metres_per_unit, hull)[:, k] for k, hull in enumerate(self.hulls)]
+        size = np.stack(sides, 1)
+        if self.undercut.any():
+            above = -(views.ground * views.normal).sum(1, keepdims=True)  # (N, 1) the camera over the ground
+            nearer = (
+                1 - self.height / metres_per_unit / above
+            )  # a waist at that height is so much closer than the ground
+            waist = ground_size(tight, views, metres_per_unit, replace(self.body, height=FLAT)) * nearer
+            size = np.minimum(size + self.undercut / metres_per_unit, np.maximum(waist, size))
         size[swapped] = np.nan
         return size
 
     def slopes(self, boxes: Boxes, views: Views, zoom: float, metres_per_unit: float) -> np.ndarray:
-        """(N, 2 axes, 3) how much smaller the size is for one more of each part of the ruler [units]."""
-        out = np.empty((len(boxes), 2, len(STEP)))
-        for k, step in enumerate(STEP):
-            change = np.zeros((2, len(STEP)))
-            change[:, k] = step
-            more, less = (OwnRuler(self.value + sign * change, self.covariance) for sign in (1, -1))
-            apart = less.size(boxes, views, zoom, metres_per_unit) - more.size(boxes, views, zoom, metres_per_unit)
-            out[:, :, k] = apart / (2 * step)
+        """(N, 2 axes, 5) how much smaller the size is for one more of each of `value` [units]."""
+        out = np.empty((len(boxes), 2, len(DIFFERENCES)))
+        here = self.size(boxes, views, zoom, metres_per_unit)
+        for k, step in enumerate(DIFFERENCES):
+            more = replace(self, value=self.value + step * np.eye(len(DIFFERENCES))[k])
+            out[:, :, k] = (here - more.size(boxes, views, zoom, metres_per_unit)) / step
         return out
 
     def relative_sd(self, size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """(2 axes, 3) one-sigmas of all sizes, relative, from what is not known of each part of the ruler.
+        """(2 axes, 5) one-sigmas of all sizes, relative, from what is not known of each of `value`.
 
-        They are found together and may err against each other: their squares add up to what all leave together.
+        These are found together and may err against each other: their squares add up to what they leave together.
         """
-        share = np.nanmedian(slopes / size[..., None], axis=0)  # (2 axes, 3)
+        share = np.nanmedian(slopes / size[..., None], axis=0)  # (2 axes, 5)
         together = np.einsum("ki,kij,kj->k", share, self.covariance, share)
         alone = (share * self.sd) ** 2
         return np.sqrt(alone * (together / np.maximum(alone.sum(1), 1e-30))[:, None])
@@ -135,7 +163,7 @@ class OwnRuler:
                     "fitted": self.value[:, k].tolist(),
                     "sd": self.sd[:, k].tolist(),
                 }
-                for k, name in enumerate(("effective_height", "margin_px", "undercut"))
+                for k, name in enumerate(("effective_height", "margin_px", "lean_per_m", "corner", "undercut"))
             },
         }
 
@@ -160,42 +188,93 @@ def own_ruler(
     index = np.concatenate(often)
     vehicle = np.repeat(np.arange(len(often)), [len(m) for m in often])
     some, seen = boxes[index], views[index]
-    free = [HEIGHT, UNDERCUT] + ([MARGIN] if _far_and_near(seen, vehicle) else [])
-    prior = _with_undercut(shipped.covariance)
-    ruler = start or shipped
-    if not ruler.undercut.all():  # from none, boxes would not feel a little more or less of it
-        value = ruler.value.copy()
-        value[:, UNDERCUT] += UNDERCUT_SD
-        value[:, HEIGHT] += UNDERCUT_SD / USUAL_LEAN
-        ruler = OwnRuler(value, shipped.covariance)
+    common = [HEIGHT, MARGIN] if _far_and_near(seen, vehicle) else [HEIGHT]
+
+    def settled(ruler: OwnRuler, free: Sequence[list[int]], card: OwnRuler = shipped) -> OwnRuler:
+        return _settled(ruler, some, seen, zoom, metres_per_unit, vehicle, card, free)
+
+    plain = settled(start or shipped, (common, common))
+    # Corners show where the ground is foreshortened athwart: in lengths.
+    shaped = settled(plain, ([*common, LEAN, CORNER], [*common, LEAN]))
+    # From no undercut, boxes would not feel a little more or less of it.
+    direction = np.zeros(len(DIFFERENCES))
+    direction[[HEIGHT, UNDERCUT]] = UNDERCUT_SD / USUAL_LEAN, UNDERCUT_SD
+    loose = replace(shipped, covariance=shipped.covariance + np.outer(direction, direction))
+    receding = settled(replace(plain, value=plain.value + direction), ([*common, UNDERCUT], [*common, UNDERCUT]), loose)
+    # Another body only where the views ask for it: the Bayesian information criterion (Schwarz 1978).
+    before, *after = (r.size(some, seen, zoom, metres_per_unit) for r in (plain, shaped, receding))
+    gain = [
+        _gain(before, size, vehicle) - n * np.log(len(some)) for size, n in zip(after, (SHAPES, UNDERCUTS), strict=True)
+    ]
+    best = int(np.argmax(gain))
+    return (shaped, receding)[best] if gain[best] > 0 else plain
+
+
+def _settled(
+    ruler: OwnRuler,
+    boxes: Boxes,
+    views: Views,
+    zoom: float,
+    metres_per_unit: float,
+    vehicle: np.ndarray,
+    shipped: OwnRuler,
+    free: Sequence[list[int]],
+) -> OwnRuler:
+    """From `ruler`, that for which each `vehicle` (N,) has one size; by axis, what is not `free` is as shipped."""
+    change, slopes = np.inf, np.empty(0)
     for _ in range(STEPS):
-        size = ruler.size(some, seen, zoom, metres_per_unit)
-        slopes = ruler.slopes(some, seen, zoom, metres_per_unit)
+        size = ruler.size(boxes, views, zoom, metres_per_unit)
+        if change > SAME_SLOPES:
+            slopes = ruler.slopes(boxes, views, zoom, metres_per_unit)
         good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
         value, covariance = shipped.value.copy(), shipped.covariance.copy()
         for axis in range(2):
-            x = slopes[good, axis][:, free]
-            y = size[good, axis] + x @ ruler.value[axis, free]
-            chosen = np.ix_(free, free)
-            value[axis, free], covariance[axis][chosen] = _within(
-                x, y, vehicle[good], shipped.value[axis, free], prior[axis][chosen]
-            )
-        value[:, HEIGHT] = np.clip(value[:, HEIGHT], 0.0, HIGHEST)
-        value[:, UNDERCUT] = np.clip(value[:, UNDERCUT], 0.0, MOST_UNDERCUT)
-        change = np.abs(value - ruler.value).max()
-        # Half the way: which views feel the undercut depends on it, and whole steps would go to and fro.
-        ruler = OwnRuler((ruler.value + value) / 2, covariance, int(good.sum()))
+            least = ruler.hulls[axis].least_lean[axis]
+            for fitted in (free[axis], [k for k in free[axis] if k != LEAN]):
+                x = slopes[good, axis][:, fitted]
+                y = size[good, axis] + x @ ruler.value[axis, fitted]
+                chosen = np.ix_(fitted, fitted)
+                covariance[axis] = shipped.covariance[axis]
+                value[axis, fitted], covariance[axis][chosen] = _within(
+                    x, y, vehicle[good], shipped.value[axis, fitted], shipped.covariance[axis][chosen]
+                )
+                if value[axis, LEAN] >= least:
+                    break
+                value[axis, LEAN] = least  # walls do not lean outwards: the others without it
+        value[1, CORNER] = value[0, CORNER]
+        value = ruler.value + np.clip(value - ruler.value, -np.array(STRIDE), STRIDE)
+        value = np.clip(value, LOWEST, LARGEST)
+        change = (np.abs(value - ruler.value) / STRIDE).max()
+        if UNDERCUT in free[0]:  # which views feel it depends on it: whole steps would go to and fro
+            value = (ruler.value + value) / 2
+        ruler = replace(shipped, value=value, covariance=covariance, views=int(good.sum()))
         if change < SETTLED:
             break
     return ruler
 
 
-def _with_undercut(covariance: np.ndarray) -> np.ndarray:
-    """`covariance` (2, 3, 3) of a card, with an undercut that leaves what boxes grow by in views of USUAL_LEAN."""
-    direction = np.zeros((2, 3))
-    direction[:, UNDERCUT] = UNDERCUT_SD
-    direction[:, HEIGHT] = UNDERCUT_SD / USUAL_LEAN
-    return covariance + direction[:, :, None] * direction[:, None]
+def _gain(plain: np.ndarray, shaped: np.ndarray, vehicle: np.ndarray) -> float:
+    """By how much `shaped` sizes (N, 2) of each `vehicle` (N,) agree better than `plain` ones: twice the difference
+    of their Huber losses, in the noise that the shaped ones leave.
+
+    The less of two: as shares of their own sizes, and of the plain ones. A body that makes vehicles larger makes their
+    noise a smaller share of them, one that makes them smaller makes it smaller itself; neither is an agreement.
+    """
+    good = np.isfinite(plain).all(1) & np.isfinite(shaped).all(1)
+    plain, shaped, vehicle = plain[good], shaped[good], vehicle[good]
+    count = np.maximum(np.bincount(vehicle), 1)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(vehicle, column) / count for column in values.T], 1)[vehicle]
+
+    typical = np.exp(mean(np.log(plain)))
+    gains = []
+    for before, after in ((np.log(plain), np.log(shaped)), (plain / typical, shaped / typical)):
+        old, new = (np.abs(values - mean(values)) for values in (before, after))
+        noise = np.maximum(1.4826 * np.median(new, axis=0), 1e-9)
+        loss = [np.where(r < HUBER, r**2, HUBER * (2 * r - HUBER)).sum() for r in (old / noise, new / noise)]
+        gains.append(float(loss[0] - loss[1]))
+    return min(gains)
 
 
 def trends(

@@ -1,0 +1,139 @@
+"""Parking rows and objects of standard size in the frames of a model, whose metres are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_colmap import make_model, put_frames, save
+from test_looks import enclosing
+
+from orthoscale.agreement import compare, together
+from orthoscale.boxes import Boxes
+from orthoscale.detections import Detections
+from orthoscale.fleet import Fleet
+from orthoscale.looks import measure_model
+from orthoscale.method import Method
+from orthoscale.pooling import Ruler
+from orthoscale.projection.exact import Hull
+from orthoscale.sources.colmap import ColmapSource
+from orthoscale.surroundings import objects_in_model
+
+UNIT, STALL = 5.0, 2.5  # [m]
+HEIGHT = 0.5  # of the vehicles' boxes [m]
+COURT, CONTAINER = (23.77, 10.97, 0.01), (12.192, 2.438, 2.591)
+
+
+def block(size, place, heading):
+    """(8, 3) corners of a block [units], and (2, 3) two points along it, on the plane z = 0."""
+    axes = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
+    flat = np.array([[x, y] for x in (-0.5, 0.5) for y in (-0.5, 0.5)]) * size[:2] @ axes / UNIT + place
+    body = np.concatenate([np.pad(flat, ((0, 0), (0, 1)), constant_values=z) for z in (0, size[2] / UNIT)])
+    return body, np.pad(place + np.array([[-0.05], [0.05]]) * axes[0], ((0, 0), (0, 1)))
+
+
+def car(size, place, heading):
+    """The same of a vehicle of `size` (2,) [m]."""
+    plan, heights = Hull(height=HEIGHT).outline()
+    axes = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
+    body = np.column_stack([plan * size @ axes / UNIT + place, heights / UNIT])
+    return body, np.pad(place + np.array([[-0.05], [0.05]]) * axes[0], ((0, 0), (0, 1)))
+
+
+def car_park(stall=STALL):
+    """36 vehicles in three rows, each within 0.1 m of its stall's middle."""
+    rng = np.random.default_rng(0)
+    sizes = Fleet.load("DE").sample(rng, 36)[:, :2]
+    slots = np.array([[stall * (k % 12 - 6), 11.0 * (k // 12 - 1)] for k in range(36)])
+    slots = (slots + rng.normal(0, 0.1, slots.shape)) / UNIT
+    return [car(s, p, np.pi / 2 + rng.normal(0, 0.02)) for s, p in zip(sizes, slots, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """A model's source, and how its world is turned."""
+    folder = tmp_path_factory.mktemp("flight")
+    built, turn = make_model()
+    save(built, folder / "sparse" / "0", "bin")
+    put_frames(built, folder / "images")
+    return ColmapSource.open(folder), turn
+
+
+def boxes_of(model, bodies, noise=0.3):
+    """Boxes by frame of those bodies that it shows whole."""
+    source, turn = model
+    rng, out = np.random.default_rng(1), {}
+    for name in source.picture_names:
+        width, height = source.image_size(name)
+        rows = []
+        for body, ends in bodies:
+            points, heading = source.project(name, body @ turn.T), source.project(name, ends @ turn.T)
+            if np.isfinite(points).all() and (points > 6).all() and (points < (width - 6, height - 6)).all():
+                rows.append(enclosing(points, heading[1] - heading[0], rng.normal(0, noise, 2)))
+        out[name] = Boxes(np.array(rows).reshape(-1, 5), np.full(len(rows), 0.9))
+    return out
+
+
+def found_in(model, stall=STALL):
+    ruler = Ruler(margin=(0.0, 0.0), margin_sd=(0.5, 0.5), noise=(0.3, 0.3))
+    return Detections(boxes_of(model, car_park(stall)), 1.0, ruler, (HEIGHT, HEIGHT), "perfect")
+
+
+def test_rows_seen_in_many_frames_are_one_measurement(model):
+    scale = measure_model(model[0], found_in(model), Fleet.load("DE")).scale
+    (pitch,) = scale.evidence
+    assert pitch.kind == "parking pitch" and pitch.value == pytest.approx(UNIT, rel=0.02)
+    assert 0.05 < pitch.relative_sd < 0.09, "as sure as the standard, however many frames there are"
+    assert "36 vehicles" in pitch.says and scale.parts["parking pitch"] > 0 and scale.conflict == 0
+    low, high = scale.interval90
+    assert low < UNIT < high
+    without = measure_model(model[0], found_in(model), Fleet.load("DE"), Method(surroundings=False)).scale
+    assert not without.evidence and without.relative_sd > scale.relative_sd
+
+
+@pytest.mark.parametrize(("kind", "size"), [("tennis-court", COURT), ("container", CONTAINER)])
+def test_an_object_seen_in_many_frames_is_one_measurement(model, kind, size):
+    places = [(-3.0, 1.0, 0.3), (2.0, -4.0, 1.4)]
+    bodies = [block(size, np.array([x, y]), heading) for x, y, heading in places]
+    frames = {name: {kind: boxes} for name, boxes in boxes_of(model, bodies).items()}
+    assert sum(len(kinds[kind]) for kinds in frames.values()) > 5
+    (found,) = objects_in_model(model[0], frames, 1.0, UNIT)
+    assert found.kind == kind and "2 boxes" in found.says
+    assert abs(np.log(found.value / UNIT)) < (0.01 if kind == "tennis-court" else 1.5 * found.relative_sd)
+    assert found.relative_sd < (0.02 if kind == "tennis-court" else 0.12)
+
+
+def test_an_object_cut_by_the_frame_or_of_another_shape_says_nothing(model):
+    name = model[0].picture_names[0]
+    width, height = model[0].image_size(name)
+    cut = Boxes(np.array([[60.0, height / 2, 130, 60, 0.0]]), np.ones(1))
+    square = Boxes(np.array([[width / 2, height / 2, 100, 99, 0.0]]), np.ones(1))
+    assert objects_in_model(model[0], {name: {"tennis-court": cut}}, 1.0, UNIT) == []
+    assert objects_in_model(model[0], {name: {"tennis-court": square}}, 1.0, UNIT) == []
+
+
+def test_a_court_that_contradicts_the_vehicles_is_a_conflict(model):
+    wrong = [block((1.5 * COURT[0], 1.5 * COURT[1], 0.01), np.array([-1.0, 5.5]), 0.0)]
+    objects = {name: {"tennis-court": boxes} for name, boxes in boxes_of(model, wrong).items()}
+    scale = measure_model(model[0], replace(found_in(model), objects=objects), Fleet.load("DE")).scale
+    assert scale.conflict > 3 and scale.verdict == "refuse"
+    assert any("conflict" in remark and "tennis-court" in remark for remark in scale.remarks)
+    low, high = scale.interval90
+    assert low < UNIT / 1.5 and high > UNIT
+    other = measure_model(model[0], found_in(model), Fleet.load("DE")).scale
+    for pair in ((scale, other), (other, scale)):
+        both = together(compare(dict(zip(("oblique", "planar"), pair, strict=True))))
+        assert both.interval90 == scale.interval90 and both.verdict == "refuse", "a conflict is never averaged away"
+
+
+def test_looks_of_which_one_sees_rows_are_pooled(model):
+    found = found_in(model)
+    seen, unseen = (
+        measure_model(model[0], found, Fleet.load("DE"), Method(surroundings=s)).scale for s in (True, False)
+    )
+    for pair in ((seen, unseen), (unseen, seen)):
+        both = together(compare(dict(zip(("oblique", "planar"), pair, strict=True))))
+        assert 0 < both.parts["parking pitch"] < seen.parts["parking pitch"] and len(both.evidence) == 1
+        low, high = both.interval90
+        assert low < UNIT < high
