@@ -80,7 +80,7 @@ def objects_in_model(
         for name, kinds in objects.items():
             boxes = kinds.get(kind, Boxes.empty())
             last = np.subtract(source.image_size(name), WHOLE)
-            boxes = boxes[((boxes.corners >= WHOLE) & (boxes.corners <= last)).all((1, 2))]
+            boxes = boxes[np.flatnonzero(((boxes.corners >= WHOLE) & (boxes.corners <= last)).all((1, 2)))]
             if not len(boxes):
                 continue
             view, place, ok = source.views(name, boxes.centre)
