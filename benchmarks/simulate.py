@@ -131,8 +131,9 @@ def car_park(
     """Votes of `n` boxes in an orthophoto of `gsd` [m/px].
 
     What is not known is drawn anew in each scene, as wide as `fleet` and `ruler` claim: the place's mean sizes, the
-    margin, the labels' bias. `vans`, a share of the vehicles, are not of the fleet; `false`, a share of the boxes, are
-    not vehicles. Scores are high for vehicles and low for false boxes, with much overlap.
+    margin, the labels' bias, how strongly sizes are drawn to the usual. `vans`, a share of the vehicles, are not of the
+    fleet; `false`, a share of the boxes, are not vehicles. Scores are high for vehicles and low for false boxes, with
+    much overlap.
     """
     unknown = np.hypot(fleet.mean_sd[:2] / fleet.mean[:2], LOCAL_SD)
     stray = np.sqrt(MEAN_CORRELATION) * rng.standard_normal() + np.sqrt(1 - MEAN_CORRELATION) * rng.standard_normal(2)
@@ -140,7 +141,9 @@ def car_park(
     van = rng.random(n) < vans
     size[van] = rng.normal([5.9, 2.05], [0.35, 0.06], (int(van.sum()), 2))
     bias, margin = rng.normal(0, ruler.bias_sd), rng.normal(ruler.margin, ruler.margin_sd)
-    px = size / gsd * np.exp(bias) + margin + rng.normal(0, ruler.noise, (n, 2))
+    shrink = np.asarray(ruler.shrink) + np.asarray(ruler.shrink_sd) * rng.standard_normal()
+    drawn = size * (np.asarray(ruler.usual) / size) ** shrink
+    px = drawn / gsd * np.exp(bias) + margin + rng.normal(0, ruler.noise, (n, 2))
     wrong = rng.random(n) < false
     length = rng.uniform(1.0, 7.0, int(wrong.sum())) / gsd
     px[wrong] = np.stack([length, length * rng.uniform(0.25, 1.0, len(length))], -1)

@@ -8,13 +8,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .errors import InputError, UsageError
+from .segments import AXES, Class, classes_of, told_apart
 
 # Correlation between the errors of a fleet's mean length and mean width: a country whose cars are longer than thought
 # has wider ones too. Between the means of the table's 29 national fleets it is 0.92; taken a little lower, because each
@@ -37,27 +38,6 @@ NO_COUNTRY = (WORLD, "PAPER", "EU", "US_cars", "US_pickup")
 
 
 @dataclass(frozen=True)
-class Class:
-    """One part of a fleet, normal in (length, width, height): `weight` is its share of the vehicles."""
-
-    name: str
-    weight: float
-    mean: np.ndarray  # (3,) length, width, height [m]
-    sd: np.ndarray  # (3,) between vehicles [m]
-    corr_lw: float  # correlation of length and width
-
-    @property
-    def log_mean(self) -> np.ndarray:
-        """(2,) mean of log length and log width, to second order in the relative spread."""
-        return np.log(self.mean[:2]) - 0.5 * (self.sd[:2] / self.mean[:2]) ** 2
-
-    @property
-    def log_covariance(self) -> np.ndarray:
-        """(2, 2) covariance of log length and log width, to first order."""
-        return _covariance(self.sd[:2] / self.mean[:2], self.corr_lw)
-
-
-@dataclass(frozen=True)
 class Fleet:
     """The vehicles of one country or region.
 
@@ -73,6 +53,7 @@ class Fleet:
     classes: tuple[Class, ...]
     year: int
     source: str
+    shares_source: str = ""  # where the classes' shares come from
     candidates: tuple[Fleet, ...] = ()  # fleets of which one stands here, not known which
     prior: tuple[float, ...] = ()  # probability of each candidate
 
@@ -111,17 +92,22 @@ class Fleet:
 
     @classmethod
     def from_entry(cls, code: str, entry: Mapping[str, Any]) -> Fleet:
-        mean, sd = np.array([entry[axis] for axis in ("length", "width", "height")], float).T
-        parts = entry.get("mixture") or [{"class": "all", "weight": 1.0, **entry}]
-        classes = []
-        for part in parts:
-            part_mean, part_sd = np.array([part[axis] for axis in ("length", "width", "height")], float).T
-            corr = float(part.get("corr_LW", 0.3 if len(parts) > 1 else 0.8))
-            classes.append(Class(part["class"], float(part["weight"]), part_mean, part_sd, corr))
+        mean, sd = np.array([entry[axis] for axis in AXES], float).T
         mean_sd = np.array(entry["mean_sd"], float)
         if mean_sd.shape != (3,) or not (mean > 0).all() or not (sd > 0).all() or not (mean_sd > 0).all():
             raise ValueError("sizes, spreads and mean_sd must be positive, for length, width and height")
-        return cls(code, entry["name"], mean, sd, mean_sd, tuple(classes), int(entry.get("year", 0)), entry["source"])
+        if "shares" in entry:
+            classes = classes_of(entry["shares"], _document()["segments"], mean, mean_sd)
+        else:
+            parts = entry.get("mixture") or [{"class": "all", "weight": 1.0, **entry}]
+            classes = tuple(_class(part, mean_sd / mean, 0.3 if len(parts) > 1 else 0.8) for part in parts)
+        source, shares = entry["source"], entry.get("shares_source", "")
+        return cls(code, entry["name"], mean, sd, mean_sd, classes, int(entry.get("year", 0)), source, shares)
+
+    @cached_property
+    def told_apart(self) -> tuple[Class, ...]:
+        """The classes as far as boxes show which is which, for the pooling."""
+        return told_apart(self.classes)
 
     @property
     def log_mean(self) -> np.ndarray:
@@ -155,9 +141,21 @@ def _country(code: str) -> bool:
     return code not in NO_COUNTRY and not code.endswith("_new")
 
 
-@cache
+def _class(part: Mapping[str, Any], mean_sd: np.ndarray, corr_lw: float) -> Class:
+    """One entry of a mixture; its mean is as well known as the fleet's, relatively: `mean_sd` (3,)."""
+    mean, sd = np.array([part[axis] for axis in AXES], float).T
+    return Class(
+        part["class"], float(part.get("weight", 1.0)), mean, sd, float(part.get("corr_LW", corr_lw)), mean_sd * mean
+    )
+
+
 def _table() -> dict[str, Any]:
-    return json.loads((Path(__file__).parent / "data" / "fleets.json").read_text(encoding="utf-8"))["fleets"]
+    return _document()["fleets"]
+
+
+@cache
+def _document() -> dict[str, Any]:
+    return json.loads((Path(__file__).parent / "data" / "fleets.json").read_text(encoding="utf-8"))
 
 
 def _covariance(sd: np.ndarray, correlation: float) -> np.ndarray:

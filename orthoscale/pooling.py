@@ -22,7 +22,7 @@ import numpy as np
 from .errors import TooLittleEvidence
 from .evidence import Evidence, combined
 from .fleet import Fleet
-from .mixture import Fits, fit
+from .mixture import Drawing, Fits, fit
 from .posterior import Posterior
 from .verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
 from .votes import Votes
@@ -32,6 +32,7 @@ MEDIAN_VARIANCE = 0.29  # of the median of five looks, as a share of one look's 
 SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
 PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
 LIKELY = 0.01  # probability below which a fleet is not reported
+ENOUGH = 300  # votes by which candidate fleets are compared; their shapes count for 50 at most (`mixture`)
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,10 @@ class Ruler:
     bias_sd : (2,) relative uncertainty of box length and width that no number of boxes removes (labels, paint, shade).
     common_sd : the part of that which lengths and widths share: all boxes of a scene a little large, or small.
     noise : (2,) one-sigma noise of one box's length and width [detector px].
+    shrink : (2,) how far a box's length and width are drawn from the vehicle's to the usual one's: log box = log
+        vehicle + shrink * (log usual - log vehicle), then the margin; 0 for a faithful detector, 1 for one that draws
+        all alike. shrink_sd : (2,) its one-sigma uncertainty.
+    usual : (2,) length and width that boxes are drawn to [m].
     """
 
     margin: tuple[float, float] = (0.0, 0.0)
@@ -50,6 +55,14 @@ class Ruler:
     bias_sd: tuple[float, float] = (0.015, 0.02)
     common_sd: float = 0.0
     noise: tuple[float, float] = (2.0, 1.2)
+    shrink: tuple[float, float] = (0.0, 0.0)
+    shrink_sd: tuple[float, float] = (0.05, 0.05)
+    usual: tuple[float, float] = (4.4, 1.78)
+
+    @property
+    def drawing(self) -> Drawing:
+        """How the detector draws sizes, for `mixture`."""
+        return Drawing(np.asarray(self.shrink), np.asarray(self.shrink_sd), np.asarray(self.usual))
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Ruler:
@@ -152,9 +165,14 @@ def pool(
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
     candidates = fleet.candidates or (fleet,)
-    each = [_of_fleet(np.log(size), noise, candidate, known) for candidate in candidates]
+    count = len(size)
+    some = np.linspace(0, count - 1, min(count, ENOUGH)).astype(int) if len(candidates) > 1 else np.arange(count)
+    each = [_of_fleet(np.log(size[some]), noise[some], candidate, known, ruler.drawing) for candidate in candidates]
     probability = _probabilities(np.array([v.log_evidence for v in each]), fleet.prior or (1.0,))
-    best = each[int(np.argmax(probability))]
+    likeliest = int(np.argmax(probability))
+    if len(some) < count:
+        each[likeliest] = _of_fleet(np.log(size), noise, candidates[likeliest], known, ruler.drawing)
+    best = each[likeliest]
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
             f"{len(votes)} boxes, but only {int(best.inlier.sum())} have the sizes of vehicles of one scale; "
@@ -220,12 +238,18 @@ def _noise(votes: Votes, ruler: Ruler) -> np.ndarray:
     return np.sqrt(variance / np.maximum(votes.views, 1)[:, None])
 
 
-def _of_fleet(log_size: np.ndarray, noise: np.ndarray, fleet: Fleet, known: Mapping[str, np.ndarray]) -> _Vehicles:
+def _of_fleet(
+    log_size: np.ndarray, noise: np.ndarray, fleet: Fleet, known: Mapping[str, np.ndarray], drawing: Drawing
+) -> _Vehicles:
     """What votes of `log_size` (N, 2) with `noise` (N, 2) [units] say, were they of `fleet`; `known` are the (2, 2)
     covariances of what else is uncertain about them all."""
-    shared = {"fleet": fleet.log_mean_covariance, **known}
+    shared = {"fleet": drawing.covariance(fleet.log_mean_covariance), **known}
     systematic = sum(shared.values(), np.zeros((2, 2)))
-    fits = fit(log_size, noise, fleet.classes, systematic)
+    fits = fit(log_size, noise, fleet.told_apart, systematic, drawing=drawing)
+    # How strongly the detector draws to the usual is known no better from more vehicles: it is the margin's kin.
+    drawn = np.einsum("v,vij->ij", fits.weight, fits.drawing)
+    shared["margin"] = shared["margin"] + drawn
+    systematic = systematic + drawn
     estimates = fits.weight @ fits.log_scale
     sampling = _sampling(fits, fleet)
     apart = fits.log_scale - estimates

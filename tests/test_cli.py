@@ -171,7 +171,12 @@ def test_help_has_examples_and_exit_codes():
 def test_fleets_are_listed():
     rows = json.loads(run("fleets", "--json").stdout)
     assert {"US", "DE", "JP", "WORLD"} <= {row["code"] for row in rows}
-    assert "US" in run("fleets").stdout
+    japan = next(row for row in rows if row["code"] == "JP")
+    assert [c["class"][:3] for c in japan["classes"]] == ["kei", "sma", "ord"] and japan["shares_source"]
+    short, full = run("fleets").stdout, run("fleets", "JP").stdout
+    assert "SUV" in short and "one class: unknown" in short
+    assert "kei" in full and "shares: counted" in full
+    assert run("fleets", "atlantis").returncode == 2
 
 
 def test_importing_costs_nothing():

@@ -1,10 +1,12 @@
 """Fleets: the table, its samples, files of one's own."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from orthoscale import fleet as fleet_module
 from orthoscale.errors import InputError, UsageError
 from orthoscale.fleet import Fleet, codes
 
@@ -28,6 +30,48 @@ def test_samples_have_the_fleets_moments(code):
     assert np.log(sizes[:, :2]).mean(0) == pytest.approx(fleet.log_mean, abs=0.004)
 
 
+def test_classes_follow_from_the_shares_of_segments():
+    document = json.loads((Path(fleet_module.__file__).parent / "data" / "fleets.json").read_text())
+    known = {"mini", "small", "compact", "mid", "large", "SUV", "pickup", "van"}
+    mixed = [Fleet.load(code) for code, entry in document["fleets"].items() if "shares" in entry]
+    assert len(mixed) >= 38
+    for fleet in mixed:
+        shares = document["fleets"][fleet.code]["shares"]
+        assert {c.name for c in fleet.classes} <= known and fleet.shares_source
+        assert sum(shares.values()) == pytest.approx(100, abs=0.6)
+        pickups = sum(v for k, v in shares.items() if k.startswith("pickup")) / sum(shares.values())
+        assert sum(c.weight for c in fleet.classes if c.name == "pickup") == pytest.approx(pickups)
+        # The mixture's spread is the fleet's own, as far as segments of all countries can tell.
+        mean = sum(c.weight * c.mean for c in fleet.classes)
+        variance = sum(c.weight * (c.sd**2 + (c.mean - mean) ** 2) for c in fleet.classes)
+        assert np.sqrt(variance[:2]) == pytest.approx(fleet.sd[:2], rel=0.22), fleet.code
+        # Classes were moved by little to give the fleet's mean.
+        segments = document["segments"]
+        plain = sum(v * np.array([segments[k][a][0] for a in ("length", "width")]) for k, v in shares.items()) / 100
+        assert fleet.mean[:2] == pytest.approx(plain, rel=0.04), fleet.code
+
+
+def test_fleets_without_known_shares_say_so_and_are_one_wide_class():
+    for code in ("WORLD", "PAPER"):
+        fleet = Fleet.load(code)
+        assert len(fleet.classes) == 1 and fleet.shares_source.startswith("unknown")
+        assert fleet.mean_sd[0] / fleet.mean[0] > 0.04
+
+
+def test_classes_that_boxes_cannot_tell_apart_are_merged_and_others_are_not():
+    assert [round(c.mean[0], 1) for c in Fleet.load("JP").told_apart] == [3.4, 4.1, 4.6]
+    cars, pickups = Fleet.load("US").told_apart
+    assert cars.weight == pytest.approx(0.8, abs=0.02) and "pickup" not in cars.name and pickups.mean[0] > 5.5
+    for code in codes():
+        fleet = Fleet.load(code)
+        few = fleet.told_apart
+        assert sum(c.weight * c.mean for c in few) == pytest.approx(sum(c.weight * c.mean for c in fleet.classes))
+        second = [
+            sum(c.weight * (c.covariance + np.outer(c.mean, c.mean)) for c in each) for each in (few, fleet.classes)
+        ]
+        assert second[0][:2, :2] == pytest.approx(second[1][:2, :2])
+
+
 def test_names_are_case_blind_and_unknown_ones_are_refused_with_the_list():
     assert Fleet.load("us").code == Fleet.load("US").code == "US"
     with pytest.raises(UsageError, match="Known fleets: .*WORLD"):
@@ -43,6 +87,20 @@ def test_a_fleet_of_ones_own(tmp_path):
     del entry["mean_sd"]
     path.write_text(json.dumps(entry))
     with pytest.raises(InputError, match="mean_sd"):
+        Fleet.load(path)
+
+
+def test_a_fleet_of_ones_own_may_be_given_by_the_shares_of_its_segments(tmp_path):
+    entry = {"name": "campus", "length": [4.2, 0.4], "width": [1.75, 0.08], "height": [1.5, 0.1], "source": "counted",
+             "mean_sd": [0.05, 0.02, 0.03], "shares": {"mini": 30, "compact hatch": 70}}  # fmt: skip
+    path = tmp_path / "campus.json"
+    path.write_text(json.dumps(entry))
+    mini, compact = Fleet.load(path).classes
+    assert (mini.name, compact.name) == ("mini", "compact") and mini.weight == pytest.approx(0.3)
+    assert 0.3 * mini.mean + 0.7 * compact.mean == pytest.approx([4.2, 1.75, 1.5])
+    entry["shares"]["rickshaw"] = 5
+    path.write_text(json.dumps(entry))
+    with pytest.raises(InputError, match="rickshaw"):
         Fleet.load(path)
 
 

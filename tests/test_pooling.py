@@ -1,5 +1,7 @@
 """Pooling: the value, the interval that keeps its word, the refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,22 +37,23 @@ def scene(rng, fleet, n=60, gsd=0.12, vans=0.0, false=0.0, ruler=RULER, surprise
 def test_a_clean_scene_gives_its_gsd():
     rng = np.random.default_rng(0)
     scale = pool(scene(rng, Fleet.load("DE"), 2000, surprise=False), Fleet.load("DE"), RULER, "m/px")
-    # Within 1 %: how many larger vehicles there are is never quite known, so the middle lies a little high.
-    assert scale.value == pytest.approx(0.12, rel=0.01)
+    # Within 2 %: how many larger vehicles there are is never quite known, so the middle lies a little high.
+    assert scale.value == pytest.approx(0.12, rel=0.02)
     assert scale.verdict in ("good", "fair") and scale.vehicles_used > 1900
     for name in ("length", "width", "length_minus_width"):
-        assert scale.checks[name] == pytest.approx(0.12, rel=0.02)
+        assert scale.checks[name] == pytest.approx(0.12, rel=0.03)
 
 
 @pytest.mark.parametrize("code", ["US", "DE", "JP", "WORLD"])
 @pytest.mark.parametrize("vans, false", [(0, 0), (0.25, 0.1)])
 def test_nine_intervals_of_ten_hold_the_truth(code, vans, false):
     fleet, rng = Fleet.load(code), np.random.default_rng(7)
-    inside = 0
-    for _ in range(100):
+    inside, scenes = 0, 30 if fleet.candidates else 100  # every candidate is fitted
+    for _ in range(scenes):
         low, high = pool(scene(rng, fleet, 60, vans=vans, false=false), fleet, RULER, "m/px").interval90
         inside += low <= 0.12 <= high
-    assert 0.82 <= inside / 100 <= 0.99  # 2.7 sigmas of 100 draws around 0.9, and a little room above
+    # 2.7 sigmas of the draws around 0.9, and a little room above
+    assert 0.9 - 2.7 * np.sqrt(0.09 / scenes) <= inside / scenes <= 1 - 0.01 * (scenes == 100)
 
 
 @pytest.mark.parametrize("code", ["DE", "JP"])
@@ -74,6 +77,53 @@ def test_the_fleet_is_found_where_the_shapes_tell_it_and_the_interval_is_honest_
     for scale in (japan, germany):
         low, high = scale.interval90
         assert low < 0.12 < high
+
+
+def drawn(votes, gsd, shrink, usual, margin=(1.0, 1.5)):
+    """`votes` of a faithful detector as one has them that draws sizes to the usual."""
+    vehicle = votes.size - np.array(margin)
+    size = vehicle * (np.array(usual) / gsd / vehicle) ** np.array(shrink) + np.array(margin)
+    return gather(size, votes.pixel, votes.place, votes.score, repeated=False)
+
+
+def test_sizes_drawn_to_the_usual_are_undone_by_what_the_card_says_and_found_where_classes_tell_them():
+    fleet, usual = Fleet.load("JP"), (4.4, 1.78)
+    faithful = replace(RULER, noise=(0.8, 0.5))
+    votes = scene(np.random.default_rng(14), fleet, 200, ruler=faithful, surprise=False)
+    votes = drawn(votes, 0.12, (0.4, 0.2), usual)
+    naive = pool(votes, fleet, replace(faithful, shrink_sd=(0.0, 0.0)), "m/px")
+    told = pool(votes, fleet, replace(faithful, shrink=(0.4, 0.2), shrink_sd=(0.02, 0.02)), "m/px")
+    found = pool(votes, fleet, replace(faithful, shrink=(0.25, 0.1), shrink_sd=(0.15, 0.1)), "m/px")
+    low, high = naive.interval90
+    assert not low <= 0.12 <= high, "without the card's word kei and ordinary cars are taken for other cars"
+    assert told.value == pytest.approx(0.12, rel=0.015) and found.value == pytest.approx(0.12, rel=0.02)
+    assert found.parts["margin"] >= told.parts["margin"]
+
+
+def test_what_is_not_known_of_the_drawing_counts_where_the_fleet_is_not_the_usual():
+    """Vehicles of 3.9 m are drawn to 4.4 m more or less strongly, those of 4.4 m stay what they are."""
+    sure, unsure = replace(RULER, shrink_sd=(0.0, 0.0)), replace(RULER, shrink_sd=(0.2, 0.2))
+    added = {}
+    for code in ("DE", "NP"):
+        fleet = Fleet.load(code)
+        votes = scene(np.random.default_rng(15), fleet, 400, surprise=False)
+        known, unknown = (pool(votes, fleet, ruler, "m/px") for ruler in (sure, unsure))
+        added[code] = unknown.parts["margin"] ** 2 - known.parts["margin"] ** 2
+        assert unknown.parts["sampling"] < 1.2 * known.parts["sampling"], "it is no part that more vehicles shrink"
+    assert added["NP"] > 3 * max(added["DE"], 1e-7)
+
+
+@pytest.mark.parametrize("code", ["DE", "JP"])
+def test_intervals_hold_the_truth_for_a_detector_that_draws_to_the_usual(code):
+    ruler = replace(RULER, shrink=(0.4, 0.2), shrink_sd=(0.1, 0.1))
+    fleet, rng = Fleet.load(code), np.random.default_rng(16)
+    inside = 0
+    for _ in range(80):
+        votes = scene(rng, fleet, 60)
+        shrink = np.array(ruler.shrink) + ruler.shrink_sd * rng.standard_normal()
+        low, high = pool(drawn(votes, 0.12, shrink, ruler.usual), fleet, ruler, "m/px").interval90
+        inside += low <= 0.12 <= high
+    assert 0.81 <= inside / 80 <= 1.0  # 2.7 sigmas of 80 draws below 0.9; box noise is drawn in with the vehicles here
 
 
 def test_more_vehicles_shrink_the_sampling_part_only():

@@ -237,7 +237,8 @@ def _decoded_size(path: Path) -> tuple[int, int]:
 def evaluate(
     scene: Scene, detect: Callable[[np.ndarray], Boxes], best_length: float, score: float, looks: int = 2
 ) -> tuple[Result, list[Comparison]]:
-    """Sweep a scene's pictures and compare. `detect` gives boxes of all scores, `score` is that of the figures."""
+    """Sweep a scene's pictures and compare. `detect` gives boxes of all scores, `score` is that of the figures (of the
+    mean of both looks, where there are two)."""
     zoom = best_length / scene.length
     pictures = [p.picture for p in scene.pictures]
     if looks == 1:
@@ -385,7 +386,7 @@ def main() -> None:
     parser.add_argument(
         "--looks", type=int, choices=(1, 2), default=2, help="that a vehicle must show in (%(default)s)"
     )
-    parser.add_argument("--score", type=float, help="of the figures; the card's by default")
+    parser.add_argument("--score", type=float, help="of the figures; by default the card's for so many looks")
     parser.add_argument("--reference", action="append", default=[], metavar="NAME=IMAGES:BOXES.json")
     parser.add_argument("--margin", action="append", default=[], metavar="PICTURES:GSD:FLEET")
     parser.add_argument("--json", type=Path, help="write all figures here")
@@ -398,7 +399,7 @@ def main() -> None:
 
     detector = Detector(options.detector)
     card = detector.card
-    score = card.score if options.score is None else options.score
+    score = options.score or (card.sure if options.looks == 2 else 0) or card.score
     detect = partial(detector, threshold=LOWEST_SCORE)
     scenes = labelled_scenes(options.labels, list(filter(None, options.scenes.split(",")))) if options.labels else []
     scenes += checked_scenes(options.checked) if options.checked else []
@@ -414,7 +415,7 @@ def main() -> None:
         print(table(results))
         report["scenes"] = [asdict(result) for result in results]
     if options.margin:
-        known = [known_boxes(text, detect, card.best_length, score) for text in options.margin]
+        known = [known_boxes(text, detect, card.best_length, options.score or card.score) for text in options.margin]
         names = [Path(text.rsplit(":", 2)[0]).name for text in options.margin]
         margin = fit_margin(known)
         print(margin_table(names, known, margin))

@@ -36,7 +36,8 @@ class Card:
 
     usable_length : (low, high) vehicle lengths that it finds well [px of its input].
     best_length : the length at which it does best; the zoom search aims there [px].
-    score : the confidence above which a box counts.
+    score : the confidence above which a box counts in one look.
+    sure : the mean confidence of two looks above which a vehicle counts; 0 where both looks' showing it is enough.
     effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
     stride : height and width of its input must be multiples of this [px].
     body : what the vehicles that it finds are shaped like, one of `projection.exact.BODIES`.
@@ -50,6 +51,7 @@ class Card:
     ruler: Ruler
     training: str = ""
     licence: str = ""
+    sure: float = 0.0
     stride: int = 32
     body: str = "car"
     normalisation: Normalisation = Normalisation()

@@ -116,5 +116,6 @@ def find_vehicles(
             (lambda found: sampling(detections(found))) if anytime and sampling else None,
             effort.target,
             step("Finding vehicles"),
+            card.sure,
         )
     return detections(found), choice

@@ -33,9 +33,9 @@ class Swept:
 
 @dataclass(frozen=True)
 class Found:
-    """Vehicles by picture name [px of the picture]: `boxes` that both looks show, `doubtful` that one alone does.
+    """Vehicles by picture name [px of the picture]: `boxes` that both looks show, `doubtful` that one alone does, or
+    both without being sure. A box's score is the mean of both looks'.
 
-    A box's score is that of the less sure look: those of at least s are the ones that a sweep with score s would find.
     objects : those of a standard size that both looks show, by picture name and kind.
     """
 
@@ -53,12 +53,14 @@ def sweep_twice(
     spread: Callable[[Found], float] | None = None,
     target: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
+    sure: float = 0.0,
 ) -> Found:
     """Look at the tiles `jobs` in `order` ((N,) a permutation), until `spread` of what was found is at most `target`.
 
     `spread` is asked after batches of tiles that depend on nothing but what was found before, never on the time or on
     the number of workers, so the same tiles are visited every time. Without it all tiles are. `progress(done, total)`
-    counts tiles, the total being a guess when a sweep may stop early.
+    counts tiles, the total being a guess when a sweep may stop early. A vehicle counts when the mean score of its two
+    looks is at least `sure`.
     """
     looks: dict[int, Looks] = {}
     cached = 0
@@ -83,7 +85,7 @@ def sweep_twice(
                 cache.put(*jobs[number], seen)
             if progress:
                 progress(len(looks), expected)
-        found = _assembled(jobs, looks, cached)
+        found = _assembled(jobs, looks, cached, sure)
         if spread is None or len(looks) == len(order):
             return found
         reached = spread(found)
@@ -99,7 +101,7 @@ def _next_batch(seen: int, excess: float) -> int:
     return int(max(min(wanted, seen), FEWEST))
 
 
-def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int) -> Found:
+def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int, sure: float) -> Found:
     """Overlapping tiles put together: non-maximum suppression in each look, then what both looks show."""
     names = list(dict.fromkeys(picture.name for picture, _ in jobs))
     pairs: dict[str, list[tuple[Boxes, Boxes]]] = {name: [] for name in names}
@@ -112,19 +114,21 @@ def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], ca
             others[name].setdefault(kind, []).append(pair)
     boxes, doubtful, objects = {}, {}, {}
     for name in names:
-        boxes[name], doubtful[name] = _in_both(pairs[name])
-        both = {kind: _in_both(seen)[0] for kind, seen in others[name].items()}
+        boxes[name], doubtful[name] = _in_both(pairs[name], sure)
+        both = {kind: _in_both(seen, sure)[0] for kind, seen in others[name].items()}
         objects[name] = {kind: found for kind, found in both.items() if len(found)}
     swept = Swept([(jobs[n][0].name, jobs[n][1]) for n in numbers], len(jobs), cached)
     return Found(boxes, doubtful, swept, {name: kinds for name, kinds in objects.items() if kinds})
 
 
-def _in_both(pairs: Sequence[tuple[Boxes, Boxes]]) -> tuple[Boxes, Boxes]:
-    """Boxes that both looks at some tiles show, and those that the first alone does."""
+def _in_both(pairs: Sequence[tuple[Boxes, Boxes]], sure: float) -> tuple[Boxes, Boxes]:
+    """Boxes that both looks at some tiles show, with a mean score of at least `sure`; and the first look's others."""
     first, second = (suppress(Boxes.concatenate([pair[k] for pair in pairs])) for k in (0, 1))
     i, j, _ = matched(first, second, SAME_BOX)
     xylwa = first.xylwa[i].copy()
     xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
+    score = (first.score[i] + second.score[j]) / 2
+    believed = score >= sure
     alone = np.ones(len(first), bool)
-    alone[i] = False
-    return Boxes(xylwa, np.minimum(first.score[i], second.score[j])), first[alone]
+    alone[i[believed]] = False
+    return Boxes(xylwa[believed], score[believed]), first[alone]

@@ -1,0 +1,106 @@
+r"""How strongly a detector draws sizes to the usual: small vehicles too large, large ones too small.
+
+    python -m orthoscale.synthetic ortho runs/truth/jp.png --fleet JP --gsd 0.13 --vehicles 90 --style carpark --seed 1
+    python -m training.shrink --detector orthoscale/detect/weights/small_vehicle.onnx runs/truth/*.png
+
+Rendered orthophotos with exact boxes, each with the ``.truth.json`` that `orthoscale.synthetic` writes beside it; of
+several fleets, small vehicles and large ones among them, and several pixel sizes. Each is swept as a user's is, with
+two looks, at the zoom that brings its median vehicle to the detector's best length. Per axis, over all pictures,
+
+    log((box - margin) / vehicle) = shrink * (log usual - log vehicle)
+
+with the margin of the detector's card. Printed are shrink and usual for the card's ``ruler``; how far the pictures
+scatter about the shrink, which is the least that ``shrink_sd`` should be (real vehicles may be drawn otherwise); and
+the noise that is left of a box.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from orthoscale.boxes import Boxes, matched
+from orthoscale.detect.sweep import sweep_twice
+from orthoscale.detect.tiles import look_twice, tiles
+
+from .evaluate import IOU, picture_files
+
+WHOLE = 0.9  # share of a vehicle that must be visible
+MIN_VEHICLES = 10
+
+
+@dataclass(frozen=True)
+class Shrink:
+    """For length and width, (2,) each. value, sd : the shrink, and its scatter between pictures. usual [m].
+
+    noise : one sigma of what is left [detector px]. scenes : (S, 2) each picture's own shrink.
+    """
+
+    value: np.ndarray
+    sd: np.ndarray
+    usual: np.ndarray
+    noise: np.ndarray
+    scenes: np.ndarray
+
+
+def fit_shrink(known: Sequence[tuple[np.ndarray, np.ndarray, float]], margin: Sequence[float]) -> Shrink:
+    """From pictures of exact truth: per picture the vehicles (N, 2) [m], their boxes (N, 2) [detector px], and metres
+    per detector pixel. `margin` (2,) [detector px] is taken off the boxes."""
+    ratios = [np.log((box - np.asarray(margin)) * gsd / vehicle) for vehicle, box, gsd in known]
+    sizes = [np.log(vehicle) for vehicle, _, _ in known]
+    value, usual, noise = np.empty(2), np.empty(2), np.empty(2)
+    scenes = np.array(
+        [[-np.polyfit(x[:, k], y[:, k], 1)[0] for k in (0, 1)] for x, y in zip(sizes, ratios, strict=True)]
+    )
+    x, y = np.concatenate(sizes), np.concatenate(ratios)
+    px = np.concatenate([box for _, box, _ in known])
+    for k in (0, 1):
+        slope, at_one = np.polyfit(x[:, k], y[:, k], 1)
+        value[k], usual[k] = -slope, np.exp(-at_one / slope)
+        noise[k] = ((y[:, k] - slope * x[:, k] - at_one) * px[:, k]).std(ddof=2)
+    return Shrink(value, scenes.std(0, ddof=1) if len(scenes) > 1 else np.full(2, np.nan), usual, noise, scenes)
+
+
+def known_vehicles(
+    path: Path, detect: Callable[[np.ndarray], Boxes], best_length: float, score: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """One picture for `fit_shrink`, with its ``.truth.json``. Raises ValueError where too few vehicles are found."""
+    truth = json.loads(path.with_suffix(".truth.json").read_text())
+    rows = [[b[k] for k in ("cx", "cy", "length", "width", "angle")] for b in truth["boxes"] if b["visible"] > WHOLE]
+    exact = Boxes(np.array(rows), np.ones(len(rows)))
+    zoom = best_length / float(np.median(exact.length))
+    jobs = [(picture, tile) for picture in picture_files(path) for tile in tiles(picture, zoom)]
+    looks = ((number, look_twice(*job, detect)) for number, job in enumerate(jobs))
+    found = Boxes.concatenate(list(sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks).boxes.values()))
+    found = found[found.score >= score]
+    i, j, _ = matched(exact, found, IOU)
+    if len(i) < MIN_VEHICLES:
+        raise ValueError(f"{path}: {len(i)} of {len(rows)} vehicles found, {MIN_VEHICLES} are needed")
+    return exact.xylwa[i, 2:4] * truth["gsd_m"], found.xylwa[j, 2:4] * zoom, truth["gsd_m"] / zoom
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--detector", type=Path, required=True, help="ONNX file with an orthoscale card")
+    parser.add_argument("pictures", type=Path, nargs="+", help="orthophotos with NAME.truth.json beside them")
+    options = parser.parse_args()
+
+    from orthoscale.detect.detector import Detector
+
+    detector = Detector(options.detector)
+    card = detector.card
+    known = [known_vehicles(path, detector, card.best_length, card.score) for path in options.pictures]
+    fit = fit_shrink(known, card.ruler.margin)
+    for path, (vehicles, _, gsd), own in zip(options.pictures, known, fit.scenes, strict=True):
+        print(f"{str(path)[-40:]:40s} {len(vehicles):4d} vehicles  {gsd:.3f} m/px   {own[0]:.2f} {own[1]:.2f}")
+    for name, values in (("shrink", fit.value), ("shrink_sd", fit.sd), ("usual", fit.usual), ("noise", fit.noise)):
+        print(f'"{name}": [{values[0]:.2f}, {values[1]:.2f}]')
+
+
+if __name__ == "__main__":
+    main()
