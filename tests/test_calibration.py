@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from ruler_calibration import UNIT, find, fly  # noqa: E402
 
 from orthoscale.fleet import Fleet  # noqa: E402
-from orthoscale.projection.calibration import OwnRuler, own_ruler, trends  # noqa: E402
+from orthoscale.projection.calibration import UNDERCUT, OwnRuler, own_ruler, trends  # noqa: E402
 
 CARD = OwnRuler.shipped((0.7, 0.5), (1.0, 1.0), (0.25, 0.25), (1.0, 1.0))
 
@@ -81,4 +81,4 @@ def test_what_is_unknown_of_height_and_margin_adds_up(flight):
     shares = np.median(slopes[good] / size[good, :, None], axis=0)
     alone = CARD.relative_sd(size[good], slopes[good])
     assert (alone**2).sum(1) == pytest.approx(np.einsum("ki,kij,kj->k", shares, CARD.covariance, shares))
-    assert (alone[:, :2] > 0).all() and not alone[:, 2].any()  # a card knows no undercut
+    assert (alone[:, :UNDERCUT] > 0).all() and not alone[:, UNDERCUT].any()  # a card knows no undercut
