@@ -22,7 +22,7 @@ VEHICLES = 60
 GSDS = (0.05, 0.12, 0.30)  # metres per pixel, taken in turn
 RULER = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), noise=(1.5, 1.0))
 NO_MARGIN = Ruler(margin=(0.0, 0.0), margin_sd=(0.0, 0.0), bias_sd=(0.015, 0.02), noise=(1.5, 1.0))
-# A detector that draws sizes to the usual as the shipped one does on rendered scenes (`training.evaluate --shrink`).
+# A detector that draws sizes to the usual as the shipped one does on rendered scenes (`training.shrink`).
 DRAWING = replace(RULER, shrink=(0.4, 0.2), shrink_sd=(0.1, 0.1))
 CONDITIONS = {  # share of vans among the vehicles, of false boxes among the boxes
     "vehicles only": (0.0, 0.0),

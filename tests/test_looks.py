@@ -44,7 +44,7 @@ def vehicles(turn, count=45, seed=1):
     place = np.array([(x, y) for x in np.arange(-9, 9.1, 2.2) for y in np.arange(-8, 8.1, 2.2)])
     place = place[rng.permutation(len(place))[:count]] + rng.uniform(-0.4, 0.4, (count, 2))
     size = FLEET.sample(rng, count)[:, :2]
-    size *= FLEET.mean[:2] / size.mean(0) / UNIT  # what is tested is the way to the scale, not the luck of a few vehicles
+    size *= FLEET.mean[:2] / size.mean(0) / UNIT  # no luck of a few vehicles in what the way to the scale gives
     angle = rng.uniform(0, np.pi, count)
     axes = np.stack([np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([-np.sin(angle), np.cos(angle)], -1)], 1)
     plan, heights = Hull(height=HEIGHT).outline()
