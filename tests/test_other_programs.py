@@ -63,33 +63,43 @@ def nerfstudio(model, folder: Path, **more) -> Path:
 WRITERS = {"opensfm": opensfm, "nerfstudio": nerfstudio}
 
 
-@pytest.mark.parametrize("program", WRITERS)
-def test_views_are_those_of_the_colmap_model(made, tmp_path, program):
-    model, _ = made
-    colmap = ColmapSource.open(save(model, tmp_path / "colmap", "bin"), need_images=False)
-    other = open_source(WRITERS[program](model, tmp_path / "other"), need_images=False)
+def same_views(colmap, other, folder=""):
+    """Rays, ground and projections of both sources are the same; `other` has the pictures in `folder`."""
     pixels = np.random.default_rng(0).uniform((20, 20), (620, 460), (200, 2))
     for name in colmap.picture_names[::4]:
-        theirs = name if program == "opensfm" else f"images/{name}"
+        theirs = folder + name
         views, world, ok = colmap.views(name, pixels)
         views2, world2, ok2 = other.views(theirs, pixels)
         assert (ok == ok2).all() and ok.mean() > 0.6
         assert np.allclose(world[ok], world2[ok], atol=0.02)  # another choice of ground points
         assert np.allclose(views.lens[ok], views2.lens[ok], rtol=1e-6, atol=1e-3)
         assert np.allclose(colmap.project(name, world[ok]), other.project(theirs, world[ok]), atol=1e-4)
-    assert other.camera_height == pytest.approx(colmap.camera_height, rel=0.01)
 
 
-@pytest.mark.parametrize("program", WRITERS)
-def test_written_again_in_metres(made, tmp_path, program):
-    model, turn = made
-    path = WRITERS[program](model, tmp_path / "in")
+def rescaled(model, turn, writer, tmp_path):
+    """The file that `writer` made of `model`, and what `fix` made of it: the scale is right, the input untouched."""
+    path = writer(model, tmp_path / "in")
     put_frames(model, tmp_path / "in/images")
     before = {p: p.read_bytes() for p in (tmp_path / "in").rglob("*.*")}
     found_by(path, turn).save(tmp_path / "boxes.json")
     result = fix(path.parent, tmp_path / "out", fleet="DE", detections=tmp_path / "boxes.json")
     assert {p: p.read_bytes() for p in before} == before
     assert result.scale.value == pytest.approx(UNIT, rel=0.03)
+    return path, result
+
+
+@pytest.mark.parametrize("program", WRITERS)
+def test_views_are_those_of_the_colmap_model(made, tmp_path, program):
+    model, _ = made
+    colmap = ColmapSource.open(save(model, tmp_path / "colmap", "bin"), need_images=False)
+    other = open_source(WRITERS[program](model, tmp_path / "other"), need_images=False)
+    same_views(colmap, other, "" if program == "opensfm" else "images/")
+    assert other.camera_height == pytest.approx(colmap.camera_height, rel=0.01)
+
+
+@pytest.mark.parametrize("program", WRITERS)
+def test_written_again_in_metres(made, tmp_path, program):
+    path, result = rescaled(*made, WRITERS[program], tmp_path)
     assert set(result.measured.findings["modes"]) == {"oblique", "planar"}
     new = open_source(tmp_path / "out" / path.name, need_images=False)
     assert isinstance(new, ExchangeSource)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from test_colmap import make_model, put_frames, save
-from test_looks import UNIT, found_by
+from test_other_programs import rescaled, same_views
 
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.rescale.files import scale_path
@@ -66,17 +66,6 @@ def nvm(model, folder: Path, r: float = 0.0, head: str = "NVM_V3", more: str = "
     return folder / "scene.nvm"
 
 
-def same_views(colmap: ColmapSource, other: TextSource) -> None:
-    pixels = np.random.default_rng(0).uniform((20, 20), (620, 460), (100, 2))
-    for name in colmap.picture_names[::5]:
-        views, world, ok = colmap.views(name, pixels)
-        views2, world2, ok2 = other.views(name, pixels)
-        assert (ok == ok2).all() and ok.mean() > 0.6
-        assert np.allclose(world[ok], world2[ok], atol=0.02)  # another choice of ground points
-        assert np.allclose(views.lens[ok], views2.lens[ok], rtol=1e-6, atol=1e-3)
-        assert np.allclose(colmap.project(name, world[ok]), other.project(name, world[ok]), atol=1e-4)
-
-
 def test_views_are_those_of_the_colmap_model(made, pinhole, tmp_path):
     for number, (model, path) in enumerate([(made[0], bundler(made[0], tmp_path / "b")),
                                             (pinhole[0], nvm(pinhole[0], tmp_path / "n"))]):  # fmt: skip
@@ -103,14 +92,7 @@ def test_distortion_of_visualsfm_is_that_of_measurements(pinhole, tmp_path):
 
 @pytest.mark.parametrize("writer", [bundler, nvm])
 def test_written_again_in_metres(made, tmp_path, writer):
-    model, turn = made
-    path = writer(model, tmp_path / "in")
-    put_frames(model, tmp_path / "in/images")
-    before = {p: p.read_bytes() for p in (tmp_path / "in").rglob("*.*")}
-    found_by(path, turn).save(tmp_path / "boxes.json")
-    result = fix(path.parent, tmp_path / "out", fleet="DE", detections=tmp_path / "boxes.json")
-    assert {p: p.read_bytes() for p in before} == before
-    assert result.scale.value == pytest.approx(UNIT, rel=0.03)
+    path, result = rescaled(*made, writer, tmp_path)
     new = open_source(tmp_path / "out", images=tmp_path / "in/images")
     assert new.path == tmp_path / "out" / path.name
     assert new.camera_height == pytest.approx(result.scale.value * result.source.camera_height, rel=1e-6)

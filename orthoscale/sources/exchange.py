@@ -8,29 +8,26 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..errors import InputError, OutputError, UsageError
+from ..errors import InputError
 from ..rescale.files import scale_path
 from ..rescale.mark import MARK
 from ..rescale.ply import read_points
 from ..rescale.poses import read_json
-from ..rescale.sim3 import Sim3
 from ..rescale.text_models import SUFFIXES
-from .colmap import ColmapSource, find_frames
+from .colmap import find_frames
 from .colmap_check import FARTHEST, model_folders
-from .colmap_write import difference
+from .one_file import OneFileSource
 
 if TYPE_CHECKING:
     import pycolmap
 
 PLACES = ("reconstruction.json", "opensfm/reconstruction.json", "transforms.json", "bundle.out", "bundle/bundle.out")
-DIGITS = 1e-6  # of the model's size: what a point cloud in single precision may be off
 GPS_DOP = 1000.0  # from which OpenSfM means that there was no GPS
 # OpenSfM's projection types: COLMAP's model and its parameters, from focal lengths and centre [px] and distortion.
 OPENSFM = {
@@ -66,8 +63,8 @@ def find_exchange(path: Path) -> Path | None:
 
 
 @dataclass(frozen=True, eq=False)
-class ExchangeSource(ColmapSource):
-    """A reconstruction in one JSON file, with its frames; `folder` is the file's. Made by `ExchangeSource.open`."""
+class ExchangeSource(OneFileSource):
+    """A reconstruction in one JSON file, with its frames. Made by `ExchangeSource.open`."""
 
     @classmethod
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ExchangeSource:
@@ -97,33 +94,18 @@ class ExchangeSource(ColmapSource):
             digest.update(path.read_bytes())
         return digest.hexdigest()
 
-    @cached_property
-    def dense(self) -> Path:
-        """There is none of COLMAP's."""
-        raise UsageError(f"{self.path} has no dense workspace of COLMAP", "Bring other files with `orthoscale apply`.")
-
-    def write(self, folder: Path, metres_per_unit: float) -> None:
-        """Write the file in metres into the empty `folder`, with its point cloud, sim3.json and sim3.txt.
-
-        Raises UsageError for an impossible scale, OutputError if what was written does not read back as it was meant.
-        """
-        sim3 = Sim3(float(metres_per_unit))
-        out = folder / self.path.name
+    def _write_file(self, out: Path, scale: float) -> None:
         text = read_json(self.path)
-        try:
-            if isinstance(text, list) and len(text) > 1:  # each has its own scale, and only one was found
-                alone = folder / "largest.json"
-                alone.write_text(json.dumps([_largest(self.path, text)[0]]), encoding="utf-8")
-                scale_path(alone, out, sim3.scale)
-                alone.unlink()
-            else:
-                scale_path(self.path, out, sim3.scale)
-            sim3.save(folder)
-        except OSError as error:
-            raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
-        problem = difference(self._model, _read(out)[0], sim3.scale, DIGITS)
-        if problem:
-            raise OutputError(f"{out}: the written model differs: {problem}", "Please report this with the model.")
+        if isinstance(text, list) and len(text) > 1:  # each has its own scale, and only one was found
+            alone = out.parent / "largest.json"
+            alone.write_text(json.dumps([_largest(self.path, text)[0]]), encoding="utf-8")
+            scale_path(alone, out, scale)
+            alone.unlink()
+        else:
+            scale_path(self.path, out, scale)
+
+    def _read_back(self, out: Path) -> pycolmap.Reconstruction:
+        return _read(out)[0]
 
 
 def _read(path: Path) -> tuple[pycolmap.Reconstruction, list[Path], list[str]]:

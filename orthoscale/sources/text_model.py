@@ -7,19 +7,17 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import InputError, OutputError, UsageError
+from ..errors import InputError
 from ..rescale.files import scale_path
-from ..rescale.sim3 import Sim3
 from ..rescale.text_models import TextModel, read_text_model
-from .colmap import ColmapSource, find_frames, image_folder
-from .colmap_write import difference
-from .exchange import DIGITS, build_model
+from .colmap import find_frames, image_folder
+from .exchange import build_model
+from .one_file import OneFileSource
 from .picture_file import stored_size
 
 if TYPE_CHECKING:
@@ -27,8 +25,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class TextSource(ColmapSource):
-    """A reconstruction in one text file, with its frames; `folder` is the file's. Made by `TextSource.open`."""
+class TextSource(OneFileSource):
+    """A reconstruction in one text file, with its frames. Made by `TextSource.open`."""
 
     @classmethod
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> TextSource:
@@ -48,32 +46,15 @@ class TextSource(ColmapSource):
         pictures = find_frames(model, path.parent, root, need_images, notes)
         return cls(path, path.parent, path.suffix, pictures, notes, (path, *lists), model)
 
-    @cached_property
-    def dense(self) -> Path:
-        """There is none of COLMAP's."""
-        raise UsageError(f"{self.path} has no dense workspace of COLMAP", "Bring other files with `orthoscale apply`.")
+    def _write_file(self, out: Path, scale: float) -> None:
+        scale_path(self.path, out, scale)
+        for path in self._paths[1:]:
+            shutil.copyfile(path, out.with_name(path.name))
 
-    def write(self, folder: Path, metres_per_unit: float) -> None:
-        """Write the file in metres into the empty `folder`, with its list of images, sim3.json and sim3.txt.
-
-        Raises UsageError for an impossible scale, OutputError if what was written does not read back as it was meant.
-        """
-        sim3 = Sim3(float(metres_per_unit))
-        out = folder / self.path.name
-        lists = self._paths[1:]
-        try:
-            scale_path(self.path, out, sim3.scale)
-            for path in lists:
-                shutil.copyfile(path, folder / path.name)
-            sim3.save(folder)
-        except OSError as error:
-            raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
+    def _read_back(self, out: Path) -> pycolmap.Reconstruction:
         text = read_text_model(out)
         names = text.names if text.names is not None else _listed(out, len(text.focal))[0]
-        sizes = {name: self.image_size(name) for name in self.picture_names}
-        problem = difference(self._model, _built(out, text, names, sizes), sim3.scale, DIGITS)
-        if problem:
-            raise OutputError(f"{out}: the written model differs: {problem}", "Please report this with the model.")
+        return _built(out, text, names, {name: self.image_size(name) for name in self.picture_names})
 
 
 def _clean(name: str) -> str:

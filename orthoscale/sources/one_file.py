@@ -1,0 +1,51 @@
+"""What reconstructions that are one file share: they are written as one file, and have no workspace around them."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import OutputError, UsageError
+from ..rescale.sim3 import Sim3
+from .colmap import ColmapSource
+from .colmap_write import difference
+
+if TYPE_CHECKING:
+    import pycolmap
+
+DIGITS = 1e-6  # of the model's size: what a point cloud in single precision may be off
+
+
+class OneFileSource(ColmapSource):
+    """A reconstruction in one file of another program; `path` is the file, `folder` the file's."""
+
+    @cached_property
+    def dense(self) -> Path:
+        """There is none of COLMAP's."""
+        raise UsageError(f"{self.path} has no dense workspace of COLMAP", "Bring other files with `orthoscale apply`.")
+
+    def write(self, folder: Path, metres_per_unit: float) -> None:
+        """Write the file in metres into the empty `folder`, with what belongs to it, sim3.json and sim3.txt.
+
+        Raises UsageError for an impossible scale, OutputError if what was written does not read back as it was meant.
+        """
+        sim3 = Sim3(float(metres_per_unit))
+        out = folder / self.path.name
+        try:
+            self._write_file(out, sim3.scale)
+            sim3.save(folder)
+        except OSError as error:
+            raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
+        problem = difference(self._model, self._read_back(out), sim3.scale, DIGITS)
+        if problem:
+            raise OutputError(f"{out}: the written model differs: {problem}", "Please report this with the model.")
+
+    @abstractmethod
+    def _write_file(self, out: Path, scale: float) -> None:
+        """Write the file, its lengths times `scale`, to `out`, and what belongs to it beside that."""
+
+    @abstractmethod
+    def _read_back(self, out: Path) -> pycolmap.Reconstruction:
+        """The model in the written file `out`."""
