@@ -234,6 +234,13 @@ def _decoded_size(path: Path) -> tuple[int, int]:
     return pixels.shape[1], pixels.shape[0]
 
 
+def twice_seen(pictures: Sequence[PictureFile], zoom: float, detect: Callable[[np.ndarray], Boxes]) -> dict[str, Boxes]:
+    """Vehicles by picture name that two looks show, as a user's sweep takes them, scored by the mean of both."""
+    jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
+    looks = ((number, look_twice(*job, detect)) for number, job in enumerate(jobs))
+    return sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks).boxes
+
+
 def evaluate(
     scene: Scene, detect: Callable[[np.ndarray], Boxes], best_length: float, score: float, looks: int = 2
 ) -> tuple[Result, list[Comparison]]:
@@ -241,12 +248,7 @@ def evaluate(
     mean of both looks, where there are two)."""
     zoom = best_length / scene.length
     pictures = [p.picture for p in scene.pictures]
-    if looks == 1:
-        found = sweep(pictures, zoom, detect)
-    else:
-        jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
-        visit = ((number, look_twice(*job, detect)) for number, job in enumerate(jobs))
-        found = sweep_twice(jobs, np.arange(len(jobs)), lambda _: visit).boxes
+    found = sweep(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, detect)
     comparisons = []
     for p in scene.pictures:
         # The sweep drops boxes that the picture's edge may cut, so labels there are nobody's to find.

@@ -25,10 +25,8 @@ from pathlib import Path
 import numpy as np
 
 from orthoscale.boxes import Boxes, matched
-from orthoscale.detect.sweep import sweep_twice
-from orthoscale.detect.tiles import look_twice, tiles
 
-from .evaluate import IOU, picture_files
+from .evaluate import IOU, picture_files, twice_seen
 
 WHOLE = 0.9  # share of a vehicle that must be visible
 MIN_VEHICLES = 10
@@ -74,9 +72,7 @@ def known_vehicles(
     rows = [[b[k] for k in ("cx", "cy", "length", "width", "angle")] for b in truth["boxes"] if b["visible"] > WHOLE]
     exact = Boxes(np.array(rows), np.ones(len(rows)))
     zoom = best_length / float(np.median(exact.length))
-    jobs = [(picture, tile) for picture in picture_files(path) for tile in tiles(picture, zoom)]
-    looks = ((number, look_twice(*job, detect)) for number, job in enumerate(jobs))
-    found = Boxes.concatenate(list(sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks).boxes.values()))
+    found = Boxes.concatenate(list(twice_seen(picture_files(path), zoom, detect).values()))
     found = found[found.score >= score]
     i, j, _ = matched(exact, found, IOU)
     if len(i) < MIN_VEHICLES:
