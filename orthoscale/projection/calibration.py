@@ -9,7 +9,7 @@ measuring again: nothing is linear but the step, and steps are repeated.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -133,10 +133,18 @@ class OwnRuler:
         size[swapped] = np.nan
         return size
 
-    def slopes(self, boxes: Boxes, views: Views, zoom: float, metres_per_unit: float) -> np.ndarray:
-        """(N, 2 axes, 5) how much smaller the size is for one more of each of `value` [units]."""
-        out = np.empty((len(boxes), 2, len(DIFFERENCES)))
-        for k, step in enumerate(DIFFERENCES):
+    def slopes(
+        self,
+        boxes: Boxes,
+        views: Views,
+        zoom: float,
+        metres_per_unit: float,
+        columns: Iterable[int] = range(len(DIFFERENCES)),
+    ) -> np.ndarray:
+        """(N, 2 axes, 5) how much smaller the size is for one more of each of `value` [units], 0 but for `columns`."""
+        out = np.zeros((len(boxes), 2, len(DIFFERENCES)))
+        for k in columns:
+            step = DIFFERENCES[k]
             change = np.zeros(len(DIFFERENCES))
             change[k] = step
             more, less = (replace(self, value=self.value + sign * change) for sign in (1, -1))
@@ -233,7 +241,7 @@ def _settled(
     for _ in range(STEPS):
         size = ruler.size(boxes, views, zoom, metres_per_unit)
         if change > SAME_SLOPES:
-            slopes = ruler.slopes(boxes, views, zoom, metres_per_unit)
+            slopes = ruler.slopes(boxes, views, zoom, metres_per_unit, {*free[0], *free[1]})
         good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
         value, covariance = shipped.value.copy(), shipped.covariance.copy()
         for axis in range(2):
