@@ -471,24 +471,25 @@ def test_the_loss_falls_on_a_handful_of_crops(torch, tmp_path):
     assert np.isfinite(losses).all() and losses[-1] < 0.6 * losses[0]
 
 
-def test_a_slimmer_network_does_the_same_where_what_it_lost_did_nothing(torch):
+def test_a_network_of_other_widths_does_the_same_where_what_it_lost_did_nothing(torch):
     from training.network import Residual
-    from training.slim import slimmed
+    from training.reshape import reshaped
 
     torch.manual_seed(3)
-    wide, narrow = Residual(4, 6).eval(), Residual(4, 4).eval()
+    before, after = Residual(4, 6).eval(), Residual(5, 4).eval()
     with torch.no_grad():
-        wide.second[0].weight[:, [1, 4]] = 0  # two channels that nobody reads
-        wide.first[1].weight.uniform_(0.5, 2)
-        wide.first[1].running_mean.uniform_(-1, 1)
-    narrow.load_state_dict(slimmed(wide.state_dict(), narrow.state_dict()))
-    x = torch.rand(1, 4, 8, 8)
+        before.second[0].weight[:, [1, 4]] = 0  # two channels that nobody reads
+        before.first[1].weight.uniform_(0.5, 2)
+        before.first[1].running_mean.uniform_(-1, 1)
+    after.load_state_dict(reshaped(before.state_dict(), after.state_dict()))
+    x = torch.rand(1, 5, 8, 8)  # the fifth channel is new
     with torch.no_grad():
-        assert torch.allclose(narrow(x), wide(x), atol=1e-6)
+        assert torch.allclose(after(x)[:, :4], before(x[:, :4]), atol=1e-6)
+        assert after.second[0].weight[4].abs().min() > 0  # what writes the new channel can learn
     with pytest.raises(ValueError, match="sizes that cannot be cut: first.0.weight"):
-        slimmed(wide.state_dict(), Residual(3, 4).state_dict())
+        reshaped(before.state_dict(), Residual(3, 4).state_dict())
     with pytest.raises(ValueError, match="other layers: "):
-        slimmed(wide.state_dict(), wide.first.state_dict())
+        reshaped(before.state_dict(), before.first.state_dict())
 
 
 def test_training_stops_and_goes_on(torch, tmp_path, monkeypatch):

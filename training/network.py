@@ -33,8 +33,8 @@ class VehicleNet(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.stem = conv(3, 16, 2)
-        self.stage4 = stage(16, 24, 16, 1)
-        self.stage8 = stage(24, 48, 32, 2)
+        self.stage4 = stage(16, 32, 16, 1)
+        self.stage8 = stage(32, 48, 32, 2)
         self.stage16 = stage(48, 96, 64, 2)
         self.stage32 = stage(96, 128, 96, 2)
         self.lateral32 = nn.Conv2d(128, 64, 1)
@@ -43,10 +43,10 @@ class VehicleNet(nn.Module):
         self.reduce16 = nn.Conv2d(64, 32, 1)
         self.lateral8 = nn.Conv2d(48, 32, 1)
         self.merge8 = conv(32, 32)
-        self.lateral4 = nn.Conv2d(24, 32, 1)
+        self.lateral4 = nn.Conv2d(32, 32, 1)
         self.merge4 = conv(32, 32)
-        self.head = conv(32, 32)
-        self.maps = nn.Conv2d(32, 7, 1)
+        self.head = conv(32, 16)
+        self.maps = nn.Conv2d(16, 7, 1)
         nn.init.zeros_(self.maps.bias)
         nn.init.constant_(self.maps.bias[:1], -4.6)  # a heat of 0.01 everywhere at the start
 
