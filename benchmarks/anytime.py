@@ -25,7 +25,7 @@ from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import CONFIRMING_ZOOM, tiles
 from orthoscale.detections import Detections
 from orthoscale.fleet import Fleet
-from orthoscale.measuring import measure
+from orthoscale.measuring.measure import measure
 from orthoscale.pipeline import estimate
 from orthoscale.sources.opening import open_source
 

@@ -13,8 +13,9 @@ from simulate import car_park, table
 
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleet import Fleet
-from orthoscale.paper import pool_iqr
-from orthoscale.pooling import Ruler, pool
+from orthoscale.pooling.paper import pool_iqr
+from orthoscale.pooling.robust import pool
+from orthoscale.pooling.ruler import Ruler
 
 FLEETS = ("US", "DE", "JP", "IN", "BR", "CN", "PH", "WORLD")
 SCENES = 500

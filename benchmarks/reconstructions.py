@@ -14,8 +14,8 @@ import numpy as np
 
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleet import Fleet
-from orthoscale.paper import pool_iqr
 from orthoscale.pipeline import estimate
+from orthoscale.pooling.paper import pool_iqr
 from orthoscale.projection.decoupled import PRIORS, VARIANTS, paper_scale
 from orthoscale.projection.view import Views
 from orthoscale.result import Result

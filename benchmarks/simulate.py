@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoscale.boxes import Boxes
 from orthoscale.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
-from orthoscale.pooling import Ruler
+from orthoscale.pooling.ruler import Ruler
 from orthoscale.projection.decoupled import simple_views
 from orthoscale.projection.exact import Hull
 from orthoscale.projection.view import Views

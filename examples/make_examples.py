@@ -20,7 +20,7 @@ import pycolmap
 from orthoscale.detect.detector import Detector
 from orthoscale.detections import Detections
 from orthoscale.fleet import Fleet
-from orthoscale.looks import find_in_model
+from orthoscale.measuring.looks import find_in_model
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.synthetic import make_scene, write_ortho
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .errors import OrthoscaleError
     from .fleet import Fleet
     from .pipeline import estimate
-    from .pooling import Scale
+    from .pooling.scale import Scale
     from .result import Result
     from .writing import fix
 
@@ -29,7 +29,7 @@ _HOME = {
     "Fleet": "fleet",
     "OrthoscaleError": "errors",
     "Result": "result",
-    "Scale": "pooling",
+    "Scale": "pooling.scale",
     "estimate": "pipeline",
     "fix": "writing",
 }

@@ -19,7 +19,8 @@ from .detect.zoom import check_zoom
 from .detections import UNKNOWN_RULER
 from .errors import InputError, TooLittleEvidence, UsageError
 from .fleet import Fleet
-from .pooling import Ruler, pool
+from .pooling.robust import pool
+from .pooling.ruler import Ruler
 from .projection.planar import ground_size
 from .votes import gather
 

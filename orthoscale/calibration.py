@@ -18,7 +18,7 @@ import numpy as np
 from .detections import Detections
 from .errors import InputError, UsageError
 from .fleet import Fleet
-from .pooling import Ruler
+from .pooling.ruler import Ruler
 
 KIND = "orthoscale calibration 1"
 

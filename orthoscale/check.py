@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from .pooling import Scale
-from .posterior import Z90
+from .pooling.posterior import Z90
+from .pooling.scale import Scale
 from .result import Result
 
 CLEAR = 3.0  # sigmas from which a disagreement is no chance

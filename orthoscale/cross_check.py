@@ -14,9 +14,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import pdtrc
 
-from .agreement import Agreement, compare
 from .errors import TooLittleEvidence, UsageError
-from .posterior import Z90
+from .pooling.agreement import Agreement, compare
+from .pooling.posterior import Z90
 
 if TYPE_CHECKING:
     from .result import Result

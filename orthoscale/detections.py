@@ -12,8 +12,8 @@ import numpy as np
 
 from .boxes import Boxes
 from .errors import InputError
-from .objects import known_objects
-from .pooling import Ruler
+from .evidence.objects import known_objects
+from .pooling.ruler import Ruler
 from .projection.exact import BODIES
 
 if TYPE_CHECKING:

@@ -11,21 +11,21 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from .calibration import Calibration, fleet_of
-from .control import read_control, read_distance
 from .detect.detector import Detector
 from .detect.find import Effort, Progress, find_vehicles
 from .detect.refine import refined
 from .detect.workers import worker_count
 from .detect.zoom import check_told, told_zoom
 from .detections import Detections
-from .drift import drift
 from .errors import TooLittleEvidence, UsageError
-from .evidence import Evidence
+from .evidence.combine import Evidence
+from .evidence.control import read_control, read_distance
 from .exchange import load as load_detections
 from .fleet import Fleet
-from .looks import find_in_model, measure_model
-from .measuring import measure
-from .method import Method
+from .measuring.drift import drift
+from .measuring.looks import find_in_model, measure_model
+from .measuring.measure import measure
+from .measuring.method import Method
 from .result import Result
 from .sources.opening import open_source
 

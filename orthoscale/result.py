@@ -9,12 +9,12 @@ import numpy as np
 
 from .boxes import Boxes
 from .detections import Detections
-from .drift import Drift
 from .errors import EvidenceDisagrees, TooLittleEvidence
 from .fleet import Fleet
-from .measuring import Measured
-from .method import Method
-from .pooling import Scale
+from .measuring.drift import Drift
+from .measuring.measure import Measured
+from .measuring.method import Method
+from .pooling.scale import Scale
 from .votes import Votes
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from orthoscale.cli.main import cli
 from orthoscale.detections import UNKNOWN_RULER
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleet import Fleet
-from orthoscale.pooling import Ruler
+from orthoscale.pooling.ruler import Ruler
 
 GSD = 0.1
 ZOOMS = np.array([0.6, 0.85, 1.2])

@@ -13,7 +13,7 @@ from orthoscale.detect.detector import Card, Detector
 from orthoscale.detect.tiles import sweep, tiles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import InputError
-from orthoscale.pooling import Ruler
+from orthoscale.pooling.ruler import Ruler
 
 CARD = Card("drawn rectangles", (12, 70), 38, 0.4, (0.8, 0.8), Ruler())
 

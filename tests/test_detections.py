@@ -8,7 +8,7 @@ import pytest
 from orthoscale.boxes import Boxes
 from orthoscale.detections import UNKNOWN_RULER, Detections
 from orthoscale.errors import InputError
-from orthoscale.pooling import Ruler
+from orthoscale.pooling.ruler import Ruler
 
 
 def test_what_is_saved_reads_back(tmp_path):

@@ -16,8 +16,8 @@ from orthoscale.detect.tiles import Looks, Tile, look_twice
 from orthoscale.detections import Detections
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
 from orthoscale.fleet import Fleet
-from orthoscale.measuring import measure
-from orthoscale.pooling import Ruler
+from orthoscale.measuring.measure import measure
+from orthoscale.pooling.ruler import Ruler
 
 onnx = pytest.importorskip("onnx")
 helper, numpy_helper = onnx.helper, onnx.numpy_helper

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from orthoscale.drift import FEWEST, drift
 from orthoscale.fleet import Fleet
-from orthoscale.pooling import Ruler, pool
+from orthoscale.measuring.drift import FEWEST, drift
+from orthoscale.pooling.robust import pool
+from orthoscale.pooling.ruler import Ruler
 from orthoscale.votes import gather
 
 WIDTH, HEIGHT, GSD = 8000, 6000, 0.1

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from orthoscale.evidence import Evidence, combined, ground_control, known_distance
-from orthoscale.objects import known_objects, standard_object
-from orthoscale.posterior import Posterior
+from orthoscale.evidence.combine import Evidence, combined, ground_control, known_distance
+from orthoscale.evidence.objects import known_objects, standard_object
+from orthoscale.pooling.posterior import Posterior
 
 VEHICLES = Posterior.normal(np.log(0.10), 0.05)
 PARTS = {"sampling": 0.03, "fleet": 0.04}

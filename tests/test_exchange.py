@@ -16,7 +16,7 @@ from orthoscale.detections import UNKNOWN_RULER, Detections
 from orthoscale.errors import InputError, UsageError
 from orthoscale.exchange import load, save
 from orthoscale.exchange.items import rectangle
-from orthoscale.pooling import Ruler
+from orthoscale.pooling.ruler import Ruler
 from orthoscale.sources.opening import open_source
 
 RULER = Ruler((0.5, 1.0), (0.3, 0.4), (0.01, 0.02), 0.01, (1.0, 0.8))

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from test_colmap import make_model, put_frames, save
 
-from orthoscale.agreement import compare, together
 from orthoscale.boxes import Boxes
 from orthoscale.detections import Detections
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from orthoscale.fleet import Fleet
-from orthoscale.looks import measure_model
+from orthoscale.measuring.looks import measure_model
 from orthoscale.pipeline import estimate
-from orthoscale.pooling import Ruler
+from orthoscale.pooling.agreement import compare, together
+from orthoscale.pooling.ruler import Ruler
 from orthoscale.projection.exact import Hull
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.ground_picture import NEAR_NADIR

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from orthoscale.fleet import Fleet
-from orthoscale.model_drift import by_region, drift
-from orthoscale.pooling import Ruler, pool
+from orthoscale.measuring.model_drift import by_region, drift
+from orthoscale.pooling.robust import pool
+from orthoscale.pooling.ruler import Ruler
 from orthoscale.votes import gather
 
 UNIT = 5.0  # [m]

@@ -9,16 +9,16 @@ import pytest
 from test_colmap import make_model, put_frames, save
 from test_looks import enclosing
 
-from orthoscale.agreement import compare, together
 from orthoscale.boxes import Boxes
 from orthoscale.detections import Detections
+from orthoscale.evidence.surroundings import objects_in_model
 from orthoscale.fleet import Fleet
-from orthoscale.looks import measure_model
-from orthoscale.method import Method
-from orthoscale.pooling import Ruler
+from orthoscale.measuring.looks import measure_model
+from orthoscale.measuring.method import Method
+from orthoscale.pooling.agreement import compare, together
+from orthoscale.pooling.ruler import Ruler
 from orthoscale.projection.exact import Hull
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.surroundings import objects_in_model
 
 UNIT, STALL = 5.0, 2.5  # [m]
 FLEET = Fleet.load("DE")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from orthoscale.evidence.parking import parking_pitch, stalls
 from orthoscale.fleet import Fleet
-from orthoscale.parking import parking_pitch, stalls
 
 GSD = 0.1
 

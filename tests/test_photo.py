@@ -17,7 +17,7 @@ from orthoscale.photo.lens import lens_of, read_calibration
 from orthoscale.photo.measure import LOWEST_ELEVATION, measure, open_photo
 from orthoscale.photo.survey import measure_together, open_photos
 from orthoscale.photo.tags import Tags, read_tags
-from orthoscale.pooling import Ruler
+from orthoscale.pooling.ruler import Ruler
 from orthoscale.projection.decoupled import simple_views
 from orthoscale.projection.exact import Hull
 from orthoscale.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey

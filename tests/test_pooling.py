@@ -7,7 +7,8 @@ import pytest
 
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
-from orthoscale.pooling import Ruler, pool
+from orthoscale.pooling.robust import pool
+from orthoscale.pooling.ruler import Ruler
 from orthoscale.votes import gather
 
 RULER = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), common_sd=0.02, noise=(1.5, 1.0))

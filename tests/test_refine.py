@@ -12,7 +12,8 @@ from orthoscale.detect.refine import VIEWS, agreed, look_turned, refined
 from orthoscale.detect.tiles import sweep, tiles
 from orthoscale.errors import UsageError
 from orthoscale.fleet import Fleet
-from orthoscale.pooling import Ruler, pool
+from orthoscale.pooling.robust import pool
+from orthoscale.pooling.ruler import Ruler
 from orthoscale.votes import gather
 
 

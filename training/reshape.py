@@ -23,8 +23,8 @@ Tensors = dict[str, Tensor]
 
 
 def reshaped(given: Tensors, fresh: Tensors) -> Tensors:
-    """`given` with the sizes of `fresh`, a network's state before any training; tensors by name. Raises ValueError where
-    a size is cut other than between a block's two convolutions, or between the head's and the maps'."""
+    """`given` with the sizes of `fresh`, the state of a network before any training; tensors by name. Raises ValueError
+    where a size is cut other than between a block's two convolutions, or between the head's and the maps'."""
     if given.keys() != fresh.keys():
         raise ValueError(f"other layers: {', '.join(sorted(given.keys() ^ fresh.keys())[:5])}")
     cut = dict(given)

@@ -16,7 +16,7 @@ import numpy as np
 from ..boxes import Boxes
 from ..detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
 from ..errors import InputError
-from ..pooling import Ruler
+from ..pooling.ruler import Ruler
 from ..projection.exact import BODIES
 from .layout import Layout, Normalisation, Shape, recognise
 

@@ -17,7 +17,7 @@ from ..detect.find import Progress
 from ..detections import Detections
 from ..errors import InputError, TooLittleEvidence
 from ..fleet import Fleet
-from ..paper import MIN_SCORE, MIN_VEHICLES
+from ..pooling.paper import MIN_SCORE, MIN_VEHICLES
 from . import score
 from .methods import METHODS
 from .readers import Sample, read_samples

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..detections import Detections
 from ..fleet import Fleet
-from ..paper import MIN_SCORE, MIN_VEHICLES
+from ..pooling.paper import MIN_SCORE, MIN_VEHICLES
 from .methods import METHODS, Estimate
 from .readers import Sample, changed
 

@@ -15,7 +15,7 @@ from ..boxes import Boxes
 from ..detect.classes import plain
 from ..detections import Detections
 from ..errors import InputError, UsageError
-from ..objects import known_objects
+from ..evidence.objects import known_objects
 from ..sources.source import Pictures
 from . import coco, dota, geo
 from .items import Item, boxes_by_picture

@@ -18,15 +18,16 @@ from ..boxes import Boxes
 from ..detections import Detections
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleet import Fleet
-from ..oblique import HEIGHT_SD, ROUNDS, SETTLED
-from ..pooling import MIN_VEHICLES, Scale, pool
-from ..posterior import Z90
+from ..measuring.oblique import HEIGHT_SD, ROUNDS, SETTLED
+from ..pooling.posterior import Z90
+from ..pooling.robust import MIN_VEHICLES, pool
+from ..pooling.scale import Scale
+from ..pooling.verdicts import VERDICTS, verdict
 from ..projection.exact import Hull, ground_size
 from ..projection.level import level_axes, level_views, up_from_gimbal
 from ..projection.view import Views
 from ..sources.picture_file import PictureFile
 from ..sources.undistort import undistort
-from ..verdicts import VERDICTS, verdict
 from ..votes import gather
 from .lens import Lens, brown, lens_of
 from .tags import Tags, read_tags

@@ -14,9 +14,9 @@ import numpy as np
 
 from .. import __version__
 from ..check import own_claim
-from ..drift import Drift
 from ..errors import InputError
 from ..fleet import Fleet
+from ..measuring.drift import Drift
 from ..result import Result
 from .above import from_above
 

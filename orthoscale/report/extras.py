@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..drift import local_deviation
+from ..measuring.drift import local_deviation
 from ..result import Result
 from ..sources.georeference import Place
 from .geo import write_geojson, write_geopackage

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from rasterio.warp import transform_geom
 
-from ..drift import local_deviation
 from ..errors import OutputError
+from ..measuring.drift import local_deviation
 from ..result import Result
 from ..sources.georeference import Place
 from ..vector import write_layer

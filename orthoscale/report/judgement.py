@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import exp, floor, log, log10
 from typing import Any
 
-from ..posterior import Z90
-from ..verdicts import CHECK_LIMIT
+from ..pooling.posterior import Z90
+from ..pooling.verdicts import CHECK_LIMIT
 from .explanation import explain
 from .places import frames, trend
 

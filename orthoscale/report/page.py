@@ -13,7 +13,7 @@ import numpy as np
 
 from ..cli.reproduce import command_line
 from ..errors import OutputError
-from ..posterior import Z90
+from ..pooling.posterior import Z90
 from . import charts, judgement, places
 from .explanation import explain
 from .judgement import percent, relative, signed

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import log
 from typing import Any
 
-from ..drift import SIGNIFICANT
+from ..measuring.drift import SIGNIFICANT
 
 
 @dataclass(frozen=True)

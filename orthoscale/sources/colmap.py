@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError, OutputError, UsageError
-from ..ground import Ground
+from ..measuring.ground import Ground
 from ..projection.view import Views
 from ..rescale.dense import find_dense, sparse_folders
 from ..rescale.files import scale_path

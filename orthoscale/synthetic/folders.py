@@ -14,7 +14,7 @@ from rasterio.transform import from_origin
 
 from orthoscale.boxes import Boxes
 from orthoscale.detections import Detections
-from orthoscale.pooling import Ruler
+from orthoscale.pooling.ruler import Ruler
 from orthoscale.synthetic.render import Look, render, vehicle_boxes
 from orthoscale.synthetic.scene import Scene
 from orthoscale.synthetic.view import Camera, Perspective, Pose

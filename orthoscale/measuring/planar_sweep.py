@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .boxes import Boxes
-from .detections import Detections
-from .errors import TooLittleEvidence
-from .fleet import Fleet
-from .measuring import Measured, doubts, tight
+from ..boxes import Boxes
+from ..detections import Detections
+from ..errors import TooLittleEvidence
+from ..evidence.surroundings import rows_in_model
+from ..fleet import Fleet
+from ..pooling.robust import MIN_VEHICLES
+from ..projection.planar import footprint, ground_size
+from ..votes import gather
+from .measure import Measured, doubts, tight
 from .method import Method
 from .oblique import HEIGHT_SD, geometry
-from .pooling import MIN_VEHICLES
-from .projection.planar import footprint, ground_size
-from .surroundings import rows_in_model
-from .votes import gather
 
 if TYPE_CHECKING:
-    from .sources.colmap import ColmapSource
-    from .sources.ground_picture import GroundPicture
+    from ..sources.colmap import ColmapSource
+    from ..sources.ground_picture import GroundPicture
 
 ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
 ROOM = 1.15  # a box, enlarged so, must lie within what the frame saw, or it may be cut
@@ -88,7 +88,7 @@ def _heading(boxes: Boxes) -> np.ndarray:
 
 def _whole(picture: GroundPicture, boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
     """(N,) bool, boxes that the frame shows whole and steeply enough, and (N, 2) where they lie, see `seen`."""
-    from .sources.ground_picture import NEAR_NADIR
+    from ..sources.ground_picture import NEAR_NADIR
 
     centre = boxes.centre[:, None]
     corners = (centre + ROOM * (boxes.corners - centre)).reshape(-1, 2)

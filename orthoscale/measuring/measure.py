@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from .boxes import Boxes
-from .detections import Detections
-from .fleet import Fleet
+from ..boxes import Boxes
+from ..detections import Detections
+from ..evidence.surroundings import orthophoto_evidence
+from ..fleet import Fleet
+from ..pooling.scale import Scale
+from ..projection.planar import ground_size
+from ..votes import Votes, gather
 from .method import Method
-from .pooling import Scale
-from .projection.planar import ground_size
-from .surroundings import orthophoto_evidence
-from .votes import Votes, gather
 
 if TYPE_CHECKING:
-    from .agreement import Agreement
-    from .sources.source import Source
+    from ..pooling.agreement import Agreement
+    from ..sources.source import Source
 
 
 class Measured(NamedTuple):

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import stdtrit
 
-from .errors import TooLittleEvidence
-from .fleet import Fleet
-from .pooling import Scale
+from ..errors import TooLittleEvidence
+from ..fleet import Fleet
+from ..votes import Votes
 from .posterior import Z90
+from .scale import Scale
 from .verdicts import verdict
-from .votes import Votes
 
 MIN_SCORE = 0.5
 MIN_VEHICLES = 5

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from .segments import Class
+from ..segments import Class
 
 # Outlier class: uniform over a box in (log length, log width) as wide as anything a detector could call a vehicle.
 OUTLIER_DENSITY = 1 / (3.0 * 2.5)

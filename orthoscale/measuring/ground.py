@@ -14,7 +14,7 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse.linalg import splu
 
-from .errors import InputError, TooLittleEvidence
+from ..errors import InputError, TooLittleEvidence
 
 MIN_POINTS = 50
 MIN_SHARE = 0.08  # of the points on the ground; clouds without any ground still have 2 to 5 % near some surface

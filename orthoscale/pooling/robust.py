@@ -14,18 +14,19 @@ widths where they are fine, without a rule for it. Only the first term shrinks w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import TooLittleEvidence
-from .evidence import Evidence, combined
-from .fleet import Fleet
+from ..errors import TooLittleEvidence
+from ..evidence.combine import Evidence, combined
+from ..fleet import Fleet
+from ..votes import Votes
 from .mixture import Drawing, Fits, fit
 from .posterior import Posterior
+from .ruler import Ruler
+from .scale import Scale
 from .verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
-from .votes import Votes
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
 MEDIAN_VARIANCE = 0.29  # of the median of five looks, as a share of one look's (normal distribution)
@@ -36,95 +37,6 @@ PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that
 MIXTURE_SD = 0.013
 LIKELY = 0.01  # probability below which a fleet is not reported
 ENOUGH = 300  # votes by which candidate fleets are compared; their shapes count for 50 at most (`mixture`)
-
-
-@dataclass(frozen=True)
-class Ruler:
-    """How a detector's boxes relate to vehicles: length_px = vehicle + margin[0], and the same for the width.
-
-    margin : (2,) excess of box length and width over the vehicle [detector px].
-    margin_sd : (2,) its one-sigma uncertainty [detector px].
-    bias_sd : (2,) relative uncertainty of box length and width that no number of boxes removes (labels, paint, shade).
-    common_sd : the part of that which lengths and widths share: all boxes of a scene a little large, or small.
-    noise : (2,) one-sigma noise of one box's length and width [detector px].
-    shrink : (2,) how far a box's length and width are drawn from the vehicle's to the usual one's: log box = log
-        vehicle + shrink * (log usual - log vehicle), then the margin; 0 for a faithful detector, 1 for one that draws
-        all alike. shrink_sd : (2,) its one-sigma uncertainty.
-    usual : (2,) length and width that boxes are drawn to [m].
-    """
-
-    margin: tuple[float, float] = (0.0, 0.0)
-    margin_sd: tuple[float, float] = (0.7, 0.7)
-    bias_sd: tuple[float, float] = (0.015, 0.02)
-    common_sd: float = 0.0
-    noise: tuple[float, float] = (2.0, 1.2)
-    shrink: tuple[float, float] = (0.0, 0.0)
-    shrink_sd: tuple[float, float] = (0.05, 0.05)
-    usual: tuple[float, float] = (4.4, 1.78)
-
-    @property
-    def drawing(self) -> Drawing:
-        """How the detector draws sizes, for `mixture`."""
-        return Drawing(np.asarray(self.shrink), np.asarray(self.shrink_sd), np.asarray(self.usual))
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Ruler:
-        """From the plain values of a card or a detections file. Raises TypeError, ValueError for others."""
-        plain: dict[str, Any] = {
-            k: tuple(map(float, v)) if isinstance(v, list) else float(v) for k, v in values.items()
-        }
-        return cls(**plain)
-
-
-@dataclass(frozen=True)
-class Scale:
-    """Metres per unit of the source, and how well that is known.
-
-    value : metres per pixel of an orthophoto, or per unit of a model.
-    interval90 : (low, high), contains the truth nine times in ten; not always symmetric.
-    parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence.
-    checks : the scale from lengths alone, from widths alone and from length minus width (free of a symmetric margin).
-    weights : share of lengths and widths in what the vehicles say.
-    tension : sigmas between the scale from lengths and that from widths.
-    conflict : sigmas between the two measurements (vehicles, evidence) that contradict each other most, 0 if none do.
-    larger_share : share of larger vehicles (vans, pickups beyond the fleet's own) among the vehicles.
-    fleets : probability of each fleet that may stand here; one entry unless the fleet was to be found.
-    evidence : what entered besides the vehicles.
-    used : (N,) bool, votes that count; reasons : (N,) why the others do not ('' where used).
-    """
-
-    value: float
-    unit: str
-    interval90: tuple[float, float]
-    parts: dict[str, float]
-    checks: dict[str, float]
-    weights: tuple[float, float]
-    tension: float
-    fleet: str
-    verdict: str
-    used: np.ndarray = field(repr=False)
-    reasons: list[str] = field(repr=False)
-    remarks: tuple[str, ...] = ()
-    larger_share: float = 0.0
-    fleets: Mapping[str, float] = field(default_factory=dict)
-    evidence: tuple[Evidence, ...] = ()
-    conflict: float = 0.0
-
-    @property
-    def relative_sd(self) -> float:
-        return float(np.sqrt(sum(sd**2 for sd in self.parts.values())))
-
-    @property
-    def vehicles_used(self) -> int:
-        return int(self.used.sum())
-
-    @property
-    def rejected(self) -> dict[str, int]:
-        """How many votes were set aside, by reason."""
-        counts: dict[str, int] = {}
-        for reason in filter(None, self.reasons):
-            counts[reason] = counts.get(reason, 0) + 1
-        return dict(sorted(counts.items(), key=lambda item: -item[1]))
 
 
 @dataclass(frozen=True)

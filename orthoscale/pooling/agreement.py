@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .pooling import Scale
 from .posterior import Z90
+from .scale import Scale
 from .verdicts import CHECK_LIMIT, verdict
 
 CONTRADICTION = 3.0  # sigmas from which two measurements of one scale contradict each other

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from .errors import InputError, UsageError
-from .evidence import Evidence, ground_control, known_distance
+from ..errors import InputError, UsageError
+from .combine import Evidence, ground_control, known_distance
 
 if TYPE_CHECKING:
-    from .sources.colmap import ColmapSource
-    from .sources.source import Source
+    from ..sources.colmap import ColmapSource
+    from ..sources.source import Source
 
 DISTANCE_HINT = (
     "Expected two points, the metres between them and, if known, their sigma: '120,80 560,80 23.77 0.05'. "

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .pooling import Ruler, Scale
-from .votes import Votes
+from ..pooling.ruler import Ruler
+from ..pooling.scale import Scale
+from ..votes import Votes
 
 FEWEST = 40  # vehicles; with fewer no gradient that a picture may have could be told from chance
 PER_CELL = 6.0  # vehicles wanted in a cell of the map

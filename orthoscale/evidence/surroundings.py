@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .boxes import Boxes
-from .evidence import Evidence
+from ..boxes import Boxes
+from ..pooling.ruler import Ruler
+from ..projection.exact import Hull, ground_axes, ground_size
+from ..projection.view import Views
+from ..votes import Votes, gather
+from .combine import Evidence
 from .objects import known_objects, standard_object
 from .parking import parking_pitch
-from .pooling import Ruler
-from .projection.exact import Hull, ground_axes, ground_size
-from .projection.view import Views
-from .votes import Votes, gather
 
 if TYPE_CHECKING:
-    from .sources.colmap import ColmapSource
+    from ..sources.colmap import ColmapSource
 
 # Relative uncertainty of a reconstruction's ground (one sigma), as a share of the camera's height: sparse points on
 # bare ground scatter by about this much on the two real scenes. Whatever is measured on the ground errs with it.

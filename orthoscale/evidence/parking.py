@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .evidence import Evidence
+from .combine import Evidence
 
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
 ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another
@@ -71,7 +71,7 @@ def parking_pitch(
 @cache
 def stalls() -> dict[str, dict]:
     """Stall widths [m] by country, with sources."""
-    text = (Path(__file__).parent / "data" / "stalls.json").read_text(encoding="utf-8")
+    text = (Path(__file__).parent.parent / "data" / "stalls.json").read_text(encoding="utf-8")
     return json.loads(text)["stalls"]
 
 

@@ -7,17 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .boxes import Boxes
-from .errors import UsageError
-from .evidence import Evidence
-from .fleet import Fleet
-from .paper import pool_paper
-from .pooling import Ruler, Scale, pool
-from .projection import decoupled
-from .projection.exact import Hull
-from .projection.exact import ground_size as exact_size
-from .projection.view import Views
-from .votes import Votes
+from ..boxes import Boxes
+from ..errors import UsageError
+from ..evidence.combine import Evidence
+from ..fleet import Fleet
+from ..pooling.paper import pool_paper
+from ..pooling.robust import pool
+from ..pooling.ruler import Ruler
+from ..pooling.scale import Scale
+from ..projection import decoupled
+from ..projection.exact import Hull
+from ..projection.exact import ground_size as exact_size
+from ..projection.view import Views
+from ..votes import Votes
 
 FLAT = 0.01  # [m] height of a vehicle painted on the ground
 # As the paper names them, and beside them what it is compared with. For frames; an orthophoto's is always planar.

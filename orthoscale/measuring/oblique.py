@@ -11,23 +11,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .boxes import Boxes
-from .detections import Detections
-from .errors import TooLittleEvidence
-from .fleet import Fleet
-from .measuring import Measured, doubts, tight
+from ..boxes import Boxes
+from ..detections import Detections
+from ..errors import TooLittleEvidence
+from ..evidence.surroundings import GROUND_SD, objects_in_model, rows_in_model, world_axes
+from ..fleet import Fleet
+from ..pooling.robust import MIN_VEHICLES
+from ..projection.calibration import OwnRuler, own_ruler, trends
+from ..projection.exact import BODIES
+from ..projection.height import lean
+from ..projection.view import Views
+from ..votes import gather
+from .measure import Measured, doubts, tight
 from .method import Method
 from .model_drift import drift
-from .pooling import MIN_VEHICLES
-from .projection.calibration import OwnRuler, own_ruler, trends
-from .projection.exact import BODIES
-from .projection.height import lean
-from .projection.view import Views
-from .surroundings import GROUND_SD, objects_in_model, rows_in_model, world_axes
-from .votes import gather
 
 if TYPE_CHECKING:
-    from .sources.colmap import ColmapSource
+    from ..sources.colmap import ColmapSource
 
 ROUNDS = 6  # of projection and pooling; the scale enters its own projection only through the vehicles' height
 SETTLED = 1e-4  # relative change of the scale at which the rounds end

@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .agreement import compare, together
-from .detect.detector import Detector
-from .detect.find import Effort, Progress, find_vehicles
-from .detections import Detections
-from .errors import TooLittleEvidence, UsageError
-from .fleet import Fleet
-from .measuring import Measured
+from ..detect.detector import Detector
+from ..detect.find import Effort, Progress, find_vehicles
+from ..detections import Detections
+from ..errors import TooLittleEvidence, UsageError
+from ..fleet import Fleet
+from ..pooling.agreement import compare, together
+from .measure import Measured
 from .method import Method
 from .oblique import measure_frames
 from .planar_sweep import measure_ground
 
 if TYPE_CHECKING:
-    from .detect.zoom import ZoomChoice
-    from .sources.colmap import ColmapSource
+    from ..detect.zoom import ZoomChoice
+    from ..sources.colmap import ColmapSource
 
 OBLIQUE, PLANAR, BOTH = "oblique", "planar", "both"
 MODES = (BOTH, OBLIQUE, PLANAR)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
-from .pooling import Scale
-from .votes import Votes
+from ..pooling.scale import Scale
+from ..votes import Votes
 
 MIN_SHARED = 3  # vehicles that a frame must share with others before it is judged
 ODD_SIGMAS, ODD = 4.0, 0.05  # a frame is odd that strays by so many sigmas, and by so much of the scale

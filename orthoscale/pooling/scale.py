@@ -1,0 +1,61 @@
+"""A scale, its interval, and where its uncertainty comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..evidence.combine import Evidence
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Metres per unit of the source, and how well that is known.
+
+    value : metres per pixel of an orthophoto, or per unit of a model.
+    interval90 : (low, high), contains the truth nine times in ten; not always symmetric.
+    parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence.
+    checks : the scale from lengths alone, from widths alone and from length minus width (free of a symmetric margin).
+    weights : share of lengths and widths in what the vehicles say.
+    tension : sigmas between the scale from lengths and that from widths.
+    conflict : sigmas between the two measurements (vehicles, evidence) that contradict each other most, 0 if none do.
+    larger_share : share of larger vehicles (vans, pickups beyond the fleet's own) among the vehicles.
+    fleets : probability of each fleet that may stand here; one entry unless the fleet was to be found.
+    evidence : what entered besides the vehicles.
+    used : (N,) bool, votes that count; reasons : (N,) why the others do not ('' where used).
+    """
+
+    value: float
+    unit: str
+    interval90: tuple[float, float]
+    parts: dict[str, float]
+    checks: dict[str, float]
+    weights: tuple[float, float]
+    tension: float
+    fleet: str
+    verdict: str
+    used: np.ndarray = field(repr=False)
+    reasons: list[str] = field(repr=False)
+    remarks: tuple[str, ...] = ()
+    larger_share: float = 0.0
+    fleets: Mapping[str, float] = field(default_factory=dict)
+    evidence: tuple[Evidence, ...] = ()
+    conflict: float = 0.0
+
+    @property
+    def relative_sd(self) -> float:
+        return float(np.sqrt(sum(sd**2 for sd in self.parts.values())))
+
+    @property
+    def vehicles_used(self) -> int:
+        return int(self.used.sum())
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """How many votes were set aside, by reason."""
+        counts: dict[str, int] = {}
+        for reason in filter(None, self.reasons):
+            counts[reason] = counts.get(reason, 0) + 1
+        return dict(sorted(counts.items(), key=lambda item: -item[1]))
