@@ -18,7 +18,7 @@ from .view import Views
 ITERATIONS = 8  # each leaves about a tenth of the error of the one before
 # Bumpers reach out furthest about here (49 CFR 581 hits them at 16 to 20 inches, 0.41 to 0.51 m), doors a bit higher.
 BEND = 0.4  # [m] walls stand straight up to here; above it they lean in by `Hull.end_lean` and `Hull.side_lean`
-CHUNK = 4_000  # boxes solved at once; small enough for the processor's cache
+CHUNK = 1_000  # boxes solved at once; small enough for the processor's cache
 
 
 @dataclass(frozen=True)
@@ -107,31 +107,27 @@ def _solve(boxes: Boxes, views: Views, metres_per_unit: float, hull: Hull) -> np
     axes = np.stack([u, np.stack([-u[:, 1], u[:, 0]], -1)], 1)  # (N, 2 axes, 2): the box's own, in the image
     to_axes = axes @ views.lens  # (N, 2, 2) from the plane z = 1 to pixels along the box's axes
     along, across = ground_axes(views, u)
-    directions = np.stack([along, across, views.normal], 1)  # (N, 3 directions, 3)
-    target = boxes.xylwa[:, 2:4]
-    x0, y0 = (views.ground[:, :2] / views.ground[:, 2:]).T[..., None]
-    rise = heights[None, :, None] * directions[:, None, 2]  # (N, P, 3)
-
-    def displacement(offset: np.ndarray, lift: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (N, P) along both box axes from its centre, of points `offset` (N, P, 2) along and across on the
-        ground, raised by `lift` (N, P, 3)."""
-        x, y, z = np.moveaxis(views.ground[:, None] + offset @ directions[:, :2] + lift, -1, 0)
-        x, y = x / z - x0, y / z - y0
-        m = to_axes[..., None]
-        return m[:, 0, 0] * x + m[:, 0, 1] * y, m[:, 1, 0] * x + m[:, 1, 1] * y
-
-    # Pixels along the box's axes for one unit along and across the vehicle: (N, 2 axes, 2 directions). The projection
-    # is smooth, so a step of a millionth of the distance gives the derivative.
-    step = 1e-6 * np.linalg.norm(views.ground, axis=1)[:, None, None]
-    jacobian = np.stack(displacement(step * np.eye(2), 0.0), 1) / step
+    # A point X of the camera's space lies (form_k . X) / X_z pixels along box axis k from the box's centre.
+    centre = views.ground[:, :2] / views.ground[:, 2:]
+    forms = np.concatenate([to_axes, -to_axes @ centre[..., None]], -1)  # (N, 2 forms, 3)
+    forms = np.concatenate([forms, np.broadcast_to([[[0.0, 0.0, 1.0]]], (len(boxes), 1, 3))], 1)  # and X_z
+    # By how much each form grows for one unit along and across the vehicle, and upwards: (N, 3 forms, 3 directions).
+    slopes = forms @ np.stack([along, across, views.normal], -1)
+    jacobian = slopes[:, :2, :2] / views.ground[:, 2:, None]  # pixels (N, 2 axes, 2 directions) at the box's centre
     gain = np.abs(np.diagonal(jacobian, axis1=1, axis2=2))
+    target = boxes.xylwa[:, 2:4]
 
+    # Boxes last from here on: what is done over and over is done to long rows.
+    slopes = np.ascontiguousarray(slopes.transpose(1, 2, 0))  # (3 forms, 3 directions, N)
+    on_ground, rising = slopes[:, :2], slopes[:, 2:] * heights[:, None]  # rising (3, P, N)
+    rising[2] += views.ground[:, 2]
     size, place = target / gain, np.zeros_like(target)
     with np.errstate(all="ignore"):
         inverse = np.linalg.inv(jacobian)
         for _ in range(ITERATIONS):
-            seen = displacement(plan * size[:, None] + place[:, None], rise)
-            low, high = (np.stack([f(d, axis=1) for d in seen], -1) for f in (np.min, np.max))
+            form = plan @ (on_ground * size.T) + (on_ground * place.T).sum(1)[:, None] + rising  # (3, P, N)
+            seen = form[:2] / form[2]
+            low, high = seen.min(1).T, seen.max(1).T  # (N, 2)
             size = size + (target - (high - low)) / gain
             place = place - ((inverse @ (low + high)[..., None])[..., 0]) / 2
         settled = (np.abs(high - low - target) < 0.01 * target).all(1)
