@@ -1,4 +1,7 @@
-"""Do the 90 % intervals keep their word, and how near is the value? ``python benchmarks/interval_coverage.py``.
+"""Do the 90 % intervals keep their word, and how near is the value?
+
+    python benchmarks/interval_coverage.py                        # every table: hours
+    python benchmarks/interval_coverage.py country --scenes 80    # one of them: minutes
 
 Simulated car parks in orthophotos; in each, the fleet's mean, the margin and the labels' bias are off by as much as
 they claim to be. Pooled by orthoscale and, on the same boxes, by the paper's IQR mean.
@@ -6,6 +9,8 @@ they claim to be. Pooled by orthoscale and, on the same boxes, by the paper's IQ
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +23,7 @@ from orthoscale.pooling.robust import pool
 from orthoscale.pooling.ruler import Ruler
 
 FLEETS = ("US", "DE", "JP", "IN", "BR", "CN", "PH", "WORLD")
-SCENES = 500
+SCENES = 500  # a cell
 VEHICLES = 60
 GSDS = (0.05, 0.12, 0.30)  # metres per pixel, taken in turn
 RULER = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), noise=(1.5, 1.0))
@@ -57,7 +62,7 @@ def rms(values: np.ndarray) -> str:
 
 def run(
     fleet: Fleet,
-    scenes: int = SCENES,
+    scenes: int,
     n: int = VEHICLES,
     ruler: Ruler = RULER,
     gsds: tuple[float, ...] = GSDS,
@@ -95,26 +100,26 @@ def run(
     return Tally(error, sd, hit, paper_error, paper_hit, fair_error, refused)
 
 
-def by_fleet(ruler: Ruler) -> str:
+def by_fleet(ruler: Ruler, scenes: int) -> str:
     """Each fleet in each condition, all pixel sizes together."""
     rows = []
     for code in FLEETS:
-        rows.append(
-            [code, *(run(Fleet.load(code), ruler=ruler, vans=v, false=f).cell() for v, f in CONDITIONS.values())]
-        )
+        fleet = Fleet.load(code)
+        rows.append([code, *(run(fleet, scenes, ruler=ruler, vans=v, false=f).cell() for v, f in CONDITIONS.values())])
     return table(["fleet", *CONDITIONS], rows)
 
 
-def by_gsd(name: str) -> str:
+def by_gsd(name: str, scenes: int) -> str:
     """Each fleet at each pixel size, in one condition."""
     vans, false = CONDITIONS[name]
     rows = []
     for code in FLEETS:
-        rows.append([code, *(run(Fleet.load(code), gsds=(g,), vans=vans, false=false).cell() for g in GSDS)])
+        fleet = Fleet.load(code)
+        rows.append([code, *(run(fleet, scenes, gsds=(g,), vans=vans, false=false).cell() for g in GSDS)])
     return table(["fleet", *(f"{100 * g:.0f} cm/px" for g in GSDS)], rows)
 
 
-def without_country(scenes: int = 200) -> str:
+def without_country(scenes: int) -> str:
     """Vehicles of a country drawn anew for each scene, pooled as of a fleet to be found, and as of the world's."""
     auto = Fleet.load("auto")
     countries = auto.candidates[1:]  # the first is the world's average
@@ -138,7 +143,7 @@ def without_country(scenes: int = 200) -> str:
     return table(["vehicles of a random country", "fleet auto", "fleet world"], rows)
 
 
-def by_count(code: str, vans: float, false: float, scenes: int = 200) -> str:
+def by_count(code: str, vans: float, false: float, scenes: int) -> str:
     """Error against the number of boxes, and what the paper's mean makes of the same boxes."""
     rows = []
     for n in COUNTS:
@@ -150,7 +155,7 @@ def by_count(code: str, vans: float, false: float, scenes: int = 200) -> str:
     return table(["boxes", *head], rows)
 
 
-def paper_thresholds(scenes: int = 300) -> str:
+def paper_thresholds(scenes: int) -> str:
     """The paper's two thresholds: scenes answered, and the RMS error of those, fleet and margin known exactly."""
     fleet = Fleet.load("PAPER")
     known = replace(fleet, mean_sd=np.full(3, 1e-6))
@@ -173,20 +178,37 @@ def paper_thresholds(scenes: int = 300) -> str:
     return table(["at least", *(f"score > {t}" for t in (0.1, 0.3, 0.5, 0.7, 0.9))], rows)
 
 
+TABLES: dict[str, tuple[str, Callable[[int], str]]] = {
+    "fleets": ("Coverage (bias, RMS error, claimed one-sigma [%])", lambda scenes: by_fleet(RULER, scenes)),
+    "bare": ("The same without box margins", lambda scenes: by_fleet(NO_MARGIN, scenes)),
+    "drawing": (
+        "With margins, sizes drawn to the usual by 0.4 of length and 0.2 of width",
+        lambda scenes: by_fleet(DRAWING, scenes),
+    ),
+    "pixels": ("With margins, 25 % vans and 10 % false boxes, by pixel size", lambda scenes: by_gsd("both", scenes)),
+    "country": ("The country not known", without_country),
+    "count": ("Error against the number of boxes [%], DE", lambda scenes: by_count("DE", 0.0, 0.0, scenes)),
+    "count-vans": (
+        "The same with 25 % vans and 10 % false boxes",
+        lambda scenes: by_count("DE", 0.25, 0.1, scenes),
+    ),
+    "thresholds": (
+        "The paper's thresholds: scenes answered, RMS error [%]; 1 to 59 boxes, of which 30 % are false, 5 % vans",
+        paper_thresholds,
+    ),
+}
+
+
 def main() -> None:
-    gsds = ", ".join(f"{100 * g:.0f}" for g in GSDS)
-    print("## Coverage of the 90 % interval (bias, RMS error, claimed one-sigma [%])\n")
-    print(f"{SCENES} scenes of {VEHICLES} boxes, at {gsds} cm/px in turn, with box margins\n\n{by_fleet(RULER)}\n")
-    print(f"Without box margins\n\n{by_fleet(NO_MARGIN)}\n")
-    print(f"With margins, sizes drawn to the usual by 0.4 of length and 0.2 of width\n\n{by_fleet(DRAWING)}\n")
-    print(f"With margins, 25 % vans and 10 % false boxes, by pixel size\n\n{by_gsd('both')}\n")
-    print(f"The country not known, 200 scenes\n\n{without_country()}\n")
-    print("## Error against the number of boxes [%]\n")
-    for code in ("DE", "US", "WORLD"):
-        print(f"{code}, vehicles only\n\n{by_count(code, 0.0, 0.0)}\n")
-        print(f"{code}, 25 % vans and 10 % false boxes\n\n{by_count(code, 0.25, 0.1)}\n")
-    print("## The paper's thresholds: scenes answered, RMS error [%]\n")
-    print(f"1 to 59 boxes, of which 30 % are false, 5 % vans\n\n{paper_thresholds()}")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"{', '.join(TABLES)}; all by default")
+    parser.add_argument("--scenes", type=int, default=SCENES, help="a cell (%(default)s)")
+    options = parser.parse_args()
+    if unknown := set(options.tables) - set(TABLES):
+        parser.error(f"no such table: {', '.join(sorted(unknown))}; there are {', '.join(TABLES)}")
+    for name in options.tables or TABLES:
+        title, make = TABLES[name]
+        print(f"## {title}\n\n{options.scenes} scenes a cell\n\n{make(options.scenes)}\n", flush=True)
 
 
 if __name__ == "__main__":
