@@ -17,7 +17,7 @@ from .detect.refine import refined
 from .detect.workers import worker_count
 from .detect.zoom import check_told, told_zoom
 from .detections import Detections
-from .errors import TooLittleEvidence, UsageError
+from .errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from .evidence.combine import Evidence
 from .evidence.control import read_control, read_distance
 from .exchange import load as load_detections
@@ -101,8 +101,8 @@ def estimate(
                 found, choice = find_vehicles(source.pictures, network, zoom, progress, how_much, sampling)
             else:
                 found, choice = find_in_model(model, mode, network, zoom, progress, how_much)
-        except TooLittleEvidence as error:
-            raise TooLittleEvidence(f"{source.path}: {error.message}", error.hint) from error
+        except (TooLittleEvidence, EvidenceDisagrees) as error:
+            raise type(error)(f"{source.path}: {error.message}", error.hint) from error
         if refine:
             workers = worker_count(how_much.workers)
             found = replace(found, boxes=refined(source.pictures, found.boxes, found.zoom, network, workers, progress))

@@ -7,8 +7,9 @@ import pytest
 import orthoscale
 from orthoscale.boxes import Boxes
 from orthoscale.detect.detector import Detector
+from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.zoom import search_zoom
-from orthoscale.errors import UsageError
+from orthoscale.errors import EvidenceDisagrees, UsageError
 from orthoscale.fleet import Fleet
 from orthoscale.synthetic import make_scene, write_ortho
 
@@ -110,6 +111,64 @@ def test_only_promising_zooms_are_looked_at_more_widely():
     pixels = np.array([seen[z] for z in zooms])
     assert pixels[(zooms > 0.3) & (zooms < 1.5)].max() > 40e6
     assert pixels[zooms > 3].sum() < 15e6
+
+
+class Seen:
+    """A detector that sees boxes of a picture wherever they are usable; those with chance below 1 now and then."""
+
+    def __init__(self, picture, boxes, chance):
+        self.picture, self.boxes, self.chance = picture, boxes, np.asarray(chance)
+        self.card, self.sha256 = Detector().card, ""
+
+    def __call__(self, image, threshold=None):
+        x, y, zoom = self.picture.window
+        shown = self.boxes.mapped(zoom, (-x * zoom, -y * zoom))
+        usable = (shown.length > 10) & (shown.length < 80) & (shown.centre >= 0).all(1)
+        luck = np.random.default_rng(round(1000 * zoom)).uniform(size=len(shown))  # the same from window to window
+        return shown[usable & (luck < self.chance)]
+
+
+class Windows(Pixels):
+    """An empty picture that says which part of it was read last."""
+
+    def __init__(self, side):
+        super().__init__(np.zeros((1, 1, 3), np.uint8))
+        self.width = self.height = side
+
+    def read(self, x, y, width, height, out_width, out_height):
+        self.window = (x, y, out_width / width)
+        return np.zeros((out_height, out_width, 3), np.uint8)
+
+
+def scattered(seed, side, length, count):
+    rng = np.random.default_rng(seed)
+    lengths = length * np.exp(rng.normal(0, 0.08, count))
+    centre = rng.uniform(length, side - length, (count, 2))
+    return Boxes(np.column_stack([centre, lengths, 0.42 * lengths, rng.uniform(0, 3, count)]), np.full(count, 0.55))
+
+
+def test_many_mistakes_that_zooms_rarely_agree_on_do_not_outvote_few_vehicles():
+    side = 4000
+    picture = Windows(side)
+    vehicles, glints = scattered(1, side, 160, 10), scattered(2, side, 20, 2500)
+    chance = np.r_[np.full(10, 0.95), np.full(2500, 0.25)]
+    detector = Seen(picture, Boxes.concatenate([vehicles, glints]), chance)
+    choice = search_zoom([picture], detector, detector.card)
+    assert choice.vehicle_px == pytest.approx(160, rel=0.15) and not choice.ambiguous
+
+
+@pytest.mark.parametrize("other", [20, 90])
+def test_two_sizes_as_likely_are_not_guessed_between_unless_distance_explains_them(other):
+    side = 1700  # small enough to be looked at as a whole
+    picture = Windows(side)
+    both = Boxes.concatenate([scattered(1, side, 180, 8), scattered(2, side, other, 8)])
+    detector = Seen(picture, both, np.ones(len(both)))
+    if other == 90:  # frames from two altitudes show that
+        find_vehicles([picture], detector, effort=Effort(workers=1, cache=False))
+        return
+    with pytest.raises(EvidenceDisagrees, match=r"vehicles may be \d+ px long, or \d+ px") as refusal:
+        find_vehicles([picture], detector, effort=Effort(workers=1, cache=False))
+    assert "--zoom 0.2" in refusal.value.hint and "--gsd-hint" in refusal.value.hint
 
 
 @pytest.mark.parametrize("wish", [{"zoom": 1e6}, {"gsd_hint": 50}])

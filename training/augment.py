@@ -2,7 +2,7 @@
 
 A crop is drawn so that its vehicles come out 11 to 75 px long, at any rotation, mirrored or not, with the slight
 anisotropy and lean that oblique views and bent orthophotos have. Half of the crops of scenes without vehicles get some
-pasted in.
+pasted in, and half get glints.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from .targets import CROP, encode
 # Assumed length where an image has no vehicle [px]; only sets how far such ground is enlarged or shrunk.
 NOMINAL_LENGTH = 45.0
 PASTED = 0.5  # share of the crops without vehicles that get some
+GLINTING = 0.5  # share of the crops without vehicles that get glints
 
 
 def crops(images: list[LabelledImage], weights: dict[str, float], seed: int) -> Iterator[tuple[np.ndarray, ...]]:
@@ -59,11 +60,29 @@ def crop(
 
     pixels, boxes = warp(image, linear, shift, scale, rng), transform_boxes(image.boxes, linear, shift)
     is_vehicle = image.is_vehicle
+    if not is_vehicle.any() and rng.random() < GLINTING:
+        pixels = glints(pixels, rng)
     if donors and not is_vehicle.any() and rng.random() < PASTED:
         pixels, added = paste(pixels, boxes, donors, rng)
         boxes, is_vehicle = np.r_[boxes, added], np.r_[is_vehicle, np.ones(len(added), bool)]
     lit = photometric(pixels, rng)
     return np.ascontiguousarray(lit.transpose(2, 0, 1)), *encode(boxes, is_vehicle)
+
+
+def glints(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Bright (or dark) specks, longer than wide and all one way, as the sun makes them on water; uint8 in and out.
+
+    Where a random field is high. The network took the glints of a river, magnified, for white cars.
+    """
+    size = np.exp(rng.uniform(*np.log((2.0, 12.0))))  # about the specks' half width [px]
+    field = rng.normal(0, 1, (CROP, CROP)).astype(np.float32)
+    field = cv2.GaussianBlur(field, (0, 0), sigmaX=size * rng.uniform(1.0, 3.0), sigmaY=size)
+    turn = cv2.getRotationMatrix2D((CROP / 2, CROP / 2), rng.uniform(0, 180), 1.0)
+    field = cv2.warpAffine(field, turn, (CROP, CROP), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    field = field / field.std() - rng.uniform(1.0, 2.5)
+    speck = np.clip(field / rng.uniform(0.1, 0.8), 0, 1)[..., None] * np.float32(rng.uniform(0.5, 1.0))
+    colour = np.float32(rng.uniform(200, 255, 3) if rng.random() < 0.8 else rng.uniform(0, 255, 3))
+    return (pixels + speck * (colour - pixels)).astype(np.uint8)
 
 
 def photometric(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:

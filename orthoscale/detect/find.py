@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..detections import Detections
-from ..errors import TooLittleEvidence
+from ..errors import EvidenceDisagrees, TooLittleEvidence
 from .cache import TileCache, cache_key
 from .detector import Detector
 from .order import visiting_order
@@ -62,7 +62,7 @@ def find_vehicles(
     detector : the shipped one by default. zoom : detector pixels per picture pixel.
     sampling : gives the sampling part of the uncertainty that follows from what was found so far (infinite for too
     little): the sweep ends when it reaches the effort's target. Without it, all tiles are looked at.
-    Raises TooLittleEvidence.
+    Raises TooLittleEvidence, EvidenceDisagrees.
     """
 
     def step(what: str) -> Callable[[int, int], None] | None:
@@ -73,15 +73,8 @@ def find_vehicles(
     detector = detector or Detector(threads=effort.threads_each)
     choice = None
     if zoom is None:
-        choice = search_zoom(pictures, detector, detector.card, step("Looking for the right zoom"), workers=count)
+        choice = _searched(pictures, detector, step("Looking for the right zoom"), count)
         zoom = choice.zoom
-        if choice.vehicle_px is None:
-            raise TooLittleEvidence(
-                f"no vehicles found at any zoom from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "
-                f"({sum(row[1] for row in choice.table)} doubtful boxes, {sum(row[2] for row in choice.table)} of them "
-                "seen at two zooms)",
-                "If there are vehicles, say how large: --gsd-hint METRES_PER_PIXEL or --zoom FACTOR.",
-            )
     card = detector.card
 
     def detections(found: Found) -> Detections:
@@ -119,3 +112,26 @@ def find_vehicles(
             card.sure,
         )
     return detections(found), choice
+
+
+def _searched(
+    pictures: Sequence[Picture], detector: Detector, progress: Callable[[int, int], None] | None, workers: int
+) -> ZoomChoice:
+    """The zoom to sweep at. Raises TooLittleEvidence where none shows vehicles, EvidenceDisagrees where two do."""
+    choice = search_zoom(pictures, detector, detector.card, progress, workers=workers)
+    if choice.vehicle_px is None:
+        raise TooLittleEvidence(
+            f"no vehicles found at any zoom from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "
+            f"({sum(row[1] for row in choice.table)} doubtful boxes, {sum(row[2] for row in choice.table)} of them "
+            "seen at two zooms)",
+            "If there are vehicles, say how large: --gsd-hint METRES_PER_PIXEL or --zoom FACTOR.",
+        )
+    if choice.ambiguous and choice.rival_px:
+        best = detector.card.best_length
+        raise EvidenceDisagrees(
+            f"vehicles may be {choice.vehicle_px:.0f} px long, or {choice.rival_px:.0f} px: what is seen of both sizes "
+            "is about as convincing",
+            f"Say which: --zoom {best / choice.vehicle_px:.2g}, --zoom {best / choice.rival_px:.2g}, or roughly how "
+            "large a pixel is (--gsd-hint METRES_PER_PIXEL).",
+        )
+    return choice

@@ -3,7 +3,10 @@
 A vehicle has one size in the picture, at whatever zoom it is looked at; a mistake has the size that the detector likes,
 so it shrinks as the zoom grows. A sample of windows is therefore looked at over a whole pyramid of zooms.
 Boxes that a neighbouring zoom confirms vote for their length in picture pixels; the length with most votes is the
-vehicles', and the zoom that brings it to the detector's best length is the one to sweep at.
+vehicles', and the zoom that brings it to the detector's best length is the one to sweep at. What two zooms agree on now
+and then is chance, however often it happens in a large picture (glints on water, tiles, gravel): so a box's vote is its
+score times what the share of boxes of about its length that the two zooms agree on says, which is 0.6 to 0.95 where
+they are vehicles and 0.05 to 0.4 where they are not.
 """
 
 from __future__ import annotations
@@ -29,11 +32,17 @@ BUDGET = 12e6
 DECODED = 8.0  # pixels that are decoded in the time in which one is looked at (deflate: 18 ns against 150 ns)
 WIDER = (4, 16)  # times as much in later rounds, but only at zooms where the rounds before promise vehicles
 USUAL = (1 / 8, 1.0)  # where nothing is promised, zooms of drone pictures (1 to 12 cm/px) get one look more
-PROMISING = 0.8  # votes that make a length worth another look; one vehicle that two zooms agree on gives as much
-ENOUGH = 20.0  # votes (sum of scores) after which no further round is needed
-CLEAR = (6.0, 0.35)  # so are fewer votes, where the second best length has less than this share of them
-FEWEST = 3.0  # votes below which no zoom is right; five vehicles that two zooms agree on give more
+PROMISING = 0.5  # votes that make a length worth another look; one vehicle that two zooms agree on gives as much
+ENOUGH = 14.0  # votes (of 1 at most each) after which no further round is needed
+CLEAR = (4.0, 0.35)  # so are fewer votes, where the second best length has less than this share of them
+FEWEST = 2.0  # votes below which no zoom is right; five vehicles that two zooms agree on give more
+# Share of the best length's votes, and factor between the lengths, from which another is about as likely and cannot be
+# the same vehicles' in frames from nearer or farther.
+AMBIGUOUS = (0.5, 4.0)
 SAME_BOX = 0.5  # overlap at which two zooms see the same vehicle
+AGREED = (0.3, 0.6)  # share of boxes that two zooms agree on, of mistakes and of vehicles: from none to all of a vote
+LEAST_VOTE = 0.05  # that is left however few are agreed on
+VISIBLE = 1.15  # times the least usable length, from which a zoom should confirm what another sees
 KERNEL = 0.12  # width of the vote histogram's kernel in log length, about the spread of a fleet's lengths
 MAX_ZOOM = 4.0
 HIGHEST_ZOOM = 10.0  # that may be asked for: vehicles are then 4 px long, half of what can be measured
@@ -43,15 +52,24 @@ HIGHEST_ZOOM = 10.0  # that may be asked for: vehicles are then 4 px long, half 
 class ZoomChoice:
     """zoom : network pixels per picture pixel. vehicle_px : the vehicles' length in picture pixels, None if not found.
 
-    votes : confidence-weighted boxes behind the choice; rival : share that the second best length got.
+    votes : weighted boxes behind the choice. rival_px, rival : the second best length, and the share of votes it got.
     table : per zoom (zoom, boxes, confirmed boxes, their median length in picture pixels).
     """
 
     zoom: float
     vehicle_px: float | None
     votes: float
+    rival_px: float | None
     rival: float
     table: list[tuple[float, int, int, float]]
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether vehicles of quite another length are about as likely."""
+        if self.vehicle_px is None or self.rival_px is None:
+            return False
+        apart = max(self.vehicle_px / self.rival_px, self.rival_px / self.vehicle_px)
+        return self.rival > AMBIGUOUS[0] and apart > AMBIGUOUS[1]
 
 
 def check_told(zoom: float | None, gsd_hint: float | None) -> None:
@@ -107,7 +125,7 @@ def search_zoom(
                 level.keep(windows, looks, card)
                 if progress:
                     progress(k + 1, len(chosen))
-        return _votes(levels)
+        return _votes(levels, card.usable_length[0])
 
     votes = look_at(levels, BUDGET)
     for times in WIDER:
@@ -125,6 +143,7 @@ def search_zoom(
         zoom=1.0 if votes.length is None else float(min(card.best_length / votes.length, MAX_ZOOM)),
         vehicle_px=votes.length if votes.best >= FEWEST else None,
         votes=votes.best,
+        rival_px=votes.rival_length,
         rival=votes.rival,
         table=votes.table,
     )
@@ -182,13 +201,15 @@ class _Level:
 
 @dataclass(frozen=True)
 class _Votes:
-    """length : the one with most votes [px of the picture], None without any; best, rival, table as in ZoomChoice.
+    """length, rival_length : those with most votes [px of the picture], None without any; best : votes of the first;
+    rival, table as in ZoomChoice.
 
     grid, votes : (K,) log lengths and the votes that they have.
     """
 
     length: float | None
     best: float
+    rival_length: float | None
     rival: float
     table: list[tuple[float, int, int, float]]
     grid: np.ndarray
@@ -205,29 +226,45 @@ class _Votes:
         return bool(self.votes[here].max(initial=0) >= max(PROMISING, self.best / 4))
 
 
-def _votes(levels: Sequence[_Level]) -> _Votes:
-    """Boxes that two neighbouring zooms agree on vote for their length."""
+def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
+    """Boxes that two neighbouring zooms agree on vote for their length. `least_length` is usable at any zoom [px]."""
     lengths, weights, table = [], [], []
-    before: dict[int, Boxes] = {}
+    lower: _Level | None = None
     for level in levels:
         here = level.boxes()
-        confirmed = [_confirmed(boxes, before.get(key)) for key, boxes in here.items()]
-        for boxes, low in confirmed:
-            lengths += [boxes.length, low.length]
-            weights += [boxes.score, low.score]
+        there = lower.boxes() if lower else {}
+        confirmed = [_confirmed(boxes, there.get(key)) for key, boxes in here.items()]
         pairs = Boxes.concatenate([boxes for boxes, _ in confirmed])
+        if lower:
+            # Windows at a lower zoom hold those at a higher one, so all that is long enough could have been confirmed.
+            seen = Boxes.concatenate(list(here.values())).length
+            vote = _reliability(pairs.length, seen[seen * lower.zoom >= VISIBLE * least_length])
+            for boxes in (pairs, Boxes.concatenate([low for _, low in confirmed])):
+                lengths.append(boxes.length)
+                weights.append(vote * boxes.score)
         typical = float(np.median(pairs.length)) if len(pairs) else 0.0
         table.append((level.zoom, sum(map(len, here.values())), len(pairs), typical))
-        before = here
+        lower = level
     log_length, weight = np.log(np.concatenate(lengths or [np.ones(0)])), np.concatenate(weights or [np.ones(0)])
     if not len(log_length):
-        return _Votes(None, 0.0, 0.0, table, np.empty(0), np.empty(0))
+        return _Votes(None, 0.0, None, 0.0, table, np.empty(0), np.empty(0))
     grid = np.arange(log_length.min() - 0.1, log_length.max() + 0.1, 0.02)
     votes = (weight * np.exp(-0.5 * ((grid[:, None] - log_length) / KERNEL) ** 2)).sum(1)
     best = int(np.argmax(votes))
-    elsewhere = votes[np.abs(grid - grid[best]) > 3 * KERNEL]
-    rival = float(elsewhere.max(initial=0) / votes[best])
-    return _Votes(float(np.exp(grid[best])), float(votes[best]), rival, table, grid, votes)
+    elsewhere = np.where(np.abs(grid - grid[best]) > 3 * KERNEL, votes, 0.0)
+    second = int(np.argmax(elsewhere))
+    rival = float(elsewhere[second] / votes[best])
+    length, rival_length = np.exp(grid[[best, second]]).tolist()
+    return _Votes(length, float(votes[best]), rival_length if rival else None, rival, table, grid, votes)
+
+
+def _reliability(agreed: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """(K,) LEAST_VOTE to 1: what boxes of lengths `agreed` (K,) that two zooms agree on are worth, where one of them
+    has `seen` boxes of these lengths (N,). One of one says little, so shares begin with one of three."""
+    about = np.log(agreed)[:, None], 2 * KERNEL
+    both, all_seen = (1 + (np.abs(about[0] - np.log(n)) < about[1]).sum(1) for n in (agreed, seen))
+    share = both / (2 + all_seen)
+    return np.clip((share - AGREED[0]) / (AGREED[1] - AGREED[0]), LEAST_VOTE, 1.0)
 
 
 def _cost(picture: Picture, tile: Tile) -> float:
