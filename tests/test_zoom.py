@@ -161,7 +161,7 @@ def test_many_mistakes_that_zooms_rarely_agree_on_do_not_outvote_few_vehicles():
 def test_two_sizes_as_likely_are_not_guessed_between_unless_distance_explains_them(other):
     side = 1700  # small enough to be looked at as a whole
     picture = Windows(side)
-    both = Boxes.concatenate([scattered(1, side, 180, 8), scattered(2, side, other, 8)])
+    both = Boxes.concatenate([scattered(1, side, 180, 8), scattered(2, side, other, 20)])
     detector = Seen(picture, both, np.ones(len(both)))
     if other == 90:  # frames from two altitudes show that
         find_vehicles([picture], detector, effort=Effort(workers=1, cache=False))

@@ -6,7 +6,9 @@ Boxes that a neighbouring zoom confirms vote for their length in picture pixels;
 vehicles', and the zoom that brings it to the detector's best length is the one to sweep at. What two zooms agree on now
 and then is chance, however often it happens in a large picture (glints on water, tiles, gravel): so a box's vote is its
 score times what the share of boxes of about its length that the two zooms agree on says, which is 0.6 to 0.95 where
-they are vehicles and 0.05 to 0.4 where they are not.
+they are vehicles and 0.05 to 0.4 where they are not. And what zooms looked at differs: a small picture is soon seen as
+a whole at a low zoom, while there is always more to see at a high one. Mistakes grow in number with what is looked at,
+their scatter with its root; so the length is chosen whose votes stand out most.
 """
 
 from __future__ import annotations
@@ -38,10 +40,11 @@ CLEAR = (4.0, 0.35)  # so are fewer votes, where the second best length has less
 FEWEST = 2.0  # votes below which no zoom is right; five vehicles that two zooms agree on give more
 # Share of the best length's votes, and factor between the lengths, from which another is about as likely and cannot be
 # the same vehicles' in frames from nearer or farther.
-AMBIGUOUS = (0.5, 4.0)
+AMBIGUOUS = (0.4, 4.0)
 SAME_BOX = 0.5  # overlap at which two zooms see the same vehicle
 AGREED = (0.3, 0.6)  # share of boxes that two zooms agree on, of mistakes and of vehicles: from none to all of a vote
 LEAST_VOTE = 0.05  # that is left however few are agreed on
+MISTAKE_EVERY = 2e6  # network pixels, in which zooms agree on one by chance, where ground is busy
 VISIBLE = 1.15  # times the least usable length, from which a zoom should confirm what another sees
 KERNEL = 0.12  # width of the vote histogram's kernel in log length, about the spread of a fleet's lengths
 MAX_ZOOM = 4.0
@@ -52,7 +55,8 @@ HIGHEST_ZOOM = 10.0  # that may be asked for: vehicles are then 4 px long, half 
 class ZoomChoice:
     """zoom : network pixels per picture pixel. vehicle_px : the vehicles' length in picture pixels, None if not found.
 
-    votes : weighted boxes behind the choice. rival_px, rival : the second best length, and the share of votes it got.
+    votes : weighted boxes behind the choice. rival_px, rival : the second best length, and by what share of the first
+    its votes stand out.
     table : per zoom (zoom, boxes, confirmed boxes, their median length in picture pixels).
     """
 
@@ -157,6 +161,7 @@ class _Level:
     parts: dict[int, list[Boxes]] = field(default_factory=dict)
     done: set[tuple[int, int, int]] = field(default_factory=set)
     spent: float = 0.0  # network pixels
+    looked: float = 0.0  # network pixels in `parts`
     anchor: int = 0
     complete: bool = False
 
@@ -169,7 +174,7 @@ class _Level:
         if sum(p.width * p.height for p in pictures) * self.zoom**2 <= budget:
             everything = [(k, tile) for k, picture in enumerate(pictures) for tile in tiles(picture, self.zoom)]
             if sum(_cost(pictures[k], tile) for k, tile in everything) <= 2 * budget:
-                self.complete, self.parts = True, {}
+                self.complete, self.parts, self.looked = True, {}, 0.0
                 return everything
         windows = []
         while self.spent < budget:
@@ -191,7 +196,8 @@ class _Level:
     def keep(self, windows: Sequence[tuple[int, Tile]], looks: Iterable[Boxes], card: Card) -> None:
         """Add what was seen in `windows`."""
         low, high = card.usable_length
-        for (index, _), boxes in zip(windows, looks, strict=True):
+        for (index, tile), boxes in zip(windows, looks, strict=True):
+            self.looked += tile.out_width * tile.out_height
             usable = (boxes.length * self.zoom >= low) & (boxes.length * self.zoom <= high)
             self.parts.setdefault(index, []).append(boxes[usable])
 
@@ -201,8 +207,8 @@ class _Level:
 
 @dataclass(frozen=True)
 class _Votes:
-    """length, rival_length : those with most votes [px of the picture], None without any; best : votes of the first;
-    rival, table as in ZoomChoice.
+    """length, rival_length : those whose votes stand out most [px of the picture], None without any; best : votes of
+    the first; rival, table as in ZoomChoice.
 
     grid, votes : (K,) log lengths and the votes that they have.
     """
@@ -228,7 +234,7 @@ class _Votes:
 
 def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
     """Boxes that two neighbouring zooms agree on vote for their length. `least_length` is usable at any zoom [px]."""
-    lengths, weights, table = [], [], []
+    lengths, weights, chance, table = [], [], [], []
     lower: _Level | None = None
     for level in levels:
         here = level.boxes()
@@ -242,18 +248,20 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
             for boxes in (pairs, Boxes.concatenate([low for _, low in confirmed])):
                 lengths.append(boxes.length)
                 weights.append(vote * boxes.score)
+                chance.append(np.full(len(boxes), np.sqrt(1 + level.looked / MISTAKE_EVERY)))
         typical = float(np.median(pairs.length)) if len(pairs) else 0.0
         table.append((level.zoom, sum(map(len, here.values())), len(pairs), typical))
         lower = level
-    log_length, weight = np.log(np.concatenate(lengths or [np.ones(0)])), np.concatenate(weights or [np.ones(0)])
-    if not len(log_length):
+    if not sum(map(len, lengths)):
         return _Votes(None, 0.0, None, 0.0, table, np.empty(0), np.empty(0))
+    log_length, weight = np.log(np.concatenate(lengths)), np.concatenate(weights)
     grid = np.arange(log_length.min() - 0.1, log_length.max() + 0.1, 0.02)
-    votes = (weight * np.exp(-0.5 * ((grid[:, None] - log_length) / KERNEL) ** 2)).sum(1)
-    best = int(np.argmax(votes))
-    elsewhere = np.where(np.abs(grid - grid[best]) > 3 * KERNEL, votes, 0.0)
+    near = np.exp(-0.5 * ((grid[:, None] - log_length) / KERNEL) ** 2)
+    votes, standing = near @ weight, near @ (weight / np.concatenate(chance))
+    best = int(np.argmax(standing))
+    elsewhere = np.where(np.abs(grid - grid[best]) > 3 * KERNEL, standing, 0.0)
     second = int(np.argmax(elsewhere))
-    rival = float(elsewhere[second] / votes[best])
+    rival = float(elsewhere[second] / standing[best])
     length, rival_length = np.exp(grid[[best, second]]).tolist()
     return _Votes(length, float(votes[best]), rival_length if rival else None, rival, table, grid, votes)
 
