@@ -1,4 +1,4 @@
-"""Take the screenshots of docs/report.md.
+"""Take the screenshots of docs/report.md, and make the README's picture.
 
     python docs/make_report_pictures.py --data ../shared/data
 
@@ -16,6 +16,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 import orthoscale
@@ -24,6 +26,8 @@ HERE = Path(__file__).parent
 EXAMPLES = HERE.parent / "examples"
 OUT = HERE / "report"
 DESK, PHONE = (860, 700), (360, 640)
+FRONT = (1200, 850)  # of the README's picture [px]
+MIN_PANEL = 200  # rows of pictures in vehicles.png; titles and single vehicles have fewer from one gap to the next
 SECTIONS = {  # picture: report, and the heading of its section
     "vehicles": ("sheffield", "Are these the vehicles?"),
     "sizes": ("sheffield", "Do they have the sizes of the fleet?"),
@@ -66,6 +70,30 @@ def pages(paths: dict[str, Path]) -> Iterator[dict[str, Page]]:
         browser.close()
 
 
+def front_page(sheet: Path, out: Path) -> None:
+    """The panels of a model's vehicles.png beside each other, where it has them below one another: title on top, the
+    model from above on the left, one frame and the vehicles on the right."""
+    pixels = np.asarray(Image.open(sheet).convert("RGB"))
+    blank = (pixels == 255).all((1, 2))
+    edges = np.flatnonzero(np.diff(np.r_[True, blank, True].astype(int))).reshape(-1, 2)
+    above, frame = edges[np.ptp(edges, axis=1) > MIN_PANEL][:2].tolist()
+    left, top = 640, 50
+    right = FRONT[0] - left
+    page = Image.new("RGB", FRONT, "white")
+
+    def paste(first: int, end: int, width: int, x: int, y: int) -> int:
+        part = Image.fromarray(pixels[first:end])
+        part = part.resize((width, round(part.height * width / part.width)), Image.Resampling.LANCZOS)
+        page.paste(part, (x, y))
+        return y + part.height
+
+    paste(0, above[0], int(0.8 * pixels.shape[1]), 0, 0)
+    paste(*above, left - 8, 0, top)
+    bottom = paste(*frame, right, left, top)
+    paste(frame[1] + 8, len(pixels), right, left, bottom + 6)
+    page.quantize(256).save(out, optimize=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=HERE.parent.parent / "shared" / "data")
@@ -73,6 +101,7 @@ def main() -> None:
     OUT.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         paths = reports(Path(folder), options.data)
+        front_page(Path(folder) / "sheffield" / "vehicles.png", HERE / "sheffield.png")
         with pages(paths) as opened:
             for name in opened:
                 opened[name].locator("header").screenshot(path=OUT / f"{name}.png")
