@@ -18,7 +18,6 @@ from .detect.workers import worker_count
 from .detect.zoom import check_told, told_zoom
 from .detections import Detections
 from .errors import EvidenceDisagrees, TooLittleEvidence, UsageError
-from .evidence.combine import Evidence
 from .evidence.control import read_control, read_distance
 from .exchange import load as load_detections
 from .fleet import Fleet
@@ -26,6 +25,7 @@ from .measuring.drift import drift
 from .measuring.looks import find_in_model, measure_model
 from .measuring.measure import measure
 from .measuring.method import Method
+from .pooling.evidence import Evidence
 from .result import Result
 from .sources.opening import open_source
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from orthoscale.evidence.combine import Evidence, combined, ground_control, known_distance
 from orthoscale.evidence.objects import known_objects, standard_object
+from orthoscale.pooling.evidence import Evidence, combined, ground_control, known_distance
 from orthoscale.pooling.posterior import Posterior
 
 VEHICLES = Posterior.normal(np.log(0.10), 0.05)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orthoscale.errors import InputError, TooLittleEvidence
-from orthoscale.measuring.ground import Ground
+from orthoscale.sources.ground import Ground
 
 CAMERA_HEIGHT = 60.0  # [m], before the model's own unit
 SIZE = 200.0

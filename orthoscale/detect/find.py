@@ -126,12 +126,11 @@ def _searched(
             "seen at two zooms)",
             "If there are vehicles, say how large: --gsd-hint METRES_PER_PIXEL or --zoom FACTOR.",
         )
-    if choice.ambiguous and choice.rival_px:
-        best = detector.card.best_length
+    if other := choice.as_likely:
         raise EvidenceDisagrees(
-            f"vehicles may be {choice.vehicle_px:.0f} px long, or {choice.rival_px:.0f} px: what is seen of both sizes "
+            f"vehicles may be {choice.vehicle_px:.0f} px long, or {other:.0f} px: what is seen of both sizes "
             "is about as convincing",
-            f"Say which: --zoom {best / choice.vehicle_px:.2g}, --zoom {best / choice.rival_px:.2g}, or roughly how "
+            f"Say which: --zoom {choice.zoom:.2g}, --zoom {detector.card.best_length / other:.2g}, or roughly how "
             "large a pixel is (--gsd-hint METRES_PER_PIXEL).",
         )
     return choice

@@ -68,12 +68,12 @@ class ZoomChoice:
     table: list[tuple[float, int, int, float]]
 
     @property
-    def ambiguous(self) -> bool:
-        """Whether vehicles of quite another length are about as likely."""
+    def as_likely(self) -> float | None:
+        """Quite another length [px of the picture] that vehicles have about as likely; None where there is none."""
         if self.vehicle_px is None or self.rival_px is None:
-            return False
+            return None
         apart = max(self.vehicle_px / self.rival_px, self.rival_px / self.vehicle_px)
-        return self.rival > AMBIGUOUS[0] and apart > AMBIGUOUS[1]
+        return self.rival_px if self.rival > AMBIGUOUS[0] and apart > AMBIGUOUS[1] else None
 
 
 def check_told(zoom: float | None, gsd_hint: float | None) -> None:
@@ -236,9 +236,9 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
     """Boxes that two neighbouring zooms agree on vote for their length. `least_length` is usable at any zoom [px]."""
     lengths, weights, chance, table = [], [], [], []
     lower: _Level | None = None
+    there: dict[int, Boxes] = {}
     for level in levels:
         here = level.boxes()
-        there = lower.boxes() if lower else {}
         confirmed = [_confirmed(boxes, there.get(key)) for key, boxes in here.items()]
         pairs = Boxes.concatenate([boxes for boxes, _ in confirmed])
         if lower:
@@ -251,7 +251,7 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
                 chance.append(np.full(len(boxes), np.sqrt(1 + level.looked / MISTAKE_EVERY)))
         typical = float(np.median(pairs.length)) if len(pairs) else 0.0
         table.append((level.zoom, sum(map(len, here.values())), len(pairs), typical))
-        lower = level
+        lower, there = level, here
     if not sum(map(len, lengths)):
         return _Votes(None, 0.0, None, 0.0, table, np.empty(0), np.empty(0))
     log_length, weight = np.log(np.concatenate(lengths)), np.concatenate(weights)

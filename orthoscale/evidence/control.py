@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from ..errors import InputError, UsageError
-from .combine import Evidence, ground_control, known_distance
+from ..pooling.evidence import Evidence, ground_control, known_distance
 
 if TYPE_CHECKING:
     from ..sources.colmap import ColmapSource

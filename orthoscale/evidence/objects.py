@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .combine import Evidence
+from ..pooling.evidence import Evidence
 
 EDGE_SD = 2.0  # of one box side, in detector pixels: how well an object's edges are boxed, which nobody has measured
 SHARED = 0.5  # share of that variance that all boxes of a class have in common: the boxes' margin

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .combine import Evidence
+from ..pooling.evidence import Evidence
 
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
 ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another

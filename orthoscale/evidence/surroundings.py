@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..boxes import Boxes
+from ..pooling.evidence import Evidence
 from ..pooling.ruler import Ruler
 from ..projection.exact import Hull, ground_axes, ground_size
 from ..projection.view import Views
 from ..votes import Votes, gather
-from .combine import Evidence
 from .objects import known_objects, standard_object
 from .parking import parking_pitch
 

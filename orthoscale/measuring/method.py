@@ -9,8 +9,8 @@ import numpy as np
 
 from ..boxes import Boxes
 from ..errors import UsageError
-from ..evidence.combine import Evidence
 from ..fleet import Fleet
+from ..pooling.evidence import Evidence
 from ..pooling.paper import pool_paper
 from ..pooling.robust import pool
 from ..pooling.ruler import Ruler

@@ -10,7 +10,7 @@ from ..calibration import Calibration, fleet_of
 from ..detect.find import Progress
 from ..detect.zoom import check_told, told_zoom
 from ..detections import Detections
-from ..errors import TooLittleEvidence
+from ..errors import EvidenceDisagrees, TooLittleEvidence
 from ..fleet import Fleet
 from ..sources.picture_file import PictureFile
 from .measure import Photo
@@ -59,7 +59,7 @@ def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = 
     """The boxes of `photos`, from a file or by the detector.
 
     All photos share one zoom, as those of a flight do: measure flights at different heights in one run each.
-    Raises InputError, UsageError, TooLittleEvidence.
+    Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees.
     """
     check_told(how.zoom, how.gsd_hint)
     if how.detections is not None:
@@ -81,9 +81,9 @@ def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) 
     zoom = told_zoom(how.zoom, how.gsd_hint, detector.card, float(how.ruler_fleet().mean[0]))
     try:
         return find_vehicles([photo.picture for photo in photos], detector, zoom, progress)[0]
-    except TooLittleEvidence as error:
+    except (TooLittleEvidence, EvidenceDisagrees) as error:
         where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
-        raise TooLittleEvidence(f"{where}: {error.message}", error.hint) from error
+        raise type(error)(f"{where}: {error.message}", error.hint) from error
 
 
 def save_boxes(found: Detections, path: Path, photos: Sequence[Photo]) -> None:

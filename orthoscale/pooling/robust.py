@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import TooLittleEvidence
-from ..evidence.combine import Evidence, combined
 from ..fleet import Fleet
 from ..votes import Votes
+from .evidence import Evidence, combined
 from .mixture import Drawing, Fits, fit
 from .posterior import Posterior
 from .ruler import Ruler

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..evidence.combine import Evidence
+from .evidence import Evidence
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError, OutputError, UsageError
-from ..measuring.ground import Ground
 from ..projection.view import Views
 from ..rescale.dense import find_dense, sparse_folders
 from ..rescale.files import scale_path
@@ -21,6 +20,7 @@ from ..rescale.sim3 import Sim3
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
 from .database import pose_priors
+from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
 from .undistort import undistort

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..pooling.posterior import Z90, Posterior
+from .posterior import Z90, Posterior
 
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
