@@ -10,7 +10,7 @@ import pytest
 from orthoscale.boxes import Boxes
 from orthoscale.detect.decoders import decode_maps
 from orthoscale.fleet import Fleet
-from training import augment, data, label_margin, missing
+from training import augment, by_hand, data, missing
 from training.data import MARGINS, read_labels, split
 from training.evaluate import (
     Labelled,
@@ -23,6 +23,7 @@ from training.evaluate import (
     fit_margin,
     known_boxes,
     labelled_scenes,
+    measured_scenes,
     picture_files,
     reference_scene,
     table,
@@ -185,7 +186,8 @@ def test_what_was_judged_since_is_part_of_the_labels(tmp_path, monkeypatch):
     monkeypatch.setattr(data, "JUDGED", tmp_path / "judged.json")
     a, b = read_labels(path)
     assert a.kinds.tolist() == ["vehicle"] * 3 and b.kinds.tolist() == ["vehicle", "candidate", "candidate"]
-    assert a.vehicles[1:] == pytest.approx(np.array(judged["vehicle"])), "no margin is taken off a detector's boxes"
+    margin = json.loads(MARGINS.read_text())["margin_px"]["judged"]
+    assert a.vehicles[1:] == pytest.approx(np.array(judged["vehicle"]) - [0, 0, *margin, 0])
 
 
 def test_vehicles_that_labels_lack_are_proposed(tmp_path):
@@ -383,46 +385,98 @@ def test_known_boxes_are_in_detector_pixels(tmp_path):
     assert long_px == pytest.approx([40], rel=0.02) and wide_px == pytest.approx([40 * width / length], rel=0.02)
 
 
-# The labels' margin
+# Measured by hand
 
 
-@pytest.mark.parametrize("window", [None, 40])
-@pytest.mark.parametrize("margin", [0.0, 2.0, 4.5])
-def test_the_margin_of_drawn_vehicles_is_measured(margin, window):
-    rng = np.random.default_rng(5)
-    boxes = field_of_boxes(rng)
-    pixels = cv2.GaussianBlur(draw_boxes(boxes, window=window), (0, 0), 0.8)
-    loose = boxes + [0, 0, margin, margin, 0]
-    exact, scene = (label_margin.measure("s", [(pixels, b)]) for b in (boxes, loose))
-    assert exact.median_ratio == pytest.approx([1, 1], abs=0.02)
-    assert scene.count.min() >= 12
-    assert scene.margins(exact.median_ratio) == pytest.approx([margin, margin], abs=0.3)
-    assert scene.shape((margin, margin)) == pytest.approx(exact.shape(), rel=0.01)
+def reading_of(box, to_cell):
+    """What a perfect reader reads of a box [px of the picture]."""
+    linear = to_cell[:, :2]
+    scale, turn = np.sqrt(np.linalg.det(linear)), np.arctan2(linear[1, 0], linear[0, 0])
+    x, y = linear @ box[:2] + to_cell[:, 2]
+    tilt = (np.degrees(box[4] + turn) + 90) % 180 - 90
+    long, wide = box[2] * scale / 2, box[3] * scale / 2
+    return [x - long, x + long, y - wide, y + wide, tilt]
 
 
-def test_dark_vehicles_and_too_few_of_them_measure_nothing():
-    boxes = field_of_boxes(np.random.default_rng(6))
-    dark = label_margin.measure("s", [(draw_boxes(boxes, paint=80), boxes)])
-    assert dark.count.tolist() == [0, 0] and np.isnan(dark.margins(np.ones(2))).all()
-    few = label_margin.measure("s", [(draw_boxes(boxes), boxes[:3])])
-    assert few.count.tolist() == [3, 3] and np.isnan(few.median_ratio).all()
-    cut = label_margin.measure("s", [(draw_boxes(boxes), np.array([[5.0, 100, 40, 18, 0]]))])
-    assert cut.count.tolist() == [0, 0]
+def test_a_reading_is_a_box_of_the_picture():
+    boxes = field_of_boxes(np.random.default_rng(1))
+    cells = by_hand.choose([("s", Path("p.png"), boxes, (400, 400))], 6, seed=2)
+    assert len(cells) == 6
+    for cell in cells:
+        again = by_hand.to_picture(by_hand.read_box(reading_of(cell.label, cell.to_cell)), cell.to_cell)
+        assert again[:4] == pytest.approx(cell.label[:4])
+        assert np.cos(2 * (again[4] - cell.label[4])) == pytest.approx(1)
 
 
-def test_label_margins_are_printed_and_written(tmp_path, monkeypatch, capsys):
-    boxes = field_of_boxes(np.random.default_rng(7))
-    pixels = draw_boxes(boxes)
-    loose = write_labels(tmp_path / "loose", {"munich": (pixels, rows(boxes + [0, 0, 3, 3, 0])), "park": (pixels, [])})
-    exact = write_labels(tmp_path / "exact", {"synthetic": (pixels, rows(boxes))})
-    out = tmp_path / "margins.json"
-    arguments = ["label_margin", "--labels", str(loose), "--exact", str(exact), "--write", str(out)]
-    monkeypatch.setattr("sys.argv", arguments)
-    label_margin.main()
-    assert "munich" in capsys.readouterr().out
-    written = json.loads(out.read_text())
-    assert list(written["margin_px"]) == ["munich"] and written["margin_px"]["munich"] == pytest.approx([3, 3], abs=0.3)
-    assert set(written) == set(json.loads(MARGINS.read_text()))
+def test_vehicles_to_measure_come_from_all_scenes_and_as_many_pictures_as_there_are():
+    pictures = [(scene, Path(f"{scene}{k}.png"), field_of_boxes(np.random.default_rng(k)), (400, 400))
+                for scene in ("a", "b") for k in range(3)]  # fmt: skip
+    small = ("a", Path("small.png"), np.array([[200, 200, 20, 8, 0.0]]), (400, 400))
+    cut = ("b", Path("cut.png"), np.array([[10, 200, 40, 18, 0.0]]), (400, 400))
+    cells = by_hand.choose([*pictures, small, cut], 4, seed=0)
+    for scene in ("a", "b"):
+        files = [cell.picture.name for cell in cells if cell.scene == scene]
+        assert len(files) == 4 and set(files) == {f"{scene}{k}.png" for k in range(3)}
+
+
+def test_cells_show_their_vehicle_where_the_map_says(tmp_path):
+    boxes = field_of_boxes(np.random.default_rng(4))
+    cv2.imwrite(str(tmp_path / "p.png"), draw_boxes(boxes))
+    for cell in by_hand.choose([("s", tmp_path / "p.png", boxes, (400, 400))], 4, seed=5):
+        left, right, top, bottom, tilt = reading_of(cell.label, cell.to_cell)
+        drawn = by_hand.draw_cell(cell)[..., 2].astype(float)
+        mask = np.zeros(drawn.shape, np.uint8)
+        corners = Boxes(by_hand.read_box((left, right, top, bottom, tilt))[None], np.ones(1)).corners - 0.5
+        cv2.fillConvexPoly(mask, np.round(corners[0]).astype(np.int32), 1)
+        inside, ring = (
+            cv2.erode(mask, np.ones((9, 9))) > 0,
+            (cv2.dilate(mask, np.ones((21, 21))) > 0) & (cv2.dilate(mask, np.ones((9, 9))) == 0),
+        )
+        assert np.percentile(drawn[inside], 5) > np.percentile(drawn[ring], 95) + 60
+
+
+def test_margins_are_what_labels_exceed_the_readings_by(tmp_path, monkeypatch, capsys):
+    rng = np.random.default_rng(7)
+    loose = {"park": (0.0, 0.0), "munich": (3.0, -1.0), "minsk": (-2.0, 1.5)}
+    scenes, truth = {}, {}
+    for scene, margin in loose.items():
+        boxes = field_of_boxes(rng)
+        truth[scene] = boxes
+        scenes[scene] = (draw_boxes(boxes), rows(boxes + [0, 0, *margin, 0]))
+    labels = write_labels(tmp_path / "labels", scenes)
+    folder, kept = tmp_path / "sheets", tmp_path / "by_hand.json"
+
+    def run(*arguments):
+        monkeypatch.setattr("sys.argv", ["by_hand", *map(str, arguments)])
+        by_hand.main()
+        return capsys.readouterr().out
+
+    run("sheets", "--labels", labels, "--count", 12, "--out", folder)
+    cells = json.loads((folder / "cells.json").read_text())
+    assert len(cells) == 36 and len(list(folder.glob("sheet_*.png"))) == 6
+    readers = [tmp_path / "first.json", tmp_path / "second.json"]
+    for sign, file in zip((-1, 1), readers, strict=True):  # one sees vehicles too small, the other too large
+        readings = {}
+        for number, cell in enumerate(cells):
+            boxes = truth[cell["scene"]]
+            box = boxes[np.argmin(np.hypot(*(boxes[:, :2] - cell["label"][:2]).T))] + [0, 0, sign, sign, 0]
+            readings[number] = reading_of(box, np.array(cell["to_cell"]))
+        readings[0] = None  # could not be read
+        file.write_text(json.dumps(readings))
+    run("draw", folder, readers[0])
+    assert len(list(folder.glob("drawn_*.png"))) == 6
+    run("keep", folder, *readers, "--data", tmp_path / "labels", "--to", kept)
+    vehicles = json.loads(kept.read_text())["vehicles"]
+    assert len(vehicles) == 35 and {v["readers"] for v in vehicles} == {2}
+    told = by_hand.margins(vehicles)
+    for scene, margin in loose.items():
+        assert told[scene][0] == pytest.approx(margin, abs=0.02)
+    assert "munich           12     +3.00" in run("margins", "--of", kept).replace("11     +3", "12     +3")
+    # What was measured is what a detector's sizes are compared with.
+    monkeypatch.setattr("training.evaluate.BY_HAND", kept)
+    measured = {scene.name: scene for scene in measured_scenes(tmp_path / "labels")}
+    assert set(measured) == set(loose) and not measured["park"].complete
+    assert sum(len(p.vehicles) for scene in measured.values() for p in scene.pictures) == 35
 
 
 # The network (with torch)
@@ -490,6 +544,34 @@ def test_a_network_of_other_widths_does_the_same_where_what_it_lost_did_nothing(
         reshaped(before.state_dict(), Residual(3, 4).state_dict())
     with pytest.raises(ValueError, match="other layers: "):
         reshaped(before.state_dict(), before.first.state_dict())
+
+
+def test_training_goes_on_from_what_was_exported(torch, tmp_path, monkeypatch):
+    from training import export
+    from training.network import VehicleNet
+    from training.unfold import unfolded
+
+    torch.manual_seed(5)
+    network = VehicleNet().eval()
+    with torch.no_grad():
+        for module in network.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.weight.uniform_(0.5, 1.5)
+                module.bias.uniform_(-0.3, 0.3)
+                module.running_mean.uniform_(-0.5, 0.5)
+                module.running_var.uniform_(0.5, 1.5)
+    torch.save({"average": network.state_dict()}, tmp_path / "checkpoint.pt")
+    exported, card = tmp_path / "exported.onnx", Path(export.__file__).with_name("card.json")
+    monkeypatch.setattr("sys.argv", ["export", *map(str, ("--run", tmp_path, "--card", card, "--out", exported))])
+    export.main()
+    again = VehicleNet()
+    crops, other = torch.rand(2, 3, 64, 64), torch.rand(1, 3, 96, 64)
+    again.load_state_dict(unfolded(exported, crops))
+    with torch.no_grad():
+        for image in (crops, other):
+            assert torch.allclose(again.eval()(image), network(image), atol=1e-4)
+        # In training, too, it does what it did: its statistics are those of the crops.
+        assert torch.allclose(again.train()(crops), network(crops), atol=0.05)
 
 
 def test_training_stops_and_goes_on(torch, tmp_path, monkeypatch):

@@ -21,6 +21,7 @@ from .targets import CROP, encode
 NOMINAL_LENGTH = 45.0
 PASTED = 0.5  # share of the crops without vehicles that get some
 GLINTING = 0.5  # share of the crops without vehicles that get glints
+SHADED = 0.35  # share of the crops with shadows cast on them
 
 
 def crops(images: list[LabelledImage], weights: dict[str, float], seed: int) -> Iterator[tuple[np.ndarray, ...]]:
@@ -51,6 +52,9 @@ def crop(
         centre = vehicles[rng.integers(len(vehicles)), :2] + rng.uniform(-0.4, 0.4, 2) * CROP / scale
     else:
         centre = rng.uniform(0, 1, 2) * (image.width, image.height)
+    # Not much of a crop lies outside of the picture: there is nothing to learn there.
+    half = np.minimum(0.45 * CROP / scale, np.array([image.width, image.height]) / 2)
+    centre = np.clip(centre, half, (image.width, image.height) - half)
     turn = rng.uniform(0, 2 * np.pi)
     linear = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     linear = linear @ np.diag([rng.choice([-1.0, 1.0]), 1.0])
@@ -85,8 +89,30 @@ def glints(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return (pixels + speck * (colour - pixels)).astype(np.uint8)
 
 
+def edge_shadow(rng: np.random.Generator) -> np.ndarray:
+    """(CROP, CROP) float32, 1 in the shadow of something outside the crop, 0 in the sun."""
+    corners = rng.uniform(-0.3, 1.3, (4, 2)) * CROP
+    mask = np.zeros((CROP, CROP), np.float32)
+    cv2.fillConvexPoly(mask, cv2.convexHull(corners.astype(np.int32)), 1.0)
+    return cv2.GaussianBlur(mask, (0, 0), rng.uniform(0.6, 3))
+
+
+def leaves(rng: np.random.Generator) -> np.ndarray:
+    """(CROP, CROP) float32, 1 in the shadow of trees, 0 in the sun, which also comes through in flecks.
+
+    The network overlooked vehicles parked below trees.
+    """
+    cover = np.ones((CROP, CROP), np.float32)
+    for size, share in ((rng.uniform(20, 60), rng.uniform(0.3, 0.9)), (rng.uniform(1.5, 6), rng.uniform(0.7, 1.0))):
+        field = rng.normal(0, 1, (CROP, CROP)).astype(np.float32)
+        field = cv2.GaussianBlur(field, (0, 0), size, borderType=cv2.BORDER_REFLECT)
+        field = (field - np.quantile(field, 1 - share)) / field.std()
+        cover *= np.clip(0.5 + field / rng.uniform(0.2, 1.0), 0, 1).astype(np.float32)
+    return cover
+
+
 def photometric(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Light, haze, a cast shadow, lost colour, blur, noise, JPEG: uint8 in, float32 0..1 out."""
+    """Light, haze, cast shadows, lost colour, blur, noise, JPEG: uint8 in, float32 0..1 out."""
     x = pixels.astype(np.float32) / 255
     if rng.random() < 0.8:
         x = np.clip(x, 0, 1) ** np.float32(np.exp(rng.normal(0, 0.35)))
@@ -94,12 +120,10 @@ def photometric(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         x = x * (1 + rng.normal(0, 0.09, 3)).astype(np.float32)
     if rng.random() < 0.12:  # haze
         x = x + np.float32(rng.uniform(0.1, 0.5)) * (np.float32(rng.uniform(0.6, 0.9)) - x)
-    if rng.random() < 0.2:  # the shadow of something outside the crop
-        corners = rng.uniform(-0.3, 1.3, (4, 2)) * CROP
-        mask = np.zeros(x.shape[:2], np.float32)
-        cv2.fillConvexPoly(mask, cv2.convexHull(corners.astype(np.int32)), 1.0)
-        mask = cv2.GaussianBlur(mask, (0, 0), rng.uniform(0.6, 3))
-        x = x * (1 - np.float32(rng.uniform(0.3, 0.65)) * mask[..., None])
+    if rng.random() < SHADED:
+        light = np.float32(rng.uniform(0.2, 0.7) * np.array([0.93, 0.98, 1.09]))  # what is left is the sky's, bluish
+        cover = leaves(rng) if rng.random() < 0.6 else edge_shadow(rng)
+        x = x * (1 + (light - 1) * cover[..., None])
     if rng.random() < 0.15:
         x = np.repeat(x.mean(2, keepdims=True), 3, 2)
     x = np.clip(x, 0, 1)

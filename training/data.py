@@ -65,24 +65,24 @@ JUDGED = Path(__file__).parent / "labels" / "judged.json"
 LARGEST_SHARE = 0.25  # of the width that a margin may take away, so that tiny boxes stay boxes
 
 
-def read_labels(label_file: Path, tighten: bool = True) -> list[LabelledImage]:
+def read_labels(label_file: Path, tighten: bool = True, complete: bool = True) -> list[LabelledImage]:
     """The images of one label file, in its order, each box freed of its scene's margin (labels/margins.json).
 
     People and detectors draw boxes around a vehicle with some air, and each scene's labels have their own. A network
     that learns them as they are measures a vehicle by the scene that it resembles. `tighten=False`: the boxes as drawn.
-    What the labels lack and a person has judged since (labels/judged.json) is added.
+    What the labels lack and a person has judged since (labels/judged.json) is added; `complete=False`: it is not.
     """
     margins = json.loads(MARGINS.read_text())["margin_px"] if tighten else {}
-    judged = json.loads(JUDGED.read_text())["images"]
+    judged = json.loads(JUDGED.read_text())["images"] if complete else {}
     folder = label_file.parent / "images"
     images = []
     for entry in json.loads(label_file.read_text())["images"]:
         boxes = np.array(
             [[b[k] for k in ("cx", "cy", "length", "width", "angle")] for b in entry["boxes"]], float
         ).reshape(-1, 5)
-        boxes[:, 2:4] -= np.minimum(margins.get(entry["set"], 0.0), LARGEST_SHARE * boxes[:, 3:4])
+        boxes = _freed(boxes, margins.get(entry["set"], 0.0))
         kinds = np.array([b["kind"] for b in entry["boxes"]], dtype=object)
-        boxes, kinds = _with_judged(boxes, kinds, judged.get(entry["file"], {}))
+        boxes, kinds = _with_judged(boxes, kinds, judged.get(entry["file"], {}), margins.get("judged", 0.0))
         images.append(
             LabelledImage(
                 folder / entry["file"], entry["set"], entry["width"], entry["height"],
@@ -92,11 +92,18 @@ def read_labels(label_file: Path, tighten: bool = True) -> list[LabelledImage]:
     return images
 
 
+def _freed(boxes: np.ndarray, margin: float | list[float]) -> np.ndarray:
+    """Boxes (N, 5) without their margin of length and width [px]."""
+    size = boxes[:, 2:4] - np.minimum(margin, LARGEST_SHARE * boxes[:, 3:4])
+    return np.c_[boxes[:, :2], size, boxes[:, 4:]]
+
+
 def _with_judged(
-    boxes: np.ndarray, kinds: np.ndarray, judged: dict[str, list[list[float]]]
+    boxes: np.ndarray, kinds: np.ndarray, judged: dict[str, list[list[float]]], margin: float | list[float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Labels and what was judged since; a candidate whose centre lies in a judged box is settled by that."""
     added = np.array([row for rows in judged.values() for row in rows], float).reshape(-1, 5)
+    added = _freed(added, margin)
     added_kinds = np.array([kind for kind, rows in judged.items() for _ in rows], dtype=object)
     away = boxes[:, None, :2] - added[None, :, :2]
     settled = (np.hypot(away[..., 0], away[..., 1]) < added[:, 3] / 2).any(1) & (kinds == "candidate")

@@ -43,6 +43,7 @@ from .augment import NOMINAL_LENGTH
 from .data import read_labels
 
 CHECKED = Path(__file__).parent / "labels" / "checked.json"
+BY_HAND = Path(__file__).parent / "labels" / "by_hand.json"
 IOU = 0.5
 LOWEST_SCORE = 0.05  # boxes below are not asked for; the precision-recall curve ends there
 ROBUST = 1.48  # a normal distribution's standard deviation per median absolute deviation
@@ -206,6 +207,22 @@ def checked_scenes(data: Path) -> list[Scene]:
             ],
         )
         for name in dict.fromkeys(entry["scene"] for entry in entries.values())
+    ]
+
+
+def measured_scenes(data: Path) -> list[Scene]:
+    """The vehicles of labels/by_hand.json whose pictures lie under `data`; there are others beside them."""
+    scenes: dict[str, dict[Path, list[list[float]]]] = {}
+    for vehicle in json.loads(BY_HAND.read_text())["vehicles"]:
+        if (file := data / vehicle["picture"]).exists():
+            scenes.setdefault(vehicle["scene"], {}).setdefault(file, []).append(vehicle["read"])
+    return [
+        Scene(
+            scene,
+            [Labelled(picture_files(file)[0], np.array(boxes), np.empty((0, 5))) for file, boxes in pictures.items()],
+            complete=False,
+        )
+        for scene, pictures in scenes.items()
     ]
 
 
@@ -385,6 +402,7 @@ def main() -> None:
     parser.add_argument("--labels", type=Path, help="label file")
     parser.add_argument("--scenes", default="", help="scenes of the label file, comma separated; all by default")
     parser.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json")
+    parser.add_argument("--by-hand", type=Path, metavar="DATA", help="folder of the pictures of labels/by_hand.json")
     parser.add_argument(
         "--looks", type=int, choices=(1, 2), default=2, help="that a vehicle must show in (%(default)s)"
     )
@@ -394,8 +412,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write all figures here")
     parser.add_argument("--picture", type=Path, help="draw one picture of each scene into this image")
     options = parser.parse_args()
-    if not (options.labels or options.checked or options.reference or options.margin):
-        parser.error("nothing to compare with: give --labels, --checked, --reference or --margin")
+    if not (options.labels or options.checked or options.by_hand or options.reference or options.margin):
+        parser.error("nothing to compare with: give --labels, --checked, --by-hand, --reference or --margin")
 
     from orthoscale.detect.detector import Detector
 
@@ -405,6 +423,7 @@ def main() -> None:
     detect = partial(detector, threshold=LOWEST_SCORE)
     scenes = labelled_scenes(options.labels, list(filter(None, options.scenes.split(",")))) if options.labels else []
     scenes += checked_scenes(options.checked) if options.checked else []
+    scenes += measured_scenes(options.by_hand) if options.by_hand else []
     scenes += [reference_scene(text) for text in options.reference]
     results, pictures = [], []
     for scene in scenes:

@@ -14,6 +14,7 @@ import json
 import math
 import os
 import time
+from itertools import islice
 from pathlib import Path
 
 import torch
@@ -22,6 +23,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 from .augment import crops
 from .data import read_labels, split
 from .network import VehicleNet, loss
+from .unfold import unfolded
 
 # Share of the crops by scene: many small images of one car park count less, vehicle-free ground counts.
 SCENE_WEIGHTS = {
@@ -58,7 +60,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--resume", action="store_true")
-    start.add_argument("--start", type=Path, metavar="CHECKPOINT", help="begin with the average of another run")
+    start.add_argument(
+        "--start",
+        type=Path,
+        metavar="CHECKPOINT|ONNX",
+        help="begin with the average of another run, or what it exported",
+    )
     options = parser.parse_args()
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -74,7 +81,11 @@ def main() -> None:
     average = {name: value.clone() for name, value in network.state_dict().items()}
     step = 0
     if options.start:
-        average = torch.load(options.start, map_location=device)["average"]
+        if options.start.suffix == ".onnx":
+            sample = islice(crops(training, SCENE_WEIGHTS, options.seed), options.batch)
+            average = unfolded(options.start, torch.stack([torch.from_numpy(image) for image, *_ in sample]))
+        else:
+            average = torch.load(options.start, map_location=device)["average"]
         network.load_state_dict(average)
         average = {name: value.clone() for name, value in average.items()}
     elif options.resume:

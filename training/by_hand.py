@@ -1,0 +1,255 @@
+r"""Vehicles measured by hand, and by how much the labels of each scene are longer and wider than them.
+
+    python -m training.by_hand sheets --labels ../shared/data/vehicles/labels.json \\
+        --labels runs/synthetic/labels.json --checked ../shared/data --out runs/by_hand
+    python -m training.by_hand draw runs/by_hand READINGS.json      # what was read, drawn onto the sheets
+    python -m training.by_hand keep runs/by_hand READINGS.json [READINGS.json ...] --data ../shared/data
+    python -m training.by_hand margins                              # of all that was kept, in labels/by_hand.json
+
+`sheets` draws vehicles of all scenes in random order, enlarged, turned about level, without any box, each at its own
+scale and place, so that one cell's answer tells nothing about the next. A reader says where each ends, sees the answers
+drawn, corrects them, and leaves out what cannot be told.
+
+The margin of a scene's labels is what they exceed the readings by, lengths and widths for themselves, in pixels of the
+scene's pictures: the median of label - reading. No metres and no fleet enter. Two things show the reader's own habit:
+rendered vehicles, whose labels are exact (the margin of ``synthetic`` should be nothing), and places of known scale,
+where a fleet's mean size is known.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from orthoscale.boxes import Boxes
+
+from .data import read_labels
+from .evaluate import BY_HAND, ROBUST, checked_scenes
+
+CELL = (640, 360)  # width, height [px of the sheet]
+COLUMNS, ROWS = 2, 3
+PER_SHEET = COLUMNS * ROWS
+LENGTHS = (280.0, 400.0)  # of a vehicle's label in its cell [px]
+SHIFT = 45.0  # of the label's centre from the cell's, at most, either way [px]
+TURN = 4.0  # of the label from level, at most, either way [deg]
+SMALLEST = 24.0  # vehicles shorter than this are not measured [px of the picture]
+JUDGED = "judged"  # the vehicles of labels/judged.json, of whatever scene: one detector drew them all
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One vehicle on a sheet. to_cell : (2, 3) affine map from the picture [px, corner origin] to the cell.
+    label : (5,) its label as drawn, before any margin is taken off [px of the picture]."""
+
+    scene: str
+    picture: Path
+    to_cell: np.ndarray
+    label: np.ndarray
+
+
+def choose(pictures: Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]], count: int, seed: int) -> list[Cell]:
+    """`count` vehicles of each scene in random order, from as many pictures as possible.
+
+    pictures : scene, file, vehicles (N, 5) and (width, height) [px] of each.
+    """
+    rng = np.random.default_rng(seed)
+    scenes: dict[str, list[tuple[int, float, Path, np.ndarray]]] = {}
+    for scene, file, boxes, (width, height) in pictures:
+        whole = boxes[Boxes(boxes, np.ones(len(boxes))).inside(width, height, 8.0) & (boxes[:, 2] > SMALLEST)]
+        # A picture's second vehicle comes after every picture's first.
+        scenes.setdefault(scene, []).extend(
+            (n, rng.random(), file, box) for n, box in enumerate(rng.permutation(whole))
+        )
+    chosen = (
+        (scene, vehicle) for scene, all_ in scenes.items() for vehicle in sorted(all_, key=lambda v: v[:2])[:count]
+    )
+    cells = [Cell(scene, file, _to_cell(box, rng), box) for scene, (_, _, file, box) in chosen]
+    return [cells[k] for k in rng.permutation(len(cells))]
+
+
+def _to_cell(box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    scale = rng.uniform(*LENGTHS) / box[2]
+    turn = -box[4] + np.radians(rng.uniform(-TURN, TURN)) + np.pi * rng.integers(2)
+    linear = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return np.c_[linear, np.array(CELL) / 2 + rng.uniform(-SHIFT, SHIFT, 2) - linear @ box[:2]]
+
+
+def draw_cell(cell: Cell) -> np.ndarray:
+    """The cell's picture, BGR, its contrast stretched, with a scale in cell pixels at its edges and a faint grid."""
+    image = cv2.imread(str(cell.picture), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None:
+        raise ValueError(f"{cell.picture}: not an image that OpenCV can read")
+    linear, shift = cell.to_cell[:, :2], cell.to_cell[:, 2]
+    centres = np.c_[linear, shift + linear @ (0.5, 0.5) - 0.5]  # OpenCV puts a pixel's centre at its integer index
+    pixels = cv2.warpAffine(image, centres, CELL, flags=cv2.INTER_CUBIC).astype(np.float32)
+    low, high = np.percentile(pixels, (1, 99))
+    canvas = np.clip((pixels - low) / max(high - low, 1) * 235 + 10, 0, 255).astype(np.uint8)
+    faint = canvas.copy()
+    for axis, size in enumerate(CELL):
+        for at in range(0, size, 20):
+            major = at % 100 == 0
+            ends = ((at, 0), (at, CELL[1])) if axis == 0 else ((0, at), (CELL[0], at))
+            cv2.line(faint, *ends, (255, 255, 255) if major else (170, 170, 170), 1)
+            if major and at:
+                place = (at + 2, 11) if axis == 0 else (2, at - 2)
+                cv2.putText(canvas, str(at), place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 255), 1, cv2.LINE_AA)
+    return cv2.addWeighted(canvas, 0.82, faint, 0.18, 0)
+
+
+def read_box(reading: Sequence[float]) -> np.ndarray:
+    """(5,) box [px of the cell] of a reading: left, right, top and bottom end of the vehicle turned level about its
+    centre [px], and how far it is turned from level, clockwise on screen [deg]."""
+    left, right, top, bottom, tilt = reading
+    return np.array([(left + right) / 2, (top + bottom) / 2, right - left, bottom - top, np.radians(tilt)])
+
+
+def to_picture(box: np.ndarray, to_cell: np.ndarray) -> np.ndarray:
+    """(5,) box of a cell in its picture's pixels."""
+    linear, shift = to_cell[:, :2], to_cell[:, 2]
+    scale = np.sqrt(np.linalg.det(linear))
+    turn = np.arctan2(linear[1, 0], linear[0, 0])
+    return np.array([*np.linalg.solve(linear, box[:2] - shift), box[2] / scale, box[3] / scale, box[4] - turn])
+
+
+def margins(kept: Iterable[dict]) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """By scene: its labels' margin of length and width (2,) [px], that median's uncertainty (2,), and the measured
+    sizes (N, 2) [px]. kept : vehicles as labels/by_hand.json has them."""
+    sizes: dict[str, list[tuple[list[float], list[float]]]] = {}
+    for vehicle in kept:
+        sizes.setdefault(vehicle["scene"], []).append((vehicle["label"][2:4], vehicle["read"][2:4]))
+    told = {}
+    for scene, pairs in sizes.items():
+        label, read = np.array(pairs).transpose(1, 0, 2)
+        excess = label - read
+        median = np.median(excess, axis=0)
+        spread = ROBUST * np.median(np.abs(excess - median), axis=0)
+        # The median of a normal sample is pi/2 as uncertain, in variance, as its mean.
+        told[scene] = (median, spread * np.sqrt(np.pi / 2 / len(read)), read)
+    return told
+
+
+def _pictures(options: argparse.Namespace) -> Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]]:
+    for file in options.labels:
+        drawn, complete = (read_labels(file, tighten=False, complete=c) for c in (False, True))
+        for image, more in zip(drawn, complete, strict=True):
+            size = (image.width, image.height)
+            yield image.scene, image.path, image.vehicles, size
+            yield JUDGED, image.path, more.vehicles[len(image.vehicles) :], size
+    for scene in checked_scenes(options.checked) if options.checked else []:
+        for p in scene.pictures:
+            yield scene.name, p.picture.path, p.vehicles, (p.picture.width, p.picture.height)
+
+
+def write_sheets(folder: Path, cells: Sequence[Cell]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    entries = [
+        {"scene": c.scene, "picture": str(c.picture), "to_cell": c.to_cell.tolist(), "label": c.label.tolist()}
+        for c in cells
+    ]
+    (folder / "cells.json").write_text(json.dumps(entries))
+    _join(folder, "sheet", dict(enumerate(map(draw_cell, cells))))
+
+
+def read_sheets(folder: Path) -> list[Cell]:
+    return [
+        Cell(c["scene"], Path(c["picture"]), np.array(c["to_cell"]), np.array(c["label"]))
+        for c in json.loads((folder / "cells.json").read_text())
+    ]
+
+
+def read_answers(file: Path) -> dict[int, list[float]]:
+    """A reader's file, {cell: [left, right, top, bottom, tilt] or null}, without what could not be told."""
+    return {int(cell): reading for cell, reading in json.loads(file.read_text()).items() if reading is not None}
+
+
+def draw_answers(folder: Path, answers: dict[int, list[float]]) -> None:
+    """Write the sheets that were read once more, with the answers drawn on them."""
+    cells = read_sheets(folder)
+    wanted = {number // PER_SHEET for number in answers}
+    drawn = {number: draw_cell(cell) for number, cell in enumerate(cells) if number // PER_SHEET in wanted}
+    for number, reading in answers.items():
+        corners = np.round(Boxes(read_box(reading)[None], np.ones(1)).corners * 16).astype(np.int32)
+        cv2.polylines(drawn[number], list(corners), True, (0, 255, 0), 1, cv2.LINE_AA, 4)
+    _join(folder, "drawn", drawn)
+
+
+def measured(folder: Path, readers: Sequence[dict[int, list[float]]], data: Path) -> list[dict]:
+    """Vehicles as labels/by_hand.json has them: the mean box where several have read one. Pictures are named from the
+    folder `data` on, others by their name alone."""
+    kept = []
+    for number, cell in enumerate(read_sheets(folder)):
+        boxes = [to_picture(read_box(answers[number]), cell.to_cell) for answers in readers if number in answers]
+        if boxes:
+            near = cell.picture.resolve().is_relative_to(data.resolve())
+            kept.append({
+                "scene": cell.scene,
+                "picture": str(cell.picture.resolve().relative_to(data.resolve())) if near else cell.picture.name,
+                "label": cell.label.round(2).tolist(),
+                "read": np.mean(boxes, axis=0).round(2).tolist(),
+                "readers": len(boxes),
+            })  # fmt: skip
+    return kept
+
+
+def _join(folder: Path, name: str, cells: dict[int, np.ndarray]) -> None:
+    """Write sheets of COLUMNS x ROWS cells, by number."""
+    for sheet in {number // PER_SHEET for number in cells}:
+        canvas = np.zeros((ROWS * CELL[1], COLUMNS * CELL[0], 3), np.uint8)
+        for number in range(sheet * PER_SHEET, (sheet + 1) * PER_SHEET):
+            if number not in cells:
+                continue
+            row, column = divmod(number % PER_SHEET, COLUMNS)
+            y, x = row * CELL[1], column * CELL[0]
+            canvas[y : y + CELL[1], x : x + CELL[0]] = cells[number]
+            cv2.rectangle(canvas, (x, y), (x + CELL[0] - 1, y + CELL[1] - 1), (0, 0, 0), 2)
+            at = (x + CELL[0] - 90, y + CELL[1] - 8)
+            cv2.putText(canvas, f"cell {number}", at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, (0, 255, 255), 1, cv2.LINE_AA)
+        cv2.imwrite(str(folder / f"{name}_{sheet:02d}.png"), canvas)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    sheets = commands.add_parser("sheets", help="draw vehicles to be measured")
+    sheets.add_argument("--labels", type=Path, action="append", default=[], help="label file; may be repeated")
+    sheets.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json")
+    sheets.add_argument("--count", type=int, default=24, help="vehicles of each scene (%(default)s)")
+    sheets.add_argument("--seed", type=int, default=0)
+    sheets.add_argument("--out", type=Path, required=True)
+    draw, keep = (commands.add_parser(name, help=text) for name, text in
+                  {"draw": "draw readings onto the sheets", "keep": "add what was read to --to"}.items())  # fmt: skip
+    for command in (draw, keep):
+        command.add_argument("folder", type=Path, help="of the sheets")
+        command.add_argument("readings", type=Path, nargs="+", help="JSON: {cell: [left, right, top, bottom, tilt]}")
+    keep.add_argument("--data", type=Path, required=True, help="folder from which on pictures are named")
+    keep.add_argument("--to", type=Path, default=BY_HAND, help="(%(default)s)")
+    tell = commands.add_parser("margins", help="compare labels with what was kept")
+    tell.add_argument("--of", type=Path, default=BY_HAND, help="(%(default)s)")
+    options = parser.parse_args()
+    if options.command == "sheets":
+        write_sheets(options.out, choose(_pictures(options), options.count, options.seed))
+    elif options.command == "draw":
+        draw_answers(options.folder, {k: v for file in options.readings for k, v in read_answers(file).items()})
+    elif options.command == "keep":
+        kept = json.loads(options.to.read_text()) if options.to.exists() else {"vehicles": []}
+        kept["vehicles"] += measured(options.folder, [read_answers(file) for file in options.readings], options.data)
+        rows = ",\n  ".join(json.dumps(vehicle) for vehicle in kept.pop("vehicles"))
+        rest = "".join(f" {json.dumps(name)}: {json.dumps(text)},\n" for name, text in kept.items())
+        options.to.write_text(f'{{\n{rest} "vehicles": [\n  {rows}\n ]\n}}\n')
+    else:
+        print("scene      vehicles    label longer [px]      wider [px]   measured: length [px], length to width")
+        for scene, (margin, sd, read) in margins(json.loads(options.of.read_text())["vehicles"]).items():
+            print(
+                f"{scene:10s} {len(read):8d}    {margin[0]:+6.2f} +- {sd[0]:4.2f}    {margin[1]:+6.2f} +- {sd[1]:4.2f}"
+                f"   {np.median(read[:, 0]):7.1f}    {np.median(read[:, 0] / read[:, 1]):.2f}"
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""Take an exported network apart again, so that training can go on from an ONNX file where no checkpoint is left.
+
+Export folds each batch normalisation into its convolution. Here it comes out again, with the means and variances that
+the convolutions' outputs have on crops: the network does exactly what the file does, and can be trained.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from .network import VehicleNet
+
+
+def unfolded(onnx_file: Path, crops: Tensor) -> dict[str, Tensor]:
+    """State of a `VehicleNet` that does what `onnx_file` (of `training.export`) does.
+
+    crops : (n, 3, h, w) RGB in 0..1, as trained with; one batch is enough, since training soon has its own statistics.
+    Raises ValueError where the file is of a network with other layers.
+    """
+    network = VehicleNet().eval()
+    layers = list(_by_use(network, crops[:1]).items())
+    folded = _convolutions(onnx_file)
+    sizes = [tuple(conv.weight.shape) for conv, _ in layers]
+    if [tuple(weight.shape) for weight, _ in folded] != sizes:
+        raise ValueError(f"{onnx_file}: not an export of today's VehicleNet; its layers have other sizes")
+    with torch.no_grad():
+        for (conv, norm), (weight, bias) in zip(layers, folded, strict=True):
+            conv.weight.copy_(weight)
+            if norm is None:
+                conv.bias.copy_(bias)
+            else:  # statistics as they are at first, 0 and 1
+                norm.weight.fill_((1 + norm.eps) ** 0.5)
+                norm.bias.copy_(bias)
+        for norm, outputs in _inputs(network, [norm for _, norm in layers if norm], crops).items():
+            variance, mean = torch.var_mean(outputs, (0, 2, 3))
+            norm.running_mean.copy_(mean)
+            norm.running_var.copy_(variance)
+            norm.weight.copy_((variance + norm.eps).sqrt())
+            norm.bias.add_(mean)
+    return network.state_dict()
+
+
+def _convolutions(onnx_file: Path) -> list[tuple[Tensor, Tensor]]:
+    """(weight, bias) of every convolution, in the order in which they are used."""
+    import onnx
+    from onnx import numpy_helper
+
+    graph = onnx.load(onnx_file).graph
+    values = {entry.name: torch.from_numpy(numpy_helper.to_array(entry).copy()) for entry in graph.initializer}
+    nodes = (node for node in graph.node if node.op_type == "Conv")
+    return [(values[node.input[1]], values[node.input[2]]) for node in nodes]
+
+
+def _by_use(network: nn.Module, image: Tensor) -> dict[nn.Conv2d, nn.BatchNorm2d | None]:
+    """Every convolution, in the order in which they are used, with the normalisation that follows it."""
+    used: list[nn.Module] = []
+    modules = [m for m in network.modules() if isinstance(m, nn.Conv2d | nn.BatchNorm2d)]
+    hooks = [m.register_forward_hook(lambda module, *_: used.append(module)) for m in modules]
+    with torch.no_grad():
+        network(image)
+    for hook in hooks:
+        hook.remove()
+    following = [*used[1:], None]
+    return {
+        module: after if isinstance(after, nn.BatchNorm2d) else None
+        for module, after in zip(used, following, strict=True)
+        if isinstance(module, nn.Conv2d)
+    }
+
+
+def _inputs(network: nn.Module, modules: list[nn.Module], crops: Tensor) -> dict[nn.Module, Tensor]:
+    """What each of `modules` is given when the network looks at `crops`."""
+    given: dict[nn.Module, Tensor] = {}
+    hooks = [m.register_forward_pre_hook(lambda module, inputs: given.update({module: inputs[0]})) for m in modules]
+    network(crops)
+    for hook in hooks:
+        hook.remove()
+    return given
