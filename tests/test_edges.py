@@ -64,7 +64,7 @@ def test_boxes_that_keep_from_the_edge_are_whole(town, detector):
     whole = suppress(detector(town))
     rng = np.random.default_rng(0)
     side, cut, kept_shares = 300, 0, []
-    for _ in range(14):
+    for _ in range(20):
         x, y = (int(rng.integers(0, town.shape[axis] - side)) for axis in (1, 0))
         found = suppress(detector(np.ascontiguousarray(town[y : y + side, x : x + side])))
         i, j, _ = matched(whole.mapped(1.0, (-x, -y)), found, 0.15)
