@@ -30,9 +30,9 @@ PAINTS = (
     (0.01, (0.55, 0.16, 0.02)),
 )
 
-# Bumpers and doors lean inwards and lie in dirt and shade, so that real vehicles end softly. Measured by eye on pictures
-# (training/by_hand.py), real ones of known mean size came out right, and those rendered with a shoulder of 0.22 m at
-# 0.4 of the albedo 3 % small.
+# Bumpers and doors lean inwards and lie in dirt and shade, so that real vehicles end softly. Measured by eye on
+# pictures (training/by_hand.py), real ones of known mean size came out right, and those rendered with a shoulder of
+# 0.22 m at 0.4 of the albedo 3 % small.
 SHOULDER = 0.13  # [m] from the footprint's edge to the decks
 SHOULDER_SHADE = 0.45, 0.9  # of the paint's albedo, least and most
 
