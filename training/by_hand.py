@@ -30,7 +30,7 @@ import numpy as np
 from orthoscale.boxes import Boxes
 
 from .data import read_labels
-from .evaluate import BY_HAND, ROBUST, checked_scenes
+from .evaluate import BY_HAND, checked_scenes, middle
 
 CELL = (640, 360)  # width, height [px of the sheet]
 COLUMNS, ROWS = 2, 3
@@ -126,9 +126,7 @@ def margins(kept: Iterable[dict]) -> dict[str, tuple[np.ndarray, np.ndarray, np.
     told = {}
     for scene, pairs in sizes.items():
         label, read = np.array(pairs).transpose(1, 0, 2)
-        excess = label - read
-        median = np.median(excess, axis=0)
-        spread = ROBUST * np.median(np.abs(excess - median), axis=0)
+        median, spread = middle(label - read)
         # The median of a normal sample is pi/2 as uncertain, in variance, as its mean.
         told[scene] = (median, spread * np.sqrt(np.pi / 2 / len(read)), read)
     return told
@@ -182,14 +180,14 @@ def draw_answers(folder: Path, answers: dict[int, list[float]]) -> None:
 def measured(folder: Path, readers: Sequence[dict[int, list[float]]], data: Path) -> list[dict]:
     """Vehicles as labels/by_hand.json has them: the mean box where several have read one. Pictures are named from the
     folder `data` on, others by their name alone."""
-    kept = []
+    kept, data = [], data.resolve()
     for number, cell in enumerate(read_sheets(folder)):
         boxes = [to_picture(read_box(answers[number]), cell.to_cell) for answers in readers if number in answers]
         if boxes:
-            near = cell.picture.resolve().is_relative_to(data.resolve())
+            file = cell.picture.resolve()
             kept.append({
                 "scene": cell.scene,
-                "picture": str(cell.picture.resolve().relative_to(data.resolve())) if near else cell.picture.name,
+                "picture": str(file.relative_to(data)) if file.is_relative_to(data) else file.name,
                 "label": cell.label.round(2).tolist(),
                 "read": np.mean(boxes, axis=0).round(2).tolist(),
                 "readers": len(boxes),

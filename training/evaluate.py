@@ -13,7 +13,8 @@ kinds, vehicles cut by the picture's edge) boxes count neither way.
 Only scenes that the detector has not seen say how it does; in `warsaw` and `bogota` not every vehicle is labelled, so
 that precision is too low there. `--checked` are pictures never trained on in which a person has looked for every
 vehicle (`labels/checked.json`); their boxes were proposed by detector version 2, so their sizes are no measure of
-it. References are boxes of another detector on scenes never trained on: precise where they are, but incomplete, so they
+it. `--by-hand` compares sizes with vehicles measured by hand (`labels/by_hand.json`), in scenes trained on and not.
+References are boxes of another detector on scenes never trained on: precise where they are, but incomplete, so they
 give recall and sizes only, and the sizes carry that detector's margin.
 
 ``--margin`` measures what the card's ruler needs: the pixels by which the detector's boxes are longer and wider than
@@ -166,8 +167,14 @@ def _errors(values: np.ndarray) -> tuple[float, float, float] | None:
     """Median, 1.48 times the median deviation from it, and median size; None of nothing."""
     if not len(values):
         return None
-    centre = np.median(values)
-    return float(centre), float(ROBUST * np.median(np.abs(values - centre))), float(np.median(np.abs(values)))
+    centre, spread = middle(values)
+    return float(centre), float(spread), float(np.median(np.abs(values)))
+
+
+def middle(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Medians of `values` (N, ...) over the first axis, and 1.48 times the median deviations from them."""
+    median = np.median(values, axis=0)
+    return median, ROBUST * np.median(np.abs(values - median), axis=0)
 
 
 def labelled_scenes(label_file: Path, names: Sequence[str]) -> list[Scene]:
@@ -350,8 +357,7 @@ def fit_margin(known: Sequence[tuple[np.ndarray, np.ndarray, float | np.ndarray,
     for length_px, width_px, gsd, fleet in known:
         expected = np.exp(fleet.log_mean) / np.reshape(gsd, (-1, 1))  # (1 or N, 2) [px]
         votes = np.column_stack([length_px, width_px]) - expected
-        median = np.median(votes, axis=0)
-        scatter = ROBUST * np.median(np.abs(votes - median), axis=0)
+        median, scatter = middle(votes)
         fleet_sd = np.sqrt(np.diag(fleet.log_mean_covariance)) * np.median(expected, axis=0)
         # The median of a normal sample is pi/2 as uncertain, in variance, as its mean.
         variances.append(fleet_sd**2 + np.pi / 2 * scatter**2 / len(votes))
