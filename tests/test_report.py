@@ -15,7 +15,7 @@ import orthoscale
 from orthoscale.cli.reproduce import command_line
 from orthoscale.errors import InputError, UsageError
 from orthoscale.report import judgement, places
-from orthoscale.report.document import read_json
+from orthoscale.report.document import OPTIONAL, read_json
 from orthoscale.report.files import redraw
 from orthoscale.report.page import page
 from orthoscale.report.scene import Scene
@@ -227,6 +227,44 @@ def test_what_the_views_said_of_the_ruler_is_told(model):
     text = page({**read_json(model / "report.json"), "calibration": calibration}, Scene())
     assert "512 views" in text and "<td>0.70, 0.45 m</td><td>0.71, 0.59 m</td>" in text
     assert "<td>+18.7, +3.4 %</td><td>+1.1, +3.7 %</td>" in text
+
+
+def test_a_model_with_few_views_gets_its_page(tmp_path):
+    found = json.loads((EXAMPLE / "detections.json").read_text())
+    seen = sorted(found["pictures"], key=lambda name: -len(found["pictures"][name]))
+    found["pictures"] = {name: found["pictures"][name] for name in seen[:2]}  # nothing is seen from three places
+    (tmp_path / "few.json").write_text(json.dumps(found))
+    text = fixed_model(tmp_path, detections=tmp_path / "few.json", mode="oblique", force=True).read_text()
+    assert read_json(tmp_path / "scaled" / "report.json")["calibration"]["trends"] is None
+    assert "too few views to calibrate" in text and "steeper by 10 degrees" not in text
+
+
+def parts_of(report):
+    """The report without one of the parts that it may be without, one at a time, as absent and as null."""
+    for *above, name in OPTIONAL:
+        for how in (dict.pop, lambda part, name: part.update({name: None})):
+            changed = copy.deepcopy(report)
+            part = changed
+            for key in above:
+                part = part.get(key) or {}
+            if name in part:
+                how(part, name)
+                yield changed
+
+
+def test_the_page_does_without_every_part_that_may_be_missing(report, model):
+    of_model = {**read_json(model / "report.json"), "drift": OF_A_MODEL}
+    drawn = [page(less, Scene.of(less, None)) for full in (report, of_model) for less in parts_of(full)]
+    assert len(drawn) > 50 and all(text.rstrip().endswith("</html>") for text in drawn)
+    bare = {key: value for key, value in of_model.items() if (key,) not in OPTIONAL}
+    assert "</html>" in page(bare, Scene.of(bare, None))
+
+
+def test_a_page_that_fails_does_not_cost_the_copy(tmp_path, monkeypatch, caplog):
+    car_park(tmp_path)
+    monkeypatch.setattr("orthoscale.report.files.page", lambda *_: 1 / 0)
+    assert "could not be drawn" in fixed(tmp_path).read_text()
+    assert (tmp_path / "scaled.tif").exists() and "could not be drawn" in caplog.text
 
 
 def test_agreement_of_the_modes_is_told_as_it_was_judged(report):

@@ -22,6 +22,40 @@ from .above import from_above
 
 FORMAT = "orthoscale report 1"
 
+# What a report may be without (an orthophoto has no frames, few views tell no trend, an older version knew less), by its
+# place in the document, and what stands for it. Everything else belongs to every report.
+OPTIONAL: dict[tuple[str, ...], Any] = {
+    ("fleets",): {},
+    ("fleet_source",): "",
+    ("evidence",): [],
+    ("remarks",): [],
+    ("notes",): [],
+    ("vehicles_rejected",): {},
+    ("boxes_rejected",): {},
+    ("sweep",): None,
+    ("zoom_search",): None,
+    ("claim",): None,
+    ("agreement",): None,
+    ("modes",): {},
+    ("modes", "oblique"): None,
+    ("modes", "planar"): None,
+    ("drift",): None,
+    ("drift", "cells"): [],
+    ("drift", "frames"): {},
+    ("drift", "odd_frames"): [],
+    ("drift", "regions"): [],
+    ("drift", "trend"): None,
+    ("drift", "remarks"): [],
+    ("calibration",): None,
+    ("calibration", "views"): 0,
+    ("calibration", "undercut"): {"card": (0.0, 0.0), "fitted": (0.0, 0.0)},
+    ("calibration", "trends"): None,
+    ("settings",): {},
+    ("versions",): {},
+    ("created",): "",
+    ("seconds",): 0.0,
+}
+
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pycolmap", "rasterio")
 
 
@@ -140,6 +174,22 @@ def _drift(drift: Drift) -> dict[str, Any]:
         "cell_px": list(drift.cell),
         "cells": [dict(zip(names, map(float, cell), strict=True)) for cell in drift.cells],
     }
+
+
+def completed(report: Mapping[str, Any]) -> dict[str, Any]:
+    """`report` with every part of OPTIONAL in it, be it absent or null; the one place that knows what may be missing."""
+    full = dict(report)
+    for (*above, name), default in OPTIONAL.items():
+        part: Any = full
+        for key in above:
+            part = part[key]
+        if not isinstance(part, dict):
+            continue  # nor has it any parts
+        if part.get(name) is None:
+            part[name] = default
+        if isinstance(part[name], Mapping):
+            part[name] = dict(part[name])  # so that its own parts are not added to the caller's
+    return full
 
 
 def write_json(report: Mapping[str, Any], path: Path) -> None:

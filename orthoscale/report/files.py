@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,8 @@ from .scene import Scene
 if TYPE_CHECKING:
     from ..sources.source import Source
 
+log = logging.getLogger(__name__)
+
 
 def write_report(result: Result, paths: Mapping[str, Path]) -> None:
     """Write the parts of the report that `paths` names: ``json``, ``png``, ``html``."""
@@ -31,7 +34,16 @@ def write_report(result: Result, paths: Mapping[str, Path]) -> None:
         if "png" in paths:
             draw(report, scene, paths["png"])
         if "html" in paths:
-            paths["html"].write_text(page(report, scene), encoding="utf-8")
+            paths["html"].write_text(_page_or_why_not(report, scene), encoding="utf-8")
+
+
+def _page_or_why_not(report: Mapping[str, Any], scene: Scene) -> str:
+    """The page; where it cannot be drawn, one that says so: a fault here must not cost what was measured."""
+    try:
+        return page(report, scene)
+    except Exception:
+        log.exception("the report's page could not be drawn: a bug in orthoscale; the JSON holds all figures")
+        return "<!DOCTYPE html><title>orthoscale</title><p>This page could not be drawn; the JSON holds all figures.\n"
 
 
 def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = False) -> str:

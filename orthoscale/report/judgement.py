@@ -122,7 +122,7 @@ def _claim(report: Mapping[str, Any]) -> Check | None:
 
 def _modes(report: Mapping[str, Any]) -> Check | None:
     modes = report.get("modes") or {}
-    if not {"planar", "oblique"} <= modes.keys():
+    if not (modes.get("planar") and modes.get("oblique")):
         return None
     difference = modes["oblique"]["scale"] / modes["planar"]["scale"] - 1
     agreement = report.get("agreement")

@@ -15,6 +15,7 @@ from ..cli.reproduce import command_line
 from ..errors import OutputError
 from ..pooling.posterior import Z90
 from . import charts, judgement, places
+from .document import completed
 from .explanation import explain
 from .judgement import percent, relative, signed
 from .scene import Panel, Scene
@@ -36,6 +37,7 @@ FARTHEST = 0.5  # checks further off than this are left to the document: they wo
 
 def page(report: Mapping[str, Any], scene: Scene) -> str:
     """The HTML of a report. `scene` has its pictures; without any, the page does without."""
+    report = completed(report)
     (value, low, high), unit = judgement.quantity(report, report["scale"], *report["interval90"])
     known, fit = judgement.FIT[report["verdict"]]
     return _template().render(
@@ -127,10 +129,10 @@ def _estimates(report: Mapping[str, Any]) -> Markup:
         if not name.endswith("_sigmas") and name not in MODES:
             rows.append(charts.Row(NAMES.get(name, name.replace("_", " ")), relative(value, report)))
     rows += [_row(name, mode, report) for name, mode in _modes(report).items()]
-    for other in report.get("evidence", []):
+    for other in report["evidence"]:
         half = Z90 * other["relative_sd"]
         rows.append(charts.Row(other["kind"], at := relative(other["scale"], report), (at - half, at + half)))
-    if report.get("claim"):
+    if report["claim"]:
         rows.append(charts.Row("its georeferencing", relative(report["claim"]["claimed"], report)))
     rows = [row for row in rows if abs(row.value) < FARTHEST]
     label = "; ".join(f"{row.name} {signed(row.value)}" for row in rows[1:])
@@ -138,8 +140,7 @@ def _estimates(report: Mapping[str, Any]) -> Markup:
 
 
 def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:
-    modes = report.get("modes") or {}
-    return {name: modes[name] for name in MODES if modes.get(name)}
+    return {name: mode for name in MODES if (mode := report["modes"].get(name))}
 
 
 def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:
@@ -152,7 +153,7 @@ def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:
 
 def _fleets(report: Mapping[str, Any]) -> str:
     """The likeliest fleets, where they were to be found."""
-    fleets = report.get("fleets", {})
+    fleets = report["fleets"]
     if len(fleets) < 2:
         return ""
     likely = sorted(fleets.items(), key=lambda item: -item[1])[:5]
@@ -161,20 +162,24 @@ def _fleets(report: Mapping[str, Any]) -> str:
 
 def _calibration(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What a model's views said of the detector's ruler: name, before and after, for lengths and widths."""
-    found = report.get("calibration")
+    found = report["calibration"]
     if not found:
         return []
-    height, margin, trends = found["effective_height"], found["margin_px"], found["trends"]
-    undercut = found.get("undercut", {"card": (0.0, 0.0), "fitted": (0.0, 0.0)})  # reports of 0.1.0 do not name it
-    steeper, nearer = ([trends[when][key] for when in ("before", "after")] for key in TRENDS)
     table = [
-        ("effective height", height["card"], height["fitted"], "{:.2f}", " m"),
-        ("margin of boxes", margin["card"], margin["fitted"], "{:+.1f}", " px"),
-        ("undercut of bodies", undercut["card"], undercut["fitted"], "{:.2f}", " m"),
-        ("steeper by 10 degrees", *steeper, "{:+.1f}", " %"),
-        ("half as far", *nearer, "{:+.1f}", " %"),
+        (name, *(_pair(found[key][when], form, unit) for when in ("card", "fitted")))
+        for name, key, form, unit in (
+            ("effective height", "effective_height", "{:.2f}", " m"),
+            ("margin of boxes", "margin_px", "{:+.1f}", " px"),
+            ("undercut of bodies", "undercut", "{:.2f}", " m"),
+        )
     ]
-    return [(name, _pair(a, form, unit), _pair(b, form, unit)) for name, a, b, form, unit in table]
+    trends = found["trends"]
+    if trends is None:
+        return table
+    return table + [
+        (name, *(_pair(trends[when][key], "{:+.1f}", " %") for when in ("before", "after")))
+        for name, key in (("steeper by 10 degrees", TRENDS[0]), ("half as far", TRENDS[1]))
+    ]
 
 
 def _pair(values: Sequence[float], form: str, unit: str) -> str:

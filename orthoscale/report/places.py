@@ -46,7 +46,7 @@ class Frame:
 def regions(report: Mapping[str, Any]) -> list[Region]:
     """Places with a scale of their own; none where there are too few vehicles to compare them."""
     drift, scale = report.get("drift") or {}, report["scale"]
-    if "cells" in drift:
+    if drift.get("cells"):
         ((_, image_height),) = report["pictures"].values()
         width, height = (side * scale for side in drift["cell_px"])
         return [
