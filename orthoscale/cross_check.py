@@ -73,7 +73,7 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     found = match(
         pixels * ortho.scale.value,
         places * model.scale.value,
-        SAME_VEHICLE * float(np.median(model.votes.size[model.scale.used, 0])) * model.scale.value,
+        SAME_VEHICLE * float(np.median(model.vehicles["length"][model.scale.used])),
     )
     if found is None:
         raise TooLittleEvidence(

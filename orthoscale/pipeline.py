@@ -123,7 +123,7 @@ def estimate(
     within = None
     if model is None:
         (whole,) = source.pictures
-        within = drift(measured.votes, measured.scale, found.ruler, whole.width, whole.height)
+        within = drift(measured.vehicles, whole.width, whole.height)
     seconds = time.perf_counter() - started
     return Result(source, ruler_fleet, found, choice, seconds, measured, within, method, settings)
 

@@ -52,6 +52,11 @@ class Result:
         return self.measured.votes
 
     @property
+    def vehicles(self) -> np.ndarray:
+        """(N,) structured array, a row for each vehicle with its metres (`measuring.vehicles.VEHICLE`)."""
+        return self.measured.vehicles
+
+    @property
     def boxes(self) -> Boxes:
         """All boxes that entered the projection, of all pictures."""
         return self.measured.boxes

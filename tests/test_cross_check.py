@@ -87,7 +87,7 @@ def test_an_orthophoto_and_its_model_agree(results):
 def test_an_orthophoto_that_contradicts_its_model(results):
     ortho, model = results
     stretched = replace(ortho.measured.scale, value=1.2 * ortho.scale.value)
-    checked = check_against_model(replace(ortho, measured=ortho.measured._replace(scale=stretched)), model)
+    checked = check_against_model(replace(ortho, measured=replace(ortho.measured, scale=stretched)), model)
     assert checked.agreement.contradicts
     assert checked.by_model == pytest.approx(GSD, rel=0.03)
 
@@ -99,7 +99,7 @@ def test_what_cannot_be_checked(results):
     elsewhere = np.random.default_rng(0).uniform(0, 1500, ortho.votes.place.shape)
     votes = replace(ortho.votes, place=elsewhere)
     with pytest.raises(TooLittleEvidence, match="do not fall on one another"):
-        check_against_model(replace(ortho, measured=ortho.measured._replace(votes=votes)), model)
+        check_against_model(replace(ortho, measured=replace(ortho.measured, votes=votes)), model)
 
 
 def test_the_command(pair):

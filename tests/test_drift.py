@@ -3,42 +3,50 @@
 import numpy as np
 import pytest
 
+from orthoscale.boxes import Boxes
 from orthoscale.fleet import Fleet
-from orthoscale.measuring.drift import FEWEST, drift
+from orthoscale.measuring.drift import FEWEST, Drift, drift
+from orthoscale.measuring.vehicles import vehicle_table
 from orthoscale.pooling.robust import pool
 from orthoscale.pooling.ruler import Ruler
+from orthoscale.report import document, judgement
 from orthoscale.votes import gather
 
 WIDTH, HEIGHT, GSD = 8000, 6000, 0.1
 
 
 def measured(rng, n, change=lambda x, y: 0.0, clusters=None):
-    """Votes and scale for `n` vehicles whose local scale is GSD * (1 + change); x, y in -1/2..1/2 of each side."""
+    """The table of `n` vehicles whose local scale is GSD * (1 + change); x, y in -1/2..1/2 of each side."""
     place = rng.random((n, 2)) if clusters is None else rng.random((clusters, 2))[rng.integers(clusters, size=n)]
     place = np.clip(place + (0 if clusters is None else rng.normal(0, 0.01, (n, 2))), 0, 0.999)
     local = GSD * (1 + np.array([change(*(p - 0.5)) for p in place]))
     size = np.exp(rng.multivariate_normal(np.log([4.4, 1.8]), [[0.006, 0.002], [0.002, 0.002]], n)) / local[:, None]
     votes = gather(size, np.ones(n), place * (WIDTH, HEIGHT), np.ones(n), repeated=False)
-    ruler = Ruler()
-    return votes, pool(votes, Fleet.load("DE"), ruler, "m/px"), ruler
+    return table(votes)
+
+
+def table(votes):
+    boxes = Boxes(np.column_stack([votes.place, votes.size, np.zeros(len(votes))]), votes.score)
+    scale = pool(votes, Fleet.load("DE"), Ruler(), "m/px")
+    return vehicle_table(votes, votes.size, scale, boxes, np.full(len(boxes), "a.tif"))
 
 
 def test_a_tilt_is_found_with_its_size_and_direction():
-    result = drift(*measured(np.random.default_rng(1), 600, lambda x, y: 0.08 * x), WIDTH, HEIGHT)
+    result = drift(measured(np.random.default_rng(1), 600, lambda x, y: 0.08 * x), WIDTH, HEIGHT)
     assert result.tilt == pytest.approx(0.08, abs=3 * result.tilt_sd) and result.tilt_sd < 0.015
     assert abs(result.direction) < 0.4 and result.p_tilt < 1e-4
     assert "towards the right" in result.remark and "is bent" not in result.remark
-    upwards = drift(*measured(np.random.default_rng(1), 600, lambda x, y: -0.08 * y), WIDTH, HEIGHT)
+    upwards = drift(measured(np.random.default_rng(1), 600, lambda x, y: -0.08 * y), WIDTH, HEIGHT)
     assert "towards the top" in upwards.remark
 
 
 def test_a_bowl_is_found():
-    result = drift(*measured(np.random.default_rng(2), 900, lambda x, y: 0.3 * (x * x + y * y)), WIDTH, HEIGHT)
+    result = drift(measured(np.random.default_rng(2), 900, lambda x, y: 0.3 * (x * x + y * y)), WIDTH, HEIGHT)
     assert result.p_bend < 1e-4 and "bent" in result.remark
 
 
 def test_the_map_shows_the_scale_by_place():
-    result = drift(*measured(np.random.default_rng(3), 2000, lambda x, y: 0.1 * x), WIDTH, HEIGHT)
+    result = drift(measured(np.random.default_rng(3), 2000, lambda x, y: 0.1 * x), WIDTH, HEIGHT)
     assert result.cells[:, 2].sum() > 1900 and len(result.cells) == 8 * 6
     slope = np.polyfit(result.cells[:, 0] / WIDTH, result.cells[:, 3], 1)[0]
     assert slope == pytest.approx(0.1, abs=0.015)
@@ -47,17 +55,27 @@ def test_the_map_shows_the_scale_by_place():
 @pytest.mark.parametrize("clusters", [None, 12])
 def test_false_alarms_are_as_rare_as_promised(clusters):
     rng = np.random.default_rng(4)
-    alarms = sum(bool(drift(*measured(rng, 120, clusters=clusters), WIDTH, HEIGHT).remark) for _ in range(80))
+    alarms = sum(bool(drift(measured(rng, 120, clusters=clusters), WIDTH, HEIGHT).remark) for _ in range(80))
     assert alarms <= 4, "two tests at half a per cent: 0.8 expected"
 
 
 def test_too_few_vehicles_say_nothing():
-    assert drift(*measured(np.random.default_rng(5), FEWEST - 5), WIDTH, HEIGHT) is None
+    assert drift(measured(np.random.default_rng(5), FEWEST - 5), WIDTH, HEIGHT) is None
 
 
 def test_vehicles_in_one_corner_are_no_drift():
     rng = np.random.default_rng(6)
-    votes, scale, ruler = measured(rng, 100)
-    corner = gather(votes.size, votes.pixel, votes.place * 0.05, votes.score, repeated=False)
-    result = drift(corner, scale, ruler, WIDTH, HEIGHT)
+    vehicles = measured(rng, 100)
+    vehicles["x_unit"] *= 0.05
+    vehicles["y_unit"] *= 0.05
+    result = drift(vehicles, WIDTH, HEIGHT)
     assert result.remark == "" and result.p_tilt == 1.0
+
+
+@pytest.mark.parametrize("p, tilt, drifts", [(0.007, 0.05, False), (0.004, 0.003, False), (0.004, 0.05, True)])
+def test_one_judgement_of_drift(p, tilt, drifts):
+    """Warned of and shown alike: not what chance makes, not what nobody need know."""
+    found = Drift(np.empty((0, 5)), (1.0, 1.0), tilt, 0.01, 0.0, p, 0.0, 1.0)
+    assert found.drifts is drifts and bool(found.remark) is drifts
+    report = {"unit": "m/px", "drift": document.drift_values(found)}
+    assert judgement._places(report).state == ("look" if drifts else "ok")

@@ -192,6 +192,7 @@ OF_A_MODEL = {
         {"centre_unit": [6.3, 3.1], "scale": 15.2, "sd": 0.7, "vehicles": 6},
     ],
     "trend": {"percent_across": 5.2, "chance": 0.37},
+    "drifts": False,
     "frames": {
         "DJI_2.jpg": {"scale": 18.0, "sd": 0.5, "vehicles": 6},
         "DJI_1.jpg": {"scale": 15.1, "sd": 0.4, "vehicles": 8},

@@ -6,14 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..pooling.ruler import Ruler
-from ..pooling.scale import Scale
-from ..votes import Votes
-
 FEWEST = 40  # vehicles; with fewer no gradient that a picture may have could be told from chance
 PER_CELL = 6.0  # vehicles wanted in a cell of the map
 MOST_CELLS = 8  # along the longer side
-SIGNIFICANT = 0.005  # probability that vehicles without any drift look like this, in each of two tests
+CHANCE = 0.01  # that vehicles without any drift are said to show one; tests share it
 NOTABLE = 0.01  # relative change across the picture below which nobody need know
 
 
@@ -25,8 +21,8 @@ class Drift:
         local scale, its one sigma. cell : (2,) size of a cell [px].
     tilt : relative change of the scale from one end of the picture to the other, along the steepest direction.
     direction : of that increase [rad], from +x, clockwise on screen. tilt_sd : one sigma of the change.
+    bend : relative range of what a curvature adds to that.
     p_tilt, p_bend : probability of a gradient, and of a curvature besides it, as large as found, if there were none.
-    remark : a warning, empty where there is nothing to warn of.
     """
 
     cells: np.ndarray = field(repr=False)
@@ -35,26 +31,51 @@ class Drift:
     tilt_sd: float
     direction: float
     p_tilt: float
+    bend: float
     p_bend: float
-    remark: str
+
+    @property
+    def tilts(self) -> bool:
+        """Whether the gradient is more than chance makes, and large enough to matter."""
+        return self.p_tilt < CHANCE / 2 and self.tilt >= NOTABLE
+
+    @property
+    def bends(self) -> bool:
+        """Whether the curvature is."""
+        return self.p_bend < CHANCE / 2 and self.bend >= NOTABLE
+
+    @property
+    def drifts(self) -> bool:
+        """The one judgement that every output prints."""
+        return self.tilts or self.bends
+
+    @property
+    def remark(self) -> str:
+        """A warning in words, empty where there is nothing to warn of."""
+        found = []
+        if self.tilts:
+            octant = round(self.direction / (np.pi / 4)) % 8
+            names = ("right", "lower right", "bottom", "lower left", "left", "upper left", "top", "upper right")
+            found.append(f"grows by {100 * self.tilt:.1f} % towards the {names[octant]} (p = {self.p_tilt:.1g})")
+        if self.bends:
+            found.append(f"is bent by {100 * self.bend:.1f} % (p = {self.p_bend:.1g})")
+        if not found:
+            return ""
+        return f"the scale {' and '.join(found)}: a tilted or bent orthophoto, or other vehicles there than here"
 
 
-def local_deviation(votes: Votes, scale: Scale, ruler: Ruler) -> np.ndarray:
-    """(N,) log of the scale that each vehicle alone would give, relative to the mean of those that count."""
-    size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
-    log_scale = -np.log(np.maximum(size, 0.1 * votes.size)) @ np.asarray(scale.weights)
-    return log_scale - log_scale[scale.used].mean()
-
-
-def drift(votes: Votes, scale: Scale, ruler: Ruler, width: float, height: float) -> Drift | None:
+def drift(vehicles: np.ndarray, width: float, height: float) -> Drift | None:
     """The drift of the scale within a picture of `width` x `height` px, or None for fewer than 40 vehicles.
+
+    vehicles : the `vehicle_table` of the picture.
 
     Vehicles of one place resemble each other (a taxi rank, a works car park), so the observations are the means of
     cells: a plane and a full quadratic are fitted to them, and judged by how the cells scatter about them (F-tests).
     """
-    if scale.vehicles_used < FEWEST:
+    used = vehicles[vehicles["used"]]
+    if len(used) < FEWEST:
         return None
-    place, deviation = votes.place[scale.used], local_deviation(votes, scale, ruler)[scale.used]
+    place, deviation = np.stack([used["x_unit"], used["y_unit"]], -1), used["scale_deviation"]
     cells, cell = _cells(place, deviation, width, height)
     extent = max(width, height)
     x, y = ((cells[:, :2] - (width / 2, height / 2)) / extent).T  # -1/2 to 1/2 along the longer side
@@ -70,7 +91,7 @@ def drift(votes: Votes, scale: Scale, ruler: Ruler, width: float, height: float)
     tilt_sd = float(np.sqrt(along @ plane_fit.covariance[1:, 1:] @ along)) * length
     fitted = bowl_fit.fitted
     bend = float(np.ptp(fitted - plane_fit.fitted))
-    return Drift(cells, cell, tilt, tilt_sd, direction, p_tilt, p_bend, _remark(tilt, direction, p_tilt, bend, p_bend))
+    return Drift(cells, cell, tilt, tilt_sd, direction, p_tilt, bend, p_bend)
 
 
 def _cells(place: np.ndarray, deviation: np.ndarray, width: float, height: float) -> tuple[np.ndarray, tuple]:
@@ -119,16 +140,3 @@ class _Fit:
             return 1.0
         noise = max(self.chi2 / self.freedom, 1.0)  # cells cannot scatter less than their vehicles
         return float(fdtrc(more, self.freedom, (simpler.chi2 - self.chi2) / more / noise))
-
-
-def _remark(tilt: float, direction: float, p_tilt: float, bend: float, p_bend: float) -> str:
-    found = []
-    if p_tilt < SIGNIFICANT and tilt >= NOTABLE:
-        octant = round(direction / (np.pi / 4)) % 8
-        names = ("right", "lower right", "bottom", "lower left", "left", "upper left", "top", "upper right")
-        found.append(f"grows by {100 * tilt:.1f} % towards the {names[octant]} (p = {p_tilt:.1g})")
-    if p_bend < SIGNIFICANT and bend >= NOTABLE:
-        found.append(f"is bent by {100 * bend:.1f} % (p = {p_bend:.1g})")
-    if not found:
-        return ""
-    return f"the scale {' and '.join(found)}: a tilted or bent orthophoto, or other vehicles there than here"

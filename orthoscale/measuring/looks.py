@@ -133,7 +133,7 @@ def measure_model(
             "contradicts": agreement.contradicts,
         }
     scale = replace(scale, remarks=(*scale.remarks, *remarks))
-    return answer._replace(scale=scale, findings=findings, agreement=agreement)
+    return replace(answer, scale=scale, findings=findings, agreement=agreement)
 
 
 def _common(a: Measured, b: Measured) -> np.ndarray:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,13 +17,18 @@ from ..pooling.scale import Scale
 from ..projection.planar import ground_size
 from ..votes import Votes, gather
 from .method import Method
+from .vehicles import vehicle_table
 
 if TYPE_CHECKING:
     from ..pooling.agreement import Agreement
     from ..sources.source import Source
 
 
-class Measured(NamedTuple):
+LEAST = 0.1  # of a box's side that is taken for the vehicle's at least, however large the margin
+
+
+@dataclass(frozen=True)
+class Measured:
     """What one way of measuring gives.
 
     boxes : all that were measured, M of them. picture : (M,) name of the picture of each. lost : boxes that never
@@ -39,6 +46,11 @@ class Measured(NamedTuple):
     size: np.ndarray
     agreement: Agreement | None = None
 
+    @cached_property
+    def vehicles(self) -> np.ndarray:
+        """(N,) one row for each of the votes' vehicles, in metres too, see `vehicles.VEHICLE`."""
+        return vehicle_table(self.votes, self.size, self.scale, self.boxes, self.picture)
+
 
 def measure(source: Source, found: Detections, fleet: Fleet, method: Method | None = None) -> Measured:
     """Measure the vehicles of one picture that shows the ground from straight above. Raises TooLittleEvidence."""
@@ -55,8 +67,8 @@ def measure(source: Source, found: Detections, fleet: Fleet, method: Method | No
 
 
 def tight(votes: Votes, margin: Sequence[float] | np.ndarray) -> np.ndarray:
-    """(N, 2) sizes of the vehicles behind the votes, without the boxes' `margin` (2,) [detector px]."""
-    return votes.size - np.asarray(margin) * votes.pixel[:, None]
+    """(N, 2) sizes of the vehicles behind the votes, without the boxes' `margin` (2,) [detector px]; never nothing."""
+    return np.maximum(votes.size - np.asarray(margin) * votes.pixel[:, None], LEAST * votes.size)
 
 
 def doubts(found: Detections) -> dict[str, int]:

@@ -13,35 +13,44 @@ from scipy.special import fdtrc
 
 from ..pooling.scale import Scale
 from ..votes import Votes
+from .drift import CHANCE, NOTABLE
 
 MIN_SHARED = 3  # vehicles that a frame must share with others before it is judged
 ODD_SIGMAS, ODD = 4.0, 0.05  # a frame is odd that strays by so many sigmas, and by so much of the scale
 CELLS = 3  # regions across the longer side of the model
 MIN_IN_REGION = 5
 MIN_FOR_TREND = 12
-SIGNIFICANT = 0.01  # chance that vehicles alone make such a trend
 
 
 def drift(size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale, plan: np.ndarray) -> dict[str, Any]:
     """Per-frame and per-region scale and the trend, as plain values, with a remark for what is wrong.
 
-    size : (M, 2) of each box, margin taken off. picture : (M,) its frame. plan : (N, 2) where the votes are.
+    size : (M, 2) of each box. picture : (M,) its frame. votes : of N vehicles. Margins are taken off both.
+    plan : (N, 2) where the votes are.
     """
     frames, odd = by_frame(np.log(np.maximum(size, 1e-12)).mean(1), picture, votes, scale)
     used = scale.used
     log_scale = -np.log(votes.size[used]) @ np.asarray(scale.weights)
     regions, trend = by_region(log_scale - np.median(log_scale), plan[used], scale.value)
     remarks = []
+    drifts = trend is not None and trend["chance"] < CHANCE and trend["percent_across"] >= 100 * NOTABLE
     if odd:
         worst = ", ".join(f"{name} by {100 * stray:+.0f} %" for name, stray in odd[:5])
         who = "a frame disagrees" if len(odd) == 1 else f"{len(odd)} frames disagree"
         remarks.append(f"{who} with the others about the same vehicles: {worst}")
-    if trend is not None and trend["chance"] < SIGNIFICANT:
+    if trend is not None and drifts:
         remarks.append(
             f"the scale changes by {trend['percent_across']:.0f} % across the model: it may be bent, or its vehicles "
             "differ from place to place"
         )
-    return {"frames": frames, "odd_frames": [n for n, _ in odd], "regions": regions, "trend": trend, "remarks": remarks}
+    return {
+        "frames": frames,
+        "odd_frames": [n for n, _ in odd],
+        "regions": regions,
+        "trend": trend,
+        "drifts": drifts,
+        "remarks": remarks,
+    }
 
 
 def by_frame(

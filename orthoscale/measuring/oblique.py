@@ -96,11 +96,12 @@ def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet, method
     shipped = card.size(boxes, view, found.zoom, metres_per_unit)[solved] if exact else bare
     counted = [members for members, used in zip(votes.members, scale.used, strict=True) if used]
     changes = trends(shipped, bare, np.degrees(view.elevation[solved]), pixel[solved], counted)
+    tightened = replace(votes, size=tight(votes, left.margin))
     findings = {
         "calibration": {**ruler.document(card), "trends": changes},
-        "drift": drift(bare, picture, votes, scale, source.ground.plane(votes.place)),
+        "drift": drift(bare, picture, tightened, scale, source.ground.plane(votes.place)),
     }
-    return Measured(boxes[solved], picture, votes, scale, lost, findings, tight(votes, left.margin))
+    return Measured(boxes[solved], picture, votes, scale, lost, findings, tightened.size)
 
 
 def _pair(values: np.ndarray) -> tuple[float, float]:

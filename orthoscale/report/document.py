@@ -22,8 +22,8 @@ from .above import from_above
 
 FORMAT = "orthoscale report 1"
 
-# What a report may be without (an orthophoto has no frames, few views tell no trend, an older version knew less), by its
-# place in the document, and what stands for it. Everything else belongs to every report.
+# What a report may be without (an orthophoto has no frames, few views tell no trend, an older version knew less), by
+# its place in the document, and what stands for it. Everything else belongs to every report.
 OPTIONAL: dict[tuple[str, ...], Any] = {
     ("fleets",): {},
     ("fleet_source",): "",
@@ -45,6 +45,7 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("drift", "odd_frames"): [],
     ("drift", "regions"): [],
     ("drift", "trend"): None,
+    ("drift", "drifts"): None,
     ("drift", "remarks"): [],
     ("calibration",): None,
     ("calibration", "views"): 0,
@@ -66,10 +67,7 @@ def document(result: Result) -> dict[str, Any]:
     place on a plan, x right and y up (see `from_above`). ``notes`` are those remarks that do not speak against the
     scale.
     """
-    scale, found, votes = result.scale, result.detections, result.votes
-    fitted = result.measured.findings.get("calibration", {}).get("margin_px", {})  # by a model's own views
-    margin = np.asarray(fitted.get("fitted", found.ruler.margin))
-    size = (votes.size - margin * votes.pixel[:, None]) * scale.value
+    scale, found, votes, vehicles = result.scale, result.detections, result.votes, result.vehicles
     plan = from_above(result.source, votes.place) * scale.value
     return {
         "format": FORMAT,
@@ -106,7 +104,7 @@ def document(result: Result) -> dict[str, Any]:
         if found.swept is None
         else {"tiles": len(found.swept.tiles), "of": found.swept.total, "from_cache": found.swept.from_cache},
         "claim": None if (claim := own_claim(result.source, scale)) is None else claim.document(),
-        "drift": None if result.drift is None else _drift(result.drift),
+        "drift": None if result.drift is None else drift_values(result.drift),
         "zoom_search": None
         if result.zoom_choice is None
         else {
@@ -127,8 +125,8 @@ def document(result: Result) -> dict[str, Any]:
         "seconds": round(result.seconds, 2),
         "vehicles": [
             {
-                "length": float(size[k, 0]),
-                "width": float(size[k, 1]),
+                "length": float(vehicles["length"][k]),
+                "width": float(vehicles["width"][k]),
                 "place_m": [round(float(v), 3) for v in plan[k]],
                 "place_unit": [float(v) for v in votes.place[k]],
                 "views": int(votes.views[k]),
@@ -163,21 +161,24 @@ def _notes(result: Result) -> list[str]:
     return [*result.source.notes, agreement.sentence()]
 
 
-def _drift(drift: Drift) -> dict[str, Any]:
+def drift_values(drift: Drift) -> dict[str, Any]:
+    """As the report holds it."""
     names = ("x_px", "y_px", "vehicles", "deviation", "sd")
     return {
         "tilt": drift.tilt,
         "tilt_sd": drift.tilt_sd,
         "direction_deg": float(np.degrees(drift.direction)),
         "p_tilt": drift.p_tilt,
+        "bend": drift.bend,
         "p_bend": drift.p_bend,
+        "drifts": drift.drifts,
         "cell_px": list(drift.cell),
         "cells": [dict(zip(names, map(float, cell), strict=True)) for cell in drift.cells],
     }
 
 
 def completed(report: Mapping[str, Any]) -> dict[str, Any]:
-    """`report` with every part of OPTIONAL in it, be it absent or null; the one place that knows what may be missing."""
+    """`report` with every part of OPTIONAL in it, where it is absent or null; nothing else knows what may be missing."""
     full = dict(report)
     for (*above, name), default in OPTIONAL.items():
         part: Any = full

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ..measuring.drift import local_deviation
 from ..result import Result
 from ..sources.georeference import Place
 from .geo import write_geojson, write_geopackage
@@ -48,7 +47,7 @@ def write_tiles(result: Result, place: Place, path: Path) -> None:
         tiles = [tile for _, tile in swept.tiles]
         centre = np.array([[t.x + t.width / 2, t.y + t.height / 2] for t in tiles])
         span = np.array([[t.width, t.height] for t in tiles])
-        deviation = local_deviation(votes, scale, result.detections.ruler)
+        deviation = result.vehicles["scale_deviation"]
         # Tiles overlap: a vehicle counts in the one whose centre is nearest.
         owner = np.array([np.argmin((np.abs(p - centre) / span).max(1)) for p in votes.place], int)
         for k, tile in enumerate(tiles):

@@ -11,7 +11,6 @@ import numpy as np
 from rasterio.warp import transform_geom
 
 from ..errors import OutputError
-from ..measuring.drift import local_deviation
 from ..result import Result
 from ..sources.georeference import Place
 from ..vector import write_layer
@@ -50,20 +49,18 @@ STYLES_TABLE = """CREATE TABLE layer_styles (
 
 def table(result: Result) -> dict[str, np.ndarray]:
     """One value per vehicle, lengths in metres."""
-    votes, scale = result.votes, result.scale
-    size = votes.size * scale.value
-    box = np.array([members[0] for members in votes.members], int)
+    vehicles = result.vehicles
     return {
-        "length_m": size[:, 0],
-        "width_m": size[:, 1],
-        "score": votes.score,
-        "used": scale.used.astype(bool),
-        "reason": np.array(scale.reasons, object),
+        "length_m": vehicles["length"],
+        "width_m": vehicles["width"],
+        "score": vehicles["score"],
+        "used": vehicles["used"],
+        "reason": vehicles["reason"],
         # Clockwise from the image's upward direction, as a compass shows it on a north-up map.
-        "heading_deg": (np.degrees(result.boxes.angle[box]) + 90) % 180,
-        "scale_deviation_percent": 100 * local_deviation(votes, scale, result.detections.ruler),
-        "x_px": votes.place[:, 0],
-        "y_px": votes.place[:, 1],
+        "heading_deg": (np.degrees(vehicles["angle"]) + 90) % 180,
+        "scale_deviation_percent": 100 * vehicles["scale_deviation"],
+        "x_px": vehicles["x_unit"],
+        "y_px": vehicles["y_unit"],
     }
 
 

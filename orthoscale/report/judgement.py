@@ -91,6 +91,8 @@ def _places(report: Mapping[str, Any]) -> Check | None:
         return Check("none", "Places not compared", "too few vehicles for it")
     known = "" if found.sd is None else f" ± {100 * Z90 * found.sd:.1f}"
     figures = f"{100 * found.change:.1f}{known} % from side to side"
+    if found.drifts is None:
+        return Check("none", "Places compared", figures)
     if found.drifts:
         return Check("look", "The scale drifts", figures + ", more than chance makes")
     return Check("ok", "No drift", figures + ", which may be chance")

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from math import log
 from typing import Any
 
-from ..measuring.drift import SIGNIFICANT
-
 
 @dataclass(frozen=True)
 class Region:
@@ -26,11 +24,12 @@ class Region:
 @dataclass(frozen=True)
 class Trend:
     """change : of the scale from one end to the other, relative. sd : one sigma of that, None where it is not told.
-    drifts : whether it is more than chance makes, as a slope or as a bend."""
+    drifts : whether that, or a bend, is more than chance makes, as it was judged where it was measured; None in
+    reports of versions that did not say."""
 
     change: float
     sd: float | None
-    drifts: bool
+    drifts: bool | None
 
 
 @dataclass(frozen=True)
@@ -64,9 +63,9 @@ def trend(report: Mapping[str, Any]) -> Trend | None:
     """None where there are too few vehicles to tell."""
     drift = report.get("drift") or {}
     if "tilt" in drift:
-        return Trend(drift["tilt"], drift["tilt_sd"], min(drift["p_tilt"], drift["p_bend"]) < SIGNIFICANT)
+        return Trend(drift["tilt"], drift["tilt_sd"], drift.get("drifts"))
     if drift.get("trend"):
-        return Trend(drift["trend"]["percent_across"] / 100, None, drift["trend"]["chance"] < SIGNIFICANT)
+        return Trend(drift["trend"]["percent_across"] / 100, None, drift.get("drifts"))
     return None
 
 

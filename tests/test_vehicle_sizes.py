@@ -1,0 +1,59 @@
+"""One vehicle has one size: in the report, the layers for other programs, on the page, and on the ground."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pyogrio
+import pytest
+from reports import GSD, car_park, fixed
+from test_looks import FLEET, UNIT, found_by, vehicles
+from test_looks import flight as flight  # a fixture
+
+from orthoscale.measuring.looks import measure_model
+from orthoscale.report.document import document, read_json
+from orthoscale.report.page import page
+from orthoscale.report.scene import Scene
+from orthoscale.result import Result
+from orthoscale.sources.colmap import ColmapSource
+
+
+def test_an_orthophotos_vehicles_have_one_size_in_every_output_and_the_true_one(tmp_path):
+    truth = car_park(tmp_path)["size"]
+    html = fixed(tmp_path, also=["gpkg", "tiles"]).read_text()
+    report = read_json(tmp_path / "scaled.tif.json")
+    said = np.array([[v["length"], v["width"]] for v in report["vehicles"]])
+    layer = pyogrio.raw.read(tmp_path / "scaled.tif.gpkg", layer="vehicles")
+    columns = dict(zip(layer[0]["fields"], layer[3], strict=True))
+    assert np.stack([columns["length_m"], columns["width_m"]], -1) == pytest.approx(said, rel=1e-12)
+    assert said[:60] == pytest.approx(truth * report["scale"] / GSD, abs=1e-6)
+    shown = set(re.findall(r"<figcaption>(\d+\.\d\d × \d+\.\d\d) m", html))
+    assert len(shown) > 20 and shown <= {f"{length:.2f} × {width:.2f}" for length, width in said}
+
+
+@pytest.mark.parametrize("mode", ["oblique", "planar", None])
+def test_a_models_vehicles_have_one_size_in_every_output_and_the_true_one(flight, mode):
+    folder, turn = flight
+    source, found = ColmapSource.open(folder), found_by(folder, turn)
+    measured = measure_model(source, found, FLEET, mode=mode)
+    result = Result(source, FLEET, found, None, 0.0, measured)
+    report = json.loads(json.dumps(document(result)))
+    said = np.array([[v["length"], v["width"]] for v in report["vehicles"]])
+    assert said == pytest.approx(np.stack([result.vehicles["length"], result.vehicles["width"]], -1), rel=1e-12)
+    assert said == pytest.approx(measured.size * measured.scale.value, rel=1e-12), "the margin is off it once"
+
+    bodies, ends = vehicles(turn)
+    along = ends[:, 1] - ends[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(turn[:, 2], along)
+    true = np.stack([np.ptp(np.einsum("npk,nk->np", bodies, axis), axis=1) for axis in (along, across)], -1) * UNIT
+    place = np.array([v["place_unit"] for v in report["vehicles"]])
+    gap = np.linalg.norm(place[:, None] - ends.mean(1), axis=2)
+    ratio = said / report["scale"] * UNIT / true[gap.argmin(1)]
+    assert (gap.min(1) < 0.2).all()
+    assert np.median(ratio, axis=0) == pytest.approx(1, abs=0.01)
+
+    labels = re.findall(r"<figcaption>(\d+\.\d\d × \d+\.\d\d) m", page(report, Scene.of(report, source)))
+    assert labels and set(labels) <= {f"{length:.2f} × {width:.2f}" for length, width in said}
