@@ -21,6 +21,7 @@ import pycolmap
 
 import orthoscale
 from orthoscale.errors import OrthoscaleError
+from orthoscale.requests import FixRequest
 from orthoscale.workspace import fix_all, models_in
 
 
@@ -35,7 +36,7 @@ def write_metric(sparse: str | Path, out: str | Path, images: str | Path | None 
         return False
     models = models_in(sparse)
     if models:
-        fix_all(models, out, images=images, **options)
+        fix_all(models, out, FixRequest.of({"images": images, **options}))
     else:
         orthoscale.fix(sparse, out, images=images, **options)
     return True

@@ -50,6 +50,7 @@ class Detections:
     planar: Detections | None = None
     swept: Swept | None = None
     body: str = "car"
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))

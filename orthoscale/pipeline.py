@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -15,9 +15,9 @@ from .detect.detector import Detector
 from .detect.find import Effort, Progress, find_vehicles
 from .detect.refine import refined
 from .detect.workers import worker_count
-from .detect.zoom import check_told, told_zoom
+from .detect.zoom import told_zoom
 from .detections import Detections
-from .errors import EvidenceDisagrees, TooLittleEvidence, UsageError
+from .errors import EvidenceDisagrees, TooLittleEvidence
 from .evidence.control import read_control, read_distance
 from .exchange import load as load_detections
 from .fleet import Fleet
@@ -26,106 +26,114 @@ from .measuring.looks import find_in_model, measure_model
 from .measuring.measure import measure
 from .measuring.method import Method
 from .pooling.evidence import Evidence
+from .requests import EstimateRequest
 from .result import Result
 from .sources.opening import open_source
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
+    from .detect.zoom import ZoomChoice
+    from .requests import EstimateOptions
     from .sources.colmap import ColmapSource
     from .sources.source import Source
 
 
 def estimate(
-    path: str | Path | Source,
-    *,
-    fleet: str | Path | None = None,
-    images: str | Path | None = None,
-    detections: str | Path | None = None,
-    detector: str | Path | None = None,
-    decoder: str | None = None,
-    vehicle_classes: Sequence[str] = (),
-    calibration: str | Path | None = None,
-    zoom: float | None = None,
-    gsd_hint: float | None = None,
-    projection: str | None = None,
-    estimator: str = "robust",
-    known_distance: Sequence[str] = (),
-    ground_control: str | Path | None = None,
-    surroundings: bool = True,
-    refine: bool = False,
-    progress: Progress | None = None,
-    mode: str | None = None,
-    **effort: Any,
+    path: str | Path | Source, *, progress: Progress | None = None, **options: Unpack[EstimateOptions]
 ) -> Result:
     """Find the scale of an orthophoto (metres per pixel) or a COLMAP model (metres per model unit).
 
+    path : of the input, or a source that `open_source` opened. progress : told what is done, (what, done, total).
+
+    Where the vehicles' boxes come from
     fleet : code of the country's fleet, or a JSON file; by default the calibration's own, else ``world``.
-    images : folder of a model's frames, when not beside it.
     detections : boxes from a file instead of the detector; see `exchange` for the formats.
     detector : an ONNX file instead of the shipped one.
     decoder : how to read its outputs, where they do not tell (`detect.layout.DECODERS`). vehicle_classes : names or
     numbers of the classes that count, instead of those called small vehicles.
-    calibration : file of `orthoscale.calibrating.calibrate`, whose ruler takes the place of the detector's own.
-    zoom, gsd_hint : detector pixels per picture pixel, or the expected metres per pixel, instead of the zoom search.
-    projection, estimator : other ways than the usual, see `Method`. known_distance, ground_control : what is known
-    besides, see `control`. surroundings : whether parking rows and standard objects count.
-    refine : look at every vehicle four times more, turned and at neighbouring zooms (`detect.refine`).
-    mode : how a model is measured, one of `looks.MODES`; by default in every way that there is evidence for.
-    effort : how much to look at, and with what; see `orthoscale.detect.find.Effort` (target, exhaustive, seed, workers,
-    scheduler, cache). `path` may be a source that `open_source` opened.
-    Raises InputError, UsageError, TooLittleEvidence.
+    calibration : file of `orthoscale.calibrate`, whose ruler takes the place of the detector's own.
+    zoom, gsd_hint : resampling factor (detector pixels per picture pixel), or the expected metres per pixel, instead of
+    the search for it. refine : look at every vehicle four times more, turned and at neighbouring zooms.
+
+    How it is measured
+    images : folder of a model's frames, when not beside it. mode : how a model is measured, one of `requests.MODES`;
+    by default in every way that there is evidence for.
+    projection, estimator : other ways than the usual, see `measuring.method.Method`. known_distance, ground_control :
+    what is known besides, see `evidence.control`. surroundings : whether parking rows and standard objects count.
+
+    How much is looked at, and with what (`detect.find.Effort`)
+    target, exhaustive, seed, workers, scheduler, cache.
+
+    `requests.EstimateRequest` has the defaults, and what excludes what. Raises InputError, UsageError (no such
+    option, or one that would do nothing), TooLittleEvidence, EvidenceDisagrees.
     """
-    settings = _plain(locals())
+    return measured(path, EstimateRequest.of(options), progress)
+
+
+def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
+    """What `request` asks of the input at `path`; see `estimate`."""
     started = time.perf_counter()
-    check_told(zoom, gsd_hint)
-    if refine and detections is not None:
-        raise UsageError("--refine looks again, --detections does not look at all", "Leave one of them away.")
-    known = None if calibration is None else Calibration.load(Path(calibration))
-    ruler_fleet = fleet_of(fleet, known)
-    source = open_source(path, images, detections is None) if isinstance(path, (str, Path)) else path
+    known = None if request.calibration is None else Calibration.load(Path(request.calibration))
+    fleet = fleet_of(request.fleet, known)
+    from_file = request.detections is not None
+    source = open_source(path, request.images, not from_file) if isinstance(path, (str, Path)) else path
     model = None if source.unit == "m/px" else cast("ColmapSource", source)
-    method = Method(projection, estimator, tuple(_given(source, known_distance, ground_control)), surroundings)
     if model is None:
-        method.for_picture()
-        if mode is not None:
-            raise UsageError("--mode is for COLMAP models", f"{source.path} is an image: leave --mode away.")
-    choice = None
-    if detections is not None:
-        found = load_detections(Path(detections), source, vehicle_classes)
+        request.for_orthophoto(source.path)
     else:
-        how_much = Effort(**effort)
-        network = Detector(_path(detector), decoder, vehicle_classes, how_much.threads_each)
-        zoom = told_zoom(zoom, gsd_hint, network.card, float(ruler_fleet.mean[0]))
-        try:
-            if model is None:
-                sampling = _sampling(source, ruler_fleet)
-                found, choice = find_vehicles(source.pictures, network, zoom, progress, how_much, sampling)
-            else:
-                found, choice = find_in_model(model, mode, network, zoom, progress, how_much)
-        except (TooLittleEvidence, EvidenceDisagrees) as error:
-            raise type(error)(f"{source.path}: {error.message}", error.hint) from error
-        if refine:
-            workers = worker_count(how_much.workers)
-            found = replace(found, boxes=refined(source.pictures, found.boxes, found.zoom, network, workers, progress))
+        request.for_model(source.path)
+    given = _given(source, request.known_distance, request.ground_control)
+    method = Method(request.projection, request.estimator, tuple(given), request.surroundings)
+    choice = None
+    if request.detections is not None:
+        found = load_detections(Path(request.detections), source, request.vehicle_classes)
+    else:
+        found, choice = _looked_for(source, model, request, fleet, progress)
     if known is not None:
-        found = known.applied(found, Path(str(calibration)))
+        found = known.applied(found, Path(str(request.calibration)))
     try:
         if model is None:
-            measured = measure(source, found, ruler_fleet, method)
+            answer = measure(source, found, fleet, method)
         else:
-            measured = measure_model(model, found, ruler_fleet, method, mode)
+            answer = measure_model(model, found, fleet, method, request.mode)
     except TooLittleEvidence as error:
         raise TooLittleEvidence(
-            f"{source.path}: {error.message} (looked at zoom {found.zoom:.2f}, vehicles about "
-            f"{_typical_length(found):.0f} px long there)",
+            f"{source.path}: {error.message} (looked at zoom {found.zoom:.2f}, {_typical_length(found)})",
             "Try the fleet of the country (--fleet), another zoom (--gsd-hint METRES_PER_PIXEL, --zoom FACTOR), "
             "or a scene with more vehicles.",
         ) from error
     within = None
     if model is None:
         (whole,) = source.pictures
-        within = drift(measured.vehicles, whole.width, whole.height)
+        within = drift(answer.vehicles, whole.width, whole.height)
     seconds = time.perf_counter() - started
-    return Result(source, ruler_fleet, found, choice, seconds, measured, within, method, settings)
+    return Result(source, fleet, found, choice, seconds, answer, within, method, request.settings())
+
+
+def _looked_for(
+    source: Source,
+    model: ColmapSource | None,
+    request: EstimateRequest,
+    fleet: Fleet,
+    progress: Progress | None,
+) -> tuple[Detections, ZoomChoice | None]:
+    """The vehicles that a detector finds. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
+    effort = Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
+    network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, effort.threads_each)
+    zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
+    try:
+        if model is None:
+            sampling = _sampling(source, fleet)
+            found, choice = find_vehicles(source.pictures, network, zoom, progress, effort, sampling)
+        else:
+            found, choice = find_in_model(model, request.mode, network, zoom, progress, effort)
+    except (TooLittleEvidence, EvidenceDisagrees) as error:
+        raise type(error)(f"{source.path}: {error.message}", error.hint) from error
+    if request.refine:
+        workers = worker_count(effort.workers)
+        found = replace(found, boxes=refined(source.pictures, found.boxes, found.zoom, network, workers, progress))
+    return found, choice
 
 
 def _given(source: Source, known_distance: Sequence[str], ground_control: str | Path | None) -> list[Evidence]:
@@ -134,16 +142,6 @@ def _given(source: Source, known_distance: Sequence[str], ground_control: str | 
     if ground_control is not None:
         given.append(read_control(Path(ground_control), source))
     return given
-
-
-def _plain(arguments: dict[str, Any]) -> dict[str, Any]:
-    """Options that say something, as values that JSON knows."""
-    given = {**arguments, **arguments.get("effort", {})}
-    return {
-        name: value if isinstance(value, (bool, int, float, list, tuple)) else str(value)
-        for name, value in given.items()
-        if name not in ("path", "progress", "effort") and value is not None
-    }
 
 
 def _path(value: str | Path | None) -> Path | None:
@@ -164,6 +162,8 @@ def _sampling(source: Source, fleet: Fleet) -> Callable[[Detections], float]:
     return sampling
 
 
-def _typical_length(found: Detections) -> float:
+def _typical_length(found: Detections) -> str:
     lengths = [boxes.length for boxes in found.boxes.values() if len(boxes)]
-    return float(np.median(np.concatenate(lengths))) if lengths else 0.0
+    if not lengths:
+        return "no boxes given" if found.swept is None else "no boxes found"
+    return f"vehicles about {np.median(np.concatenate(lengths)):.0f} px long there"

@@ -44,6 +44,11 @@ class Result:
         return self.method.projection or ("planar" if self.source.unit == "m/px" else "exact")
 
     @property
+    def notes(self) -> list[str]:
+        """What was chosen, left aside, or could not be done: in opening the source, finding vehicles and measuring."""
+        return [*self.source.notes, *self.detections.notes, *self.measured.notes]
+
+    @property
     def scale(self) -> Scale:
         return self.measured.scale
 

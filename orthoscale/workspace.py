@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .atomic import check_free, new_folder
 from .errors import EvidenceDisagrees, InputError, OrthoscaleError, TooLittleEvidence
-from .pipeline import estimate
+from .pipeline import measured
+from .requests import EstimateRequest, FixRequest
 from .result import Result
 from .sources.exchange import find_exchange
-from .writing import fix
+from .writing import written
+
+if TYPE_CHECKING:
+    from .detect.find import Progress
 
 # What may befall one model and leave the others what they are.
 OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError)
@@ -52,28 +58,31 @@ def models_in(path: Path) -> list[Path]:
     return folders if len(folders) > 1 else []
 
 
-def estimate_all(models: list[Path], **options: Any) -> list[Outcome]:
+def estimate_all(models: list[Path], request: EstimateRequest, progress: Progress | None = None) -> list[Outcome]:
     """`estimate` for each of `models`. Raises the first error if none has a scale."""
-    return _checked([_one(model, estimate, **options) for model in models])
+    return _checked([_one(model, partial(measured, model, request, progress)) for model in models])
 
 
-def fix_all(models: list[Path], out: Path, overwrite: bool = False, **options: Any) -> list[Outcome]:
+def fix_all(models: list[Path], out: Path, request: FixRequest, progress: Progress | None = None) -> list[Outcome]:
     """`fix` for each of `models`, into folders of their names in the folder `out`, with models.json beside them.
 
     A model that has too little evidence, or is damaged, is left out and does not stop the others.
     Raises the first error if none has a scale; then nothing is written.
     """
-    check_free(out, overwrite)
-    with new_folder(out, overwrite) as folder:
-        outcomes = _checked([_one(model, fix, folder / model.name, **options) for model in models])
+    check_free(out, request.overwrite)
+    with new_folder(out, request.overwrite) as folder:
+        fresh = replace(request, overwrite=False)  # nothing can be in a new folder
+        outcomes = _checked(
+            [_one(model, partial(written, model, folder / model.name, fresh, progress)) for model in models]
+        )
         text = {outcome.model.name: outcome.document() for outcome in outcomes}
         (folder / "models.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
     return outcomes
 
 
-def _one(model: Path, what: Any, *args: Any, **options: Any) -> Outcome:
+def _one(model: Path, do: Callable[[], Result]) -> Outcome:
     try:
-        return Outcome(model, what(model, *args, **options), None)
+        return Outcome(model, do(), None)
     except OF_ONE as error:
         return Outcome(model, None, error)
 

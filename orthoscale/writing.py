@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from .atomic import check_free, new_file, new_folder
 from .errors import UsageError
-from .pipeline import estimate
+from .pipeline import measured
+from .requests import FixRequest
 from .result import Result
 from .sources.opening import open_source
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
+    from .detect.find import Progress
+    from .requests import FixOptions
     from .sources.colmap import ColmapSource
     from .sources.raster import RasterSource
-    from .sources.source import Source
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
 REPORTS = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by its level
@@ -26,17 +29,10 @@ def fix(
     path: str | Path,
     out: str | Path,
     *,
-    overwrite: bool = False,
-    override: bool = False,
-    force: bool = False,
-    dense: bool = False,
-    keep_origin: bool = False,
-    cog: bool = False,
-    also: Sequence[str] = (),
-    report: str = "html",
-    **options: Any,
+    progress: Progress | None = None,
+    **options: Unpack[FixOptions],
 ) -> Result:
-    """Estimate the scale of `path` (see `estimate` for `options`) and write a copy of it in metres at `out`.
+    """Estimate the scale of `path` (see `estimate` for its options) and write a copy of it in metres at `out`.
 
     An orthophoto becomes the GeoTIFF `out` with `out`.json, `out`.png and `out`.html beside it; a model the folder
     `out` with sim3.txt, report.json, vehicles.png and report.html in it. All of them appear, or none.
@@ -44,36 +40,40 @@ def fix(
     overwrite : replace what is at `out`. override : rescale although the input's own georeferencing gives a scale.
     keep_origin : an orthophoto keeps its coordinate reference system, first corner and direction; else local metres.
     cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.EXTRAS`.
-    force : write although the evidence is too uncertain to be useful (verdict ``refuse``) or contradicts itself.
+    force : write although the evidence is too uncertain to be useful (verdict ``unusable``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
     report : ``html``, ``json`` (without the page) or ``none``.
-    Raises what `estimate` raises, EvidenceDisagrees, OutputError.
+    Raises what `estimate` raises, OutputError.
     """
-    path, out = Path(path), Path(out)
-    if report not in REPORTS:
-        raise UsageError(f"--report {report} is none of {', '.join(REPORTS)}")
+    return written(Path(path), Path(out), FixRequest.of(options), progress)
+
+
+def written(path: Path, out: Path, request: FixRequest, progress: Progress | None = None) -> Result:
+    """What `request` asks of the input at `path`, written at `out`; see `fix`."""
+    overwrite = request.overwrite
     check_free(out, overwrite)
     if out.resolve() == path.resolve():
         raise UsageError(f"{out} is the input itself", "The input is never touched: choose another --out.")
-    source = open_source(path, options.get("images"), need_images=options.get("detections") is None)
+    source = open_source(path, request.images, need_images=request.detections is None)
     from .report.extras import chosen
 
-    extras = [(extra.place(out), extra.write) for extra in chosen(also)]
-    parts = report_paths(out, source.unit, report)
+    extras = [(extra.place(out), extra.write) for extra in chosen(request.also)]
+    parts = report_paths(out, source.unit, request.report)
     if source.unit == "m/px":
+        request.for_orthophoto(path)
         for beside in (*parts.values(), *(place for place, _ in extras)):
             check_free(beside, overwrite)
-    elif keep_origin or cog or also:
-        raise UsageError("--keep-origin, --cog and --also are for orthophotos", f"{path} is a model.")
-    if source.metric_already and not override:  # not behind its owner's back
+    else:
+        request.for_model(path)
+    if source.metric_already and not request.override:  # not behind its owner's back
         raise UsageError(
             f"{path} is in metres already: {source.metric_already}",
             "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
         )
-    if dense:
-        _check_dense(source)
-    result = estimate(source, **options)
-    if not force:
+    if request.dense:
+        cast("ColmapSource", source).dense  # noqa: B018  raises where there is none, before any work is done
+    result = measured(source, request.estimating(), progress)
+    if not request.force:
         result.require_useful()
     from .report.files import write_report
 
@@ -82,15 +82,15 @@ def fix(
             main = outputs.enter_context(new_file(out, overwrite))
             parts = {kind: outputs.enter_context(new_file(place, overwrite)) for kind, place in parts.items()}
             raster = cast("RasterSource", source)
-            raster.write(main, result.scale.value, keep_origin, cog)
+            raster.write(main, result.scale.value, request.keep_origin, request.cog)
             for place, write in extras:
                 partial = outputs.enter_context(new_file(place, overwrite))
-                write(result, raster.place(result.scale.value, keep_origin), partial)
+                write(result, raster.place(result.scale.value, request.keep_origin), partial)
         else:
             main = outputs.enter_context(new_folder(out, overwrite))
             parts = {kind: main / place.name for kind, place in parts.items()}
             source.write(main, result.scale.value)
-            if dense:
+            if request.dense:
                 (main / "dense").mkdir()
                 cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
         write_report(result, parts)
@@ -98,16 +98,9 @@ def fix(
             stale = [f".{kind}" for kind in REPORTS["html"] if kind not in parts]
             for suffix in (*GDAL_SIDECARS, *stale):
                 _beside(out, suffix).unlink(missing_ok=True)
-            if "tfw" not in also:
+            if "tfw" not in request.also:
                 out.with_suffix(".tfw").unlink(missing_ok=True)
     return result
-
-
-def _check_dense(source: Source) -> None:
-    """Refuse early what `fix` could not write in the end."""
-    if source.unit == "m/px":
-        raise UsageError("--dense is for COLMAP models", f"{source.path} is an image: leave --dense away.")
-    cast("ColmapSource", source).dense  # noqa: B018  raises where there is none
 
 
 def report_paths(out: Path, unit: str, report: str) -> dict[str, Path]:

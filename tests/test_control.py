@@ -117,8 +117,8 @@ def test_the_papers_estimator_and_what_it_cannot_take(boxes):
     for options, why in (
         ({"estimator": "iqr", "known_distance": ["0,0 9,9 1"]}, "knows vehicles only"),
         ({"projection": "exact"}, "an orthophoto has none"),
-        ({"projection": "mercator"}, "no projection is called"),
-        ({"estimator": "mode"}, "no estimator is called"),
+        ({"projection": "mercator"}, "--projection mercator is none of"),
+        ({"estimator": "mode"}, "--estimator mode is none of"),
     ):
         with pytest.raises(UsageError, match=why):
             orthoscale.estimate(TOWN, fleet="DE", detections=boxes, **options)

@@ -8,7 +8,11 @@ from typing import Any
 
 import click
 
-from .options import EXIT_CODES, detector_options, progress_bars
+from ..requests import VehicleRequest
+from .options import EXIT_CODES, options_of, progress_bars
+
+# The scale is known, and the boxes are looked for at three zooms: what says otherwise is not asked for.
+NOT_HERE = ("fleet", "detections", "calibration", "zoom", "gsd_hint")
 
 
 @click.command(
@@ -20,7 +24,7 @@ from .options import EXIT_CODES, detector_options, progress_bars
 @click.option("--gsd", type=float, metavar="M", help="Metres per pixel; by default what the georeferencing says.")
 @click.option("--fleet", default="world", show_default=True, help="Country code (US, DE, JP ...) or fleet.json.")
 @click.option("--local-fleet", is_flag=True, help="Also fit the sizes of the vehicles that stand here.")
-@detector_options
+@options_of(VehicleRequest, leave=NOT_HERE)
 @click.option("--out", type=click.Path(path_type=Path), help="Calibration file (.json) to write.")
 @click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
 @click.option("--json", "as_json", is_flag=True, help="Print the calibration as JSON on standard output.")

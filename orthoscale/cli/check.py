@@ -10,7 +10,8 @@ from typing import Any
 import click
 
 from ..errors import EvidenceDisagrees, UsageError
-from .options import evidence_options, progress_bars
+from ..requests import EstimateRequest
+from .options import debug_option, input_argument, json_option, options_of, progress_bars, save_option
 
 
 @click.command(
@@ -19,13 +20,17 @@ from .options import evidence_options, progress_bars
     "\b\nExit codes: 0 agrees, or too close to call; 2 usage, or INPUT claims no scale;\n"
     "3 too little evidence; 4 disagrees by more than three sigma; 5 input unreadable or damaged."
 )
-@evidence_options
+@input_argument
+@options_of(EstimateRequest)
+@save_option
 @click.option(
     "--model",
     type=click.Path(path_type=Path),
     help="The reconstruction that an orthophoto was made from: check with it.",
 )
 @click.option("--model-detections", type=click.Path(path_type=Path), help="Boxes of its frames from this file.")
+@json_option
+@debug_option
 def check(
     path: Path,
     as_json: bool,
@@ -45,23 +50,27 @@ def check(
     """
     from .. import pipeline
     from ..check import comparisons
+    from ..exchange import check_savable, keep
     from ..sources.opening import open_source
 
+    request = EstimateRequest.of(options)
     if model is not None:
-        _against_model(path, as_json, model, model_detections, options)
+        if save_detections is not None:
+            raise UsageError("--save-detections keeps the boxes of one input", "Leave it away, or leave --model away.")
+        _against_model(path, as_json, model, model_detections, request)
         return
-    source = open_source(path, options.pop("images"), need_images=options["detections"] is None)
+    if model_detections is not None:
+        raise UsageError("--model-detections are boxes of a --model, and none is named", "Name it: --model FOLDER.")
+    check_savable(save_detections)
+    source = open_source(path, request.images, need_images=request.detections is None)
     claimed = getattr(source, "claimed", None)
     if claimed is None or claimed.gsd_m is None:
         why = "" if claimed is None else f": {claimed.why}"
         raise UsageError(f"{path} claims no scale{why}", "Find it by `orthoscale estimate`.")
     with progress_bars() as progress:
-        result = pipeline.estimate(source, progress=progress, **options)
+        result = pipeline.measured(source, request, progress)
     if save_detections is not None:
-        from ..atomic import new_file
-
-        with new_file(save_detections, overwrite=True) as partial:
-            result.detections.save(partial)
+        keep(result.detections, save_detections, source)
     found = comparisons(result)
     low, high = result.scale.interval90
     if as_json:
@@ -72,7 +81,7 @@ def check(
             "interval90": [low, high],
             "vehicles_used": result.scale.vehicles_used,
             "fleet": result.scale.fleet,
-            "notes": result.source.notes,
+            "notes": result.notes,
         }
         click.echo(json.dumps(report))
     else:
@@ -85,24 +94,27 @@ def check(
             click.echo(f"           {comparison.sentence()}")
             if not comparison.believed:
                 click.echo("           the claim itself is not tied to the ground; it is compared as if it were metres")
-        for remark in (*result.scale.remarks, *result.source.notes):
+        for remark in (*result.scale.remarks, *result.notes):
             click.echo(f"note       {remark}")
     if any(c.verdict == "disagrees" for c in found):
         sys.exit(EvidenceDisagrees.exit_code)
 
 
+# What says something of one of the two inputs only: of the orthophoto's pixels, of the model's frames.
+OF_ORTHOPHOTO = ("zoom", "gsd_hint", "target", "exhaustive", "known_distance", "ground_control")
+OF_MODEL = ("images", "mode", "projection")
+
+
 def _against_model(
-    path: Path, as_json: bool, model: Path, model_detections: Path | None, options: dict[str, Any]
+    path: Path, as_json: bool, model: Path, model_detections: Path | None, request: EstimateRequest
 ) -> None:
     from .. import pipeline
     from ..cross_check import check_against_model
 
-    images = options.pop("images")
-    mode = options.pop("mode")
+    not_of_model = (*OF_ORTHOPHOTO, *(request.of_detector if model_detections is not None else ()))
     with progress_bars() as progress:
-        ortho = pipeline.estimate(path, progress=progress, **options)
-        options |= {"detections": model_detections, "zoom": None, "gsd_hint": None}
-        frames = pipeline.estimate(model, images=images, progress=progress, mode=mode, **options)
+        ortho = pipeline.measured(path, request.without(OF_MODEL), progress)
+        frames = pipeline.measured(model, request.without(not_of_model, detections=model_detections), progress)
     checked = check_against_model(ortho, frames)
     if as_json:
         click.echo(json.dumps(checked.document()))

@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from .options import EXIT_CODES, progress_bars, vehicle_options
+from ..requests import VehicleRequest
+from .options import EXIT_CODES, options_of, progress_bars
 from .photo_options import lens_options
 
 
@@ -27,7 +28,7 @@ from .photo_options import lens_options
 @click.option("--stride", type=float, default=0.5, show_default=True, help="Shift between crops, as a share of one.")
 @click.option("--size", type=click.IntRange(16, 8192), metavar="PX", help="Longer side of the crops; the photo's own.")
 @click.option("--gsd", type=float, metavar="M", help="Metres per pixel of the photo; then nothing is measured.")
-@vehicle_options
+@options_of(VehicleRequest)
 @lens_options
 @click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was cut as JSON on standard output.")
@@ -59,16 +60,20 @@ def crop(
     crop.json: a gallery for any retrieval network.
     """
     from ..atomic import check_free
+    from ..errors import UsageError
     from ..photo import crop as cropping
     from ..photo.footprint import footprint_of
     from ..photo.looking import Looking
 
+    lens = {"focal_px": focal_px, "lens_file": lens_file, "pitch": pitch, "roll": roll}
+    how = Looking.of(looking)
+    if gsd is not None and (how.settings() or any(value is not None for value in lens.values())):
+        raise UsageError("--gsd says how large a pixel is: nothing is measured", "Leave the other options away.")
     check_free(out, overwrite)
     place = _place(at)
     sky = cropping.Satellite.open(satellite)
     with progress_bars() as progress:
-        lens = {"focal_px": focal_px, "lens_file": lens_file, "pitch": pitch, "roll": roll}
-        shown = footprint_of(path, gsd, Looking(**looking), progress, **lens)
+        shown = footprint_of(path, gsd, how, progress, **lens)
         crops = cropping.plan_crops(sky, shown.gsd, shown.size, place, radius, square, stride, size)
         cropping.write_crops(crops, shown.picture, shown.told, out, overwrite, progress)
     text = cropping.document(crops, shown.told)

@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from .options import EXIT_CODES, progress_bars, save_option, vehicle_options
+from ..requests import VehicleRequest
+from .options import EXIT_CODES, options_of, progress_bars, save_option
 
 
 @click.command(
@@ -22,7 +23,7 @@ from .options import EXIT_CODES, progress_bars, save_option, vehicle_options
 @click.option(
     "--lens", "lens_file", type=click.Path(path_type=Path), help="Calibration of the camera, instead of the data set's."
 )
-@vehicle_options
+@options_of(VehicleRequest)
 @save_option
 @click.option("--max-pitch", type=float, metavar="DEG", help="Leave out photos that look flatter (the paper: -60).")
 @click.option("--ablations", is_flag=True, help="Also over score threshold and least number of vehicles.")
@@ -60,7 +61,7 @@ def evaluate(
     from ..photo import looking as boxes
     from ..photo.tables import check_outputs
 
-    how = boxes.Looking(**looking)
+    how = boxes.Looking.of(looking)
     ruler = how.ruler_fleet()
     check_outputs(outputs, overwrite, (".json", ".csv"))
     check_savable(save_detections)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import contextmanager
+from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any
 
 import click
+
+from ..requests import Option, flag
 
 EXIT_CODES = """\b
 Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
@@ -23,124 +26,41 @@ save_option = click.option(
 )
 
 
-def detector_options(command: Callable) -> Callable:
-    """Options that name a detector."""
-    for option in reversed(
-        [
-            click.option("--detector", type=click.Path(path_type=Path), help="Another detector, an .onnx file."),
-            click.option("--decoder", metavar="NAME", help="Its output layout, where the file does not tell it."),
-            click.option(
-                "--vehicle-class",
-                "vehicle_classes",
-                multiple=True,
-                metavar="NAME",
-                help="Class that counts, by name or number, instead of those called small vehicles; repeatable.",
-            ),
-        ]
-    ):
-        command = option(command)
-    return command
+def options_of(request: type, leave: Collection[str] = ()) -> Callable[[Callable], Callable]:
+    """The options of a command that makes a `request`: one for each of its fields, but for those to `leave`."""
+
+    def decorated(command: Callable) -> Callable:
+        for each in reversed(fields(request)):
+            if each.name not in leave:
+                command = _option(each)(command)
+        return command
+
+    return decorated
 
 
-def vehicle_options(command: Callable) -> Callable:
-    """Options that say of which fleet the vehicles are, and where their boxes come from; shared by all that measure."""
-    command = detector_options(command)
-    for option in reversed(
-        [
-            click.option(
-                "--fleet",
-                help="Country code (US, DE, JP ...), 'auto' to find it by the vehicles' shapes, or a fleet.json; "
-                "by default the calibration's own, else world.",
-            ),
-            click.option(
-                "--detections",
-                type=click.Path(path_type=Path),
-                help="Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector needed.",
-            ),
-            click.option(
-                "--calibration",
-                type=click.Path(path_type=Path),
-                help="The detector's ruler as `orthoscale calibrate` measured it.",
-            ),
-            click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
-            click.option("--gsd-hint", type=float, metavar="M", help="Rough metres per pixel, instead of the search."),
-        ]
-    ):
-        command = option(command)
-    return command
+def _option(of: Field) -> Callable[[Callable], Callable]:
+    about: Option = of.metadata["option"]
+    several = isinstance(of.default, tuple)
+    more: dict[str, Any] = {"help": about.help, "default": of.default}
+    if about.kind is bool:
+        more |= {"is_flag": True} if "/" not in flag(of) else {}
+        if of.default is True and "/" not in flag(of):
+            more["flag_value"] = False
+    else:
+        more |= {"type": _type(about), "metavar": about.metavar, "multiple": several}
+        more["show_default"] = not several and of.default not in (None, 0)
+    return click.option(flag(of), of.name, **more)
 
 
-def evidence_options(command: Callable) -> Callable:
-    """Options that say what to measure, and how; shared by `fix` and `estimate`."""
-    for option in reversed(
-        [
-            click.argument("path", metavar="INPUT", type=click.Path(path_type=Path)),
-            click.option("--images", type=click.Path(path_type=Path), help="Folder of the model's frames."),
-            save_option,
-            click.option(
-                "--refine", is_flag=True, help="Look at every vehicle four times more: sharper boxes, for small inputs."
-            ),
-            click.option(
-                "--mode",
-                type=click.Choice(["both", "oblique", "planar"]),
-                help="Measure a model in its frames (oblique), in frames warped onto the ground (planar), or both "
-                "(the default, where it can be done).",
-            ),
-            click.option(
-                "--target",
-                type=click.FloatRange(min=0, min_open=True),
-                default=0.005,
-                show_default=True,
-                help="Stop looking at an orthophoto when its sampling uncertainty (one sigma) is at most this.",
-            ),
-            click.option("--exhaustive", is_flag=True, help="Look at all of an orthophoto."),
-            click.option("--seed", type=int, default=0, help="Of the order in which places are looked at."),
-            click.option("--workers", type=int, help="Threads; by default one per core, eight at most."),
-            click.option("--scheduler", metavar="URL", help="Look on a Dask cluster, such as tcp://host:8786."),
-            click.option(
-                "--no-cache",
-                "cache",
-                is_flag=True,
-                default=True,
-                flag_value=False,
-                help="Keep no looks, and use none kept.",
-            ),
-            click.option(
-                "--projection",
-                type=click.Choice(["exact", "planar", "decoupled", "program", "naive"]),
-                help="From boxes in frames to the ground; exact if not given. The others are for comparison.",
-            ),
-            click.option(
-                "--estimator",
-                type=click.Choice(["robust", "iqr"]),
-                default="robust",
-                show_default=True,
-                help="From vehicles to the scale; iqr is the paper's.",
-            ),
-            click.option(
-                "--known-distance",
-                multiple=True,
-                metavar="'A B M [SD]'",
-                help="Two points, the metres between them, their sigma: '120,80 560,80 23.77'. Points are X,Y in an "
-                "orthophoto; X,Y,Z, id:NUMBER or FRAME@X,Y in a model. May be given again.",
-            ),
-            click.option(
-                "--ground-control",
-                type=click.Path(path_type=Path),
-                metavar="FILE",
-                help="Lines of POINT EAST NORTH [UP] in metres; points as for --known-distance.",
-            ),
-            click.option(
-                "--surroundings/--no-surroundings",
-                default=True,
-                help="Whether parking rows and objects of standard size count, where the boxes show them.",
-            ),
-            click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on standard output."),
-            click.option("--debug", is_flag=True, help="Show the traceback of an error."),
-        ]
-    ):
-        command = option(command)
-    return vehicle_options(command)
+def _type(about: Option) -> Any:
+    if about.choices:
+        return click.Choice(about.choices)
+    return click.Path(path_type=Path) if about.kind is Path else about.kind
+
+
+input_argument = click.argument("path", metavar="INPUT", type=click.Path(path_type=Path))
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on standard output.")
+debug_option = click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 
 
 @contextmanager

@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from .options import EXIT_CODES, progress_bars, save_option, vehicle_options
+from ..requests import VehicleRequest
+from .options import EXIT_CODES, options_of, progress_bars, save_option
 from .photo_options import lens_options
 
 
@@ -19,7 +20,7 @@ from .photo_options import lens_options
     "  orthoscale photo flight/ --together       one altitude from all photos of a level flight\n\n" + EXIT_CODES
 )
 @click.argument("paths", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@vehicle_options
+@options_of(VehicleRequest)
 @lens_options
 @click.option("--together", is_flag=True, help="Also one scale of all photos: one lens, one altitude.")
 @save_option
@@ -56,7 +57,7 @@ def photo(
     from ..photo import survey, tables
     from ..photo.measure import find_photos
 
-    how = boxes.Looking(**looking)
+    how = boxes.Looking.of(looking)
     ruler = how.ruler_fleet()
     tables.check_outputs(outputs, overwrite)
     check_savable(save_detections)

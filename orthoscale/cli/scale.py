@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import UsageError
-from .options import EXIT_CODES, evidence_options, progress_bars
+from ..requests import EstimateRequest, FixRequest
+from .options import EXIT_CODES, debug_option, input_argument, json_option, options_of, progress_bars, save_option
 
 if TYPE_CHECKING:
     from ..workspace import Outcome
@@ -21,20 +22,25 @@ if TYPE_CHECKING:
     epilog="\b\nExamples:\n  orthoscale estimate ortho.tif --fleet DE\n"
     "  orthoscale estimate sparse/0 --images frames/ --fleet US --json\n\n" + EXIT_CODES
 )
-@evidence_options
+@input_argument
+@options_of(EstimateRequest)
+@save_option
+@json_option
+@debug_option
 def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
     """Print the scale of INPUT, an orthophoto or the folder of a COLMAP model, and write nothing."""
     from .. import pipeline, workspace
     from ..exchange import check_savable
 
+    request = EstimateRequest.of(options)
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
     check_savable(save_detections)
     with progress_bars() as progress:
         if models:
-            outcomes = workspace.estimate_all(models, progress=progress, **options)
+            outcomes = workspace.estimate_all(models, request, progress)
         else:
-            result = pipeline.estimate(path, progress=progress, **options)
+            result = pipeline.measured(path, request, progress)
     _finish_all(outcomes, as_json) if models else _finish(result, as_json, save_detections)
 
 
@@ -44,27 +50,12 @@ def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | Non
     "  orthoscale fix model/ --out scaled/ --fleet US\n"
     "  orthoscale fix model/ --out scaled/ --detections boxes.json\n\n" + EXIT_CODES
 )
-@evidence_options
+@input_argument
+@options_of(FixRequest)
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="GeoTIFF or folder to write.")
-@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
-@click.option("--override", is_flag=True, help="Rescale although INPUT says that it is in metres.")
-@click.option("--keep-origin", is_flag=True, help="Keep an orthophoto's CRS, first corner and direction.")
-@click.option("--cog", is_flag=True, help="Write a cloud-optimised GeoTIFF.")
-@click.option(
-    "--also",
-    multiple=True,
-    type=click.Choice(["tfw", "scale", "gpkg", "geojson", "tiles"]),
-    help="More files beside OUT: world file, plain scale, vehicles (GeoPackage, GeoJSON), statistics per tile.",
-)
-@click.option("--force", is_flag=True, help="Write although the evidence is poor or disagrees.")
-@click.option("--dense", is_flag=True, help="The model's dense workspace too: depth maps, cloud, meshes.")
-@click.option(
-    "--report",
-    type=click.Choice(["none", "json", "html"]),
-    default="html",
-    show_default=True,
-    help="html: a page for people, a picture and JSON; json: without the page.",
-)
+@save_option
+@json_option
+@debug_option
 def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
     """Write a copy of INPUT in metres: an orthophoto with its GSD, or a COLMAP model rescaled.
 
@@ -75,18 +66,19 @@ def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path
     from .. import workspace, writing
     from ..exchange import check_savable
 
+    request = FixRequest.of(options)
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
     check_savable(save_detections)
     with progress_bars() as progress:
         if models:
-            outcomes = workspace.fix_all(models, out, progress=progress, **options)
+            outcomes = workspace.fix_all(models, out, request, progress)
         else:
-            result = writing.fix(path, out, progress=progress, **options)
+            result = writing.written(path, out, request, progress)
     if models:
-        _finish_all(outcomes, as_json, out, options["report"])
+        _finish_all(outcomes, as_json, out, request.report)
     else:
-        _finish(result, as_json, save_detections, _written(result, out, options["report"]))
+        _finish(result, as_json, save_detections, _written(result, out, request.report))
 
 
 def _refuse_one_file_for_many(models: list[Path], save_detections: Path | None) -> None:

@@ -31,7 +31,7 @@ class Effort:
     """How much to look at, and with what.
 
     target : stop when the sampling part of the scale's uncertainty (relative, one sigma) is at most this.
-    exhaustive : look at every tile. seed : of the order of tiles.
+    exhaustive : look at every tile. seed : of the order of tiles, and of the pictures in the search for the zoom.
     workers : threads; None for one per core, eight at most. scheduler : address of a Dask scheduler instead of them.
     cache : keep the looks at tiles, and use those that were kept.
     """
@@ -73,7 +73,7 @@ def find_vehicles(
     detector = detector or Detector(threads=effort.threads_each)
     choice = None
     if zoom is None:
-        choice = _searched(pictures, detector, step("Looking for the right zoom"), count)
+        choice = _searched(pictures, detector, step("Looking for the right zoom"), count, effort.seed)
         zoom = choice.zoom
     card = detector.card
 
@@ -115,10 +115,14 @@ def find_vehicles(
 
 
 def _searched(
-    pictures: Sequence[Picture], detector: Detector, progress: Callable[[int, int], None] | None, workers: int
+    pictures: Sequence[Picture],
+    detector: Detector,
+    progress: Callable[[int, int], None] | None,
+    workers: int,
+    seed: int,
 ) -> ZoomChoice:
     """The zoom to sweep at. Raises TooLittleEvidence where none shows vehicles, EvidenceDisagrees where two do."""
-    choice = search_zoom(pictures, detector, detector.card, progress, workers=workers)
+    choice = search_zoom(pictures, detector, detector.card, progress, seed, workers)
     if choice.vehicle_px is None:
         raise TooLittleEvidence(
             f"no vehicles found at any zoom from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "

@@ -76,15 +76,6 @@ class ZoomChoice:
         return self.rival_px if self.rival > AMBIGUOUS[0] and apart > AMBIGUOUS[1] else None
 
 
-def check_told(zoom: float | None, gsd_hint: float | None) -> None:
-    """Raises UsageError for a --zoom or --gsd-hint that makes no sense; nothing needs to be read for that."""
-    if zoom is not None and gsd_hint is not None:
-        raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
-    for name, value in (("--zoom", zoom), ("--gsd-hint", gsd_hint)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise UsageError(f"{name} must be a positive number, not {value}")
-
-
 def told_zoom(zoom: float | None, gsd_hint: float | None, card: Card, mean_length: float) -> float | None:
     """The zoom that was told, or that brings vehicles of `mean_length` [m] to the detector's best length where their
     size in pixels was; None where it is to be searched for. Raises UsageError, as `check_zoom`."""

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ..sources.colmap import ColmapSource
 
 OBLIQUE, PLANAR, BOTH = "oblique", "planar", "both"
-MODES = (BOTH, OBLIQUE, PLANAR)
 SAME_PLACE = 0.8  # of a vehicle's width: how far apart the two looks may see one vehicle
 ENOUGH = 5  # boxes in the frames that tell how long vehicles are, so that the second look needs no search of its own
 
@@ -54,8 +53,7 @@ def find_in_model(
     try:
         planar, _ = find_vehicles(plans, detector, planar_zoom, _named(progress), effort)
     except TooLittleEvidence as error:
-        source.notes.append(f"planar sweep: {error.message}")
-        return found, choice
+        return replace(found, notes=(*found.notes, f"planar sweep: {error.message}")), choice
     return replace(found, planar=planar), choice
 
 
@@ -115,7 +113,7 @@ def measure_model(
             failed[name] = error
     if not measured:
         raise next(iter(failed.values()))
-    source.notes.extend(f"{name}: {error.message}" for name, error in failed.items())
+    notes = tuple(f"{name}: {error.message}" for name, error in failed.items())
     answer = next(iter(measured.values()))
     scales = {name: m.scale for name, m in measured.items()}
     findings: dict[str, Any] = {**answer.findings, "modes": {name: _plain(m) for name, m in measured.items()}}
@@ -133,7 +131,7 @@ def measure_model(
             "contradicts": agreement.contradicts,
         }
     scale = replace(scale, remarks=(*scale.remarks, *remarks))
-    return replace(answer, scale=scale, findings=findings, agreement=agreement)
+    return replace(answer, scale=scale, findings=findings, agreement=agreement, notes=notes)
 
 
 def _common(a: Measured, b: Measured) -> np.ndarray:

@@ -34,7 +34,7 @@ class Measured:
     boxes : all that were measured, M of them. picture : (M,) name of the picture of each. lost : boxes that never
     became votes, by reason. findings : what else the report should hold, as plain values by topic.
     size : (N, 2) of the votes' vehicles, the margin taken off [source units].
-    agreement : with the other way to measure the same source, where there was one.
+    agreement : with the other way to measure the same source, where there was one. notes : what could not be done.
     """
 
     boxes: Boxes
@@ -45,6 +45,7 @@ class Measured:
     findings: dict[str, Any]
     size: np.ndarray
     agreement: Agreement | None = None
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def vehicles(self) -> np.ndarray:

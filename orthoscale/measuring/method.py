@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..boxes import Boxes
-from ..errors import UsageError
 from ..fleet import Fleet
 from ..pooling.evidence import Evidence
 from ..pooling.paper import pool_paper
@@ -22,7 +21,7 @@ from ..projection.view import Views
 from ..votes import Votes
 
 FLAT = 0.01  # [m] height of a vehicle painted on the ground
-# As the paper names them, and beside them what it is compared with. For frames; an orthophoto's is always planar.
+# How `requests.PROJECTIONS` are done, which the paper names so. For frames; an orthophoto's is always planar.
 PROJECTIONS = {
     "exact": None,
     "planar": None,  # on the true ground, but without a height
@@ -30,40 +29,21 @@ PROJECTIONS = {
     "program": decoupled.PROGRAM,
     "naive": decoupled.NAIVE,
 }
-ESTIMATORS = ("robust", "iqr")
 
 
 @dataclass(frozen=True)
 class Method:
-    """projection : one of PROJECTIONS; None is what fits the source. estimator : one of ESTIMATORS.
+    """projection : one of PROJECTIONS; None is what fits the source. estimator : one of `requests.ESTIMATORS`.
 
     evidence : what is known of the scale besides the vehicles.
     surroundings : whether parking rows and objects of standard size count, where the boxes show them.
-    Raises UsageError for combinations that make no sense.
+    `requests.EstimateRequest` has checked them.
     """
 
     projection: str | None = None
     estimator: str = "robust"
     evidence: tuple[Evidence, ...] = ()
     surroundings: bool = True
-
-    def __post_init__(self) -> None:
-        if self.projection is not None and self.projection not in PROJECTIONS:
-            raise UsageError(f"no projection is called {self.projection!r}", f"Known: {', '.join(PROJECTIONS)}.")
-        if self.estimator not in ESTIMATORS:
-            raise UsageError(f"no estimator is called {self.estimator!r}", f"Known: {', '.join(ESTIMATORS)}.")
-        if self.estimator == "iqr" and self.evidence:
-            raise UsageError(
-                "the estimator 'iqr' is the paper's, and knows vehicles only",
-                "Leave known distances and ground control away, or take --estimator robust.",
-            )
-
-    def for_picture(self) -> None:
-        """Raises UsageError where the method needs a camera, which an orthophoto does not have."""
-        if self.projection not in (None, "planar"):
-            raise UsageError(
-                f"--projection {self.projection} needs a camera; an orthophoto has none", "Leave --projection away."
-            )
 
     def sizes(
         self, boxes: Boxes, views: Views, metres_per_unit: float, height: Sequence[float] | np.ndarray, fleet: Fleet

@@ -8,30 +8,22 @@ from pathlib import Path
 
 from ..calibration import Calibration, fleet_of
 from ..detect.find import Progress
-from ..detect.zoom import check_told, told_zoom
+from ..detect.zoom import told_zoom
 from ..detections import Detections
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from ..fleet import Fleet
+from ..requests import VehicleRequest
 from ..sources.picture_file import PictureFile
 from .measure import Photo
 
 
-@dataclass(frozen=True)
-class Looking:
-    """How to look for vehicles; every field as the option of `pipeline.estimate` of that name."""
-
-    fleet: str | None = None
-    detections: Path | None = None
-    detector: Path | None = None
-    decoder: str | None = None
-    vehicle_classes: tuple[str, ...] = ()
-    calibration: Path | None = None
-    zoom: float | None = None
-    gsd_hint: float | None = None
+@dataclass(frozen=True, kw_only=True)
+class Looking(VehicleRequest):
+    """How to look for vehicles in photos."""
 
     def ruler_fleet(self) -> Fleet:
         """The fleet that was named; else the calibration's own, else that of the world."""
-        return fleet_of(self.fleet, None if self.calibration is None else Calibration.load(self.calibration))
+        return fleet_of(self.fleet, None if self.calibration is None else Calibration.load(Path(self.calibration)))
 
 
 @dataclass(frozen=True)
@@ -61,26 +53,27 @@ def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = 
     All photos share one zoom, as those of a flight do: measure flights at different heights in one run each.
     Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees.
     """
-    check_told(how.zoom, how.gsd_hint)
     if how.detections is not None:
         from ..exchange import load
 
-        found = load(how.detections, Album(photos), how.vehicle_classes)
+        found = load(Path(how.detections), Album(photos), how.vehicle_classes)
     else:
         found = _detected(photos, how, progress)
     if how.calibration is not None:
-        found = Calibration.load(how.calibration).applied(found, how.calibration)
+        found = Calibration.load(path := Path(how.calibration)).applied(found, path)
     return found
 
 
 def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) -> Detections:
     from ..detect.detector import Detector
-    from ..detect.find import find_vehicles
+    from ..detect.find import Effort, find_vehicles
 
-    detector = Detector(how.detector, how.decoder, how.vehicle_classes)
+    effort = Effort()
+    path = None if how.detector is None else Path(how.detector)
+    detector = Detector(path, how.decoder, how.vehicle_classes, effort.threads_each)
     zoom = told_zoom(how.zoom, how.gsd_hint, detector.card, float(how.ruler_fleet().mean[0]))
     try:
-        return find_vehicles([photo.picture for photo in photos], detector, zoom, progress)[0]
+        return find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)[0]
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
         raise type(error)(f"{where}: {error.message}", error.hint) from error

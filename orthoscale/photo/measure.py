@@ -23,7 +23,7 @@ from ..pooling.posterior import Z90
 from ..pooling.robust import MIN_VEHICLES, pool
 from ..pooling.scale import Scale
 from ..pooling.verdicts import VERDICTS, verdict
-from ..projection.exact import Hull, ground_size
+from ..projection.exact import BODIES, Hull, ground_size
 from ..projection.level import level_axes, level_views, up_from_gimbal
 from ..projection.view import Views
 from ..sources.picture_file import PictureFile
@@ -206,16 +206,16 @@ def measure(
         "roll": _together(usable, lambda photo: photo.turned(_sideways(photo.up), photo.up_sd)),
         "focal": _together(usable, lambda photo: photo.refocused(1 + photo.lens.sd)),
     }
-    height = np.array(found.effective_height)
+    height, body = np.array(found.effective_height), BODIES[found.body]
     metres_per_unit = float(fleet.mean[0] / np.median(boxes.length * view.unit_per_pixel))
     for _ in range(ROUNDS):
-        size = _sizes(boxes, view, metres_per_unit, height)
+        size = _sizes(boxes, view, metres_per_unit, height, body)
         solved = np.isfinite(size).all(1)
         if solved.sum() < min_vehicles:
             raise TooLittleEvidence(f"{int(solved.sum())} boxes that a vehicle explains, {min_vehicles} are needed")
         # (2,) by how much lengths and widths (log) come out larger where something is one sigma off.
-        shifts = {name: _change(size, _sizes(boxes, v, metres_per_unit, height)) for name, v in off.items()}
-        raised = _change(size, _sizes(boxes, view, metres_per_unit, height + HEIGHT_SD))
+        shifts = {name: _change(size, _sizes(boxes, v, metres_per_unit, height, body)) for name, v in off.items()}
+        raised = _change(size, _sizes(boxes, view, metres_per_unit, height + HEIGHT_SD, body))
         votes = gather(
             size[solved],
             view.unit_per_pixel[solved] / found.zoom,
@@ -251,9 +251,9 @@ def _change(size: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.nanmedian(np.log(other / size), axis=0)
 
 
-def _sizes(boxes: Boxes, view: Views, metres_per_unit: float, height: np.ndarray) -> np.ndarray:
-    """(N, 2) length and width [units of `view`], each by the effective height of its own."""
-    parts = [ground_size(boxes, view, metres_per_unit, Hull(height=h))[:, k] for k, h in enumerate(height)]
+def _sizes(boxes: Boxes, view: Views, metres_per_unit: float, height: np.ndarray, body: Hull) -> np.ndarray:
+    """(N, 2) length and width [units of `view`] of vehicles like `body`, each by the effective height of its own."""
+    parts = [ground_size(boxes, view, metres_per_unit, replace(body, height=h))[:, k] for k, h in enumerate(height)]
     return np.stack(parts, 1)
 
 

@@ -150,15 +150,15 @@ def document(result: Result) -> dict[str, Any]:
 def remarks(result: Result) -> list[str]:
     """What a reader should know beside the figures."""
     drift = [result.drift.remark] if result.drift is not None and result.drift.remark else []
-    return [*result.scale.remarks, *drift, *result.source.notes]
+    return [*result.scale.remarks, *drift, *result.notes]
 
 
 def _notes(result: Result) -> list[str]:
     """Those of the remarks that do not speak against the scale."""
     agreement = result.measured.agreement
     if agreement is None or agreement.contradicts:
-        return list(result.source.notes)
-    return [*result.source.notes, agreement.sentence()]
+        return result.notes
+    return [*result.notes, agreement.sentence()]
 
 
 def drift_values(drift: Drift) -> dict[str, Any]:
@@ -178,7 +178,7 @@ def drift_values(drift: Drift) -> dict[str, Any]:
 
 
 def completed(report: Mapping[str, Any]) -> dict[str, Any]:
-    """`report` with every part of OPTIONAL in it, where it is absent or null; nothing else knows what may be missing."""
+    """`report` with every part of OPTIONAL that is absent or null; nothing else knows what may be missing."""
     full = dict(report)
     for (*above, name), default in OPTIONAL.items():
         part: Any = full

@@ -166,7 +166,7 @@ def _calibration(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     if not found:
         return []
     table = [
-        (name, *(_pair(found[key][when], form, unit) for when in ("card", "fitted")))
+        (name, _pair(found[key]["card"], form, unit), _pair(found[key]["fitted"], form, unit))
         for name, key, form, unit in (
             ("effective height", "effective_height", "{:.2f}", " m"),
             ("margin of boxes", "margin_px", "{:+.1f}", " px"),
@@ -177,7 +177,7 @@ def _calibration(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     if trends is None:
         return table
     return table + [
-        (name, *(_pair(trends[when][key], "{:+.1f}", " %") for when in ("before", "after")))
+        (name, _pair(trends["before"][key], "{:+.1f}", " %"), _pair(trends["after"][key], "{:+.1f}", " %"))
         for name, key in (("steeper by 10 degrees", TRENDS[0]), ("half as far", TRENDS[1]))
     ]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import InputError, OutputError, UsageError
 from ..projection.view import Views
-from ..rescale.dense import find_dense, sparse_folders
+from ..rescale.dense import GEOMETRY, find_dense, sparse_folders
 from ..rescale.files import scale_path
 from ..rescale.sim3 import Sim3
 from .colmap_check import RIG_TABLES, TABLES, open_model
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 LOWEST_ELEVATION = 25.0  # [deg] flatter rays meet the ground too far off, and see vehicles from the side
 IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
 # Geometry beside a model is in the model's old units: a copy would pass for one in metres.
-GEOMETRY = {".ply", ".obj", ".stl", ".glb", ".gltf", ".las", ".laz", ".xyz", ".pcd", ".splat", ".npz", ".npy", ".bin"}
+UNSCALED = GEOMETRY | {".npz", ".npy", ".bin"}
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
 SAME_PLACE = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
 MARK = "sim3.txt"  # by which a model is known to be in metres
@@ -237,7 +237,7 @@ class ColmapSource:
         for path in sorted(self.folder.iterdir()):
             if not path.is_file() or path.name in {p.name for p in self._paths} | OURS:
                 continue
-            if path.name in tables or path.suffix.lower() in GEOMETRY or path.stat().st_size > LARGEST_COPY:
+            if path.name in tables or path.suffix.lower() in UNSCALED or path.stat().st_size > LARGEST_COPY:
                 left.append(path.name)
             else:
                 shutil.copyfile(path, folder / path.name)

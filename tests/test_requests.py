@@ -1,0 +1,276 @@
+"""Every option of every command is effective or refused, and is written down once."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import FrozenInstanceError, fields
+from types import SimpleNamespace
+from typing import get_type_hints
+
+import pytest
+from in_process import run
+from reports import EXAMPLE, car_park
+
+import orthoscale
+from orthoscale import requests
+from orthoscale.cli.main import COMMANDS, cli
+from orthoscale.errors import UsageError
+from orthoscale.measuring.method import PROJECTIONS
+from orthoscale.report.extras import EXTRAS
+from orthoscale.requests import EstimateRequest, FixRequest, VehicleRequest, flag
+from orthoscale.writing import REPORTS
+
+
+@pytest.fixture(scope="module")
+def park(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("park")
+    car_park(folder)
+    return folder
+
+
+# A value that says something, for every option of `estimate` and `fix`.
+SAID = {
+    "fleet": "DE",
+    "detections": "boxes.json",
+    "detector": "d.onnx",
+    "decoder": "yolo-obb",
+    "vehicle_classes": ("car",),
+    "calibration": "c.json",
+    "zoom": 0.5,
+    "gsd_hint": 0.1,
+    "images": "frames",
+    "refine": True,
+    "mode": "planar",
+    "target": 0.01,
+    "exhaustive": True,
+    "seed": 7,
+    "workers": 1,
+    "scheduler": "tcp://nobody:8786",
+    "cache": False,
+    "projection": "naive",
+    "estimator": "iqr",
+    "known_distance": ("0,0 9,9 1",),
+    "ground_control": "g.txt",
+    "surroundings": False,
+    "overwrite": True,
+    "override": True,
+    "keep_origin": True,
+    "cog": True,
+    "also": ("tfw",),
+    "force": True,
+    "dense": True,
+    "report": "json",
+}
+OF_DETECTOR = {"detector", "decoder", "zoom", "gsd_hint"} | {
+    *("refine", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
+}
+OF_MODEL, OF_ORTHOPHOTO = {"mode", "images", "projection", "dense"}, {"target", "exhaustive"}
+TO_WRITE_AN_ORTHOPHOTO = {"keep_origin", "cog", "also"}
+
+
+def test_the_table_has_every_option():
+    assert set(SAID) == {each.name for each in fields(FixRequest)}
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_with_boxes_from_a_file_what_looks_for_them_is_refused(name):
+    if name == "detections":
+        return
+    if name in OF_DETECTOR:
+        with pytest.raises(UsageError, match="does nothing here: --detections takes the boxes from a file"):
+            FixRequest(detections="boxes.json", **{name: SAID[name]})
+    else:
+        FixRequest(detections="boxes.json", **{name: SAID[name]})
+
+
+@pytest.mark.parametrize("name", SAID)
+@pytest.mark.parametrize("command", ["estimate", "fix"])
+def test_what_is_for_the_other_kind_of_input_is_refused(park, tmp_path, name, command):
+    """Each alone: on an orthophoto, on a model, by command and option. No detector runs: boxes come from a file."""
+    kind = EstimateRequest if command == "estimate" else FixRequest
+    if name not in {each.name for each in fields(kind)}:
+        option = flag(next(each for each in fields(FixRequest) if each.name == name)).split("/")[0]
+        assert run(command, park / "park.png", option).returncode == 2
+        return
+    request = kind(**{name: SAID[name]})
+    for judge, refused in (
+        (request.for_orthophoto, OF_MODEL),
+        (request.for_model, OF_ORTHOPHOTO | TO_WRITE_AN_ORTHOPHOTO),
+    ):
+        if name in refused:
+            with pytest.raises(UsageError):
+                judge("a.tif")
+        else:
+            judge("a.tif")
+
+
+EFFECTS = {  # that a report of the car park shows, from boxes in a file
+    "fleet": ("US", lambda a, b: a["scale"] != b["scale"]),
+    "estimator": ("iqr", lambda a, b: a["scale"] != b["scale"]),
+    "known_distance": (("100,100 600,100 50.5 0.2",), lambda a, b: [e["kind"] for e in b["evidence"]]),
+    "ground_control": ("control.txt", lambda a, b: [e["kind"] for e in b["evidence"]]),
+    "surroundings": (False, lambda a, b: b["settings"]["surroundings"] is False),
+    "projection": ("planar", lambda a, b: b["method"]["projection"] == "planar"),
+}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_what_is_not_refused_has_its_effect(park, name):
+    (park / "control.txt").write_text("100,100 0 0\n600,100 50 0\n600,500 50 -40\n100,500 0 -40\n")
+    value, effect = EFFECTS[name]
+    usual = {"fleet": "DE", "detections": park / "detections.json"}
+    from orthoscale.report.document import document
+
+    value = park / value if name == "ground_control" else value
+    before, after = (document(orthoscale.estimate(park / "park.png", **usual | more)) for more in ({}, {name: value}))
+    assert effect(before, after)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_no_option_of_any_command_is_unknown_to_its_function(name):
+    """Each arrives under a name that the function takes, or the request that it makes of the rest."""
+    command = cli.get_command(None, name)
+    taken = set(command.callback.__wrapped__.__code__.co_varnames if hasattr(command.callback, "__wrapped__") else
+                command.callback.__code__.co_varnames)  # fmt: skip
+    known = taken | {each.name for each in fields(FixRequest)} | {"fleet", "gsd", "local_fleet"}
+    assert {option.name for option in command.params} <= known
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["estimate", "ORTHO", "--images", "x"],
+        ["estimate", "ORTHO", "--mode", "planar"],
+        ["estimate", "ORTHO", "--detections", "BOXES", "--detector", "x.onnx"],
+        ["estimate", "ORTHO", "--detections", "BOXES", "--zoom", "0.5"],
+        ["estimate", "ORTHO", "--zoom", "0.5", "--gsd-hint", "0.1"],
+        ["estimate", "ORTHO", "--zoom", "nan"],
+        ["estimate", "ORTHO", "--workers", "0"],
+        ["estimate", "ORTHO", "--detections", "BOXES", "--estimator", "iqr", "--known-distance", "0,0 9,9 1"],
+        ["estimate", "MODEL", "--detections", "MODELBOXES", "--exhaustive"],
+        ["estimate", "MODEL", "--mode", "planar", "--projection", "naive"],
+        ["estimate", "MODEL", "--mode", "planar", "--refine"],
+        ["fix", "ORTHO", "--out", "OUT", "--detections", "BOXES", "--dense"],
+        ["fix", "MODEL", "--out", "OUT", "--detections", "MODELBOXES", "--cog"],
+        ["check", "ORTHO", "--model-detections", "MODELBOXES", "--detections", "BOXES"],
+        ["check", "ORTHO", "--model", "MODEL", "--save-detections", "OUT"],
+        ["photo", "ORTHO", "--detections", "BOXES", "--decoder", "yolo-obb"],
+        ["crop", "ORTHO", "--satellite", "ORTHO", "--gsd", "0.1", "--fleet", "DE", "--out", "OUT"],
+        ["crop", "ORTHO", "--satellite", "ORTHO", "--gsd", "0.1", "--pitch", "-60", "--out", "OUT"],
+    ],
+    ids=" ".join,
+)
+def test_a_command_refuses_what_would_do_nothing(park, tmp_path, arguments):
+    places = {
+        "ORTHO": park / "park.png",
+        "BOXES": park / "detections.json",
+        "MODEL": EXAMPLE / "sparse",
+        "MODELBOXES": EXAMPLE / "detections.json",
+        "OUT": tmp_path / "out.json",
+    }
+    done = run(*(places.get(word, word) for word in arguments))
+    assert done.returncode == 2 and "--" in done.stderr, done.stderr
+    assert not (tmp_path / "out.json").exists()
+
+
+def test_check_keeps_boxes_in_the_format_of_their_name(tmp_path):
+    """As a GeoPackage that can be read back, not JSON under its name."""
+    from orthoscale.exchange import load
+    from orthoscale.sources.opening import open_source
+
+    car_park(tmp_path)
+    (tmp_path / "park.pgw").write_text("0.1\n0\n0\n-0.1\n0\n0\n")
+    done = run(
+        *("check", tmp_path / "park.png", "--fleet", "DE", "--detections", tmp_path / "detections.json"),
+        *("--save-detections", tmp_path / "b.gpkg"),
+    )
+    assert (tmp_path / "b.gpkg").read_bytes()[:15] == b"SQLite format 3", done.stderr
+    assert len(load(tmp_path / "b.gpkg", open_source(tmp_path / "park.png"))) == 61
+
+
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        ({"exhuastive": True}, "no option is called 'exhuastive'.*Did you mean 'exhaustive'"),
+        ({"flet": "US"}, "no option is called 'flet'.*Did you mean 'fleet'"),
+        ({"mode": "bogus"}, "--mode bogus is none of both, oblique, planar"),
+        ({"mode": "plannar"}, "Did you mean 'planar'"),
+        ({"projection": "mercator"}, "--projection mercator is none of"),
+        ({"zoom": "2"}, "--zoom takes a number, not '2'"),
+        ({"zoom": -1.0}, "--zoom must be a positive number"),
+        ({"target": float("nan")}, "--target must be a positive number"),
+        ({"workers": 1.5}, "--workers takes a whole number"),
+        ({"exhaustive": 1}, "--exhaustive takes True or False"),
+        ({"known_distance": "0,0 9,9 1"}, "--known-distance takes a list"),
+        ({"detector": 5}, "--detector takes a path"),
+    ],
+)
+def test_a_bad_option_is_refused_before_anything_is_read(options, says):
+    with pytest.raises(UsageError, match=f"(?s){says}"):
+        orthoscale.estimate("there/is/no/such.tif", **options)
+    with pytest.raises(UsageError, match=f"(?s){says}"):
+        orthoscale.fix("there/is/no/such.tif", "out.tif", **options)
+
+
+def test_a_request_is_a_value():
+    request = EstimateRequest(fleet="DE", known_distance=["0,0 9,9 1"])
+    assert request == EstimateRequest(fleet="DE", known_distance=("0,0 9,9 1",)) and hash(request)
+    assert request.settings() == {"fleet": "DE", "known_distance": ("0,0 9,9 1",)}
+    with pytest.raises(FrozenInstanceError):
+        request.fleet = "US"
+
+
+@pytest.mark.parametrize(
+    "request_type, options",
+    [(EstimateRequest, requests.EstimateOptions), (FixRequest, requests.FixOptions)],
+)
+def test_keywords_for_type_checkers_are_the_fields(request_type, options):
+    names = vars(requests) | {"Any": object}
+    hints = get_type_hints(request_type, names)
+    assert get_type_hints(options, names) == {each.name: hints[each.name] for each in fields(request_type)}
+
+
+@pytest.mark.parametrize(
+    "command, request_type",
+    [("estimate", EstimateRequest), ("fix", FixRequest), ("check", EstimateRequest), ("photo", VehicleRequest)],
+)
+def test_a_commands_options_are_the_fields(command, request_type):
+    options = {option.name: option for option in cli.get_command(None, command).params}
+    for each in fields(request_type):
+        about = each.metadata["option"]
+        made = options[each.name]
+        assert made.help == about.help and made.opts[0] == flag(each).split("/")[0]
+        assert tuple(getattr(made.type, "choices", ())) == about.choices
+    assert run(command, "--help").returncode == 0
+
+
+def test_the_command_line_says_nothing_of_its_own(park):
+    """Without options it asks for what the library asks for by default."""
+    command = cli.get_command(None, "fix")
+    said = command.make_context("fix", [str(park / "park.png"), "--out", "x.tif"]).params
+    assert FixRequest.of({each.name: said[each.name] for each in fields(FixRequest)}) == FixRequest()
+
+
+def test_choices_are_those_that_there_is_something_for():
+    assert tuple(PROJECTIONS) == requests.PROJECTIONS
+    assert tuple(EXTRAS) == requests.EXTRAS and tuple(REPORTS) == requests.REPORTS
+
+
+def test_seed_reaches_the_search_for_the_zoom(monkeypatch):
+    from orthoscale.detect import find
+
+    told = SimpleNamespace(seed=None)
+
+    def search(pictures, detect, card, progress, seed, workers):
+        told.seed = seed
+        raise InterruptedError
+
+    monkeypatch.setattr(find, "search_zoom", search)
+    with pytest.raises(InterruptedError):
+        orthoscale.estimate(EXAMPLE.parent / "town" / "ortho.jpg", seed=7)
+    assert told.seed == 7
+
+
+def test_settings_are_plain_values(park):
+    result = orthoscale.estimate(park / "park.png", fleet="DE", detections=park / "detections.json")
+    assert json.loads(json.dumps(result.settings)) == {"fleet": "DE", "detections": str(park / "detections.json")}
