@@ -281,33 +281,37 @@ class FixOptions(EstimateOptions, total=False):
     report: str
 
 
+_KINDS: dict[type, tuple[tuple[type, ...], str]] = {  # what each kind of option takes, and what it is called
+    Path: ((str, Path), "a path"),
+    str: ((str, Path), "a text"),
+    float: ((int, float), "a number"),
+    int: ((int,), "a whole number"),
+    bool: ((bool,), "True or False"),
+}
+
+
 def _checked(of: Field, about: Option, value: Any) -> Any:
     """`value` for the field `of`, lists as tuples. Raises UsageError."""
     if value is None and of.default is None:
         return None
-    several = isinstance(of.default, tuple)
-    if several and (isinstance(value, (str, bytes)) or not isinstance(value, Sequence)):
+    if not isinstance(of.default, tuple):
+        _check(flag(of), about, value)
+        return value
+    if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
         raise UsageError(f"{flag(of)} takes a list of values, not {value!r}")
-    one: Any
-    for one in value if several else [value]:
-        wanted: tuple[type, ...] = {Path: (str, Path), float: (int, float), str: (str, Path)}.get(
-            about.kind, (about.kind,)
-        )
-        if not isinstance(one, wanted) or (isinstance(one, bool) and about.kind is not bool):
-            raise UsageError(f"{flag(of)} takes {_KINDS[about.kind]}, not {one!r}")
-        if about.choices and one not in about.choices:
-            known = f"Known: {', '.join(about.choices)}."
-            raise UsageError(
-                f"{flag(of)} {one} is none of {', '.join(about.choices)}", _nearest(one, about.choices) or known
-            )
-        if about.kind is float and not math.isfinite(one):
-            raise UsageError(f"{flag(of)} must be a positive number, not {one}")
-        if about.positive and one <= 0:
-            raise UsageError(f"{flag(of)} must be a positive number, not {one}")
-    return tuple(value) if several else value
+    for each in value:
+        _check(flag(of), about, each)
+    return tuple(value)
 
 
-_KINDS = {Path: "a path", str: "a text", float: "a number", int: "a whole number", bool: "True or False"}
+def _check(name: str, about: Option, value: Any) -> None:
+    wanted, called = _KINDS[about.kind]
+    if not isinstance(value, wanted) or (isinstance(value, bool) and about.kind is not bool):
+        raise UsageError(f"{name} takes {called}, not {value!r}")
+    if about.choices and value not in about.choices:
+        raise UsageError(f"{name} {value} is none of {', '.join(about.choices)}", _nearest(value, about.choices))
+    if about.positive and not (math.isfinite(value) and value > 0):
+        raise UsageError(f"{name} must be a positive number, not {value}")
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:

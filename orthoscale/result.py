@@ -15,6 +15,7 @@ from .measuring.drift import Drift
 from .measuring.measure import Measured
 from .measuring.method import Method
 from .pooling.scale import Scale
+from .pooling.verdicts import UNUSABLE
 from .votes import Votes
 
 if TYPE_CHECKING:
@@ -76,22 +77,29 @@ class Result:
         """Boxes that never became votes, by reason."""
         return {reason: count for reason, count in self.measured.lost.items() if count}
 
-    def require_useful(self) -> None:
-        """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
+    @property
+    def disagreement(self) -> EvidenceDisagrees | None:
+        """What contradicts what, where something does; raised by `require_useful` and by the command line."""
         if self.scale.conflict or self.scale.tension > CONFLICT:
-            raise EvidenceDisagrees(
+            return EvidenceDisagrees(
                 f"{self.source.path}: {self.scale.remarks[0]}",
                 "Look at the boxes (--save-detections), check what was given, name the country's fleet, or write all "
-                "the same with --force.",
+                "the same with `orthoscale fix --force`.",
             )
         agreement = self.measured.agreement
         if agreement is not None and agreement.contradicts:
-            raise EvidenceDisagrees(
+            return EvidenceDisagrees(
                 f"{self.source.path}: {agreement.sentence()}",
                 "Look at the boxes (--save-detections) and the poses, choose one way with --mode, or write all the "
-                "same with --force.",
+                "same with `orthoscale fix --force`.",
             )
-        if self.scale.verdict == "refuse":
+        return None
+
+    def require_useful(self) -> None:
+        """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
+        if (disagreement := self.disagreement) is not None:
+            raise disagreement
+        if self.scale.verdict == UNUSABLE:
             low, high = self.scale.interval90
             raise TooLittleEvidence(
                 f"{self.source.path}: the scale is only known to lie between {low:.4g} and {high:.4g} "

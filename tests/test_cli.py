@@ -29,7 +29,7 @@ def test_json_is_the_report_and_nothing_else(estimated):
     assert report["unit"] == "m/model-unit" and report["fleet"] == "US"
     low, high = report["interval90"]
     assert low < report["scale"] < high
-    assert isinstance(report["vehicles_used"], int) and report["verdict"] in ("good", "fair", "poor", "refuse")
+    assert isinstance(report["vehicles_used"], int) and report["verdict"] in ("good", "fair", "poor", "unusable")
     assert estimated.stderr == "", "no progress bars in a pipe"
 
 

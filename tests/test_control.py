@@ -44,7 +44,7 @@ def test_a_distance_narrows_the_interval_and_is_in_the_report(boxes):
 
 def test_a_distance_that_contradicts_the_vehicles_writes_nothing(boxes, tmp_path):
     options = {"fleet": "DE", "detections": boxes, "known_distance": ["0,0 1000,0 170 1"]}
-    assert orthoscale.estimate(TOWN, **options).scale.verdict == "refuse"
+    assert orthoscale.estimate(TOWN, **options).scale.verdict == "unusable"
     with pytest.raises(EvidenceDisagrees, match="conflict: vehicles: 0.08.*known distance of 170 m"):
         orthoscale.fix(TOWN, tmp_path / "out.tif", **options)
     assert not list(tmp_path.iterdir())

@@ -145,7 +145,9 @@ def test_looks_that_contradict_write_nothing_unless_forced(flight, found, tmp_pa
     assert one.scale.value == pytest.approx(UNIT, rel=0.03)
     both = fix(flight[0], tmp_path / "out", fleet="DE", detections=path, force=True)
     low, high = both.scale.interval90
-    assert low < one.scale.value < both.scale.value < high, "the difference is part of the interval"
+    planar = both.measured.findings["modes"]["planar"]["scale"]
+    assert both.scale.value in (one.scale.value, planar), "never the mean of two that contradict"
+    assert low < one.scale.value < planar < high and both.scale.verdict == "unusable"
 
 
 def test_a_planar_sweep_alone_is_written_with_its_picture(flight, found, tmp_path):
@@ -167,9 +169,10 @@ def test_a_frame_of_another_scale_is_named(flight, found):
 
 def test_one_look_answers_where_the_other_has_too_little(flight, found):
     source = ColmapSource.open(flight[0])
+    before = list(source.notes)
     measured = measure_model(source, replace(found, planar=replace(found.planar, boxes={})), FLEET)
     assert set(measured.findings["modes"]) == {"oblique"} and measured.agreement is None
-    assert any(note.startswith("planar: 0 boxes") for note in source.notes)
+    assert any(note.startswith("planar: 0 boxes") for note in measured.notes) and source.notes == before
     with pytest.raises(TooLittleEvidence):
         measure_model(source, replace(found, boxes={}, planar=replace(found.planar, boxes={})), FLEET)
 
@@ -179,7 +182,7 @@ def test_modes_that_cannot_be(flight, found, tmp_path):
     with pytest.raises(UsageError, match="no boxes of a planar sweep"):
         estimate(flight[0], fleet="DE", detections=tmp_path / "boxes.json", mode="both")
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((50, 50, 3), np.uint8))
-    with pytest.raises(UsageError, match="--mode is for COLMAP models"):
+    with pytest.raises(UsageError, match="--mode does nothing here: it is for COLMAP models"):
         estimate(tmp_path / "a.png", mode="planar")
 
 
@@ -217,7 +220,7 @@ def test_agreement_of_two_scales(flight, found):
     assert together(same).value == pytest.approx(1.005 * scale.value, rel=1e-3)
     apart = compare({"oblique": scale, "planar": replace(scale, value=1.5 * scale.value)})
     assert apart.contradicts
-    assert together(apart).parts["sampling"] > 0.15 and together(apart).verdict == "refuse"
+    assert together(apart).value == apart.scales[apart.surer].value and together(apart).verdict == "unusable"
 
 
 def test_vehicles_measured_both_ways_are_compared_themselves(flight, found):

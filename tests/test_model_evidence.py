@@ -123,13 +123,13 @@ def test_a_court_that_contradicts_the_vehicles_is_a_conflict(model, scales):
     wrong = [block((1.5 * COURT[0], 1.5 * COURT[1], 0.01), np.array([-1.0, 5.5]), 0.0)]
     objects = {name: {"tennis-court": boxes} for name, boxes in boxes_of(model, wrong).items()}
     scale = measure_model(model[0], replace(found_in(model), objects=objects), FLEET).scale
-    assert scale.conflict > 3 and scale.verdict == "refuse"
+    assert scale.conflict > 3 and scale.verdict == "unusable"
     assert any("conflict" in remark and "tennis-court" in remark for remark in scale.remarks)
     low, high = scale.interval90
     assert low < UNIT / 1.5 and high > UNIT
     for pair in ((scale, scales[0]), (scales[0], scale)):
         both = together(compare(dict(zip(("oblique", "planar"), pair, strict=True))))
-        assert both.interval90 == scale.interval90 and both.verdict == "refuse", "a conflict is never averaged away"
+        assert both.interval90 == scale.interval90 and both.verdict == "unusable", "a conflict is never averaged away"
 
 
 def test_looks_of_which_one_sees_rows_are_pooled(scales):

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import in_process
 import numpy as np
@@ -10,16 +11,19 @@ import pytest
 from PIL import Image
 
 from orthoscale.boxes import Boxes
+from orthoscale.detect.find import Effort
+from orthoscale.detect.workers import cores, worker_count
 from orthoscale.detections import Detections
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleet import Fleet
 from orthoscale.photo.lens import lens_of, read_calibration
+from orthoscale.photo.looking import Looking, boxes_of
 from orthoscale.photo.measure import LOWEST_ELEVATION, measure, open_photo
 from orthoscale.photo.survey import measure_together, open_photos
 from orthoscale.photo.tags import Tags, read_tags
 from orthoscale.pooling.ruler import Ruler
 from orthoscale.projection.decoupled import simple_views
-from orthoscale.projection.exact import Hull
+from orthoscale.projection.exact import BODIES
 from orthoscale.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey
 from orthoscale.synthetic import Camera, Perspective, Pose
 
@@ -241,10 +245,10 @@ def view_from(pitch, roll=0.0):
     return Perspective(Camera(FOCAL, *SIZE), Pose.looking(centre, 0.4, np.radians(-pitch), np.radians(roll)))
 
 
-def boxes_in(view, n=40, seed=0):
-    """Boxes of hulls, sizes as in CARS, with any heading, on the ground that the picture shows."""
+def boxes_in(view, n=40, seed=0, hull=BODIES["car"]):
+    """Boxes of a hull, sizes as in CARS, with any heading, on the ground that the picture shows."""
     rng = np.random.default_rng(seed)
-    plan, heights = Hull().outline()
+    plan, heights = hull.outline()
     pixels = rng.uniform([60, 60], np.array(SIZE) - 60, (n, 2))
     rays = np.column_stack([(pixels - np.array(SIZE) / 2) / FOCAL, np.ones(n)]) @ view.pose.rotation
     steep = -rays[:, 2] / np.linalg.norm(rays, axis=1) > np.sin(LOWEST_ELEVATION) + 0.05
@@ -277,6 +281,33 @@ def fleet(tmp_path):
     path = tmp_path / "cars.json"
     path.write_text(json.dumps(CARS))
     return Fleet.load(path)
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_vehicles_have_the_body_of_the_detectors_card(tmp_path, fleet, body):
+    """Whatever they are shaped like, the altitude comes out; measured as another body, it does not."""
+    view, photo = view_from(-50), open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL, pitch=-50)
+    hull = replace(BODIES[body], height=1.4)
+    found = replace(detections_of({"a.jpg": boxes_in(view, hull=hull)}), effective_height=(1.4, 1.4))
+    off = {
+        name: abs(measure([photo], replace(found, body=name), fleet).altitude.value / ALTITUDE - 1) for name in BODIES
+    }
+    assert off[body] < 0.004 and all(off[name] > 0.01 for name in off if name != body)
+
+
+def test_photos_are_looked_at_by_as_many_threads_as_there_are_cores(monkeypatch, tmp_path):
+    made = []
+
+    class Network:
+        def __init__(self, path, decoder, classes, threads=0):
+            made.append(threads)
+            raise InterruptedError
+
+    monkeypatch.setattr("orthoscale.detect.detector.Detector", Network)
+    photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL)
+    with pytest.raises(InterruptedError):
+        boxes_of([photo], Looking())
+    assert made == [Effort().threads_each] and made[0] * worker_count(None) <= max(cores(), worker_count(None))
 
 
 @pytest.mark.parametrize("pitch, roll", [(-90, 0), (-75, 5), (-60, 0), (-50, -4)])

@@ -44,7 +44,7 @@ def pages(tmp_path_factory):
     made = {"ortho": fixed(folders["ortho"])}
     report = json.loads(fixed_model(folders["doubtful"]).with_suffix(".json").read_text())
     worst = {
-        "verdict": "refuse",
+        "verdict": "unusable",
         "modes": {"planar": {"scale": 13.0, "interval90": [12, 14]}, "oblique": {"scale": 16, "interval90": [15, 17]}},
         "drift": {
             "regions": [

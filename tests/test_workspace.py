@@ -13,6 +13,7 @@ from test_rescale import dense_workspace
 
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+from orthoscale.requests import FixRequest
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.workspace import fix_all, models_in
 from orthoscale.writing import fix
@@ -53,14 +54,14 @@ def test_each_model_has_its_own_scale(work, tmp_path):
 
 def test_a_model_without_evidence_does_not_stop_the_others(work, tmp_path):
     (work / "sparse/1/points3D.bin").write_bytes(b"\0" * 5)
-    outcomes = fix_all(models_in(work), tmp_path / "out", **OPTIONS)
+    outcomes = fix_all(models_in(work), tmp_path / "out", FixRequest(**OPTIONS))
     assert [outcome.error is None for outcome in outcomes] == [True, False]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["0", "models.json"]
     assert json.loads((tmp_path / "out/models.json").read_text())["1"]["exit_code"] == 5
 
     (tmp_path / "few.json").write_text('{"DJI_0225.jpg": []}')
     with pytest.raises((TooLittleEvidence, InputError)):
-        fix_all(models_in(work), tmp_path / "none", fleet="US", detections=tmp_path / "few.json")
+        fix_all(models_in(work), tmp_path / "none", FixRequest(fleet="US", detections=tmp_path / "few.json"))
     assert not (tmp_path / "none").exists()
 
 

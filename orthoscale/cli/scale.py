@@ -41,7 +41,12 @@ def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | Non
             outcomes = workspace.estimate_all(models, request, progress)
         else:
             result = pipeline.measured(path, request, progress)
-    _finish_all(outcomes, as_json) if models else _finish(result, as_json, save_detections)
+    if models:
+        _finish_all(outcomes, as_json)
+        return
+    _finish(result, as_json, save_detections)
+    if (disagreement := result.disagreement) is not None:  # said after the figures: a script must not take them
+        raise disagreement
 
 
 @click.command(

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from ..detect.detector import Detector
 from ..detect.find import Effort, Progress, find_vehicles
 from ..detections import Detections
-from ..errors import TooLittleEvidence, UsageError
+from ..errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from ..fleet import Fleet
 from ..pooling.agreement import compare, together
 from .measure import Measured
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 OBLIQUE, PLANAR, BOTH = "oblique", "planar", "both"
 SAME_PLACE = 0.8  # of a vehicle's width: how far apart the two looks may see one vehicle
-ENOUGH = 5  # boxes in the frames that tell how long vehicles are, so that the second look needs no search of its own
 
 
 def find_in_model(
@@ -49,10 +48,9 @@ def find_in_model(
     plans = _plans(source, mode == BOTH)
     if not plans:
         return found, choice
-    planar_zoom = _zoom_of_plans(source, found, plans[0].unit_per_pixel)
-    try:
-        planar, _ = find_vehicles(plans, detector, planar_zoom, _named(progress), effort)
-    except TooLittleEvidence as error:
+    try:  # as `planar` alone would: what the frames show must not decide how the plans are looked at
+        planar, _ = find_vehicles(plans, detector, zoom, _named(progress), effort)
+    except (TooLittleEvidence, EvidenceDisagrees) as error:
         return replace(found, notes=(*found.notes, f"planar sweep: {error.message}")), choice
     return replace(found, planar=planar), choice
 
@@ -70,25 +68,14 @@ def _named(progress: Progress | None) -> Progress | None:
     return None if progress is None else lambda what, done, total: progress(f"{what} from above", done, total)
 
 
-def _zoom_of_plans(source: ColmapSource, found: Detections, unit_per_pixel: float) -> float | None:
-    """The zoom at which vehicles in the plans are as long for the detector as those in the frames were."""
-    on_ground, in_frame = [], []
-    for name, boxes in found.boxes.items():
-        views, _, ok = source.views(name, boxes.centre)
-        on_ground.append((boxes.length * views.unit_per_pixel)[ok] / unit_per_pixel)
-        in_frame.append(boxes.length[ok])
-    if sum(map(len, in_frame)) < ENOUGH:
-        return None
-    return found.zoom * float(np.median(np.concatenate(in_frame)) / np.median(np.concatenate(on_ground)))
-
-
 def measure_model(
     source: ColmapSource, found: Detections, fleet: Fleet, method: Method | None = None, mode: str | None = None
 ) -> Measured:
     """The scale of a reconstruction by the vehicles `found`, in each way that `mode` asks for and they allow.
 
     By default both ways are tried. Where one has too little evidence, the other answers; where both have enough, they
-    are pooled, and `Measured.agreement` says how they fit. Raises TooLittleEvidence, UsageError.
+    are pooled, and `Measured.agreement` says how they fit. Two that contradict each other are not: the surer one
+    answers, its verdict is ``unusable``, and its interval reaches over both. Raises TooLittleEvidence, UsageError.
     """
     method = method or Method()
     if mode is None and method.projection is not None:
@@ -114,16 +101,16 @@ def measure_model(
     if not measured:
         raise next(iter(failed.values()))
     notes = tuple(f"{name}: {error.message}" for name, error in failed.items())
-    answer = next(iter(measured.values()))
     scales = {name: m.scale for name, m in measured.items()}
+    agreement = compare(scales, _common(*measured.values())) if len(scales) == 2 else None
+    contradiction = agreement is not None and agreement.contradicts
+    answer = measured[agreement.surer] if agreement and contradiction else next(iter(measured.values()))
     findings: dict[str, Any] = {**answer.findings, "modes": {name: _plain(m) for name, m in measured.items()}}
     remarks = answer.findings.get("drift", {}).get("remarks", [])
-    agreement = None
     scale = answer.scale
-    if len(scales) == 2:
-        agreement = compare(scales, _common(*measured.values()))
+    if agreement is not None:
         scale = together(agreement)
-        remarks = [*remarks, agreement.sentence()]
+        remarks = [agreement.sentence(), *remarks] if contradiction else [*remarks, agreement.sentence()]
         findings["agreement"] = {
             "difference": agreement.difference,
             "sigmas": agreement.tension,

@@ -22,7 +22,7 @@ from ..measuring.oblique import HEIGHT_SD, ROUNDS, SETTLED
 from ..pooling.posterior import Z90
 from ..pooling.robust import MIN_VEHICLES, pool
 from ..pooling.scale import Scale
-from ..pooling.verdicts import VERDICTS, verdict
+from ..pooling.verdicts import UNUSABLE, VERDICTS, verdict
 from ..projection.exact import BODIES, Hull, ground_size
 from ..projection.level import level_axes, level_views, up_from_gimbal
 from ..projection.view import Views
@@ -262,7 +262,7 @@ def _thinned(scale: Scale, overlap: float) -> Scale:
     parts = {**scale.parts, "sampling": scale.parts["sampling"] * np.sqrt(overlap)}
     sd = float(np.sqrt(sum(v**2 for v in parts.values())))
     low, high = (scale.value * (end / scale.value) ** (sd / scale.relative_sd) for end in scale.interval90)
-    words = [name for name, _ in VERDICTS] + ["refuse"]
+    words = [name for name, _ in VERDICTS] + [UNUSABLE]
     worse = max(scale.verdict, verdict(sd, odd_shape=False, conflict=False), key=words.index)
     return replace(scale, parts=parts, interval90=(float(low), float(high)), verdict=worse)
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 VERDICTS = (("good", 0.03), ("fair", 0.06), ("poor", 0.15))  # relative one-sigma of the scale, upper bounds
+UNUSABLE = "unusable"  # nothing is written without being told to
 CHECK_LIMIT = 2.5  # sigmas between length and width before the verdict is lowered
 
 
 def verdict(sd: float, odd_shape: bool, conflict: bool) -> str:
-    """``good``, ``fair``, ``poor`` or ``refuse``.
+    """``good``, ``fair``, ``poor`` or ``unusable``.
 
     sd : relative one-sigma of the scale. odd_shape : lengths and widths give different scales; one step down, to
     ``poor`` at worst. conflict : two measurements contradict each other; nothing is known then.
@@ -17,7 +18,7 @@ def verdict(sd: float, odd_shape: bool, conflict: bool) -> str:
     names = [name for name, _ in VERDICTS]
     rank = next((k for k, (_, limit) in enumerate(VERDICTS) if sd <= limit), len(VERDICTS))
     if conflict or rank == len(VERDICTS):
-        return "refuse"
+        return UNUSABLE
     return names[min(rank + odd_shape, len(VERDICTS) - 1)]
 
 

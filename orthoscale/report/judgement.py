@@ -13,10 +13,10 @@ from .explanation import explain
 from .places import frames, trend
 
 FIT = {  # verdict: what it is called, what the scale is fit for
-    "good": ("known well", "Fit for metric layouts and checks."),
-    "fair": ("known fairly", "Fit for layouts that bear this tolerance."),
-    "poor": ("known poorly", "Fit for a rough idea only."),
-    "refuse": ("not known", "Not fit for use."),
+    "good": ("known well", "Suitable for metric layouts and checks."),
+    "fair": ("known fairly", "Suitable where this tolerance is acceptable."),
+    "poor": ("known poorly", "Suitable for a rough idea only."),
+    "unusable": ("not known", "Not suitable for use."),
 }
 SAMPLING = 0.02  # one sigma from which more vehicles would help
 REJECTED = 0.5  # share of the vehicles from which one wonders what the detector found

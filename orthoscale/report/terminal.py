@@ -14,7 +14,7 @@ from ..result import Result
 from .document import remarks
 from .judgement import FIT, percent
 
-STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "refuse": "bold reverse red"}
+STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
 
 
 def show(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> None:
