@@ -2,22 +2,44 @@
 
 import orthoscale
 result = orthoscale.estimate("ortho.tif", fleet="DE")
-result.scale.value, result.scale.interval90
+result.scale.value, result.scale.interval90, result.vehicles
 orthoscale.fix("model/", "scaled/", fleet="US")
+
+What it does is told to the logger ``orthoscale``.
 """
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-__all__ = ["Boxes", "Detections", "Fleet", "OrthoscaleError", "Result", "Scale", "estimate", "fix"]
+__all__ = [
+    "Boxes",
+    "Calibration",
+    "Detections",
+    "Fleet",
+    "OrthoscaleError",
+    "Result",
+    "Scale",
+    "apply",
+    "calibrate",
+    "check",
+    "estimate",
+    "fix",
+    "photo",
+]
 
 if TYPE_CHECKING:
+    from .applying import apply
     from .boxes import Boxes
+    from .calibrating import calibrate
+    from .calibration import Calibration
+    from .checking import check
     from .detections import Detections
     from .errors import OrthoscaleError
     from .fleet import Fleet
+    from .photographing import photo
     from .pipeline import estimate
     from .pooling.scale import Scale
     from .result import Result
@@ -25,14 +47,21 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Boxes": "boxes",
+    "Calibration": "calibration",
     "Detections": "detections",
     "Fleet": "fleet",
     "OrthoscaleError": "errors",
     "Result": "result",
     "Scale": "pooling.scale",
+    "apply": "applying",
+    "calibrate": "calibrating",
+    "check": "checking",
     "estimate": "pipeline",
     "fix": "writing",
+    "photo": "photographing",
 }
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # who uses the library says whether it speaks
 
 
 def __getattr__(name: str) -> Any:

@@ -46,7 +46,7 @@ class Detections:
     detector_sha256: str = ""
     doubtful: dict[str, Boxes] = field(default_factory=dict)
     objects: dict[str, dict[str, Boxes]] = field(default_factory=dict)
-    doubt: str = "seen at one zoom only, or faintly"
+    doubt: str = "low confidence, or detected at only one resolution"
     planar: Detections | None = None
     swept: Swept | None = None
     body: str = "car"

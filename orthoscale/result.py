@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,9 +26,13 @@ if TYPE_CHECKING:
 CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
-    """A measured source; what `fix` writes and every report shows."""
+    """A measured source; what `fix` writes and every report shows.
+
+    ``result.scale`` is the answer, ``result.vehicles`` a table of the vehicles (``pandas.DataFrame(result.vehicles)``),
+    ``result.to_dict()`` the report as plain values.
+    """
 
     source: Source
     fleet: Fleet
@@ -43,6 +48,38 @@ class Result:
     def projection(self) -> str:
         """The projection that was used: the one asked for, or what fits the source."""
         return self.method.projection or ("planar" if self.source.unit == "m/px" else "exact")
+
+    def answer(self) -> list[tuple[str, str]]:
+        """The scale in words, by what each line is called; signs in ASCII, which every terminal can write."""
+        scale = self.scale
+        within = f"{scale.verdict} (90 % within +-{100 * scale.half_width:.1f} %)"
+        return [("scale", f"{scale.text()}  {within}"), ("90 %", scale.text(*scale.interval90))]
+
+    def _brief(self) -> list[tuple[str, str]]:
+        scale = self.scale
+        rejected = sum(scale.rejected.values())
+        remarks = f"{len(scale.remarks)}, the first: {scale.remarks[0]}" if scale.remarks else "none"
+        return [
+            *self.answer(),
+            ("vehicles", f"{scale.vehicles_used} used, {rejected} rejected"),
+            ("fleet", f"{scale.fleet} ({self.fleet.name})"),
+            ("input", str(self.source.path)),
+            ("remarks", remarks),
+        ]
+
+    def __repr__(self) -> str:
+        return "\n".join(f"{label:10s} {text}" for label, text in self._brief())
+
+    def _repr_html_(self) -> str:
+        """The same as a table, for notebooks."""
+        rows = "".join(f"<tr><th>{escape(label)}</th><td>{escape(text)}</td></tr>" for label, text in self._brief())
+        return f"<table>{rows}</table>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report (what `fix` writes as JSON) as plain values; see `report.document.document`."""
+        from .report.document import document
+
+        return document(self)
 
     @property
     def notes(self) -> list[str]:

@@ -57,12 +57,15 @@ def written(path: Path, out: Path, request: FixRequest, progress: Progress | Non
     source = open_source(path, request.images, need_images=request.detections is None)
     from .report.extras import chosen
 
-    extras = [(extra.place(out), extra.write) for extra in chosen(request.also)]
+    wanted = chosen(request.also)
+    extras = [(extra.place(out), extra.write) for extra in wanted]
     parts = report_paths(out, source.unit, request.report)
     if source.unit == "m/px":
         request.for_orthophoto(path)
         for beside in (*parts.values(), *(place for place, _ in extras)):
             check_free(beside, overwrite)
+        for extra in wanted:
+            extra.check(source)
     else:
         request.for_model(path)
     if source.metric_already and not request.override:  # not behind its owner's back

@@ -207,18 +207,31 @@ def test_boxes_lie_where_the_vehicles_are_in_the_copy(everything):
     assert centre == pytest.approx(result.votes.place, abs=1e-3)
 
 
-def test_geojson_is_longitude_and_latitude_on_earth_and_says_local_elsewhere(everything, tmp_path, boxes):
+def test_geojson_is_longitude_and_latitude_or_refused(everything, tmp_path, boxes):
     folder, result = everything
     text = json.loads((folder / "out.tif.geojson").read_text())
-    assert "WGS 84" in text["coordinates"] and len(text["features"]) == len(result.votes)
+    assert len(text["features"]) == len(result.votes)
     ring = np.array(text["features"][0]["geometry"]["coordinates"][0])
     _, _, sides = pyproj.Geod(ellps="WGS84").inv(*ring[:-1].T, *ring[1:].T)
     properties = text["features"][0]["properties"]
     assert sorted(sides)[::2] == pytest.approx([properties["width_m"], properties["length_m"]], rel=2e-3)
     with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
         plain = picture(tmp_path / "a.tif")
-    fixed(plain, tmp_path / "out.tif", boxes, also=["geojson"])
-    assert "local metres" in json.loads((tmp_path / "out.tif.geojson").read_text())["coordinates"]
+    with pytest.raises(UsageError, match="lies nowhere on Earth"):
+        fixed(plain, tmp_path / "out.tif", boxes, also=["geojson"])
+    assert not list(tmp_path.glob("out.tif*"))
+
+
+def test_geojson_lies_on_earth_also_where_the_copy_does_not(tmp_path, boxes):
+    """A copy in local metres, which readers would take for degrees, has its vehicles where they stand all the same."""
+    path = picture(tmp_path / "a.tif", "EPSG:32632", UTM)
+    fixed(path, tmp_path / "out.tif", boxes, also=["geojson"])
+    with rasterio.open(tmp_path / "out.tif") as copy:
+        assert not copy.crs.is_projected
+    rings = json.loads((tmp_path / "out.tif.geojson").read_text())["features"]
+    points = np.array([feature["geometry"]["coordinates"][0] for feature in rings]).reshape(-1, 2)
+    lon, lat = pyproj.Transformer.from_crs("EPSG:32632", "EPSG:4326", always_xy=True).transform(UTM.c, UTM.f)
+    assert np.abs(points - (lon, lat)).max() < 0.01
 
 
 def test_tiles_without_a_sweep_are_a_header(everything):

@@ -10,6 +10,11 @@ import numpy as np
 from .evidence import Evidence
 
 
+def decimals(uncertainty: float) -> int:
+    """Decimal places of a figure that is known to so much: two digits of it. 6 where it is known exactly."""
+    return max(0, 1 - int(np.floor(np.log10(uncertainty)))) if uncertainty > 0 else 6
+
+
 @dataclass(frozen=True)
 class Scale:
     """Metres per unit of the source, and how well that is known.
@@ -47,6 +52,22 @@ class Scale:
     @property
     def relative_sd(self) -> float:
         return float(np.sqrt(sum(sd**2 for sd in self.parts.values())))
+
+    @property
+    def half_width(self) -> float:
+        """Half of the 90 % interval, relative to the value."""
+        low, high = self.interval90
+        return (high - low) / 2 / self.value
+
+    def text(self, *values: float) -> str:
+        """`values` in the scale's unit, by default its own, with the digits that it deserves: two of its uncertainty;
+        centimetres too where it is in metres per pixel."""
+        values = values or (self.value,)
+        places = decimals(self.half_width * self.value)
+        metres = f"{' to '.join(f'{value:.{places}f}' for value in values)} {self.unit}"
+        if self.unit != "m/px" or self.value >= 1:
+            return metres
+        return f"{metres} ({' to '.join(f'{100 * value:.{max(places - 2, 0)}f}' for value in values)} cm)"
 
     @property
     def vehicles_used(self) -> int:

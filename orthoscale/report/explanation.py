@@ -12,7 +12,7 @@ from ..errors import InputError
 MEANINGS = {
     "sampling": "vehicles differ, and only so many were measured",
     "fleet": "how large the vehicles of that place are on average is not known better",
-    "margin": "how far the detector's boxes reach beyond a vehicle, or stay short of it, differs between scenes",
+    "margin": "box bias: how much boxes over- or undershoot vehicles varies from scene to scene",
     "geometry": "the ground's height under the vehicles and how much of their height the boxes take in",
     "conflict": "measurements that contradict each other",
     "known distance": "the known distance itself",
@@ -87,7 +87,7 @@ def in_words(explanation: Mapping[str, Any]) -> str:
     """The explanation as a person reads it."""
     e = explanation
     lines = [
-        f"The scale is {e['scale']:.5g} {e['unit']}, known to +- {100 * e['relative_sd']:.1f} % (one sigma).",
+        f"The scale is {e['scale']:.5g} {e['unit']}, known to +- {100 * e['relative_sd']:.1f} % (1 sigma).",
         "",
         "Where that comes from, as shares of the variance:",
         *(
@@ -98,7 +98,7 @@ def in_words(explanation: Mapping[str, Any]) -> str:
         e["halve"],
     ]
     if e["remedies"]:
-        lines += ["", "What else would help, and the one sigma that it would leave:"]
+        lines += ["", "What else would help, and the uncertainty (1 sigma) that it would leave:"]
         lines += [f"  {100 * r['leaves']:.1f} %  {r['do']}" for r in e["remedies"]]
     if e["remarks"]:
         lines += ["", "Noted in the report:", *(f"  {remark}" for remark in e["remarks"])]

@@ -11,15 +11,18 @@ import numpy as np
 
 from ..result import Result
 from ..sources.georeference import Place
-from .geo import write_geojson, write_geopackage
+from ..sources.source import Source
+from .geo import check_on_earth, write_geojson, write_geopackage
 
 
 @dataclass(frozen=True)
 class Extra:
-    """place : the file's path, from that of the main output. write : makes it."""
+    """place : the file's path, from that of the main output. write : makes it.
+    check : raises UsageError, before any work, for a source of which it cannot be made."""
 
     place: Callable[[Path], Path]
     write: Callable[[Result, Place, Path], None]
+    check: Callable[[Source], None] = lambda source: None
 
 
 def write_world_file(result: Result, place: Place, path: Path) -> None:
@@ -66,7 +69,7 @@ EXTRAS = {
     "tfw": Extra(lambda out: out.with_suffix(".tfw"), write_world_file),
     "scale": Extra(lambda out: out.with_name(f"{out.name}.scale.txt"), write_scale_file),
     "gpkg": Extra(lambda out: out.with_name(f"{out.name}.gpkg"), write_geopackage),
-    "geojson": Extra(lambda out: out.with_name(f"{out.name}.geojson"), write_geojson),
+    "geojson": Extra(lambda out: out.with_name(f"{out.name}.geojson"), write_geojson, check_on_earth),
     "tiles": Extra(lambda out: out.with_name(f"{out.name}.tiles.csv"), write_tiles),
 }
 

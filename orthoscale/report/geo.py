@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 import sqlite3
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from rasterio.warp import transform_geom
 
-from ..errors import OutputError
+from ..errors import OutputError, UsageError
 from ..result import Result
 from ..sources.georeference import Place
 from ..vector import write_layer
+
+if TYPE_CHECKING:
+    from ..sources.raster import RasterSource
+    from ..sources.source import Source
 
 LAYER = "vehicles"
 # Used green, others red, as in the picture; what a QGIS layer loads as its default style from the table layer_styles.
@@ -88,23 +92,29 @@ def write_geopackage(result: Result, place: Place, path: Path) -> None:
         raise OutputError(f"{path} could not be written ({error})", "Check the free space on its disk.") from error
 
 
+def check_on_earth(source: Source) -> None:
+    """Raise UsageError where nothing says where on Earth `source`, an orthophoto, lies: GeoJSON knows nothing else."""
+    crs = cast("RasterSource", source).place(1.0, keep_origin=True).crs
+    if isinstance(crs, str) or not (crs.is_geographic or crs.is_projected):
+        raise UsageError(
+            f"--also geojson: {source.path} lies nowhere on Earth, and GeoJSON has longitude and latitude only",
+            "Take --also gpkg, which keeps local metres.",
+        )
+
+
 def write_geojson(result: Result, place: Place, path: Path) -> None:
-    """Vehicles as polygons; longitude and latitude where the copy lies on the Earth, else local metres, said inside."""
+    """Vehicles as polygons in longitude and latitude (WGS 84), as RFC 7946 wants it and every reader takes it.
+
+    They lie where the input's own georeferencing puts its first corner, whether or not the copy keeps that.
+    """
+    place = cast("RasterSource", result.source).place(result.scale.value, keep_origin=True)
     columns = {name: values.tolist() for name, values in table(result).items()}
     features = []
-    on_earth = not isinstance(place.crs, str) and (place.crs.is_geographic or place.crs.is_projected)
     for k, ring in enumerate(outlines(result, place)):
-        geometry: dict[str, Any] = {"type": "Polygon", "coordinates": [ring.tolist()]}
-        if on_earth:
-            geometry = transform_geom(place.crs, "EPSG:4326", geometry)
+        geometry = transform_geom(place.crs, "EPSG:4326", {"type": "Polygon", "coordinates": [ring.tolist()]})
         properties = {name: values[k] for name, values in columns.items()}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
-    text = {
-        "type": "FeatureCollection",
-        "name": LAYER,
-        "coordinates": "longitude, latitude (WGS 84)" if on_earth else "local metres of the scaled copy",
-        "features": features,
-    }
+    text = {"type": "FeatureCollection", "name": LAYER, "features": features}
     path.write_text(json.dumps(text), encoding="utf-8")
 
 

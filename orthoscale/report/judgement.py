@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import exp, floor, log, log10
+from math import exp, log
 from typing import Any
 
 from ..pooling.posterior import Z90
+from ..pooling.scale import decimals
 from ..pooling.verdicts import CHECK_LIMIT
 from .explanation import explain
 from .places import frames, trend
@@ -45,8 +46,8 @@ def quantity(report: Mapping[str, Any], *values: float) -> tuple[list[str], str]
     if report["unit"] == "m/px" and report["scale"] < 1:
         factor, unit = 100.0, "cm/px"
     uncertainty = half_width(report) * report["scale"] * factor
-    decimals = max(0, 1 - floor(log10(uncertainty))) if uncertainty > 0 else 6
-    return [f"{value * factor:.{decimals}f}" for value in values], unit
+    places = decimals(uncertainty)
+    return [f"{value * factor:.{places}f}" for value in values], unit
 
 
 def relative(scale: float, report: Mapping[str, Any]) -> float:
@@ -71,7 +72,7 @@ def _vehicles(report: Mapping[str, Any]) -> Check:
     sampling = report["uncertainty"].get("sampling", 0.0)
     few, many = sampling > SAMPLING, rejected > REJECTED * (used + rejected)
     what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
-    detail = f"{used} used, {rejected} rejected; their number leaves {percent(sampling)} open"
+    detail = f"{used} used, {rejected} rejected; sampling error {percent(sampling)}"
     return Check("look" if few or many else "ok", what, detail)
 
 
@@ -148,7 +149,7 @@ def _evidence(report: Mapping[str, Any]) -> Check | None:
 def _largest(report: Mapping[str, Any]) -> Check:
     explained = explain(report)
     part = explained["parts"][0]
-    share = f"{100 * part['relative_sd']:.1f} of {percent(explained['relative_sd'])} (one sigma)"
+    share = f"{100 * part['relative_sd']:.1f} of {percent(explained['relative_sd'])} (1 sigma)"
     return Check("none", f"Least known: {part['name']}", f"{share}: {part['meaning']}")
 
 

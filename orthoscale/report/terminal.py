@@ -10,9 +10,10 @@ from types import MappingProxyType
 import click
 
 from ..check import own_claim
+from ..pooling.posterior import Z90
 from ..result import Result
 from .document import remarks
-from .judgement import FIT, percent
+from .judgement import percent
 
 STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
 
@@ -47,22 +48,19 @@ def summary(result: Result, written: Mapping[str, Path] = MappingProxyType({})) 
 def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     """Labels and texts, the answer first; signs in ASCII, which every terminal and pipe can write."""
     scale = result.scale
-    low, high = scale.interval90
-    half_width = percent((high - low) / 2 / scale.value)
     checks = (f"{name.replace('_', ' ')} {100 * (v / scale.value - 1):+.1f} %" for name, v in scale.checks.items())
     parts = (f"{name} {percent(sd)}" for name, sd in scale.parts.items() if sd > 0)
     seen = f", seen {int(result.votes.views[scale.used].sum())} times" if result.votes.views.max() > 1 else ""
     rejected = {**scale.rejected, **result.rejected_boxes}
     table = [
-        ("scale", f"{scale.value:.6g} {scale.unit}  +- {half_width}  {scale.verdict}, {FIT[scale.verdict][0]}"),
-        ("90 %", f"{low:.6g} to {high:.6g} {scale.unit}"),
+        *result.answer(),
         ("vehicles", f"{scale.vehicles_used} used{seen}"),
         ("rejected", ", ".join(f"{count} {reason}" for reason, count in rejected.items()) or "none"),
-        ("fleet", f"{scale.fleet}: {result.fleet.name}"),
+        ("fleet", f"{scale.fleet} ({result.fleet.name})"),
         *_fleets(scale.fleets),
         ("checks", "scale from " + ", ".join(checks)),
-        ("uncertain", ", ".join(parts) + " (one sigma)"),
-        ("detector", f"{result.detections.detector}, zoom {result.detections.zoom:.2f}, {result.seconds:.1f} s"),
+        ("uncertain", ", ".join(parts) + " (1 sigma each)"),
+        ("detector", f"{result.detections.detector}, resampling factor {result.detections.zoom:.2f}, {result.seconds:.1f} s"),
     ]
     if (claim := own_claim(result.source, scale)) is not None:
         table.append(("claim", claim.sentence()))
@@ -70,7 +68,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     if swept is not None and len(swept.tiles) < swept.total:
         looked = f"{len(swept.tiles)} of {swept.total} tiles, which was enough (--exhaustive for all)"
         table.append(("looked at", looked))
-    table += [("also", f"{e.value:.5g} from {e.says}  +- {percent(1.645 * e.relative_sd)}") for e in scale.evidence]
+    table += [("also", f"{e.value:.5g} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)") for e in scale.evidence]
     table += [("note", remark) for remark in remarks(result)]
     return table + [(label, str(path)) for label, path in written.items()]
 
