@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from .boxes import Boxes
     from .calibrating import calibrate
     from .calibration import Calibration
-    from .checking import check
+    from .claims import check
     from .detections import Detections
     from .errors import OrthoscaleError
     from .fleet import Fleet
-    from .photographing import photo
+    from .photos.survey import photo
     from .pipeline import estimate
     from .pooling.scale import Scale
     from .result import Result
@@ -55,10 +55,10 @@ _HOME = {
     "Scale": "pooling.scale",
     "apply": "applying",
     "calibrate": "calibrating",
-    "check": "checking",
+    "check": "claims",
     "estimate": "pipeline",
     "fix": "writing",
-    "photo": "photographing",
+    "photo": "photos.survey",
 }
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())  # who uses the library says whether it speaks

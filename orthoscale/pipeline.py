@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
     from .requests import EstimateOptions
     from .sources.colmap import ColmapSource
     from .sources.source import Source
+
+log = logging.getLogger(__name__)
 
 
 def estimate(
@@ -74,6 +77,7 @@ def estimate(
 def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
     """What `request` asks of the input at `path`; see `estimate`."""
     started = time.perf_counter()
+    log.info("measuring %s", path)
     known = None if request.calibration is None else Calibration.load(Path(request.calibration))
     fleet = fleet_of(request.fleet, known)
     from_file = request.detections is not None
@@ -90,6 +94,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         found = load_detections(Path(request.detections), source, request.vehicle_classes)
     else:
         found, choice = _looked_for(source, model, request, fleet, progress)
+    log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if known is not None:
         found = known.applied(found, Path(str(request.calibration)))
     try:
@@ -108,6 +113,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         (whole,) = source.pictures
         within = drift(answer.vehicles, whole.width, whole.height)
     seconds = time.perf_counter() - started
+    log.info("%.6g %s by %d vehicles in %.1f s", answer.scale.value, source.unit, answer.scale.vehicles_used, seconds)
     return Result(source, fleet, found, choice, seconds, answer, within, method, request.settings())
 
 

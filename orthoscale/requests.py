@@ -241,8 +241,8 @@ class FixRequest(EstimateRequest):
         return EstimateRequest(**{each.name: getattr(self, each.name) for each in fields(EstimateRequest)})
 
 
-class EstimateOptions(TypedDict, total=False):
-    """The fields of `EstimateRequest` as keywords, for type checkers and editors."""
+class VehicleOptions(TypedDict, total=False):
+    """The fields of `VehicleRequest` as keywords, for type checkers and editors."""
 
     fleet: str | Path | None
     detections: str | Path | None
@@ -252,6 +252,11 @@ class EstimateOptions(TypedDict, total=False):
     calibration: str | Path | None
     zoom: float | None
     gsd_hint: float | None
+
+
+class EstimateOptions(VehicleOptions, total=False):
+    """The fields of `EstimateRequest` as keywords."""
+
     images: str | Path | None
     refine: bool
     mode: str | None
@@ -306,7 +311,8 @@ def _checked(of: Field, about: Option, value: Any) -> Any:
 
 def _check(name: str, about: Option, value: Any) -> None:
     wanted, called = _KINDS[about.kind]
-    if not isinstance(value, wanted) or (isinstance(value, bool) and about.kind is not bool):
+    fits = isinstance(value, wanted) and (about.kind is bool or not isinstance(value, bool))
+    if not fits:
         raise UsageError(f"{name} takes {called}, not {value!r}")
     if about.choices and value not in about.choices:
         raise UsageError(f"{name} {value} is none of {', '.join(about.choices)}", _nearest(value, about.choices))

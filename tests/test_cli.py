@@ -37,7 +37,7 @@ def test_a_person_reads_the_answer_first(estimated):
     shown = run("estimate", EXAMPLE / "sparse", *RULES)
     assert shown.returncode == 0
     first = shown.stdout.splitlines()[0]
-    assert first.startswith("scale") and f"{json.loads(estimated.stdout)['scale']:.6g}" in first
+    assert first.startswith("scale") and f"{json.loads(estimated.stdout)['scale']:.3f}" in first
 
 
 def test_fix_writes_a_model_that_a_second_run_leaves_alone(tmp_path):

@@ -14,7 +14,7 @@ from rasterio.transform import Affine
 from test_photo import ALTITUDE, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
 
 from orthoscale.errors import UsageError
-from orthoscale.photo.crop import Satellite, plan_crops
+from orthoscale.photos.crop import Satellite, plan_crops
 
 LON, LAT = 9.0, 60.0
 GEOD = pyproj.Geod(ellps="WGS84")

@@ -14,8 +14,8 @@ from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, changed,
 from orthoscale.evaluate.score import score, summary
 from orthoscale.evaluate.surface import Surface
 from orthoscale.fleet import Fleet
-from orthoscale.photo.looking import save_boxes
-from orthoscale.photo.measure import RIGHT
+from orthoscale.photos.looking import save_boxes
+from orthoscale.photos.measure import RIGHT
 from orthoscale.synthetic import NormalFleet, make_scene
 from orthoscale.synthetic.folders import GROUND_M, LON_LAT, survey_rotation, write_csv, write_denseuav, write_visloc
 

@@ -16,11 +16,11 @@ from orthoscale.detect.workers import cores, worker_count
 from orthoscale.detections import Detections
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleet import Fleet
-from orthoscale.photo.lens import lens_of, read_calibration
-from orthoscale.photo.looking import Looking, boxes_of
-from orthoscale.photo.measure import LOWEST_ELEVATION, measure, open_photo
-from orthoscale.photo.survey import measure_together, open_photos
-from orthoscale.photo.tags import Tags, read_tags
+from orthoscale.photos.lens import lens_of, read_calibration
+from orthoscale.photos.looking import Looking, boxes_of
+from orthoscale.photos.measure import LOWEST_ELEVATION, measure, open_photo
+from orthoscale.photos.survey import measure_together, open_photos
+from orthoscale.photos.tags import Tags, read_tags
 from orthoscale.pooling.ruler import Ruler
 from orthoscale.projection.decoupled import simple_views
 from orthoscale.projection.exact import BODIES

@@ -395,7 +395,15 @@ def test_a_pipe_gets_plain_lines_the_answer_first(result, park, capsys):
     text = capsys.readouterr().out
     assert "\x1b" not in text and text.isascii()
     first, last = text.splitlines()[0], text.splitlines()[-1]
-    assert first.split()[:3] == ["scale", f"{result.scale.value:.6g}", "m/px"] and result.scale.verdict in first
+    words = [
+        "scale",
+        f"{result.scale.value:.4f}",
+        "m/px",
+        f"({100 * result.scale.value:.2f}",
+        "cm)",
+        result.scale.verdict,
+    ]
+    assert first.split()[:6] == words and "(90 % within +-" in first
     assert last == f"written    {park[0] / 'scaled.tif'}"
 
 

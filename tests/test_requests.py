@@ -222,7 +222,11 @@ def test_a_request_is_a_value():
 
 @pytest.mark.parametrize(
     "request_type, options",
-    [(EstimateRequest, requests.EstimateOptions), (FixRequest, requests.FixOptions)],
+    [
+        (VehicleRequest, requests.VehicleOptions),
+        (EstimateRequest, requests.EstimateOptions),
+        (FixRequest, requests.FixOptions),
+    ],
 )
 def test_keywords_for_type_checkers_are_the_fields(request_type, options):
     names = vars(requests) | {"Any": object}

@@ -29,24 +29,13 @@ def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_js
     with Open3D also STL, OFF, PCD, XYZ, PTS. What has no length (colours, normals, rotations, intrinsics) stays.
     All files appear in --out, or none. FILEs are never touched.
     """
-    from ..atomic import new_folder
-    from ..errors import UsageError
-    from ..rescale.files import scale_path
+    from .. import applying
     from ..rescale.sim3 import Sim3
 
-    scale = Sim3.load(sim3).scale
-    names = [path.resolve().name for path in files]
-    if len(set(names)) < len(names):
-        raise UsageError("two FILEs have the same name", "Write them to different folders, one after the other.")
-    written = {}
-    with new_folder(out, overwrite) as folder:
-        for path, name in zip(files, names, strict=True):
-            target = folder / name
-            if path.is_dir():
-                target.mkdir()
-            written[str(out / name)] = scale_path(path, target, scale)
+    written = applying.apply(sim3, files, out, overwrite=overwrite)
     if as_json:
-        click.echo(json.dumps({"scale": scale, "written": written}))
+        texts = {str(path): notes for path, notes in written.items()}
+        click.echo(json.dumps({"scale": Sim3.load(sim3).scale, "written": texts}))
         return
-    for name, notes in written.items():
-        click.echo(f"written    {name}" + "".join(f"\n           {note}" for note in notes))
+    for path, notes in written.items():
+        click.echo(f"written    {path}" + "".join(f"\n           {note}" for note in notes))

@@ -48,10 +48,8 @@ def check(
     The claim is measured on the ellipsoid at the image's centre: feet, degrees and stretched projections such as
     EPSG:3857 come out in true metres.
     """
-    from .. import pipeline
-    from ..check import comparisons
+    from ..claims import checked
     from ..exchange import check_savable, keep
-    from ..sources.opening import open_source
 
     request = EstimateRequest.of(options)
     if model is not None:
@@ -62,16 +60,11 @@ def check(
     if model_detections is not None:
         raise UsageError("--model-detections are boxes of a --model, and none is named", "Name it: --model FOLDER.")
     check_savable(save_detections)
-    source = open_source(path, request.images, need_images=request.detections is None)
-    claimed = getattr(source, "claimed", None)
-    if claimed is None or claimed.gsd_m is None:
-        why = "" if claimed is None else f": {claimed.why}"
-        raise UsageError(f"{path} claims no scale{why}", "Find it by `orthoscale estimate`.")
     with progress_bars() as progress:
-        result = pipeline.measured(source, request, progress)
+        outcome = checked(path, request, progress)
+    result, found = outcome.result, outcome.comparisons
     if save_detections is not None:
-        keep(result.detections, save_detections, source)
-    found = comparisons(result)
+        keep(result.detections, save_detections, result.source)
     low, high = result.scale.interval90
     if as_json:
         report = {
@@ -90,13 +83,13 @@ def check(
             f"{result.scale.vehicles_used} of fleet {result.scale.fleet}"
         )
         for comparison in found:
-            click.echo(f"claim      {comparison.claimed:.5g} {result.scale.unit}: {claimed.why}")
+            click.echo(f"claim      {comparison.claimed:.5g} {result.scale.unit}: {comparison.why}")
             click.echo(f"           {comparison.sentence()}")
             if not comparison.believed:
                 click.echo("           the claim itself is not tied to the ground; it is compared as if it were metres")
         for remark in (*result.scale.remarks, *result.notes):
             click.echo(f"note       {remark}")
-    if any(c.verdict == "disagrees" for c in found):
+    if outcome.disagrees:
         sys.exit(EvidenceDisagrees.exit_code)
 
 

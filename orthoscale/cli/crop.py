@@ -61,9 +61,9 @@ def crop(
     """
     from ..atomic import check_free
     from ..errors import UsageError
-    from ..photo import crop as cropping
-    from ..photo.footprint import footprint_of
-    from ..photo.looking import Looking
+    from ..photos import crop as cropping
+    from ..photos.footprint import footprint_of
+    from ..photos.looking import Looking
 
     lens = {"focal_px": focal_px, "lens_file": lens_file, "pitch": pitch, "roll": roll}
     how = Looking.of(looking)

@@ -58,8 +58,8 @@ def evaluate(
     """
     from ..evaluate import report
     from ..exchange import check_savable
-    from ..photo import looking as boxes
-    from ..photo.tables import check_outputs
+    from ..photos import looking as boxes
+    from ..photos.tables import check_outputs
 
     how = boxes.Looking.of(looking)
     ruler = how.ruler_fleet()

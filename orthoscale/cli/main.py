@@ -11,7 +11,7 @@ import click
 
 from .. import __version__
 from ..errors import OrthoscaleError
-from .options import EXIT_CODES
+from .options import EXIT_CODES, set_verbosity
 
 COMMANDS = {  # name: module of this package; the function in it has the command's name
     "estimate": "scale",
@@ -47,8 +47,11 @@ class Commands(click.Group):
     epilog="Start with: orthoscale estimate ORTHO.tif --fleet DE\n\n" + EXIT_CODES,
 )
 @click.version_option(__version__, prog_name="orthoscale")
-def cli() -> None:
+@click.option("-v", "--verbose", count=True, help="Tell the steps of the work; twice: everything.")
+@click.option("-q", "--quiet", is_flag=True, help="No warnings.")
+def cli(verbose: int, quiet: bool) -> None:
     """Give metres back to an orthophoto or a COLMAP model: vehicles are the ruler."""
+    set_verbosity(verbose, quiet)
 
 
 def main() -> None:

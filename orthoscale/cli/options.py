@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable, Collection
 from contextlib import contextmanager
@@ -61,6 +62,16 @@ def _type(about: Option) -> Any:
 input_argument = click.argument("path", metavar="INPUT", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on standard output.")
 debug_option = click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+
+
+def set_verbosity(louder: int, quiet: bool) -> None:
+    """What the program tells of its work on standard error: warnings, with -v the steps, with -vv everything."""
+    level = logging.ERROR if quiet else {0: logging.WARNING, 1: logging.INFO}.get(louder, logging.DEBUG)
+    talk = logging.StreamHandler()
+    talk.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
+    log = logging.getLogger("orthoscale")
+    log.setLevel(level)
+    log.handlers = [talk]
 
 
 @contextmanager

@@ -51,38 +51,25 @@ def photo(
     over the ground where the vehicles stand, the average ground sampling distance, the footprint, each with a 90 %
     interval. The ground is taken to be level.
     """
-    from ..errors import TooLittleEvidence
     from ..exchange import check_savable
-    from ..photo import looking as boxes
-    from ..photo import survey, tables
-    from ..photo.measure import find_photos
+    from ..photos import survey, tables
+    from ..photos.looking import Looking, save_boxes
 
-    how = boxes.Looking.of(looking)
-    ruler = how.ruler_fleet()
+    how = Looking.of(looking)
     tables.check_outputs(outputs, overwrite)
     check_savable(save_detections)
     lens = {"lens_file": lens_file, "focal_px": focal_px, "pitch": pitch, "roll": roll}
-    photos, problems = survey.open_photos(find_photos(paths), decode=how.detections is None, **lens)
     with progress_bars() as progress:
-        found = boxes.boxes_of(photos, how, progress)
+        made = survey.surveyed(paths, how, together, progress, **lens)
     if save_detections is not None:
-        boxes.save_boxes(found, save_detections, photos)
-    outcomes = survey.measure_each(photos, problems, found, ruler)
-    pooled = survey.measure_together(photos, found, ruler) if together else None
-    if pooled is None and not any(outcome.measured for outcome in outcomes):
-        most = max(outcomes, key=lambda outcome: len(found.boxes.get(outcome.name, ())))
-        raise TooLittleEvidence(
-            f"none of {len(outcomes)} photos has enough vehicles; the best is {most.name}: {most.problem}"
-            if len(outcomes) > 1
-            else f"{most.name}: {most.problem}",
-            "Give photos with more vehicles, or pool those of a level flight with --together.",
-        )
-    text = tables.document(outcomes, ruler.code, found.detector, pooled)
+        save_boxes(made.found, save_detections, made.photos)
+    outcomes, pooled = made.outcomes, made.together
+    text = tables.document(outcomes, made.fleet.code, made.found.detector, pooled)
     if outputs:
         tables.write(outcomes, text, outputs, overwrite)
     if as_json:
         click.echo(json.dumps(text))
     else:
-        from ..photo.terminal import summary
+        from ..photos.terminal import summary
 
         click.echo(summary(outcomes, text, pooled, outputs))

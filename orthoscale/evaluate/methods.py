@@ -11,7 +11,7 @@ from ..boxes import Boxes
 from ..detections import Detections
 from ..errors import TooLittleEvidence
 from ..fleet import Fleet
-from ..photo.measure import Photo, measure
+from ..photos.measure import Photo, measure
 from ..pooling.paper import pool_iqr
 from ..projection.decoupled import PROGRAM, TEXT, Variant, focal_plane_scale
 

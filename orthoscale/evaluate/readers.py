@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..photo.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
-from ..photo.tags import read_tags
+from ..photos.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
+from ..photos.tags import read_tags
 from ..projection.level import up_from_survey
 from .surface import Surface
 

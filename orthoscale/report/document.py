@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..check import own_claim
+from ..claims import own_claim
 from ..errors import InputError
 from ..fleet import Fleet
 from ..measuring.drift import Drift

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import click
 
-from ..check import own_claim
+from ..claims import own_claim
 from ..pooling.posterior import Z90
 from ..result import Result
 from .document import remarks
@@ -60,7 +60,10 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
         *_fleets(scale.fleets),
         ("checks", "scale from " + ", ".join(checks)),
         ("uncertain", ", ".join(parts) + " (1 sigma each)"),
-        ("detector", f"{result.detections.detector}, resampling factor {result.detections.zoom:.2f}, {result.seconds:.1f} s"),
+        (
+            "detector",
+            f"{result.detections.detector}, resampling factor {result.detections.zoom:.2f}, {result.seconds:.1f} s",
+        ),
     ]
     if (claim := own_claim(result.source, scale)) is not None:
         table.append(("claim", claim.sentence()))
@@ -68,7 +71,9 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     if swept is not None and len(swept.tiles) < swept.total:
         looked = f"{len(swept.tiles)} of {swept.total} tiles, which was enough (--exhaustive for all)"
         table.append(("looked at", looked))
-    table += [("also", f"{e.value:.5g} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)") for e in scale.evidence]
+    table += [
+        ("also", f"{e.value:.5g} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)") for e in scale.evidence
+    ]
     table += [("note", remark) for remark in remarks(result)]
     return table + [(label, str(path)) for label, path in written.items()]
 

@@ -3,18 +3,82 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..detections import Detections
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleet import Fleet
-from .measure import Photo, PhotoScale, measure, open_photo
+from .looking import Looking, boxes_of
+from .measure import Photo, PhotoScale, find_photos, measure, open_photo
 from .tables import Outcome
 
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from ..detect.find import Progress
+    from ..requests import VehicleOptions
+
 SAME_FOCAL = 0.001  # relative difference of focal lengths up to which photos are of one lens
+
+
+@dataclass(frozen=True)
+class Survey:
+    """outcomes : of every photo by itself. together : one scale of all of them, where that was asked for.
+    found : the boxes. photos : those that could be read. fleet : by which they were measured."""
+
+    outcomes: list[Outcome]
+    together: PhotoScale | None
+    found: Detections
+    photos: list[Photo]
+    fleet: Fleet
+
+
+def photo(
+    paths: str | Path | Sequence[str | Path],
+    *,
+    focal_px: float | None = None,
+    lens_file: str | Path | None = None,
+    pitch: float | None = None,
+    roll: float | None = None,
+    together: bool = False,
+    progress: Progress | None = None,
+    **options: Unpack[VehicleOptions],
+) -> Survey:
+    """Measure single photos from a drone: scale, altitude over the ground, ground sampling distance, footprint.
+
+    paths : photos, and folders of them. focal_px [px], lens_file, pitch and roll [deg] : instead of what the photos'
+    tags say. together : also one scale for all, taken by one lens from one altitude. options : as of `estimate`.
+    Raises InputError, UsageError; TooLittleEvidence where no photo has enough vehicles.
+    """
+    given = [paths] if isinstance(paths, (str, Path)) else paths
+    lens = {"focal_px": focal_px, "lens_file": None if lens_file is None else Path(lens_file)}
+    return surveyed(
+        [Path(path) for path in given], Looking.of(options), together, progress, pitch=pitch, roll=roll, **lens
+    )
+
+
+def surveyed(
+    paths: Sequence[Path], how: Looking, together: bool = False, progress: Progress | None = None, **lens: Any
+) -> Survey:
+    """What `how` asks of the photos at `paths`; `lens` as for `open_photo`. See `photo`."""
+    fleet = how.ruler_fleet()
+    photos, problems = open_photos(find_photos(paths), decode=how.detections is None, **lens)
+    found = boxes_of(photos, how, progress)
+    outcomes = measure_each(photos, problems, found, fleet)
+    pooled = measure_together(photos, found, fleet) if together else None
+    if pooled is None and not any(outcome.measured for outcome in outcomes):
+        most = max(outcomes, key=lambda outcome: len(found.boxes.get(outcome.name, ())))
+        raise TooLittleEvidence(
+            f"none of {len(outcomes)} photos has enough vehicles; the best is {most.name}: {most.problem}"
+            if len(outcomes) > 1
+            else f"{most.name}: {most.problem}",
+            "Give photos with more vehicles, or pool those of a level flight with --together.",
+        )
+    return Survey(outcomes, pooled, found, photos, fleet)
 
 
 def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tuple[list[Photo], dict[str, str]]:

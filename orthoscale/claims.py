@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from .errors import UsageError
 from .pooling.posterior import Z90
 from .pooling.scale import Scale
+from .requests import EstimateRequest
 from .result import Result
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from .detect.find import Progress
+    from .requests import EstimateOptions
+    from .sources.source import Source
 
 CLEAR = 3.0  # sigmas from which a disagreement is no chance
 # Factors (truth over claim) that mistakes make, and the mistake. A ratio close to one of them is a hint, no proof.
@@ -99,6 +109,43 @@ def own_claim(source: Any, scale: Scale) -> Comparison | None:
         claimed.usable,
         claimed.why,
     )
+
+
+@dataclass(frozen=True)
+class Checked:
+    """The scale by the vehicles, and every claim compared with it."""
+
+    result: Result
+    comparisons: list[Comparison]
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether a claim is off by more than CLEAR sigmas."""
+        return any(comparison.verdict == "disagrees" for comparison in self.comparisons)
+
+
+def check(
+    path: str | Path | Source, *, progress: Progress | None = None, **options: Unpack[EstimateOptions]
+) -> Checked:
+    """Compare the scale that the orthophoto at `path` claims with the one that its vehicles give.
+
+    options : those of `estimate`. Raises what that raises, and UsageError for an input that claims no scale.
+    """
+    return checked(path, EstimateRequest.of(options), progress)
+
+
+def checked(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Checked:
+    """What `request` asks of the input at `path`; see `check`."""
+    from .pipeline import measured
+    from .sources.opening import open_source
+
+    source = open_source(path, request.images, request.detections is None) if isinstance(path, (str, Path)) else path
+    claimed = getattr(source, "claimed", None)
+    if claimed is None or claimed.gsd_m is None:
+        why = "" if claimed is None else f": {claimed.why}"
+        raise UsageError(f"{source.path} claims no scale{why}", "Find it by `orthoscale estimate`.")
+    result = measured(source, request, progress)
+    return Checked(result, comparisons(result))
 
 
 def comparisons(result: Result) -> list[Comparison]:
