@@ -8,23 +8,26 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ..pooling.posterior import Z90
+from .lettering import BLACK, WHITE, text_width, write_on
+
 FULL = 0.1  # relative deviation with full colour
 SMALLER, NEUTRAL, LARGER = np.array([70, 110, 220]), np.array([245, 245, 245]), np.array([220, 90, 60])  # RGB
-FONT = cv2.FONT_HERSHEY_SIMPLEX
+SMALLEST = 8  # letters that can be read [px]
 
 
 def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) -> np.ndarray:
     """RGB picture with `side` px on the longer side of a raster of `width` x `height` px, from the report's `drift`.
 
-    Each cell shows its deviation in per cent and, below, its one sigma and its number of vehicles.
+    Each cell shows its deviation in per cent with what its number of vehicles leaves open (90 %), and that number.
     """
     zoom = side / max(width, height)
-    title = 34
+    title = 56
     panel = np.full((round(height * zoom) + title, round(width * zoom), 3), 255, np.uint8)
-    text = (
-        f"scale by place: tilt {100 * drift['tilt']:.1f} +- {100 * drift['tilt_sd']:.1f} %, p = {drift['p_tilt']:.2g}"
-    )
-    cv2.putText(panel, text, (10, 23), FONT, 0.55, (20, 20, 20), 1, cv2.LINE_AA)
+    judged = {True: "the scale drifts", False: "no drift beyond chance"}.get(drift.get("drifts"), "not judged")
+    change = f"{100 * drift['tilt']:.1f} % from side to side, +- {100 * Z90 * drift['tilt_sd']:.1f} (90 %)"
+    write_on(panel, (10, 22), f"Scale by place: {judged}; {change}", 17)
+    write_on(panel, (10, 45), "Each cell: per cent against the whole +- 90 %, and its number of vehicles", 14)
     half = np.array(drift["cell_px"]) / 2
     for cell in drift["cells"]:
         x, y, count, deviation, sd = (cell[name] for name in ("x_px", "y_px", "vehicles", "deviation", "sd"))
@@ -34,7 +37,10 @@ def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) ->
         high = np.round((np.array([x, y]) + half) * zoom).astype(int) + (0, title)
         cv2.rectangle(panel, low.tolist(), high.tolist(), colour.tolist(), -1)
         cv2.rectangle(panel, low.tolist(), high.tolist(), (190, 190, 190), 1)
-        for row, line in enumerate((f"{100 * deviation:+.1f}", f"{100 * sd:.1f} n{int(count)}")):
-            where = (int(low[0]) + 5, int((low[1] + high[1]) // 2) + 15 * row)
-            cv2.putText(panel, line, where, FONT, 0.42, (30, 30, 30), 1, cv2.LINE_AA)
+        middle, across = (low + high) / 2, int(high[0] - low[0])
+        figures = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", f"{int(count)} vehicles"
+        size = min(16, int(0.9 * across / max(text_width(line, 100) / 100 for line in figures)))
+        if size >= SMALLEST:
+            for row, line in zip((-0.6, 0.6), figures, strict=True):
+                write_on(panel, (middle[0], middle[1] + 1.2 * size * row), line, size, BLACK, WHITE, "mm")
     return panel

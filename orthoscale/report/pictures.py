@@ -11,12 +11,12 @@ import numpy as np
 
 from ..errors import OutputError
 from .drift_map import drift_panel
+from .lettering import BLACK, WHITE, write_on
 from .scene import CHIP, Outline, Panel, Scene
 
 USED, REJECTED = (0, 214, 255), (255, 106, 0)  # RGB; told apart by people who do not tell green from red
 WIDTH = 1100  # of the sheet [px]
 COLUMNS = 6  # of the contact sheet
-FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def draw(report: Mapping[str, Any], scene: Scene, path: Path) -> None:
@@ -44,7 +44,7 @@ def _title(report: Mapping[str, Any]) -> np.ndarray:
     ]
     panel = np.full((62, WIDTH, 3), 255, np.uint8)
     for k, line in enumerate(lines):
-        cv2.putText(panel, line, (10, 25 + 27 * k), FONT, 0.7 - 0.12 * k, (20, 20, 20), 2 - k, cv2.LINE_AA)
+        write_on(panel, (10, 26 + 27 * k), line, 21 - 4 * k)
     return panel
 
 
@@ -59,7 +59,7 @@ def _drawn(panel: Panel, zoom: float) -> np.ndarray:
         end, y = 20 + round(length * zoom), size[1] - 16
         for colour, more in (((255, 255, 255), 4), ((0, 0, 0), 0)):  # black on a white rim, to show on any ground
             cv2.line(image, (20, y), (end, y), colour, 3 + more)
-            cv2.putText(image, f"{metres:g} m", (end + 10, y + 6), FONT, 0.6, colour, 1 + more, cv2.LINE_AA)
+        write_on(image, (end + 10, y), f"{metres:g} m", 18, BLACK, WHITE, "lm")
     return image
 
 
@@ -79,9 +79,7 @@ def _contact_sheet(panels: Sequence[Panel]) -> np.ndarray:
         chip = np.full((cell, cell, 3), 255, np.uint8)
         image = _drawn(panel, zoom)
         chip[2 : 2 + image.shape[0], 2 : 2 + image.shape[1]] = image
-        for colour, width in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-            label = panel.title.replace("×", "x")  # the font has ASCII only
-            cv2.putText(chip, label, (8, cell - 12), FONT, 0.46, colour, width, cv2.LINE_AA)
+        write_on(chip, (8, cell - 10), panel.title.replace("×", "x"), 15, WHITE, BLACK)
         chips.append(chip)
     chips += [np.full((cell, cell, 3), 255, np.uint8)] * (-len(chips) % COLUMNS)
     return np.concatenate([np.concatenate(chips[k : k + COLUMNS], 1) for k in range(0, len(chips), COLUMNS)])
