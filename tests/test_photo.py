@@ -404,7 +404,7 @@ def test_a_folder_becomes_a_table_in_every_format(tmp_path, flight):
     first = text["rows"][0]
     assert first["photo"] == "a.jpg" and first["altitude_m"] == pytest.approx(ALTITUDE, rel=0.01)
     assert first["altitude_m_low"] < ALTITUDE < first["altitude_m_high"]
-    assert first["told_relative_altitude_m"] == 59 and first["pitch_deg"] == -60
+    assert first["xmp_relative_altitude_m"] == 59 and first["pitch_deg"] == -60
     assert text["rows"][1]["problem"] == "4 usable vehicles, 5 are needed" and text["rows"][1]["altitude_m"] is None
     rows = list(csv.DictReader(outputs[0].open()))
     assert [row["photo"] for row in rows] == ["a.jpg", "c.jpg", "more/b.jpg"]

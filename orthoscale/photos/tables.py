@@ -51,7 +51,7 @@ def row(outcome: Outcome) -> dict[str, Any]:
         "focal_source": photo.lens.source if photo else "",
         "pitch_deg": round(float(np.degrees(photo.pitch)), 2) if photo else None,
         "attitude": photo.attitude if photo else "",
-        "told_relative_altitude_m": tags.relative_altitude if tags else None,
+        "xmp_relative_altitude_m": tags.relative_altitude if tags else None,
         "longitude": tags.lon_lat[0] if tags and tags.lon_lat else None,
         "latitude": tags.lon_lat[1] if tags and tags.lon_lat else None,
         "taken": tags.taken if tags else "",
@@ -73,7 +73,7 @@ def document(outcomes: Sequence[Outcome], fleet: str, detector: str, together: P
     }
     if together is not None:
         pooled = row(Outcome("all together", together.photo, together))
-        own = ("photo", "taken", "longitude", "latitude", "told_relative_altitude_m", "notes", "problem")
+        own = ("photo", "taken", "longitude", "latitude", "xmp_relative_altitude_m", "notes", "problem")
         text["together"] = {k: v for k, v in pooled.items() if k not in own} | {
             "photos_per_place": round(together.overlap, 2),
             "uncertainty": together.scale.parts,
