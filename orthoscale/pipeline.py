@@ -169,7 +169,8 @@ def _sampling(source: Source, fleet: Fleet) -> Callable[[Detections], float]:
 
 
 def _typical_length(found: Detections) -> str:
-    lengths = [boxes.length for boxes in found.boxes.values() if len(boxes)]
+    boxes = found.boxes or (found.planar.boxes if found.planar is not None else {})
+    lengths = [one.length for one in boxes.values() if len(one)]
     if not lengths:
         return "no boxes given" if found.swept is None else "no boxes found"
     return f"vehicles about {np.median(np.concatenate(lengths)):.0f} px long there"

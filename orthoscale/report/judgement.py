@@ -97,7 +97,7 @@ def _places(report: Mapping[str, Any]) -> Check | None:
         return Check("none", "Places compared", figures)
     if found.drifts:
         return Check("look", "The scale drifts", figures + ", more than chance makes")
-    if found.change + Z90 * (found.sd or 0.0) > max(half_width(report), ROUGH):
+    if found.change > max(half_width(report), ROUGH):
         return Check("none", "Drift neither found nor excluded", figures)
     return Check("ok", "No drift", figures + ", which may be chance")
 
