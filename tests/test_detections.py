@@ -13,7 +13,7 @@ from orthoscale.pooling.ruler import Ruler
 
 def test_what_is_saved_reads_back(tmp_path):
     boxes = {"a.jpg": Boxes([[10.25, 20.5, 40.125, 17, 0.3]], [0.75]), "b.jpg": Boxes.empty()}
-    ruler = Ruler((0.5, 1.0), (0.3, 0.4), (0.01, 0.02), (1.0, 0.8))
+    ruler = Ruler((0.5, 1.0), (0.3, 0.4), (0.01, 0.02), noise=(1.0, 0.8))
     Detections(boxes, 0.8, ruler, (0.7, 0.5), "test", "abc").save(tmp_path / "d.json")
     again = Detections.load(tmp_path / "d.json")
     assert again.boxes["a.jpg"].xylwa == pytest.approx(boxes["a.jpg"].xylwa, abs=0.01)
