@@ -243,7 +243,9 @@ def _of_like_size(boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
     for k in np.unique(octave):
         index = np.flatnonzero((octave == k) | (octave == k + 1))
         tree = cKDTree(boxes.centre[index])
-        reach = 2.0 ** (k + 1)  # half of the longest diagonal here; equal boxes a third of their length apart share half
+        reach = 2.0 ** (
+            k + 1
+        )  # half of the longest diagonal here; equal boxes a third of their length apart share half
         if tree.count_neighbors(tree, reach) > HEAPED * len(index):
             raise ValueError(f"{len(index)} boxes lie upon one another")
         pairs = np.sort(index[tree.query_pairs(reach, output_type="ndarray")], axis=1)

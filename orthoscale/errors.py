@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-
 LONGEST = 1500  # characters of a message or a hint
 
 

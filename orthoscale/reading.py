@@ -60,6 +60,14 @@ def check_regular(path: Path, hint: str = "") -> None:
         raise InputError(f"{path}: cannot be read (it is {kind}, not a file)", hint)
 
 
+def is_there(path: Path) -> bool:
+    """Whether there is a file or a folder at `path`, which a file names; False too for names that none can have."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # too long, or with a zero byte
+        return False
+
+
 def read_text(path: Path, hint: str = "", most: int = LARGE) -> str:
     """The UTF-8 text in `path`, with or without a byte order mark. Raises InputError."""
     try:

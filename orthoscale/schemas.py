@@ -1,7 +1,7 @@
 """What each JSON file that orthoscale reads must look like: types, and the ranges outside of which nothing is meant.
 
 Lengths are in metres or pixels as the names in the formats' own documents say. Fields that are not named here are
-allowed unless a schema forbids them. This module is imported when a file is read, because msgspec takes a while to load.
+allowed unless a schema forbids them. This module is imported when a file is read, because msgspec takes time.
 """
 
 from __future__ import annotations
@@ -374,6 +374,98 @@ class LensEntry(Struct):
     def __post_init__(self) -> None:
         if self.fx is None and self.focal_px is None:
             raise ValueError("fx is missing")
+
+
+# Reports
+
+
+class Measured(Struct):
+    """What of a report (`report.document`) says how long a unit is."""
+
+    scale: Positive
+    interval90: tuple[Positive, Positive]
+
+
+class Explained(Struct):
+    """What of a report `report.explanation` needs."""
+
+    scale: Positive
+    unit: Name
+    uncertainty: dict[str, Annotated[float, Meta(ge=0, le=1e3)]]
+    vehicles_used: Count
+    fleet: Name
+    verdict: Name = ""
+    remarks: list[str] = []
+
+
+class ReportInput(Struct):
+    path: Annotated[str, Meta(min_length=1, max_length=10_000)]
+    sha256: Name
+
+
+class ReportBox(Struct):
+    picture: Text
+    xylwa_px: tuple[Px, Px, PxLength, PxLength, Finite]
+    score: Share
+
+
+class ReportVehicle(Struct):
+    length: Finite
+    width: Finite
+    place_m: tuple[Finite, Finite]
+    used: bool
+    reason: Text
+    boxes: list[ReportBox]
+
+
+class ReportSize(Struct):
+    mean: Metres
+    sd: Metres
+    mean_sd: Metres
+
+
+class ReportClass(Struct):
+    name: Text
+    weight: Weight
+    mean: tuple[Metres, Metres]
+    sd: tuple[Metres, Metres]
+
+
+class ReportFleet(Struct):
+    length: ReportSize
+    width: ReportSize
+    classes: list[ReportClass]
+
+
+class ReportEvidence(Struct):
+    kind: Text
+    scale: Positive
+    relative_sd: Finite
+    says: Text
+
+
+class Report(Explained, kw_only=True):
+    """A report from which a page is drawn; findings of one kind of source, ``drift`` among them, are left open."""
+
+    format: Literal["orthoscale report 1"]
+    interval90: tuple[Positive, Positive]
+    verdict: Name
+    vehicles_rejected: dict[str, Count]
+    boxes_rejected: dict[str, Count]
+    fleet_sizes: ReportFleet
+    checks: dict[str, Finite]
+    notes: list[str]
+    input: ReportInput
+    settings: dict[str, Any]
+    pictures: dict[str, tuple[Count, Count]]
+    vehicles: list[ReportVehicle]
+    evidence: list[ReportEvidence] = []
+    fleets: dict[str, Finite] = {}
+    claim: dict[str, Any] | None = None
+    drift: dict[str, Any] | None = None
+    modes: dict[str, Any] | None = None
+    calibration: dict[str, Any] | None = None
+    agreement: dict[str, Any] | None = None
 
 
 # Reconstructions

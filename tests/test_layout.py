@@ -92,7 +92,7 @@ def test_a_catalogue_of_ones_own(tmp_path):
     assert (request.facility.full_length, request.facility.full_width) == (17, 6)
     own["Boules"]["length"] = 3
     path.write_text(json.dumps({"facilities": own}))
-    with pytest.raises(InputError, match="length >= width"):
+    with pytest.raises(InputError, match="no less than the width"):
         load(path)
 
 

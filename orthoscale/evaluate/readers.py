@@ -20,6 +20,7 @@ from ..errors import InputError
 from ..photo.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
 from ..photo.tags import read_tags
 from ..projection.level import up_from_survey
+from ..reading import read_text
 from .surface import Surface
 
 NAMED_ALTITUDE = re.compile(r"(?:^|[_/ -])H_?(\d+(?:\.\d+)?)(?=\.|_|/|$)", re.IGNORECASE)
@@ -148,10 +149,7 @@ def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
     Angles as Metashape exports them: 0, 0, 0 looks straight down with the picture's top to the north.
     """
     poses: dict[str, tuple[float, ...]] = {}
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})", "It is a table of poses.") from error
+    lines = read_text(path, "It is a table of poses.").splitlines()
     for number, line in enumerate(lines, 1):
         parts = line.replace(",", " ").split()
         if len(parts) < 7 or line.startswith("#"):

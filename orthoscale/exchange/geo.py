@@ -7,7 +7,7 @@ pictures, and read with either sign.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -89,7 +89,9 @@ def read_geojson(text: Mapping[str, Any], origin: str, place: Place | None) -> l
     """The boxes of a document. Raises InputError."""
     from ..schemas import GeoCollection
 
-    whole = checked(text, GeoCollection, origin, "GeoJSON that can be read", "Save it as a FeatureCollection of polygons.")
+    whole = checked(
+        text, GeoCollection, origin, "GeoJSON that can be read", "Save it as a FeatureCollection of polygons."
+    )
     # QGIS and GDAL write a CRS, though RFC 7946 does not know it.
     crs = whole.crs.properties.name if whole.crs is not None else "EPSG:4326"
     if whole.orthoscale is not None and whole.orthoscale.coordinates == PIXELS:

@@ -74,8 +74,9 @@ def boxes_by_picture(
     """Boxes of the vehicles among `items`, by the names that the source's `pictures` have.
 
     sizes : (width, height) of the pictures, for items that are `relative` to them. A name may lack its suffix or its
-    folder, as in DOTA and COCO, where that leaves no doubt; names that the source does not have stay as they are. Raises InputError for items without vehicles, or of pictures that cannot be told;
-    `origin` names the file. Whether the boxes can be meant is for `files.load` to check.
+    folder, as in DOTA and COCO, where that leaves no doubt; names that the source does not have stay as they are.
+    Raises InputError for items without vehicles, or of pictures that cannot be told; `origin` names the file. Whether
+    the boxes can be meant is for `files.load` to check.
     """
     labels = {item.label for item in items if item.label is not None}
     counted = [item for item in items if item.label is None or is_vehicle(item.label, vehicle_classes)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from rasterio.transform import Affine
 from shapely.geometry.base import BaseGeometry
 
 from ..errors import InputError, UsageError
+from ..reading import LARGE, read
 from ..sources.raster import RasterSource
 
 
@@ -118,12 +118,14 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
             raise UsageError("--scale-error must lie between 0 and 100 per cent")
         return (1 - scale_error, 1 + scale_error), ()
     report = path.with_name(path.name + ".json")
+    from ..schemas import Measured
+
     try:
-        text = json.loads(report.read_text(encoding="utf-8"))
-        low, high = (float(v) / float(text["scale"]) for v in text["interval90"])
-        if 0 < low <= 1 <= high:
+        told = read(report, Measured, "a report of orthoscale", most=LARGE)
+        low, high = (v / told.scale for v in told.interval90)
+        if low <= 1 <= high:
             return (low, high), ()
-    except (OSError, ValueError, KeyError, TypeError, ZeroDivisionError):
+    except InputError:  # none, or another program's file of that name
         pass
     return None, (f"how well the scale is known is not: there is no {report.name} (or say --scale-error PERCENT)",)
 
