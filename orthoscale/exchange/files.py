@@ -196,6 +196,8 @@ def _checked(found: Detections, source: Pictures, path: Path) -> Detections:
 
 def _check_boxes(found: Detections, sizes: Mapping[str, tuple[int, int]], path: Path) -> None:
     """Raise InputError for boxes that cannot be meant, whatever the format that they came in."""
+    if found.planar is not None:
+        _check_boxes(found.planar, {}, path)  # in plans, whose sizes a file does not tell
     parts = [*found.boxes.items(), *found.doubtful.items()]
     parts += [(name, boxes) for name, kinds in found.objects.items() for boxes in kinds.values()]
     for name, boxes in parts:
