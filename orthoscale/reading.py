@@ -22,6 +22,12 @@ DEEPEST = 64  # levels of nesting; the formats read here have ten at most
 
 T = TypeVar("T")
 
+# How texts begin that Python and numpy give to errors in values.
+PROGRAMMERS = (
+    "could not ", "cannot ", "invalid literal", "too many values", "not enough values", "setting an array", "all the ",
+    "operands", "math domain", "embedded null", "matmul", "Exceeds the limit",
+)  # fmt: skip
+
 # What msgspec calls things, and what the people call them who have to mend the file.
 WORDS = {
     "float": "a number",
@@ -121,12 +127,15 @@ def checked(values: Any, schema: type[T], origin: str, what: str, hint: str = ""
 
 
 def reason(error: Exception) -> str:
-    """What is wrong with values that do not fit together, in words: of an error that using them raised."""
-    if isinstance(error, KeyError):
-        return f"{shown(str(error.args[0]) if error.args else 'a value')} is missing"
-    # Errors of Python's own have texts for programmers; those that are raised here on purpose say what is wrong.
-    own = type(error) is ValueError and "array" not in str(error) and "convert" not in str(error)
-    return shown(str(error), 200) if own else "values of a wrong kind"
+    """What is wrong with values that do not fit together, in words: of an error that using them raised.
+
+    A ValueError's text says so if it was raised on purpose; Python's and numpy's own are for programmers.
+    """
+    if isinstance(error, KeyError) and error.args:
+        return f"{shown(str(error.args[0]))} is missing"
+    if type(error) is ValueError and not str(error).startswith(PROGRAMMERS):
+        return shown(str(error), 200)
+    return "values of a wrong kind"
 
 
 def _check_depth(values: Any) -> None:
@@ -205,7 +214,8 @@ def _in_words(message: str) -> str:
     if match := re.match(r"Invalid enum value (.*)", message, re.DOTALL):
         return f"{shown(match[1])} is none of the values known here"
     message = message.replace("Expected", "expected").replace(", got", ", found")
-    return shown(re.sub(r"`([^`]*)`", _kinds, message), 300)
+    message = re.sub(r"`([^`]*)`", _kinds, message).replace("a number > 0.0", "a positive number")
+    return shown(message, 300)
 
 
 def _kinds(match: re.Match[str]) -> str:

@@ -373,7 +373,7 @@ class LensEntry(Struct):
 
     def __post_init__(self) -> None:
         if self.fx is None and self.focal_px is None:
-            raise ValueError("fx is missing")
+            raise ValueError("fx or focal_px is missing")
 
 
 # Reports

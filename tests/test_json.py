@@ -228,7 +228,7 @@ def test_the_place_is_named_to_the_key(tmp_path):
     path = tmp_path / "d.json"
     path.write_text(json.dumps({**NOTE, "pictures": pictures}))
     message = refusal(Detections.load, path)
-    assert message.endswith('not a detections file (pictures["37.jpg"][2].length: expected a number > 0.0)')
+    assert message.endswith('not a detections file (pictures["37.jpg"][2].length: expected a positive number)')
 
 
 def test_forged_strings_stay_short_and_plain(tmp_path):

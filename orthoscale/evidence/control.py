@@ -30,9 +30,10 @@ CONTROL_HINT = (
 def read_distance(text: str, source: Source) -> Evidence:
     """The known distance that `text` tells of, between two points of `source`. Raises UsageError."""
     try:
-        first, second, metres, *sd = shlex.split(text)
-        if len(sd) > 1:
-            raise ValueError(f"{len(sd) + 3} words")
+        words = shlex.split(text)
+        if len(words) not in (3, 4):
+            raise ValueError(f"{len(words)} words")
+        first, second, metres, *sd = words
         points = [locate(word, source) for word in (first, second)]
         between = f" between {first} and {second}"
         return known_distance(np.array(points), _number(metres), _number(sd[0]) if sd else None, between)

@@ -148,7 +148,10 @@ def _from_metashape(text: str) -> pycolmap.Camera:
         found = root.findtext(f".//{name}", default=None)
         if found is None and default is None:
             raise KeyError(f"no <{name}>")
-        return float(found) if found is not None else float(default or 0)
+        try:
+            return float(found if found is not None else default or 0)
+        except ValueError:
+            raise ValueError(f"<{name}> is no number") from None
 
     size, f = (int(value("width")), int(value("height"))), value("f")
     middle = (size[0] / 2 + value("cx", 0.0), size[1] / 2 + value("cy", 0.0))
