@@ -160,6 +160,10 @@ def _ultralytics(
 ) -> Layout:
     names = _names(metadata)
     (shape,) = outputs.values()
+    if names is None and "names" in metadata and not wanted:
+        raise InputError(
+            f"{path}: the names of its classes cannot be read", "Say which are small vehicles: --vehicle-class 10"
+        )
     if names is None and not wanted:
         raise UsageError(
             f"{path}: it does not say what its classes are called",
