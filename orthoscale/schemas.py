@@ -12,6 +12,7 @@ from msgspec import UNSET, Meta, Struct, UnsetType
 
 from .pooling.ruler import Ruler
 from .projection.exact import BODIES
+from .segments import AXES
 
 Finite = Annotated[float, Meta(ge=-1e15, le=1e15)]
 Positive = Annotated[float, Meta(gt=0, le=1e15)]
@@ -19,10 +20,11 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=0, le=10**12)]
 Text = Annotated[str, Meta(max_length=10_000)]
 Name = Annotated[str, Meta(max_length=1_000)]
-Metres = Annotated[float, Meta(gt=0, le=100)]  # of a vehicle
+Metres = Annotated[float, Meta(ge=0.3, le=50)]  # of a vehicle: a bicycle's width to a road train's length
+Sigma = Annotated[float, Meta(gt=0, le=25)]  # [m] of that
 Px = Annotated[float, Meta(ge=-1e7, le=1e7)]  # a place in a picture
 PxLength = Annotated[float, Meta(gt=0, le=1e7)]
-PxOfDetector = Annotated[float, Meta(ge=-100, le=100)]  # of a margin
+PxOfDetector = Annotated[float, Meta(ge=-50, le=50)]  # of a margin
 PxSd = Annotated[float, Meta(ge=0, le=100)]
 Size = Annotated[int, Meta(gt=0, lt=2**20)]  # width or height of a picture
 
@@ -211,9 +213,21 @@ class GeoCollection(Struct):
 # Fleets
 
 
-Sizes = tuple[Metres, Metres]  # mean and one sigma between vehicles
+Sizes = tuple[Metres, Sigma]  # mean and one sigma between vehicles
 Correlation = Annotated[float, Meta(gt=-1, lt=1)]
 Weight = Annotated[float, Meta(ge=0, le=1e6)]
+
+
+WIDEST = 0.5  # sigma of a size as a share of it: a size may not be nought
+
+
+def _check_sizes(entry: FleetEntry | MixturePart) -> None:
+    for axis in AXES:
+        mean, sd = getattr(entry, axis)
+        if sd > WIDEST * mean:
+            raise ValueError(f"{axis}: expected a mean and a sigma of at most half of it")
+    if entry.length[0] < entry.width[0]:
+        raise ValueError("length: expected no less than the width")
 
 
 class MixturePart(Struct, rename={"class_": "class"}):
@@ -233,7 +247,7 @@ class FleetEntry(Struct):
     length: Sizes
     width: Sizes
     height: Sizes
-    mean_sd: tuple[Metres, Metres, Metres]
+    mean_sd: tuple[Sigma, Sigma, Sigma]
     shares: dict[str, Weight] | UnsetType = UNSET
     mixture: list[MixturePart] | None = None
     corr_LW: Correlation | UnsetType = UNSET
@@ -241,6 +255,12 @@ class FleetEntry(Struct):
     shares_source: Text = ""
 
     def __post_init__(self) -> None:
+        _check_sizes(self)
+        for part in self.mixture or ():
+            _check_sizes(part)
+        for axis, sd in zip(AXES, self.mean_sd, strict=True):
+            if sd > WIDEST * getattr(self, axis)[0]:
+                raise ValueError(f"mean_sd: expected at most half of the {axis}")
         if self.shares is not UNSET and not sum(self.shares.values()) > 0:
             raise ValueError("expected shares of which one is greater than nought")
         if self.mixture and not sum(part.weight for part in self.mixture) > 0:
@@ -292,7 +312,7 @@ class ObjectTable(Struct):
 
 class Stall(Struct):
     width: Metres
-    width_sd: Metres
+    width_sd: Sigma
 
 
 class StallTable(Struct):
@@ -420,15 +440,15 @@ class ReportVehicle(Struct):
 
 class ReportSize(Struct):
     mean: Metres
-    sd: Metres
-    mean_sd: Metres
+    sd: Sigma
+    mean_sd: Sigma
 
 
 class ReportClass(Struct):
     name: Text
     weight: Weight
     mean: tuple[Metres, Metres]
-    sd: tuple[Metres, Metres]
+    sd: tuple[Sigma, Sigma]
 
 
 class ReportFleet(Struct):
