@@ -7,6 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+SAME_VEHICLE = 0.5  # share of their joint area from which two boxes are one vehicle's; side by side they share none
+HEAPED = 500  # neighbours of a box, on average, from which no picture of vehicles is meant; packed closely there are 30
+CHUNK = 50_000  # pairs of boxes that are compared at once
+
 
 @dataclass(frozen=True)
 class Boxes:
@@ -104,6 +108,20 @@ class Boxes:
         high = (c <= (width - border, height - border)).all((1, 2))
         return np.logical_and(low, high)
 
+    def fault(self, width: float = np.inf, height: float = np.inf) -> tuple[int, str] | None:
+        """The first box that cannot be meant in an image of `width` x `height` px: its index, and what it has or is, in
+        words; None where all can. Boxes from files are asked this."""
+        spread = np.nan_to_num(np.asarray(self.spread), nan=0.0)
+        with np.errstate(invalid="ignore"):
+            faults = {
+                "is not made of numbers": ~np.isfinite(self.xylwa).all(1),
+                "has no extent": ~(self.width > 0),
+                "is longer than the whole picture": self.length > np.hypot(width, height),
+                "has a score that is not from 0 to 1": ~((self.score >= 0) & (self.score <= 1)),
+                "has a spread that is no share": ~((spread >= 0) & (spread < np.inf)).all(1),
+            }
+        return next(((int(np.argmax(bad)), words) for words, bad in faults.items() if bad.any()), None)
+
 
 def overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Exact intersection over union of paired boxes, (K, 5) and (K, 5) to (K,).
@@ -195,11 +213,54 @@ def suppress(boxes: Boxes, iou: float = 0.3) -> Boxes:
     i, j = pairs_within(boxes.centre, boxes.centre, reach, reach)
     i, j = i[i < j], j[i < j]
     clash = overlap(boxes.xylwa[i], boxes.xylwa[j]) >= iou
+    return boxes[_unrivalled(len(boxes), i[clash], j[clash])]
+
+
+def distinct(boxes: Boxes) -> Boxes:
+    """`boxes` without further boxes of one vehicle, by falling score where any are left out.
+
+    Two that share SAME_VEHICLE of their area are one vehicle's; detectors that suppress nothing and files that were
+    joined hold such. Raises ValueError for boxes heaped up as no vehicles are.
+    """
+    ordered = boxes[np.argsort(-boxes.score, kind="stable")]
+    _, first = np.unique(ordered.xylwa.round(6), axis=0, return_index=True)  # copies, of which there may be thousands
+    ordered = ordered[np.sort(first)]
+    i, j = _of_like_size(ordered)
+    chunks = [slice(k, k + CHUNK) for k in range(0, len(i), CHUNK)]
+    clash = [overlap(ordered.xylwa[i[c]], ordered.xylwa[j[c]]) >= SAME_VEHICLE for c in chunks]
+    same = np.concatenate([*clash, np.empty(0, bool)])
+    alive = _unrivalled(len(ordered), i[same], j[same])
+    return boxes if alive.sum() == len(boxes) else ordered[alive]
+
+
+def _of_like_size(boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (i, j), i < j, of pairs that may share half of their area: neighbours whose diagonals differ by a factor
+    of two or less, found octave by octave so that one large box does not make all others its neighbours."""
+    from scipy.spatial import cKDTree
+
+    octave = np.floor(np.log2(np.hypot(boxes.length, boxes.width))).astype(int)
+    found = [np.empty((0, 2), int)]
+    for k in np.unique(octave):
+        index = np.flatnonzero((octave == k) | (octave == k + 1))
+        tree = cKDTree(boxes.centre[index])
+        reach = 2.0 ** (
+            k + 1
+        )  # half of the longest diagonal here; equal boxes a third of their length apart share half
+        if tree.count_neighbors(tree, reach) > HEAPED * len(index):
+            raise ValueError(f"{len(index)} boxes lie upon one another")
+        pairs = np.sort(index[tree.query_pairs(reach, output_type="ndarray")], axis=1)
+        found.append(pairs[(octave[pairs] == k).any(1)])  # those of the next octave alone come with it
+    i, j = np.concatenate(found).T
+    return i, j
+
+
+def _unrivalled(count: int, better: np.ndarray, worse: np.ndarray) -> np.ndarray:
+    """(count,) bool: which of things by falling rank are left when each that is left removes its `worse` rivals."""
     rivals: dict[int, list[int]] = {}
-    for better, worse in zip(i[clash].tolist(), j[clash].tolist(), strict=True):
-        rivals.setdefault(better, []).append(worse)
-    alive = np.ones(len(boxes), bool)
-    for k in range(len(boxes)):
+    for one, other in zip(better.tolist(), worse.tolist(), strict=True):
+        rivals.setdefault(one, []).append(other)
+    alive = np.ones(count, bool)
+    for k in range(count):
         if alive[k]:
             alive[rivals.get(k, [])] = False
-    return boxes[alive]
+    return alive

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from .detections import Detections
-from .errors import InputError, UsageError
+from .errors import UsageError
 from .fleet import Fleet
 from .pooling.ruler import Ruler
+from .reading import checked, read_plain
 
 KIND = "orthoscale calibration 1"
 
@@ -71,25 +72,12 @@ class Calibration:
     @classmethod
     def load(cls, path: Path) -> Calibration:
         """Raises InputError for what `save` did not write."""
-        try:
-            text = json.loads(path.read_text(encoding="utf-8"))
-            if text["kind"] != KIND:
-                raise ValueError(f"kind {text['kind']!r} is not {KIND!r}")
-            calibration = cls(
-                str(text["detector"]),
-                str(text["detector_sha256"]),
-                Ruler.from_json(text["ruler"]),
-                text["fleet"],
-                dict(text["made_from"]),
-            )
-            _ = calibration.fleet  # is read now, so that a damaged one is this file's error
-            return calibration
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a calibration file.") from error
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise InputError(
-                f"{path}: not a calibration ({error!r})", "Make one: orthoscale calibrate ORTHO --out FILE.json"
-            ) from error
+        from .schemas import CalibrationEntry
+
+        hint = "Make one: orthoscale calibrate ORTHO --out FILE.json"
+        text = read_plain(path, "a calibration", hint)
+        entry = checked(text, CalibrationEntry, str(path), "a calibration", hint)
+        return cls(entry.detector, entry.detector_sha256, entry.ruler.ruler, text["fleet"], entry.made_from)
 
 
 def fleet_of(name: str | Path | None, known: Calibration | None) -> Fleet:

@@ -5,16 +5,27 @@
 
 from __future__ import annotations
 
+LONGEST = 1500  # characters of a message or a hint
+
+
+def shown(text: str, most: int = 80) -> str:
+    """`text` of a file as a terminal may show it: without control characters, its middle left out where it is long."""
+    plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return plain if len(plain) <= most else f"{plain[: most - most // 3]} ... {plain[-most // 3 :]}"
+
 
 class OrthoscaleError(Exception):
     """Base of all errors that orthoscale raises on purpose.
 
-    `message` says what was wrong and where, `hint` what to do about it.
+    `message` says what was wrong and where, `hint` what to do about it. Control characters, which names in a file may
+    hold, are made visible in both.
     """
 
     exit_code = 1
 
     def __init__(self, message: str, hint: str = ""):
+        message = shown(message.replace("\n", " "), LONGEST)
+        hint = "\n".join(shown(line, LONGEST) for line in hint.split("\n"))
         super().__init__(f"{message}\n{hint}" if hint else message)
         self.message = message
         self.hint = hint

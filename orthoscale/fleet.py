@@ -5,7 +5,6 @@ The figures and the source of each lie in ``data/fleets.json``.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -14,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, UsageError
+from .errors import InputError, UsageError, shown
+from .reading import checked, read_plain
 from .segments import AXES, Class, classes_of, told_apart
 
 # Correlation between the errors of a fleet's mean length and mean width: a country whose cars are longer than thought
@@ -27,6 +27,7 @@ MEAN_CORRELATION = 0.85
 LOCAL_SD = np.array([0.025, 0.012])
 
 
+HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
 AUTO = "auto"
 WORLD = "WORLD"
 # A place of which nothing is known has a country all the same. Half of the prior goes to the world's average, whose
@@ -82,20 +83,26 @@ class Fleet:
             raise UsageError(
                 f"no fleet is called {name!r}", f"Known fleets: {', '.join(_table())}, {AUTO}; or a .json file."
             )
-        try:
-            return cls.from_entry(path.stem, json.loads(path.read_text()))
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(
-                f"{path}: not a fleet ({error!r})",
-                'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.',
-            ) from error
+        return cls.of_file(path)
+
+    @classmethod
+    def of_file(cls, path: Path) -> Fleet:
+        """A fleet from a JSON file of one entry, as in ``data/fleets.json``. Raises InputError."""
+        from .schemas import FleetEntry
+
+        entry = read_plain(path, "a fleet", HINT)
+        checked(entry, FleetEntry, str(path), "a fleet", HINT)
+        unknown = [name for name in entry.get("shares", ()) if name not in _document()["segments"]]
+        if unknown:
+            known = ", ".join(_document()["segments"])
+            raise InputError(f"{path}: not a fleet (no segment is called {shown(unknown[0])!r})", f"Known: {known}.")
+        return cls.from_entry(path.stem, entry)
 
     @classmethod
     def from_entry(cls, code: str, entry: Mapping[str, Any]) -> Fleet:
+        """From the plain values of an entry that fits `schemas.FleetEntry`."""
         mean, sd = np.array([entry[axis] for axis in AXES], float).T
         mean_sd = np.array(entry["mean_sd"], float)
-        if mean_sd.shape != (3,) or not (mean > 0).all() or not (sd > 0).all() or not (mean_sd > 0).all():
-            raise ValueError("sizes, spreads and mean_sd must be positive, for length, width and height")
         if "shares" in entry:
             classes = classes_of(entry["shares"], _document()["segments"], mean, mean_sd)
         else:
@@ -155,7 +162,7 @@ def _table() -> dict[str, Any]:
 
 @cache
 def _document() -> dict[str, Any]:
-    return json.loads((Path(__file__).parent / "data" / "fleets.json").read_text(encoding="utf-8"))
+    return read_plain(Path(__file__).parent / "data" / "fleets.json", "the table of fleets")
 
 
 def _covariance(sd: np.ndarray, correlation: float) -> np.ndarray:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import Polygon
 
-from orthoscale.boxes import Boxes, matched, overlap, suppress
+from orthoscale.boxes import Boxes, distinct, matched, overlap, suppress
 
 
 def boxes(*rows, score=None):
@@ -97,3 +97,34 @@ def test_nothing_in_nothing_out():
     assert len(suppress(Boxes.empty())) == 0
     assert len(matched(Boxes.empty(), boxes([0, 0, 1, 1, 0]), 0.5)[0]) == 0
     assert len(Boxes.concatenate([])) == 0
+
+
+def test_thousands_of_copies_are_one_vehicle_and_heaps_are_refused():
+    one = np.array([[50, 50, 40, 17, 0.3]])
+    assert len(distinct(Boxes(np.repeat(one, 24_000, axis=0), np.linspace(0, 1, 24_000)))) == 1
+    heap = one + np.random.default_rng(0).normal(0, 2, (5000, 5)) * [1, 1, 0.2, 0.1, 0.01]
+    with pytest.raises(ValueError, match="lie upon one another"):
+        distinct(Boxes(heap, np.ones(5000)))
+
+
+def test_neighbours_in_a_full_car_park_are_no_copies():
+    """Bays of 5.0 x 2.5 m, vehicles of 4.4 x 1.8 m: none is lost, and a roof among them harms none."""
+    x, y = np.meshgrid(np.arange(100) * 2.5, np.arange(60) * 5.0)
+    rows = np.column_stack([x.ravel(), y.ravel(), np.full(6000, 4.4), np.full(6000, 1.8), np.full(6000, np.pi / 2)])
+    boxes = Boxes(np.vstack([rows, [[50, 50, 90, 40, 0]]]), np.random.default_rng(0).uniform(0, 1, 6001))
+    assert distinct(boxes) is boxes
+
+
+@given(st.floats(0, 1.2), st.floats(0.4, 2.5), st.floats(-0.5, 0.5))
+def test_what_overlaps_by_half_is_found_among_any_sizes(shift, size, turn):
+    pair = Boxes(np.array([[100, 100, 40, 17, 0], [100 + 40 * shift, 100, 40 * size, 17 * size, turn]]), [0.9, 0.8])
+    same = overlap(pair.xylwa[:1], pair.xylwa[1:])[0] >= 0.5
+    assert len(distinct(pair)) == (1 if same else 2)
+
+
+def test_a_fault_names_the_box():
+    good, bad = [30, 20, 40, 17, 0], [30, 20, 401, 17, 0]
+    assert Boxes(np.array([good]), [1]).fault(320, 240) is None and Boxes.empty().fault(1, 1) is None
+    assert Boxes(np.array([good, bad]), [1, 1]).fault() is None
+    assert Boxes(np.array([good, bad]), [1, 1]).fault(320, 240)[0] == 1
+    assert Boxes(np.array([good]), [1], [[-0.1, 0.1]]).fault() == (0, "has a spread that is no share")

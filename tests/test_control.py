@@ -94,9 +94,11 @@ def test_points_of_a_model_by_coordinates_by_number_and_by_pixel():
         orthoscale.estimate(MODEL, known_distance=[f"nowhere@10,10 {name}@400,300 5"], **options)
 
 
-@pytest.mark.parametrize("text, why", [("1,2 3,4", "not enough"), ("1,2 3,4 five", "could not convert"),
+@pytest.mark.parametrize("text, why", [("1,2 3,4", "2 words"), ("1,2 3,4 five", "'five' is not a finite number"),
                                        ("1,2 1,2 5", "must differ"), ("1,2,3 4,5,6 5", "not a point of an orthophoto"),
-                                       ("1,2 3,4 5 6 7", "words"), ("nan,2 3,4 5", "not finite"),
+                                       ("1,2 3,4 5 6 7", "words"), ("1,2 3,4 5 1e300", "sigma"),
+                                       ("1,2 3,4 5 -1", "sigma"), ("1,2 3,4 1e300", "distance"),
+                                       ("nan,2 3,4 5", "not a finite number"),
                                        ("1,2 '3,4 5", "quotation")])  # fmt: skip
 def test_distances_that_make_no_sense_say_what_is_expected(boxes, text, why):
     with pytest.raises(UsageError, match=f"(?s)--known-distance .*{why}.*Expected two points"):

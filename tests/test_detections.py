@@ -7,13 +7,16 @@ import pytest
 
 from orthoscale.boxes import Boxes
 from orthoscale.detections import UNKNOWN_RULER, Detections
-from orthoscale.errors import InputError
+from orthoscale.errors import InputError, TooLittleEvidence
+from orthoscale.fleet import Fleet
+from orthoscale.pooling.robust import pool
 from orthoscale.pooling.ruler import Ruler
+from orthoscale.votes import gather
 
 
 def test_what_is_saved_reads_back(tmp_path):
     boxes = {"a.jpg": Boxes([[10.25, 20.5, 40.125, 17, 0.3]], [0.75]), "b.jpg": Boxes.empty()}
-    ruler = Ruler((0.5, 1.0), (0.3, 0.4), (0.01, 0.02), (1.0, 0.8))
+    ruler = Ruler((0.5, 1.0), (0.3, 0.4), (0.01, 0.02), noise=(1.0, 0.8))
     Detections(boxes, 0.8, ruler, (0.7, 0.5), "test", "abc").save(tmp_path / "d.json")
     again = Detections.load(tmp_path / "d.json")
     assert again.boxes["a.jpg"].xylwa == pytest.approx(boxes["a.jpg"].xylwa, abs=0.01)
@@ -57,3 +60,18 @@ def test_boxes_are_normalised_on_the_way_in(tmp_path):
     path = tmp_path / "flat.json"
     path.write_text(json.dumps({"a": [{"cx": 0, "cy": 0, "length": 2, "width": 4, "angle": 0}]}))
     assert Detections.load(path).boxes["a"].xylwa[0, 2:] == pytest.approx([4, 2, -np.pi / 2])
+
+
+@pytest.mark.parametrize("width", [40.0, 20.0, 0.4])
+def test_boxes_shaped_like_no_vehicles_are_too_little_evidence_or_a_scale_but_no_crash(width):
+    """Votes of 40 x 40, 40 x 20 and 40 x 0.4 px; only the second are vehicles."""
+    rows = np.array([[60 + 50.0 * (k % 10), 60 + 50.0 * (k // 10), 40, width, 0.1] for k in range(60)])
+    boxes = Boxes(rows, np.ones(60))
+    pixel = np.ones(60)
+    votes = gather(boxes.xylwa[:, 2:4], pixel, boxes.centre, boxes.score, False, boxes.spread)
+    for ruler in (UNKNOWN_RULER, Ruler(margin=(-30.0, -0.2)), Ruler(margin=(30.0, 0.0))):
+        try:
+            scale = pool(votes, Fleet.load("DE"), ruler, "m/px")
+            assert np.isfinite([scale.value, *scale.interval90]).all() and scale.value > 0
+        except TooLittleEvidence:
+            assert width != 20.0 or ruler.margin != UNKNOWN_RULER.margin

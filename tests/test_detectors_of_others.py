@@ -258,6 +258,15 @@ def test_an_input_of_one_size_is_moved_over_the_image(tmp_path):
         ({"output0": raw()}, {**NAMES, "names": "{0: 'car'}"}, "contradicts itself"),
         ({"dets": np.zeros((1, 5, 5)), "labels": np.zeros((1, 5), int)}, {}, "no detector of oriented boxes"),
         ({"output0": np.zeros((1, 1000))}, {}, r"outputs output0 \[1, 1000\] are those of no detector"),
+        *(({"output0": raw()}, {**NAMES, "stride": s}, "its stride is") for s in ("0", "-32", "many", "9" * 5000)),
+        ({"output0": raw()}, {**NAMES, "names": "[" * 5000 + "]" * 5000}, "names of its classes cannot be read"),
+        ({"output0": raw()}, {**NAMES, "names": "{" + "-" * 90_000 + "1: 'car'}"}, "names of its classes cannot be"),
+        ({"maps": np.zeros((1, 7, 8, 8))}, {"orthoscale": "[" * 90_000}, "orthoscale card"),
+        (
+            {"maps": np.zeros((1, 7, 8, 8))},
+            {"orthoscale": '{"name": 5}'},
+            r"card that can be read \(.* is missing|name",
+        ),
         ({"boxes": np.zeros((5, 4)), "scores": np.zeros(5), "labels": np.zeros(5, int)}, {}, "no detector"),
     ],
 )

@@ -49,7 +49,10 @@ def test_a_known_distance():
 
 
 @pytest.mark.parametrize("points, metres, sd", [([[1, 1], [1, 1]], 5, 1), ([[0, 0], [1, 1]], -5, 1),
-                                                ([[0, 0], [1, 1]], 5, 0), ([[0, 0], [np.nan, 1]], 5, 1)])  # fmt: skip
+                                                ([[0, 0], [1, 1]], 5, 0),
+                                                ([[0, 0], [1, 1]], 5, 1e300), ([[0, 0], [1, 1]], 5, 6),
+                                                ([[0, 0], [1, 1]], 5, np.nan), ([[0, 0], [1, 1]], 1e300, 1e299),
+                                                ([[0, 0], [np.nan, 1]], 5, 1)])  # fmt: skip
 def test_a_distance_that_makes_no_sense(points, metres, sd):
     with pytest.raises(ValueError):
         known_distance(np.array(points, float), metres, sd)

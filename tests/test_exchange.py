@@ -9,6 +9,9 @@ import pytest
 import rasterio
 from affine import Affine
 from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from orthoscale.boxes import Boxes, overlap
 from orthoscale.cli.main import cli
@@ -83,6 +86,89 @@ def test_many_pictures_keep_their_names(tmp_path):
         load(tmp_path / "2.txt", Frames())
 
 
+EVERYTHING = ("d.json", "d.coco.json", "d.geojson", "d.gpkg")
+
+
+def pictures_of(names, folder):
+    class Frames:
+        unit, pictures, path, picture_names, notes = "m/model-unit", (), folder, names, []
+
+    return Frames()
+
+
+def same(a, b, digits=0.011):
+    assert a.xylwa[:, :4] == pytest.approx(b.xylwa[:, :4], abs=digits)
+    assert np.abs(np.exp(2j * a.angle) - np.exp(2j * b.angle)).max(initial=0) < 2e-3, "angles are those of axes"
+    assert a.score == pytest.approx(b.score, abs=6e-4) and a.spread == pytest.approx(b.spread, abs=6e-6, nan_ok=True)
+
+
+@st.composite
+def some_boxes(draw):
+    """Boxes on a grid, far enough apart that none repeats another; length and width differ, as vehicles' do."""
+    count = draw(st.integers(0, 5))
+    width = draw(hnp.arrays(float, count, elements=st.floats(5, 30)))
+    length = width * draw(hnp.arrays(float, count, elements=st.floats(1.2, 4)))
+    angle = draw(hnp.arrays(float, count, elements=st.floats(-1.57, 1.57)))
+    score = draw(hnp.arrays(float, count, elements=st.floats(0, 1)))
+    spread = draw(hnp.arrays(float, (count, 2), elements=st.one_of(st.floats(0, 0.5), st.just(np.nan))))
+    centre = np.column_stack([200.0 * np.arange(1, count + 1), np.full(count, 300.0)])
+    return Boxes(np.column_stack([centre, length, width, angle]), score, spread)
+
+
+@st.composite
+def some_detections(draw, plans=True):
+    names = ["a/1.jpg", "b 2.png", "Ü.tif"]
+    ruler = Ruler(tuple(draw(st.tuples(st.floats(-3, 3), st.floats(-3, 3)))), common_sd=draw(st.floats(0, 0.1)))
+    return Detections(
+        boxes={name: draw(some_boxes()) for name in names},
+        zoom=draw(st.floats(0.1, 4)),
+        ruler=ruler,
+        effective_height=draw(st.tuples(st.floats(0, 2), st.floats(0, 2))),
+        detector=draw(st.text(max_size=20)),
+        detector_sha256="ab" * 32,
+        doubtful={name: boxes for name in names[:2] if len(boxes := draw(some_boxes()))},
+        objects={names[0]: {"tennis-court": boxes}} if len(boxes := draw(some_boxes())) else {},
+        doubt="seen faintly",
+        planar=draw(some_detections(plans=False)) if plans and draw(st.booleans()) else None,
+        body=draw(st.sampled_from(["car", "van"])),
+    )
+
+
+@pytest.mark.parametrize("name", EVERYTHING)
+@settings(max_examples=15, deadline=None)
+@given(found=some_detections())
+def test_load_gives_back_all_that_was_saved(tmp_path_factory, name, found):
+    folder = tmp_path_factory.mktemp("d")
+    source = pictures_of(list(found.boxes), folder)
+    save(found, folder / name, source)
+    again = load(folder / name, source)
+    assert again.about() == found.about() and source.notes == []
+
+    def compare(a, b):
+        for ours, theirs in ((a.boxes, b.boxes), (a.doubtful, b.doubtful)):
+            for picture in {*ours, *theirs}:
+                same(ours.get(picture, Boxes.empty()), theirs.get(picture, Boxes.empty()))
+        assert a.objects.keys() == b.objects.keys()
+        for picture, kinds in a.objects.items():
+            same(kinds["tennis-court"], b.objects[picture]["tennis-court"])
+        assert (a.doubt == b.doubt or not a.doubtful) and (a.planar is None) == (b.planar is None)
+
+    compare(again, found)
+    if found.planar is not None:
+        assert again.planar.about() == found.planar.about()
+        compare(again.planar, found.planar)
+
+
+def test_dota_text_keeps_boxes_and_scores(tmp_path):
+    source = pictures_of(["a.jpg"], tmp_path)
+    spread = Boxes(BOXES.xylwa, BOXES.score, np.full((3, 2), 0.03))
+    found = Detections({"a.jpg": spread}, 0.8, RULER, (0.7, 0.5), "t", doubtful={"a.jpg": BOXES[:1]})
+    save(found, tmp_path / "d.txt", source)
+    again = load(tmp_path / "d.txt", source)
+    same(Boxes(again.boxes["a.jpg"].xylwa, again.boxes["a.jpg"].score), BOXES)
+    assert np.isnan(again.boxes["a.jpg"].spread).all() and again.doubtful == {} and again.ruler == UNKNOWN_RULER
+
+
 # Rectangles
 
 
@@ -153,6 +239,75 @@ def test_dota_results(plain, tmp_path):
         load_text(plain, tmp_path, "Task1_ship.txt", f"ortho 0.83 {CAR}\n")
 
 
+def of_ultralytics(boxes, number=0, score=False):
+    corners = boxes.corners / (320, 240)
+    tail = [f" {s:.6f}" if score else "" for s in boxes.score]
+    lines = [f"{number} " + " ".join(f"{v:.8f}" for v in c.ravel()) + t for c, t in zip(corners, tail, strict=True)]
+    return "".join(line + "\n" for line in lines)
+
+
+def test_ultralytics_labels_and_predictions(plain, tmp_path):
+    """Corners as shares of width and height, which differ here: a box read by one of them alone would be skewed."""
+    found = load_text(plain, tmp_path, "labels/ortho.txt", of_ultralytics(BOXES))
+    assert found.boxes["ortho.tif"].xylwa == pytest.approx(BOXES.xylwa, abs=1e-4)
+    assert len(load(tmp_path / "labels", plain)) == 3, "a folder of label files"
+    predicted = load_text(plain, tmp_path, "p.txt", of_ultralytics(BOXES, 10, score=True))
+    assert predicted.boxes["ortho.tif"].score == pytest.approx(BOXES.score)
+    both = of_ultralytics(BOXES[:2], 10) + of_ultralytics(BOXES[2:], 9)
+    with pytest.raises(InputError, match=r"classes have numbers and no names \(9, 10\)"):
+        load_text(plain, tmp_path, "two.txt", both)
+    assert len(load_text(plain, tmp_path, "two.txt", both, vehicle_classes=["10"])) == 2
+
+
+def test_csv_tables(plain, tmp_path):
+    rows = "".join(",".join(map(str, row)) + f",{s}\n" for row, s in zip(BOXES.xylwa, BOXES.score, strict=True))
+    found = load_text(plain, tmp_path, "d.csv", "cx,cy,length,width,angle,score\n" + rows).boxes["ortho.tif"]
+    assert found.xylwa == pytest.approx(BOXES.xylwa) and found.score == pytest.approx(BOXES.score)
+    text = "Image; CX; CY; Length; Width; Angle_deg; Class\northo.tif; 100; 80; 40; 17; 30; car\n"
+    text += "ortho; 9; 9; 9; 5; 0; ship\n"
+    (box,) = load_text(plain, tmp_path, "d.csv", text).boxes["ortho.tif"].xylwa
+    assert box == pytest.approx([100, 80, 40, 17, np.pi / 6])
+
+
+@pytest.mark.parametrize("name", [*EVERYTHING, "d.txt", "d.csv"])
+def test_copies_of_a_box_count_once_in_every_format(plain, tmp_path, name):
+    nearly = Boxes(BOXES.xylwa + [0.6, -0.4, 0.5, 0.3, 0.01], BOXES.score - 0.1)
+    copies = Boxes.concatenate([*[BOXES] * 4, nearly])
+    if name.endswith("csv"):
+        lines = [
+            "cx,cy,length,width,angle,score",
+            *(",".join(map(str, r)) for r in np.column_stack([copies.xylwa, copies.score])),
+        ]
+        (tmp_path / name).write_text("\n".join(lines))
+    else:
+        save(Detections({"ortho.tif": copies}, 1.0, RULER, (0.7, 0.5), "test"), tmp_path / name, plain)
+    again = load(tmp_path / name, plain)
+    same(Boxes(again.boxes["ortho.tif"].xylwa, again.boxes["ortho.tif"].score), BOXES, 0.02)
+    assert plain.notes[-1].endswith("12 of its 15 boxes repeat another's vehicle and were left out")
+
+
+@pytest.mark.parametrize("name", [*EVERYTHING, "d.txt"])
+@pytest.mark.parametrize(
+    "box, score, message",
+    [
+        ([160, 120, 44_000, 17, 0], 0.9, "is longer than the whole picture"),
+        ([160, 120, 401, 17, 0], 0.9, "is longer than the whole picture"),
+        ([160, 120, 40, 17, 0], 1.5, "score"),
+        ([160, 120, 40, 17, 0], -0.2, "score"),
+        ([160, 120, 40, 17, 0], np.nan, "score|malformed"),
+        ([np.nan, 120, 40, 17, 0], 0.9, "numbers|malformed|usable corners"),
+        ([160, 120, 40, 0, 0], 0.9, "extent|width"),
+    ],
+)
+def test_boxes_that_cannot_be_meant_are_refused_in_every_format(plain, tmp_path, name, box, score, message):
+    found = Detections({"ortho.tif": Boxes(np.array([box]), np.array([score]))}, 1.0, RULER, (0.7, 0.5), "test")
+    if name == "d.gpkg" and np.isnan(box).any():
+        pytest.skip("GEOS makes no polygon of it")
+    save(found, tmp_path / name, plain)
+    with pytest.raises(InputError, match=message):
+        load(tmp_path / name, plain)
+
+
 def test_coco_with_corners_or_an_angle(plain, tmp_path):
     text = {
         "images": [{"id": 7, "file_name": "ortho.tif", "width": 320, "height": 240}],
@@ -213,26 +368,34 @@ CORNERS = [float(v) for v in CAR.split()]
         ("d.txt", "1 2 3\n", "line 1 is no box"),
         ("d.txt", f"ortho 0.9 {CAR}\n\northo nine {CAR}\n", "line 3 is no box"),
         ("d.txt", f"tokyo 0.9 {CAR}\n", "1 of its 1 pictures are not in .* the first is 'tokyo'"),
-        ("d.txt", "ortho 0.9 5 5 5 5 5 5 5 5\n", "box 1 of its vehicles, in ortho.tif, has no extent"),
-        ("d.txt", "ortho 0.9 nan 5 9 5 9 7 5 7\n", "has no extent or is not made of numbers"),
+        ("d.txt", "ortho 0.9 5 5 5 5 5 5 5 5\n", "box 1 of ortho.tif has no extent"),
+        ("d.txt", "ortho 0.9 nan 5 9 5 9 7 5 7\n", "box 1 of ortho.tif is not made of numbers"),
         ("d.txt", "ortho 0.9 900 5 940 5 940 20 900 20\n", "1 of 1 boxes lie outside of ortho.tif"),
         ("d.json", {"annotations": [{"image_id": 1, "bbox": [1, 2, 3, 4]}], "images": IMAGE}, "no direction"),
         ("d.json", {"annotations": [{"image_id": 2, "bbox": [1] * 5}], "images": IMAGE}, "not among its images"),
         ("d.json", {"annotations": [{"image_id": 1, "segmentation": {"counts": "ab"}}]}, r"mask \(RLE\)"),
-        ("d.json", {"annotations": [{"segmentation": [CORNERS]}]}, "annotation 1 cannot be used"),
-        ("d.json", {"annotations": ["box"], "images": IMAGE}, "annotation 1 cannot be used"),
-        ("d.json", {"annotations": [], "images": [{"id": 1}]}, "images or categories are not COCO's"),
+        ("d.json", {"annotations": [{"segmentation": [CORNERS]}]}, r"annotations\[0\]: image_id is missing"),
+        ("d.json", {"annotations": ["box"], "images": IMAGE}, r"annotations\[0\]: expected an object, found text"),
+        ("d.json", {"annotations": [], "images": [{"id": 1}]}, r"images\[0\]: file_name is missing"),
         ("d.json", {"annotations": [{"image_id": 1, "segmentation": [CORNERS]}], "images": OTHER_SIZE}, "640 x 480 px"),
-        ("d.json", {"annotations": [], "info": {"orthoscale": {"zoom": 1}}}, "says of its detector is damaged"),
+        (
+            "d.json",
+            {"annotations": [], "info": {"orthoscale": {"zoom": 1}}},
+            "info.orthoscale: effective_height is missing",
+        ),
         ("d.geojson", feature("Point", [1, 2]), "feature 1 is no polygon but Point"),
         ("d.geojson", feature("Polygon", [[[1, 2], [3, 4]]]), "has 2 usable corners"),
         ("d.geojson", feature("Polygon", [[["a", 2], [3, 4], [5, 6]]]), "is no polygon"),
         ("d.geojson", feature("Polygon", [RING], **{"class": "roof"}), "its classes are roof"),
-        ("d.geojson", feature("Polygon", [RING], score="high"), "is not made of numbers"),
+        ("d.geojson", feature("Polygon", [RING], score="high"), "has a score that is not from 0 to 1"),
         ("d.geojson", feature("Polygon", [RING], picture="x.jpg"), "the first is 'x.jpg'"),
         ("d.geojson", {"type": "FeatureCollection", "features": [{"type": "Feature"}]}, "not GeoJSON that can be read"),
         ("d.geojson", "{", "not a detections file"),
         ("d.gpkg", "hello", "not a GeoPackage|pyogrio"),
+        ("d.csv", "cx,cy,length\n", "no column width and angle"),
+        ("d.csv", "cx,cy,length,width,angle\n1,2,3,2,x\n", "line 2: angle is 'x', not a number"),
+        ("d.csv", "cx,cy,length,width,angle\n1,2,3,2\n", "line 2: angle is '', not a number"),
+        ("d.csv", "", "no column cx"),
     ],
 )
 def test_what_fits_no_box_is_refused_in_words(plain, tmp_path, name, text, message):

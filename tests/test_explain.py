@@ -58,6 +58,6 @@ def test_the_command(tmp_path):
     assert shown.returncode == 0 and "73 %  fleet (6.0 %)" in shown.stdout and "a remark" in shown.stdout
     path.write_text("no json")
     refused = subprocess.run(run, capture_output=True, text=True, timeout=60)
-    assert refused.returncode == 5 and "report.json: not JSON" in refused.stderr
+    assert refused.returncode == 5 and "report.json: not a report" in refused.stderr
     path.unlink()
     assert subprocess.run(run, capture_output=True, text=True, timeout=60).returncode == 5

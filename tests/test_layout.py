@@ -92,7 +92,7 @@ def test_a_catalogue_of_ones_own(tmp_path):
     assert (request.facility.full_length, request.facility.full_width) == (17, 6)
     own["Boules"]["length"] = 3
     path.write_text(json.dumps({"facilities": own}))
-    with pytest.raises(InputError, match="length >= width"):
+    with pytest.raises(InputError, match="no less than the width"):
         load(path)
 
 
@@ -356,7 +356,7 @@ def test_the_prompt_names_sizes_and_places(tmp_path):
         ([(5, 5), (65, 5), (65, 45)], ["--facility", "padel", "--scale-error", "120"], 2, "100 per cent"),
         ([(500, 500), (560, 500), (560, 560)], ["--facility", "padel"], 5, "outside"),
         ([(5, 5), (5, 5), (5, 5)], ["--facility", "padel"], 5, "no polygon"),
-        (None, ["--facility", "padel"], 5, "vector file"),
+        (None, ["--facility", "padel"], 5, "not GeoJSON"),
     ],
 )
 def test_bad_input_ends_in_one_sentence_and_nothing_written(tmp_path, ring, options, code, word):

@@ -353,7 +353,7 @@ def test_what_is_no_report_is_an_input_error_and_nothing_is_written(tmp_path, te
 @pytest.mark.parametrize("key, value", [("scale", "x"), ("vehicles", 3), ("interval90", [1]), ("fleet_sizes", None)])
 def test_damaged_values_are_an_input_error(tmp_path, report, key, value):
     (tmp_path / "report.json").write_text(json.dumps({**report, key: value}))
-    with pytest.raises(InputError, match="damaged report"):
+    with pytest.raises(InputError, match="not a report"):
         redraw(tmp_path / "report.json", tmp_path / "report.html")
     assert not (tmp_path / "report.html").exists()
 

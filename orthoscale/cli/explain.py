@@ -21,15 +21,15 @@ def explain(report: Path, as_json: bool, debug: bool) -> None:
     REPORT is the report.json (or OUT.json) that `fix` wrote, or what `estimate --json` printed.
     """
     from ..errors import InputError
+    from ..reading import LARGE, checked, read_plain
     from ..report import explanation
+    from ..schemas import Explained
 
+    hint = "Give the report.json of a run."
+    text = read_plain(report, "a report", hint, LARGE)
+    checked(text, Explained, str(report), "a report of orthoscale", hint)
     try:
-        text = json.loads(report.read_text(encoding="utf-8"))
         found = explanation.explain(text)
-    except OSError as error:
-        raise InputError(f"{report}: cannot be read ({error.strerror})", "Give the report.json of a run.") from error
-    except ValueError as error:
-        raise InputError(f"{report}: not JSON ({error})", "Give the report.json of a run.") from error
     except InputError as error:
         raise InputError(f"{report}: {error.message}", error.hint) from error
     click.echo(json.dumps(found) if as_json else explanation.in_words(found))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +16,7 @@ from ..boxes import Boxes
 from ..detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
 from ..errors import InputError
 from ..pooling.ruler import Ruler
-from ..projection.exact import BODIES
+from ..reading import checked, parsed
 from .layout import Layout, Normalisation, Shape, recognise
 
 SHIPPED = "small_vehicle.onnx"
@@ -26,6 +25,8 @@ OPERATORS = "ORTHOSCALE_ONNX_OPS"
 GREY = 114 / 255  # around pictures smaller than the network's input, as a share of white
 OVERLAP = 128  # of neighbouring windows, for networks whose input is smaller than the image [px]
 VEHICLES = "vehicle"
+CARD, CARD_HINT = "a network with an orthoscale card that can be read", "Export it with training.export."
+LONGEST_CARD = 100_000  # characters
 CUT = 2.0  # boxes closer than this to a window's edge may be cut by it [px]
 CUT_OBJECT = 8.0  # the same for objects, which are larger, and so are the errors of their boxes [px]
 
@@ -58,17 +59,20 @@ class Card:
     extra: dict = field(default_factory=dict)
 
     @classmethod
-    def from_json(cls, text: str) -> Card:
-        """Raises TypeError, ValueError, KeyError for what is no card."""
-        values = json.loads(text)
-        values["ruler"] = Ruler.from_json(values["ruler"])
-        for name in ("usable_length", "effective_height"):
-            low, high = values[name]
-            values[name] = (float(low), float(high))
-        if "normalisation" in values:
-            values["normalisation"] = Normalisation.from_json(values["normalisation"])
-        if values.get("body", "car") not in BODIES:
-            raise ValueError(f"body {values['body']!r} is none of {', '.join(BODIES)}")
+    def from_json(cls, text: str, origin: str = "the card") -> Card:
+        """From the text in a file's metadata; `origin` names it in the message. Raises InputError for what is none."""
+        from msgspec import UNSET
+
+        from ..schemas import CardEntry
+
+        if len(text) > LONGEST_CARD:
+            raise InputError(f"{origin}: longer than the {LONGEST_CARD} characters that it may have", CARD_HINT)
+        entry = checked(parsed(text, origin, CARD, CARD_HINT), CardEntry, origin, CARD, CARD_HINT)
+        values = {name: getattr(entry, name) for name in entry.__struct_fields__}
+        values["ruler"] = entry.ruler.ruler
+        how = values.pop("normalisation")
+        if how is not UNSET:
+            values["normalisation"] = Normalisation(how.mean, how.std, how.channels)
         return cls(**values)
 
     @classmethod
@@ -203,16 +207,11 @@ def _session(path: Path, content: bytes, threads: int) -> Any:
 
 def _card(path: Path, metadata: dict[str, str], layout: Layout) -> Card:
     if "orthoscale" in metadata:
-        try:
-            return Card.from_json(metadata["orthoscale"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{path}: its orthoscale card cannot be read ({error!r})", "Export it with training.export."
-            ) from error
+        return Card.from_json(metadata["orthoscale"], str(path))
     if layout.decoder == "orthoscale":
         raise InputError(
             f"{path}: outputs like those of orthoscale's own networks, but without an orthoscale card",
-            "Export it with training.export.",
+            CARD_HINT,
         )
     name = metadata.get("description") or path.name
     return Card.unknown(f"{name} ({layout.decoder}{'; assumed: ' if layout.assumed else ''}{layout.assumed})")

@@ -12,19 +12,20 @@
 from __future__ import annotations
 
 import ast
-import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..boxes import Boxes
-from ..errors import InputError, UsageError
+from ..errors import InputError, UsageError, shown
+from ..reading import checked, read
 from .classes import DOTA, object_numbers, vehicle_numbers
 from .decoders import decode_maps, decode_mmrotate, decode_ultralytics, decode_ultralytics_nms_free
 
+LARGEST_STRIDE = 1024  # [px] networks' are powers of two from 8 to 128
 DECODERS = ("orthoscale", "ultralytics", "ultralytics-nms-free", "mmrotate", "rtmdet")
 
 Shape = tuple[int | None, ...]  # None where the file leaves a size open
@@ -37,14 +38,6 @@ class Normalisation:
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     std: tuple[float, float, float] = (255.0, 255.0, 255.0)
     channels: str = "RGB"
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Normalisation:
-        """Raises KeyError, TypeError, ValueError for what is none."""
-        mean, std = (tuple(map(float, values[name])) for name in ("mean", "std"))
-        if len(mean) != 3 or len(std) != 3 or min(std) <= 0 or values.get("channels", "RGB") not in ("RGB", "BGR"):
-            raise ValueError("normalisation must be three means, three positive stds, and channels RGB or BGR")
-        return cls(mean, std, values.get("channels", "RGB"))
 
 
 # MMDetection's preprocessors: that of ImageNet-trained backbones, and RTMDet's (configs/rtmdet of MMRotate 1.x).
@@ -167,6 +160,10 @@ def _ultralytics(
 ) -> Layout:
     names = _names(metadata)
     (shape,) = outputs.values()
+    if names is None and "names" in metadata and not wanted:
+        raise InputError(
+            f"{path}: the names of its classes cannot be read", "Say which are small vehicles: --vehicle-class 10"
+        )
     if names is None and not wanted:
         raise UsageError(
             f"{path}: it does not say what its classes are called",
@@ -181,17 +178,19 @@ def _ultralytics(
             "The file contradicts itself: export it again.",
         )
     vehicles = _vehicles(path, names, wanted)
-    try:
-        stride = int(metadata.get("stride", "32"))
-    except ValueError:
-        stride = 32
+    told = metadata.get("stride", "32")
+    stride = int(told) if re.fullmatch(r"0*[0-9]{1,4}", told) else 0
+    if not 1 <= stride <= LARGEST_STRIDE:
+        raise InputError(
+            f"{path}: its stride is {shown(told)!r}, not a whole number from 1 to {LARGEST_STRIDE}", "Export it again."
+        )
 
     def decode(arrays: Sequence[np.ndarray], classes: Sequence[int], score: float) -> Boxes:
         read = decode_ultralytics if decoder == "ultralytics" else decode_ultralytics_nms_free
         return read(arrays[0][0].astype(np.float64), classes, score)
 
     objects = _others(names, vehicles)
-    return Layout(decoder, Normalisation(), max(stride, 1), size, decode, tuple(vehicles), objects=objects)
+    return Layout(decoder, Normalisation(), stride, size, decode, tuple(vehicles), objects=objects)
 
 
 def _mmrotate(
@@ -240,7 +239,7 @@ def _names(metadata: Mapping[str, str]) -> list[str] | None:
     try:
         table = ast.literal_eval(metadata["names"])
         return [str(table[k]) for k in range(len(table))]
-    except (KeyError, ValueError, SyntaxError, TypeError):
+    except (KeyError, ValueError, SyntaxError, TypeError, RecursionError, MemoryError):  # the last two: nested deeply
         return None
 
 
@@ -249,19 +248,18 @@ def _pipeline_normalisation(path: Path) -> Normalisation | None:
 
     Raises InputError for a file that is there and cannot be understood.
     """
+    from ..schemas import NormalisationEntry, Pipeline
+
     file = path.with_name("pipeline.json")
-    try:
-        tasks = json.loads(file.read_text(encoding="utf-8"))["pipeline"]["tasks"]
-        steps = [step for task in tasks for step in task.get("transforms", []) if step["type"] == "Normalize"]
-        if not steps:
-            return None
-        return Normalisation.from_json({**steps[0], "channels": "RGB" if steps[0].get("to_rgb", True) else "BGR"})
-    except FileNotFoundError:
+    if not file.exists():
         return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(
-            f"{file}: not a pipeline of MMDeploy's that can be read ({error!r})", "Repair it, or move it away."
-        ) from error
+    what, hint = "a pipeline of MMDeploy's that can be read", "Repair it, or move it away."
+    tasks = read(file, Pipeline, what, hint).pipeline.tasks
+    step = next((step for task in tasks for step in task.transforms if step.get("type") == "Normalize"), None)
+    if step is None:
+        return None
+    how = checked(step, NormalisationEntry, str(file), what, hint)
+    return Normalisation(how.mean, how.std, "RGB" if step.get("to_rgb", True) else "BGR")
 
 
 def _fixed(shape: Shape) -> tuple[int, int] | None:

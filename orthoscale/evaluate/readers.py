@@ -20,6 +20,7 @@ from ..errors import InputError
 from ..photos.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
 from ..photos.tags import read_tags
 from ..projection.level import up_from_survey
+from ..reading import check_regular, read_text
 from .surface import Surface
 
 NAMED_ALTITUDE = re.compile(r"(?:^|[_/ -])H_?(\d+(?:\.\d+)?)(?=\.|_|/|$)", re.IGNORECASE)
@@ -148,10 +149,7 @@ def _read_poses(path: Path) -> dict[str, tuple[float, ...]]:
     Angles as Metashape exports them: 0, 0, 0 looks straight down with the picture's top to the north.
     """
     poses: dict[str, tuple[float, ...]] = {}
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})", "It is a table of poses.") from error
+    lines = read_text(path, "It is a table of poses.").splitlines()
     for number, line in enumerate(lines, 1):
         parts = line.replace(",", " ").split()
         if len(parts) < 7 or line.startswith("#"):
@@ -178,6 +176,7 @@ def read_csv(path: Path, lens_file: Path | None, focal_px: float | None) -> tupl
     """A table of photos. Focal length and angles come from it, or else from the photos' own tags."""
     if path.is_dir():
         raise InputError(f"{path} is a folder", "Give the CSV file.")
+    check_regular(path, "Give the CSV file.")
     samples = []
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -191,7 +190,7 @@ def read_csv(path: Path, lens_file: Path | None, focal_px: float | None) -> tupl
             for row in table:
                 samples.append(_row(row, path, table.line_num, lens_file, focal_px))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a CSV table ({error})", "Save it as comma-separated UTF-8 text.") from error
+        raise InputError(f"{path}: not a CSV table", "Save it as comma-separated UTF-8 text.") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})", "Check the file.") from error
     return samples, []

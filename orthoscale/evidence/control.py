@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ..errors import InputError, UsageError
+from ..errors import InputError, UsageError, shown
 from ..pooling.evidence import Evidence, ground_control, known_distance
+from ..reading import read_text, reason
 
 if TYPE_CHECKING:
     from ..sources.colmap import ColmapSource
@@ -29,22 +30,20 @@ CONTROL_HINT = (
 def read_distance(text: str, source: Source) -> Evidence:
     """The known distance that `text` tells of, between two points of `source`. Raises UsageError."""
     try:
-        first, second, metres, *sd = shlex.split(text)
-        if len(sd) > 1:
-            raise ValueError(f"{len(sd) + 3} words")
+        words = shlex.split(text)
+        if len(words) not in (3, 4):
+            raise ValueError(f"{len(words)} words")
+        first, second, metres, *sd = words
         points = [locate(word, source) for word in (first, second)]
         between = f" between {first} and {second}"
-        return known_distance(np.array(points), float(metres), float(sd[0]) if sd else None, between)
-    except ValueError as error:
-        raise UsageError(f"--known-distance {text!r}: {error}", DISTANCE_HINT) from error
+        return known_distance(np.array(points), _number(metres), _number(sd[0]) if sd else None, between)
+    except (ValueError, OverflowError) as error:
+        raise UsageError(f"--known-distance {shown(text)!r}: {reason(error)}", DISTANCE_HINT) from error
 
 
 def read_control(path: Path, source: Source) -> Evidence:
     """Ground control from the file at `path`, its points in `source`. Raises InputError, UsageError."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})", CONTROL_HINT) from error
+    lines = read_text(path, CONTROL_HINT).splitlines()
     units: list[np.ndarray] = []
     metres: list[list[float]] = []
     for number, line in enumerate(lines, 1):
@@ -55,9 +54,9 @@ def read_control(path: Path, source: Source) -> Evidence:
             if len(place) not in (2, 3) or (metres and len(place) != len(metres[0])):
                 raise ValueError(f"{len(place)} coordinates in metres")
             units.append(locate(point, source))
-            metres.append([float(word) for word in place])
-        except ValueError as error:
-            raise InputError(f"{path}, line {number}: {error}", CONTROL_HINT) from error
+            metres.append([_number(word) for word in place])
+        except (ValueError, OverflowError) as error:
+            raise InputError(f"{path}, line {number}: {reason(error)}", CONTROL_HINT) from error
     try:
         return ground_control(np.array(units), np.array(metres))
     except ValueError as error:
@@ -73,7 +72,7 @@ def locate(word: str, source: Source) -> np.ndarray:
         return place
     model = cast("ColmapSource", source)
     if word.startswith("id:"):
-        return model.point(int(word[3:]))
+        return model.point(int(_number(word[3:])))
     if "@" in word:
         name, _, pixel = word.rpartition("@")
         xy = _numbers(pixel)
@@ -90,7 +89,14 @@ def locate(word: str, source: Source) -> np.ndarray:
 
 
 def _numbers(word: str) -> np.ndarray:
-    values = np.array([float(v) for v in word.split(",")])
-    if not np.isfinite(values).all():
-        raise ValueError(f"{word!r} is not finite")
-    return values
+    return np.array([_number(part) for part in word.split(",")])
+
+
+def _number(word: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise ValueError(f"{shown(word)!r} is not a finite number")
+    return value

@@ -6,13 +6,13 @@ apart by the ratio of length to width, which needs no scale.
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from ..pooling.evidence import Evidence
+from ..reading import read_plain
 
 EDGE_SD = 2.0  # of one box side, in detector pixels: how well an object's edges are boxed, which nobody has measured
 SHARED = 0.5  # share of that variance that all boxes of a class have in common: the boxes' margin
@@ -49,5 +49,4 @@ def standard_object(kind: str, size: np.ndarray, pixel: np.ndarray) -> Evidence 
 @cache
 def known_objects() -> dict[str, list[dict]]:
     """Standards by class: name, length, width (value and one sigma) [m], flat, source."""
-    text = (Path(__file__).parent.parent / "data" / "objects.json").read_text(encoding="utf-8")
-    return json.loads(text)["objects"]
+    return read_plain(Path(__file__).parent.parent / "data" / "objects.json", "the table of objects")["objects"]

@@ -7,13 +7,13 @@ sizes. The widths and their sources are in ``data/stalls.json``.
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from ..pooling.evidence import Evidence
+from ..reading import read_plain
 
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
 ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another
@@ -71,8 +71,7 @@ def parking_pitch(
 @cache
 def stalls() -> dict[str, dict]:
     """Stall widths [m] by country, with sources."""
-    text = (Path(__file__).parent.parent / "data" / "stalls.json").read_text(encoding="utf-8")
-    return json.loads(text)["stalls"]
+    return read_plain(Path(__file__).parent.parent / "data" / "stalls.json", "the table of stalls")["stalls"]
 
 
 def _rows(place: np.ndarray, along: np.ndarray, length: float, width: float) -> tuple[np.ndarray, np.ndarray]:

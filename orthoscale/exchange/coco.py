@@ -7,13 +7,20 @@ degrees counter-clockwise). A plain ``bbox`` of four numbers has no direction an
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..boxes import Boxes
+from ..detections import spread_note
 from ..errors import InputError
+from ..reading import checked, reason
 from .items import LABEL, Item
+
+if TYPE_CHECKING:
+    from ..schemas import CocoAnnotation
+
+HINT = "Oriented boxes are needed: a segmentation with four corners, or a bbox with an angle."
 
 
 def is_coco(text: Any) -> bool:
@@ -25,60 +32,55 @@ def is_coco(text: Any) -> bool:
 
 def read(text: Any, origin: str) -> tuple[list[Item], dict[str, tuple[int, int]]]:
     """The boxes of a document, and the size (width, height) of pictures where it tells. Raises InputError."""
-    whole = text if isinstance(text, dict) else {"annotations": text}
-    try:
-        pictures = {image["id"]: str(image["file_name"]) for image in whole.get("images", [])}
-        sizes = {
-            str(image["file_name"]): (int(image["width"]), int(image["height"]))
-            for image in whole.get("images", [])
-            if "width" in image and "height" in image
-        }
-        labels = {category["id"]: str(category["name"]) for category in whole.get("categories", [])}
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{origin}: its images or categories are not COCO's ({error!r})") from error
+    from ..schemas import Coco
+
+    whole = checked(text if isinstance(text, dict) else {"annotations": text}, Coco, origin, "COCO's JSON", HINT)
+    pictures = {image.id: image.file_name for image in whole.images}
+    sizes = {image.file_name: (int(image.width), int(image.height)) for image in whole.images}
+    labels = {category.id: category.name for category in whole.categories}
     items = []
-    for number, annotation in enumerate(whole["annotations"], 1):
+    for number, annotation in enumerate(whole.annotations, 1):
         try:
-            image = annotation["image_id"]
+            image = annotation.image_id
             if pictures and image not in pictures:
                 raise ValueError(f"image_id {image!r} is not among its images")
             picture = pictures.get(image, image if isinstance(image, str) else None)
-            category = annotation.get("category_id")
+            category = annotation.category_id
             if labels and category not in labels:
                 raise ValueError(f"category_id {category!r} is not among its categories")
-            items.append(Item(_polygon(annotation), float(annotation.get("score", 1.0)), labels.get(category), picture))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(
-                f"{origin}: annotation {number} cannot be used ({error})",
-                "Oriented boxes are needed: a segmentation with four corners, or a bbox with an angle.",
-            ) from error
+            label = None if category is None else labels.get(category)
+            items.append(Item(_polygon(annotation), annotation.score, label, picture, annotation.spread))
+        except ValueError as error:
+            raise InputError(f"{origin}: annotation {number} cannot be used ({reason(error)})", HINT) from error
     return items, sizes
 
 
-def _polygon(annotation: Mapping[str, Any]) -> np.ndarray:
-    parts = annotation.get("segmentation")
-    if isinstance(parts, list) and parts:
+def _polygon(annotation: CocoAnnotation) -> np.ndarray:
+    parts = annotation.segmentation
+    if isinstance(parts, dict):
+        raise ValueError("its segmentation is a mask (RLE), not corners")
+    if parts:
+        if any(len(part) % 2 for part in parts):
+            raise ValueError("its segmentation has an x without a y")
         points = np.concatenate([np.asarray(part, float).reshape(-1, 2) for part in parts])
         if len(points) < 3:
             raise ValueError("its segmentation has fewer than three corners")
         return points
-    if isinstance(parts, dict):
-        raise ValueError("its segmentation is a mask (RLE), not corners")
-    bbox = [float(v) for v in annotation["bbox"]]
-    if len(bbox) != 5:
-        raise ValueError("its bbox has no direction")
-    x, y, width, height, degrees = bbox
+    if annotation.bbox is None or len(annotation.bbox) != 5:
+        raise ValueError("its bbox has no direction" if annotation.bbox else "it has no segmentation and no bbox")
+    x, y, width, height, degrees = annotation.bbox
     return Boxes(np.array([[x, y, width, height, -np.radians(degrees)]]), np.ones(1)).corners[0]
 
 
-def document(boxes: Mapping[str, Boxes], sizes: Mapping[str, tuple[int, int]], about: Mapping[str, Any]) -> dict:
-    """A COCO data set of `boxes` by picture name; `sizes` (width, height) where known; `about` goes to its info."""
+def document(boxes: Mapping[str, Boxes], sizes: Mapping[str, tuple[int, int]], note: Mapping[str, Any]) -> dict:
+    """A COCO data set of `boxes` by picture name; `sizes` (width, height) where known; `note` goes to its info."""
     images: list[dict] = []
     annotations: list[dict] = []
     for image_id, (picture, found) in enumerate(boxes.items(), 1):
         width, height = sizes.get(picture, (0, 0))
         images.append({"id": image_id, "file_name": picture, "width": width, "height": height})
-        for corners, score, row in zip(found.corners, found.score, found.xylwa, strict=True):
+        assert found.spread is not None  # since it was made
+        for corners, score, row, spread in zip(found.corners, found.score, found.xylwa, found.spread, strict=True):
             low, high = corners.min(0), corners.max(0)
             annotations.append(
                 {
@@ -90,10 +92,11 @@ def document(boxes: Mapping[str, Boxes], sizes: Mapping[str, tuple[int, int]], a
                     "area": round(float(row[2] * row[3]), 3),
                     "iscrowd": 0,
                     "score": round(float(score), 4),
+                    **spread_note(spread),
                 }
             )
     return {
-        "info": {"description": "vehicles found by orthoscale", "orthoscale": dict(about)},
+        "info": {"description": "vehicles found by orthoscale", "orthoscale": dict(note)},
         "images": images,
         "annotations": annotations,
         "categories": [{"id": 1, "name": LABEL}],

@@ -1,7 +1,9 @@
-"""DOTA's text files (https://captain-whu.github.io/DOTA): four corners and a class, a box per line.
+"""Text files with four corners and a class, a box per line: DOTA's (https://captain-whu.github.io/DOTA), Ultralytics'.
 
 Labels: ``x1 y1 x2 y2 x3 y3 x4 y4 class difficult``, a file per picture, its name the picture's.
 Results: ``picture score x1 y1 x2 y2 x3 y3 x4 y4``, a file per class, called ``Task1_class.txt``.
+Ultralytics (https://docs.ultralytics.com/datasets/obb): ``class x1 y1 x2 y2 x3 y3 x4 y4``, for predictions also the
+score; a file per picture, classes as numbers, corners as shares of the picture's width and height.
 """
 
 from __future__ import annotations
@@ -12,8 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from ..boxes import Boxes
-from ..errors import InputError, UsageError
+from ..errors import InputError, UsageError, shown
+from ..reading import read_text
 from .items import Item, short_name
+
+HEADER = ("imagesource:", "gsd:")
+BEYOND = 1.0  # from a picture's middle, in its widths: predicted corners may lie outside of it, by half of it at most
 
 
 def read(path: Path, only_picture: bool) -> list[Item]:
@@ -29,15 +35,18 @@ def read(path: Path, only_picture: bool) -> list[Item]:
     label = path.stem.partition("_")[2] if path.stem.startswith("Task1_") else None
     picture = None if only_picture else path.stem
     items = []
-    for number, line in enumerate(_lines(path), 1):
-        words = line.split()
-        if not words or line.lower().startswith(("imagesource:", "gsd:")):
-            continue
+    lines = [(number, line, line.split()) for number, line in enumerate(_lines(path), 1)]
+    lines = [(n, line, words) for n, line, words in lines if words and not line.lower().startswith(HEADER)]
+    of_ultralytics = [_of_ultralytics(words, picture) for _, _, words in lines]
+    if all(of_ultralytics):  # of a single line another reading may be possible
+        return [item for item in of_ultralytics if item is not None]
+    for number, line, words in lines:
         item = _label(words, picture) or _result(words, label)
         if item is None:
             raise InputError(
-                f"{path}: line {number} is no box ({line.strip()[:80]!r})",
-                "Expected 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult' or 'picture score x1 y1 x2 y2 x3 y3 x4 y4'.",
+                f"{path}: line {number} is no box ({shown(line.strip())!r})",
+                "Expected 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult', 'picture score x1 y1 x2 y2 x3 y3 x4 y4', or "
+                "Ultralytics' 'class x1 y1 x2 y2 x3 y3 x4 y4' with corners from 0 to 1.",
             )
         items.append(item)
     return items
@@ -58,12 +67,17 @@ def write(path: Path, boxes: Mapping[str, Boxes], pictures: Sequence[str]) -> No
 
 
 def _lines(path: Path) -> list[str]:
-    try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a detections file.") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not text (byte {error.start})", "Give DOTA's text, or another format.") from error
+    return read_text(path, "Give DOTA's text, or another format of detections.").splitlines()
+
+
+def _of_ultralytics(words: Sequence[str], picture: str | None) -> Item | None:
+    numbers = _numbers(words)
+    if numbers is None or len(numbers) not in (9, 10) or not words[0].isdecimal():
+        return None
+    if not (np.abs(numbers[1:9] - 0.5) < BEYOND).all():
+        return None
+    score = float(numbers[9]) if len(numbers) == 10 else 1.0
+    return Item(numbers[1:9].reshape(4, 2), score, str(int(words[0])), picture, relative=True)
 
 
 def _label(words: Sequence[str], picture: str | None) -> Item | None:

@@ -7,7 +7,7 @@ pictures, and read with either sign.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,14 +16,13 @@ from typing import Any
 import numpy as np
 
 from ..boxes import Boxes
-from ..errors import InputError
-from .items import LABEL, Item
+from ..detections import spread_note
+from ..errors import InputError, shown
+from ..reading import check_regular, checked, parsed
+from .items import CLASS, LABEL, PICTURE, SCORE, Item, first
 
 LAYER = "vehicles"
-# What programs call these properties; the first that a feature has counts.
-PICTURE = ("picture", "image", "file_name", "filename")
-SCORE = ("score", "confidence", "conf", "probability")
-CLASS = ("class", "label", "category", "class_name", "name", "kind")
+SPREAD = ("length_spread", "width_spread")  # columns of a GeoPackage, which has no lists
 PIXELS = "pixels"
 
 
@@ -88,23 +87,25 @@ def is_geojson(text: Any) -> bool:
 
 def read_geojson(text: Mapping[str, Any], origin: str, place: Place | None) -> list[Item]:
     """The boxes of a document. Raises InputError."""
-    crs = "EPSG:4326"
-    try:
-        if "crs" in text:  # as QGIS and GDAL write it, though RFC 7946 does not know it
-            crs = str(text["crs"]["properties"]["name"])
-        if text.get("orthoscale", {}).get("coordinates") == PIXELS:
-            place = None
-        features = [(f["geometry"], f.get("properties") or {}) for f in text["features"]]
-    except (KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{origin}: not GeoJSON that can be read ({error!r})") from error
+    from ..schemas import GeoCollection
+
+    whole = checked(
+        text, GeoCollection, origin, "GeoJSON that can be read", "Save it as a FeatureCollection of polygons."
+    )
+    # QGIS and GDAL write a CRS, though RFC 7946 does not know it.
+    crs = whole.crs.properties.name if whole.crs is not None else "EPSG:4326"
+    if whole.orthoscale is not None and whole.orthoscale.coordinates == PIXELS:
+        place = None
     items = []
-    for number, (geometry, properties) in enumerate(features, 1):
-        ring = _ring(geometry, f"{origin}: feature {number}")
-        items.append(_item(_in_pixels(ring, place, crs, origin), properties))
+    for number, feature in enumerate(whole.features, 1):
+        shape = feature.geometry
+        kind, rings = (None, None) if shape is None else (shape.type, shape.coordinates)
+        ring = _ring(kind, rings, f"{origin}: feature {number}")
+        items.append(_item(_in_pixels(ring, place, crs, origin), feature.properties or {}))
     return items
 
 
-def geojson(boxes: Mapping[str, Boxes], place: Place | None, about: Mapping[str, Any]) -> dict:
+def geojson(boxes: Mapping[str, Boxes], place: Place | None, note: Mapping[str, Any]) -> dict:
     """A document of `boxes` by picture name, in longitude and latitude where `place` is known."""
     features = []
     for polygon, properties in _features(boxes, place, None if place is None else "EPSG:4326"):
@@ -112,8 +113,8 @@ def geojson(boxes: Mapping[str, Boxes], place: Place | None, about: Mapping[str,
         ring = [[round(float(v), digits) for v in point] for point in [*polygon, polygon[0]]]
         geometry = {"type": "Polygon", "coordinates": [ring]}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
-    note = {**about, **({"coordinates": PIXELS} if place is None else {})}
-    return {"type": "FeatureCollection", "orthoscale": note, "features": features}
+    told = {**note, **({"coordinates": PIXELS} if place is None else {})}
+    return {"type": "FeatureCollection", "orthoscale": told, "features": features}
 
 
 # GeoPackage
@@ -127,6 +128,7 @@ def read_geopackage(path: Path, place: Place | None) -> tuple[list[Item], dict[s
     import pyogrio.raw
     import shapely.geometry
 
+    check_regular(path, "Give a detections file.")
     try:
         names = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
         layer = LAYER if LAYER in names else names[0]
@@ -136,20 +138,21 @@ def read_geopackage(path: Path, place: Place | None) -> tuple[list[Item], dict[s
     except Exception as error:  # GDAL's and GEOS's errors share no base
         raise InputError(f"{path}: not a GeoPackage of polygons that can be read ({error})") from error
     told = (info.get("layer_metadata") or {}).get("orthoscale")
-    about = json.loads(told) if told else None
+    note = parsed(told, str(path), "a GeoPackage that orthoscale wrote", "Save the detections again.") if told else None
     crs = meta["crs"]
     if place is not None and not crs:
         place = None
     items = []
     for number, shape in enumerate(shapes, 1):
         what = f"{path}: feature {number} of {layer}"
-        ring = _ring(None if shape is None else shapely.geometry.mapping(shape), what)
+        there = {"type": None, "coordinates": None} if shape is None else shapely.geometry.mapping(shape)
+        ring = _ring(there["type"], there.get("coordinates"), what)
         properties = {name: column[number - 1] for name, column in zip(meta["fields"], columns, strict=True)}
         items.append(_item(_in_pixels(ring, place, crs, str(path)), properties))
-    return items, about
+    return items, note
 
 
-def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None, about: Mapping[str, Any]) -> None:
+def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None, note: Mapping[str, Any]) -> None:
     """Write the layer `vehicles`, in the raster's own coordinates where `place` is known."""
     import warnings
 
@@ -161,18 +164,19 @@ def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None
     fields = ("picture", "score", "class", "length_px", "width_px", "angle_deg")
     columns = [np.array([properties[name] for _, properties in features]) for name in fields]
     columns = [c.astype(object) if k in (0, 2) else c.astype(float) for k, c in enumerate(columns)]
+    spreads = np.array([properties.get("spread", (None, None)) for _, properties in features], float).reshape(-1, 2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # pixel coordinates have no CRS, and need none
         pyogrio.raw.write(
             path,
             geometry=np.asarray(shapely.to_wkb(polygons), object),
-            field_data=columns,
-            fields=np.array(fields, object),
+            field_data=[*columns, *spreads.T],
+            fields=np.array([*fields, *SPREAD], object),
             geometry_type="Polygon",
             crs=None if place is None else place.crs,
             layer=LAYER,
             driver="GPKG",
-            layer_metadata={"orthoscale": json.dumps(dict(about))},
+            layer_metadata={"orthoscale": json.dumps(dict(note))},
         )
 
 
@@ -183,7 +187,8 @@ def _features(
     boxes: Mapping[str, Boxes], place: Place | None, crs: str | None
 ) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
     for picture, found in boxes.items():
-        for corners, row, score in zip(found.corners, found.xylwa, found.score, strict=True):
+        assert found.spread is not None  # since it was made
+        for corners, row, score, spread in zip(found.corners, found.xylwa, found.score, found.spread, strict=True):
             polygon = corners * [1, -1] if place is None else place.to_map(corners, crs)
             yield (
                 polygon,
@@ -194,6 +199,7 @@ def _features(
                     "length_px": round(float(row[2]), 3),
                     "width_px": round(float(row[3]), 3),
                     "angle_deg": round(float(np.degrees(row[4])), 3),
+                    **spread_note(spread),
                 },
             )
 
@@ -209,19 +215,20 @@ def _in_pixels(ring: np.ndarray, place: Place | None, crs: str | None, origin: s
         raise InputError(f"{origin}: its coordinates do not fit the raster's ({error})") from error
 
 
-def _ring(geometry: Mapping[str, Any] | None, what: str) -> np.ndarray:
+def _ring(kind: str | None, rings: Any, what: str) -> np.ndarray:
     """(K, 2) outer ring of a polygon, or of a multipolygon with one part, without the repeated last point."""
-    kind = None if geometry is None else geometry.get("type")
     try:
-        assert geometry is not None
-        rings = geometry["coordinates"]
         if kind == "MultiPolygon" and len(rings) == 1:
             rings, kind = rings[0], "Polygon"
         if kind != "Polygon":
             raise ValueError("not a polygon")
-        ring = np.array([point[:2] for point in rings[0]], float)
-    except (AssertionError, KeyError, IndexError, TypeError, ValueError) as error:
-        raise InputError(f"{what} is no polygon but {kind}", "Boxes must be polygons with four corners.") from error
+        ring = np.array([point[:2] for point in rings[0]], float).reshape(-1, 2)
+    except (IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+        other = "a geometry that is missing" if kind is None else "one with damaged corners"
+        raise InputError(
+            f"{what} is no polygon but {other if kind in (None, 'Polygon') else shown(kind)}",
+            "Boxes must be polygons with four corners.",
+        ) from error
     if len(ring) and np.array_equal(ring[0], ring[-1]):
         ring = ring[:-1]
     if len(ring) < 3 or not np.isfinite(ring).all():
@@ -230,14 +237,22 @@ def _ring(geometry: Mapping[str, Any] | None, what: str) -> np.ndarray:
 
 
 def _item(polygon: np.ndarray, properties: Mapping[str, Any]) -> Item:
-    label, picture = _first(properties, CLASS), _first(properties, PICTURE)
-    score = _first(properties, SCORE)
+    label, picture = first(properties, CLASS), first(properties, PICTURE)
+    told = first(properties, SCORE)
+    score = 1.0 if told is None else _number(told)
+    spread = properties.get("spread")  # a list, which GDAL and QGIS turn into text
+    if isinstance(spread, str):
+        spread = spread.strip("[] ").split(",")
+    if not isinstance(spread, (list, np.ndarray)) or len(spread) != 2:
+        spread = [properties.get(name) for name in SPREAD]
+    length, width = (_number(v) for v in spread)
+    name = None if picture is None else str(picture)
+    return Item(polygon, score, None if label is None else str(label), name, (length, width))
+
+
+def _number(value: Any) -> float:
+    """NaN for what is none."""
     try:
-        value = 1.0 if score is None else float(score)
-    except (TypeError, ValueError):
-        value = float("nan")
-    return Item(polygon, value, None if label is None else str(label), None if picture is None else str(picture))
-
-
-def _first(properties: Mapping[str, Any], names: Sequence[str]) -> Any:
-    return next((properties[name] for name in names if properties.get(name) is not None), None)
+        return float(value)
+    except (OverflowError, TypeError, ValueError):
+        return float("nan")

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
+from typing import Any
 
 import cv2
 import numpy as np
 
 from ..boxes import Boxes
 from ..detect.classes import is_vehicle
-from ..errors import InputError
+from ..errors import InputError, shown
 
+FARTHEST = 1e7  # [px]
+# What programs call these properties of a box; the first that is there counts.
+PICTURE = ("picture", "image", "file_name", "filename")
+SCORE = ("score", "confidence", "conf", "probability")
+CLASS = ("class", "label", "category", "class_name", "name", "kind")
 LABEL = "small-vehicle"  # what our own boxes are called in the files of others, DOTA's word
 
 
@@ -21,22 +27,27 @@ class Item:
     """One detection as a file has it.
 
     polygon : (K, 2) vertices [px of the picture]. picture : its name, None where the file names none. label : class
-    name, None where the file has none; such boxes count as vehicles.
+    name, None where the file has none; such boxes count as vehicles. spread : as in `Boxes`, None where unknown.
+    relative : the polygon is in shares of the picture's width and height instead.
     """
 
     polygon: np.ndarray
     score: float = 1.0
     label: str | None = None
     picture: str | None = None
+    spread: tuple[float | None, float | None] = (None, None)
+    relative: bool = False
 
 
 def rectangle(polygon: np.ndarray) -> np.ndarray:
     """(5,) centre x, y, length, width, angle of the rectangle that a polygon (K, 2) stands for.
 
     Four corners in order: the mean of opposite sides, because the rectangle around hand-drawn corners is always too
-    large. Anything else: the smallest rectangle around it.
+    large. Anything else: the smallest rectangle around it; NaN where a vertex lies nowhere.
     """
     p = np.asarray(polygon, float)
+    if not (np.abs(p) < FARTHEST).all():  # OpenCV takes single precision only
+        return np.full(5, np.nan)
     if len(p) > 1 and np.array_equal(p[0], p[-1]):
         p = p[:-1]
     centre = p.mean(0)
@@ -54,37 +65,46 @@ def rectangle(polygon: np.ndarray) -> np.ndarray:
 
 
 def boxes_by_picture(
-    items: Sequence[Item], pictures: Sequence[str], vehicle_classes: Sequence[str], origin: str
+    items: Sequence[Item],
+    pictures: Sequence[str],
+    vehicle_classes: Sequence[str],
+    origin: str,
+    sizes: Mapping[str, tuple[int, int]],
 ) -> dict[str, Boxes]:
     """Boxes of the vehicles among `items`, by the names that the source's `pictures` have.
 
-    A name may lack its suffix or its folder, as in DOTA and COCO, where that leaves no doubt; names that the source
-    does not have stay as they are. Raises InputError for items without vehicles, of pictures that cannot be told, or
-    without extent; `origin` names the file.
+    sizes : (width, height) of the pictures, for items that are `relative` to them. A name may lack its suffix or its
+    folder, as in DOTA and COCO, where that leaves no doubt; names that the source does not have stay as they are.
+    Raises InputError for items without vehicles, or of pictures that cannot be told; `origin` names the file. Whether
+    the boxes can be meant is for `files.load` to check.
     """
     labels = {item.label for item in items if item.label is not None}
     counted = [item for item in items if item.label is None or is_vehicle(item.label, vehicle_classes)]
     if items and not counted:
         wanted = f"called {' or '.join(vehicle_classes)}" if vehicle_classes else "whose name means small vehicles"
-        listed = ", ".join(sorted(labels))[:300]
+        listed = shown(", ".join(sorted(labels)), 300)
         raise InputError(
             f"{origin}: {len(items)} boxes, none of a class {wanted}; its classes are {listed}",
             "Name the right one by --vehicle-class.",
         )
     names = _names(pictures)
     rows: dict[str, list[np.ndarray]] = {}
-    scores: dict[str, list[float]] = {}
-    for number, item in enumerate(counted, 1):
+    rest: dict[str, list[tuple]] = {}
+    for item in counted:
         name = _resolved(item.picture, pictures, names, origin)
-        row = rectangle(item.polygon)
-        if not np.isfinite(row).all() or row[2:4].min() <= 0 or not np.isfinite(item.score):
-            raise InputError(
-                f"{origin}: box {number} of its vehicles, in {name}, has no extent or is not made of numbers",
-                "Remove it or correct it.",
-            )
-        rows.setdefault(name, []).append(row)
-        scores.setdefault(name, []).append(float(np.clip(item.score, 0, 1)))
-    return {name: Boxes(np.array(rows[name]), np.array(scores[name])) for name in rows}
+        polygon = item.polygon * sizes.get(name, (1, 1)) if item.relative else item.polygon
+        rows.setdefault(name, []).append(rectangle(polygon))
+        rest.setdefault(name, []).append((item.score, *item.spread))
+    found = {}
+    for name in rows:
+        score, spread = np.split(np.array(rest[name], float), [1], axis=1)
+        found[name] = Boxes(np.array(rows[name]), score, spread)
+    return found
+
+
+def first(properties: Mapping[Any, Any], names: Sequence[str]) -> Any:
+    """The first of a box's properties that is called one of `names` and says something; None without one."""
+    return next((properties[name] for name in names if properties.get(name) is not None), None)
 
 
 def short_name(picture: str, pictures: Sequence[str]) -> str:

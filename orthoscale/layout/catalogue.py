@@ -5,19 +5,21 @@ The figures and the source of each lie in ``data/facilities.json``, whose ``abou
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, UsageError
+from ..errors import InputError, UsageError, shown
+from ..reading import checked, read_plain, reason
 
+HINT = 'Expected {"facilities": {CODE: {"name", "length", "width", "ends", "sides", "source"}}} in metres.'
 ARC_STEP = 6.0  # [deg] between the points of a drawn arc
 
 
@@ -115,16 +117,18 @@ def load(path: Path | None = None) -> dict[str, Facility]:
     built_in = _table()["facilities"]
     if path is None:
         return {code: _facility(code, entry, built_in) for code, entry in built_in.items()}
-    try:
-        entries = {**built_in, **json.loads(path.read_text(encoding="utf-8"))["facilities"]}
-        return {code.lower(): _facility(code.lower(), entry, entries) for code, entry in entries.items()}
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})", "Give a catalogue.") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(
-            f"{path}: not a catalogue ({error!r})",
-            'Expected {"facilities": {CODE: {"name", "length", "width", "ends", "sides", "source"}}} in metres.',
-        ) from error
+    from ..schemas import Catalogue
+
+    own = read_plain(path, "a catalogue", HINT)
+    checked(own, Catalogue, str(path), "a catalogue", HINT)
+    entries = {**built_in, **own["facilities"]}
+    facilities = {}
+    for code, entry in entries.items():
+        try:
+            facilities[code.lower()] = _facility(code.lower(), entry, entries)
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{path}: not a catalogue (facilities.{shown(code)}: {reason(error)})", HINT) from error
+    return facilities
 
 
 def parking(code: str, bays: int) -> Facility:
@@ -162,16 +166,17 @@ def parking(code: str, bays: int) -> Facility:
 @cache
 def _table() -> dict[str, Any]:
     path = Path(__file__).parent.parent / "data" / "facilities.json"
-    return json.loads(path.read_text(encoding="utf-8"))
+    return read_plain(path, "the table of facilities")
 
 
 def _facility(code: str, entry: Mapping[str, Any], entries: Mapping[str, Mapping[str, Any]]) -> Facility:
+    """From an entry that fits `schemas.FacilityEntry`. Raises ValueError for lines or an infield that make no sense."""
     sizes = {name: float(entry.get(name, 0.0)) for name in ("length", "width", "ends", "sides")}
-    if not (sizes["length"] >= sizes["width"] > 0 and min(sizes.values()) >= 0 and math.isfinite(sum(sizes.values()))):
-        raise ValueError(f"{code}: length >= width > 0 and run-off >= 0 are wanted")
     both = [_points(line) for line in entry.get("both_ends", [])]
     lines = [*(_points(line) for line in entry.get("lines", [])), *both, *(-line for line in both)]
     if infield := entry.get("infield"):
+        if infield not in entries or entries[infield].get("infield"):
+            raise ValueError(f"its infield {infield!r} is none that is known, or has one itself")
         lines += _facility(infield, entries[infield], entries).lines
     red, green, blue = (int(v) for v in entry.get("colour", (160, 160, 160)))
     return Facility(
@@ -189,6 +194,8 @@ def _facility(code: str, entry: Mapping[str, Any], entries: Mapping[str, Mapping
 
 def _points(line: Sequence[Any]) -> np.ndarray:
     kind, *values = line
+    if kind not in DRAWN or len(values) != len(signature(DRAWN[kind]).parameters) or str in map(type, values):
+        raise ValueError(f"a line that is none of {', '.join(DRAWN)} with its numbers")
     return DRAWN[kind](*(float(v) for v in values))
 
 

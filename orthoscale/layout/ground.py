@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,8 +15,12 @@ import shapely
 from rasterio.transform import Affine
 from shapely.geometry.base import BaseGeometry
 
-from ..errors import InputError, UsageError
+from ..errors import InputError, UsageError, shown
+from ..reading import LARGE, check_regular, read, read_plain
 from ..sources.raster import RasterSource
+
+AREA_HINT = "Give the polygon of the area as GeoJSON, GeoPackage ..."
+FARTHEST = 1e9  # of a polygon's coordinates, whatever their unit
 
 
 @dataclass(frozen=True)
@@ -118,14 +121,36 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
             raise UsageError("--scale-error must lie between 0 and 100 per cent")
         return (1 - scale_error, 1 + scale_error), ()
     report = path.with_name(path.name + ".json")
+    from ..schemas import Measured
+
     try:
-        text = json.loads(report.read_text(encoding="utf-8"))
-        low, high = (float(v) / float(text["scale"]) for v in text["interval90"])
-        if 0 < low <= 1 <= high:
+        told = read(report, Measured, "a report of orthoscale", most=LARGE)
+        low, high = (v / told.scale for v in told.interval90)
+        if low <= 1 <= high:
             return (low, high), ()
-    except (OSError, ValueError, KeyError, TypeError, ZeroDivisionError):
+    except InputError:  # none, or another program's file of that name
         pass
     return None, (f"how well the scale is known is not: there is no {report.name} (or say --scale-error PERCENT)",)
+
+
+def _polygons(path: Path) -> tuple[BaseGeometry, str | None]:
+    """All polygons of a vector file as one, and its CRS. Raises InputError."""
+    import pyogrio
+
+    if not path.is_dir():  # some formats are folders
+        check_regular(path, AREA_HINT)
+    if path.suffix.lower() in (".geojson", ".json"):
+        read_plain(path, "GeoJSON", AREA_HINT, LARGE)  # so that GDAL only gets what is sound
+    try:
+        meta, _, shapes, _ = pyogrio.raw.read(path)
+        parts = [shapely.make_valid(shapely.force_2d(shapely.from_wkb(s))) for s in shapes if s is not None]
+        area = shapely.union_all([p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon"])
+        sound = not area.is_empty and bool((np.abs(shapely.get_coordinates(area)) < FARTHEST).all())
+    except Exception as error:  # GDAL's and GEOS's errors share no base
+        raise InputError(f"{path}: no vector file that GDAL can read ({shown(str(error))})", AREA_HINT) from error
+    if not sound:
+        raise InputError(f"{path}: no polygon in it", "Draw the area as a polygon.")
+    return area, meta["crs"]
 
 
 def read_area(path: Path, ground: Ground, pixels: bool = False) -> tuple[BaseGeometry, tuple[str, ...]]:
@@ -135,31 +160,24 @@ def read_area(path: Path, ground: Ground, pixels: bool = False) -> tuple[BaseGeo
     transformed, if the picture has a place on Earth; those of a picture in local metres are taken as they are.
     Raises InputError.
     """
-    import pyogrio
-
-    try:
-        meta, _, shapes, _ = pyogrio.raw.read(path)
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
-        raise InputError(
-            f"{path}: no vector file that GDAL can read ({error})", "Give GeoJSON, GeoPackage ..."
-        ) from error
-    parts = [shapely.make_valid(shapely.force_2d(shapely.from_wkb(s))) for s in shapes if s is not None]
-    area = shapely.union_all([p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon"])
-    if area.is_empty or not np.isfinite(shapely.get_coordinates(area)).all():
-        raise InputError(f"{path}: no polygon in it", "Draw the area as a polygon.")
+    area, own = _polygons(path)
     notes: list[str] = []
     if pixels:
         area = ground.mapped(area, ground.to_metres)
     else:
-        own = meta["crs"]
         lon_lat = bool((np.abs(shapely.get_coordinates(area)) <= [180, 90]).all())
         # GeoJSON knows longitude and latitude alone; a file in other coordinates is read as if it were that.
         if ground.source.claimed.usable and own and not (own == "EPSG:4326" and not lon_lat):
-            there = pyproj.Transformer.from_crs(own, pyproj.CRS.from_user_input(ground.crs), always_xy=True)
-            area = shapely.transform(area, lambda c: np.column_stack(there.transform(*c.T)))
+            try:
+                there = pyproj.Transformer.from_crs(own, pyproj.CRS.from_user_input(ground.crs), always_xy=True)
+                area = shapely.transform(area, lambda c: np.column_stack(there.transform(*c.T)))
+            except pyproj.exceptions.ProjError as error:
+                raise InputError(f"{path}: its coordinates do not fit the picture's", AREA_HINT) from error
         elif ground.source.claimed.usable:
             notes.append(f"{path.name}: its coordinates are taken for those of the picture's CRS")
         area = ground.mapped(area, ground.from_crs)
+    if not np.isfinite(shapely.get_coordinates(area)).all():
+        raise InputError(f"{path}: its coordinates have no place in the picture's", AREA_HINT)
     picture = ground.mapped(shapely.box(0, 0, ground.source.width, ground.source.height), ground.to_metres)
     inside = area.intersection(picture)
     if inside.area < 1e-3 * area.area or not area.area > 0:

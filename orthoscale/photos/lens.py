@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError, UsageError
+from ..reading import SMALL, read, read_text, reason
 from .tags import Tags
 
 if TYPE_CHECKING:
@@ -26,6 +25,8 @@ SENSOR_ASPECT = 4 / 3
 # millimetres of a 35 mm equivalent, which is 0.29 mm.
 CALIBRATED_SD, MAKERS_SD, TOLD_SD, NOMINAL_SD, CROP_SD, ZOOM_SD = 0.003, 0.01, 0.01, 0.02, 0.03, 0.1
 ROUNDING_MM = 0.29
+HINT = "Give Metashape's XML, COLMAP's cameras.txt, or JSON."
+LARGEST = 1e7  # of a camera's size and parameters; pixels
 IMPLAUSIBLE = 0.25  # a maker's calibrated focal length further than this from the 35 mm equivalent has another unit
 
 
@@ -121,22 +122,20 @@ def read_calibration(path: Path) -> pycolmap.Camera:
     ``height``, ``fx`` (or ``focal_px``), and where known ``fy``, ``cx``, ``cy``, ``k1``, ``k2``, ``p1``, ``p2``,
     ``k3``, pixels and distortion as in OpenCV. Raises InputError.
     """
+    readers = {".xml": _from_metashape, ".txt": _from_colmap}
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        return _from_json(path)
+    if suffix not in readers:
+        raise InputError(f"{path}: not a calibration file", HINT)
+    text = read_text(path, "Give a calibration file.", SMALL)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not text"
-        raise InputError(f"{path}: cannot be read ({reason})", "Give a calibration file.") from error
-    readers = {".xml": _from_metashape, ".json": _from_json, ".txt": _from_colmap}
-    if path.suffix.lower() not in readers:
-        raise InputError(f"{path}: not a calibration file", "Give Metashape's XML, COLMAP's cameras.txt, or JSON.")
-    try:
-        camera = readers[path.suffix.lower()](text)
-        if not (math.isfinite(sum(camera.params)) and camera.mean_focal_length() > 0 and camera.width > 0):
+        camera = readers[suffix](text)
+        largest = max(camera.width, camera.height, *map(abs, camera.params))
+        if not (largest < LARGEST and camera.mean_focal_length() > 0 and min(camera.width, camera.height) > 0):
             raise ValueError("a focal length or size that is not a positive number")
-    except (KeyError, ValueError, TypeError, AttributeError, ElementTree.ParseError) as error:
-        raise InputError(
-            f"{path}: no calibration in it ({error})", "Give Metashape's XML, COLMAP's cameras.txt, or JSON."
-        ) from error
+    except (KeyError, ValueError, TypeError, OverflowError, ElementTree.ParseError) as error:
+        raise InputError(f"{path}: no calibration in it ({reason(error)})", HINT) from error
     return camera
 
 
@@ -149,7 +148,10 @@ def _from_metashape(text: str) -> pycolmap.Camera:
         found = root.findtext(f".//{name}", default=None)
         if found is None and default is None:
             raise KeyError(f"no <{name}>")
-        return float(found) if found is not None else float(default or 0)
+        try:
+            return float(found if found is not None else default or 0)
+        except ValueError:
+            raise ValueError(f"<{name}> is no number") from None
 
     size, f = (int(value("width")), int(value("height"))), value("f")
     middle = (size[0] / 2 + value("cx", 0.0), size[1] / 2 + value("cy", 0.0))
@@ -157,13 +159,13 @@ def _from_metashape(text: str) -> pycolmap.Camera:
     return brown(size, f + value("b1", 0.0), f, middle, (k1, k2, p2, p1, k3))
 
 
-def _from_json(text: str) -> pycolmap.Camera:
-    values: Mapping[str, float] = json.loads(text)
-    size = int(values["width"]), int(values["height"])
-    fx = float(values["fx"] if "fx" in values else values["focal_px"])
-    middle = (float(values.get("cx", size[0] / 2)), float(values.get("cy", size[1] / 2)))
-    bend = tuple(float(values.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3"))
-    return brown(size, fx, float(values.get("fy", fx)), middle, bend)
+def _from_json(path: Path) -> pycolmap.Camera:
+    from ..schemas import LensEntry
+
+    lens = read(path, LensEntry, "a calibration of a lens", HINT)
+    fx = lens.fx or lens.focal_px or 0.0  # one of the two is there
+    middle = (lens.width / 2 if lens.cx is None else lens.cx, lens.height / 2 if lens.cy is None else lens.cy)
+    return brown((lens.width, lens.height), fx, lens.fy or fx, middle, (lens.k1, lens.k2, lens.p1, lens.p2, lens.k3))
 
 
 def _from_colmap(text: str) -> pycolmap.Camera:

@@ -15,6 +15,8 @@ from .posterior import Z90, Posterior
 
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
+SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
+SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
 CONTROL_SD = 0.05  # of a ground control point's position, where its residuals do not say [m]
 
 
@@ -100,8 +102,12 @@ def known_distance(points: np.ndarray, metres: float, sd: float | None = None, w
     """
     units = float(np.linalg.norm(points[0] - points[1]))
     sd = DISTANCE_SD * metres if sd is None else sd
-    if not (np.isfinite([units, metres, sd]).all() and units > 0 and metres > 0 and sd > 0):
-        raise ValueError("the points must differ, the distance and its sigma be positive")
+    if not (np.isfinite(units) and units > 0):
+        raise ValueError("the points must differ")
+    if not SHORTEST <= metres <= LONGEST:
+        raise ValueError(f"the distance must be a number of metres from {SHORTEST:g} to {LONGEST:g}")
+    if not SUREST * metres <= sd <= metres:
+        raise ValueError("the sigma must be positive metres, from a millionth of the distance to all of it")
     return Evidence("known distance", metres / units, sd / metres, f"the known distance of {metres:g} m{where}")
 
 

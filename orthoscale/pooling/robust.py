@@ -66,7 +66,7 @@ def pool(
     `geometry` (2, 2) is the relative covariance of lengths and widths that comes from the source's geometry (ground
     height, effective height), shared by all votes. `evidence` is what else is known of the scale.
     Where `fleet` has candidates, each is tried, and counts as much as the shape of the vehicles makes it likely.
-    Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes.
+    Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes, or boxes shaped like no vehicles.
     """
     size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
     fleeting = votes.fleeting
@@ -160,7 +160,10 @@ def _of_fleet(
     covariances of what else is uncertain about them all."""
     shared = {"fleet": drawing.covariance(fleet.log_mean_covariance) + MIXTURE_SD**2, **known}
     systematic = sum(shared.values(), np.zeros((2, 2)))
-    fits = fit(log_size, noise, fleet.told_apart, systematic, drawing=drawing)
+    try:
+        fits = fit(log_size, noise, fleet.told_apart, systematic, drawing=drawing)
+    except np.linalg.LinAlgError as error:  # no vote supports any class: nothing determines the scale
+        raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {fleet.code}") from error
     # How strongly the detector draws to the usual is known no better from more vehicles: it is the margin's kin.
     drawn = np.einsum("v,vij->ij", fits.weight, fits.drawing)
     shared["margin"] = shared["margin"] + drawn

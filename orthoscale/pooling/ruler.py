@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -39,11 +37,3 @@ class Ruler:
     def drawing(self) -> Drawing:
         """How the detector draws sizes, for `mixture`."""
         return Drawing(np.asarray(self.shrink), np.asarray(self.shrink_sd), np.asarray(self.usual))
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Ruler:
-        """From the plain values of a card or a detections file. Raises TypeError, ValueError for others."""
-        plain: dict[str, Any] = {
-            k: tuple(map(float, v)) if isinstance(v, list) else float(v) for k, v in values.items()
-        }
-        return cls(**plain)

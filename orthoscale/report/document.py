@@ -14,9 +14,10 @@ import numpy as np
 
 from .. import __version__
 from ..claims import own_claim
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..fleet import Fleet
 from ..measuring.drift import Drift
+from ..reading import LARGE, checked, read_plain
 from ..result import Result
 from .above import from_above
 
@@ -199,18 +200,15 @@ def write_json(report: Mapping[str, Any], path: Path) -> None:
 
 def read_json(path: Path) -> dict[str, Any]:
     """A report that `write_json` wrote. Raises InputError for anything else."""
-    try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})", "Give the report that `fix` wrote.") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON ({error})", "Give the report that `fix` wrote.") from error
+    from ..schemas import Report
+
+    hint = "Give the report.json or OUT.tif.json that `orthoscale fix` wrote, or make it again."
+    report = read_plain(path, "a report", hint, LARGE)
     found = report.get("format") if isinstance(report, dict) else None
     if found != FORMAT:
-        raise InputError(
-            f"{path}: not a report that this version draws (format {found!r}, expected {FORMAT!r})",
-            "Give the report.json or OUT.tif.json that `orthoscale fix` wrote, or make it again.",
-        )
+        told = f"format {shown(str(found))!r}" if found else "no format"
+        raise InputError(f"{path}: not a report that this version draws ({told}, expected {FORMAT!r})", hint)
+    checked(report, Report, str(path), "a report", hint)
     return report
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from ..reading import reason
 
 MEANINGS = {
     "sampling": "vehicles differ, and only so many were measured",
@@ -38,7 +39,9 @@ def explain(report: Mapping[str, Any]) -> dict[str, Any]:
         parts = {str(name): float(sd) for name, sd in report["uncertainty"].items()}
         used, fleet = int(report["vehicles_used"]), str(report["fleet"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"not a report of orthoscale: {error!r}", "Give the report.json that `fix` wrote.") from error
+        raise InputError(
+            f"not a report of orthoscale: {reason(error)}", "Give the report.json that `fix` wrote."
+        ) from error
     variance = sum(sd**2 for sd in parts.values())
     if not (np.isfinite(variance) and variance > 0 and scale > 0):
         raise InputError("the report has no uncertainty to explain", "Give the report.json that `fix` wrote.")

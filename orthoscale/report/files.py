@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..atomic import check_free, new_file
 from ..errors import InputError, OrthoscaleError
+from ..reading import is_there, reason
 from ..result import Result
 from ..sources.opening import open_source
 from .document import document, read_json, write_json
@@ -58,8 +59,10 @@ def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = 
         html = page(report, Scene.of(report, source))
     except OrthoscaleError:
         raise
-    except Exception as error:  # whatever a value of the wrong kind leads to
-        raise InputError(f"{path}: a damaged report ({error!r})", "Make it again with `orthoscale fix`.") from error
+    except Exception as error:  # whatever values that do not fit together lead to
+        raise InputError(
+            f"{path}: a damaged report ({reason(error)})", "Make it again with `orthoscale fix`."
+        ) from error
     with new_file(out, overwrite) as partial:
         partial.write_text(html, encoding="utf-8")
     return why
@@ -68,7 +71,7 @@ def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = 
 def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple[Source | None, str]:
     """The source that a report speaks of, or None and why it is not taken."""
     told = Path(report["input"]["path"])
-    found = next((place for place in (told, path.parent / told) if place.exists()), None)
+    found = next((place for place in (told, path.parent / told) if is_there(place)), None)
     if found is None:
         return None, f"{told} is not there"
     if images is None and "images" in report["settings"]:

@@ -11,7 +11,7 @@ from .gltf import scale_glb, scale_gltf
 from .mesh import CLOUDS, MESHES, scale_mesh
 from .obj import scale_obj
 from .ply import scale_ply
-from .poses import read_json, scale_reconstruction, scale_transforms
+from .poses import read_poses, scale_reconstruction, scale_transforms
 from .text_models import SUFFIXES, scale_text_model
 
 KNOWN = (
@@ -44,7 +44,7 @@ def _scale_file(source: Path, target: Path, scale: float) -> list[str]:
         scale_glb(source, target, scale)
     elif suffix == ".gltf":
         companions = scale_gltf(source, target, scale)
-    elif suffix == ".json" and isinstance(read_json(source), list):
+    elif suffix == ".json" and isinstance(read_poses(source), list):
         scale_reconstruction(source, target, scale)
     elif suffix == ".json":
         clouds = scale_transforms(source, target, scale)

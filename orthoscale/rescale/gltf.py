@@ -10,11 +10,14 @@ import shutil
 import struct
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from ..errors import InputError
+from ..reading import HUGE, MIB, checked, is_there, parsed, read_plain
 from .mark import MARK, mark, refuse_marked
 
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
+WHAT = "a glTF scene"
 COPY_AGAIN = "The file is damaged or was cut off: copy it again, or export it anew."
 
 
@@ -30,10 +33,9 @@ def scale_glb(source: Path, target: Path, scale: float) -> None:
             raise InputError(f"{source}: not a binary glTF 2.0 file", "Export it as glTF 2.0.")
         if announced != size or 20 + length > size:
             raise InputError(f"{source}: {size} bytes, but its header says {announced}", COPY_AGAIN)
-        try:
-            text = json.loads(file.read(length))
-        except ValueError as error:
-            raise InputError(f"{source}, byte 20: its JSON is malformed ({error})", COPY_AGAIN) from error
+        if length > HUGE:
+            raise InputError(f"{source}: its JSON is larger than the {HUGE // MIB} MiB that it may have", COPY_AGAIN)
+        text = parsed(file.read(length), str(source), WHAT, COPY_AGAIN)
         new = json.dumps(_scaled(source, text, scale), separators=(",", ":")).encode()
         new += b" " * (-len(new) % 4)
         with target.open("wb") as out:
@@ -43,33 +45,32 @@ def scale_glb(source: Path, target: Path, scale: float) -> None:
 
 def scale_gltf(source: Path, target: Path, scale: float) -> list[Path]:
     """The same for a .gltf text file; returns the buffers and images beside it that it refers to."""
-    try:
-        text = json.loads(source.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputError(f"{source}: not a glTF file ({error})", COPY_AGAIN) from error
+    text = read_plain(source, WHAT, COPY_AGAIN, HUGE)
     target.write_text(json.dumps(_scaled(source, text, scale), indent=1), encoding="utf-8")
-    names = [part.get("uri", "") for part in (*text.get("buffers", []), *text.get("images", []))]
-    return [source.parent / n for n in names if n and not n.startswith("data:") and (source.parent / n).is_file()]
+    told = [part.get("uri") or "" for part in (*text.get("buffers", []), *text.get("images", []))]
+    names = [unquote(uri) for uri in told if uri and not uri.startswith("data:")]
+    return [place for name in names if is_there(place := source.parent / name) and place.is_file()]
 
 
 def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
     """`text` with one scaling node above each root node of its scenes."""
-    try:
-        asset, nodes, scenes = text["asset"], text["nodes"], text["scenes"]
-        if MARK in (asset.get("extras") or {}):
-            refuse_marked(path)
-        above: dict[int, int] = {}
-        for scene in scenes:
-            for k, root in enumerate(scene.get("nodes", [])):
-                if not 0 <= root < len(nodes):
-                    raise ValueError(f"a scene refers to node {root}, which does not exist")
-                if root not in above:  # a root that two scenes share stays shared
-                    above[root] = len(nodes) + len(above)
-                scene["nodes"][k] = above[root]
-        if not above:
-            raise ValueError("its scenes are empty")
-        nodes += [{"name": "metres", "scale": [scale] * 3, "children": [root]} for root in above]
-        asset["extras"] = {**(asset.get("extras") or {}), MARK: mark(scale)}
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: not a glTF scene ({error!r})", "Export the mesh as a glTF 2.0 scene.") from error
+    from ..schemas import Gltf
+
+    hint = "Export the mesh as a glTF 2.0 scene."
+    checked(text, Gltf, str(path), WHAT, hint)
+    asset, nodes, scenes = text["asset"], text["nodes"], text["scenes"]
+    if MARK in (asset.get("extras") or {}):
+        refuse_marked(path)
+    above: dict[int, int] = {}
+    for scene in scenes:
+        for k, root in enumerate(scene.get("nodes", [])):
+            if root >= len(nodes):
+                raise InputError(f"{path}: a scene refers to node {root}, which does not exist", hint)
+            if root not in above:  # a root that two scenes share stays shared
+                above[root] = len(nodes) + len(above)
+            scene["nodes"][k] = above[root]
+    if not above:
+        raise InputError(f"{path}: its scenes are empty", hint)
+    nodes += [{"name": "metres", "scale": [scale] * 3, "children": [root]} for root in above]
+    asset["extras"] = {**(asset.get("extras") or {}), MARK: mark(scale)}
     return text

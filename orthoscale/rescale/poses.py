@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from ..errors import InputError
+from ..reading import HUGE, checked, read_plain
 from .mark import MARK, mark, refuse_marked
 
+HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
 
-def read_json(path: Path) -> Any:
-    """The JSON in `path`. Raises InputError."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})", "Check the file and its permissions.") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON ({error})", "The file is damaged or was cut off: copy it again.") from error
+
+def read_poses(path: Path) -> dict[str, Any] | list[dict[str, Any]]:
+    """The plain values of a transforms.json, a mapping, or of a reconstruction.json, a list. Raises InputError."""
+    from ..schemas import OpensfmPart, Transforms
+
+    text = read_plain(path, "a JSON of cameras", HINT, HUGE)
+    if isinstance(text, list):
+        checked(text, list[OpensfmPart], str(path), "an OpenSfM reconstruction", HINT)
+        if not text:
+            raise InputError(f"{path}: not an OpenSfM reconstruction (it holds none)", HINT)
+    else:
+        checked(text, Transforms, str(path), "a transforms.json", HINT)
+    return text
 
 
 def scale_transforms(source: Path, target: Path, scale: float) -> list[Path]:
@@ -28,49 +35,39 @@ def scale_transforms(source: Path, target: Path, scale: float) -> list[Path]:
     The cameras' positions grow, and the shift of ``applied_transform``, which leads back to the world before
     nerfstudio turned it. ``applied_scale`` stays: its world is now the metric one. Raises InputError, UsageError.
     """
-    text = read_json(source)
-    try:
-        if MARK in text:
-            refuse_marked(source)
-        for frame in text["frames"]:
-            frame["transform_matrix"] = _grown(frame["transform_matrix"], (4, 4), scale)
-        if "applied_transform" in text:
-            text["applied_transform"] = _grown(text["applied_transform"], (3, 4), scale)
-        cloud = text.get("ply_file_path")
-        text[MARK] = mark(scale)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{source}: not a transforms.json ({error!r})", 'Expected {"frames": [...]}.') from error
+    text = cast("dict[str, Any]", read_poses(source))
+    if MARK in text:
+        refuse_marked(source)
+    for frame in text["frames"]:
+        frame["transform_matrix"] = _grown(frame["transform_matrix"], scale)
+    if "applied_transform" in text:
+        text["applied_transform"] = _grown(text["applied_transform"], scale)
+    cloud = text.get("ply_file_path")
+    text[MARK] = mark(scale)
     target.write_text(json.dumps(text, indent=1), encoding="utf-8")
     return [source.parent / cloud] if cloud and (source.parent / cloud).is_file() else []
 
 
 def scale_reconstruction(source: Path, target: Path, scale: float) -> None:
     """Write an OpenSfM reconstruction.json in metres: shots, rigs and points. Raises InputError, UsageError."""
-    text = read_json(source)
-    try:
-        for part in text:
-            if MARK in part:
-                refuse_marked(source)
-            for shot in part["shots"].values():
-                shot["translation"] = _grown(shot["translation"], (3,), scale)
-            for rigid in (*part.get("rig_instances", {}).values(), *part.get("rig_cameras", {}).values()):
-                rigid["translation"] = _grown(rigid["translation"], (3,), scale)
-            for point in part.get("points", {}).values():
-                point["coordinates"] = _grown(point["coordinates"], (3,), scale)
-            part[MARK] = mark(scale)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(
-            f"{source}: not an OpenSfM reconstruction ({error!r})", 'Expected [{"cameras", "shots", "points"}].'
-        ) from error
+    text = read_poses(source)
+    for part in cast("list[dict[str, Any]]", text):
+        if MARK in part:
+            refuse_marked(source)
+        for shot in part["shots"].values():
+            shot["translation"] = _grown(shot["translation"], scale)
+        for rigid in (*part.get("rig_instances", {}).values(), *part.get("rig_cameras", {}).values()):
+            rigid["translation"] = _grown(rigid["translation"], scale)
+        for point in part.get("points", {}).values():
+            point["coordinates"] = _grown(point["coordinates"], scale)
+        part[MARK] = mark(scale)
     target.write_text(json.dumps(text), encoding="utf-8")
 
 
-def _grown(values: Any, shape: tuple[int, ...], scale: float) -> list:
+def _grown(values: Any, scale: float) -> list:
     """`values` with its lengths times `scale`: a vector, or the last column of a pose's first three rows."""
     array = np.array(values, float)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{np.shape(values)} values where {shape} finite ones belong")
-    if len(shape) == 1:
+    if array.ndim == 1:
         array *= scale
     else:
         array[:3, 3] *= scale

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, UsageError
+from ..reading import SMALL, read, read_text
 
 HINT = "Give the sim3.json (or sim3.txt) that `orthoscale fix` wrote."
 
@@ -41,18 +42,16 @@ class Sim3:
     @classmethod
     def load(cls, path: Path) -> Sim3:
         """Read either file. Raises InputError for anything else, UsageError for one that turns or shifts."""
-        try:
-            text = path.read_text(encoding="utf-8")
-            if path.suffix == ".json":
-                values = json.loads(text)
-                numbers = [values["scale"], *values["rotation_wxyz"], *values["translation"]]
-            else:
-                numbers = text.split()
-            scale, *rest = map(float, numbers)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror})", HINT) from error
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{path}: not a similarity ({error!r})", HINT) from error
+        if path.suffix == ".json":
+            from ..schemas import Sim3Entry
+
+            entry = read(path, Sim3Entry, "a similarity", HINT)
+            scale, rest = entry.scale, [*entry.rotation_wxyz, *entry.translation]
+        else:
+            try:
+                scale, *rest = map(float, read_text(path, HINT, SMALL).split())
+            except ValueError as error:
+                raise InputError(f"{path}: not a similarity (expected eight numbers)", HINT) from error
         if len(rest) != 7:
             raise InputError(f"{path}: not a similarity ({len(rest) + 1} numbers, 8 are needed)", HINT)
         if rest != [1, 0, 0, 0, 0, 0, 0]:

@@ -15,10 +15,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError
+from ..reading import reason
 from ..rescale.files import scale_path
 from ..rescale.mark import MARK
 from ..rescale.ply import read_points
-from ..rescale.poses import read_json
+from ..rescale.poses import read_poses
 from ..rescale.text_models import SUFFIXES
 from .colmap import find_frames
 from .colmap_check import FARTHEST, model_folders
@@ -77,7 +78,7 @@ class ExchangeSource(OneFileSource):
     @property
     def metric_already(self) -> str:
         """Why it counts as metric: orthoscale's mark, or OpenSfM's alignment with GPS."""
-        text = read_json(self.path)
+        text = read_poses(self.path)
         if isinstance(text, dict):
             return "orthoscale wrote it" if MARK in text else ""
         part, _ = _largest(self.path, text)
@@ -95,7 +96,7 @@ class ExchangeSource(OneFileSource):
         return digest.hexdigest()
 
     def _write_file(self, out: Path, scale: float) -> None:
-        text = read_json(self.path)
+        text = read_poses(self.path)
         if isinstance(text, list) and len(text) > 1:  # each has its own scale, and only one was found
             alone = out.parent / "largest.json"
             alone.write_text(json.dumps([_largest(self.path, text)[0]]), encoding="utf-8")
@@ -110,7 +111,7 @@ class ExchangeSource(OneFileSource):
 
 def _read(path: Path) -> tuple[pycolmap.Reconstruction, list[Path], list[str]]:
     """The model in the file `path`, other files that belong to it, and what there is to say."""
-    text = read_json(path)
+    text = read_poses(path)
     try:
         if isinstance(text, list):
             part, notes = _largest(path, text)
@@ -118,18 +119,15 @@ def _read(path: Path) -> tuple[pycolmap.Reconstruction, list[Path], list[str]]:
         return *_nerfstudio(path, text), []
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError) as error:
         raise InputError(
-            f"{path}: neither OpenSfM's reconstruction.json nor nerfstudio's transforms.json ({error!r})",
+            f"{path}: neither OpenSfM's reconstruction.json nor nerfstudio's transforms.json ({reason(error)})",
             "The file may be damaged: copy it again, or write it anew.",
         ) from error
 
 
 def _largest(path: Path, text: list[dict[str, Any]]) -> tuple[dict[str, Any], list[str]]:
     """The reconstruction of most images in OpenSfM's list, and a note if there are others."""
-    try:
-        sizes = [len(part["shots"]) for part in text]
-        best = text[int(np.argmax(sizes))]
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: not an OpenSfM reconstruction ({error!r})", "Expected a list of them.") from error
+    sizes = [len(part["shots"]) for part in text]
+    best = text[int(np.argmax(sizes))]
     if len(text) == 1:
         return best, []
     note = f"{path} holds {len(text)} reconstructions: that of {max(sizes)} images is scaled, the others are left out"
