@@ -19,6 +19,7 @@ from ..rescale.files import scale_path
 from ..rescale.sim3 import Sim3
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
+from .consistency import check_consistency, focal_notes
 from .database import pose_priors
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
@@ -65,12 +66,14 @@ class ColmapSource:
             and above the model. need_images : False where detections are given: frames that are not found are then
             a note, not an error.
 
-        Raises InputError for a missing or damaged model, missing frames, or frames of another size than their camera.
+        Raises InputError for a missing or damaged model, one that does not agree with itself (`check_consistency`),
+        missing frames, or frames of another size than their camera.
         """
         files = open_model(Path(path))
         model = read_model(files.folder, files.format)
-        notes = list(files.notes)
+        notes = [*files.notes, *check_consistency(files.folder, model, files.seen)]
         pictures = find_frames(model, files.folder, images, need_images, notes)
+        notes += focal_notes(model, pictures)
         if note := pose_priors(files.folder):
             notes.append(note)
         return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
