@@ -89,7 +89,7 @@ DAMAGE = {
 @pytest.mark.parametrize("what", DAMAGE)
 def test_a_damaged_model_is_refused(whole, tmp_path, what):
     said = refusal(changed(whole, tmp_path / "m", DAMAGE[what]))
-    assert "camera 1" in said and (" px from" in said or "nowhere near" in said or "% farther" in said)
+    assert ("camera 1" in said or "image frame_" in said) and ("px from" in said or "nowhere near" in said)
 
 
 def test_one_byte_of_a_focal_length(whole, tmp_path):
@@ -119,11 +119,10 @@ def test_files_of_two_models(tmp_path):
 def test_two_poses_swapped(whole, tmp_path):
     def swap(model) -> None:
         one, two = (model.frames[k] for k in sorted(model.frames)[:2])
-        one.rig_from_world, two.rig_from_world = two.rig_from_world, one.rig_from_world
+        poses = [pycolmap.Rigid3d(frame.rig_from_world.matrix()) for frame in (one, two)]
+        two.rig_from_world, one.rig_from_world = poses
 
-    names = opened(whole).picture_names
-    said = refusal(changed(whole, tmp_path / "m", swap))
-    assert any(f"image {name}" in said for name in names) and f"1 more of {len(names)}" in said
+    assert "image frame_0000.jpg and 1 more of 16" in refusal(changed(whole, tmp_path / "m", swap))
 
 
 def test_one_of_two_cameras(tmp_path):
@@ -144,7 +143,7 @@ def test_half_of_the_points(tmp_path):
 def test_a_picture_of_another_size(tmp_path):
     model, _ = make_model()
     model.cameras[1].width = 320
-    assert "camera 1" in refusal(save(model, tmp_path / "m", "bin"))
+    assert "nowhere near where they were seen" in refusal(save(model, tmp_path / "m", "bin"))
 
 
 @pytest.mark.parametrize("noise_px", [0.5, 5.0])
@@ -207,7 +206,7 @@ def test_other_programs(tmp_path, writer):
         path.write_text(path.read_text().replace("400.0 ", "600.0 "))
     with pytest.raises(InputError, match=r"projected [\d.]+ px from where they were seen") as caught:
         open_source(path)
-    assert "00.png" in caught.value.message
+    assert ".png" in caught.value.message
 
 
 def tracks(model, path: Path) -> None:
@@ -244,9 +243,9 @@ def test_a_focal_length_far_from_that_of_exif_is_said(tmp_path):
         exif = Image.Exif()
         exif.get_ifd(0x8769)[0xA405] = focal_35mm
         for image in model.images.values():
-            path = tmp_path / "images" / Path(image.name).with_suffix(".png").name
+            path = tmp_path / "images" / image.name
             path.parent.mkdir(exist_ok=True)
-            Image.new("RGB", (640, 480)).save(path, exif=exif)
+            Image.new("RGB", (640, 480)).save(path, "JPEG", exif=exif)
         notes = ColmapSource.open(folder).notes
         assert any("647 px (35 mm equivalent in EXIF)" in note and "405 px" in note for note in notes) == said
 

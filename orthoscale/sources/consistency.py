@@ -26,7 +26,7 @@ LEAST = 8  # observations from which an image can be judged
 # the longer side (bundle_outlier_fixed_threshold). An image is off when half of what it saw is twice as far away; in a
 # picture of many pixels, when it is besides so much worse than the others.
 OFF_PX, OFF_SHARE, OFF_OTHERS = 8.0, 0.012, 20.0
-OFF_MOST = 0.25  # share of all observations; a mapper keeps hardly any
+OFF_MOST, OFF_FAR = 0.25, 3.0  # share of all observations that may be so many limits off; a mapper keeps hardly any
 # Adjusted images have no radial remainder: a longer focal length or a nearer camera would take it away. Four real
 # models have 0.03 % in their worst image. A focal length that is 2 % off makes the scale 2 % wrong.
 RADIAL, RADIAL_LEAST, RADIAL_FROM = 0.02, 100, 0.1
@@ -112,7 +112,7 @@ def _check_projections(
             "than they were seen: its focal length, or the scale of cameras and points, is wrong",
             HINT,
         )
-    far = float(np.mean(error > limit[seen.image]))
+    far = float(np.mean(error > OFF_FAR * limit[seen.image]))
     if far > OFF_MOST:
         raise InputError(f"{where}: {100 * far:.0f} % of its points are not where its images saw them", HINT)
 
