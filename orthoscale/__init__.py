@@ -10,8 +10,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from . import libz
+
 __version__ = "0.1.0"
 __all__ = ["Boxes", "Detections", "Fleet", "OrthoscaleError", "Result", "Scale", "estimate", "fix"]
+
+libz.settle()
 
 if TYPE_CHECKING:
     from .boxes import Boxes

@@ -10,8 +10,10 @@ import shutil
 import struct
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from ..errors import InputError
+from .beside import beside
 from .mark import MARK, mark, refuse_marked
 
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
@@ -48,8 +50,10 @@ def scale_gltf(source: Path, target: Path, scale: float) -> list[Path]:
     except ValueError as error:
         raise InputError(f"{source}: not a glTF file ({error})", COPY_AGAIN) from error
     target.write_text(json.dumps(_scaled(source, text, scale), indent=1), encoding="utf-8")
-    names = [part.get("uri", "") for part in (*text.get("buffers", []), *text.get("images", []))]
-    return [source.parent / n for n in names if n and not n.startswith("data:") and (source.parent / n).is_file()]
+    uris = [part.get("uri", "") for part in (*text.get("buffers", []), *text.get("images", []))]
+    # Names are percent-encoded (glTF 2.0, 2.8); not all exporters do so.
+    found = [beside(source, unquote(uri)) or beside(source, uri) for uri in uris if not uri.startswith("data:")]
+    return [path for path in found if path is not None]
 
 
 def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:

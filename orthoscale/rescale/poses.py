@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from .beside import beside
 from .mark import MARK, mark, refuse_marked
 
 
@@ -41,7 +42,8 @@ def scale_transforms(source: Path, target: Path, scale: float) -> list[Path]:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{source}: not a transforms.json ({error!r})", 'Expected {"frames": [...]}.') from error
     target.write_text(json.dumps(text, indent=1), encoding="utf-8")
-    return [source.parent / cloud] if cloud and (source.parent / cloud).is_file() else []
+    found = beside(source, cloud or "")
+    return [] if found is None else [found]
 
 
 def scale_reconstruction(source: Path, target: Path, scale: float) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError
+from ..rescale.beside import beside
 from ..rescale.files import scale_path
 from ..rescale.mark import MARK
 from ..rescale.ply import read_points
@@ -274,10 +275,11 @@ def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstructi
         if file in poses:
             raise ValueError(f"{file} appears twice")
         poses[file] = (key, rotation, -rotation @ matrix[:3, 3])
-    cloud = path.parent / text.get("ply_file_path", "sparse_pc.ply")
-    if not cloud.is_file():
+    name = text.get("ply_file_path", "sparse_pc.ply")
+    cloud = beside(path, name)
+    if cloud is None:
         raise InputError(
-            f"{path} has no sparse points ({cloud} does not exist), and the ground is found from them",
+            f"{path} has no sparse points (there is no {name[:80]} beside it), and the ground is found from them",
             "Make it with a newer ns-process-data, or give the COLMAP model that it came from.",
         )
     points = read_points(cloud)
