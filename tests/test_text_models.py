@@ -38,7 +38,12 @@ def track(model, point, first: int, y_up: bool = False) -> str:
     words = [str(len(point.track.elements))]
     for element in point.track.elements:
         x, y = model.image(element.image_id).points2D[element.point2D_idx].xy - (320, 240)
-        words += [str(numbers[element.image_id]), str(element.point2D_idx), repr(float(x)), repr(float(-y if y_up else y))]
+        words += [
+            str(numbers[element.image_id]),
+            str(element.point2D_idx),
+            repr(float(x)),
+            repr(float(-y if y_up else y)),
+        ]
     return " ".join(words)
 
 

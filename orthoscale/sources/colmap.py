@@ -241,7 +241,12 @@ class ColmapSource:
         for path in sorted(self.folder.iterdir()):
             if not path.is_file() or path.name in {p.name for p in self._paths} | OURS:
                 continue
-            if path.is_symlink() or path.name in tables or path.suffix.lower() in GEOMETRY or path.stat().st_size > LARGEST_COPY:
+            if (
+                path.is_symlink()
+                or path.name in tables
+                or path.suffix.lower() in GEOMETRY
+                or path.stat().st_size > LARGEST_COPY
+            ):
                 left.append(path.name)
             else:
                 shutil.copyfile(path, folder / path.name)

@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import budget
 from ..errors import InputError
-from .picture_file import LARGE, PictureFile, memory, resized
+from .picture_file import LARGE, PictureFile, covering, memory, resized, shrunk
 
 if TYPE_CHECKING:
     from .colmap import ColmapSource
@@ -58,8 +58,9 @@ class GroundPicture:
         if self.frame.large or size > LARGE * budget.memory():
             # Only the window, and no finer than wanted: the whole would take as much memory as the frame again.
             shrink = min(width // max(out_width, 1), height // max(out_height, 1))
-            return resized(_warped(self, x, y, width, height, shrink), out_width, out_height)
-        with memory.holding(self, size, lambda: _warped(self, 0, 0, self.width, self.height)) as whole:
+            part, factor = _warped(self, x, y, width, height, shrink)
+            return shrunk(part, factor, (x, y, width, height), out_width, out_height)
+        with memory.holding(self, size, lambda: _warped(self, 0, 0, self.width, self.height)[0]) as whole:
             return resized(whole[y : y + height, x : x + width], out_width, out_height)
 
     def fingerprint(self) -> str:
@@ -127,13 +128,13 @@ def _axes(source: ColmapSource, name: str) -> np.ndarray:
     return np.array([right, [right[1], -right[0]]])
 
 
-def _warped(picture: GroundPicture, x: int, y: int, width: int, height: int, shrink: int = 1) -> np.ndarray:
-    """The window of the picture, RGB uint8; of a large frame at a `factor`-th of its size, no more than `shrink`."""
+def _warped(picture: GroundPicture, x: int, y: int, width: int, height: int, shrink: int = 1) -> tuple[np.ndarray, int]:
+    """The window of the picture, RGB uint8, and by how much it is smaller: as the frame's `PictureFile.pixels`."""
     assert picture.frame is not None, "asked before"
     with picture.frame.pixels(shrink) as (frame, factor):
-        x, y, right, low = x // factor, y // factor, -(-(x + width) // factor), -(-(y + height) // factor)
-        bands = [_band(picture, frame, factor, x, right, k, min(k + ROWS, low)) for k in range(y, low, ROWS)]
-    return np.concatenate(bands)
+        left, top, right, low = covering(x, y, width, height, factor)
+        bands = [_band(picture, frame, factor, left, right, k, min(k + ROWS, low)) for k in range(top, low, ROWS)]
+    return np.concatenate(bands), factor
 
 
 def _band(

@@ -22,6 +22,7 @@ from ..fingerprint import fingerprint
 # Shares of the memory budget: what decoded pictures may take together as long as they are small, and from which size
 # on one is large: decoded no finer than needed, one at a time, and kept alone.
 KEPT, LARGE = 1 / 8, 1 / 16
+STRIP = 256  # rows that are decoded at once
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 REDUCED = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
 
@@ -43,8 +44,9 @@ class PictureFile:
         """See `Picture.read`. Raises InputError for a file that is truncated, undecodable, of another size, or larger
         than the memory budget allows."""
         with self.pixels(min(width // max(out_width, 1), height // max(out_height, 1))) as (pixels, factor):
-            left, top, right, low = x // factor, y // factor, -(-(x + width) // factor), -(-(y + height) // factor)
-            return cv2.cvtColor(resized(pixels[top:low, left:right], out_width, out_height), cv2.COLOR_BGR2RGB)
+            left, top, right, low = covering(x, y, width, height, factor)
+            part = shrunk(pixels[top:low, left:right], factor, (x, y, width, height), out_width, out_height)
+            return cv2.cvtColor(part, cv2.COLOR_BGR2RGB)
 
     @property
     def large(self) -> bool:
@@ -73,8 +75,11 @@ class PictureFile:
     def _decoded(self, factor: int) -> np.ndarray:
         self.check_size()  # before memory is spent on it
         if self.large:
-            whole = factor if _is_jpeg(self.path) else 1  # other formats are decoded whole before they are reduced
-            budget.require(budget.LEAST + 3 * self.width * self.height / whole**2, f"{self.path}")
+            if factor == 1 and (pixels := _in_strips(self.path)) is not None:
+                return pixels
+            # OpenCV decodes other formats whole before it reduces them, and holds them twice.
+            whole = factor if _is_jpeg(self.path) else 1
+            budget.require(budget.LEAST + 6 * self.width * self.height / whole**2, f"{self.path}")
         pixels = _decode(self.path, factor)
         size = pixels.shape[1], pixels.shape[0]
         if max(abs(size[0] - self.width / factor), abs(size[1] - self.height / factor)) >= 1:
@@ -101,6 +106,24 @@ def resized(window: np.ndarray, width: int, height: int) -> np.ndarray:
         return window.copy()
     shrinks = width * height < window.shape[0] * window.shape[1]
     return cv2.resize(window, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
+
+
+def covering(x: int, y: int, width: int, height: int, factor: int) -> tuple[int, int, int, int]:
+    """Left, top, right and lower end of the window in a picture of a `factor`-th of the size, rounded outwards."""
+    return x // factor, y // factor, -(-(x + width) // factor), -(-(y + height) // factor)
+
+
+def shrunk(pixels: np.ndarray, factor: int, window: tuple[int, int, int, int], width: int, height: int) -> np.ndarray:
+    """The `window` (x, y, width, height) of a picture at another size, from the `pixels` that are `covering` it: exactly
+    the window, whose ends may lie within a pixel of theirs."""
+    if factor == 1:
+        return resized(pixels, width, height)
+    step = np.array(window[2:]) / (width, height) / factor
+    first = np.array(window[:2]) % factor / factor + 0.5 * step - 0.5
+    turn = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(
+        pixels, np.column_stack([np.diag(step), first]), (width, height), flags=turn, borderMode=cv2.BORDER_REPLICATE
+    )
 
 
 class Memory:
@@ -157,6 +180,35 @@ def _decode(path: Path, factor: int) -> np.ndarray:
     if pixels is None:
         raise InputError(f"{path}: image is truncated or cannot be decoded", "Copy it again from its original.")
     return pixels
+
+
+def _in_strips(path: Path) -> np.ndarray | None:
+    """BGR pixels of a plain JPEG or PNG, decoded by GDAL some rows at a time; None where it is another kind of file."""
+    import rasterio
+    from rasterio.enums import ColorInterp
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    from rasterio.windows import Window
+
+    driver = "JPEG" if _is_jpeg(path) else "PNG"
+    try:
+        with path.open("rb") as data, mmap.mmap(data.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            if not _is_complete(content):
+                return None
+        with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=64, GDAL_ALLOW_LARGE_LIBJPEG_MEM_ALLOC=True):
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path, driver=driver) as file:
+                if set(file.dtypes) != {"uint8"} or file.colorinterp[0] == ColorInterp.palette:
+                    return None
+                budget.require(budget.LEAST + 3 * file.width * file.height, f"{path}")
+                pixels = np.empty((file.height, file.width, 3), np.uint8)
+                bands = [3, 2, 1] if file.count >= 3 else [1, 1, 1]
+                for top in range(0, file.height, STRIP):
+                    rows = min(STRIP, file.height - top)
+                    read = file.read(bands, window=Window(0, top, file.width, rows))
+                    pixels[top : top + rows] = read.transpose(1, 2, 0)
+                return pixels
+    except (RasterioError, ValueError):  # OpenCV will say so, or read it
+        return None
 
 
 def _is_jpeg(path: Path) -> bool:
