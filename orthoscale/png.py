@@ -1,4 +1,4 @@
-"""PNG files, by Pillow: where pycolmap was imported first, OpenCV's writer may be bound to a zlib that is not its own."""
+"""PNG files, by Pillow: if pycolmap was imported first, OpenCV may be bound to a zlib that is not its own."""
 
 from __future__ import annotations
 

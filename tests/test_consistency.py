@@ -161,7 +161,7 @@ def test_a_poor_model_is_taken(tmp_path, noise_px):
 
 def test_a_strip_is_taken_and_said(tmp_path):
     model, turn = make_model()
-    for number, image in list(model.images.items()):
+    for image in list(model.images.values()):
         if abs((turn.T @ image.projection_center())[1]) > 1:
             model.deregister_frame(image.frame_id)
     assert any("on one straight line" in note for note in opened(save(model, tmp_path / "m", "bin")).notes)

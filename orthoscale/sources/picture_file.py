@@ -114,7 +114,7 @@ def covering(x: int, y: int, width: int, height: int, factor: int) -> tuple[int,
 
 
 def shrunk(pixels: np.ndarray, factor: int, window: tuple[int, int, int, int], width: int, height: int) -> np.ndarray:
-    """The `window` (x, y, width, height) of a picture at another size, from the `pixels` that are `covering` it: exactly
+    """The `window` (x, y, width, height) of a picture at another size, from the `pixels` `covering` it: exactly
     the window, whose ends may lie within a pixel of theirs."""
     if factor == 1:
         return resized(pixels, width, height)
