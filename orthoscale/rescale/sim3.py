@@ -41,8 +41,8 @@ class Sim3:
         (folder / "sim3.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
         (folder / "sim3.txt").write_text(f"{self.scale:.17g} 1 0 0 0 0 0 0\n", encoding="utf-8")
         rows = np.diag([self.scale] * 3 + [1.0]).tolist()
-        text = "".join(" ".join(f"{value:.17g}" for value in row) + "\n" for row in rows)
-        (folder / MATRIX).write_text(text, encoding="utf-8")
+        matrix = "".join(" ".join(f"{value:.17g}" for value in row) + "\n" for row in rows)
+        (folder / MATRIX).write_text(matrix, encoding="utf-8")
 
     @classmethod
     def load(cls, path: Path) -> Sim3:
