@@ -6,6 +6,7 @@
 # COLMAP's arguments go to COLMAP as they are. Then W/sparse_metric and, where there is a dense model, W/dense_metric.
 # A second run finds the metric model and does nothing, not even the reconstruction.
 set -eu
+case ${1:-} in -h | --help) sed -n '2,/^set /s/^# \{0,1\}//p' "$0"; exit 0 ;; esac
 workspace= images=
 take=
 for argument in "$@"; do
@@ -22,6 +23,9 @@ for argument in "$@"; do
     esac
 done
 [ -n "$workspace" ] && [ -n "$images" ] || { echo "usage: $0 --workspace_path W --image_path I [...]" >&2; exit 2; }
+for folder in "$workspace" "$images"; do # COLMAP itself would end in a stack trace
+    [ -d "$folder" ] || { echo "error: $folder is not a folder: create it first, or give another" >&2; exit 5; }
+done
 here=$(dirname "$0")
 if [ -d "$workspace/sparse_metric" ] && { [ -d "$workspace/dense_metric" ] || [ ! -d "$workspace/dense/0" ]; }; then
     echo "$workspace/sparse_metric is there already; nothing to do"

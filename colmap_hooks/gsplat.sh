@@ -7,6 +7,7 @@
 # $GSPLAT/examples/simple_trainer.py with the flag that keeps metres, or prints the command if GSPLAT is not set.
 # By default the trainer would move and scale the scene. The splats it saves are in metres.
 set -eu
+case ${1:-} in -h | --help) sed -n '2,/^set /s/^# \{0,1\}//p' "$0"; exit 0 ;; esac
 [ $# -ge 2 ] || { echo "usage: $0 WORKSPACE RESULT [-- orthoscale options]" >&2; exit 2; }
 workspace=$1 result=$2
 shift 2

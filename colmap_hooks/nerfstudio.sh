@@ -7,6 +7,7 @@
 # is given, ns-train with the flags that keep metres; else it prints that command. What nerfstudio exports is then in
 # metres; by default it would shrink the scene into a unit box. A second run does not process again.
 set -eu
+case ${1:-} in -h | --help) sed -n '2,/^set /s/^# \{0,1\}//p' "$0"; exit 0 ;; esac
 [ $# -ge 2 ] || { echo "usage: $0 WORKSPACE OUTPUT [METHOD] [-- orthoscale options]" >&2; exit 2; }
 workspace=$1 output=$2
 shift 2

@@ -7,12 +7,17 @@
 # with the meshes and clouds there are. ODM without GPS writes a made-up UTM zone into its orthophoto: give that its
 # own scale with `orthoscale fix PROJECT/odm_orthophoto/odm_orthophoto.tif --out ...`. A second run does nothing.
 set -eu
+case ${1:-} in -h | --help) sed -n '2,/^set /s/^# \{0,1\}//p' "$0"; exit 0 ;; esac
 [ $# -ge 1 ] || { echo "usage: $0 PROJECT [orthoscale options]" >&2; exit 2; }
 project=$1
 shift
 if [ -f "$project/opensfm_metric/sim3.json" ]; then
     echo "$project/opensfm_metric is there already"
 else
+    [ -f "$project/opensfm/reconstruction.json" ] || {
+        echo "error: $project/opensfm/reconstruction.json does not exist: is $project a project of ODM?" >&2
+        exit 5
+    }
     orthoscale fix "$project/opensfm/reconstruction.json" --images "$project/images" --out "$project/opensfm_metric" "$@"
 fi
 if [ -d "$project/odm_metric" ]; then

@@ -6,6 +6,7 @@
 # Needs WORKSPACE/sparse_metric, or makes it with post_sparse.sh and the options. Reads WORKSPACE/dense, or dense/0,
 # dense/1 ..., writes WORKSPACE/dense_metric in the same layout. A second run finds it and does nothing.
 set -eu
+case ${1:-} in -h | --help) sed -n '2,/^set /s/^# \{0,1\}//p' "$0"; exit 0 ;; esac
 [ $# -ge 1 ] || { echo "usage: $0 WORKSPACE [orthoscale options]" >&2; exit 2; }
 workspace=$1
 if [ -d "$workspace/dense_metric" ]; then
@@ -25,7 +26,9 @@ if [ -d "$workspace/dense/0" ]; then
         sim3="$workspace/sparse_metric/$name/sim3.json"
         [ -f "$workspace/sparse_metric/sim3.json" ] && [ "$name" = 0 ] && sim3="$workspace/sparse_metric/sim3.json"
         if [ -f "$sim3" ]; then
-            orthoscale apply "$sim3" "$dense" --out "$partial/of_$name"
+            orthoscale apply "$sim3" "$dense" --out "$partial/of_$name" >"$partial/said"
+            sed "s|$partial/of_$name/|$workspace/dense_metric/|" "$partial/said"
+            rm "$partial/said"
             mv "$partial/of_$name/$name" "$partial/$name"
             rmdir "$partial/of_$name"
         else
@@ -35,6 +38,7 @@ if [ -d "$workspace/dense/0" ]; then
     [ -n "$(ls "$partial")" ] || { echo "no dense workspace has a scaled sparse model" >&2; exit 3; }
     mv "$partial" "$workspace/dense_metric"
 else
-    orthoscale apply "$workspace/sparse_metric/sim3.json" "$workspace/dense" --out "$partial/of"
+    orthoscale apply "$workspace/sparse_metric/sim3.json" "$workspace/dense" --out "$partial/of" >"$partial/said"
+    sed "s|$partial/of/dense|$workspace/dense_metric|" "$partial/said"
     mv "$partial/of/dense" "$workspace/dense_metric"
 fi

@@ -6,6 +6,7 @@
 # Reads WORKSPACE/sparse (and WORKSPACE/images), writes WORKSPACE/sparse_metric: the model itself, or 0/, 1/ ... with
 # models.json if the mapper left several. A second run finds it and does nothing.
 set -eu
+case ${1:-} in -h | --help) sed -n '2,/^set /s/^# \{0,1\}//p' "$0"; exit 0 ;; esac
 [ $# -ge 1 ] || { echo "usage: $0 WORKSPACE [orthoscale options]" >&2; exit 2; }
 workspace=$1
 shift

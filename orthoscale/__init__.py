@@ -13,6 +13,8 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any
 
+from . import libz
+
 __version__ = "0.1.0"
 __all__ = [
     "Boxes",
@@ -29,6 +31,8 @@ __all__ = [
     "fix",
     "photo",
 ]
+
+libz.settle()
 
 if TYPE_CHECKING:
     from .applying import apply

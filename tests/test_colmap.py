@@ -198,17 +198,19 @@ def test_write(made, form, tmp_path):
     folder = save(model, tmp_path / "m", form)
     (folder / "project.ini").write_text("log_level=0\n")
     (folder / "points3D.ply").write_text("ply\n")
+    (folder / "notes.txt").symlink_to(Path(__file__))
     before = {p.name: p.read_bytes() for p in folder.iterdir()}
     out = tmp_path / "out"
     out.mkdir()
     source = ColmapSource.open(folder, need_images=False)
     assert source.input_format == form and not source.metric_already
     source.write(out, 14.157)
-    assert any("project.ini" in n for n in source.notes) and any("points3D.ply" in n for n in source.notes)
+    assert any("project.ini" in n for n in source.notes)
+    assert any("points3D.ply" in n and "notes.txt" in n and "a link" in n for n in source.notes)
     assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
 
     tables = {f"{t}.{form}" for t in ("cameras", "images", "points3D", "rigs", "frames")}
-    assert {p.name for p in out.iterdir()} == tables | {"sim3.json", "sim3.txt", "project.ini"}
+    assert {p.name for p in out.iterdir()} == tables | {"sim3.json", "sim3.txt", "sim3_4x4.txt", "project.ini"}
     sim3 = [float(word) for word in (out / "sim3.txt").read_text().split()]
     assert sim3 == [14.157, 1, 0, 0, 0, 0, 0, 0]
     written = pycolmap.Reconstruction(str(out))
@@ -643,7 +645,8 @@ def test_real_reconstruction(scene, tmp_path):
     start = time.perf_counter()
     source = ColmapSource.open(folder)
     assert time.perf_counter() - start < 2
-    assert len(source.pictures) == len(source.picture_names) and source.notes == []
+    assert len(source.pictures) == len(source.picture_names)
+    assert all("focal length" in note for note in source.notes)
     metres = json.loads((folder / "truth.json").read_text())["metres_per_model_unit"]
     # Both places are flat, and all flights are level: the ground must not wander, nor the cameras' heights.
     centres = np.array([image.projection_center() for image in source._images.values()])

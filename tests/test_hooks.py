@@ -86,7 +86,8 @@ def test_post_dense_follows_the_layout(bench):
     for name in ("0", "1"):
         bench.sparse(name)
         dense_workspace(bench.work / "dense" / name)
-    bench.run("post_dense.sh", bench.work, *OPTIONS)
+    said = bench.run("post_dense.sh", bench.work, *OPTIONS)
+    assert f"{bench.work}/dense_metric/0" in said and "partial" not in said
     for name in ("0", "1"):
         assert (bench.work / "sparse_metric" / name / "sim3.json").is_file()
         assert (bench.work / "dense_metric" / name / "stereo/depth_maps/a.jpg.geometric.bin").is_file()
@@ -116,6 +117,26 @@ def test_automatic_reconstructor_then_metres(bench):
 )
 def test_a_hook_says_how_it_is_used(bench, hook):
     assert subprocess.run([HOOKS / f"{hook}.sh"], env=bench.environment, capture_output=True).returncode == 2
+    assert bench.log.read_text() == ""
+
+
+@pytest.mark.parametrize(
+    "hook", ["post_sparse", "post_dense", "automatic_reconstructor", "nerfstudio", "gsplat", "odm"]
+)
+def test_a_hook_helps(bench, hook):
+    said = bench.run(f"{hook}.sh", "--help")
+    assert f"{hook}.sh " in said and "set -eu" not in said and bench.log.read_text() == ""
+
+
+def test_what_is_missing_is_named(bench):
+    bench.program("colmap", "")
+    for hook, missing, arguments in (
+        ("odm.sh", "missing/opensfm/reconstruction.json", ["missing"]),
+        ("automatic_reconstructor.sh", "nowhere", ["--workspace_path", "nowhere", "--image_path", bench.work]),
+    ):
+        command = [HOOKS / hook, *map(str, arguments)]
+        done = subprocess.run(command, env=bench.environment, capture_output=True, text=True, cwd=bench.work)
+        assert done.returncode == 5 and missing in done.stderr and len(done.stderr.splitlines()) == 1
     assert bench.log.read_text() == ""
 
 

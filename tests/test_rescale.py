@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import shutil
 import struct
+import subprocess
 import sys
 from pathlib import Path
 
@@ -15,6 +18,7 @@ from click.testing import CliRunner
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
 from orthoscale.rescale.files import scale_path
+from orthoscale.rescale.ply import read_points
 from orthoscale.rescale.sim3 import Sim3
 
 SCALE = 14.157
@@ -361,3 +365,92 @@ def test_unknown_and_missing_files(tmp_path):
     for path in (tmp_path / "a.las", tmp_path / "none.ply"):
         with pytest.raises(OrthoscaleError, match=path.name):
             scale_path(path, tmp_path / "b", 2)
+
+
+# --- What hostile files announce, name and leave out ----------------------------------------------------------------
+
+
+def announced(path: Path, *lines: str, body: str = "0 0 0\n") -> Path:
+    path.write_text("\n".join(["ply", "format ascii 1.0", *lines, "end_header", body]))
+    return path
+
+
+XYZ_LINES = ("property float x", "property float y", "property float z")
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        (f"element camera {10**12}", "property float view", "element vertex 1", *XYZ_LINES),
+        (f"element nothing {10**12}", "element vertex 1", *XYZ_LINES),
+        (f"element vertex {10**8}", *XYZ_LINES),
+        ("element vertex 1", *XYZ_LINES, "property float x"),
+    ],
+)
+def test_a_ply_that_announces_what_it_has_not(tmp_path, lines):
+    source = announced(tmp_path / "a.ply", *lines)
+    with pytest.raises(InputError, match=r"a\.ply"):
+        scale_path(source, tmp_path / "b.ply", 2.0)
+    with pytest.raises(InputError, match=r"a\.ply"):
+        read_points(source)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_of_very_many_points_some_are_read(tmp_path, monkeypatch, form):
+    monkeypatch.setattr("orthoscale.rescale.ply.ROWS", 7)
+    rows = np.arange(150, dtype=float).reshape(50, 3)
+    source = ply(tmp_path / "a.ply", form, ["x", "y", "z"], rows)
+    assert (read_points(source) == rows).all()
+    monkeypatch.setattr("orthoscale.rescale.ply.MOST_POINTS", 20)
+    assert (read_points(source) == rows[::3]).all()
+
+
+def test_names_that_are_none(tmp_path):
+    long = "n" * 300
+    (tmp_path / "a.obj").write_text(f"mtllib\nmtllib {long}\nv 1 2 3\n")
+    scale_path(tmp_path / "a.obj", tmp_path / "b.obj", 2.0)
+    (tmp_path / "a.gltf").write_text(json.dumps(gltf(buffers=[{"uri": long}])))
+    scale_path(tmp_path / "a.gltf", tmp_path / "b.gltf", 2.0)
+    with pytest.raises(InputError, match="does not exist"):
+        scale_path(tmp_path / long, tmp_path / "c.ply", 2.0)
+
+
+def test_uris_are_percent_encoded(tmp_path):
+    home, out = tmp_path / "in", tmp_path / "out"
+    for folder in (home, out):
+        folder.mkdir()
+    for name in ("b c.bin", "100%.png"):
+        (home / name).write_bytes(b"1234")
+    text = gltf(buffers=[{"uri": "b%20c.bin", "byteLength": 4}], images=[{"uri": "100%.png"}])
+    (home / "a.gltf").write_text(json.dumps(text))
+    scale_path(home / "a.gltf", out / "a.gltf", 2.0)
+    assert {p.name for p in out.iterdir()} == {"a.gltf", "b c.bin", "100%.png"}
+
+
+def test_the_matrix_of_a_similarity(tmp_path):
+    Sim3(SCALE).save(tmp_path)
+    assert (np.loadtxt(tmp_path / "sim3_4x4.txt") == np.diag([SCALE, SCALE, SCALE, 1])).all()
+
+
+def test_colmap_takes_one_of_both_similarities(tmp_path):
+    """The real program: 3.8 wants the matrix, newer ones the line."""
+    colmap, pycolmap = shutil.which("colmap"), pytest.importorskip("pycolmap")
+    if colmap is None:
+        pytest.skip("no colmap on PATH")
+    said = subprocess.run(
+        [colmap, "help"], capture_output=True, text=True, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"}
+    )
+    found = re.search(r"COLMAP (\d+)\.(\d+)", said.stdout + said.stderr)
+    if found is None:
+        pytest.skip("colmap does not tell its version")
+    Sim3(SCALE).save(tmp_path)
+    (tmp_path / "out").mkdir()
+    name = "sim3_4x4.txt" if tuple(map(int, found.groups())) <= (3, 8) else "sim3.txt"
+    command = [colmap, "model_transformer", "--input_path", SPARSE, "--output_path", tmp_path / "out"]
+    subprocess.run(
+        [*command, "--transform_path", tmp_path / name],
+        check=True, capture_output=True, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
+    )  # fmt: skip
+    old, new = pycolmap.Reconstruction(str(SPARSE)), pycolmap.Reconstruction(str(tmp_path / "out"))
+    for number, image in old.images.items():
+        assert np.allclose(new.images[number].projection_center(), SCALE * image.projection_center(), rtol=1e-6)

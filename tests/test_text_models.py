@@ -32,6 +32,21 @@ def pinhole():
     return make_model("SIMPLE_PINHOLE", (400.0, 320, 240))
 
 
+def track(model, point, first: int, y_up: bool = False) -> str:
+    """Where images saw `point`, from their middle; the first image has the number `first`."""
+    numbers = {image: k for k, image in enumerate(model.images, first)}
+    words = [str(len(point.track.elements))]
+    for element in point.track.elements:
+        x, y = model.image(element.image_id).points2D[element.point2D_idx].xy - (320, 240)
+        words += [
+            str(numbers[element.image_id]),
+            str(element.point2D_idx),
+            repr(float(x)),
+            repr(float(-y if y_up else y)),
+        ]
+    return " ".join(words)
+
+
 def bundler(model, folder: Path, k=(K1, K2), lost: int = 1) -> Path:
     """The model as Bundler would write it, after `lost` images that it did not register."""
     names = [f"lost{i}.jpg" for i in range(lost)] + [image.name for image in model.images.values()]
@@ -45,14 +60,14 @@ def bundler(model, folder: Path, k=(K1, K2), lost: int = 1) -> Path:
             *(" ".join(map(repr, row.tolist())) for row in rows),
         ]
     for point in model.points3D.values():
-        lines += [" ".join(map(repr, point.xyz.tolist())), "10 20 30", "1 0 7 1.5 -2.5"]
+        lines += [" ".join(map(repr, point.xyz.tolist())), "10 20 30", track(model, point, lost, y_up=True)]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "bundle.out").write_text("\n".join(lines) + "\n")
     (folder / "list.txt").write_text("".join(f"./{name} 0 400.0\n" for name in names))
     return folder / "bundle.out"
 
 
-def nvm(model, folder: Path, r: float = 0.0, head: str = "NVM_V3", more: str = "0\n") -> Path:
+def nvm(model, folder: Path, r: float = 0.0, head: str = "NVM_V3", more: str = "0\n", tracks: bool = True) -> Path:
     """The model as VisualSFM would write it."""
     lines = [head, "", str(len(model.images))]
     for image in model.images.values():
@@ -60,7 +75,8 @@ def nvm(model, folder: Path, r: float = 0.0, head: str = "NVM_V3", more: str = "
         values = [image.camera.params[0], w, x, y, z, *image.projection_center(), r]
         lines.append(f"{image.name} " + " ".join(repr(float(v)) for v in values) + " 0")
     lines += ["", str(len(model.points3D))]
-    lines += [" ".join(map(repr, p.xyz.tolist())) + " 10 20 30 1 0 7 1.5 -2.5" for p in model.points3D.values()]
+    for p in model.points3D.values():
+        lines.append(" ".join(map(repr, p.xyz.tolist())) + " 10 20 30 " + (track(model, p, 0) if tracks else "0"))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "scene.nvm").write_text("\n".join([*lines, "", more]))
     return folder / "scene.nvm"
@@ -79,7 +95,7 @@ def test_views_are_those_of_the_colmap_model(made, pinhole, tmp_path):
 def test_distortion_of_visualsfm_is_that_of_measurements(pinhole, tmp_path):
     """Its manual: where the pinhole sees p, the picture has m, (1 + r |m|^2) m = p."""
     r = 0.08
-    path = nvm(pinhole[0], tmp_path, r, head="NVM_V3 FixedK 400 330 400 250 0")
+    path = nvm(pinhole[0], tmp_path, r, head="NVM_V3 FixedK 400 330 400 250 0", tracks=False)
     put_frames(pinhole[0], tmp_path / "images")
     source = open_source(path)
     name = source.picture_names[0]

@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import rasterio
 import shapely
 from rasterio.windows import Window as RasterWindow
 
-from ..errors import OutputError
+from ..png import write_png
 from ..vector import write_layer
 from . import draw
 
@@ -86,11 +85,11 @@ def write_pictures(layout: Layout, folder: Path) -> None:
     lines = draw.lines(ground, layout.placed, window)
     _write_grid(layout, folder / "mask.tif", numbers, window, ("playing area", "with run-off"))
     _write_grid(layout, folder / "lines.tif", lines[None], window, ("painted lines",))
-    _write_png(folder / "lines.png", lines)
-    _write_png(folder / "mask.png", np.minimum(numbers[0], 255).astype(np.uint8))
+    write_png(folder / "lines.png", lines)
+    write_png(folder / "mask.png", np.minimum(numbers[0], 255).astype(np.uint8))
     size = window.width, window.height
-    _write_png(folder / "lot.png", source.read(window.x, window.y, *size, *size))
-    _write_png(folder / "overlay.png", draw.overlay(ground, layout.lot, layout.placed, window))
+    write_png(folder / "lot.png", source.read(window.x, window.y, *size, *size))
+    write_png(folder / "overlay.png", draw.overlay(ground, layout.lot, layout.placed, window))
 
 
 def _write_grid(layout: Layout, path: Path, bands: np.ndarray, window: draw.Window, names: Sequence[str]) -> None:
@@ -115,13 +114,6 @@ def _write_grid(layout: Layout, path: Path, bands: np.ndarray, window: draw.Wind
     ) as out:
         out.write(bands, window=RasterWindow(window.x, window.y, window.width, window.height))
         out.descriptions = tuple(names)
-
-
-def _write_png(path: Path, image: np.ndarray) -> None:
-    ok, png = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image)
-    if not ok:
-        raise OutputError(f"{path}: the picture could not be encoded")
-    path.write_bytes(png.tobytes())
 
 
 def _polygons(area: Any) -> list[Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ..errors import OutputError
+from ..png import write_png
 from .drift_map import drift_panel
 from .lettering import BLACK, WHITE, write_on
 from .scene import CHIP, Outline, Panel, Scene
@@ -28,10 +28,7 @@ def draw(report: Mapping[str, Any], scene: Scene, path: Path) -> None:
         ((width, height),) = report["pictures"].values()
         panels.append(drift_panel(report["drift"], width, height, WIDTH))
     sheet = np.concatenate([_padded(panel, WIDTH) for panel in panels])
-    ok, png = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))
-    if not ok:
-        raise OutputError(f"{path}: the picture could not be encoded")
-    path.write_bytes(png.tobytes())
+    write_png(path, sheet)
 
 
 def _title(report: Mapping[str, Any]) -> np.ndarray:

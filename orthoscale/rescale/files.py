@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -27,7 +28,7 @@ def scale_path(source: Path, target: Path, scale: float) -> list[str]:
     refers to (materials, buffers, point clouds) come along beside `target`.
     Raises InputError for a missing, damaged or unknown file, UsageError for one that is in metres already.
     """
-    if not source.exists():
+    if not os.path.exists(source):  # noqa: PTH110  pathlib's raises for names that are too long
         raise InputError(f"{source} does not exist", "Give files in the units of the model.")
     return _scale_folder(source, target, scale) if source.is_dir() else _scale_file(source, target, scale)
 

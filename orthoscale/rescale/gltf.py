@@ -13,7 +13,8 @@ from typing import Any
 from urllib.parse import unquote
 
 from ..errors import InputError
-from ..reading import HUGE, MIB, checked, is_there, parsed, read_plain
+from ..reading import HUGE, MIB, checked, parsed, read_plain
+from .beside import beside
 from .mark import MARK, mark, refuse_marked
 
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
@@ -48,8 +49,9 @@ def scale_gltf(source: Path, target: Path, scale: float) -> list[Path]:
     text = read_plain(source, WHAT, COPY_AGAIN, HUGE)
     target.write_text(json.dumps(_scaled(source, text, scale), indent=1), encoding="utf-8")
     told = [part.get("uri") or "" for part in (*text.get("buffers", []), *text.get("images", []))]
-    names = [unquote(uri) for uri in told if uri and not uri.startswith("data:")]
-    return [place for name in names if is_there(place := source.parent / name) and place.is_file()]
+    # Names are percent-encoded (glTF 2.0, 2.8); not all exporters do so.
+    found = [beside(source, unquote(uri)) or beside(source, uri) for uri in told if uri and not uri.startswith("data:")]
+    return [path for path in found if path is not None]
 
 
 def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..errors import InputError
+from .beside import beside
 from .mark import MARK, mark, refuse_marked
 
 
@@ -30,16 +31,16 @@ def scale_obj(source: Path, target: Path, scale: float) -> list[Path]:
                         f"{source}, line {number}: a vertex is malformed", "Copy the file again, or export it anew."
                     ) from error
                 line = b" ".join([b"v", *xyz, *words[4:]]) + b"\n"
-            elif words[:1] == [b"mtllib"]:
+            elif words[:1] == [b"mtllib"] and len(words) > 1:
                 materials.append(line.split(maxsplit=1)[1].decode("utf-8", "replace").strip())
             out.write(line)
     if not count:
         raise InputError(f"{source}: no vertices (lines that start with v)", "Is this an OBJ file?")
-    found = [source.parent / name for name in materials if (source.parent / name).is_file()]
+    found = [path for name in materials if (path := beside(source, name)) is not None]
     return found + [texture for material in found for texture in _textures(material)]
 
 
 def _textures(material: Path) -> list[Path]:
     lines = (line.split() for line in material.read_text(encoding="utf-8", errors="replace").splitlines())
     names = [words[-1] for words in lines if len(words) > 1 and words[0].lower().startswith(("map_", "bump", "norm"))]
-    return [material.parent / name for name in dict.fromkeys(names) if (material.parent / name).is_file()]
+    return [path for name in dict.fromkeys(names) if (path := beside(material, name)) is not None]

@@ -25,6 +25,7 @@ TYPES = {
 ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 LONGEST_HEADER = 1 << 16  # [bytes]
 ROWS = 1 << 17  # vertices in memory at once
+MOST_POINTS = 500_000  # that a model is given; the ground is found from fewer
 LENGTHS = ("x", "y", "z", "radius")
 COPY_AGAIN = "The file is damaged or was cut off: copy it again, or export it anew."
 
@@ -42,9 +43,10 @@ class _Element:
     def row(self, order: str) -> np.dtype:
         return np.dtype([(name, order + kind) for name, kind in self.properties])
 
-    @property
-    def least(self) -> int:
-        """Bytes that the binary element takes at least; a list takes one for its count."""
+    def least(self, form: str) -> int:
+        """Bytes that the element takes at least: a list one for its count, a word of text two with what ends it."""
+        if form == "ascii":
+            return self.count * max(1, 2 * len(self.properties))
         return self.count * sum(np.dtype(kind).itemsize if kind else 1 for _, kind in self.properties)
 
 
@@ -52,6 +54,7 @@ def scale_ply(source: Path, target: Path, scale: float) -> None:
     """Write the PLY file `source` to `target` with all lengths times `scale`. Raises InputError, UsageError."""
     with source.open("rb") as file:
         lines, form, elements = _header(source, file)
+        _require(source, file, form, elements)
         if any(line.startswith("comment " + MARK) for line in lines):
             refuse_marked(source)
         vertex = next((e for e in elements if e.name == "vertex"), None)
@@ -76,36 +79,54 @@ def scale_ply(source: Path, target: Path, scale: float) -> None:
             if form == "ascii":
                 _ascii(source, file, out, sum(e.count for e in before), vertex, lengths, logs, scale)
             else:
-                order = ORDER[form]
-                rest = source.stat().st_size - file.tell() - sum(e.least for e in elements)
-                if rest < 0:
-                    raise InputError(f"{source}: {-rest} bytes or more are missing at its end", COPY_AGAIN)
-                out.write(file.read(sum(e.least for e in before)))
-                _binary(source, file, out, vertex.row(order), vertex.count, lengths, logs, scale)
+                for element in before:
+                    _copy(file, out, element.least(form))
+                _binary(source, file, out, vertex.row(ORDER[form]), vertex.count, lengths, logs, scale)
             shutil.copyfileobj(file, out, 1 << 20)
 
 
+def _require(path: Path, file: BinaryIO, form: str, elements: list[_Element]) -> None:
+    """Raise InputError where less follows than the header announces."""
+    missing = sum(element.least(form) for element in elements) - (path.stat().st_size - file.tell()) - 1
+    if missing > 0:  # the last line of text may have no end
+        raise InputError(f"{path}: {missing} bytes or more are missing at its end", COPY_AGAIN)
+
+
+def _copy(file: BinaryIO, out: BinaryIO, size: int) -> None:
+    while size > 0:
+        block = file.read(min(size, 1 << 20))
+        out.write(block)
+        size -= max(len(block), 1)
+
+
 def read_points(path: Path) -> np.ndarray:
-    """(N, 3) vertices of the PLY file `path`. Raises InputError."""
+    """(N, 3) vertices of the PLY file `path`, MOST_POINTS of them at most. Raises InputError."""
     with path.open("rb") as file:
         _, form, elements = _header(path, file)
         vertex = elements[0] if elements else None
         names = [name for name, _ in vertex.properties] if vertex else []
         if vertex is None or vertex.name != "vertex" or not vertex.fixed or not {"x", "y", "z"} <= set(names):
             raise InputError(f"{path}: it does not begin with vertices that have x, y and z", "Export it anew.")
+        _require(path, file, form, elements)
+        # More points make the ground no better known: of very many, every so-manieth is taken.
+        step = -(-vertex.count // MOST_POINTS)
+        parts = []
         if form == "ascii":
-            rows = [file.readline().split() for _ in range(vertex.count)]
-            try:
-                columns = [[float(row[names.index(axis)]) for row in rows] for axis in "xyz"]
-            except (ValueError, IndexError) as error:
-                raise InputError(f"{path}: a vertex is missing or malformed", COPY_AGAIN) from error
-            points = np.array(columns).T.reshape(-1, 3)
+            columns = [names.index(axis) for axis in "xyz"]
+            for start in range(0, vertex.count, ROWS):
+                rows = [file.readline() for _ in range(min(ROWS, vertex.count - start))][-start % step :: step]
+                try:
+                    words = [row.split() for row in rows]
+                    parts.append(np.array([[row[k] for k in columns] for row in words], float).reshape(-1, 3))
+                except (ValueError, IndexError) as error:
+                    raise InputError(f"{path}: a vertex is missing or malformed", COPY_AGAIN) from error
         else:
             row = vertex.row(ORDER[form])
-            if vertex.count * row.itemsize > path.stat().st_size - file.tell():
-                raise InputError(f"{path}: ends before the last of its {vertex.count} vertices", COPY_AGAIN)
-            table = np.frombuffer(file.read(vertex.count * row.itemsize), row)
-            points = np.column_stack([table[axis].astype(float) for axis in "xyz"])
+            for start in range(0, vertex.count, ROWS):
+                data = file.read(min(ROWS, vertex.count - start) * row.itemsize)
+                table = np.frombuffer(data, row)[-start % step :: step]
+                parts.append(np.column_stack([table[axis].astype(float) for axis in "xyz"]))
+    points = np.concatenate([np.empty((0, 3)), *parts])
     if not np.isfinite(points).all():
         raise InputError(f"{path}: a vertex is not finite", COPY_AGAIN)
     return points
@@ -131,6 +152,8 @@ def _header(path: Path, file: BinaryIO) -> tuple[list[str], str, list[_Element]]
                 elements.append(_Element(words[1], int(words[2]), []))
             elif words[:1] == ["property"]:
                 kind = "" if words[1] == "list" else TYPES[words[1]]
+                if words[-1] in (name for name, _ in elements[-1].properties):
+                    raise ValueError(f"{words[-1][:40]} appears twice")
                 elements[-1].properties.append((words[-1], kind))
         if form not in ORDER or any(e.count < 0 for e in elements):
             raise ValueError("no known format, or a negative count")

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..reading import HUGE, checked, read_plain
+from .beside import beside
 from .mark import MARK, mark, refuse_marked
 
 HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
@@ -45,7 +46,8 @@ def scale_transforms(source: Path, target: Path, scale: float) -> list[Path]:
     cloud = text.get("ply_file_path")
     text[MARK] = mark(scale)
     target.write_text(json.dumps(text, indent=1), encoding="utf-8")
-    return [source.parent / cloud] if cloud and (source.parent / cloud).is_file() else []
+    found = beside(source, cloud or "")
+    return [] if found is None else [found]
 
 
 def scale_reconstruction(source: Path, target: Path, scale: float) -> None:

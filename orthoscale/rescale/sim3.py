@@ -1,4 +1,4 @@
-"""The similarity that takes a model to metres, and the two files that keep it."""
+"""The similarity that takes a model to metres, and the files that keep it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import InputError, UsageError
 from ..reading import SMALL, read, read_text
 
+MATRIX = "sim3_4x4.txt"
 HINT = "Give the sim3.json (or sim3.txt) that `orthoscale fix` wrote."
 
 
@@ -28,7 +29,9 @@ class Sim3:
             raise UsageError(f"cannot scale by {self.scale}", "A scale is a positive number of metres per unit.")
 
     def save(self, folder: Path) -> None:
-        """Write sim3.json, and sim3.txt (``scale qw qx qy qz tx ty tz``) for `colmap model_transformer`."""
+        """Write sim3.json, and two files for `colmap model_transformer --transform_path`, which have no room for a word
+        on it: sim3.txt (``scale qw qx qy qz tx ty tz``) for COLMAP 3.9 and newer, sim3_4x4.txt (a matrix) for 3.8 and
+        older."""
         text = {
             "target_from_source": "metric_from_model",
             "scale": self.scale,
@@ -38,6 +41,9 @@ class Sim3:
         }
         (folder / "sim3.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
         (folder / "sim3.txt").write_text(f"{self.scale:.17g} 1 0 0 0 0 0 0\n", encoding="utf-8")
+        rows = np.diag([self.scale] * 3 + [1.0]).tolist()
+        matrix = "".join(" ".join(f"{value:.17g}" for value in row) + "\n" for row in rows)
+        (folder / MATRIX).write_text(matrix, encoding="utf-8")
 
     @classmethod
     def load(cls, path: Path) -> Sim3:

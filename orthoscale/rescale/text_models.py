@@ -18,6 +18,7 @@ from ..errors import InputError
 
 BUNDLER, NVM = ".out", ".nvm"
 SUFFIXES = (BUNDLER, NVM)
+TRACKS = 20_000  # points, about, whose images are read
 UPRIGHT = np.diag([1.0, -1.0, -1.0])  # Bundler's cameras have y up and look along -z; COLMAP's y down, along z
 
 
@@ -28,6 +29,8 @@ class TextModel:
     names : (C,) of the images, None where the file does not tell. focal : (C,) [px], 0 where not registered.
     distortion : (C, 3) of FULL_OPENCV's k1, k2, k3. centre : (C, 2) principal points [px], NaN: the image's middle.
     rotation, translation : (C, 3, 3), (C, 3) camera_from_world. points, colours : (M, 3).
+    seen : (K, 4) camera, point, and where it saw that: x, y [px], y down, from the principal point or, where
+    `from_corner`, from the image's corner; for some of the points.
     """
 
     names: list[str] | None
@@ -38,15 +41,19 @@ class TextModel:
     translation: np.ndarray
     points: np.ndarray
     colours: np.ndarray
+    seen: np.ndarray
+    from_corner: bool
 
 
 class Line(NamedTuple):
-    """kind : what the line is. words : of it. lengths : which of the words are lengths."""
+    """kind : what the line is. words : of it. lengths : which of the words are lengths. seen : in which images a point
+    is, and where; only for some of the points."""
 
     text: str
     kind: str
     words: list[str]
     lengths: slice = slice(0, 0)
+    seen: str = ""
 
 
 def read_text_model(path: Path) -> TextModel:
@@ -58,7 +65,12 @@ def read_text_model(path: Path) -> TextModel:
                 parts.setdefault(line.kind, []).append(line.words)
             elif line.kind:
                 parts.setdefault(line.kind, []).append([float(word) for word in line.words[:6]])
-        return (_bundler if path.suffix.lower() == BUNDLER else _nvm)(parts)
+            if line.seen:
+                parts.setdefault("seen", []).extend(_seen(line.seen, len(parts["point"]) - 1))
+        model = (_bundler if path.suffix.lower() == BUNDLER else _nvm)(parts)
+        if not ((model.seen[:, 0] >= 0) & (model.seen[:, 0] < len(model.focal))).all():
+            raise ValueError("a point was seen by a camera that does not exist")
+        return model
     except ValueError as error:
         raise _damaged(path, str(error)) from error
 
@@ -130,10 +142,11 @@ def _walk_bundler(following: Callable[[], str]) -> Iterator[Line]:
         for _row in range(3):
             yield vector("rotation")
         yield vector("translation", True)
-    for _ in range(points):
+    for k in range(points):
         yield vector("point", True)
         yield vector("colour")
-        yield Line(following(), "", [])  # in which images, in pixels
+        text = following()
+        yield Line(text, "", [], seen=_every(k, points, text))
 
 
 def _walk_nvm(following: Callable[[], str]) -> Iterator[Line]:
@@ -148,12 +161,25 @@ def _walk_nvm(following: Callable[[], str]) -> Iterator[Line]:
             text = following()
         (count,) = _counts(text, 1)
         yield Line(text, "", [])
-        for _ in range(count):
+        for k in range(count):
             text = following()
             words = text.rstrip().split(maxsplit=least)  # in which images, in pixels, stays in one piece
             if len(words) < least:
                 raise ValueError(f"{len(words)} words where {least} belong")
-            yield Line(text, kind, words, lengths)
+            yield Line(text, kind, words, lengths, _every(k, count, words[6]) if kind == "point" and words[6:] else "")
+
+
+def _every(number: int, count: int, text: str) -> str:
+    """`text` of the point `number`, empty for all but some of `count` points."""
+    return text if number % max(1, count // TRACKS) == 0 else ""
+
+
+def _seen(text: str, point: int) -> list[list[float]]:
+    """Camera, `point`, x and y of a track's text: how many, then camera, key, x and y of each."""
+    count, *words = text.split()
+    if len(words) != 4 * int(count):
+        raise ValueError(f"a track of {count} images has {len(words)} numbers")
+    return [[int(words[k]), point, float(words[k + 2]), float(words[k + 3])] for k in range(0, len(words), 4)]
 
 
 def _counts(text: str, number: int) -> list[int]:
@@ -176,6 +202,8 @@ def _bundler(parts: dict[str, list[list[Any]]]) -> TextModel:
         translation=np.array(parts["translation"], float) @ UPRIGHT,
         points=np.array(parts["point"], float),
         colours=np.array(parts["colour"], float),
+        seen=np.array(parts.get("seen", []), float).reshape(-1, 4) * (1, 1, 1, -1),
+        from_corner=False,
     )
 
 
@@ -190,6 +218,7 @@ def _nvm(parts: dict[str, list[list[Any]]]) -> TextModel:
     head = parts["head"][0]  # NVM_V3 FixedK fx cx fy cy, for all cameras
     middle = (float(head[3]), float(head[5])) if len(head) >= 6 and head[1] == "FixedK" else (np.nan, np.nan)
     points = np.array([words[:6] for words in parts["point"]], float)
+    seen = np.array(parts.get("seen", []), float).reshape(-1, 4)
     return TextModel(
         names=[words[0].replace('"', " ") for words in parts["camera"]],
         focal=values[:, 0],
@@ -199,4 +228,7 @@ def _nvm(parts: dict[str, list[list[Any]]]) -> TextModel:
         translation=-np.einsum("nij,nj->ni", rotation, centre),
         points=points[:, :3],
         colours=points[:, 3:],
+        seen=seen,
+        # VisualSFM's manual counts from the image's middle, COLMAP writes what it counts from the corner.
+        from_corner=bool((seen[:, 2:] >= 0).mean() > 0.95) if len(seen) else False,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,9 +17,10 @@ from ..errors import InputError, OutputError, UsageError
 from ..projection.view import Views
 from ..rescale.dense import GEOMETRY, find_dense, sparse_folders
 from ..rescale.files import scale_path
-from ..rescale.sim3 import Sim3
+from ..rescale.sim3 import MATRIX, Sim3
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
+from .consistency import check_consistency, focal_notes
 from .database import pose_priors
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
@@ -35,7 +37,7 @@ UNSCALED = GEOMETRY | {".npz", ".npy", ".bin"}
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
 SAME_PLACE = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
 MARK = "sim3.txt"  # by which a model is known to be in metres
-OURS = {MARK, "sim3.json", "report.json", "report.html", "vehicles.png"}
+OURS = {MARK, MATRIX, "sim3.json", "report.json", "report.html", "vehicles.png"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +67,14 @@ class ColmapSource:
             and above the model. need_images : False where detections are given: frames that are not found are then
             a note, not an error.
 
-        Raises InputError for a missing or damaged model, missing frames, or frames of another size than their camera.
+        Raises InputError for a missing or damaged model, one that does not agree with itself (`check_consistency`),
+        missing frames, or frames of another size than their camera.
         """
         files = open_model(Path(path))
         model = read_model(files.folder, files.format)
-        notes = list(files.notes)
+        notes = [*files.notes, *check_consistency(files.folder, model, files.seen)]
         pictures = find_frames(model, files.folder, images, need_images, notes)
+        notes += focal_notes(model, pictures)
         if note := pose_priors(files.folder):
             notes.append(note)
         return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
@@ -237,14 +241,19 @@ class ColmapSource:
         for path in sorted(self.folder.iterdir()):
             if not path.is_file() or path.name in {p.name for p in self._paths} | OURS:
                 continue
-            if path.name in tables or path.suffix.lower() in UNSCALED or path.stat().st_size > LARGEST_COPY:
+            if (
+                path.is_symlink()
+                or path.name in tables
+                or path.suffix.lower() in UNSCALED
+                or path.stat().st_size > LARGEST_COPY
+            ):
                 left.append(path.name)
             else:
                 shutil.copyfile(path, folder / path.name)
                 copied.append(path.name)
         notes = [f"copied unchanged from {self.folder}: {', '.join(copied)}"] if copied else []
         if left:
-            why = "because it is not in metres (`orthoscale apply` scales it) or is large"
+            why = "because it is not in metres (`orthoscale apply` scales it), is large or a link"
             notes.append(f"left in {self.folder}, {why}: {', '.join(left)}")
         return notes
 
@@ -284,7 +293,7 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
     best, missing = places[0], list(names)
     for place in places:
         if place.is_dir():
-            lacking = [name for name in names if not (place / name).is_file()]
+            lacking = [name for name in names if not os.path.isfile(place / name)]  # noqa: PTH113  of any length
             if len(lacking) < len(missing):
                 best, missing = place, lacking
             if not lacking:

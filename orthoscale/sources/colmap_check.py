@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError
+from .consistency import Observations, observations, some_of_each
 
 NO_POINT = 2**64 - 1
 FARTHEST = 1e12  # [units] nothing on Earth is so far, not even in millimetres
@@ -53,12 +54,13 @@ class ModelFiles:
     """A COLMAP model on disk whose files have been walked and found whole.
 
     folder : where it lies. format : 'bin' or 'txt'. paths : the files that make it up.
-    notes : what was chosen or left aside on the way, for the report.
+    seen : some of what its images saw. notes : what was chosen or left aside on the way, for the report.
     """
 
     folder: Path
     format: str
     paths: tuple[Path, ...]
+    seen: Observations
     notes: tuple[str, ...] = ()
 
 
@@ -72,8 +74,9 @@ def open_model(path: Path) -> ModelFiles:
     folder, notes = _find_folder(Path(path))
     form, more = _choose_format(folder)
     paths = _paths(folder, form)
-    _check(_READERS[form](paths))
-    return ModelFiles(folder, form, tuple(paths.values()), (*notes, *more))
+    tables = _READERS[form](paths)
+    _check(tables)
+    return ModelFiles(folder, form, tuple(paths.values()), _seen(tables), (*notes, *more))
 
 
 def check_model(folder: Path, form: str) -> None:
@@ -678,6 +681,22 @@ def _check_points(tables: _Tables) -> None:
             f"{image}, which {'is of another point' if image in ids else 'does not exist'}",
             "images and points3D do not belong together: copy both from the same model.",
         )
+
+
+def _seen(tables: _Tables) -> Observations:
+    """Some of what the images of sound `tables` saw."""
+    points = tables.points
+    order = np.argsort(points.ids)
+    known = points.ids[order]
+    with_point = [np.flatnonzero(image.points != NO_POINT) for image in tables.images]
+    chosen = some_of_each([len(seen) for seen in with_point])
+
+    def pairs() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for image, seen, some in zip(tables.images, with_point, chosen, strict=True):
+            place = order[np.searchsorted(known, image.points[seen[some]])]
+            yield image.xy[seen[some]], points.values[place, :3]
+
+    return observations([image.name for image in tables.images], pairs())
 
 
 def _check_rigs(tables: _Tables, rigs: dict[int, _Rig], frames: dict[int, _Frame]) -> None:

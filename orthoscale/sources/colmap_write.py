@@ -29,7 +29,7 @@ def read_model(folder: Path, form: str) -> pycolmap.Reconstruction:
     model = pycolmap.Reconstruction()
     try:
         model.read_binary(str(folder)) if form == "bin" else model.read_text(str(folder))
-    except (RuntimeError, ValueError, IndexError, KeyError) as error:
+    except Exception as error:  # whatever its C++ and the bindings throw
         raise InputError(f"{folder}: pycolmap cannot read the model ({error})", "Copy the model again.") from error
     if not model.num_reg_images():
         raise InputError(f"{folder}: no registered image", "Give a model that COLMAP reconstructed.")

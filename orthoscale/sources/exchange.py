@@ -5,8 +5,10 @@ They are read into the same model as COLMAP's, measured in the same way, and wri
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from ..errors import InputError
 from ..reading import reason
+from ..rescale.beside import beside
 from ..rescale.files import scale_path
 from ..rescale.mark import MARK
 from ..rescale.ply import read_points
@@ -23,12 +26,14 @@ from ..rescale.poses import read_poses
 from ..rescale.text_models import SUFFIXES
 from .colmap import find_frames
 from .colmap_check import FARTHEST, model_folders
+from .consistency import Observations, check_consistency, focal_notes, observations, some_of_each
 from .one_file import OneFileSource
 
 if TYPE_CHECKING:
     import pycolmap
 
 PLACES = ("reconstruction.json", "opensfm/reconstruction.json", "transforms.json", "bundle.out", "bundle/bundle.out")
+READ_AT, READ_BYTES = 1000, 4096  # of a long file of tracks: at so many places, so much
 GPS_DOP = 1000.0  # from which OpenSfM means that there was no GPS
 # OpenSfM's projection types: COLMAP's model and its parameters, from focal lengths and centre [px] and distortion.
 OPENSFM = {
@@ -71,8 +76,10 @@ class ExchangeSource(OneFileSource):
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ExchangeSource:
         """Open the file `path`; otherwise as `ColmapSource.open`. Raises InputError."""
         path = Path(path)
-        model, others, notes = _read(path)
+        model, others, notes, tracks = _read(path)
+        notes += check_consistency(path, model, _seen(path, model, tracks))
         pictures = find_frames(model, path.parent, images, need_images, notes)
+        notes += focal_notes(model, pictures)
         return cls(path, path.parent, "json", pictures, notes, (path, *others), model)
 
     @property
@@ -109,14 +116,14 @@ class ExchangeSource(OneFileSource):
         return _read(out)[0]
 
 
-def _read(path: Path) -> tuple[pycolmap.Reconstruction, list[Path], list[str]]:
-    """The model in the file `path`, other files that belong to it, and what there is to say."""
+def _read(path: Path) -> tuple[pycolmap.Reconstruction, list[Path], list[str], list[str]]:
+    """The model in the file `path`, other files that belong to it, what there is to say, and its points' tracks."""
     text = read_poses(path)
     try:
         if isinstance(text, list):
             part, notes = _largest(path, text)
-            return _opensfm(path, part), [], notes
-        return *_nerfstudio(path, text), []
+            return _opensfm(path, part), [], notes, list(part["points"])
+        return *_nerfstudio(path, text), [], []
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError) as error:
         raise InputError(
             f"{path}: neither OpenSfM's reconstruction.json nor nerfstudio's transforms.json ({reason(error)})",
@@ -132,6 +139,43 @@ def _largest(path: Path, text: list[dict[str, Any]]) -> tuple[dict[str, Any], li
         return best, []
     note = f"{path} holds {len(text)} reconstructions: that of {max(sizes)} images is scaled, the others are left out"
     return best, [note]
+
+
+def _seen(path: Path, model: pycolmap.Reconstruction, tracks: list[str]) -> Observations:
+    """Some of what the images saw, by OpenSfM's tracks.csv beside the reconstruction; nothing where that is not there.
+
+    tracks : of the model's points, in their order. The lines are image, track, feature, x, y and more, with tabs
+    between; x and y as lengths in `_opensfm`. Lines that are no such are passed over.
+    """
+    images = {image.name: model.camera(image.camera_id) for image in model.images.values()}
+    points = {track: k for k, track in enumerate(tracks)}
+    found: dict[str, list[tuple[float, float, int]]] = {name: [] for name in images}
+    for line in _some_lines(path.with_name("tracks.csv")) if points else ():
+        name, track, _, x, y, *_ = [*line.split("\t"), *[""] * 5]
+        if name in found and track in points:
+            with contextlib.suppress(ValueError):
+                found[name].append((float(x), float(y), points[track]))
+    place = np.array([point.xyz for _, point in sorted(model.points3D.items())])
+    pairs = []
+    for (name, seen), some in zip(found.items(), some_of_each([len(v) for v in found.values()]), strict=True):
+        x, y, number = np.array(seen, float).reshape(-1, 3)[some].T
+        size = np.array([images[name].width, images[name].height])
+        pairs.append((np.column_stack([x, y]) * size.max() + size / 2, place[number.astype(int)]))
+    return observations(list(images), pairs)
+
+
+def _some_lines(path: Path) -> Iterator[str]:
+    """The lines of a text file; of a long one some thousands from all of it. Nothing where there is none."""
+    try:
+        with path.open("rb") as file:
+            size = path.stat().st_size
+            parts = 1 if size <= READ_AT * READ_BYTES else READ_AT
+            for k in range(parts):
+                file.seek(k * size // parts)
+                lines = file.read(size if parts == 1 else READ_BYTES).decode("utf-8", "replace").split("\n")
+                yield from lines[1:-1]  # the first is a head or, like the last, cut
+    except OSError:
+        return
 
 
 def build_model(
@@ -229,10 +273,11 @@ def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstructi
         if file in poses:
             raise ValueError(f"{file} appears twice")
         poses[file] = (key, rotation, -rotation @ matrix[:3, 3])
-    cloud = path.parent / text.get("ply_file_path", "sparse_pc.ply")
-    if not cloud.is_file():
+    name = text.get("ply_file_path", "sparse_pc.ply")
+    cloud = beside(path, name)
+    if cloud is None:
         raise InputError(
-            f"{path} has no sparse points ({cloud} does not exist), and the ground is found from them",
+            f"{path} has no sparse points (there is no {name[:80]} beside it), and the ground is found from them",
             "Make it with a newer ns-process-data, or give the COLMAP model that it came from.",
         )
     points = read_points(cloud)

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from .. import budget
 from ..errors import InputError
-from .picture_file import PictureFile, resized
+from .picture_file import LARGE, PictureFile, covering, memory, resized, shrunk
 
 if TYPE_CHECKING:
     from .colmap import ColmapSource
@@ -27,7 +27,7 @@ SAMPLES = (32, 24)  # of a frame across and down, to find what it sees of the gr
 CELL = 8  # [px] of the warp; between, it is linear
 GREY = 114  # what has no data
 MIN_SIDE = 64  # [px] below which a picture shows nothing
-PICTURES_IN_MEMORY = 4
+ROWS = 512  # that are warped at once
 
 
 @dataclass(eq=False)
@@ -52,7 +52,16 @@ class GroundPicture:
 
     def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
         """See `Picture.read`. Raises InputError as the frame does."""
-        return resized(_warped(self)[y : y + height, x : x + width], out_width, out_height)
+        if self.frame is None:
+            raise InputError(f"{self.image}: its frame is not at hand", "Give the folder of the frames with --images.")
+        size = 3 * self.width * self.height
+        if self.frame.large or size > LARGE * budget.memory():
+            # Only the window, and no finer than wanted: the whole would take as much memory as the frame again.
+            shrink = min(width // max(out_width, 1), height // max(out_height, 1))
+            part, factor = _warped(self, x, y, width, height, shrink)
+            return shrunk(part, factor, (x, y, width, height), out_width, out_height)
+        with memory.holding(self, size, lambda: _warped(self, 0, 0, self.width, self.height)[0]) as whole:
+            return resized(whole[y : y + height, x : x + width], out_width, out_height)
 
     def fingerprint(self) -> str:
         """What cached work on this picture is keyed by: the frame, and all that decides how it is warped."""
@@ -119,24 +128,33 @@ def _axes(source: ColmapSource, name: str) -> np.ndarray:
     return np.array([right, [right[1], -right[0]]])
 
 
-@lru_cache(maxsize=PICTURES_IN_MEMORY)
-def _warped(picture: GroundPicture) -> np.ndarray:
-    """The whole picture, (height, width, 3) uint8."""
-    across, down = (np.arange(-1, -(-size // CELL) + 1) for size in (picture.width, picture.height))
-    nodes = (np.stack(np.meshgrid(across, down), -1).reshape(-1, 2) + 0.5) * CELL
+def _warped(picture: GroundPicture, x: int, y: int, width: int, height: int, shrink: int = 1) -> tuple[np.ndarray, int]:
+    """The window of the picture, RGB uint8, and by how much it is smaller: as the frame's `PictureFile.pixels`."""
+    assert picture.frame is not None, "asked before"
+    with picture.frame.pixels(shrink) as (frame, factor):
+        left, top, right, low = covering(x, y, width, height, factor)
+        bands = [_band(picture, frame, factor, left, right, k, min(k + ROWS, low)) for k in range(top, low, ROWS)]
+    return np.concatenate(bands), factor
+
+
+def _band(
+    picture: GroundPicture, frame: np.ndarray, factor: int, left: int, right: int, top: int, low: int
+) -> np.ndarray:
+    """Columns `left` to `right` and rows `top` to `low` of the picture at a `factor`-th of its size, as is `frame`."""
+    across = np.arange(left // CELL - 1, -(-right // CELL) + 1)
+    down = np.arange(top // CELL - 1, -(-low // CELL) + 1)
+    nodes = (np.stack(np.meshgrid(across, down), -1).reshape(-1, 2) + 0.5) * CELL * factor
     pixels, offset = picture.seen(nodes)
     pixels[~np.isfinite(pixels).all(1)] = -1e4
     full = (len(across) * CELL, len(down) * CELL)
 
     def smooth(values: np.ndarray) -> np.ndarray:
         values = cv2.resize(values.reshape(len(down), len(across)).astype(np.float32), full)
-        return values[CELL : CELL + picture.height, CELL : CELL + picture.width]
+        first, above = left - across[0] * CELL, top - down[0] * CELL
+        return values[above : above + low - top, first : first + right - left]
 
-    maps = [smooth(values) for values in (pixels - 0.5).T]  # OpenCV's pixel centres are integers, ours end in .5
+    maps = [smooth(values) for values in (pixels / factor - 0.5).T]  # OpenCV's pixel centres are integers, ours end .5
     flat = smooth(np.linalg.norm(offset, axis=1)) > 1 / np.tan(np.radians(NEAR_NADIR - SHOWN_BELOW))
-    if picture.frame is None:
-        raise InputError(f"{picture.image}: its frame is not at hand", "Give the folder of the frames with --images.")
-    image = picture.frame.read(0, 0, *picture.size, *picture.size)
-    warped = cv2.remap(image, maps[0], maps[1], cv2.INTER_CUBIC, borderValue=(GREY,) * 3)
+    warped = cv2.remap(frame, maps[0], maps[1], cv2.INTER_CUBIC, borderValue=(GREY,) * 3)
     warped[flat] = GREY
-    return warped
+    return cv2.cvtColor(warped, cv2.COLOR_BGR2RGB)

@@ -27,7 +27,7 @@ class OneFileSource(ColmapSource):
         raise UsageError(f"{self.path} has no dense workspace of COLMAP", "Bring other files with `orthoscale apply`.")
 
     def write(self, folder: Path, metres_per_unit: float) -> None:
-        """Write the file in metres into the empty `folder`, with what belongs to it, sim3.json and sim3.txt.
+        """Write the file in metres into the empty `folder`, with what belongs to it, and `Sim3.save`'s files.
 
         Raises UsageError for an impossible scale, OutputError if what was written does not read back as it was meant.
         """

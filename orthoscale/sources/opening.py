@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from ..errors import InputError, UsageError
@@ -11,7 +12,7 @@ from .source import Source
 def open_source(path: str | Path, images: str | Path | None = None, need_images: bool = True) -> Source:
     """The source at `path`: a folder or text file is a reconstruction, another file an image. Raises InputError."""
     path, images = Path(path), None if images is None else Path(images)
-    if not path.exists():
+    if not os.path.exists(path):  # noqa: PTH110  pathlib's raises for names that are too long
         raise InputError(f"{path} does not exist", "Give an orthophoto, or the folder of a COLMAP model.")
     from ..rescale.text_models import SUFFIXES
     from .exchange import ExchangeSource, find_exchange

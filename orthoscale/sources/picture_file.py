@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
+import mmap
 import struct
+import threading
+import warnings
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from .. import budget
 from ..errors import InputError
 from ..fingerprint import fingerprint
 
-FRAMES_IN_MEMORY = 2
+# Shares of the memory budget: what decoded pictures may take together as long as they are small, and from which size
+# on one is large: decoded no finer than needed, one at a time, and kept alone.
+KEPT, LARGE = 1 / 8, 1 / 16
+STRIP = 256  # rows that are decoded at once
+TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+REDUCED = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
 
 
 @dataclass
 class PictureFile:
     """A `Picture` in a JPEG, PNG or TIFF file of `width` x `height` px, decoded whole when it is first read.
 
-    The EXIF orientation is ignored, as COLMAP does. The latest frames stay in memory, the others are let go.
+    The EXIF orientation is ignored, as COLMAP does. The latest frames stay in memory, the others are let go. A large
+    JPEG is decoded at a half, a quarter or an eighth of its size where no more is wanted.
     """
 
     name: str
@@ -29,8 +41,26 @@ class PictureFile:
     height: int
 
     def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
-        """See `Picture.read`. Raises InputError for a file that is truncated, undecodable, or of another size."""
-        return resized(self._pixels()[y : y + height, x : x + width], out_width, out_height)
+        """See `Picture.read`. Raises InputError for a file that is truncated, undecodable, of another size, or larger
+        than the memory budget allows."""
+        with self.pixels(min(width // max(out_width, 1), height // max(out_height, 1))) as (pixels, factor):
+            left, top, right, low = covering(x, y, width, height, factor)
+            part = shrunk(pixels[top:low, left:right], factor, (x, y, width, height), out_width, out_height)
+            return cv2.cvtColor(part, cv2.COLOR_BGR2RGB)
+
+    @property
+    def large(self) -> bool:
+        """Whether it is decoded no finer than needed, and alone."""
+        return 3 * self.width * self.height > LARGE * budget.memory()
+
+    @contextmanager
+    def pixels(self, shrink: int = 1) -> Iterator[tuple[np.ndarray, int]]:
+        """The whole picture, BGR and read-only, for as long as the block lasts, and by how much it is smaller than the
+        file's: 1, or for a large one, of which no more than a `shrink`-th is wanted, up to 8. Raises as `read`."""
+        factor = next((f for f in (8, 4, 2) if f <= shrink), 1) if self.large else 1
+        size = 3 * self.width * self.height // factor**2
+        with memory.holding((self.path, factor), size, lambda: self._decoded(factor)) as pixels:
+            yield pixels, factor
 
     def fingerprint(self) -> str:
         """What cached work on this frame is keyed by."""
@@ -42,9 +72,18 @@ class PictureFile:
         if size is not None:
             self._require(size)
 
-    def _pixels(self) -> np.ndarray:
-        pixels = _decode(self.path)
-        self._require((pixels.shape[1], pixels.shape[0]))
+    def _decoded(self, factor: int) -> np.ndarray:
+        self.check_size()  # before memory is spent on it
+        if self.large:
+            if factor == 1 and (pixels := _in_strips(self.path)) is not None:
+                return pixels
+            # OpenCV decodes other formats whole before it reduces them, and holds them twice.
+            whole = factor if _is_jpeg(self.path) else 1
+            budget.require(budget.LEAST + 6 * self.width * self.height / whole**2, f"{self.path}")
+        pixels = _decode(self.path, factor)
+        size = pixels.shape[1], pixels.shape[0]
+        if max(abs(size[0] - self.width / factor), abs(size[1] - self.height / factor)) >= 1:
+            self._require(size)
         return pixels
 
     def _require(self, size: tuple[int, int]) -> None:
@@ -69,38 +108,126 @@ def resized(window: np.ndarray, width: int, height: int) -> np.ndarray:
     return cv2.resize(window, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
 
 
-@lru_cache(maxsize=FRAMES_IN_MEMORY)
-def _decode(path: Path) -> np.ndarray:
+def covering(x: int, y: int, width: int, height: int, factor: int) -> tuple[int, int, int, int]:
+    """Left, top, right and lower end of the window in a picture of a `factor`-th of the size, rounded outwards."""
+    return x // factor, y // factor, -(-(x + width) // factor), -(-(y + height) // factor)
+
+
+def shrunk(pixels: np.ndarray, factor: int, window: tuple[int, int, int, int], width: int, height: int) -> np.ndarray:
+    """The `window` (x, y, width, height) of a picture at another size, from the `pixels` `covering` it: exactly
+    the window, whose ends may lie within a pixel of theirs."""
+    if factor == 1:
+        return resized(pixels, width, height)
+    step = np.array(window[2:]) / (width, height) / factor
+    first = np.array(window[:2]) % factor / factor + 0.5 * step - 0.5
+    turn = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(
+        pixels, np.column_stack([np.diag(step), first]), (width, height), flags=turn, borderMode=cv2.BORDER_REPLICATE
+    )
+
+
+class Memory:
+    """Decoded pictures, the latest used last; the earliest are let go when they take more than their share."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Hashable, np.ndarray] = OrderedDict()
+        self._lock = threading.RLock()
+        self._alone = threading.RLock()
+
+    @contextmanager
+    def holding(self, key: Hashable, size: int, make: Callable[[], np.ndarray]) -> Iterator[np.ndarray]:
+        """What `key` stands for: kept, or made by `make` [`size` bytes]; while a large one is held no other is made."""
+        if size <= LARGE * budget.memory():
+            yield self._get(key, size, make)
+        else:
+            with self._alone:
+                yield self._get(key, size, make)
+
+    def _get(self, key: Hashable, size: int, make: Callable[[], np.ndarray]) -> np.ndarray:
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+            self._make_room(size)
+        made = make()
+        made.flags.writeable = False
+        with self._lock:
+            self._make_room(size)
+            self._kept[key] = made
+        return made
+
+    def _make_room(self, size: int) -> None:
+        while self._kept and sum(kept.nbytes for kept in self._kept.values()) + size > KEPT * budget.memory():
+            self._kept.popitem(last=False)
+
+
+memory = Memory()
+
+
+def _decode(path: Path, factor: int) -> np.ndarray:
+    """BGR pixels of the file at a `factor`-th of its size."""
+    flag = REDUCED.get(factor, cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION
+    pixels = None
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            # OpenCV fills what is missing of a truncated file with grey and says nothing.
+            if _is_complete(data):
+                pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})", "Check the file and its permissions.") from error
-    # OpenCV fills what is missing of a truncated file with grey and says nothing.
-    pixels = None
-    if _is_complete(data):
-        try:
-            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        except cv2.error:
-            pixels = None
+    except (ValueError, cv2.error):  # an empty file cannot be mapped
+        pixels = None
     if pixels is None:
         raise InputError(f"{path}: image is truncated or cannot be decoded", "Copy it again from its original.")
-    pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
-    pixels.flags.writeable = False
     return pixels
 
 
-def _is_complete(data: bytes) -> bool:
+def _in_strips(path: Path) -> np.ndarray | None:
+    """BGR pixels of a plain JPEG or PNG, decoded by GDAL some rows at a time; None where it is another kind of file."""
+    import rasterio
+    from rasterio.enums import ColorInterp
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    from rasterio.windows import Window
+
+    driver = "JPEG" if _is_jpeg(path) else "PNG"
+    try:
+        with path.open("rb") as data, mmap.mmap(data.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            if not _is_complete(content):
+                return None
+        with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=64, GDAL_ALLOW_LARGE_LIBJPEG_MEM_ALLOC=True):
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path, driver=driver) as file:
+                if set(file.dtypes) != {"uint8"} or file.colorinterp[0] == ColorInterp.palette:
+                    return None
+                budget.require(budget.LEAST + 3 * file.width * file.height, f"{path}")
+                pixels = np.empty((file.height, file.width, 3), np.uint8)
+                bands = [3, 2, 1] if file.count >= 3 else [1, 1, 1]
+                for top in range(0, file.height, STRIP):
+                    rows = min(STRIP, file.height - top)
+                    read = file.read(bands, window=Window(0, top, file.width, rows))
+                    pixels[top : top + rows] = read.transpose(1, 2, 0)
+                return pixels
+    except (RasterioError, ValueError):  # OpenCV will say so, or read it
+        return None
+
+
+def _is_jpeg(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(2) == b"\xff\xd8"
+
+
+def _is_complete(data: bytes | mmap.mmap) -> bool:
     """Whether a JPEG or PNG has its end marker; other formats are left to their decoder."""
-    if data.startswith(b"\xff\xd8"):
+    if data[:2] == b"\xff\xd8":
         frame = _jpeg_marker(data, 0xDA)
         return frame is not None and data.find(b"\xff\xd9", frame) >= 0
-    if data.startswith(b"\x89PNG"):
+    if data[:4] == b"\x89PNG":
         return b"IEND" in data[-65536:]
-    return bool(data)
+    return len(data) > 0
 
 
 def stored_size(path: Path) -> tuple[int, int] | None:
-    """(width, height) [px] from the header of a JPEG or PNG, before any EXIF rotation; None where it does not tell."""
+    """(width, height) [px] from the header of an image, before any EXIF rotation; None where it does not tell."""
     try:
         with path.open("rb") as file:
             data = file.read(1 << 20)
@@ -113,10 +240,37 @@ def stored_size(path: Path) -> tuple[int, int] | None:
         if frame is not None and frame + 9 <= len(data):
             height, width = struct.unpack_from(">HH", data, frame + 5)
             return width, height
-    return None
+        return None
+    return _told_by_gdal(path) if data[:4] in TIFFS else _told_by_pillow(path)
 
 
-def _jpeg_marker(data: bytes, *wanted: int) -> int | None:
+def _told_by_gdal(path: Path) -> tuple[int, int] | None:
+    """Of a TIFF: of more kinds than Pillow knows, the header only."""
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path, driver="GTiff") as file:
+                return file.width, file.height
+    except (RasterioError, ValueError):
+        return None
+
+
+def _told_by_pillow(path: Path) -> tuple[int, int] | None:
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as image:  # of any size: nothing is decoded
+                return image.size
+    except Exception:  # Pillow's readers raise whatever a damaged file makes of them
+        return None
+
+
+def _jpeg_marker(data: bytes | mmap.mmap, *wanted: int) -> int | None:
     """Where the first segment of a `wanted` kind starts; others are stepped over, with the thumbnails in them."""
     at = 2
     while at + 4 <= len(data) and data[at] == 0xFF:

@@ -16,6 +16,7 @@ from ..errors import InputError
 from ..rescale.files import scale_path
 from ..rescale.text_models import TextModel, read_text_model
 from .colmap import find_frames, image_folder
+from .consistency import Observations, check_consistency, focal_notes, observations, some_of_each
 from .exchange import build_model
 from .one_file import OneFileSource
 from .picture_file import stored_size
@@ -43,7 +44,9 @@ class TextSource(OneFileSource):
             notes.append(f"{len(missing)} of {len(wanted)} frames are not in {root} and left out: {missing[0]} ...")
         sizes = {name: _size(root / name) for name in set(wanted) - set(missing)}
         model = _built(path, text, names, sizes)
+        notes += check_consistency(path, model, _observations(text, names, model))
         pictures = find_frames(model, path.parent, root, need_images, notes)
+        notes += focal_notes(model, pictures)
         return cls(path, path.parent, path.suffix, pictures, notes, (path, *lists), model)
 
     def _write_file(self, out: Path, scale: float) -> None:
@@ -84,14 +87,22 @@ def _size(path: Path) -> tuple[int, int]:
     """(width, height) [px] of an image file. Raises InputError."""
     size = stored_size(path)
     if size is None:
-        from PIL import Image
-
-        try:
-            with Image.open(path) as image:
-                size = image.size
-        except OSError as error:
-            raise InputError(f"{path}: not an image ({error})", "Copy it again from its original.") from error
+        raise InputError(f"{path}: not an image", "Copy it again from its original.")
     return size
+
+
+def _observations(text: TextModel, names: list[str], model: pycolmap.Reconstruction) -> Observations:
+    """Some of what the images of `model` saw."""
+    cameras = {image.name: model.camera(image.camera_id) for image in model.images.values()}
+    order = np.argsort(text.seen[:, 0], kind="stable")
+    each = np.split(text.seen[order, 1:], np.searchsorted(text.seen[order, 0], np.arange(1, len(names))))
+    of = {_clean(name): seen for name, seen in zip(names, each, strict=True) if _clean(name) in cameras}
+    pairs = []
+    for (name, seen), some in zip(of.items(), some_of_each([len(seen) for seen in of.values()]), strict=True):
+        camera = cameras[name]
+        origin = (0, 0) if text.from_corner else (camera.principal_point_x, camera.principal_point_y)
+        pairs.append((seen[some, 1:] + origin, text.points[seen[some, 0].astype(int)]))
+    return observations(list(of), pairs)
 
 
 def _built(path: Path, text: TextModel, names: list[str], sizes: dict[str, tuple[int, int]]) -> pycolmap.Reconstruction:

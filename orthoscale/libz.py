@@ -1,0 +1,36 @@
+"""One zlib for the process, whichever of pycolmap and orthoscale is imported first.
+
+pycolmap's wheels for Linux carry a zlib of their own and load the system's as well. If nothing has loaded that before,
+its inner calls are bound to pycolmap's functions, and whatever compresses later (zlib, Pillow, OpenCV, GDAL) aborts.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+
+
+def settle() -> None:
+    """Load the system's libz before pycolmap does; if that is too late, a copy of it that is bound to itself.
+
+    What was imported between pycolmap and this keeps the broken one.
+    """
+    loaded = list(sys.modules)
+    if "pycolmap" in loaded and "zlib" not in loaded[: loaded.index("pycolmap")] and hasattr(os, "memfd_create"):
+        _load_a_copy()
+    import zlib  # noqa: F401
+
+
+def _load_a_copy() -> None:
+    """The loader knows a library by its file: a copy has scopes of its own, and being global it is found first."""
+    try:
+        with open("/proc/self/maps") as maps:
+            path = next(line.split()[-1] for line in maps if "/libz.so" in line)
+        copy = os.memfd_create("libz")
+        with open(path, "rb") as file, open(copy, "wb", closefd=False) as out:
+            out.write(file.read())
+        ctypes.CDLL(f"/proc/self/fd/{copy}", mode=ctypes.RTLD_GLOBAL)
+        os.close(copy)
+    except (OSError, StopIteration):  # no libz, and so no clash
+        return

@@ -1,0 +1,227 @@
+"""Whether a reconstruction agrees with itself: where its images saw its points, and where they ought to have.
+
+An adjusted model projects its points within a pixel or two of where its images saw them. A damaged focal length, pose
+or point, or files of two models in one folder, do not; and vehicles would then be measured against a wrong model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    import pycolmap
+
+    from .picture_file import PictureFile
+
+SAMPLE = 50_000  # observations that are looked at, spread over the images
+LEAST_EACH = 30  # of them in every image that has so many
+LEAST = 8  # observations from which an image can be judged
+# COLMAP's mapper drops observations that are more than 4 px off (filter_max_reproj_error), OpenSfM those over 0.006 of
+# the longer side (bundle_outlier_fixed_threshold). An image is off when half of what it saw is twice as far away; in a
+# picture of many pixels, when it is besides so much worse than the others.
+OFF_PX, OFF_SHARE, OFF_OTHERS = 8.0, 0.012, 20.0
+OFF_MOST, OFF_FAR = 0.25, 3.0  # share of all observations that may be so many limits off; a mapper keeps hardly any
+# Adjusted images have no radial remainder: a longer focal length or a nearer camera would take it away. Four real
+# models have 0.03 % in their worst image. A focal length that is 2 % off makes the scale 2 % wrong.
+RADIAL, RADIAL_LEAST, RADIAL_FROM = 0.02, 100, 0.1
+# Of the distance to the points. COLMAP keeps no points that are seen under less than 1.5 degrees, 0.026 of it.
+ONE_PLACE = 0.01
+ONE_LINE = 0.01  # of the line's length: how far its cameras may stand beside it
+FOCAL_FRAMES = 12  # whose EXIF is read
+FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
+HINT = "Cameras, images and points are not of one model, or a file is damaged: copy all of it again from its origin."
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Some of what the images of a reconstruction saw, N in all.
+
+    names : of the images. image : (N,) which of them. pixels : (N, 2) where, from the outer corner of the first pixel.
+    points : (N, 3) what was seen there, in the world [model units].
+    """
+
+    names: tuple[str, ...]
+    image: np.ndarray
+    pixels: np.ndarray
+    points: np.ndarray
+
+
+def some_of_each(counts: Sequence[int]) -> list[np.ndarray]:
+    """Which observations to look at, of images that have `counts` of them; the same for the same counts."""
+    random = np.random.default_rng(0)
+    most = max(LEAST_EACH, SAMPLE // max(len(counts), 1))
+    return [np.arange(n) if n <= most else random.choice(n, most, replace=False) for n in counts]
+
+
+def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Observations) -> list[str]:
+    """Hold `model`, which lies at `where`, against what its images saw; returns what its user should know.
+
+    Raises InputError, naming cameras or images and how far they are off, for a model that does not reproject, and for
+    one whose cameras all stand in one place.
+    """
+    images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
+    centres = np.array([image.projection_center() for image in images.values()])
+    if len(seen.image):
+        _check_projections(where, model, [images[name] for name in seen.names], seen)
+        notes = []
+        stand = np.array([images[name].projection_center() for name in seen.names])[seen.image]
+        distance = np.median(np.linalg.norm(seen.points - stand, axis=1))
+    else:
+        notes = [f"{where} does not say where its images saw its points: nothing shows whether they fit its cameras"]
+        points = np.array([point.xyz for point in model.points3D.values()])
+        distance = np.median(np.linalg.norm(points - centres.mean(0), axis=1))
+    return notes + _check_places(where, centres, float(distance))
+
+
+def _check_projections(
+    where: object, model: pycolmap.Reconstruction, images: Sequence[pycolmap.Image], seen: Observations
+) -> None:
+    """Raise InputError where the points of `seen` are projected elsewhere by its `images`."""
+    camera_of = np.array([image.camera_id for image in images])
+    size = np.array([(model.camera(c).width, model.camera(c).height) for c in camera_of], float)
+    projected = _projected(model, images, camera_of, seen)
+    error = np.linalg.norm(projected - seen.pixels, axis=1)
+    error[~np.isfinite(error)] = np.inf  # behind the camera, or where its lens has no image
+    side = size.max(1)
+    beyond = np.maximum(-seen.pixels, seen.pixels - size[seen.image]).max(1)
+    error[beyond > np.maximum(OFF_PX, OFF_SHARE * side)[seen.image]] = np.inf  # not in a picture of this size
+
+    order = np.argsort(seen.image, kind="stable")
+    each = np.split(error[order], np.searchsorted(seen.image[order], np.arange(1, len(images))))
+    judged = np.array([len(errors) >= LEAST for errors in each])
+    if not judged.any():
+        return
+    middle = np.array([np.median(errors) if ok else 0.0 for errors, ok in zip(each, judged, strict=True)])
+    usual = float(np.median(middle[judged]))
+    limit = np.clip(OFF_OTHERS * usual, OFF_PX, np.maximum(OFF_PX, OFF_SHARE * side))
+    off = judged & (middle > limit)
+    radial = _radial_remainders(model, camera_of, projected, seen)
+    stretched = {camera: share for camera, share in radial.items() if abs(share) > RADIAL}
+    if off.any():
+        raise _off(where, [image.name for image in images], camera_of, off, judged, middle)
+    if stretched:
+        camera, share = max(stretched.items(), key=lambda item: abs(item[1]))
+        raise InputError(
+            f"{where}: camera {camera} has its points {100 * share:+.1f} % farther from the middle of its pictures "
+            "than they were seen: its focal length, or the scale of cameras and points, is wrong",
+            HINT,
+        )
+    far = float(np.mean(error > OFF_FAR * limit[seen.image]))
+    if far > OFF_MOST:
+        raise InputError(f"{where}: {100 * far:.0f} % of its points are not where its images saw them", HINT)
+
+
+def _projected(
+    model: pycolmap.Reconstruction, images: Sequence[pycolmap.Image], camera_of: np.ndarray, seen: Observations
+) -> np.ndarray:
+    """(N, 2) pixels at which the cameras have the points, NaN where they cannot."""
+    poses = [image.cam_from_world() for image in images]
+    rotation = np.array([pose.rotation.matrix() for pose in poses])
+    translation = np.array([pose.translation for pose in poses])
+    local = np.einsum("nij,nj->ni", rotation[seen.image], seen.points) + translation[seen.image]
+    pixels = np.full((len(local), 2), np.nan)
+    for camera in np.unique(camera_of):
+        mine = (camera_of[seen.image] == camera) & (local[:, 2] > 0)
+        if mine.any():
+            pixels[mine] = np.array(model.camera(camera).img_from_cam(local[mine]), float).reshape(-1, 2)
+    return pixels
+
+
+def _radial_remainders(
+    model: pycolmap.Reconstruction, camera_of: np.ndarray, projected: np.ndarray, seen: Observations
+) -> dict[int, float]:
+    """By camera: by what share its points are projected farther from the principal point than they were seen."""
+    found = {}
+    for number in np.unique(camera_of).tolist():
+        camera = model.camera(number)
+        middle = np.array([camera.principal_point_x, camera.principal_point_y])
+        mine = (camera_of[seen.image] == number) & np.isfinite(projected).all(1)
+        was, now = seen.pixels[mine] - middle, projected[mine] - middle
+        outside = np.linalg.norm(was, axis=1) > RADIAL_FROM * max(camera.width, camera.height)
+        if outside.sum() >= RADIAL_LEAST:
+            was, now = was[outside], now[outside]
+            found[number] = float(np.median((was * now).sum(1) / (was**2).sum(1))) - 1
+    return found
+
+
+def _off(
+    where: object,
+    names: Sequence[str],
+    camera_of: np.ndarray,
+    off: np.ndarray,
+    judged: np.ndarray,
+    middle: np.ndarray,
+) -> InputError:
+    """Names the cameras most of whose images are off; images, where it is only some of a camera's."""
+    whole = [c for c in np.unique(camera_of[off]) if 2 * off[camera_of == c].sum() > judged[camera_of == c].sum() > 1]
+    mine = off & np.isin(camera_of, whole) if whole else off
+    first = names[int(np.argmax(mine))]
+    if off.sum() == judged.sum() > 1 and len(np.unique(camera_of)) > 1:
+        what = f"all {off.sum()} images ({first} ...)"
+    elif whole:
+        what = f"camera {', '.join(map(str, whole[:3]))} ({mine.sum()} of {len(names)} images, the first is {first})"
+    else:
+        what = f"image {first}" + (f" and {mine.sum() - 1} more of {len(names)}" if mine.sum() > 1 else "")
+    apart = float(np.median(middle[mine]))
+    how = f"{apart:.3g} px from" if np.isfinite(apart) else "nowhere near"
+    return InputError(f"{where}: the points of {what} are projected {how} where they were seen", HINT)
+
+
+def _check_places(where: object, centres: np.ndarray, distance: float) -> list[str]:
+    """Whether the cameras at `centres` (C, 3), `distance` from what they see, stand where a scene can be measured."""
+    if len(centres) < 2:
+        return []
+    offset = centres - centres.mean(0)
+    axes = np.linalg.svd(offset, full_matrices=False)[2]
+    extent = np.ptp(offset @ axes.T, axis=0)
+    if extent[0] < ONE_PLACE * distance:
+        raise InputError(
+            f"{where}: all {len(centres)} cameras stand in one place (within {100 * extent[0] / distance:.2g} % of the "
+            "distance to what they see): no distance can be known",
+            "Views from different places are needed. If these were, the model is damaged: copy it again.",
+        )
+    if len(centres) > 2 and extent[1] < ONE_LINE * extent[0]:
+        return [f"all {len(centres)} cameras stand on one straight line: nothing beside it holds the model in shape"]
+    return []
+
+
+def focal_notes(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[str]:
+    """A note if EXIF tells focal lengths far from the model's. Flat scenes leave them open: it is no error."""
+    from ..photo.lens import lens_of
+    from ..photo.tags import read_tags
+
+    cameras = {model.image(i).name: model.camera(model.image(i).camera_id) for i in model.reg_image_ids()}
+    found = []
+    for picture in pictures[:: max(1, len(pictures) // FOCAL_FRAMES)][:FOCAL_FRAMES]:
+        try:
+            told = lens_of(read_tags(picture.path))
+        except InputError:  # tells none, or is damaged, which its reader will say
+            continue
+        has = cameras[picture.name].mean_focal_length()
+        found.append((has / told.focal_px - 1, has, told, picture.name))
+    far = [each for each in found if abs(each[0]) > max(FOCAL_FAR, 2 * each[2].sd)]
+    if 2 * len(far) <= len(found):
+        return []
+    share, has, told, name = max(far, key=lambda each: abs(each[0]))
+    return [
+        f"{name} has a focal length of {told.focal_px:.0f} px ({told.source}), the model {has:.0f} px "
+        f"({100 * share:+.0f} %): flat scenes leave it open; heights are then off by as much, the scale hardly"
+    ]
+
+
+def observations(names: Sequence[str], seen: Iterable[tuple[np.ndarray, np.ndarray]]) -> Observations:
+    """Of pairs of pixels (K, 2) and points (K, 3), one for each of the images `names`."""
+    pairs = list(seen)
+    counts = [len(pixels) for pixels, _ in pairs]
+    return Observations(
+        tuple(names),
+        np.repeat(np.arange(len(pairs)), counts),
+        np.concatenate([np.empty((0, 2)), *(pixels for pixels, _ in pairs)]),
+        np.concatenate([np.empty((0, 3)), *(points for _, points in pairs)]),
+    )
