@@ -93,7 +93,8 @@ def estimate(
         found = load_detections(Path(detections), source, vehicle_classes)
     else:
         how_much = Effort(**effort)
-        network = Detector(_path(detector), decoder, vehicle_classes, how_much.threads_each)
+        # Somebody else's network looks at one image at a time, with all cores.
+        network = Detector(_path(detector), decoder, vehicle_classes, 0 if detector else how_much.threads_each)
         zoom = told_zoom(zoom, gsd_hint, network.card, float(ruler_fleet.mean[0]))
         try:
             if model is None:
@@ -106,6 +107,7 @@ def estimate(
         if refine:
             workers = worker_count(how_much.workers)
             found = replace(found, boxes=refined(source.pictures, found.boxes, found.zoom, network, workers, progress))
+        source.notes.extend(network.notes)
     if known is not None:
         found = known.applied(found, Path(str(calibration)))
     try:

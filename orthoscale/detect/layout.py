@@ -27,6 +27,8 @@ from .decoders import decode_maps, decode_mmrotate, decode_ultralytics, decode_u
 
 DECODERS = ("orthoscale", "ultralytics", "ultralytics-nms-free", "mmrotate", "rtmdet")
 
+MOST_STRIDE = 1024  # [px] of any network; 64 is the largest known
+
 Shape = tuple[int | None, ...]  # None where the file leaves a size open
 
 
@@ -185,13 +187,17 @@ def _ultralytics(
         stride = int(metadata.get("stride", "32"))
     except ValueError:
         stride = 32
+    if not 1 <= stride <= MOST_STRIDE:
+        raise InputError(
+            f"{path}: its stride is said to be {stride} px, not 1 to {MOST_STRIDE}", "Export it again."
+        )
 
     def decode(arrays: Sequence[np.ndarray], classes: Sequence[int], score: float) -> Boxes:
         read = decode_ultralytics if decoder == "ultralytics" else decode_ultralytics_nms_free
         return read(arrays[0][0].astype(np.float64), classes, score)
 
     objects = _others(names, vehicles)
-    return Layout(decoder, Normalisation(), max(stride, 1), size, decode, tuple(vehicles), objects=objects)
+    return Layout(decoder, Normalisation(), stride, size, decode, tuple(vehicles), objects=objects)
 
 
 def _mmrotate(
@@ -240,7 +246,7 @@ def _names(metadata: Mapping[str, str]) -> list[str] | None:
     try:
         table = ast.literal_eval(metadata["names"])
         return [str(table[k]) for k in range(len(table))]
-    except (KeyError, ValueError, SyntaxError, TypeError):
+    except (KeyError, ValueError, SyntaxError, TypeError, RecursionError, MemoryError):
         return None
 
 
