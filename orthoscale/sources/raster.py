@@ -63,6 +63,7 @@ _SERVED = frozenset(
     "DAAS EEDA EEDAI ESRIC GTI HTTP KMLSUPEROVERLAY NGW OGCAPI PLMOSAIC Rasterlite STACIT STACTA TileDB WCS WFS WMS "
     "WMTS Zarr".split()
 )
+_IN_ORDER = frozenset("AVIF BIGGIF GIF HEIF JPEG JPEGXL PNG WEBP".split())  # that can be decoded from the top only
 
 _EXPORT_AGAIN = "Export or download it again; a transfer that broke off looks like this."
 _STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written
@@ -242,11 +243,9 @@ class RasterSource:
 
     @property
     def _needs_blocks(self) -> bool:
-        """Whether each window would have to be decoded from the image's top: no blocks, and too large for GDAL to keep
-        it decoded."""
-        rows, columns = self._dataset.block_shapes[0]
-        unblocked = self._blocks is self._dataset and rows == 1 and columns == self.width and not self._one_strip_a_row
-        return unblocked and self._decoded_size > _options()["GDAL_CACHEMAX"]
+        """Whether each window would be decoded from the image's top again: it has no blocks, and is too large for GDAL
+        to keep it decoded."""
+        return self._in_order and self._blocks is self._dataset and self._decoded_size > _options()["GDAL_CACHEMAX"]
 
     @property
     def _decoded_size(self) -> int:
@@ -264,8 +263,8 @@ class RasterSource:
                 "Let TMPDIR name a folder with more room, or convert it to a tiled GeoTIFF.",
             )
         copy = scratch.folder / "blocks.tif"
-        # Its place on Earth does not matter there; the lock is held already.
-        self._convert(copy, Place(None, Affine.identity(), ""), zlevel=1)
+        # Fast to write and to read; its place on Earth does not matter there.
+        self._convert(copy, Place(None, Affine.identity(), ""), compress="zstd", zstd_level=1, predictor=1)
         self._blocks = rasterio.open(copy, sharing=False)
         self._scratch = scratch
 
@@ -313,7 +312,7 @@ class RasterSource:
     def _probe(self) -> None:
         """Find damage without reading everything: the blocks a TIFF says it has, and any format's last block."""
         self._written: np.ndarray | None = None
-        self._one_strip_a_row = False
+        self._in_order = self._dataset.driver in _IN_ORDER
         if self._dataset.driver == "GTiff":
             self._check_blocks()
         # One pixel decodes its whole block; asked for a whole PNG at once, GDAL takes a way that tolerates truncation.
@@ -334,13 +333,13 @@ class RasterSource:
             return
         # GDAL shows a single strip as many lines.
         single = len(lists.offset) == shape[0] and (rows, columns) == (1, self.width)
-        self._one_strip_a_row = not single
+        self._in_order = single and dataset.compression is not None
         wanted = shape[0] if single else math.prod(shape)
-        if min(map(len, lists)) < wanted:
-            raise InputError(
-                f"{self.path} is damaged: its directory lists {min(map(len, lists))} of {wanted} blocks", _EXPORT_AGAIN
-            )
-        offset, count = (values[:wanted] for values in lists)
+        listed = min(len(values) for values in lists if values is not None)
+        if listed < wanted:
+            raise InputError(f"{self.path} is damaged: its directory lists {listed} of {wanted} blocks", _EXPORT_AGAIN)
+        offset = lists.offset[:wanted]
+        count = (offset > 0).astype(np.uint64) if lists.count is None else lists.count[:wanted]
         lost = np.flatnonzero((offset == 0) != (count == 0))
         if len(lost):
             raise InputError(f"{self.path} is damaged: it does not say where block {lost[0]} is", _EXPORT_AGAIN)
@@ -496,6 +495,7 @@ class RasterSource:
         explicit_mask = in_file_mask or len(self._nodata()) > 1
         if kinds[:3] == ["red", "green", "blue"] and dtype.kind == "u":
             options["photometric"] = "RGB"
+        packing = {"compress": "deflate", "predictor": 3 if dtype.kind == "f" else 2}
         with rasterio.open(
             path,
             "w",
@@ -509,12 +509,10 @@ class RasterSource:
             tiled=True,
             blockxsize=_STRIP,
             blockysize=_STRIP,
-            compress="deflate",
-            predictor=3 if dtype.kind == "f" else 2,
             interleave="pixel",
             num_threads="all_cpus",
             bigtiff="IF_SAFER",
-            **options,
+            **{**packing, **options},
         ) as copy:
             self._restore_properties(copy)
             for window in self._strips():

@@ -18,14 +18,15 @@ MOST_TAGS = 4096  # of a directory; more is damage
 
 class Blocks(NamedTuple):
     """offset, count : (N,) where the blocks (strips or tiles) of the first image begin and how long they are [byte];
-    0 and 0 for one that was never written."""
+    0 and 0 for one that was never written. An empty list is one that cannot be read; `count` is None in files so old
+    that they leave the lengths to the reader."""
 
     offset: np.ndarray
-    count: np.ndarray
+    count: np.ndarray | None
 
 
 def blocks_of(path: Path) -> Blocks | None:
-    """The blocks that the TIFF at `path` lists, or None where it has no such lists. Raises OSError."""
+    """The blocks that the TIFF at `path` lists, or None for what is no TIFF. Raises OSError."""
     with path.open("rb") as file:
         start = file.read(16)
         order = {b"II": "<", b"MM": ">"}.get(start[:2])
@@ -38,7 +39,7 @@ def blocks_of(path: Path) -> Blocks | None:
         at = struct.unpack_from(f"{order}{'Q' if big else 'I'}", start, 8 if big else 4)[0]
         lists = _lists(file, at, order, big)
     offset, count = (next((lists[tag] for tag in tags if tag in lists), None) for tags in (OFFSETS, COUNTS))
-    return None if offset is None or count is None else Blocks(offset, count)
+    return Blocks(np.empty(0, np.uint64) if offset is None else offset, count)
 
 
 def _lists(file: BinaryIO, at: int, order: str, big: bool) -> dict[int, np.ndarray]:
@@ -52,7 +53,10 @@ def _lists(file: BinaryIO, at: int, order: str, big: bool) -> dict[int, np.ndarr
     table = file.read(size * min(struct.unpack(order + head, number)[0], MOST_TAGS))
     for k in range(0, len(table) - size + 1, size):
         tag, kind, count = struct.unpack_from(order + entry, table, k)
-        if tag not in OFFSETS + COUNTS or kind not in TYPES:
+        if tag not in OFFSETS + COUNTS:
+            continue
+        if kind not in TYPES:
+            lists[tag] = np.empty(0, np.uint64)
             continue
         dtype = np.dtype(order + TYPES[kind])
         value = table[k + size - word : k + size]
