@@ -242,7 +242,9 @@ def suppress(boxes: Boxes, iou: float = 0.3) -> Boxes:
         i, j = i[worse], j[worse]
         clash = overlap(boxes.xylwa[i], boxes.xylwa[j]) >= iou
         better, first = np.unique(i[clash], return_index=True)
-        for k, rivals in zip(better.tolist(), np.split(j[clash], first[1:]), strict=False):  # of no pairs, split makes one
+        for k, rivals in zip(
+            better.tolist(), np.split(j[clash], first[1:]), strict=False
+        ):  # of no pairs, split makes one
             if alive[k]:
                 alive[rivals] = False
         waiting = waiting[n:]

@@ -452,7 +452,12 @@ def endless(path):
         helper.make_node("Cast", ["counted"], ["number"], to=onnx.TensorProto.FLOAT),
         helper.make_node("Expand", ["number", "shape"], ["output0"]),
     ]
-    weights = [known("most", np.int64(2**62)), known("yes", True), known("zero", np.int64(0)), known("shape", [1, 8, 4])]
+    weights = [
+        known("most", np.int64(2**62)),
+        known("yes", True),
+        known("zero", np.int64(0)),
+        known("shape", [1, 8, 4]),
+    ]
     return hostile(path, nodes, weights=weights)
 
 

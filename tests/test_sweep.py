@@ -266,7 +266,9 @@ def test_kept_looks_that_changed_on_disk_are_had_again(tmp_path, picture_file):
             damaged[at] ^= 1 << rng.integers(8)
         kept.path.write_bytes(damaged[: rng.integers(len(content) // 2, 2 * len(content))])
         with TileCache("key", tmp_path) as cache:
-            found = sweep_twice(jobs, np.arange(len(jobs)), lambda some: on_threads(some, RectangleDetector(), 1), cache)
+            found = sweep_twice(
+                jobs, np.arange(len(jobs)), lambda some: on_threads(some, RectangleDetector(), 1), cache
+            )
         assert np.array_equal(found.boxes["drawing"].xylwa, whole.boxes["drawing"].xylwa)
         again += found.swept.from_cache < len(jobs)
     assert again > 10

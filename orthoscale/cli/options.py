@@ -23,6 +23,23 @@ save_option = click.option(
 )
 
 
+def _allow_memory(context: click.Context, option: click.Parameter, value: str | None) -> None:
+    if value is not None:
+        from ..budget import allow
+
+        allow(value)
+
+
+memory_option = click.option(
+    "--memory",
+    metavar="SIZE",
+    envvar="ORTHOSCALE_MEMORY",
+    callback=_allow_memory,
+    expose_value=False,
+    help="Memory that pictures, boxes and other detectors may take, such as 2G; by default 1G.",
+)
+
+
 def detector_options(command: Callable) -> Callable:
     """Options that name a detector."""
     for option in reversed(
@@ -36,6 +53,7 @@ def detector_options(command: Callable) -> Callable:
                 metavar="NAME",
                 help="Class that counts, by name or number, instead of those called small vehicles; repeatable.",
             ),
+            memory_option,
         ]
     ):
         command = option(command)

@@ -94,7 +94,11 @@ class Worker:
             finally:
                 clock.cancel()
         if "error" in answer:
-            if answer["kind"] == "MemoryError" or "bad_alloc" in answer["error"] or "allocate memory" in answer["error"]:
+            if (
+                answer["kind"] == "MemoryError"
+                or "bad_alloc" in answer["error"]
+                or "allocate memory" in answer["error"]
+            ):
                 raise self._too_large(what)
             raise ForeignError(answer["error"], answer["kind"] == foreign_worker.LibraryError.__name__)
         return answer, rest

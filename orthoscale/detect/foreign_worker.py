@@ -101,7 +101,9 @@ def session(content: bytes, settings: dict) -> Any:
 
 def said(network: Any) -> dict:
     """What a network says of itself, as `foreign.Said`."""
-    inputs, outputs = ([(v.name, v.type, v.shape) for v in some] for some in (network.get_inputs(), network.get_outputs()))
+    inputs, outputs = (
+        [(v.name, v.type, v.shape) for v in some] for some in (network.get_inputs(), network.get_outputs())
+    )
     return {"inputs": inputs, "outputs": outputs, "metadata": network.get_modelmeta().custom_metadata_map}
 
 

@@ -188,9 +188,7 @@ def _ultralytics(
     except ValueError:
         stride = 32
     if not 1 <= stride <= MOST_STRIDE:
-        raise InputError(
-            f"{path}: its stride is said to be {stride} px, not 1 to {MOST_STRIDE}", "Export it again."
-        )
+        raise InputError(f"{path}: its stride is said to be {stride} px, not 1 to {MOST_STRIDE}", "Export it again.")
 
     def decode(arrays: Sequence[np.ndarray], classes: Sequence[int], score: float) -> Boxes:
         read = decode_ultralytics if decoder == "ultralytics" else decode_ultralytics_nms_free

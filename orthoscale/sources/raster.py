@@ -126,9 +126,8 @@ class RasterSource:
             raise InputError(f"{path} cannot be read ({error.strerror})", "Check its permissions.") from error
         if empty:
             raise InputError(f"{path} is empty", "Export or download it again.")
-        require_files(path)
-        with _reading(path, "is not an image that GDAL can open", "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file."):
-            dataset = DatasetReader(path, driver=_local_drivers(), sharing=False)
+        with reading(path, "is not an image that GDAL can open", "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file."):
+            dataset = open_dataset(path)
         try:
             return cls(path, dataset)
         except BaseException:
@@ -388,7 +387,7 @@ class RasterSource:
         return low, high
 
     def _damage(self, where: str) -> AbstractContextManager[None]:
-        return _reading(self.path, f"is damaged {where}", _EXPORT_AGAIN)
+        return reading(self.path, f"is damaged {where}", _EXPORT_AGAIN)
 
     # Writing
 
@@ -626,7 +625,16 @@ def _local_drivers() -> list[str]:
         return [name for name in env.drivers() if name not in _SERVED]
 
 
-def require_files(path: Path) -> None:
+def open_dataset(path: Path) -> DatasetReader:
+    """GDAL's view of a file on this machine; within `reading`, as all that is done with it, so that it calls no server.
+
+    Raises InputError for what names a pipe or device; GDAL's errors for what it cannot open.
+    """
+    _require_files(path)
+    return DatasetReader(path, driver=_local_drivers(), sharing=False)
+
+
+def _require_files(path: Path) -> None:
     """Raises InputError where `path` is a VRT that names a pipe or device, from which GDAL would wait for pixels
     forever; so do those that it names in turn."""
     waiting, seen = [path.absolute()], set()
@@ -663,8 +671,8 @@ def _no_warnings() -> Iterator[None]:
 
 
 @contextmanager
-def _reading(path: Path, what: str, hint: str) -> Iterator[None]:
-    """GDAL within its memory limit; an error of it becomes ``InputError(path what (reason), hint)``."""
+def reading(path: Path, what: str, hint: str) -> Iterator[None]:
+    """GDAL within its memory limit and without a network; an error of it becomes ``InputError(path what (reason), hint)``."""
     try:
         with rasterio.Env(**_options()), _no_warnings():
             yield
