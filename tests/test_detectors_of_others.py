@@ -9,9 +9,9 @@ import pytest
 
 import orthoscale
 from orthoscale.boxes import Boxes
+from orthoscale.detect import foreign
 from orthoscale.detect.cache import TileCache
 from orthoscale.detect.classes import is_vehicle, vehicle_numbers
-from orthoscale.detect import foreign
 from orthoscale.detect.detector import MOST, Detector
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks, Tile, look_twice

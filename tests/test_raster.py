@@ -678,8 +678,8 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
     )
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     subprocess.run([sys.executable, "-c", code], env=environment)
-    assert len(list(tmp_path.iterdir())) == 1
-    code = "from orthoscale.scratch import Scratch; a, b = Scratch(), Scratch(); print(a.folder.exists(), b.folder.exists())"
+    assert len(list(tmp_path.iterdir())) == 2
+    code = f"{make}; print(a.folder.exists(), b.folder.exists())"
     ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert ran.stdout.split() == ["True", "True"] and not list(tmp_path.iterdir())
 
@@ -757,7 +757,8 @@ WMS = """<GDAL_WMS><Service name="TMS"><ServerUrl>{url}/${{z}}/${{x}}/${{y}}.png
 <DataWindow><UpperLeftX>0</UpperLeftX><UpperLeftY>100</UpperLeftY><LowerRightX>100</LowerRightX><LowerRightY>0</LowerRightY>
 <SizeX>256</SizeX><SizeY>256</SizeY><TileLevel>0</TileLevel></DataWindow><BandsCount>3</BandsCount></GDAL_WMS>"""
 VRT = """<VRTDataset rasterXSize="256" rasterYSize="256">{bands}</VRTDataset>"""
-BAND = """<VRTRasterBand dataType="Byte" band="{band}"><SimpleSource><SourceFilename relativeToVRT="0">{name}</SourceFilename>
+BAND = """<VRTRasterBand dataType="Byte" band="{band}"><SimpleSource>
+<SourceFilename relativeToVRT="0">{name}</SourceFilename>
 <SourceBand>{band}</SourceBand></SimpleSource></VRTRasterBand>"""
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import weakref
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ from . import foreign_worker
 from .foreign_worker import receive, send
 
 LONGEST = 25.0
-"""[s] in which a network must be loaded, or look at one image. A sweep takes some hundred looks, so slower is no use."""
+"""[s] in which a network must be loaded, or look at one image. A sweep takes some hundred looks."""
 
 MOST_OUTPUT = 2**26
 """[byte] An answer may have: ten times that of a YOLO for twenty classes and 2048 px."""
@@ -135,7 +136,5 @@ def _stop(process: subprocess.Popen) -> None:
     process.wait()
     for pipe in (process.stdin, process.stdout):
         if pipe is not None:
-            try:
+            with suppress(OSError):  # what it was being told goes nowhere
                 pipe.close()
-            except OSError:  # what it was being told goes nowhere
-                pass

@@ -19,8 +19,8 @@ from typing import Any
 import cv2
 import numpy as np
 import rasterio
-from rasterio.crs import CRS
 from rasterio._err import CPLE_BaseError
+from rasterio.crs import CRS
 from rasterio.enums import Interleaving, MaskFlags, Resampling
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader, DatasetWriter
@@ -60,10 +60,13 @@ _OFFLINE = {
 }
 # Formats whose files name a server, or pictures that anybody keeps anywhere.
 _SERVED = frozenset(
-    "DAAS EEDA EEDAI ESRIC GTI HTTP KMLSUPEROVERLAY NGW OGCAPI PLMOSAIC Rasterlite STACIT STACTA TileDB WCS WFS WMS "
-    "WMTS Zarr".split()
-)
-_IN_ORDER = frozenset("AVIF BIGGIF GIF HEIF JPEG JPEGXL PNG WEBP".split())  # that can be decoded from the top only
+    [
+        "DAAS", "EEDA", "EEDAI", "ESRIC", "GTI", "HTTP", "KMLSUPEROVERLAY", "NGW", "OGCAPI", "PLMOSAIC", "Rasterlite",
+        "STACIT", "STACTA", "TileDB", "WCS", "WFS", "WMS", "WMTS", "Zarr",
+    ]
+)  # fmt: skip
+# Formats that can be decoded from the top only.
+_IN_ORDER = frozenset(["AVIF", "BIGGIF", "GIF", "HEIF", "JPEG", "JPEGXL", "PNG", "WEBP"])
 
 _EXPORT_AGAIN = "Export or download it again; a transfer that broke off looks like this."
 _STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written
@@ -672,7 +675,7 @@ def _no_warnings() -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path, what: str, hint: str) -> Iterator[None]:
-    """GDAL within its memory limit and without a network; an error of it becomes ``InputError(path what (reason), hint)``."""
+    """GDAL within its memory limit and offline; an error of it becomes ``InputError(path what (reason), hint)``."""
     try:
         with rasterio.Env(**_options()), _no_warnings():
             yield
