@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 import tempfile
 import weakref
 from pathlib import Path
 from typing import BinaryIO
 
-try:
+if sys.platform != "win32":  # which deletes no file that is open; that does as well
     import fcntl
-except ImportError:  # Windows deletes no file that is open, which does as well
-    fcntl = None  # type: ignore[assignment]
 
 PREFIX = "orthoscale-scratch-"
 LOCK = "in-use"
@@ -41,12 +40,11 @@ def _remove(folder: Path, lock: BinaryIO) -> None:
 
 def _locked(lock: BinaryIO) -> bool:
     """Whether nobody else holds this lock; now this process does."""
-    if fcntl is None:
-        return True
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
+    if sys.platform != "win32":
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return False
     return True
 
 

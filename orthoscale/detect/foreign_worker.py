@@ -10,10 +10,10 @@ import queue
 import struct
 import sys
 import threading
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 
-def send(pipe: BinaryIO, head: dict, *bodies: Any) -> None:
+def send(pipe: IO[bytes], head: dict, *bodies: Any) -> None:
     """Write one message; `bodies` are bytes or contiguous arrays."""
     line = json.dumps(head).encode() + b"\n"
     views = [memoryview(body).cast("B") for body in bodies if memoryview(body).nbytes]
@@ -23,7 +23,7 @@ def send(pipe: BinaryIO, head: dict, *bodies: Any) -> None:
     pipe.flush()
 
 
-def receive(pipe: BinaryIO) -> tuple[dict, bytes]:
+def receive(pipe: IO[bytes]) -> tuple[dict, bytes]:
     """Read one message. Raises EOFError at the end."""
     length = pipe.read(8)
     if len(length) < 8:

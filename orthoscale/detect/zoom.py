@@ -260,9 +260,9 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
     standing_each = weight / np.concatenate(chance)
     votes = standing = np.zeros(len(grid))
     for k in range(0, len(weight), BLOCK):
-        here = slice(k, k + BLOCK)
-        near = np.exp(-0.5 * ((grid[:, None] - log_length[here]) / KERNEL) ** 2)
-        votes, standing = votes + near @ weight[here], standing + near @ standing_each[here]
+        block = slice(k, k + BLOCK)
+        near = np.exp(-0.5 * ((grid[:, None] - log_length[block]) / KERNEL) ** 2)
+        votes, standing = votes + near @ weight[block], standing + near @ standing_each[block]
     best = int(np.argmax(standing))
     elsewhere = np.where(np.abs(grid - grid[best]) > 3 * KERNEL, standing, 0.0)
     second = int(np.argmax(elsewhere))
@@ -281,8 +281,8 @@ def _reliability(agreed: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 def _about(where: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(K,) how many of the sorted `values` (N,) lie within twice the kernel's width of each of `where` (K,)."""
-    ends = [np.searchsorted(values, where + 2 * sign * KERNEL, side) for sign, side in ((-1, "right"), (1, "left"))]
-    return ends[1] - ends[0]
+    first = np.searchsorted(values, where - 2 * KERNEL, "right")
+    return np.searchsorted(values, where + 2 * KERNEL, "left") - first
 
 
 def _cost(picture: Picture, tile: Tile) -> float:

@@ -337,7 +337,7 @@ class RasterSource:
         single = len(lists.offset) == shape[0] and (rows, columns) == (1, self.width)
         self._in_order = single and dataset.compression is not None
         wanted = shape[0] if single else math.prod(shape)
-        listed = min(len(values) for values in lists if values is not None)
+        listed = min(len(values) for values in (lists.offset, lists.count) if values is not None)
         if listed < wanted:
             raise InputError(f"{self.path} is damaged: its directory lists {listed} of {wanted} blocks", _EXPORT_AGAIN)
         offset = lists.offset[:wanted]
@@ -351,7 +351,7 @@ class RasterSource:
                 f"{self.path} is truncated: it has {length} bytes, but its pixels end at byte {end}", _EXPORT_AGAIN
             )
         if not single and not offset.all():
-            self._written = (offset > 0).reshape(shape).any(0)
+            self._written = np.asarray((offset > 0).reshape(shape).any(0))
 
     def _palette_table(self) -> np.ndarray | None:
         """(K, 3) uint8 colours of a paletted image, transparent ones grey, or None."""

@@ -6,8 +6,9 @@ Tags and types are those of TIFF 6.0 (Adobe, 1992) and of BigTIFF.
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 
@@ -16,7 +17,8 @@ TYPES = {3: "u2", 4: "u4", 16: "u8"}  # SHORT, LONG, LONG8
 MOST_TAGS = 4096  # of a directory; more is damage
 
 
-class Blocks(NamedTuple):
+@dataclass(frozen=True)
+class Blocks:
     """offset, count : (N,) where the blocks (strips or tiles) of the first image begin and how long they are [byte];
     0 and 0 for one that was never written. An empty list is one that cannot be read; `count` is None in files so old
     that they leave the lengths to the reader."""
