@@ -61,3 +61,13 @@ def test_vehicles_in_one_corner_are_no_drift():
     corner = gather(votes.size, votes.pixel, votes.place * 0.05, votes.score, repeated=False)
     result = drift(corner, scale, ruler, WIDTH, HEIGHT)
     assert result.remark == "" and result.p_tilt == 1.0
+
+
+def test_boxes_that_are_all_alike_show_no_drift(capfd):
+    """They scatter not at all, which is no reason to be infinitely sure."""
+    place = np.random.default_rng(7).random((200, 2)) * (WIDTH, HEIGHT)
+    size = np.tile([44.0, 18.0], (200, 1))
+    votes = gather(size, np.ones(200), place, np.ones(200), repeated=False)
+    result = drift(votes, pool(votes, Fleet.load("DE"), Ruler(), "m/px"), Ruler(), WIDTH, HEIGHT)
+    assert result.remark == "" and np.isfinite(result.tilt_sd)
+    assert capfd.readouterr() == ("", "")
