@@ -9,7 +9,8 @@ import numpy as np
 
 SAME_VEHICLE = 0.5  # share of their joint area from which two boxes are one vehicle's; side by side they share none
 HEAPED = 500  # neighbours of a box, on average, from which no picture of vehicles is meant; packed closely there are 30
-CHUNK = 50_000  # pairs of boxes that are compared at once
+PAIRS = 2**15  # of boxes whose overlap is computed at once, in some 50 MB
+BLOCK = 4096  # boxes whose neighbours are counted at once
 
 
 @dataclass(frozen=True)
@@ -127,8 +128,13 @@ def overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Exact intersection over union of paired boxes, (K, 5) and (K, 5) to (K,).
 
     Each rectangle of `a`, seen in the frame of its partner in `b`, is clipped by the partner's four sides
-    (Sutherland and Hodgman 1974) and the rest's area taken, all pairs at once.
+    (Sutherland and Hodgman 1974) and the rest's area taken, many pairs at once.
     """
+    blocks = range(0, max(len(a), 1), PAIRS)
+    return np.concatenate([_overlap(a[k : k + PAIRS], b[k : k + PAIRS]) for k in blocks])
+
+
+def _overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     cos, sin = np.cos(b[:, 4]), np.sin(b[:, 4])
     d = Boxes(a, np.zeros(len(a))).corners - b[:, None, :2]
     polygon = np.stack(
@@ -171,32 +177,73 @@ def _clip(
     return np.take_along_axis(candidates, order[..., None], 1), new_count
 
 
-def pairs_within(
-    a: np.ndarray, b: np.ndarray, reach_a: np.ndarray, reach_b: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (i, j) of points ``a[i]``, ``b[j]`` (N, D) closer than ``reach_a[i] + reach_b[j]``.
+class _Neighbours:
+    """Boxes (N, 5) that others may touch, found by their circumscribed circles.
 
-    Points are sorted into cells as wide as the largest possible distance, so that only neighbours are compared.
+    They are sorted into one tree per octave of size, so that one long box does not make neighbours of all the others.
     """
-    if not len(a) or not len(b):
-        return np.empty(0, int), np.empty(0, int)
-    from scipy.spatial import cKDTree
 
-    near = cKDTree(a).query_ball_tree(cKDTree(b), float(reach_a.max() + reach_b.max()))
-    i = np.repeat(np.arange(len(a)), [len(n) for n in near])
-    j = np.array([k for n in near for k in n], int)
-    close = np.linalg.norm(a[i] - b[j], axis=1) < reach_a[i] + reach_b[j]
-    return i[close], j[close]
+    def __init__(self, xylwa: np.ndarray):
+        from scipy.spatial import cKDTree
+
+        self._centre, self._reach = xylwa[:, :2], _reach(xylwa)
+        octave = np.frexp(self._reach)[1]
+        groups = [np.flatnonzero(octave == o) for o in np.unique(octave)]
+        self._trees = [(group, cKDTree(self._centre[group]), self._reach[group].max()) for group in groups]
+
+    def count(self) -> int:
+        """Pairs of them that may touch, each counted from both sides."""
+        counted = [
+            tree.query_ball_point(self._centre, self._reach + longest, return_length=True)
+            for _, tree, longest in self._trees
+        ]
+        return int(np.sum(counted))
+
+    def of_first(self, xylwa: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        """Pairs (i, j) of the first n of boxes (M, 5) and those that they may touch, by i and then j; and n, so many
+        that there are no more than PAIRS pairs, but one at least."""
+        centre, reach = xylwa[:BLOCK, :2], _reach(xylwa[:BLOCK])
+        count = np.zeros(len(centre), int)
+        for _, tree, longest in self._trees:
+            count += tree.query_ball_point(centre, reach + longest, return_length=True)
+        n = max(1, int(np.searchsorted(np.cumsum(count), PAIRS)))
+        parts = [(np.empty(0, int), np.empty(0, int))]
+        for group, tree, longest in self._trees:
+            near = tree.query_ball_point(centre[:n], reach[:n] + longest)
+            i, j = np.repeat(np.arange(len(near)), [len(k) for k in near]), group[[k for some in near for k in some]]
+            close = np.linalg.norm(centre[i] - self._centre[j], axis=1) < reach[i] + self._reach[j]
+            parts.append((i[close], j[close]))
+        i, j = (np.concatenate(column) for column in zip(*parts, strict=True))
+        order = np.lexsort((j, i))
+        return i[order], j[order], n
+
+
+def _reach(xylwa: np.ndarray) -> np.ndarray:
+    """(N,) radius of the circles around boxes."""
+    return np.hypot(xylwa[:, 2], xylwa[:, 3]) / 2
+
+
+def overlapping(a: Boxes, b: Boxes, iou: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All pairs (i, j, overlap) of boxes of one image that overlap by `iou` (> 0) or more, by i and then j."""
+    neighbours = _Neighbours(b.xylwa)
+    start, parts = 0, [(np.empty(0, int), np.empty(0, int), np.empty(0))]
+    while start < len(a):
+        i, j, n = neighbours.of_first(a.xylwa[start:])
+        o = overlap(a.xylwa[start + i], b.xylwa[j])
+        enough = o >= iou
+        parts.append((start + i[enough], j[enough], o[enough]))
+        start += n
+    i, j, o = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return i, j, o
 
 
 def matched(a: Boxes, b: Boxes, iou: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """One-to-one matches (i, j, overlap) between two sets of boxes of one image, best overlap first, above `iou`."""
-    i, j = pairs_within(a.centre, b.centre, a.length / 2, b.length / 2)
-    o = overlap(a.xylwa[i], b.xylwa[j])
+    i, j, o = overlapping(a, b, iou)
     free_a, free_b = np.ones(len(a), bool), np.ones(len(b), bool)
     taken: list[int] = []
     for k in np.argsort(-o, kind="stable"):
-        if o[k] >= iou and free_a[i[k]] and free_b[j[k]]:
+        if free_a[i[k]] and free_b[j[k]]:
             free_a[i[k]] = free_b[j[k]] = False
             taken.append(int(k))
     chosen = np.array(taken, int)
@@ -209,11 +256,23 @@ def suppress(boxes: Boxes, iou: float = 0.3) -> Boxes:
     Boxes are never merged: an average of two boxes is larger than either when they see different ends of a vehicle.
     """
     boxes = boxes[np.argsort(-boxes.score, kind="stable")]
-    reach = np.hypot(boxes.length, boxes.width) / 2
-    i, j = pairs_within(boxes.centre, boxes.centre, reach, reach)
-    i, j = i[i < j], j[i < j]
-    clash = overlap(boxes.xylwa[i], boxes.xylwa[j]) >= iou
-    return boxes[_unrivalled(len(boxes), i[clash], j[clash])]
+    neighbours = _Neighbours(boxes.xylwa)
+    alive = np.ones(len(boxes), bool)
+    waiting = np.arange(len(boxes))
+    while len(waiting):
+        i, j, n = neighbours.of_first(boxes.xylwa[waiting])
+        i = waiting[i]
+        worse = (j > i) & alive[j]
+        i, j = i[worse], j[worse]
+        clash = overlap(boxes.xylwa[i], boxes.xylwa[j]) >= iou
+        better, first = np.unique(i[clash], return_index=True)
+        # Of no pairs, split makes one part.
+        for k, rivals in zip(better.tolist(), np.split(j[clash], first[1:]), strict=False):
+            if alive[k]:
+                alive[rivals] = False
+        waiting = waiting[n:]
+        waiting = waiting[alive[waiting]]
+    return boxes[alive]
 
 
 def distinct(boxes: Boxes) -> Boxes:
@@ -225,42 +284,7 @@ def distinct(boxes: Boxes) -> Boxes:
     ordered = boxes[np.argsort(-boxes.score, kind="stable")]
     _, first = np.unique(ordered.xylwa.round(6), axis=0, return_index=True)  # copies, of which there may be thousands
     ordered = ordered[np.sort(first)]
-    i, j = _of_like_size(ordered)
-    chunks = [slice(k, k + CHUNK) for k in range(0, len(i), CHUNK)]
-    clash = [overlap(ordered.xylwa[i[c]], ordered.xylwa[j[c]]) >= SAME_VEHICLE for c in chunks]
-    same = np.concatenate([*clash, np.empty(0, bool)])
-    alive = _unrivalled(len(ordered), i[same], j[same])
-    return boxes if alive.sum() == len(boxes) else ordered[alive]
-
-
-def _of_like_size(boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (i, j), i < j, of pairs that may share half of their area: neighbours whose diagonals differ by a factor
-    of two or less, found octave by octave so that one large box does not make all others its neighbours."""
-    from scipy.spatial import cKDTree
-
-    octave = np.floor(np.log2(np.hypot(boxes.length, boxes.width))).astype(int)
-    found = [np.empty((0, 2), int)]
-    for k in np.unique(octave):
-        index = np.flatnonzero((octave == k) | (octave == k + 1))
-        tree = cKDTree(boxes.centre[index])
-        reach = 2.0 ** (
-            k + 1
-        )  # half of the longest diagonal here; equal boxes a third of their length apart share half
-        if tree.count_neighbors(tree, reach) > HEAPED * len(index):
-            raise ValueError(f"{len(index)} boxes lie upon one another")
-        pairs = np.sort(index[tree.query_pairs(reach, output_type="ndarray")], axis=1)
-        found.append(pairs[(octave[pairs] == k).any(1)])  # those of the next octave alone come with it
-    i, j = np.concatenate(found).T
-    return i, j
-
-
-def _unrivalled(count: int, better: np.ndarray, worse: np.ndarray) -> np.ndarray:
-    """(count,) bool: which of things by falling rank are left when each that is left removes its `worse` rivals."""
-    rivals: dict[int, list[int]] = {}
-    for one, other in zip(better.tolist(), worse.tolist(), strict=True):
-        rivals.setdefault(one, []).append(other)
-    alive = np.ones(count, bool)
-    for k in range(count):
-        if alive[k]:
-            alive[rivals.get(k, [])] = False
-    return alive
+    if _Neighbours(ordered.xylwa).count() > HEAPED * len(ordered):
+        raise ValueError(f"{len(ordered)} boxes lie upon one another")
+    left = suppress(ordered, SAME_VEHICLE)
+    return boxes if len(left) == len(boxes) else left

@@ -126,7 +126,9 @@ def _looked_for(
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles that a detector finds. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
     effort = Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
-    network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, effort.threads_each)
+    # Somebody else's network looks at one image at a time, with all cores.
+    threads = 0 if request.detector else effort.threads_each
+    network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads)
     zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
         if model is None:
@@ -139,7 +141,7 @@ def _looked_for(
     if request.refine:
         workers = worker_count(effort.workers)
         found = replace(found, boxes=refined(source.pictures, found.boxes, found.zoom, network, workers, progress))
-    return found, choice
+    return replace(found, notes=(*found.notes, *network.notes)), choice
 
 
 def _given(source: Source, known_distance: Sequence[str], ground_control: str | Path | None) -> list[Evidence]:

@@ -128,3 +128,11 @@ def test_a_fault_names_the_box():
     assert Boxes(np.array([good, bad]), [1, 1]).fault() is None
     assert Boxes(np.array([good, bad]), [1, 1]).fault(320, 240)[0] == 1
     assert Boxes(np.array([good]), [1], [[-0.1, 0.1]]).fault() == (0, "has a spread that is no share")
+
+
+def test_many_boxes_on_one_another_leave_one():
+    """Their pairs are never all in memory; one giant among them makes no neighbours of the others."""
+    many = Boxes(np.tile([500.0, 500.0, 40.0, 18.0, 0.3], (20_000, 1)), np.linspace(0.5, 0.9, 20_000))
+    giant = Boxes([[500.0, 500.0, 44_000.0, 20_000.0, 0.0]], [0.7])
+    left = suppress(Boxes.concatenate([many, giant]))
+    assert left.score == pytest.approx([0.9, 0.7])

@@ -1,6 +1,7 @@
 """Detectors of others: tiny ONNX networks with known output, in each layout, recognised and read."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -8,9 +9,10 @@ import pytest
 
 import orthoscale
 from orthoscale.boxes import Boxes
+from orthoscale.detect import foreign
 from orthoscale.detect.cache import TileCache
 from orthoscale.detect.classes import is_vehicle, vehicle_numbers
-from orthoscale.detect.detector import Detector
+from orthoscale.detect.detector import MOST, Detector
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks, Tile, look_twice
 from orthoscale.detections import Detections
@@ -430,3 +432,122 @@ def test_a_court_in_two_tiles_counts_once_and_becomes_evidence():
     scale = measure(source, detections, Fleet.load("DE")).scale
     (evidence,) = [e for e in scale.evidence if e.kind == "tennis-court"]
     assert evidence.value == pytest.approx(0.1, rel=0.002)
+
+
+def hostile(path, nodes, kind=onnx.TensorProto.FLOAT, image=onnx.TensorProto.FLOAT, weights=()):
+    """An ONNX file that says that it is a YOLO of three classes, and whose output is made by `nodes`."""
+    images = helper.make_tensor_value_info("images", image, [1, 3, "h", "w"])
+    output = helper.make_tensor_value_info("output0", kind, [1, 8, "n"])
+    graph = helper.make_graph(nodes, "hostile", [images], [output], weights)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, NAMES)
+    onnx.save(model, path)
+    return path
+
+
+def known(name, array):
+    return numpy_helper.from_array(np.array(array), name)
+
+
+def endless(path):
+    """Counts to 2^62."""
+    kind, boolean = onnx.TensorProto.INT64, onnx.TensorProto.BOOL
+    inside = [("count", kind), ("go", boolean), ("before", kind)], [("goes", boolean), ("after", kind)]
+    values = [[helper.make_tensor_value_info(name, k, []) for name, k in some] for some in inside]
+    steps = [helper.make_node("Identity", ["go"], ["goes"]), helper.make_node("Add", ["before", "one"], ["after"])]
+    body = helper.make_graph(steps, "body", *values, [known("one", np.int64(1))])
+    nodes = [
+        helper.make_node("Loop", ["most", "yes", "zero"], ["counted"], body=body),
+        helper.make_node("Cast", ["counted"], ["number"], to=onnx.TensorProto.FLOAT),
+        helper.make_node("Expand", ["number", "shape"], ["output0"]),
+    ]
+    weights = [
+        known("most", np.int64(2**62)),
+        known("yes", True),
+        known("zero", np.int64(0)),
+        known("shape", [1, 8, 4]),
+    ]
+    return hostile(path, nodes, weights=weights)
+
+
+def huge(path):
+    """Six hundred million numbers."""
+    nodes = [helper.make_node("ConstantOfShape", ["shape"], ["output0"])]
+    return hostile(path, nodes, weights=[known("shape", [1, 8, 75_000_000])])
+
+
+def long(path):
+    """Less than the memory limit, but more than any detector has to say."""
+    nodes = [helper.make_node("ConstantOfShape", ["shape"], ["output0"])]
+    return hostile(path, nodes, weights=[known("shape", [1, 8, 3_000_000])])
+
+
+def text(path):
+    nodes = [helper.make_node("Cast", ["shape"], ["output0"], to=onnx.TensorProto.STRING)]
+    return hostile(path, nodes, onnx.TensorProto.STRING, weights=[known("shape", np.ones((1, 8, 4)))])
+
+
+def of_text(path):
+    nodes = [helper.make_node("ConstantOfShape", ["shape"], ["output0"])]
+    return hostile(path, nodes, image=onnx.TensorProto.STRING, weights=[known("shape", [1, 8, 4])])
+
+
+def flat(path):
+    """Says eight rows and has two of them."""
+    nodes = [
+        helper.make_node("Shape", ["images"], ["sizes"], start=2),
+        helper.make_node("Div", ["sizes", "by"], ["fewer"]),
+        helper.make_node("Concat", ["one", "fewer"], ["shape"], axis=0),
+        helper.make_node("ConstantOfShape", ["shape"], ["output0"]),
+    ]
+    return hostile(path, nodes, weights=[known("by", [32, 1]), known("one", [1])])
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (endless, "takes more than 3 s to look at 64 x 64 px"),
+        (huge, "within 1 GB of memory"),
+        (long, r"fails on an image of 64 x 64 px \(its outputs hold 96000000 bytes\)"),
+        (text, "an output holds no numbers"),
+        (of_text, "its input is a tensor.string., not an image"),
+        (flat, "are not those that its decoder 'ultralytics' reads"),
+    ],
+)
+def test_a_hostile_network_ends_in_one_sentence(tmp_path, monkeypatch, capfd, make, message):
+    monkeypatch.setattr(foreign, "LONGEST", 3.0)
+    with pytest.raises(InputError, match=message):
+        Detector(make(tmp_path / "a.onnx"))(np.zeros((64, 64, 3), np.uint8))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_network_that_ended_stays_so_and_leaves_no_process(tmp_path, monkeypatch):
+    monkeypatch.setattr(foreign, "LONGEST", 3.0)
+    detector = Detector(endless(tmp_path / "a.onnx"))
+    process = detector._network._process
+    for _ in range(2):
+        with pytest.raises(InputError, match="takes more than 3 s"):
+            detector(np.zeros((64, 64, 3), np.uint8))
+    assert process.returncode is not None
+    other = Detector(network(tmp_path / "b.onnx", {"output0": raw()}, NAMES))
+    process = other._network._process
+    assert process.poll() is None
+    del other
+    assert process.returncode is not None
+
+
+def test_more_boxes_than_a_tile_can_hold_are_capped_with_a_word(tmp_path):
+    boxes = np.tile(TRUTH[:1], (30_000, 1))
+    boxes[:, 5] = np.linspace(0.6, 0.9, 30_000)
+    dets = {"dets": boxes[None, :, :6], "labels": np.full((1, 30_000), 4)}
+    detector, cars = found(network(tmp_path / "a.onnx", dets))
+    assert len(cars) == MOST and cars.score.min() > 0.79
+    (note,) = detector.notes
+    assert f"more than {MOST}" in note
+
+
+def test_threads_share_somebodys_network(tmp_path):
+    detector = Detector(network(tmp_path / "a.onnx", {"output0": raw()}, NAMES))
+    with ThreadPoolExecutor(4) as pool:
+        seen = list(pool.map(lambda size: detector(np.zeros((size, size, 3), np.uint8)), [64, 96, 128, 160] * 5))
+    assert all(len(boxes) == 2 for boxes in seen)

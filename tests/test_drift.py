@@ -79,3 +79,13 @@ def test_one_judgement_of_drift(p, tilt, drifts):
     assert found.drifts is drifts and bool(found.remark) is drifts
     report = {"unit": "m/px", "drift": document.drift_values(found)}
     assert judgement._places(report).state == ("look" if drifts else "ok")
+
+
+def test_boxes_that_are_all_alike_show_no_drift(capfd):
+    """They scatter not at all, which is no reason to be infinitely sure."""
+    place = np.random.default_rng(7).random((200, 2)) * (WIDTH, HEIGHT)
+    size = np.tile([44.0, 18.0], (200, 1))
+    votes = gather(size, np.ones(200), place, np.ones(200), repeated=False)
+    result = drift(table(votes), WIDTH, HEIGHT)
+    assert result.remark == "" and np.isfinite(result.tilt_sd)
+    assert capfd.readouterr() == ("", "")

@@ -1,5 +1,7 @@
 """The pitch of parking rows, from places and headings alone."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -61,3 +63,22 @@ def test_few_vehicles_or_a_country_without_standard_say_nothing():
 def test_every_stall_is_plausible_and_says_where_it_comes_from(country):
     stall = stalls()[country]
     assert 2.2 < stall["width"] < 2.9 and 0.05 < stall["width_sd"] < 0.25 and len(stall["source"]) > 10
+
+
+def test_boxes_in_one_place_are_one_vehicle():
+    """20,000 of them were two hundred million pairs before, in gigabytes."""
+    place, along, size = car_park(np.random.default_rng(4))
+    expected = parking_pitch(place, along, size, "DE")
+    place, along, size = (np.concatenate([v, np.repeat(v[:1], 20_000, 0)]) for v in (place, along, size))
+    found = parking_pitch(place, along, np.where(size == size[0], np.median(size, axis=0), size), "DE")
+    assert found is not None and found.value == pytest.approx(expected.value, rel=0.05)
+
+
+def test_fifty_thousand_vehicles_take_little_memory():
+    place, along, size = car_park(np.random.default_rng(5), rows=360, stalls_each=200)
+    tracemalloc.start()
+    found = parking_pitch(place, along, size, "DE")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(place) > 50_000 and found.value == pytest.approx(GSD, rel=0.02)
+    assert peak < 200e6

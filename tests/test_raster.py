@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import http.server
 import math
+import os
 import re
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
 import threading
 import warnings
 from pathlib import Path
@@ -21,6 +28,7 @@ from rasterio.shutil import copy as gdal_copy
 from rasterio.transform import Affine
 
 from orthoscale.errors import InputError, OutputError, UsageError
+from orthoscale.sources import raster
 from orthoscale.sources.raster import GREY, RasterSource
 
 W, H = 300, 200
@@ -618,3 +626,184 @@ def test_banepa(data, tmp_path):
     source.write(tmp_path / "banepa.tif", 0.132)
     with rasterio.open(tmp_path / "banepa.tif") as d:
         assert d.res == pytest.approx((0.132, 0.132))
+
+
+@pytest.mark.parametrize("driver, options", [("PNG", {}), ("JPEG", {"QUALITY": 95}), ("strip", {})])
+def test_unblocked_pictures_are_decoded_once(tmp_path, monkeypatch, driver, options):
+    """Larger than GDAL's cache, they are read from a copy in blocks, and show the same."""
+    if driver == "strip":
+        # So high that GDAL shows the one strip as lines.
+        pixels = np.tile(scene(), (1, 12, 1))
+        path = make(tmp_path / "a.tif", pixels, height=H * 12, compress="deflate", blockysize=H * 12)
+    else:
+        path = converted(tmp_path / f"a.{driver.lower()}", driver, **options)
+    windows = [(0, 0, 120, 90, 120, 90), (100, 60, 200, 140, 80, 56), (20, 20, 30, 30, 60, 60)]
+    with RasterSource.open(path) as plain:
+        expected = [plain.read(*window) for window in windows]
+    monkeypatch.setattr(raster, "_CACHE", 1000)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
+    (tmp_path / "scratch").mkdir()
+    decoded = []
+    convert = RasterSource._convert
+    monkeypatch.setattr(RasterSource, "_convert", lambda *a, **o: decoded.append(1) or convert(*a, **o))
+    with RasterSource.open(path) as source:
+        for window, there in zip(windows, expected, strict=True):
+            difference = np.abs(source.read(*window).astype(int) - there)
+            # GDAL shrinks a JPEG from the smaller pictures that its coefficients give.
+            assert difference.max() <= (8 if driver == "JPEG" else 0)
+        assert len(decoded) == 1 and len(list((tmp_path / "scratch").iterdir())) == 1
+    assert not list((tmp_path / "scratch").iterdir())
+
+
+def test_pictures_in_blocks_are_not_copied(tmp_path, monkeypatch):
+    monkeypatch.setattr(raster, "_CACHE", 1000)
+    for k, options in enumerate(({"compress": "deflate"}, {"tiled": True, "blockxsize": 64, "blockysize": 64})):
+        with RasterSource.open(make(tmp_path / f"{k}.tif", **options)) as source:
+            source.read(0, 0, W, H, 100, 60)
+            assert source._scratch is None
+
+
+def test_a_copy_that_has_no_room_is_refused(tmp_path, monkeypatch):
+    path = converted(tmp_path / "a.png", "PNG")
+    monkeypatch.setattr(raster, "_CACHE", 1000)
+    monkeypatch.setattr(raster.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 1000))
+    with RasterSource.open(path) as source, pytest.raises(InputError, match="has no room for a copy") as caught:
+        source.read(0, 0, W, H, 100, 60)
+    assert "TMPDIR" in caught.value.hint
+
+
+def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
+    make = "import os, signal; from orthoscale.scratch import Scratch; a, b = Scratch(), Scratch()"
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", f"{make}; os.kill(os.getpid(), signal.SIGKILL)"], env=environment)
+    assert len(list(tmp_path.iterdir())) == 2
+    code = f"{make}; print(a.folder.exists(), b.folder.exists())"
+    ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout.split() == ["True", "True"] and not list(tmp_path.iterdir())
+
+
+LISTS = {"offsets": (273, 324), "counts": (279, 325)}
+
+
+def damaged_list(path: Path, which: str, how: str) -> None:
+    """Change the list of where a TIFF's blocks are, or how long they are."""
+    content = bytearray(path.read_bytes())
+    (at,) = struct.unpack_from("<I", content, 4)
+    entries = [at + 2 + 12 * k for k in range(struct.unpack_from("<H", content, at)[0])]
+    (entry,) = (e for e in entries if struct.unpack_from("<H", content, e)[0] in LISTS[which])
+    kind, count, place = struct.unpack_from("<HII", content, entry + 2)
+    size = {3: 2, 4: 4}[kind]
+    if how == "one lost":
+        content[place + 3 * size : place + 4 * size] = bytes(size)
+    elif how == "all lost":
+        content[place : place + count * size] = bytes(count * size)
+    elif how == "beyond":
+        content[place : place + count * size] = b"\xff" * size * count
+    elif how == "short":
+        struct.pack_into("<I", content, entry + 4, count // 2)
+    else:
+        struct.pack_into("<H", content, entry + 2, 7)
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("how", ["one lost", "all lost", "beyond", "short", "of no type"])
+@pytest.mark.parametrize("which", LISTS)
+@pytest.mark.parametrize("options", [{"blockysize": 5}, {"tiled": True, "blockxsize": 32, "blockysize": 32}])
+def test_a_tiff_that_lost_where_its_blocks_are_is_damaged(tmp_path, options, which, how):
+    """GDAL shows such blocks as empty, and ends in a segmentation fault when it is asked to copy them."""
+    path = make(tmp_path / "a.tif", scene(high=200), height=H, compress="deflate", **options)
+    damaged_list(path, which, how)
+    with pytest.raises(InputError, match="is damaged: it|is truncated"):
+        RasterSource.open(path)
+
+
+def test_blocks_that_were_never_written_show_nothing(tmp_path):
+    path, name = tmp_path / "a.tif", {"driver": "GTiff", "width": W, "height": H, "count": 3, "dtype": "uint8"}
+    with rasterio.open(path, "w", sparse_ok=True, tiled=True, blockxsize=64, blockysize=64, **name) as dataset:
+        dataset.write(scene()[:, :64, :128] // 2 + 1, window=((0, 64), (64, 192)))
+    with RasterSource.open(path) as source:
+        seen = source.read(0, 0, W, H, W, H)
+        assert (seen[:, :64] == GREY).all() and (seen[64:] == GREY).all()
+        assert np.array_equal(seen[:64, 64:192], np.moveaxis(scene()[:, :64, :128] // 2 + 1, 0, -1))
+        assert (source.read(60, 0, 8, 8, 4, 4)[:, :2] == GREY).all()
+        source.write(tmp_path / "out.tif", 0.1)
+
+
+@pytest.fixture
+def server():
+    """A server on this machine that counts who calls."""
+    calls = []
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            calls.append(self.path)
+            self.send_error(404)
+
+        do_HEAD = do_GET
+
+        def log_message(self, *args):
+            pass
+
+    running = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=running.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{running.server_port}", calls
+    running.shutdown()
+    running.server_close()
+
+
+WMS = """<GDAL_WMS><Service name="TMS"><ServerUrl>{url}/${{z}}/${{x}}/${{y}}.png</ServerUrl></Service>
+<DataWindow><UpperLeftX>0</UpperLeftX><UpperLeftY>100</UpperLeftY><LowerRightX>100</LowerRightX><LowerRightY>0</LowerRightY>
+<SizeX>256</SizeX><SizeY>256</SizeY><TileLevel>0</TileLevel></DataWindow><BandsCount>3</BandsCount></GDAL_WMS>"""
+VRT = """<VRTDataset rasterXSize="256" rasterYSize="256">{bands}</VRTDataset>"""
+BAND = """<VRTRasterBand dataType="Byte" band="{band}"><SimpleSource>
+<SourceFilename relativeToVRT="0">{name}</SourceFilename>
+<SourceBand>{band}</SourceBand></SimpleSource></VRTRasterBand>"""
+
+
+def vrt(path: Path, name: str) -> Path:
+    path.write_text(VRT.format(bands="".join(BAND.format(band=band, name=name) for band in (1, 2, 3))))
+    return path
+
+
+@pytest.mark.parametrize("how", ["wms", "vrt of wms", "vrt of url", "overview"])
+def test_no_file_makes_the_network_be_called(tmp_path, server, how, monkeypatch):
+    url, calls = server
+    monkeypatch.delenv("no_proxy", raising=False)
+    monkeypatch.delenv("NO_PROXY", raising=False)
+    (tmp_path / "wms.xml").write_text(WMS.format(url=url))
+    path = {
+        "wms": lambda: tmp_path / "wms.xml",
+        "vrt of wms": lambda: vrt(tmp_path / "a.vrt", str(tmp_path / "wms.xml")),
+        "vrt of url": lambda: vrt(tmp_path / "a.vrt", f"/vsicurl/{url}/a.tif"),
+        "overview": lambda: make(tmp_path / "a.tif"),
+    }[how]()
+    if how == "overview":
+        item = f'<MDI key="OVERVIEW_FILE">{tmp_path / "wms.xml"}</MDI>'
+        (tmp_path / "a.tif.aux.xml").write_text(
+            f'<PAMDataset><Metadata domain="OVERVIEWS">{item}</Metadata></PAMDataset>'
+        )
+        with RasterSource.open(path) as source:
+            source.read(0, 0, W, H, 40, 30)
+    else:
+        with pytest.raises(InputError):
+            RasterSource.open(path)
+    assert calls == []
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+@pytest.mark.parametrize("nested", [False, True])
+def test_a_pipe_that_a_vrt_names_is_not_waited_for(tmp_path, nested):
+    os.mkfifo(tmp_path / "pipe.tif")
+    path = vrt(tmp_path / "a.vrt", str(tmp_path / "pipe.tif"))
+    if nested:
+        path = vrt(tmp_path / "b.vrt", str(path))
+    with pytest.raises(InputError, match="which is a pipe or device"):
+        RasterSource.open(path)
+
+
+def test_ground_control_that_is_no_number_is_not_believed(tmp_path):
+    points = [GroundControlPoint(r, c, 500_000 + c, 5_400_000 - r) for r, c in ((0, 0), (0, W), (H, 0), (H, W))]
+    points[1].x = math.nan
+    path = make(tmp_path / "a.tif", prepare=lambda dataset: setattr(dataset, "gcps", (points, CRS.from_epsg(32632))))
+    with RasterSource.open(path) as source:
+        assert not source.claimed.usable and "not all of them finite" in source.claimed.why

@@ -252,6 +252,32 @@ def test_a_damaged_cache_is_begun_anew_and_a_missing_folder_costs_nothing(tmp_pa
         assert cache.get(picture_file, tile) is None
 
 
+def test_kept_looks_that_changed_on_disk_are_had_again(tmp_path, picture_file):
+    """Any byte of any page: what is not as it was kept is not used, and no error reaches the sweep."""
+    jobs = jobs_of(picture_file)
+
+    def look(some):
+        return on_threads(some, RectangleDetector(), 1)
+
+    kept = TileCache("key", tmp_path)
+    with kept:
+        whole = sweep_twice(jobs, np.arange(len(jobs)), look, kept)
+    content = kept.path.read_bytes()
+    rng, again = np.random.default_rng(0), 0
+    for _ in range(20):
+        damaged = bytearray(content)
+        for at in rng.integers(0, len(content), 8):
+            damaged[at] ^= 1 << rng.integers(8)
+        kept.path.write_bytes(damaged[: rng.integers(len(content) // 2, 2 * len(content))])
+        with TileCache("key", tmp_path) as cache:
+            found = sweep_twice(
+                jobs, np.arange(len(jobs)), lambda some: on_threads(some, RectangleDetector(), 1), cache
+            )
+        assert np.array_equal(found.boxes["drawing"].xylwa, whole.boxes["drawing"].xylwa)
+        again += found.swept.from_cache < len(jobs)
+    assert again > 5
+
+
 def test_caches_that_nobody_used_for_months_are_deleted(tmp_path):
     TileCache("old", tmp_path).__exit__()
     os.utime(tmp_path / "tiles" / "old.sqlite", (0, 0))

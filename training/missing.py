@@ -17,7 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.boxes import Boxes, matched, overlap, pairs_within
+from orthoscale.boxes import Boxes, matched, overlapping
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.tiles import sweep
 from orthoscale.sources.picture_file import PictureFile
@@ -40,10 +40,8 @@ def proposals(image: LabelledImage, detector: Detector, length: float) -> Boxes:
     xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
     both = Boxes(xylwa, (first.score[i] + second.score[j]) / 2)
     known = Boxes(image.boxes[image.kinds != "candidate"], np.ones(int((image.kinds != "candidate").sum())))
-    reach = [np.hypot(boxes.length, boxes.width) / 2 for boxes in (both, known)]
-    k, m = pairs_within(both.centre, known.centre, *reach)
     new = np.ones(len(both), bool)
-    new[k[overlap(both.xylwa[k], known.xylwa[m]) > KNOWN]] = False
+    new[overlapping(both, known, KNOWN)[0]] = False
     return both[new]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from .options import EXIT_CODES
+from .options import EXIT_CODES, memory_option
 
 
 @click.command(
@@ -30,6 +30,7 @@ from .options import EXIT_CODES
 @click.option("--scale-error", type=float, metavar="PERCENT", help="Half of the scale's 90 % interval, if no report.")
 @click.option("--list", "list_them", is_flag=True, help="List the facilities with their sources, and stop.")
 @click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@memory_option
 @click.option("--json", "as_json", is_flag=True, help="Print the layout as JSON on standard output.")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def layout(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import sys
 import traceback
@@ -57,6 +58,9 @@ def cli(verbose: int, quiet: bool) -> None:
 def main() -> None:
     """Entry point: errors become one message and an exit code; `--debug` shows the traceback as well."""
     debug = "--debug" in sys.argv
+    # What GDAL and NumPy warn of is for developers; a user is told in notes and errors.
+    logging.captureWarnings(True)
+    logging.getLogger().addHandler(logging.StreamHandler() if debug else logging.NullHandler())
     # A polite kill cleans up as Ctrl-C does.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

@@ -31,12 +31,31 @@ def options_of(request: type, leave: Collection[str] = ()) -> Callable[[Callable
     """The options of a command that makes a `request`: one for each of its fields, but for those to `leave`."""
 
     def decorated(command: Callable) -> Callable:
-        for each in reversed(fields(request)):
-            if each.name not in leave:
-                command = _option(each)(command)
+        of = [each for each in fields(request) if each.name not in leave]
+        if any(each.name == "detector" for each in of):
+            command = memory_option(command)
+        for each in reversed(of):
+            command = _option(each)(command)
         return command
 
     return decorated
+
+
+def _allow_memory(context: click.Context, option: click.Parameter, value: str | None) -> None:
+    if value is not None:
+        from ..budget import allow
+
+        allow(value)
+
+
+memory_option = click.option(
+    "--memory",
+    metavar="SIZE",
+    envvar="ORTHOSCALE_MEMORY",
+    callback=_allow_memory,
+    expose_value=False,
+    help="Memory that pictures, boxes and other detectors may take, such as 2G; by default 1G.",
+)
 
 
 def _option(of: Field) -> Callable[[Callable], Callable]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .options import EXIT_CODES
+from .options import EXIT_CODES, memory_option
 
 
 @click.command(
@@ -18,6 +18,7 @@ from .options import EXIT_CODES
 @click.option("--out", type=click.Path(path_type=Path), help="Page to write  [default: REPORT.html]")
 @click.option("--images", type=click.Path(path_type=Path), help="Folder of the model's frames.")
 @click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@memory_option
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def report(path: Path, out: Path | None, images: Path | None, overwrite: bool, debug: bool) -> None:
     """Draw the page of a report for people: one HTML file that needs nothing else.

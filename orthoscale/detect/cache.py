@@ -8,6 +8,7 @@ import os
 import sqlite3
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -62,7 +63,8 @@ def _code_hash() -> str:
 class TileCache:
     """The looks at tiles of one input with one choice of settings, in an SQLite file that survives a kill at any time.
 
-    A file that is damaged is begun anew; where none can be written, nothing is kept, and the sweep does not suffer.
+    Each look carries a checksum: what is damaged is looked at again. A file that SQLite cannot read is begun anew;
+    where none can be written, nothing is kept, and the sweep does not suffer.
     """
 
     def __init__(self, key: str, folder: Path | None = None):
@@ -72,56 +74,71 @@ class TileCache:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             _forget_old(folder)
-            try:
-                self._file = _open(self.path)
-            except sqlite3.DatabaseError:
-                self.path.unlink()
-                self._file = _open(self.path)
-        except (OSError, sqlite3.Error):
-            self._file = None
+        except OSError:
+            return
+        try:
+            self._file = _open(self.path)
+        except sqlite3.Error:
+            self._begin_anew()
 
     def __enter__(self) -> TileCache:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        if self._file is not None:
-            self._file.close()
+        self._close()
 
     def get(self, picture: Picture, tile: Tile) -> Looks | None:
         if self._file is None:
             return None
-        name = (_name(picture, tile),)
-        row = self._file.execute("SELECT fine, coarse FROM looks WHERE tile = ?", name).fetchone()
-        objects = self._file.execute("SELECT kind, fine, coarse FROM objects WHERE tile = ?", name).fetchall()
-        if row is None:
+        name = _name(picture, tile)
+        try:
+            row = self._file.execute("SELECT content, checksum FROM looks WHERE tile = ?", (name,)).fetchone()
+        except sqlite3.Error:
+            self._begin_anew()
             return None
-        others = {kind: (_boxes(fine), _boxes(coarse)) for kind, fine, coarse in objects}
-        return Looks(_boxes(row[0]), _boxes(row[1]), others)
+        if row is None or not isinstance(row[0], bytes) or row[1] != _checksum(name, row[0]):
+            return None
+        return _looks(row[0])
 
     def put(self, picture: Picture, tile: Tile, looks: Looks) -> None:
         if self._file is None:
             return
+        name, content = _name(picture, tile), _content(looks)
         try:
             with self._file:
-                row = (_name(picture, tile), _bytes(looks.fine), _bytes(looks.coarse))
+                row = (name, content, _checksum(name, content))
                 self._file.execute("INSERT OR REPLACE INTO looks VALUES (?, ?, ?)", row)
-                for kind, pair in looks.objects.items():
-                    more = (row[0], kind, *map(_bytes, pair))
-                    self._file.execute("INSERT OR REPLACE INTO objects VALUES (?, ?, ?, ?)", more)
         except sqlite3.Error:  # a full disk: what cannot be kept is looked at again another time
-            self._file.close()
+            self._close()
+
+    def _begin_anew(self) -> None:
+        self._close()
+        try:
+            for path in (self.path, *(self.path.with_name(self.path.name + end) for end in ("-wal", "-shm"))):
+                path.unlink(missing_ok=True)
+            self._file = _open(self.path)
+        except (OSError, sqlite3.Error):
             self._file = None
+
+    def _close(self) -> None:
+        file, self._file = self._file, None
+        if file is not None:
+            with suppress(sqlite3.Error):
+                file.close()
 
 
 def _open(path: Path) -> sqlite3.Connection:
     file = sqlite3.connect(path, timeout=30)
-    # A write-ahead log makes a commit per tile cheap; after a crash the last ones may be missing, never half there.
-    file.execute("PRAGMA journal_mode = WAL")
-    file.execute("PRAGMA synchronous = NORMAL")
-    file.execute("CREATE TABLE IF NOT EXISTS looks (tile TEXT PRIMARY KEY, fine BLOB NOT NULL, coarse BLOB NOT NULL)")
-    columns = "tile TEXT, kind TEXT, fine BLOB NOT NULL, coarse BLOB NOT NULL, PRIMARY KEY (tile, kind)"
-    file.execute(f"CREATE TABLE IF NOT EXISTS objects ({columns})")
-    os.utime(path)
+    try:
+        # A write-ahead log makes a commit per tile cheap; after a crash the last ones may be missing, never half there.
+        file.execute("PRAGMA journal_mode = WAL")
+        file.execute("PRAGMA synchronous = NORMAL")
+        columns = "tile TEXT PRIMARY KEY, content BLOB NOT NULL, checksum BLOB NOT NULL"
+        file.execute(f"CREATE TABLE IF NOT EXISTS looks ({columns})")
+        os.utime(path)
+    except BaseException:
+        file.close()
+        raise
     return file
 
 
@@ -132,13 +149,32 @@ def _forget_old(folder: Path) -> None:
 
 
 def _name(picture: Picture, tile: Tile) -> str:
-    return f"{picture.name}:{tile.x},{tile.y},{tile.width},{tile.height}"
+    name = picture.name.encode(errors="backslashreplace").decode()  # file names need not be UTF-8; SQLite's text must
+    return f"{name}:{tile.x},{tile.y},{tile.width},{tile.height}"
 
 
-def _bytes(boxes: Boxes) -> bytes:
-    return np.column_stack([boxes.xylwa, boxes.score]).astype("<f8").tobytes()
+def _checksum(name: str, content: bytes) -> bytes:
+    """Of one look and the tile that it belongs to."""
+    return hashlib.blake2b(content, digest_size=16, key=hashlib.sha256(name.encode()).digest()).digest()
 
 
-def _boxes(content: bytes) -> Boxes:
-    rows = np.frombuffer(content, "<f8").reshape(-1, 6)
-    return Boxes(rows[:, :5], rows[:, 5])
+def _content(looks: Looks) -> bytes:
+    """One line of JSON that says whose boxes follow, and how many, then six numbers a box."""
+    parts = [("", looks.fine, looks.coarse), *((kind, *pair) for kind, pair in looks.objects.items())]
+    head = json.dumps([(kind, len(fine), len(coarse)) for kind, fine, coarse in parts])
+    rows = [np.column_stack([boxes.xylwa, boxes.score]) for _, *pair in parts for boxes in pair]
+    return head.encode() + b"\n" + np.concatenate(rows).astype("<f8").tobytes()
+
+
+def _looks(content: bytes) -> Looks:
+    head, _, body = content.partition(b"\n")
+    rows = np.frombuffer(body, "<f8").reshape(-1, 6)
+    pairs, at = {}, 0
+    for kind, *counts in json.loads(head):
+        boxes = []
+        for count in counts:
+            boxes.append(Boxes(rows[at : at + count, :5], rows[at : at + count, 5]))
+            at += count
+        pairs[kind] = (boxes[0], boxes[1])
+    fine, coarse = pairs.pop("")
+    return Looks(fine, coarse, pairs)

@@ -31,7 +31,7 @@ def decode_maps(maps: np.ndarray, threshold: float) -> Boxes:
         ],
         -1,
     )
-    return Boxes(xylwa, 1 / (1 + np.exp(-heat)))
+    return _plausible(xylwa, 1 / (1 + np.exp(-heat)))
 
 
 def decode_ultralytics(output: np.ndarray, vehicles: Sequence[int], threshold: float) -> Boxes:

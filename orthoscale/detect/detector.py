@@ -13,10 +13,13 @@ from typing import Any
 import numpy as np
 
 from ..boxes import Boxes
+from ..budget import require
 from ..detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
 from ..errors import InputError
 from ..pooling.ruler import Ruler
 from ..reading import checked, parsed
+from . import foreign_worker
+from .foreign import ForeignError, Said, Worker
 from .layout import Layout, Normalisation, Shape, recognise
 
 SHIPPED = "small_vehicle.onnx"
@@ -27,6 +30,8 @@ OVERLAP = 128  # of neighbouring windows, for networks whose input is smaller th
 VEHICLES = "vehicle"
 CARD, CARD_HINT = "a network with an orthoscale card that can be read", "Export it with training.export."
 LONGEST_CARD = 100_000  # characters
+TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # of images
+MOST = 10_000  # boxes of one kind in one look, before those of one vehicle are made one; honest ones are some hundreds
 CUT = 2.0  # boxes closer than this to a window's edge may be cut by it [px]
 CUT_OBJECT = 8.0  # the same for objects, which are larger, and so are the errors of their boxes [px]
 
@@ -84,9 +89,13 @@ class Card:
 
 
 class Detector:
-    """Finds small vehicles in an RGB image. Holds one inference session; safe to call from several threads.
+    """Finds small vehicles in an RGB image. Holds one network; safe to call from several threads.
+
+    The shipped network runs in this process. Any other runs in one of its own, with limits on memory and time, and
+    looks at one image at a time (`foreign.Worker`).
 
     settings : (path, decoder, vehicle_classes) with which another process makes the same detector.
+    notes : what its user should know of what it found.
     """
 
     def __init__(
@@ -103,6 +112,8 @@ class Detector:
         vehicles. threads : work on one image together; 0 for as many as there are cores. Raises InputError, UsageError.
         """
         self.settings = (path, decoder, tuple(vehicle_classes))
+        self.notes: list[str] = []
+        shipped = path is None
         if path is None:
             path = Path(str(resources.files(__package__) / "weights" / SHIPPED))
         try:
@@ -112,20 +123,21 @@ class Detector:
                 f"{path}: cannot be read ({error.strerror})", "Give a detector as an .onnx file."
             ) from error
         self.path = path
-        self._session = _session(path, content, threads)
-        meta = self._session.get_modelmeta().custom_metadata_map
-        (image, *more), outputs = self._session.get_inputs(), self._session.get_outputs()
-        if more:
-            raise InputError(f"{path}: a network with {1 + len(more)} inputs, not one image")
-        shapes = {o.name: _shape(o.shape) for o in outputs}
-        layout = recognise(path, meta, _shape(image.shape), shapes, decoder, vehicle_classes)
+        self._network = _Shipped(content, threads) if shipped else _foreign(path, content, threads)
+        inputs, outputs, meta = self._network.said
+        if len(inputs) != 1:
+            raise InputError(f"{path}: a network with {len(inputs)} inputs, not one image")
+        ((_, kind, shape),) = inputs
+        if kind not in TYPES:
+            raise InputError(f"{path}: its input is a {kind}, not an image of single or half precision")
+        shapes = {name: _shape(sizes) for name, _, sizes in outputs}
+        layout = recognise(path, meta, _shape(shape), shapes, decoder, vehicle_classes)
         self.card = _card(path, meta, layout)
         if layout.decoder == "orthoscale":
             layout = replace(layout, multiple=self.card.stride, normalisation=self.card.normalisation)
         self.layout = layout
         self.sha256 = hashlib.sha256(content).hexdigest()
-        self._input = image.name
-        self._type = np.float16 if image.type == "tensor(float16)" else np.float32
+        self._type = TYPES[kind]
 
     def __call__(self, image: np.ndarray, threshold: float | None = None) -> Boxes:
         """Boxes in `image`, RGB uint8 (h, w, 3), before non-maximum suppression; coordinates in its pixels."""
@@ -157,6 +169,7 @@ class Detector:
         height, width = image.shape[:2]
         n = self.layout.multiple
         rows, columns = self.layout.size or (-(-height // n) * n, -(-width // n) * n)
+        require(12 * rows * columns, f"{self.path}: an input of {columns} x {rows} px")
         how = self.layout.normalisation
         std = np.array(how.std, np.float32)[:, None, None]
         shift = np.array(how.mean, np.float32)[:, None, None] / std
@@ -166,43 +179,63 @@ class Detector:
         np.multiply(pixels.transpose(2, 0, 1), 1 / std, out=padded[0, :, :height, :width])
         if shift.any():
             padded -= shift
+        failed = f"{self.path}: the network fails on an image of {columns} x {rows} px"
         try:
-            arrays = self._session.run(None, {self._input: padded.astype(self._type, copy=False)})
-        except Exception as error:  # onnxruntime raises its own unrelated types
+            arrays = self._network.run(padded.astype(self._type, copy=False))
+        except ForeignError as error:
             raise InputError(
-                f"{self.path}: the network fails on an image of {columns} x {rows} px ({_first_line(error)})",
-                "Export it again, with an input of that size or of any size.",
+                f"{failed} ({error})", "Export it again, with an input of that size or of any size."
             ) from error
         classes = {VEHICLES: self.layout.vehicles, **self.layout.objects}
-        return {kind: self.layout.decode(arrays, numbers, threshold) for kind, numbers in classes.items()}
-
-
-def _session(path: Path, content: bytes, threads: int) -> Any:
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.log_severity_level = 4  # what it has to say comes as an exception, once
-    # Spinning threads starve the reader and the decoder where cores are few.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    if library := os.environ.get(OPERATORS):
         try:
-            options.register_custom_ops_library(library)
-        except Exception as error:
+            return {
+                kind: self._not_too_many(self.layout.decode(arrays, numbers, threshold))
+                for kind, numbers in classes.items()
+            }
+        except (IndexError, ValueError, TypeError) as error:
+            shapes = ", ".join(str(list(array.shape)) for array in arrays)
             raise InputError(
-                f"{library}: no library of operators that onnxruntime can load ({_first_line(error)})",
+                f"{failed}: its outputs {shapes} are not those that its decoder {self.layout.decoder!r} reads",
+                "Name another one by --decoder, or export it again.",
+            ) from error
+
+    def _not_too_many(self, boxes: Boxes) -> Boxes:
+        if len(boxes) <= MOST:
+            return boxes
+        note = f"{self.card.name} sees more than {MOST} vehicles or things in one tile; the surest {MOST} of each count"
+        if note not in self.notes:
+            self.notes.append(note)
+        return boxes[np.sort(np.argsort(-boxes.score, kind="stable")[:MOST])]
+
+
+class _Shipped:
+    """The shipped network, in this process; as `foreign.Worker`."""
+
+    def __init__(self, content: bytes, threads: int):
+        settings = {"threads": threads, "operators": None, "arena": True}
+        self._session = foreign_worker.session(content, settings)
+        self.said = Said(**foreign_worker.said(self._session))
+
+    def run(self, image: np.ndarray) -> list[np.ndarray]:
+        return self._session.run(None, {self.said.inputs[0][0]: image})
+
+
+def _foreign(path: Path, content: bytes, threads: int) -> Worker:
+    library = os.environ.get(OPERATORS)
+    try:
+        return Worker(path, content, threads, library)
+    except ForeignError as error:
+        if error.library:
+            raise InputError(
+                f"{library}: no library of operators that onnxruntime can load ({error})",
                 f"Correct or unset the variable {OPERATORS}.",
             ) from error
-    try:
-        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:
-        reason = _first_line(error)
-        if "not a registered function" in reason or "is not a registered" in reason:
+        if "not a registered function" in str(error) or "is not a registered" in str(error):
             raise InputError(
-                f"{path}: has operators that onnxruntime does not know ({reason})",
+                f"{path}: has operators that onnxruntime does not know ({error})",
                 f"For MMDeploy's, let the variable {OPERATORS} name its libmmdeploy_onnxruntime_ops.so.",
             ) from error
-        raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({reason})") from error
+        raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})") from error
 
 
 def _card(path: Path, metadata: dict[str, str], layout: Layout) -> Card:
@@ -228,7 +261,3 @@ def _starts(size: int, span: int) -> list[int]:
 
 def _shape(shape: Sequence[Any]) -> Shape:
     return tuple(n if isinstance(n, int) and n > 0 else None for n in shape)
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else repr(error)

@@ -28,6 +28,7 @@ from .decoders import decode_maps, decode_mmrotate, decode_ultralytics, decode_u
 LARGEST_STRIDE = 1024  # [px] networks' are powers of two from 8 to 128
 DECODERS = ("orthoscale", "ultralytics", "ultralytics-nms-free", "mmrotate", "rtmdet")
 
+
 Shape = tuple[int | None, ...]  # None where the file leaves a size open
 
 

@@ -47,6 +47,7 @@ LEAST_VOTE = 0.05  # that is left however few are agreed on
 MISTAKE_EVERY = 2e6  # network pixels, in which zooms agree on one by chance, where ground is busy
 VISIBLE = 1.15  # times the least usable length, from which a zoom should confirm what another sees
 KERNEL = 0.12  # width of the vote histogram's kernel in log length, about the spread of a fleet's lengths
+BLOCK = 8192  # votes that are counted at once
 MAX_ZOOM = 4.0
 HIGHEST_ZOOM = 10.0  # that may be asked for: vehicles are then 4 px long, half of what can be measured
 
@@ -247,8 +248,12 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
         return _Votes(None, 0.0, None, 0.0, table, np.empty(0), np.empty(0))
     log_length, weight = np.log(np.concatenate(lengths)), np.concatenate(weights)
     grid = np.arange(log_length.min() - 0.1, log_length.max() + 0.1, 0.02)
-    near = np.exp(-0.5 * ((grid[:, None] - log_length) / KERNEL) ** 2)
-    votes, standing = near @ weight, near @ (weight / np.concatenate(chance))
+    standing_each = weight / np.concatenate(chance)
+    votes = standing = np.zeros(len(grid))
+    for k in range(0, len(weight), BLOCK):
+        block = slice(k, k + BLOCK)
+        near = np.exp(-0.5 * ((grid[:, None] - log_length[block]) / KERNEL) ** 2)
+        votes, standing = votes + near @ weight[block], standing + near @ standing_each[block]
     best = int(np.argmax(standing))
     elsewhere = np.where(np.abs(grid - grid[best]) > 3 * KERNEL, standing, 0.0)
     second = int(np.argmax(elsewhere))
@@ -260,10 +265,15 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
 def _reliability(agreed: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(K,) LEAST_VOTE to 1: what boxes of lengths `agreed` (K,) that two zooms agree on are worth, where one of them
     has `seen` boxes of these lengths (N,). One of one says little, so shares begin with one of three."""
-    about = np.log(agreed)[:, None], 2 * KERNEL
-    both, all_seen = (1 + (np.abs(about[0] - np.log(n)) < about[1]).sum(1) for n in (agreed, seen))
+    both, all_seen = (1 + _about(np.log(agreed), np.sort(np.log(n))) for n in (agreed, seen))
     share = both / (2 + all_seen)
     return np.clip((share - AGREED[0]) / (AGREED[1] - AGREED[0]), LEAST_VOTE, 1.0)
+
+
+def _about(where: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(K,) how many of the sorted `values` (N,) lie within twice the kernel's width of each of `where` (K,)."""
+    first = np.searchsorted(values, where - 2 * KERNEL, "right")
+    return np.searchsorted(values, where + 2 * KERNEL, "left") - first
 
 
 def _cost(picture: Picture, tile: Tile) -> float:

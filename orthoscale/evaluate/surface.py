@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pyproj
-import rasterio
-from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from ..errors import InputError
+from ..sources.raster import open_dataset, reading
 
 RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
 LOWEST = 0.10  # share of the heights there, the lowest, whose mean is the ground: roofs and crowns are above
@@ -27,10 +26,8 @@ class Surface:
     @classmethod
     def open(cls, path: Path) -> Surface:
         """Raises InputError for what is no raster, or has no coordinate reference system."""
-        try:
-            dataset = rasterio.open(path)
-        except RasterioError as error:
-            raise InputError(f"{path}: no surface model that GDAL can read ({error})", "Give a GeoTIFF.") from error
+        with reading(path, "is no surface model that GDAL can read", "Give a GeoTIFF."):
+            dataset = open_dataset(path)
         if dataset.crs is None:
             dataset.close()
             raise InputError(f"{path}: the surface model has no coordinate reference system", "Assign one to it.")
@@ -61,10 +58,8 @@ class Surface:
         ).astype(int)
         if x1 <= x0 or y1 <= y0:
             return None
-        try:
+        with reading(Path(self._dataset.name), "is damaged", "Copy it again."):
             heights = self._dataset.read(1, window=Window(x0, y0, x1 - x0, y1 - y0), masked=True)
-        except RasterioError as error:
-            raise InputError(f"{self._dataset.name}: damaged ({error})", "Copy it again.") from error
         y, x = np.indices(heights.shape) + 0.5
         offset = np.linalg.solve(axes, np.stack([x.ravel() + x0 - cx, y.ravel() + y0 - cy]))
         near = (np.hypot(*offset) <= RADIUS).reshape(heights.shape)

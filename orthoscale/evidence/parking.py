@@ -19,11 +19,13 @@ PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
 ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another
 PITCHES = (1.15, 1.75)  # of a vehicle's width: 2.2 m for the widest cars to 2.8 m for the narrowest
 REACH = 6  # stalls over which distances are compared; parking jitter does not grow with them, an error of pitch does
+NEIGHBOURS = 256  # within that reach at most; twice as many as fit, if no two boxes show one vehicle
 MIN_ROW = 3  # vehicles side by side make a row
 MIN_VEHICLES = 8  # in rows, below which no pitch is read
 # Mean of cos(2 pi distance / pitch) from which distances count as multiples of the pitch: 0.9 for vehicles that stand
 # within 0.12 m of their stall's middle, 0 for vehicles anywhere.
 RHYTHM = 0.7
+BLOCK = 4096  # vehicles or distances that are worked on at a time, in some 10 MB
 # How far the stalls of one place, all alike, stray from their country's standard, one sigma [m]: the sourced rows name
 # 2.3 to 2.8 m for Japan, 2.4 to 2.7 for China, 2.59 to 2.74 for the USA. More where the standard was only recalled, as
 # half of those were that the world's row is made of.
@@ -47,19 +49,19 @@ def parking_pitch(
     if not len(row):
         return None
     candidates = width * np.linspace(*PITCHES, 241)
-    rhythm = np.cos(2 * np.pi * distance[:, None] / candidates)
-    best = int(np.argmax(rhythm.mean(0)))
-    pitch = float(candidates[best])
+    rhythm = _rhythm_of_rows(row[:, 0], distance, candidates)
+    together = rhythm.sum(0)
+    pitch = float(candidates[np.argmax(together)])
     # Neighbours alone always have a mean distance; only those further apart show whether it repeats.
     apart = distance > PITCHES[1] * width
-    repeats = apart.any() and min(rhythm[apart, best].mean(), rhythm[~apart, best].mean()) > RHYTHM
+    fits = np.cos(2 * np.pi * distance / pitch)
+    repeats = apart.any() and min(fits[apart].mean(), fits[~apart].mean()) > RHYTHM
     vehicles = len(np.unique(row[:, 1:]))
     if vehicles < min_vehicles or not repeats or not candidates[0] < pitch < candidates[-1]:
         return None
     # How far the pitch moves when one row is left out (Tukey's jackknife); one row alone says nothing of that.
-    rows = np.unique(row[:, 0])
-    left_out = [float(candidates[np.argmax(rhythm[row[:, 0] != r].mean(0))]) for r in rows] if len(rows) > 1 else []
-    spread = np.std(np.log(left_out)) * np.sqrt(len(rows) - 1) if left_out else 0.0
+    left_out = candidates[np.argmax(together - rhythm, axis=1)]
+    spread = np.std(np.log(left_out)) * np.sqrt(len(rhythm) - 1) if len(rhythm) > 1 else 0.0
     step = np.log(candidates[1] / candidates[0])
     sourced = stall is not stalls()["WORLD"] and not stall["source"].startswith("recalled")
     own = np.hypot(stall["width_sd"], PLACE_SD if sourced else RECALLED_SD)
@@ -74,21 +76,53 @@ def stalls() -> dict[str, dict]:
     return read_plain(Path(__file__).parent.parent / "data" / "stalls.json", "the table of stalls")["stalls"]
 
 
+def _rhythm_of_rows(row: np.ndarray, distance: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    """(R, C) sum over each row's distances of how well they are multiples of each candidate, -1 to 1 apiece.
+
+    row : (P,) number of the row that has each distance (P,), R different ones.
+    """
+    from scipy.sparse import csr_array
+
+    rows, number = np.unique(row, return_inverse=True)
+    sums = np.zeros((len(rows), len(candidates)))
+    for k in range(0, len(row), BLOCK):
+        here = number[k : k + BLOCK]
+        member = csr_array((np.ones(len(here)), (here, np.arange(len(here)))), shape=(len(rows), len(here)))
+        sums += member @ np.cos(2 * np.pi * distance[k : k + BLOCK, None] / candidates)
+    return sums
+
+
 def _rows(place: np.ndarray, along: np.ndarray, length: float, width: float) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of vehicles in one row: (P, 3) number of the row and the two vehicles, and (P,) distance across [units]."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    pairs = cKDTree(place).query_pairs(REACH * PITCHES[1] * width, output_type="ndarray")
-    i, j = pairs.T
-    apart = place[j] - place[i]
-    ahead = (apart * along[i]).sum(1)
-    across = np.sqrt(np.maximum((apart**2).sum(1) - ahead**2, 0))
-    beside = (np.abs((along[i] * along[j]).sum(1)) > PARALLEL) & (np.abs(ahead) < ASKEW * length)
-    i, j, across = i[beside], j[beside], across[beside]
+    # One vehicle of those that are said to stand in the very same place; a tree could not tell them apart.
+    single = np.sort(np.unique(place, axis=0, return_index=True)[1])
+    tree = cKDTree(place[single])
+    reach = REACH * PITCHES[1] * width
+    parts = []
+    for k in range(0, len(single), BLOCK):
+        i = single[k : k + BLOCK]
+        near, j = tree.query(place[i], np.arange(1, NEIGHBOURS + 2), distance_upper_bound=reach)  # itself is the first
+        pair, _ = np.nonzero(np.isfinite(near))
+        parts.append(_side_by_side(i[pair], single[j[np.isfinite(near)]], place, along, length))
+    i, j, across = (np.concatenate(column) for column in zip(*parts, strict=True))
     near = across < PITCHES[1] * width
     graph = coo_array((np.ones(near.sum()), (i[near], j[near])), shape=(len(place), len(place)))
     row = connected_components(graph, directed=False)[1]
     kept = (row[i] == row[j]) & (np.bincount(row)[row[i]] >= MIN_ROW)
     return np.stack([row[i], i, j], -1)[kept], across[kept]
+
+
+def _side_by_side(
+    i: np.ndarray, j: np.ndarray, place: np.ndarray, along: np.ndarray, length: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the pairs (i, j) those, each once, that head alike and stand beside each other, and how far across [units]."""
+    i, j = i[i < j], j[i < j]
+    apart = place[j] - place[i]
+    ahead = (apart * along[i]).sum(1)
+    across = np.sqrt(np.maximum((apart**2).sum(1) - ahead**2, 0))
+    beside = (np.abs((along[i] * along[j]).sum(1)) > PARALLEL) & (np.abs(ahead) < ASKEW * length)
+    return i[beside], j[beside], across[beside]

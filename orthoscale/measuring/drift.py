@@ -10,6 +10,7 @@ FEWEST = 40  # vehicles; with fewer no gradient that a picture may have could be
 PER_CELL = 6.0  # vehicles wanted in a cell of the map
 MOST_CELLS = 8  # along the longer side
 CHANCE = 0.01  # that vehicles without any drift are said to show one; tests share it
+SCATTER = 0.01  # least that vehicles' sizes scatter; those of one model, seen sharply, do by about as much
 NOTABLE = 0.01  # relative change across the picture below which nobody need know
 
 
@@ -100,7 +101,7 @@ def _cells(place: np.ndarray, deviation: np.ndarray, width: float, height: float
     count = np.maximum(np.round([width / side, height / side]), 1).astype(int)
     cell = np.array([width, height]) / count
     column, row = np.clip((place / cell).astype(int), 0, count - 1).T
-    scatter = float(deviation.std())
+    scatter = max(float(deviation.std()), SCATTER)  # boxes that are all alike would have none, and be infinitely sure
     cells = []
     for key in np.unique(row * count[0] + column):
         here = row * count[0] + column == key

@@ -139,7 +139,10 @@ def _plan(report: Mapping[str, Any], source: ColmapSource | None) -> Panel:
 
     image = np.full((height, width, 3), PAPER, np.uint8)
     dot = 2 if len(points) < 100_000 else 1
-    for (x, y), colour in zip(to_px(points).round().astype(int).tolist(), colours.tolist(), strict=True):
+    pixels = to_px(points).round()
+    # Points far off, or nowhere, are not in the picture, and OpenCV takes no such numbers.
+    shown = ((pixels >= -dot) & (pixels <= (width + dot, height + dot))).all(1)
+    for (x, y), colour in zip(pixels[shown].astype(int).tolist(), colours[shown].tolist(), strict=True):
         cv2.circle(image, (x, y), dot, colour, -1)
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     ring = np.stack([np.cos(turn), np.sin(turn)], -1)

@@ -88,6 +88,8 @@ def _claim_of_gcps(dataset: DatasetReader) -> Claim:
     points, crs = dataset.gcps
     if crs is None or len(points) < 3:
         return Claim(None, False, f"only {len(points)} ground control points, without what ties them to the ground")
+    if not np.isfinite([(p.col, p.row, p.x, p.y) for p in points]).all():
+        return Claim(None, False, f"{len(points)} ground control points, not all of them finite numbers")
     # GDAL fits something through points on a line too, and what that is depends on rounding.
     flat = (_on_a_line([(p.col, p.row) for p in points]), _on_a_line([(p.x, p.y) for p in points]))
     try:

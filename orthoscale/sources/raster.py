@@ -3,29 +3,38 @@
 from __future__ import annotations
 
 import hashlib
+import html
 import math
+import re
 import shutil
+import stat
 import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import rasterio
+from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
 from rasterio.enums import Interleaving, MaskFlags, Resampling
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader, DatasetWriter
 from rasterio.shutil import copy as gdal_copy
+from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from ..budget import in_words, memory, require
 from ..errors import InputError, OutputError, UsageError
 from ..fingerprint import fingerprint
+from ..scratch import Scratch
 from .georeference import Place, claim_of, kept_place, local_place
 from .picture import Picture
+from .tiff_blocks import blocks_of
 
 GREY = 114
 """What stands where a raster has no data."""
@@ -37,11 +46,32 @@ SMALLEST = 32
 # does not take a small number for megabytes, as GDAL does; 256 would be no cache at all, 5 to 100 times slower.
 # PAM stays enabled, because .aux.xml is where GIS programs keep the georeferencing of a JPEG; GDAL writes one only
 # after statistics or properties were set, and nothing here does that to an input.
-_OPTIONS = {"GDAL_CACHEMAX": 256 * 2**20, "GDAL_TIFF_INTERNAL_MASK": True}
+_CACHE = 256 * 2**20
+# No file may make GDAL call a server, however deep it is hidden in it (a VRT's source, an overview named in .aux.xml):
+# all that GDAL asks of the network goes to a proxy that does not exist, and no remote file is known to it.
+_OFFLINE = {
+    "GDAL_HTTP_PROXY": "127.0.0.1:9",
+    "GDAL_HTTPS_PROXY": "127.0.0.1:9",
+    "GDAL_HTTP_CONNECTTIMEOUT": "1",
+    "GDAL_HTTP_TIMEOUT": "2",
+    "GDAL_HTTP_MAX_RETRY": "0",
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "/vsicurl/none",
+    "GDAL_VRT_ENABLE_PYTHON": "NO",
+}
+# Formats whose files name a server, or pictures that anybody keeps anywhere.
+_SERVED = frozenset(
+    [
+        "DAAS", "EEDA", "EEDAI", "ESRIC", "GTI", "HTTP", "KMLSUPEROVERLAY", "NGW", "OGCAPI", "PLMOSAIC", "Rasterlite",
+        "STACIT", "STACTA", "TileDB", "WCS", "WFS", "WMS", "WMTS", "Zarr",
+    ]
+)  # fmt: skip
+# Formats that can be decoded from the top only.
+_IN_ORDER = frozenset(["AVIF", "BIGGIF", "GIF", "HEIF", "JPEG", "JPEGXL", "PNG", "WEBP"])
 
 _EXPORT_AGAIN = "Export or download it again; a transfer that broke off looks like this."
 _STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written
 _CLASSIC = 2**32 - 2**24  # [byte] a classic TIFF longer than this may not have room for another directory
+_LONGEST_VRT = 2**28  # [byte] of its text that is looked through
 _WHOLE = 100_000_000  # [px] copies up to this size are compared with their original in full, larger ones by samples
 
 
@@ -65,7 +95,7 @@ class RasterSource:
         self.name = path.name
         self.notes: list[str] = []
         self._dataset = dataset
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self.width, self.height = dataset.width, dataset.height
         self._check_size()
         self._bands = self._colour_bands()
@@ -74,6 +104,8 @@ class RasterSource:
         self._overviews = dataset.overviews(self._bands[0])
         self._masked = any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
         self._stretch = self._stretch_limits()
+        self._scratch: Scratch | None = None
+        self._blocks = dataset  # or, from the first look on, a copy of it in blocks
         self.claimed = claim_of(dataset)
 
     @classmethod
@@ -97,8 +129,8 @@ class RasterSource:
             raise InputError(f"{path} cannot be read ({error.strerror})", "Check its permissions.") from error
         if empty:
             raise InputError(f"{path} is empty", "Export or download it again.")
-        with _reading(path, "is not an image that GDAL can open", "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file."):
-            dataset = rasterio.open(path, sharing=False)
+        with reading(path, "is not an image that GDAL can open", "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file."):
+            dataset = open_dataset(path)
         try:
             return cls(path, dataset)
         except BaseException:
@@ -130,7 +162,10 @@ class RasterSource:
 
     def close(self) -> None:
         """Let go of the file. Also done at the end of a ``with`` block."""
+        self._blocks.close()
         self._dataset.close()
+        if self._scratch is not None:
+            self._scratch.close()
 
     def content_hash(self) -> str:
         """SHA-256 of the file as it lies on disk, in hex; of a VRT, not of what it refers to."""
@@ -165,17 +200,21 @@ class RasterSource:
         window, out = Window(x, y, width, height), (out_height, out_width)
         resampling = Resampling.average if out_width * out_height < width * height else Resampling.cubic
         with self._lock, self._damage(f"at x {x}..{x + width}, y {y}..{y + height}"):
+            if self._needs_blocks:
+                self._copy_into_blocks()
             if self._palette is not None:
                 rgb = self._read_palette(window, out)
             else:
-                pixels = self._dataset.read(
+                pixels = self._blocks.read(
                     self._bands, window=window, out_shape=(len(self._bands), *out), resampling=resampling
                 )
                 rgb = np.moveaxis(self._to_8_bit(pixels), 0, -1)
             if self._masked:
                 how = Resampling.average if resampling == Resampling.average else Resampling.nearest
-                known = self._dataset.dataset_mask(window=window, out_shape=out, resampling=how)
+                known = self._blocks.dataset_mask(window=window, out_shape=out, resampling=how)
                 rgb = np.where((known >= 128)[..., None], rgb, np.uint8(GREY))
+            if self._written is not None:
+                rgb = np.where(self._written_at(window, out)[..., None], rgb, np.uint8(GREY))
         return np.ascontiguousarray(np.broadcast_to(rgb, (*out, 3)))
 
     def decoded_px(self, width: int, height: int, out_width: int, out_height: int) -> float:
@@ -188,7 +227,7 @@ class RasterSource:
         """Colours, not their numbers, must be averaged; up to 4 x 4 pixels per result are."""
         assert self._palette is not None
         shape = min(window.height, 4 * out[0]), min(window.width, 4 * out[1])
-        index = self._dataset.read(1, window=window, out_shape=shape, resampling=Resampling.nearest)
+        index = self._blocks.read(1, window=window, out_shape=shape, resampling=Resampling.nearest)
         rgb = self._palette[np.clip(index, 0, len(self._palette) - 1)]
         if shape == out:
             return rgb
@@ -203,6 +242,41 @@ class RasterSource:
         scaled = (pixels.astype(np.float32) - low) * (255 / (high - low))
         scaled = np.nan_to_num(scaled, nan=GREY, posinf=255, neginf=0)
         return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+
+    @property
+    def _needs_blocks(self) -> bool:
+        """Whether each window would be decoded from the image's top again: it has no blocks, and is too large for GDAL
+        to keep it decoded."""
+        return self._in_order and self._blocks is self._dataset and self._decoded_size > _options()["GDAL_CACHEMAX"]
+
+    @property
+    def _decoded_size(self) -> int:
+        """[byte] of the whole image."""
+        return self.width * self.height * sum(np.dtype(kind).itemsize for kind in self._dataset.dtypes)
+
+    def _copy_into_blocks(self) -> None:
+        """Decode the image once, from top to bottom, into tiles in a temporary file. Raises InputError."""
+        scratch = Scratch()
+        free = shutil.disk_usage(scratch.folder).free
+        if free < self._decoded_size:
+            raise InputError(
+                f"{self.path} cannot be read by parts, and {scratch.folder.parent} has no room for a copy of it that "
+                f"can ({in_words(self._decoded_size)} needed, {in_words(free)} free)",
+                "Let TMPDIR name a folder with more room, or convert it to a tiled GeoTIFF.",
+            )
+        copy = scratch.folder / "blocks.tif"
+        # Fast to write and to read; its place on Earth does not matter there.
+        self._convert(copy, Place(None, Affine.identity(), ""), compress="zstd", zstd_level=1, predictor=1)
+        self._blocks = rasterio.open(copy, sharing=False)
+        self._scratch = scratch
+
+    def _written_at(self, window: Window, out: tuple[int, int]) -> np.ndarray:
+        """(out) bool: where the window of a sparse TIFF, resampled to `out`, shows blocks that were ever written."""
+        assert self._written is not None
+        rows, columns = self._dataset.block_shapes[0]
+        y = window.row_off + (np.arange(out[0]) + 0.5) * window.height / out[0]
+        x = window.col_off + (np.arange(out[1]) + 0.5) * window.width / out[1]
+        return self._written[(y / rows).astype(int)[:, None], (x / columns).astype(int)]
 
     # What is looked at once, at opening
 
@@ -238,32 +312,46 @@ class RasterSource:
         return bands
 
     def _probe(self) -> None:
-        """Find truncation without reading everything: the blocks a TIFF says it has, and any format's last block."""
-        size, end = self.path.stat().st_size, self._end_of_blocks()
-        if end > size:
-            raise InputError(
-                f"{self.path} is truncated: it has {size} bytes, but its pixels end at byte {end}", _EXPORT_AGAIN
-            )
+        """Find damage without reading everything: the blocks a TIFF says it has, and any format's last block."""
+        self._written: np.ndarray | None = None
+        self._in_order = self._dataset.driver in _IN_ORDER
+        if self._dataset.driver == "GTiff":
+            self._check_blocks()
         # One pixel decodes its whole block; asked for a whole PNG at once, GDAL takes a way that tolerates truncation.
         with self._damage("at its end"):
             self._dataset.read(window=Window(self.width - 1, self.height - 1, 1, 1))
 
-    def _end_of_blocks(self) -> int:
-        """[byte] where the last block of a TIFF ends (2 microseconds per block); 0 for other formats."""
-        dataset = self._dataset
-        if dataset.driver != "GTiff":
-            return 0
+    def _check_blocks(self) -> None:
+        """Raises InputError for a TIFF whose directory does not say where all its pixels are, or whose blocks are too
+        large for the memory budget. Blocks that were never written (GDAL's SPARSE_OK) are no damage, but show nothing.
+        """
+        dataset, lists = self._dataset, blocks_of(self.path)
         rows, columns = dataset.block_shapes[0]
-        bands = dataset.indexes if dataset.interleaving == Interleaving.band else [1]
-        end = 0
-        for band in bands:
-            for y in range(math.ceil(self.height / rows)):
-                for x in range(math.ceil(self.width / columns)):
-                    # A block that was never written has no offset; it reads as nodata.
-                    if offset := dataset.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", "TIFF", bidx=band):
-                        length = dataset.get_tag_item(f"BLOCK_SIZE_{x}_{y}", "TIFF", bidx=band)
-                        end = max(end, int(offset) + int(length))
-        return end
+        apart = dataset.interleaving == Interleaving.band
+        shape = (dataset.count if apart else 1, math.ceil(self.height / rows), math.ceil(self.width / columns))
+        size = rows * columns * np.dtype(dataset.dtypes[0]).itemsize * (1 if apart else dataset.count)
+        require(2 * size, f"{self.path}, whose pixels are in blocks of {columns} x {rows} px,")
+        if lists is None:
+            return
+        # GDAL shows a single strip as many lines.
+        single = len(lists.offset) == shape[0] and (rows, columns) == (1, self.width)
+        self._in_order = single and dataset.compression is not None
+        wanted = shape[0] if single else math.prod(shape)
+        listed = min(len(values) for values in (lists.offset, lists.count) if values is not None)
+        if listed < wanted:
+            raise InputError(f"{self.path} is damaged: its directory lists {listed} of {wanted} blocks", _EXPORT_AGAIN)
+        offset = lists.offset[:wanted]
+        count = (offset > 0).astype(np.uint64) if lists.count is None else lists.count[:wanted]
+        lost = np.flatnonzero((offset == 0) != (count == 0))
+        if len(lost):
+            raise InputError(f"{self.path} is damaged: it does not say where block {lost[0]} is", _EXPORT_AGAIN)
+        end, length = int((offset + count).max(initial=0)), self.path.stat().st_size
+        if end > length or int(offset.max(initial=0)) > length:
+            raise InputError(
+                f"{self.path} is truncated: it has {length} bytes, but its pixels end at byte {end}", _EXPORT_AGAIN
+            )
+        if not single and not offset.all():
+            self._written = np.asarray((offset > 0).reshape(shape).any(0))
 
     def _palette_table(self) -> np.ndarray | None:
         """(K, 3) uint8 colours of a paletted image, transparent ones grey, or None."""
@@ -302,7 +390,7 @@ class RasterSource:
         return low, high
 
     def _damage(self, where: str) -> AbstractContextManager[None]:
-        return _reading(self.path, f"is damaged {where}", _EXPORT_AGAIN)
+        return reading(self.path, f"is damaged {where}", _EXPORT_AGAIN)
 
     # Writing
 
@@ -337,7 +425,7 @@ class RasterSource:
         place = self.place(metres_per_pixel, keep_origin)
         plain = path.with_name(f"plain.{path.name}") if cog else path
         try:
-            with rasterio.Env(**_OPTIONS), _no_warnings():
+            with rasterio.Env(**_options()), _no_warnings():
                 if self._can_be_copied():
                     shutil.copyfile(self.path, plain)
                 else:
@@ -350,7 +438,7 @@ class RasterSource:
                 # Whatever a GeoTIFF could not hold would be in here, and would not travel with a renamed file.
                 Path(f"{path}.aux.xml").unlink(missing_ok=True)
                 self._verify(path, place)
-        except (RasterioError, OSError) as error:
+        except (RasterioError, CPLE_BaseError, OSError) as error:
             reason = _reason(error)
             raise OutputError(f"{path} could not be written ({reason})", "Check the free space on its disk.") from error
         finally:
@@ -400,13 +488,16 @@ class RasterSource:
             NUM_THREADS="ALL_CPUS",
         )
 
-    def _convert(self, path: Path, place: Place) -> None:
+    def _convert(self, path: Path, place: Place, **options: Any) -> None:
+        """Write a tiled GeoTIFF with the same pixels; `options` are GDAL's, more than the usual."""
         source = self._dataset
         dtype = np.result_type(*source.dtypes)
         kinds = [c.name for c in source.colorinterp]
         in_file_mask = MaskFlags.per_dataset in source.mask_flag_enums[0] and "alpha" not in kinds
         explicit_mask = in_file_mask or len(self._nodata()) > 1
-        options = {"photometric": "RGB"} if kinds[:3] == ["red", "green", "blue"] and dtype.kind == "u" else {}
+        if kinds[:3] == ["red", "green", "blue"] and dtype.kind == "u":
+            options["photometric"] = "RGB"
+        packing = {"compress": "deflate", "predictor": 3 if dtype.kind == "f" else 2}
         with rasterio.open(
             path,
             "w",
@@ -420,12 +511,10 @@ class RasterSource:
             tiled=True,
             blockxsize=_STRIP,
             blockysize=_STRIP,
-            compress="deflate",
-            predictor=3 if dtype.kind == "f" else 2,
             interleave="pixel",
             num_threads="all_cpus",
             bigtiff="IF_SAFER",
-            **options,
+            **{**packing, **options},
         ) as copy:
             self._restore_properties(copy)
             for window in self._strips():
@@ -527,6 +616,55 @@ def _has_palette(dataset: DatasetReader) -> bool:
         return False
 
 
+def _options() -> dict[str, Any]:
+    """GDAL's settings while this package reads or writes."""
+    return {"GDAL_CACHEMAX": min(_CACHE, memory() // 4), "GDAL_TIFF_INTERNAL_MASK": True, **_OFFLINE}
+
+
+@cache
+def _local_drivers() -> list[str]:
+    """GDAL's formats whose files hold their own pixels, or say in which files they are."""
+    with rasterio.Env() as env:
+        return [name for name in env.drivers() if name not in _SERVED]
+
+
+def open_dataset(path: Path) -> DatasetReader:
+    """GDAL's view of a file on this machine; within `reading`, as all that is done with it, so that it calls no server.
+
+    Raises InputError for what names a pipe or device; GDAL's errors for what it cannot open.
+    """
+    _require_files(path)
+    return DatasetReader(path, driver=_local_drivers(), sharing=False)
+
+
+def _require_files(path: Path) -> None:
+    """Raises InputError where `path` is a VRT that names a pipe or device, from which GDAL would wait for pixels
+    forever; so do those that it names in turn."""
+    waiting, seen = [path.absolute()], set()
+    while waiting:
+        vrt = waiting.pop()
+        if vrt in seen:
+            continue
+        seen.add(vrt)
+        with vrt.open("rb") as file:
+            if b"<VRTDataset" not in file.read(4096):
+                continue
+            file.seek(0)
+            text = file.read(_LONGEST_VRT).decode(errors="replace")
+        for word in re.findall(r">\s*([^<>]+?)\s*<|\"([^\"]+)\"", text):
+            named = html.unescape(word[0] or word[1])
+            inner = re.sub(r"^(/vsi\w+/)+", "/", named)
+            for place in (Path(inner), vrt.parent / named):
+                try:
+                    mode = (vrt.parent / place).stat().st_mode
+                except (OSError, ValueError):  # no file of that name
+                    continue
+                if stat.S_ISREG(mode):
+                    waiting.append(vrt.parent / place)
+                elif not stat.S_ISDIR(mode):
+                    raise InputError(f"{path} names {named!r}, which is a pipe or device", "Name files of pixels.")
+
+
 @contextmanager
 def _no_warnings() -> Iterator[None]:
     """Silence rasterio on images without georeferencing; they are this package's daily bread."""
@@ -536,12 +674,12 @@ def _no_warnings() -> Iterator[None]:
 
 
 @contextmanager
-def _reading(path: Path, what: str, hint: str) -> Iterator[None]:
-    """GDAL within its memory limit; an error of it becomes ``InputError(path what (reason), hint)``."""
+def reading(path: Path, what: str, hint: str) -> Iterator[None]:
+    """GDAL within its memory limit and offline; an error of it becomes ``InputError(path what (reason), hint)``."""
     try:
-        with rasterio.Env(**_OPTIONS), _no_warnings():
+        with rasterio.Env(**_options()), _no_warnings():
             yield
-    except (RasterioError, OSError) as error:
+    except (RasterioError, CPLE_BaseError, OSError) as error:
         raise InputError(f"{path} {what} ({_reason(error)})", hint) from error
 
 

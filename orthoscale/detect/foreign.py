@@ -1,0 +1,140 @@
+"""Networks of others run in a process of their own: whatever one does, it takes only so much memory and time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import weakref
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..budget import in_words, memory
+from ..errors import InputError
+from . import foreign_worker
+from .foreign_worker import receive, send
+
+LONGEST = 25.0
+"""[s] in which a network must be loaded, or look at one image. A sweep takes some hundred looks."""
+
+MOST_OUTPUT = 2**26
+"""[byte] An answer may have: ten times that of a YOLO for twenty classes and 2048 px."""
+
+
+class Said(NamedTuple):
+    """What a network says of itself: (name, type, shape) of inputs and outputs, and its metadata."""
+
+    inputs: list[tuple[str, str, list]]
+    outputs: list[tuple[str, str, list]]
+    metadata: dict[str, str]
+
+
+class Worker:
+    """A network in a process of its own, which ends with this object or this process.
+
+    It looks at one image at a time, so callers from several threads wait for each other; `threads` work on an image.
+    Memory is limited to the budget, on Linux.
+    """
+
+    def __init__(self, path: Path, content: bytes, threads: int, operators: str | None):
+        """Load the network `content` of the file at `path`. Raises InputError; ForeignError for what it says itself."""
+        self._path = path
+        self._turn = threading.Lock()
+        self._late = False
+        # Nothing is imported from where the user happens to be, and no more threads are made than are asked for.
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", foreign_worker.__file__],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            start_new_session=True,  # Ctrl-C is for us; the process ends when its pipe does
+        )
+        self._end = weakref.finalize(self, _stop, self._process)
+        head = {"memory": memory(), "threads": threads, "operators": operators, "arena": False}
+        said, _ = self._ask("be loaded", head, content)
+        self.said = Said(said["inputs"], said["outputs"], said["metadata"])
+
+    def run(self, image: np.ndarray) -> list[np.ndarray]:
+        """The outputs for `image`. Raises InputError for a network that dies or takes too long, ForeignError for an
+        error of its own."""
+        image = np.ascontiguousarray(image)
+        head = {
+            "input": self.said.inputs[0][0],
+            "type": image.dtype.str,
+            "shape": image.shape,
+            "most": MOST_OUTPUT,
+        }
+        answer, body = self._ask(f"look at {image.shape[-1]} x {image.shape[-2]} px", head, image)
+        arrays, at = [], 0
+        for kind, shape in answer["arrays"]:
+            count = int(np.prod(shape, dtype=np.int64))
+            arrays.append(np.frombuffer(body, kind, count, at).reshape(shape))
+            at += arrays[-1].nbytes
+        return arrays
+
+    def _ask(self, what: str, head: dict[str, Any], body: Any) -> tuple[dict, bytes]:
+        with self._turn:
+            stdin, stdout = self._process.stdin, self._process.stdout
+            assert stdin is not None and stdout is not None  # pipes were asked for
+            clock = threading.Timer(LONGEST, self._too_late)
+            clock.start()
+            try:
+                send(stdin, head, body)
+                answer, rest = receive(stdout)
+            except (EOFError, OSError, ValueError) as error:
+                self._end()
+                raise self._died(what) from error
+            except BaseException:
+                self._end()  # its answer would be taken for the next one's
+                raise
+            finally:
+                clock.cancel()
+        if "error" in answer:
+            if (
+                answer["kind"] == "MemoryError"
+                or "bad_alloc" in answer["error"]
+                or "allocate memory" in answer["error"]
+            ):
+                raise self._too_large(what)
+            raise ForeignError(answer["error"], answer["kind"] == foreign_worker.LibraryError.__name__)
+        return answer, rest
+
+    def _too_late(self) -> None:
+        self._late = True
+        self._process.kill()
+
+    def _died(self, what: str) -> InputError:
+        if self._late:
+            return InputError(
+                f"{self._path}: the network takes more than {LONGEST:.0f} s to {what}",
+                "Take a smaller one, or a faster machine.",
+            )
+        return self._too_large(what, f" (its process ended with {self._process.returncode})")
+
+    def _too_large(self, what: str, how: str = "") -> InputError:
+        return InputError(
+            f"{self._path}: the network cannot {what} within {in_words(memory())} of memory{how}",
+            f"If it is to be trusted, allow more: --memory {-(-2 * memory() // 2**30)}G",
+        )
+
+
+class ForeignError(Exception):
+    """What onnxruntime said of a network, in one line; `library`: of the operators that it was to be given."""
+
+    def __init__(self, reason: str, library: bool = False):
+        super().__init__(reason)
+        self.library = library
+
+
+def _stop(process: subprocess.Popen) -> None:
+    process.kill()
+    process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with suppress(OSError):  # what it was being told goes nowhere
+                pipe.close()

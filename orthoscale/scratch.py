@@ -1,0 +1,62 @@
+"""Folders for what is needed only while the program runs. A killed run's are removed by the next one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+import weakref
+from pathlib import Path
+from typing import BinaryIO
+
+if sys.platform != "win32":  # which deletes no file that is open; that does as well
+    import fcntl
+
+PREFIX = "orthoscale-scratch-"
+LOCK = "in-use"
+
+
+class Scratch:
+    """A folder of its own in the system's temporary one (``TMPDIR``), removed with this object, at exit, or, after a
+    kill, when the next is made. Its lock is held as long as it is used, so no folder in use is taken for a leftover."""
+
+    def __init__(self) -> None:
+        _remove_leftovers(Path(tempfile.gettempdir()))
+        self.folder = Path(tempfile.mkdtemp(prefix=PREFIX))
+        lock = (self.folder / LOCK).open("wb")
+        _locked(lock)
+        self._end = weakref.finalize(self, _remove, self.folder, lock)
+
+    def close(self) -> None:
+        """Remove the folder now."""
+        self._end()
+
+
+def _remove(folder: Path, lock: BinaryIO) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    lock.close()
+
+
+def _locked(lock: BinaryIO) -> bool:
+    """Whether nobody else holds this lock; now this process does."""
+    if sys.platform != "win32":
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return False
+    return True
+
+
+def _remove_leftovers(parent: Path) -> None:
+    for folder in parent.glob(f"{PREFIX}*"):
+        try:
+            if hasattr(os, "getuid") and folder.lstat().st_uid != os.getuid():
+                continue
+            lock = (folder / LOCK).open("rb")
+        except OSError:  # gone meanwhile, or just being made
+            continue
+        if _locked(lock):
+            _remove(folder, lock)
+        else:
+            lock.close()
