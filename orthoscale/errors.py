@@ -5,6 +5,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+
+LONGEST = 1000  # [characters] of a message: names and values from a file may be of any length
+
+
+def printable(text: object, longest: int = LONGEST) -> str:
+    """One line of `text` that a terminal takes for nothing else: control characters, line breaks and bytes that are
+    no characters as escapes, its middle left out where it is longer than `longest`."""
+    line = str(text)
+    if len(line) > longest:
+        line = f"{line[: longest // 2]} ... {line[-longest // 2 :]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+
 
 class OrthoscaleError(Exception):
     """Base of all errors that orthoscale raises on purpose.
@@ -48,3 +62,14 @@ class OutputError(OrthoscaleError):
     """An output could not be written, or did not read back as it was meant."""
 
     exit_code = 6
+
+
+class Incomplete(OutputError):
+    """The main output is verified and in its place; a report or another file beside it could not be made.
+
+    result : what the caller would have got.
+    """
+
+    def __init__(self, message: str, hint: str = "", result: Any = None):
+        super().__init__(message, hint)
+        self.result = result

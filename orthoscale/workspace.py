@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .atomic import check_free, new_folder
-from .errors import EvidenceDisagrees, InputError, OrthoscaleError, TooLittleEvidence
+from .errors import EvidenceDisagrees, Incomplete, InputError, OrthoscaleError, TooLittleEvidence
+from .outputs import Outputs
 from .pipeline import estimate
 from .result import Result
 from .sources.exchange import find_exchange
@@ -20,7 +20,7 @@ OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError)
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one model: its result, or why it has none."""
+    """What became of one model: its result, or why it has none; both where something beside it is missing."""
 
     model: Path
     result: Result | None
@@ -32,6 +32,7 @@ class Outcome:
             code = self.error.exit_code if self.error else 1
             return {"model": str(self.model), "error": str(self.error), "exit_code": code}
         scale = self.result.scale
+        missing = {"missing": self.error.message} if self.error else {}
         return {
             "model": str(self.model),
             "scale": scale.value,
@@ -39,6 +40,7 @@ class Outcome:
             "interval90": list(scale.interval90),
             "verdict": scale.verdict,
             "vehicles_used": scale.vehicles_used,
+            **missing,
         }
 
 
@@ -57,23 +59,32 @@ def estimate_all(models: list[Path], **options: Any) -> list[Outcome]:
     return _checked([_one(model, estimate, **options) for model in models])
 
 
-def fix_all(models: list[Path], out: Path, overwrite: bool = False, **options: Any) -> list[Outcome]:
+def fix_all(
+    models: list[Path], out: Path, overwrite: bool = False, workspace: Path | None = None, **options: Any
+) -> list[Outcome]:
     """`fix` for each of `models`, into folders of their names in the folder `out`, with models.json beside them.
 
-    A model that has too little evidence, or is damaged, is left out and does not stop the others.
-    Raises the first error if none has a scale; then nothing is written.
+    A model that has too little evidence, or is damaged, is left out and does not stop the others. workspace : what they
+    were found in, an input as they are.
+    Raises the first error if none has a scale; then nothing is written. Raises Incomplete, with the outcomes, if
+    something beside a model could not be made.
     """
-    check_free(out, overwrite)
-    with new_folder(out, overwrite) as folder:
+    with Outputs(overwrite, (workspace, models, options)) as outputs:
+        folder = outputs.folder(out)
         outcomes = _checked([_one(model, fix, folder / model.name, **options) for model in models])
         text = {outcome.model.name: outcome.document() for outcome in outcomes}
         (folder / "models.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+    missing = [outcome.error for outcome in outcomes if isinstance(outcome.error, Incomplete)]
+    if missing:
+        raise Incomplete("; ".join(error.message for error in missing), missing[0].hint, outcomes)
     return outcomes
 
 
 def _one(model: Path, what: Any, *args: Any, **options: Any) -> Outcome:
     try:
         return Outcome(model, what(model, *args, **options), None)
+    except Incomplete as error:
+        return Outcome(model, error.result, error)
     except OF_ONE as error:
         return Outcome(model, None, error)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from .atomic import check_free, new_file, new_folder
-from .errors import UsageError
+from .errors import Incomplete, UsageError
+from .outputs import Outputs
 from .pipeline import estimate
 from .result import Result
 from .sources.opening import open_source
@@ -34,72 +34,92 @@ def fix(
     cog: bool = False,
     also: Sequence[str] = (),
     report: str = "html",
+    save_detections: str | Path | None = None,
     **options: Any,
 ) -> Result:
     """Estimate the scale of `path` (see `estimate` for `options`) and write a copy of it in metres at `out`.
 
     An orthophoto becomes the GeoTIFF `out` with `out`.json, `out`.png and `out`.html beside it; a model the folder
-    `out` with sim3.txt, report.json, vehicles.png and report.html in it. All of them appear, or none.
+    `out` with sim3.txt, report.json, vehicles.png and report.html in it. Nothing is written that is or touches an input,
+    see `outputs`.
 
-    overwrite : replace what is at `out`. override : rescale although the input's own georeferencing gives a scale.
+    overwrite : replace what orthoscale wrote at `out` before. override : rescale although the input's own georeferencing gives a scale.
     keep_origin : an orthophoto keeps its coordinate reference system, first corner and direction; else local metres.
     cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.EXTRAS`.
     force : write although the evidence is too uncertain to be useful (verdict ``refuse``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
     report : ``html``, ``json`` (without the page) or ``none``.
-    Raises what `estimate` raises, EvidenceDisagrees, OutputError.
+    save_detections : also keep the boxes in this file.
+    Raises what `estimate` raises, EvidenceDisagrees, OutputError; Incomplete if the copy is verified and in its place
+    but something beside it could not be made.
     """
     path, out = Path(path), Path(out)
     if report not in REPORTS:
         raise UsageError(f"--report {report} is none of {', '.join(REPORTS)}")
-    check_free(out, overwrite)
-    if out.resolve() == path.resolve():
-        raise UsageError(f"{out} is the input itself", "The input is never touched: choose another --out.")
-    source = open_source(path, options.get("images"), need_images=options.get("detections") is None)
-    from .report.extras import chosen
+    with Outputs(overwrite, (path, options)) as outputs:
+        outputs.check(out)
+        source = open_source(path, options.get("images"), need_images=options.get("detections") is None)
+        from .exchange import check_name, save
+        from .report.extras import EXTRAS, chosen
+        from .report.files import write_report
 
-    extras = [(extra.place(out), extra.write) for extra in chosen(also)]
-    parts = report_paths(out, source.unit, report)
-    if source.unit == "m/px":
-        for beside in (*parts.values(), *(place for place, _ in extras)):
-            check_free(beside, overwrite)
-    elif keep_origin or cog or also:
-        raise UsageError("--keep-origin, --cog and --also are for orthophotos", f"{path} is a model.")
-    if source.metric_already and not override:  # not behind its owner's back
-        raise UsageError(
-            f"{path} is in metres already: {source.metric_already}",
-            "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
-        )
-    if dense:
-        _check_dense(source)
-    result = estimate(source, **options)
-    if not force:
-        result.require_useful()
-    from .report.files import write_report
-
-    with ExitStack() as outputs:  # renamed into place in reverse order, the main output last
-        if source.unit == "m/px":
-            main = outputs.enter_context(new_file(out, overwrite))
-            parts = {kind: outputs.enter_context(new_file(place, overwrite)) for kind, place in parts.items()}
+        picture = source.unit == "m/px"
+        if not picture and (keep_origin or cog or also):
+            raise UsageError("--keep-origin, --cog and --also are for orthophotos", f"{path} is a model.")
+        if source.metric_already and not override:  # not behind its owner's back
+            raise UsageError(
+                f"{path} is in metres already: {source.metric_already}",
+                "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
+            )
+        if dense:
+            _check_dense(source)
+        parts, extras = report_paths(out, source.unit, report), chosen(also)
+        if picture:
+            for suffix in GDAL_SIDECARS:
+                if os.path.lexists(beside := _beside(out, suffix)):
+                    raise UsageError(f"{beside} would be taken for a part of {out}", "Move it away, or delete it.")
+            main = outputs.file(out)
+            parts = {kind: outputs.file(place) for kind, place in parts.items()}
+            places = [outputs.file(extra.place(out), extra.known(out)) for extra in extras]
+            # What lies beside the file that is replaced would speak for the new one.
+            for kind in set(REPORTS["html"]) - set(parts):
+                outputs.retire(_beside(out, f".{kind}"))
+            for extra in EXTRAS.values():
+                if extra not in extras:
+                    outputs.retire(extra.place(out), extra.known(out))
+        else:
+            main = outputs.folder(out)
+            parts = {kind: main / place.name for kind, place in parts.items()}
+        if save_detections is not None:
+            check_name(Path(save_detections))
+            save_detections = outputs.file(Path(save_detections))
+        outputs.protect(*source.files, *([cast("ColmapSource", source).dense] if dense else []))
+        result = estimate(source, **options)
+        if not force:
+            result.require_useful()
+        if picture:
             raster = cast("RasterSource", source)
             raster.write(main, result.scale.value, keep_origin, cog)
-            for place, write in extras:
-                partial = outputs.enter_context(new_file(place, overwrite))
-                write(result, raster.place(result.scale.value, keep_origin), partial)
         else:
-            main = outputs.enter_context(new_folder(out, overwrite))
-            parts = {kind: main / place.name for kind, place in parts.items()}
             source.write(main, result.scale.value)
             if dense:
                 (main / "dense").mkdir()
                 cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
-        write_report(result, parts)
-        if overwrite and main.is_file():  # what lies beside the file that is replaced would speak for the new one
-            stale = [f".{kind}" for kind in REPORTS["html"] if kind not in parts]
-            for suffix in (*GDAL_SIDECARS, *stale):
-                _beside(out, suffix).unlink(missing_ok=True)
-            if "tfw" not in also:
-                out.with_suffix(".tfw").unlink(missing_ok=True)
+        # The copy is verified: what fails from here on does not take it away.
+        write_report(result, parts, outputs.attempt)
+        if picture:
+            for extra, partial in zip(extras, places, strict=True):
+                with outputs.attempt(partial, partial.name):
+                    extra.write(result, raster.place(result.scale.value, keep_origin), partial)
+        if save_detections is not None:
+            with outputs.attempt(save_detections, save_detections.name):
+                save(result.detections, save_detections, source)
+    if missing := outputs.missing():
+        raise Incomplete(
+            f"{out.name} is written and verified, but {missing}",
+            "`orthoscale report` makes the page and the picture from the report's JSON; else run again.",
+            result,
+        )
     return result
 
 

@@ -84,10 +84,3 @@ def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) 
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
         raise type(error)(f"{where}: {error.message}", error.hint) from error
-
-
-def save_boxes(found: Detections, path: Path, photos: Sequence[Photo]) -> None:
-    """Keep `found` in a file of the format that its name says. Raises UsageError, OutputError."""
-    from ..exchange import keep
-
-    keep(found, path, Album(photos))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..atomic import check_free, new_file
 from ..errors import InputError, OrthoscaleError
+from ..outputs import Outputs
 from ..result import Result
 from ..sources.opening import open_source
 from .document import document, read_json, write_json
@@ -18,39 +20,52 @@ from .scene import Scene
 if TYPE_CHECKING:
     from ..sources.source import Source
 
+Attempt = Callable[[Path, str], AbstractContextManager[None]]
 
-def write_report(result: Result, paths: Mapping[str, Path]) -> None:
-    """Write the parts of the report that `paths` names: ``json``, ``png``, ``html``."""
-    if not paths:
-        return
-    report = document(result)
-    if "json" in paths:
-        write_json(report, paths["json"])
-    if "png" in paths or "html" in paths:
-        scene = Scene.of(report, result.source)
-        if "png" in paths:
-            draw(report, scene, paths["png"])
-        if "html" in paths:
-            paths["html"].write_text(page(report, scene), encoding="utf-8")
+
+def write_report(result: Result, paths: Mapping[str, Path], attempt: Attempt) -> None:
+    """Write the parts of the report that `paths` names, ``json`` first, then ``png``, ``html``, each in an `attempt`
+    (`Outputs.attempt`), so that one that fails takes nothing else away."""
+    report = cache(lambda: document(result))
+    scene = cache(lambda: Scene.of(report(), result.source))
+    writers: dict[str, Callable[[Path], None]] = {
+        "json": lambda place: write_json(report(), place),
+        "png": lambda place: draw(report(), scene(), place),
+        "html": lambda place: _write_page(page(report(), scene()), place),
+    }
+    for kind, write in writers.items():
+        if kind in paths:
+            with attempt(paths[kind], paths[kind].name):
+                write(paths[kind])
 
 
 def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = False) -> str:
-    """Draw the page of the report.json at `path` to `out`, with pictures when its input is still there, unchanged.
+    """Draw the report.json at `path` again, to `out`: its page, or its picture where `out` ends in .png; with frames
+    when its input is still there, unchanged.
 
-    Returns why there are no pictures, or ''. Raises InputError for a file that is no report, and what `new_file` does.
+    Returns why there are none, or ''. Raises InputError for a file that is no report, and what `Outputs` does.
     """
-    check_free(out, overwrite)
-    report = read_json(path)
-    try:
-        source, why = _source(report, path, images)
-        html = page(report, Scene.of(report, source))
-    except OrthoscaleError:
-        raise
-    except Exception as error:  # whatever a value of the wrong kind leads to
-        raise InputError(f"{path}: a damaged report ({error!r})", "Make it again with `orthoscale fix`.") from error
-    with new_file(out, overwrite) as partial:
-        partial.write_text(html, encoding="utf-8")
+    with Outputs(overwrite, (path, images)) as outputs:
+        partial = outputs.file(out)
+        report = read_json(path)
+        try:
+            source, why = _source(report, path, images)
+            if source is not None:
+                outputs.protect(*source.files)
+            scene = Scene.of(report, source)
+            if out.suffix.lower() == ".png":
+                draw(report, scene, partial)
+            else:
+                _write_page(page(report, scene), partial)
+        except (OrthoscaleError, OSError):
+            raise
+        except Exception as error:  # whatever a value of the wrong kind leads to
+            raise InputError(f"{path}: a damaged report ({error!r})", "Make it again with `orthoscale fix`.") from error
     return why
+
+
+def _write_page(html: str, path: Path) -> None:
+    path.write_bytes(html.encode("utf-8", "backslashreplace"))  # file names need not be text
 
 
 def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple[Source | None, str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
+from orthoscale.sources.colmap_library import pycolmap
 
 from orthoscale.boxes import Boxes
 from orthoscale.synthetic.labels import visible_share
