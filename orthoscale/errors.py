@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-
 LONGEST = 1000  # [characters] of a message: names and values from a file may be of any length
 
 

@@ -23,14 +23,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from . import __version__, stopping
 from .errors import InputError, OrthoscaleError, OutputError, UsageError
 
+fcntl: Any
 try:
     import fcntl
 except ImportError:  # not POSIX
-    fcntl = None  # type: ignore[assignment]
+    fcntl = None
 
 MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files that it wrote
 ELSEWHERE = "Choose another place, or delete it yourself."
@@ -149,7 +151,7 @@ class Outputs:
     ) -> None:
         try:
             if error is None:
-                self._deliver()
+                self._put(self._claims)
             elif isinstance(error, DISK):
                 raise error
         except BrokenPipeError:
@@ -197,13 +199,22 @@ class Outputs:
             raise UsageError(f"{path} is a {kinds[0]}, the output is a {kinds[1]}", ELSEWHERE)
         return claim
 
-    def _deliver(self) -> None:
-        written = [claim for claim in reversed(self._claims) if not (claim.retired or claim.failed)]
+    def deliver(self, partial: Path) -> None:
+        """Put the output written at `partial` in its place now, whatever becomes of the others."""
+        (claim,) = (claim for claim in self._claims if claim.partial == partial)
+        self._put([claim])
+        with stopping.held():
+            self._claims.remove(claim)
+            claim.release()
+
+    def _put(self, claims: list[_Claim]) -> None:
+        """In their places, all or none; the one claimed first, the main output, last."""
+        written = [claim for claim in reversed(claims) if not (claim.retired or claim.failed)]
         for claim in written:
             claim.sign()
         stopping.check()
-        # The main output, claimed first, is put in its place last; then goes what would speak for it falsely.
-        changes = [*written, *(claim for claim in self._claims if claim.retired or claim.failed)]
+        # What would speak falsely for the new output goes when that is there.
+        changes = [*written, *(claim for claim in claims if claim.retired or claim.failed)]
         done: list[_Claim] = []
         with stopping.held():
             try:

@@ -40,11 +40,11 @@ def fix(
     """Estimate the scale of `path` (see `estimate` for `options`) and write a copy of it in metres at `out`.
 
     An orthophoto becomes the GeoTIFF `out` with `out`.json, `out`.png and `out`.html beside it; a model the folder
-    `out` with sim3.txt, report.json, vehicles.png and report.html in it. Nothing is written that is or touches an input,
-    see `outputs`.
+    `out` with sim3.txt, report.json, vehicles.png and report.html in it. No input is touched, see `outputs`.
 
-    overwrite : replace what orthoscale wrote at `out` before. override : rescale although the input's own georeferencing gives a scale.
-    keep_origin : an orthophoto keeps its coordinate reference system, first corner and direction; else local metres.
+    overwrite : replace what orthoscale wrote at `out` before. override : rescale although the input's own
+    georeferencing gives a scale. keep_origin : an orthophoto keeps its coordinate reference system, first corner and
+    direction; else local metres.
     cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.EXTRAS`.
     force : write although the evidence is too uncertain to be useful (verdict ``refuse``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.

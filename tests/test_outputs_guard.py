@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 
 import pytest
-
 from orthoscale.atomic import check_free, new_file, new_folder
+
 from orthoscale.errors import OutputError, UsageError
 
 

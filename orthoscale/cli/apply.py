@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from .options import EXIT_CODES
+from .options import EXIT_CODES, PATH, overwrite_option, say
 
 
 @click.command(
@@ -15,10 +15,10 @@ from .options import EXIT_CODES
     "  orthoscale apply scaled/sim3.json nerf/transforms.json --out nerf_metric/\n"
     "  orthoscale apply scaled/sim3.json work/dense --out metric/\n\n" + EXIT_CODES
 )
-@click.argument("sim3", metavar="SIM3", type=click.Path(path_type=Path))
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write; names stay as they are.")
-@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.argument("sim3", metavar="SIM3", type=PATH)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=PATH)
+@click.option("--out", required=True, type=PATH, help="Folder to write; names stay as they are.")
+@overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_json: bool, debug: bool) -> None:
@@ -29,17 +29,18 @@ def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_js
     with Open3D also STL, OFF, PCD, XYZ, PTS. What has no length (colours, normals, rotations, intrinsics) stays.
     All files appear in --out, or none. FILEs are never touched.
     """
-    from ..atomic import new_folder
     from ..errors import UsageError
+    from ..outputs import Outputs
     from ..rescale.files import scale_path
     from ..rescale.sim3 import Sim3
 
-    scale = Sim3.load(sim3).scale
     names = [path.resolve().name for path in files]
     if len(set(names)) < len(names):
         raise UsageError("two FILEs have the same name", "Write them to different folders, one after the other.")
     written = {}
-    with new_folder(out, overwrite) as folder:
+    with Outputs(overwrite, (sim3, files)) as outputs:
+        folder = outputs.folder(out)
+        scale = Sim3.load(sim3).scale
         for path, name in zip(files, names, strict=True):
             target = folder / name
             if path.is_dir():
@@ -49,4 +50,4 @@ def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_js
         click.echo(json.dumps({"scale": scale, "written": written}))
         return
     for name, notes in written.items():
-        click.echo(f"written    {name}" + "".join(f"\n           {note}" for note in notes))
+        say(f"written    {name}" + "".join(f"\n           {note}" for note in notes))

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from ..errors import EvidenceDisagrees, UsageError
-from .options import evidence_options, progress_bars
+from .options import PATH, evidence_options, progress_bars, say
 
 
 @click.command(
@@ -22,15 +22,16 @@ from .options import evidence_options, progress_bars
 @evidence_options
 @click.option(
     "--model",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="The reconstruction that an orthophoto was made from: check with it.",
 )
-@click.option("--model-detections", type=click.Path(path_type=Path), help="Boxes of its frames from this file.")
+@click.option("--model-detections", type=PATH, help="Boxes of its frames from this file.")
 def check(
     path: Path,
     as_json: bool,
     debug: bool,
     save_detections: Path | None,
+    overwrite: bool,
     model: Path | None,
     model_detections: Path | None,
     **options: Any,
@@ -45,9 +46,13 @@ def check(
     """
     from .. import pipeline
     from ..check import comparisons
+    from ..exchange import check_name, save
+    from ..outputs import Outputs
     from ..sources.opening import open_source
 
     if model is not None:
+        if save_detections is not None:
+            raise UsageError("--save-detections keeps the boxes of one input", "Leave it or --model away.")
         _against_model(path, as_json, model, model_detections, options)
         return
     source = open_source(path, options.pop("images"), need_images=options["detections"] is None)
@@ -55,13 +60,14 @@ def check(
     if claimed is None or claimed.gsd_m is None:
         why = "" if claimed is None else f": {claimed.why}"
         raise UsageError(f"{path} claims no scale{why}", "Find it by `orthoscale estimate`.")
-    with progress_bars() as progress:
+    with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
+        if save_detections is not None:
+            check_name(save_detections)
+            saved = outputs.file(save_detections)
+            outputs.protect(*source.files)
         result = pipeline.estimate(source, progress=progress, **options)
-    if save_detections is not None:
-        from ..atomic import new_file
-
-        with new_file(save_detections, overwrite=True) as partial:
-            result.detections.save(partial)
+        if save_detections is not None:
+            save(result.detections, saved, source)
     found = comparisons(result)
     low, high = result.scale.interval90
     if as_json:
@@ -81,12 +87,12 @@ def check(
             f"{result.scale.vehicles_used} of fleet {result.scale.fleet}"
         )
         for comparison in found:
-            click.echo(f"claim      {comparison.claimed:.5g} {result.scale.unit}: {claimed.why}")
-            click.echo(f"           {comparison.sentence()}")
+            say(f"claim      {comparison.claimed:.5g} {result.scale.unit}: {claimed.why}")
+            say(f"           {comparison.sentence()}")
             if not comparison.believed:
                 click.echo("           the claim itself is not tied to the ground; it is compared as if it were metres")
         for remark in (*result.scale.remarks, *result.source.notes):
-            click.echo(f"note       {remark}")
+            say(f"note       {remark}")
     if any(c.verdict == "disagrees" for c in found):
         sys.exit(EvidenceDisagrees.exit_code)
 
@@ -108,9 +114,9 @@ def _against_model(
         click.echo(json.dumps(checked.document()))
     else:
         low, high = checked.interval90_by_model
-        click.echo(f"orthophoto {checked.by_ortho:.5g} m/px by the vehicles in it")
-        click.echo(f"model      {checked.by_model:.5g} m/px, 90 % {low:.5g} to {high:.5g}")
-        click.echo(f"tied by    {checked.common} vehicles seen in both")
-        click.echo(f"           {checked.agreement.sentence()}")
+        say(f"orthophoto {checked.by_ortho:.5g} m/px by the vehicles in it")
+        say(f"model      {checked.by_model:.5g} m/px, 90 % {low:.5g} to {high:.5g}")
+        say(f"tied by    {checked.common} vehicles seen in both")
+        say(f"           {checked.agreement.sentence()}")
     if checked.agreement.contradicts:
         sys.exit(EvidenceDisagrees.exit_code)

@@ -10,15 +10,40 @@ from typing import Any
 
 import click
 
+from ..errors import printable
+
 EXIT_CODES = """\b
 Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
 4 evidence disagrees (nothing written without --force);
 5 input unreadable or damaged; 6 output could not be written."""
 
 
+class AnyPath(click.Path):
+    """A path that is looked at by those who open it, so that each fault of it has its exit code; an empty one, as an
+    unset variable of a script leaves it, is refused: it would be the current folder."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path, readable=False)
+
+    def convert(self, value: Any, param: click.Parameter | None, context: click.Context | None) -> Any:
+        if not str(value):
+            self.fail("an empty name is no path", param, context)
+        return Path(value)
+
+
+PATH = AnyPath()
+
+
+def say(text: str, err: bool = False) -> None:
+    """Print lines on a terminal that take names from files: nothing in them is a control character."""
+    click.echo("\n".join(printable(line, longest=20_000) for line in text.split("\n")), err=err)
+
+
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace what orthoscale wrote there before.")
+
 save_option = click.option(
     "--save-detections",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
 )
 
@@ -27,7 +52,7 @@ def detector_options(command: Callable) -> Callable:
     """Options that name a detector."""
     for option in reversed(
         [
-            click.option("--detector", type=click.Path(path_type=Path), help="Another detector, an .onnx file."),
+            click.option("--detector", type=PATH, help="Another detector, an .onnx file."),
             click.option("--decoder", metavar="NAME", help="Its output layout, where the file does not tell it."),
             click.option(
                 "--vehicle-class",
@@ -54,12 +79,12 @@ def vehicle_options(command: Callable) -> Callable:
             ),
             click.option(
                 "--detections",
-                type=click.Path(path_type=Path),
+                type=PATH,
                 help="Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector needed.",
             ),
             click.option(
                 "--calibration",
-                type=click.Path(path_type=Path),
+                type=PATH,
                 help="The detector's ruler as `orthoscale calibrate` measured it.",
             ),
             click.option("--zoom", type=float, help="Detector pixels per picture pixel, instead of the search."),
@@ -74,9 +99,10 @@ def evidence_options(command: Callable) -> Callable:
     """Options that say what to measure, and how; shared by `fix` and `estimate`."""
     for option in reversed(
         [
-            click.argument("path", metavar="INPUT", type=click.Path(path_type=Path)),
-            click.option("--images", type=click.Path(path_type=Path), help="Folder of the model's frames."),
+            click.argument("path", metavar="INPUT", type=PATH),
+            click.option("--images", type=PATH, help="Folder of the model's frames."),
             save_option,
+            overwrite_option,
             click.option(
                 "--refine", is_flag=True, help="Look at every vehicle four times more: sharper boxes, for small inputs."
             ),
@@ -126,7 +152,7 @@ def evidence_options(command: Callable) -> Callable:
             ),
             click.option(
                 "--ground-control",
-                type=click.Path(path_type=Path),
+                type=PATH,
                 metavar="FILE",
                 help="Lines of POINT EAST NORTH [UP] in metres; points as for --known-distance.",
             ),

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from .options import EXIT_CODES, progress_bars, save_option, vehicle_options
+from .options import EXIT_CODES, PATH, overwrite_option, progress_bars, save_option, say, vehicle_options
 from .photo_options import lens_options
 
 
@@ -18,15 +18,13 @@ from .photo_options import lens_options
     "  orthoscale photo frame.png --focal-px 1080 --pitch -60 --json\n"
     "  orthoscale photo flight/ --together       one altitude from all photos of a level flight\n\n" + EXIT_CODES
 )
-@click.argument("paths", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("paths", metavar="IMAGE...", nargs=-1, required=True, type=PATH)
 @vehicle_options
 @lens_options
 @click.option("--together", is_flag=True, help="Also one scale of all photos: one lens, one altitude.")
 @save_option
-@click.option(
-    "--out", "outputs", multiple=True, type=click.Path(path_type=Path), help="Table to write: .csv, .json or .gpkg."
-)
-@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.option("--out", "outputs", multiple=True, type=PATH, help="Table to write: .csv, .json or .gpkg.")
+@overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON on standard output.")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def photo(
@@ -51,37 +49,43 @@ def photo(
     interval. The ground is taken to be level.
     """
     from ..errors import TooLittleEvidence
-    from ..exchange import check_savable
+    from ..exchange import check_name, save
+    from ..outputs import Outputs
     from ..photo import looking as boxes
     from ..photo import survey, tables
     from ..photo.measure import find_photos
 
     how = boxes.Looking(**looking)
     ruler = how.ruler_fleet()
-    tables.check_outputs(outputs, overwrite)
-    check_savable(save_detections)
     lens = {"lens_file": lens_file, "focal_px": focal_px, "pitch": pitch, "roll": roll}
-    photos, problems = survey.open_photos(find_photos(paths), decode=how.detections is None, **lens)
-    with progress_bars() as progress:
+    with Outputs(overwrite, (paths, lens_file, looking)) as files, progress_bars() as progress:
+        for path in outputs:
+            tables.check_ending(path)
+        partials = [files.file(path, tables.known(path)) for path in outputs]
+        if save_detections is not None:
+            check_name(save_detections)
+            saved = files.file(save_detections)
+        photos, problems = survey.open_photos(find_photos(paths), decode=how.detections is None, **lens)
         found = boxes.boxes_of(photos, how, progress)
-    if save_detections is not None:
-        boxes.save_boxes(found, save_detections, photos)
-    outcomes = survey.measure_each(photos, problems, found, ruler)
-    pooled = survey.measure_together(photos, found, ruler) if together else None
-    if pooled is None and not any(outcome.measured for outcome in outcomes):
-        most = max(outcomes, key=lambda outcome: len(found.boxes.get(outcome.name, ())))
-        raise TooLittleEvidence(
-            f"none of {len(outcomes)} photos has enough vehicles; the best is {most.name}: {most.problem}"
-            if len(outcomes) > 1
-            else f"{most.name}: {most.problem}",
-            "Give photos with more vehicles, or pool those of a level flight with --together.",
-        )
-    text = tables.document(outcomes, ruler.code, found.detector, pooled)
-    if outputs:
-        tables.write(outcomes, text, outputs, overwrite)
+        if save_detections is not None:  # worth a look above all where they are too few
+            save(found, saved, boxes.Album(photos))
+            files.deliver(saved)
+        outcomes = survey.measure_each(photos, problems, found, ruler)
+        pooled = survey.measure_together(photos, found, ruler) if together else None
+        if pooled is None and not any(outcome.measured for outcome in outcomes):
+            most = max(outcomes, key=lambda outcome: len(found.boxes.get(outcome.name, ())))
+            raise TooLittleEvidence(
+                f"none of {len(outcomes)} photos has enough vehicles; the best is {most.name}: {most.problem}"
+                if len(outcomes) > 1
+                else f"{most.name}: {most.problem}",
+                "Give photos with more vehicles, or pool those of a level flight with --together.",
+            )
+        text = tables.document(outcomes, ruler.code, found.detector, pooled)
+        for partial in partials:
+            tables.write(outcomes, text, partial)
     if as_json:
         click.echo(json.dumps(text))
     else:
         from ..photo.terminal import summary
 
-        click.echo(summary(outcomes, text, pooled, outputs))
+        say(summary(outcomes, text, pooled, outputs))

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import UsageError
-from .options import EXIT_CODES, evidence_options, progress_bars
+from ..errors import Incomplete, UsageError
+from .options import EXIT_CODES, PATH, evidence_options, progress_bars, say
 
 if TYPE_CHECKING:
     from ..workspace import Outcome
@@ -22,20 +23,28 @@ if TYPE_CHECKING:
     "  orthoscale estimate sparse/0 --images frames/ --fleet US --json\n\n" + EXIT_CODES
 )
 @evidence_options
-def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
+def estimate(
+    path: Path, as_json: bool, debug: bool, save_detections: Path | None, overwrite: bool, **options: Any
+) -> None:
     """Print the scale of INPUT, an orthophoto or the folder of a COLMAP model, and write nothing."""
     from .. import pipeline, workspace
-    from ..exchange import check_savable
+    from ..exchange import check_name, save
+    from ..outputs import Outputs
 
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
-    check_savable(save_detections)
-    with progress_bars() as progress:
+    with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
         if models:
             outcomes = workspace.estimate_all(models, progress=progress, **options)
         else:
+            if save_detections is not None:
+                check_name(save_detections)
+                saved = outputs.file(save_detections)
             result = pipeline.estimate(path, progress=progress, **options)
-    _finish_all(outcomes, as_json) if models else _finish(result, as_json, save_detections)
+            if save_detections is not None:
+                outputs.protect(*result.source.files)
+                save(result.detections, saved, result.source)
+    _finish_all(outcomes, as_json) if models else _finish(result, as_json)
 
 
 @click.command(
@@ -45,8 +54,7 @@ def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | Non
     "  orthoscale fix model/ --out scaled/ --detections boxes.json\n\n" + EXIT_CODES
 )
 @evidence_options
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="GeoTIFF or folder to write.")
-@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.option("--out", required=True, type=PATH, help="GeoTIFF or folder to write.")
 @click.option("--override", is_flag=True, help="Rescale although INPUT says that it is in metres.")
 @click.option("--keep-origin", is_flag=True, help="Keep an orthophoto's CRS, first corner and direction.")
 @click.option("--cog", is_flag=True, help="Write a cloud-optimised GeoTIFF.")
@@ -73,20 +81,25 @@ def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path
     several models (sparse/0, sparse/1 ...) each gets its own scale and folder in OUT. INPUT is never touched.
     """
     from .. import workspace, writing
-    from ..exchange import check_savable
 
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
-    check_savable(save_detections)
+    missing = None
     with progress_bars() as progress:
+        try:
+            if models:
+                done: Any = workspace.fix_all(models, out, workspace=path, progress=progress, **options)
+            else:
+                done = writing.fix(path, out, save_detections=save_detections, progress=progress, **options)
+        except Incomplete as error:
+            done, missing = error.result, error
+    with suppress(Exception) if missing else nullcontext():  # what could not be written may not be printable either
         if models:
-            outcomes = workspace.fix_all(models, out, progress=progress, **options)
+            _finish_all(done, as_json, out, options["report"])
         else:
-            result = writing.fix(path, out, progress=progress, **options)
-    if models:
-        _finish_all(outcomes, as_json, out, options["report"])
-    else:
-        _finish(result, as_json, save_detections, _written(result, out, options["report"]))
+            _finish(done, as_json, _written(done, out, options["report"]))
+    if missing:
+        raise missing
 
 
 def _refuse_one_file_for_many(models: list[Path], save_detections: Path | None) -> None:
@@ -100,7 +113,7 @@ def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
     from ..writing import report_paths
 
     page = report_paths(out, result.source.unit, report).get("html")
-    return {"written": out} | ({"report": page} if page else {})
+    return {"written": out} | ({"report": page} if page and page.is_file() else {})
 
 
 def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None, report: str = "none") -> None:
@@ -110,20 +123,14 @@ def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None,
     from ..report.terminal import show
 
     for outcome in outcomes:
-        click.echo(f"--- {outcome.model}")
+        say(f"--- {outcome.model}")
         if outcome.result is not None:
             show(outcome.result, {} if out is None else _written(outcome.result, out / outcome.model.name, report))
         else:
-            click.echo(f"no scale   {outcome.error}")
+            say(f"no scale   {outcome.error}")
 
 
-def _finish(
-    result: Any, as_json: bool, save_detections: Path | None, written: Mapping[str, Path] = MappingProxyType({})
-) -> None:
-    if save_detections is not None:
-        from ..exchange import keep
-
-        keep(result.detections, save_detections, result.source)
+def _finish(result: Any, as_json: bool, written: Mapping[str, Path] = MappingProxyType({})) -> None:
     if as_json:
         from ..report.document import document
 

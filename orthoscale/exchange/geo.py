@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..boxes import Boxes
-from ..errors import InputError
+from ..errors import InputError, OutputError
 from .items import LABEL, Item
 
 LAYER = "vehicles"
@@ -163,17 +163,20 @@ def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None
     columns = [c.astype(object) if k in (0, 2) else c.astype(float) for k, c in enumerate(columns)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # pixel coordinates have no CRS, and need none
-        pyogrio.raw.write(
-            path,
-            geometry=np.asarray(shapely.to_wkb(polygons), object),
-            field_data=columns,
-            fields=np.array(fields, object),
-            geometry_type="Polygon",
-            crs=None if place is None else place.crs,
-            layer=LAYER,
-            driver="GPKG",
-            layer_metadata={"orthoscale": json.dumps(dict(about))},
-        )
+        try:
+            pyogrio.raw.write(
+                path,
+                geometry=np.asarray(shapely.to_wkb(polygons), object),
+                field_data=columns,
+                fields=np.array(fields, object),
+                geometry_type="Polygon",
+                crs=None if place is None else place.crs,
+                layer=LAYER,
+                driver="GPKG",
+                layer_metadata={"orthoscale": json.dumps(dict(about))},
+            )
+        except RuntimeError as error:  # pyogrio's errors are all RuntimeErrors
+            raise OutputError(f"{path.name}: GDAL could not write it ({error})", "Check the free space.") from error
 
 
 # Both

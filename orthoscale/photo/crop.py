@@ -157,7 +157,8 @@ def write_crops(
     folder: Path,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> None:
-    """Write into the empty `folder`: query.jpg, gallery/*.jpg, manifest.csv with a line per crop, crop.json with what was done.
+    """Write into the empty `folder`: query.jpg, gallery/*.jpg, manifest.csv with a line per crop, and crop.json with
+    what was done.
 
     told : what crop.json says of the photo. Raises OutputError, InputError.
     """

@@ -17,7 +17,6 @@ from ..result import Result
 from ..sources.georeference import Place
 from .geo import write_geojson, write_geopackage
 
-
 TILE_COLUMNS = ("x_px", "y_px", "width_px", "height_px", "vehicles", "used", "m_per_px", "relative_spread")
 
 
@@ -94,12 +93,20 @@ def write_tiles(result: Result, place: Place, path: Path) -> None:
         writer.writerows(rows)
 
 
+def _is_of_tiles(out: Path, path: Path) -> bool:
+    return has_header(path, TILE_COLUMNS)
+
+
 EXTRAS = {
     "tfw": Extra(lambda out: out.with_suffix(".tfw"), write_world_file, _says_the_same),
     "scale": Extra(lambda out: out.with_name(f"{out.name}.scale.txt"), write_scale_file),
     "gpkg": Extra(lambda out: out.with_name(f"{out.name}.gpkg"), write_geopackage),
     "geojson": Extra(lambda out: out.with_name(f"{out.name}.geojson"), write_geojson),
-    "tiles": Extra(lambda out: out.with_name(f"{out.name}.tiles.csv"), write_tiles, lambda out, path: has_header(path, TILE_COLUMNS)),
+    "tiles": Extra(
+        lambda out: out.with_name(f"{out.name}.tiles.csv"),
+        write_tiles,
+        lambda out, path: has_header(path, TILE_COLUMNS),
+    ),
 }
 
 

@@ -10,6 +10,7 @@ from types import MappingProxyType
 import click
 
 from ..check import own_claim
+from ..errors import printable
 from ..result import Result
 from .document import remarks
 from .judgement import FIT, percent
@@ -72,7 +73,8 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
         table.append(("looked at", looked))
     table += [("also", f"{e.value:.5g} from {e.says}  +- {percent(1.645 * e.relative_sd)}") for e in scale.evidence]
     table += [("note", remark) for remark in remarks(result)]
-    return table + [(label, str(path)) for label, path in written.items()]
+    table += [(label, str(path)) for label, path in written.items()]
+    return [(label, printable(value)) for label, value in table]
 
 
 def _fleets(fleets: Mapping[str, float]) -> list[tuple[str, str]]:
