@@ -37,7 +37,7 @@ except ImportError:  # not POSIX
 MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files that it wrote
 ELSEWHERE = "Choose another place, or delete it yourself."
 DISK = (OSError, sqlite3.Error)  # what a disk that is full, gone or read-only raises
-LOCK, FORMER = "lock", "former"  # in the scratch folder of an output
+LOCK, NEW, FORMER = "lock", "new", "former"  # in the scratch folder of an output
 
 # What GDAL reads beside a file: the file's name and this, or its stem and this. World files come on top.
 BESIDE_NAME = (".aux.xml", ".ovr", ".msk", ".xml", "-wal", "-shm", "-journal")
@@ -240,10 +240,16 @@ class _Claim:
         self.scratch = path.absolute().parent / f".{signature(path).replace(' ', '-')}.partial"
         with _writing(path):
             self._lock = _locked(self.scratch, path)
-            self._clear()
-            self.before = _identity(path)
-        self.partial = self.scratch / path.name
-        self._former = self.scratch / FORMER / path.name
+            self.partial, self._former = self.scratch / NEW / path.name, self.scratch / FORMER / path.name
+            try:
+                if self._former.exists() and not os.path.lexists(path):  # a killed run had just put it aside
+                    os.rename(self._former, path)
+                self._clear()
+                self.before = _identity(path)
+                self.partial.parent.mkdir()
+            except BaseException:
+                self.release()
+                raise
 
     def concerns(self, name: str | bytes) -> bool:
         """Whether an error about the file `name` is one about this output."""
@@ -295,10 +301,7 @@ class _Claim:
         os.rename(self.path, self._former)
 
     def _clear(self) -> None:
-        """Empty the scratch folder; a former output that a killed run had just put aside goes back to its place."""
-        former = self.scratch / FORMER / self.path.name
-        if former.exists() and not os.path.lexists(self.path):
-            os.rename(former, self.path)
+        """Empty the scratch folder but for the lock."""
         for entry in os.scandir(self.scratch):
             if entry.is_dir(follow_symlinks=False):
                 shutil.rmtree(entry.path, ignore_errors=True)
@@ -479,6 +482,10 @@ def _locked(scratch: Path, path: Path) -> int:
             lock = os.open(scratch / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
         except FileNotFoundError:  # its run has just ended
             continue
+        except OSError:
+            with suppress(OSError):
+                scratch.rmdir()
+            raise
         try:
             if fcntl is not None:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

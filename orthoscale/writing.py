@@ -56,13 +56,16 @@ def fix(
     path, out = Path(path), Path(out)
     if report not in REPORTS:
         raise UsageError(f"--report {report} is none of {', '.join(REPORTS)}")
+    from .exchange import check_name, save
+    from .report.extras import EXTRAS, chosen
+    from .report.files import write_report
+
     with Outputs(overwrite, (path, options)) as outputs:
         outputs.check(out)
+        if save_detections is not None:
+            check_name(Path(save_detections))
+            outputs.check(Path(save_detections))
         source = open_source(path, options.get("images"), need_images=options.get("detections") is None)
-        from .exchange import check_name, save
-        from .report.extras import EXTRAS, chosen
-        from .report.files import write_report
-
         picture = source.unit == "m/px"
         if not picture and (keep_origin or cog or also):
             raise UsageError("--keep-origin, --cog and --also are for orthophotos", f"{path} is a model.")
@@ -91,7 +94,6 @@ def fix(
             main = outputs.folder(out)
             parts = {kind: main / place.name for kind, place in parts.items()}
         if save_detections is not None:
-            check_name(Path(save_detections))
             save_detections = outputs.file(Path(save_detections))
         outputs.protect(*source.files, *([cast("ColmapSource", source).dense] if dense else []))
         result = estimate(source, **options)

@@ -55,16 +55,16 @@ def check(
             raise UsageError("--save-detections keeps the boxes of one input", "Leave it or --model away.")
         _against_model(path, as_json, model, model_detections, options)
         return
-    source = open_source(path, options.pop("images"), need_images=options["detections"] is None)
-    claimed = getattr(source, "claimed", None)
-    if claimed is None or claimed.gsd_m is None:
-        why = "" if claimed is None else f": {claimed.why}"
-        raise UsageError(f"{path} claims no scale{why}", "Find it by `orthoscale estimate`.")
     with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
         if save_detections is not None:
             check_name(save_detections)
             saved = outputs.file(save_detections)
-            outputs.protect(*source.files)
+        source = open_source(path, options.pop("images"), need_images=options["detections"] is None)
+        outputs.protect(*source.files)
+        claimed = getattr(source, "claimed", None)
+        if claimed is None or claimed.gsd_m is None:
+            why = "" if claimed is None else f": {claimed.why}"
+            raise UsageError(f"{path} claims no scale{why}", "Find it by `orthoscale estimate`.")
         result = pipeline.estimate(source, progress=progress, **options)
         if save_detections is not None:
             save(result.detections, saved, source)

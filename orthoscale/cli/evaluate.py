@@ -52,7 +52,7 @@ def evaluate(
     paper's formula, `program` what its authors' program computes.
     """
     from ..evaluate import report
-    from ..exchange import check_name, save
+    from ..exchange import check_name
     from ..outputs import Outputs
     from ..photo import looking as boxes
     from ..photo.tables import check_ending
@@ -70,7 +70,7 @@ def evaluate(
         photos = [sample.photo for sample in samples]
         found = boxes.boxes_of(photos, how, progress)
         if save_detections is not None:  # worth a look above all where they are too few
-            save(found, saved, boxes.Album(photos))
+            boxes.save_boxes(found, saved, photos)
             files.deliver(saved)
         text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress)
         for partial in partials:

@@ -49,7 +49,7 @@ def photo(
     interval. The ground is taken to be level.
     """
     from ..errors import TooLittleEvidence
-    from ..exchange import check_name, save
+    from ..exchange import check_name
     from ..outputs import Outputs
     from ..photo import looking as boxes
     from ..photo import survey, tables
@@ -68,7 +68,7 @@ def photo(
         photos, problems = survey.open_photos(find_photos(paths), decode=how.detections is None, **lens)
         found = boxes.boxes_of(photos, how, progress)
         if save_detections is not None:  # worth a look above all where they are too few
-            save(found, saved, boxes.Album(photos))
+            boxes.save_boxes(found, saved, photos)
             files.deliver(saved)
         outcomes = survey.measure_each(photos, problems, found, ruler)
         pooled = survey.measure_together(photos, found, ruler) if together else None

@@ -84,3 +84,10 @@ def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) 
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
         raise type(error)(f"{where}: {error.message}", error.hint) from error
+
+
+def save_boxes(found: Detections, path: Path, photos: Sequence[Photo]) -> None:
+    """Write `found` to `path`, in the format that its name says. Raises UsageError, OSError."""
+    from ..exchange import save
+
+    save(found, path, Album(photos))
