@@ -75,4 +75,4 @@ def evaluate(
         text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress)
         for partial in partials:
             report.write(text, partial)
-    say(json.dumps(text) if as_json else report.tables(text, outputs))
+    click.echo(json.dumps(text)) if as_json else say(report.tables(text, outputs))

@@ -85,4 +85,4 @@ def layout(
         outputs.protect(*made.ground.source.files)
         if folder is not None:
             planning.write(made, folder)
-    say(json.dumps(planning.document(made)) if as_json else summary(made, out))
+    click.echo(json.dumps(planning.document(made))) if as_json else say(summary(made, out))
