@@ -61,6 +61,11 @@ def ours(path: Path) -> bool:
     return not _why_not_ours(path)
 
 
+def ours_in_a_folder(path: Path) -> bool:
+    """Whether orthoscale wrote `path`, alone or together with the folder that it lies in."""
+    return ours(path) or (path.is_file() and path.name in (_listed(path.absolute().parent) or ()))
+
+
 def named(*values: object) -> list[Path]:
     """The existing files and folders that `values` name, and those inside of them that are collections: all that a
     command was given is an input, unless it is an output."""
@@ -100,7 +105,7 @@ class Outputs:
         """Where to write the file that is to be `path`; it has the same name.
 
         mine : whether the file that is there now is orthoscale's, for formats that have no room for a `signature`.
-        JSON, HTML, PNG and GeoPackage files are signed at the end; writers of other formats do it themselves.
+        JSON, HTML, PNG and GeoPackage files are signed at the end; writers of TIFF and text do it themselves.
         """
         return self._claim(path, mine, folder=False).partial
 
@@ -192,7 +197,7 @@ class Outputs:
         path = Path(path)
         self.check(path, mine)
         with stopping.held():
-            claim = _Claim(path, mine)
+            claim = _Claim(path)
             self._claims.append(claim)
         if claim.before is not None and path.is_dir() != folder:
             kinds = ("file", "folder") if folder else ("folder", "file")
@@ -234,8 +239,8 @@ class _Claim:
     before : identity of what is to be replaced, None where there is nothing.
     """
 
-    def __init__(self, path: Path, mine: Callable[[Path], bool] | None) -> None:
-        self.path, self.mine = path, mine
+    def __init__(self, path: Path) -> None:
+        self.path = path
         self.retired = self.failed = False
         self.scratch = path.absolute().parent / f".{signature(path).replace(' ', '-')}.partial"
         with _writing(path):
@@ -258,7 +263,7 @@ class _Claim:
     def sign(self) -> None:
         if self.partial.is_dir():
             _sign_folder(self.partial)
-        elif self.mine is None:
+        else:
             _sign_file(self.partial)
 
     def place(self) -> None:
@@ -374,15 +379,21 @@ def _why_not_ours(path: Path, mine: Callable[[Path], bool] | None = None) -> str
 
 
 def _why_not_our_folder(folder: Path) -> str:
+    files = _listed(folder)
+    if files is None:
+        return "was not written by orthoscale under this name"
+    strangers = (name for name in _files_in(folder) if name not in files and not ours(folder / name))
+    stranger = next(strangers, "")
+    return f"holds {stranger}, which orthoscale did not write" if stranger else ""
+
+
+def _listed(folder: Path) -> set[str] | None:
+    """The files that the mark of `folder` lists; None where there is no mark for a folder of this name."""
     try:
         mark = json.loads((folder / MARK).read_text(encoding="utf-8"))
-        known, files = mark["written_by"] == signature(folder), set(mark["files"])
+        return set(mark["files"]) if mark["written_by"] == signature(folder.absolute()) else None
     except (OSError, ValueError, KeyError, TypeError):
-        known, files = False, set()
-    if not known:
-        return "was not written by orthoscale under this name"
-    stranger = next((name for name in _files_in(folder) if name not in files), "")
-    return f"holds {stranger}, which orthoscale did not write" if stranger else ""
+        return None
 
 
 def _files_in(folder: Path) -> Iterator[str]:

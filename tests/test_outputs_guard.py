@@ -414,7 +414,7 @@ def test_a_former_output_that_a_killed_run_had_put_aside_comes_back(tmp_path, mo
     with monkeypatch.context() as patch:
         patch.setattr(guard._Claim, "release", lambda claim: os.close(claim._lock))
         patch.setattr(guard._Claim, "undo", lambda claim: None)
-        claim = guard._Claim(tmp_path / "a", None)
+        claim = guard._Claim(tmp_path / "a")
         claim._put_former_aside()
         claim.release()
     assert not (tmp_path / "a").exists()
@@ -689,6 +689,10 @@ def test_a_model_is_delivered_though_its_report_fails(tmp_path, monkeypatch, par
         page = tmp_path / ("later.png" if part == "vehicles.png" else "later.html")
         assert run("report", tmp_path / "out/report.json", "--out", page).returncode == 0
         assert page.stat().st_size > 10_000
+        # Made again where it belongs, it is one of the folder's own, and may be replaced.
+        for _ in range(2):
+            assert run("report", tmp_path / "out/report.json", "--overwrite").returncode == 0
+        assert ours(tmp_path / "out")
     with pytest.raises(Incomplete) as caught:
         monkeypatch.setattr(f"orthoscale.report.files.{where}", fail)
         fix(MODEL, tmp_path / "again", detections=BOXES, fleet="US")

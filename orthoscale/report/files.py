@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError, OrthoscaleError
-from ..outputs import Outputs
+from ..outputs import Outputs, ours_in_a_folder
 from ..result import Result
 from ..sources.opening import open_source
 from .document import document, read_json, write_json
@@ -46,7 +46,7 @@ def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = 
     Returns why there are none, or ''. Raises InputError for a file that is no report, and what `Outputs` does.
     """
     with Outputs(overwrite, (path, images)) as outputs:
-        partial = outputs.file(out)
+        partial = outputs.file(out, ours_in_a_folder)
         report = read_json(path)
         try:
             source, why = _source(report, path, images)
