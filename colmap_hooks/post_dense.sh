@@ -15,11 +15,22 @@ if [ -d "$workspace/dense_metric" ]; then
 fi
 "$(dirname "$0")/post_sparse.sh" "$@"
 
-# Written aside, then renamed, so that a run that was cut off is not taken for a whole one.
+# Written aside, then renamed, so that a run that was cut off is not taken for a whole one. The folder is this run's own
+# while the process it names is there.
 partial="$workspace/.dense_metric.partial"
-rm -rf "$partial"
+if ! mkdir "$partial" 2>/dev/null; then
+    writer=$(cat "$partial/.writer" 2>/dev/null) || { echo "$partial is in the way: remove it" >&2; exit 2; }
+    if kill -0 "$writer" 2>/dev/null; then
+        echo "$workspace/dense_metric is being written by process $writer" >&2
+        exit 2
+    fi
+    rm -rf "$partial"
+    mkdir "$partial"
+fi
 trap 'rm -rf "$partial"' EXIT
-mkdir "$partial"
+trap 'exit 130' INT
+trap 'exit 143' TERM
+echo $$ >"$partial/.writer"
 if [ -d "$workspace/dense/0" ]; then
     for dense in "$workspace"/dense/*/; do
         name=$(basename "$dense")
@@ -30,15 +41,21 @@ if [ -d "$workspace/dense/0" ]; then
             sed "s|$partial/of_$name/|$workspace/dense_metric/|" "$partial/said"
             rm "$partial/said"
             mv "$partial/of_$name/$name" "$partial/$name"
-            rmdir "$partial/of_$name"
+            rm -rf "$partial/of_$name"
         else
             echo "$dense is left out: its sparse model has no scale" >&2
         fi
     done
     [ -n "$(ls "$partial")" ] || { echo "no dense workspace has a scaled sparse model" >&2; exit 3; }
-    mv "$partial" "$workspace/dense_metric"
+    made=$partial
 else
     orthoscale apply "$workspace/sparse_metric/sim3.json" "$workspace/dense" --out "$partial/of" >"$partial/said"
     sed "s|$partial/of/dense|$workspace/dense_metric|" "$partial/said"
-    mv "$partial/of/dense" "$workspace/dense_metric"
+    made=$partial/of/dense
 fi
+if [ -e "$workspace/dense_metric" ]; then
+    echo "$workspace/dense_metric was made by somebody else meanwhile" >&2
+    exit 2
+fi
+rm -f "$made/.writer"
+mv "$made" "$workspace/dense_metric"

@@ -1,3 +1,18 @@
-from .cli import main
+"""`python -m orthoscale`, and the command `orthoscale`: signals are heard before anything large is loaded."""
 
-main()
+from __future__ import annotations
+
+from . import stopping
+
+stopping.leave_at_once()
+
+
+def main() -> None:
+    """The command line."""
+    from .cli import main as command_line
+
+    command_line()
+
+
+if __name__ == "__main__":
+    main()

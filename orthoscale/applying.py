@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from .atomic import new_folder
 from .errors import UsageError
+from .outputs import Outputs
 from .rescale.files import scale_path
 from .rescale.sim3 import Sim3
 
@@ -21,12 +21,13 @@ def apply(
     Returns what was written, with notes on each; all of it, or none. Raises UsageError, InputError, OutputError.
     """
     out = Path(out)
-    scale = Sim3.load(Path(sim3)).scale
     names = [Path(path).resolve().name for path in files]
     if len(set(names)) < len(names):
         raise UsageError("two FILEs have the same name", "Write them to different folders, one after the other.")
     written = {}
-    with new_folder(out, overwrite) as folder:
+    with Outputs(overwrite, (sim3, list(files))) as outputs:
+        folder = outputs.folder(out)
+        scale = Sim3.load(Path(sim3)).scale
         for path, name in zip(map(Path, files), names, strict=True):
             target = folder / name
             if path.is_dir():

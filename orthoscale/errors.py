@@ -5,13 +5,18 @@
 
 from __future__ import annotations
 
-LONGEST = 1500  # characters of a message or a hint
+from typing import Any
+
+LONGEST = 1500  # [characters] of a message or a hint: names and values from a file may be of any length
 
 
-def shown(text: str, most: int = 80) -> str:
-    """`text` of a file as a terminal may show it: without control characters, its middle left out where it is long."""
-    plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return plain if len(plain) <= most else f"{plain[: most - most // 3]} ... {plain[-most // 3 :]}"
+def shown(text: object, most: int = 80) -> str:
+    """One line of `text` that a terminal takes for nothing else: control characters, line breaks and bytes that are no
+    characters as escapes, its middle left out where it is longer than `most` characters."""
+    line = str(text)
+    if len(line) > most:
+        line = f"{line[: most - most // 3]} ... {line[-(most // 3) :]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 
 
 class OrthoscaleError(Exception):
@@ -59,3 +64,14 @@ class OutputError(OrthoscaleError):
     """An output could not be written, or did not read back as it was meant."""
 
     exit_code = 6
+
+
+class Incomplete(OutputError):
+    """The main output is verified and in its place; a report or another file beside it could not be made.
+
+    result : what the caller would have got.
+    """
+
+    def __init__(self, message: str, hint: str = "", result: Any = None):
+        super().__init__(message, hint)
+        self.result = result

@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from .cli.main import Commands
+from .cli.options import say
 from .errors import OrthoscaleError
 
 
@@ -17,7 +18,7 @@ class RioCommands(Commands):
         try:
             return super().invoke(ctx)
         except OrthoscaleError as error:
-            click.echo(f"error: {error}", err=True)
+            say(f"error: {error}", err=True)
             ctx.exit(error.exit_code)
 
 

@@ -40,7 +40,7 @@ def write_layer(
                 layer=layer if suffix == ".gpkg" else None,
                 append=False,
             )
-    except pyogrio.errors.DataSourceError as error:
+    except RuntimeError as error:  # pyogrio's errors are all RuntimeErrors
         raise OSError(f"GDAL could not write the layer {layer} ({error})") from error
 
 

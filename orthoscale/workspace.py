@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .atomic import check_free, new_folder
-from .errors import EvidenceDisagrees, InputError, OrthoscaleError, TooLittleEvidence
+from .errors import EvidenceDisagrees, Incomplete, InputError, OrthoscaleError, TooLittleEvidence
+from .outputs import Outputs
 from .pipeline import measured
 from .requests import EstimateRequest, FixRequest
 from .result import Result
@@ -26,7 +26,7 @@ OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError)
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one model: its result, or why it has none."""
+    """What became of one model: its result, or why it has none; both where something beside it is missing."""
 
     model: Path
     result: Result | None
@@ -38,6 +38,7 @@ class Outcome:
             code = self.error.exit_code if self.error else 1
             return {"model": str(self.model), "error": str(self.error), "exit_code": code}
         scale = self.result.scale
+        missing = {"missing": self.error.message} if self.error else {}
         return {
             "model": str(self.model),
             "scale": scale.value,
@@ -45,6 +46,7 @@ class Outcome:
             "interval90": list(scale.interval90),
             "verdict": scale.verdict,
             "vehicles_used": scale.vehicles_used,
+            **missing,
         }
 
 
@@ -63,26 +65,39 @@ def estimate_all(models: list[Path], request: EstimateRequest, progress: Progres
     return _checked([_one(model, partial(measured, model, request, progress)) for model in models])
 
 
-def fix_all(models: list[Path], out: Path, request: FixRequest, progress: Progress | None = None) -> list[Outcome]:
+def fix_all(
+    models: list[Path],
+    out: Path,
+    request: FixRequest,
+    workspace: Path | None = None,
+    progress: Progress | None = None,
+) -> list[Outcome]:
     """`fix` for each of `models`, into folders of their names in the folder `out`, with models.json beside them.
 
-    A model that has too little evidence, or is damaged, is left out and does not stop the others.
-    Raises the first error if none has a scale; then nothing is written.
+    A model that has too little evidence, or is damaged, is left out and does not stop the others. workspace : what they
+    were found in, an input as they are.
+    Raises the first error if none has a scale; then nothing is written. Raises Incomplete, with the outcomes, if
+    something beside a model could not be made.
     """
-    check_free(out, request.overwrite)
-    with new_folder(out, request.overwrite) as folder:
+    with Outputs(request.overwrite, (workspace, models, vars(request))) as outputs:
+        folder = outputs.folder(out)
         fresh = replace(request, overwrite=False)  # nothing can be in a new folder
         outcomes = _checked(
             [_one(model, partial(written, model, folder / model.name, fresh, progress)) for model in models]
         )
         text = {outcome.model.name: outcome.document() for outcome in outcomes}
         (folder / "models.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+    missing = [outcome.error for outcome in outcomes if isinstance(outcome.error, Incomplete)]
+    if missing:
+        raise Incomplete("; ".join(error.message for error in missing), missing[0].hint, outcomes)
     return outcomes
 
 
 def _one(model: Path, do: Callable[[], Result]) -> Outcome:
     try:
         return Outcome(model, do(), None)
+    except Incomplete as error:
+        return Outcome(model, error.result, error)
     except OF_ONE as error:
         return Outcome(model, None, error)
 

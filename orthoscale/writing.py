@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from .atomic import check_free, new_file, new_folder
-from .errors import UsageError
+from .errors import Incomplete, UsageError
+from .outputs import Outputs
 from .pipeline import measured
 from .requests import FixRequest
 from .result import Result
@@ -30,79 +30,102 @@ def fix(
     out: str | Path,
     *,
     progress: Progress | None = None,
+    save_detections: str | Path | None = None,
     **options: Unpack[FixOptions],
 ) -> Result:
     """Estimate the scale of `path` (see `estimate` for its options) and write a copy of it in metres at `out`.
 
     An orthophoto becomes the GeoTIFF `out` with `out`.json, `out`.png and `out`.html beside it; a model the folder
-    `out` with sim3.txt, report.json, vehicles.png and report.html in it. All of them appear, or none.
+    `out` with sim3.txt, report.json, vehicles.png and report.html in it. No input is touched, see `outputs`.
 
-    overwrite : replace what is at `out`. override : rescale although the input's own georeferencing gives a scale.
-    keep_origin : an orthophoto keeps its coordinate reference system, first corner and direction; else local metres.
+    overwrite : replace what orthoscale wrote at `out` before. override : rescale although the input's own
+    georeferencing gives a scale. keep_origin : an orthophoto keeps its coordinate reference system, first corner and
+    direction; else local metres.
     cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.EXTRAS`.
     force : write although the evidence is too uncertain to be useful (verdict ``unusable``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
     report : ``html``, ``json`` (without the page) or ``none``.
-    Raises what `estimate` raises, OutputError.
+    save_detections : also keep the boxes in this file.
+    Raises what `estimate` raises, OutputError; Incomplete if the copy is verified and in its place but something beside
+    it could not be made.
     """
-    return written(Path(path), Path(out), FixRequest.of(options), progress)
+    keep = None if save_detections is None else Path(save_detections)
+    return written(Path(path), Path(out), FixRequest.of(options), progress, keep)
 
 
-def written(path: Path, out: Path, request: FixRequest, progress: Progress | None = None) -> Result:
+def written(
+    path: Path, out: Path, request: FixRequest, progress: Progress | None = None, save_detections: Path | None = None
+) -> Result:
     """What `request` asks of the input at `path`, written at `out`; see `fix`."""
-    overwrite = request.overwrite
-    check_free(out, overwrite)
-    if out.resolve() == path.resolve():
-        raise UsageError(f"{out} is the input itself", "The input is never touched: choose another --out.")
-    source = open_source(path, request.images, need_images=request.detections is None)
-    from .report.extras import chosen
-
-    wanted = chosen(request.also)
-    extras = [(extra.place(out), extra.write) for extra in wanted]
-    parts = report_paths(out, source.unit, request.report)
-    if source.unit == "m/px":
-        request.for_orthophoto(path)
-        for beside in (*parts.values(), *(place for place, _ in extras)):
-            check_free(beside, overwrite)
-        for extra in wanted:
-            extra.check(source)
-    else:
-        request.for_model(path)
-    if source.metric_already and not request.override:  # not behind its owner's back
-        raise UsageError(
-            f"{path} is in metres already: {source.metric_already}",
-            "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
-        )
-    if request.dense:
-        cast("ColmapSource", source).dense  # noqa: B018  raises where there is none, before any work is done
-    result = measured(source, request.estimating(), progress)
-    if not request.force:
-        result.require_useful()
+    from .exchange import check_name, save
+    from .report.extras import EXTRAS, chosen
     from .report.files import write_report
 
-    with ExitStack() as outputs:  # renamed into place in reverse order, the main output last
-        if source.unit == "m/px":
-            main = outputs.enter_context(new_file(out, overwrite))
-            parts = {kind: outputs.enter_context(new_file(place, overwrite)) for kind, place in parts.items()}
+    with Outputs(request.overwrite, (path, vars(request))) as outputs:
+        outputs.check(out)
+        if save_detections is not None:
+            check_name(save_detections)
+            outputs.check(save_detections)
+        source = open_source(path, request.images, need_images=request.detections is None)
+        parts, extras = report_paths(out, source.unit, request.report), chosen(request.also)
+        picture = source.unit == "m/px"
+        if picture:
+            request.for_orthophoto(path)
+            for extra in extras:
+                extra.check(source)
+        else:
+            request.for_model(path)
+        if source.metric_already and not request.override:  # not behind its owner's back
+            raise UsageError(
+                f"{path} is in metres already: {source.metric_already}",
+                "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
+            )
+        dense = cast("ColmapSource", source).dense if request.dense else None  # raises where there is none
+        if picture:
+            for suffix in GDAL_SIDECARS:
+                if os.path.lexists(beside := _beside(out, suffix)):
+                    raise UsageError(f"{beside} would be taken for a part of {out}", "Move it away, or delete it.")
+            main = outputs.file(out)
+            parts = {kind: outputs.file(place) for kind, place in parts.items()}
+            places = [outputs.file(extra.place(out), extra.known(out)) for extra in extras]
+            # What lies beside the file that is replaced would speak for the new one.
+            for kind in set(REPORTS["html"]) - set(parts):
+                outputs.retire(_beside(out, f".{kind}"))
+            for extra in EXTRAS.values():
+                if extra not in extras:
+                    outputs.retire(extra.place(out), extra.known(out))
+        else:
+            main = outputs.folder(out)
+            parts = {kind: main / place.name for kind, place in parts.items()}
+        if save_detections is not None:
+            save_detections = outputs.file(save_detections)
+        outputs.protect(*source.files, *([] if dense is None else [dense]))
+        result = measured(source, request.estimating(), progress)
+        if not request.force:
+            result.require_useful()
+        if picture:
             raster = cast("RasterSource", source)
             raster.write(main, result.scale.value, request.keep_origin, request.cog)
-            for place, write in extras:
-                partial = outputs.enter_context(new_file(place, overwrite))
-                write(result, raster.place(result.scale.value, request.keep_origin), partial)
         else:
-            main = outputs.enter_context(new_folder(out, overwrite))
-            parts = {kind: main / place.name for kind, place in parts.items()}
             source.write(main, result.scale.value)
             if request.dense:
                 (main / "dense").mkdir()
                 cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
-        write_report(result, parts)
-        if overwrite and main.is_file():  # what lies beside the file that is replaced would speak for the new one
-            stale = [f".{kind}" for kind in REPORTS["html"] if kind not in parts]
-            for suffix in (*GDAL_SIDECARS, *stale):
-                _beside(out, suffix).unlink(missing_ok=True)
-            if "tfw" not in request.also:
-                out.with_suffix(".tfw").unlink(missing_ok=True)
+        # The copy is verified: what fails from here on does not take it away.
+        write_report(result, parts, outputs.attempt)
+        if picture:
+            for extra, partial in zip(extras, places, strict=True):
+                with outputs.attempt(partial, partial.name):
+                    extra.write(result, raster.place(result.scale.value, request.keep_origin), partial)
+        if save_detections is not None:
+            with outputs.attempt(save_detections, save_detections.name):
+                save(result.detections, save_detections, source)
+    if missing := outputs.missing():
+        raise Incomplete(
+            f"{out.name} is written and verified, but {missing}",
+            "`orthoscale report` makes the page and the picture from the report's JSON; else run again.",
+            result,
+        )
     return result
 
 

@@ -167,7 +167,7 @@ def test_the_local_fleet_travels_with_the_file(place, tmp_path):
     result = command(*words, "--local-fleet", "--out", out, "--json")
     assert result.exception is None, result.output
     told = json.loads(result.output)
-    assert told == json.loads(out.read_text())
+    assert told.items() <= json.loads(out.read_text()).items()
     american = Fleet.load("US").mean
     assert told["fleet"]["length"][0] < american[0], "these are German vehicles"
     options = {"detector": place / "net.onnx", "zoom": 0.9, "calibration": out}

@@ -96,6 +96,32 @@ def test_post_dense_follows_the_layout(bench):
     assert bench.stamps() == before and not list(bench.work.glob(".*"))
 
 
+def test_post_dense_knows_a_dead_run_from_a_living_one(bench):
+    bench.sparse()
+    dense_workspace(bench.work / "dense")
+    partial = bench.work / ".dense_metric.partial"
+    partial.mkdir()
+    (partial / "half").touch()
+
+    def refused():
+        bench.run("post_sparse.sh", bench.work, *OPTIONS)
+        before = bench.stamps()
+        command = [HOOKS / "post_dense.sh", bench.work]
+        done = subprocess.run(command, env=bench.environment, capture_output=True, text=True)
+        assert done.returncode == 2 and bench.stamps() == before
+        return done.stderr
+
+    assert "in the way" in refused()
+    (partial / ".writer").write_text(str(os.getpid()))
+    assert "being written" in refused()
+    with subprocess.Popen(["true"]) as dead:
+        pass
+    (partial / ".writer").write_text(str(dead.pid))
+    bench.run("post_dense.sh", bench.work)
+    assert (bench.work / "dense_metric/fused.ply").is_file() and not list(bench.work.glob(".*"))
+    assert not (bench.work / "dense_metric/.writer").exists()
+
+
 def test_automatic_reconstructor_then_metres(bench):
     """The stand-in leaves what colmap would: sparse/0 and dense/0; the hook brings both to metres, once."""
     made = dense_workspace(bench.work.parent / "made")
@@ -249,7 +275,7 @@ def test_a_kill_leaves_nothing(bench, how):
             time.sleep(0.1)
         process.send_signal(how)
         assert b"nothing was written" in process.communicate()[1]
-    assert process.returncode == 130
+    assert process.returncode == 128 + how
     assert sorted(p.name for p in bench.work.iterdir()) == ["images", "slow.py", "sparse", "there"]
 
 

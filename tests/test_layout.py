@@ -301,7 +301,7 @@ def test_a_folder_with_everything_in_it(tmp_path):
     names = (
         "layout.json layout.gpkg layout.geojson layout.dxf mask.tif lines.tif mask.png lines.png lot.png overlay.png"
     )
-    assert {p.name for p in out.iterdir()} == {*names.split(), "prompt.txt"}
+    assert {p.name for p in out.iterdir()} == {*names.split(), "prompt.txt", ".orthoscale.json"}
     text = json.loads((out / "layout.json").read_text())
     assert [f["number"] for f in text["facilities"]] == [1, 2, 3, 4]
     assert "28 x 15 m" in (out / "prompt.txt").read_text()

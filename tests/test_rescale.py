@@ -333,7 +333,7 @@ def test_apply(tmp_path):
     out = tmp_path / "metric"
     run = CliRunner().invoke(cli, ["apply", *map(str, (tmp_path / "sim3.json", cloud, dense)), "--out", str(out)])
     assert run.exit_code == 0, run.output
-    assert sorted(p.name for p in out.iterdir()) == ["a.ply", "dense"]
+    assert sorted(p.name for p in out.iterdir()) == [".orthoscale.json", "a.ply", "dense"]
     assert np.allclose(read_ply(out / "a.ply", 3)[0], SCALE * XYZ)
 
     cloud.write_bytes(cloud.read_bytes()[:-30])

@@ -13,6 +13,7 @@ from test_rescale import dense_workspace
 
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+from orthoscale.outputs import MARK
 from orthoscale.requests import FixRequest
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.workspace import fix_all, models_in
@@ -52,11 +53,27 @@ def test_each_model_has_its_own_scale(work, tmp_path):
     assert heights[0] == pytest.approx(heights[1], rel=1e-3)
 
 
+def test_a_workspace_is_never_an_output(work, tmp_path):
+    from click.testing import CliRunner
+
+    (tmp_path / "foreign").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    words = ["fix", str(work), "--fleet", "US", "--detections", str(EXAMPLE / "detections.json"), "--overwrite"]
+    for out in (".", "sparse", "sparse/0", "sparse/0/new", "new", "../foreign", ".."):
+        run = CliRunner().invoke(cli, [*words, "--out", str(work / out)])
+        assert isinstance(run.exception, UsageError), (out, run.exception)
+        assert sorted(tmp_path.rglob("*")) == before
+    for out in (work, work / "sparse", work / "sparse/1", work / "sparse/1/new"):
+        with pytest.raises(UsageError):
+            fix_all(models_in(work), out, FixRequest(overwrite=True, **OPTIONS))
+        assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_a_model_without_evidence_does_not_stop_the_others(work, tmp_path):
     (work / "sparse/1/points3D.bin").write_bytes(b"\0" * 5)
     outcomes = fix_all(models_in(work), tmp_path / "out", FixRequest(**OPTIONS))
     assert [outcome.error is None for outcome in outcomes] == [True, False]
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["0", "models.json"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [MARK, "0", "models.json"]
     assert json.loads((tmp_path / "out/models.json").read_text())["1"]["exit_code"] == 5
 
     (tmp_path / "few.json").write_text('{"DJI_0225.jpg": []}')

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from .options import EXIT_CODES
+from .options import EXIT_CODES, PATH, overwrite_option, say
 
 
 @click.command(
@@ -15,10 +15,10 @@ from .options import EXIT_CODES
     "  orthoscale apply scaled/sim3.json nerf/transforms.json --out nerf_metric/\n"
     "  orthoscale apply scaled/sim3.json work/dense --out metric/\n\n" + EXIT_CODES
 )
-@click.argument("sim3", metavar="SIM3", type=click.Path(path_type=Path))
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write; names stay as they are.")
-@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.argument("sim3", metavar="SIM3", type=PATH)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=PATH)
+@click.option("--out", required=True, type=PATH, help="Folder to write; names stay as they are.")
+@overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_json: bool, debug: bool) -> None:
@@ -38,4 +38,4 @@ def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_js
         click.echo(json.dumps({"scale": Sim3.load(sim3).scale, "written": texts}))
         return
     for path, notes in written.items():
-        click.echo(f"written    {path}" + "".join(f"\n           {note}" for note in notes))
+        say(f"written    {path}" + "".join(f"\n           {note}" for note in notes))

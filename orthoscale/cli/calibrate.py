@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ..requests import VehicleRequest
-from .options import EXIT_CODES, options_of, progress_bars
+from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, say
 
 # The scale is known, and the boxes are looked for at three zooms: what says otherwise is not asked for.
 NOT_HERE = ("fleet", "detections", "calibration", "zoom", "gsd_hint")
@@ -20,13 +20,13 @@ NOT_HERE = ("fleet", "detections", "calibration", "zoom", "gsd_hint")
     "  orthoscale calibrate ortho.jpg --gsd 0.0967 --fleet PH --detector yolo11n-obb.onnx --out yolo.json\n"
     "  orthoscale fix other.tif --calibration ruler.json --fleet DE --out scaled.tif\n\n" + EXIT_CODES
 )
-@click.argument("path", metavar="ORTHO", type=click.Path(path_type=Path))
+@click.argument("path", metavar="ORTHO", type=PATH)
 @click.option("--gsd", type=float, metavar="M", help="Metres per pixel; by default what the georeferencing says.")
 @click.option("--fleet", default="world", show_default=True, help="Country code (US, DE, JP ...) or fleet.json.")
 @click.option("--local-fleet", is_flag=True, help="Also fit the sizes of the vehicles that stand here.")
 @options_of(VehicleRequest, leave=NOT_HERE)
-@click.option("--out", type=click.Path(path_type=Path), help="Calibration file (.json) to write.")
-@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.option("--out", type=PATH, help="Calibration file (.json) to write.")
+@overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print the calibration as JSON on standard output.")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, debug: bool, **options: Any) -> None:
@@ -36,15 +36,14 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, debu
     of others, whose boxes nobody has measured. With --local-fleet it also holds the sizes of the vehicles that stand
     here, for other pictures of the same place.
     """
-    from ..atomic import check_free, new_file
     from ..calibrating import calibrate as measure
+    from ..outputs import Outputs
 
-    if out is not None:
-        check_free(out, overwrite)
-    with progress_bars() as progress:
-        calibration = measure(path, progress=progress, **options)
-    if out is not None:
-        with new_file(out, overwrite) as partial:
+    with Outputs(overwrite, (path, options)) as outputs:
+        partial = None if out is None else outputs.file(out)
+        with progress_bars() as progress:
+            calibration = measure(path, progress=progress, **options)
+        if partial is not None:
             calibration.save(partial)
     if as_json:
         click.echo(json.dumps(calibration.as_json()))
@@ -60,4 +59,4 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, debu
     lines += [f"note       {note}" for note in made["notes"]]
     if out is not None:
         lines.append(f"written    {out}")
-    click.echo("\n".join(lines))
+    say("\n".join(lines))

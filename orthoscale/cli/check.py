@@ -11,7 +11,17 @@ import click
 
 from ..errors import EvidenceDisagrees, UsageError
 from ..requests import EstimateRequest
-from .options import debug_option, input_argument, json_option, options_of, progress_bars, save_option
+from .options import (
+    PATH,
+    debug_option,
+    input_argument,
+    json_option,
+    options_of,
+    overwrite_option,
+    progress_bars,
+    save_option,
+    say,
+)
 
 
 @click.command(
@@ -25,10 +35,11 @@ from .options import debug_option, input_argument, json_option, options_of, prog
 @save_option
 @click.option(
     "--model",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="The reconstruction that an orthophoto was made from: check with it.",
 )
-@click.option("--model-detections", type=click.Path(path_type=Path), help="Boxes of its frames from this file.")
+@click.option("--model-detections", type=PATH, help="Boxes of its frames from this file.")
+@overwrite_option
 @json_option
 @debug_option
 def check(
@@ -36,6 +47,7 @@ def check(
     as_json: bool,
     debug: bool,
     save_detections: Path | None,
+    overwrite: bool,
     model: Path | None,
     model_detections: Path | None,
     **options: Any,
@@ -49,7 +61,9 @@ def check(
     EPSG:3857 come out in true metres.
     """
     from ..claims import checked
-    from ..exchange import check_savable, keep
+    from ..exchange import check_name, save
+    from ..outputs import Outputs
+    from ..sources.opening import open_source
 
     request = EstimateRequest.of(options)
     if model is not None:
@@ -59,12 +73,16 @@ def check(
         return
     if model_detections is not None:
         raise UsageError("--model-detections are boxes of a --model, and none is named", "Name it: --model FOLDER.")
-    check_savable(save_detections)
-    with progress_bars() as progress:
-        outcome = checked(path, request, progress)
+    with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
+        if save_detections is not None:
+            check_name(save_detections)
+            saved = outputs.file(save_detections)
+        source = open_source(path, request.images, request.detections is None)
+        outputs.protect(*source.files)
+        outcome = checked(source, request, progress)
+        if save_detections is not None:
+            save(outcome.result.detections, saved, source)
     result, found = outcome.result, outcome.comparisons
-    if save_detections is not None:
-        keep(result.detections, save_detections, result.source)
     low, high = result.scale.interval90
     if as_json:
         report = {
@@ -83,12 +101,12 @@ def check(
             f"{result.scale.vehicles_used} of fleet {result.scale.fleet}"
         )
         for comparison in found:
-            click.echo(f"claim      {comparison.claimed:.5g} {result.scale.unit}: {comparison.why}")
-            click.echo(f"           {comparison.sentence()}")
+            say(f"claim      {comparison.claimed:.5g} {result.scale.unit}: {comparison.why}")
+            say(f"           {comparison.sentence()}")
             if not comparison.believed:
                 click.echo("           the claim itself is not tied to the ground; it is compared as if it were metres")
         for remark in (*result.scale.remarks, *result.notes):
-            click.echo(f"note       {remark}")
+            say(f"note       {remark}")
     if outcome.disagrees:
         sys.exit(EvidenceDisagrees.exit_code)
 
@@ -113,9 +131,9 @@ def _against_model(
         click.echo(json.dumps(checked.document()))
     else:
         low, high = checked.interval90_by_model
-        click.echo(f"orthophoto {checked.by_ortho:.5g} m/px by the vehicles in it")
-        click.echo(f"model      {checked.by_model:.5g} m/px, 90 % {low:.5g} to {high:.5g}")
-        click.echo(f"tied by    {checked.common} vehicles seen in both")
-        click.echo(f"           {checked.agreement.sentence()}")
+        say(f"orthophoto {checked.by_ortho:.5g} m/px by the vehicles in it")
+        say(f"model      {checked.by_model:.5g} m/px, 90 % {low:.5g} to {high:.5g}")
+        say(f"tied by    {checked.common} vehicles seen in both")
+        say(f"           {checked.agreement.sentence()}")
     if checked.agreement.contradicts:
         sys.exit(EvidenceDisagrees.exit_code)

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ..requests import VehicleRequest
-from .options import EXIT_CODES, options_of, progress_bars
+from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, say
 from .photo_options import lens_options
 
 
@@ -19,9 +19,9 @@ from .photo_options import lens_options
     "  orthoscale crop DJI_0021.JPG --satellite sat.tif --square --size 384 --out crops/\n"
     "  orthoscale crop frame.jpg --satellite sat.tif --gsd 0.08 --at 8.5417,47.3769 --out crops/\n\n" + EXIT_CODES
 )
-@click.argument("path", metavar="PHOTO", type=click.Path(path_type=Path))
-@click.option("--satellite", required=True, type=click.Path(path_type=Path), help="Georeferenced satellite picture.")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to write.")
+@click.argument("path", metavar="PHOTO", type=PATH)
+@click.option("--satellite", required=True, type=PATH, help="Georeferenced satellite picture.")
+@click.option("--out", required=True, type=PATH, help="Folder to write.")
 @click.option("--at", metavar="LON,LAT", help="Middle of the search area; the whole picture by default.")
 @click.option("--radius", type=float, metavar="M", help="Half of the search area's side; one crop at --at by default.")
 @click.option("--square", is_flag=True, help="Squares of the photo's shorter side, instead of the full frame.")
@@ -30,7 +30,7 @@ from .photo_options import lens_options
 @click.option("--gsd", type=float, metavar="M", help="Metres per pixel of the photo; then nothing is measured.")
 @options_of(VehicleRequest)
 @lens_options
-@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print what was cut as JSON on standard output.")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def crop(
@@ -59,8 +59,8 @@ def crop(
     photo's size. OUT gets query.jpg, gallery/, manifest.csv (a line per crop: file, longitude, latitude, pixels) and
     crop.json: a gallery for any retrieval network.
     """
-    from ..atomic import check_free
     from ..errors import UsageError
+    from ..outputs import Outputs
     from ..photos import crop as cropping
     from ..photos.footprint import footprint_of
     from ..photos.looking import Looking
@@ -69,13 +69,14 @@ def crop(
     how = Looking.of(looking)
     if gsd is not None and (how.settings() or any(value is not None for value in lens.values())):
         raise UsageError("--gsd says how large a pixel is: nothing is measured", "Leave the other options away.")
-    check_free(out, overwrite)
     place = _place(at)
-    sky = cropping.Satellite.open(satellite)
-    with progress_bars() as progress:
+    with Outputs(overwrite, (path, satellite, lens_file, looking)) as outputs, progress_bars() as progress:
+        folder = outputs.folder(out)
+        sky = cropping.Satellite.open(satellite)
+        outputs.protect(*sky.source.files)
         shown = footprint_of(path, gsd, how, progress, **lens)
         crops = cropping.plan_crops(sky, shown.gsd, shown.size, place, radius, square, stride, size)
-        cropping.write_crops(crops, shown.picture, shown.told, out, overwrite, progress)
+        cropping.write_crops(crops, shown.picture, shown.told, folder, progress)
     text = cropping.document(crops, shown.told)
     if as_json:
         click.echo(json.dumps(text))
@@ -90,7 +91,7 @@ def crop(
         f"satellite  {crops.pixel[0]:.4g} x {crops.pixel[1]:.4g} m/px, {pixels} a crop",
         f"written    {out}: query.jpg, gallery/, manifest.csv, crop.json",
     ]
-    click.echo("\n".join(lines))
+    say("\n".join(lines))
 
 
 def _place(at: str | None) -> tuple[float, float] | None:

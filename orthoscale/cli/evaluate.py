@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ..requests import VehicleRequest
-from .options import EXIT_CODES, options_of, progress_bars, save_option
+from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, save_option, say
 
 
 @click.command(
@@ -17,21 +17,17 @@ from .options import EXIT_CODES, options_of, progress_bars, save_option
     "  orthoscale evaluate UAVVisLoc_plus/ --fleet CN --ablations --sensitivity --out visloc.json\n"
     "  orthoscale evaluate photos.csv --fleet DE --detections boxes.json --out errors.csv\n\n" + EXIT_CODES
 )
-@click.argument("path", metavar="DATASET", type=click.Path(path_type=Path))
+@click.argument("path", metavar="DATASET", type=PATH)
 @click.option("--form", type=click.Choice(["denseuav", "visloc", "csv"]), help="Of the data set; guessed by default.")
 @click.option("--focal-px", type=float, metavar="PX", help="Focal length, instead of the data set's.")
-@click.option(
-    "--lens", "lens_file", type=click.Path(path_type=Path), help="Calibration of the camera, instead of the data set's."
-)
+@click.option("--lens", "lens_file", type=PATH, help="Calibration of the camera, instead of the data set's.")
 @options_of(VehicleRequest)
 @save_option
 @click.option("--max-pitch", type=float, metavar="DEG", help="Leave out photos that look flatter (the paper: -60).")
 @click.option("--ablations", is_flag=True, help="Also over score threshold and least number of vehicles.")
 @click.option("--sensitivity", is_flag=True, help="Also with wrong pitch and wrong focal length.")
-@click.option(
-    "--out", "outputs", multiple=True, type=click.Path(path_type=Path), help=".json for all of it, .csv for the photos."
-)
-@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.option("--out", "outputs", multiple=True, type=PATH, help=".json for all of it, .csv for the photos.")
+@overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON on standard output.")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def evaluate(
@@ -57,20 +53,27 @@ def evaluate(
     paper's formula, `program` what its authors' program computes.
     """
     from ..evaluate import report
-    from ..exchange import check_savable
+    from ..exchange import check_name
+    from ..outputs import Outputs
     from ..photos import looking as boxes
-    from ..photos.tables import check_outputs
+    from ..photos.tables import check_ending
 
     how = boxes.Looking.of(looking)
     ruler = how.ruler_fleet()
-    check_outputs(outputs, overwrite, (".json", ".csv"))
-    check_savable(save_detections)
-    samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
-    photos = [sample.photo for sample in samples]
-    with progress_bars() as progress:
-        found = boxes.boxes_of(photos, how, progress)
+    with Outputs(overwrite, (path, lens_file, looking)) as files, progress_bars() as progress:
+        for output in outputs:
+            check_ending(output, (".json", ".csv"))
+        partials = [files.file(output, report.known(output)) for output in outputs]
         if save_detections is not None:
-            boxes.save_boxes(found, save_detections, photos)
+            check_name(save_detections)
+            saved = files.file(save_detections)
+        samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
+        photos = [sample.photo for sample in samples]
+        found = boxes.boxes_of(photos, how, progress)
+        if save_detections is not None:  # worth a look above all where they are too few
+            boxes.save_boxes(found, saved, photos)
+            files.deliver(saved)
         text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress)
-    report.write(text, outputs, overwrite)
-    click.echo(json.dumps(text) if as_json else report.tables(text, outputs))
+        for partial in partials:
+            report.write(text, partial)
+    click.echo(json.dumps(text)) if as_json else say(report.tables(text, outputs))

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import click
 
+from .options import PATH
+
 
 @click.command(
     epilog="\b\nExamples:\n  orthoscale explain scaled.tif.json\n"
     "  orthoscale estimate ortho.tif --fleet DE --json > report.json; orthoscale explain report.json"
 )
-@click.argument("report", metavar="REPORT", type=click.Path(path_type=Path))
+@click.argument("report", metavar="REPORT", type=PATH)
 @click.option("--json", "as_json", is_flag=True, help="Print the explanation as JSON.")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def explain(report: Path, as_json: bool, debug: bool) -> None:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import logging
-import signal
 import sys
 import traceback
 from importlib import import_module
 
 import click
 
-from .. import __version__
-from ..errors import OrthoscaleError
-from .options import EXIT_CODES, set_verbosity
+from .. import __version__, stopping
+from ..errors import InputError, OrthoscaleError, shown
+from .options import EXIT_CODES, say, set_verbosity
 
 COMMANDS = {  # name: module of this package; the function in it has the command's name
     "estimate": "scale",
@@ -61,29 +61,38 @@ def main() -> None:
     # What GDAL and NumPy warn of is for developers; a user is told in notes and errors.
     logging.captureWarnings(True)
     logging.getLogger().addHandler(logging.StreamHandler() if debug else logging.NullHandler())
-    # A polite kill cleans up as Ctrl-C does.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        sys.exit(cli.main(standalone_mode=False) or 0)
+        with stopping.listening():
+            result = cli.main(standalone_mode=False) or 0
+            stopping.check()
+        sys.exit(result)
     except OrthoscaleError as error:
-        _complain(error, debug)
+        _complain(error.message, error.hint, debug)
         sys.exit(error.exit_code)
     except click.ClickException as error:
-        error.show()
+        text = io.StringIO()
+        error.show(text)
+        say(text.getvalue().rstrip("\n"), err=True)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
-        click.echo("stopped; nothing was written", err=True)
-        sys.exit(130)
+        click.echo(stopping.sentence(), err=True)
+        sys.exit(stopping.exit_code())
     except BrokenPipeError:
         sys.exit(141)
+    except OSError as error:  # those of outputs are OutputErrors by now
+        place = "" if error.filename is None else f"{error.filename}: "
+        _complain(f"{place}cannot be read ({error.strerror or error})", "Check the file and its permissions.", debug)
+        sys.exit(InputError.exit_code)
     except Exception as error:  # a bug of ours: still no traceback in a user's face
-        _complain(error, debug)
+        _complain(str(error), "", debug)
         if not debug:
             click.echo("This is a bug in orthoscale. Run again with --debug and report what it shows.", err=True)
         sys.exit(1)
 
 
-def _complain(error: Exception, debug: bool) -> None:
+def _complain(message: str, hint: str, debug: bool) -> None:
     if debug:
         traceback.print_exc()
-    click.echo(f"error: {error}", err=True)
+    click.echo(f"error: {shown(message)}", err=True)
+    if hint:
+        click.echo(shown(hint), err=True)

@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from ..errors import shown
 from ..requests import Option, flag
 
 EXIT_CODES = """\b
@@ -20,9 +21,32 @@ Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
 5 input unreadable or damaged; 6 output could not be written."""
 
 
+class AnyPath(click.Path):
+    """A path that is looked at by those who open it, so that each fault of it has its exit code; an empty one, as an
+    unset variable of a script leaves it, is refused: it would be the current folder."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path, readable=False)
+
+    def convert(self, value: Any, param: click.Parameter | None, context: click.Context | None) -> Any:
+        if not str(value):
+            self.fail("an empty name is no path", param, context)
+        return Path(value)
+
+
+PATH = AnyPath()
+
+
+def say(text: str, err: bool = False) -> None:
+    """Print lines on a terminal that take names from files: nothing in them is a control character."""
+    click.echo("\n".join(shown(line, 20_000) for line in text.split("\n")), err=err)
+
+
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace what orthoscale wrote there before.")
+
 save_option = click.option(
     "--save-detections",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
 )
 
@@ -75,10 +99,10 @@ def _option(of: Field) -> Callable[[Callable], Callable]:
 def _type(about: Option) -> Any:
     if about.choices:
         return click.Choice(about.choices)
-    return click.Path(path_type=Path) if about.kind is Path else about.kind
+    return PATH if about.kind is Path else about.kind
 
 
-input_argument = click.argument("path", metavar="INPUT", type=click.Path(path_type=Path))
+input_argument = click.argument("path", metavar="INPUT", type=PATH)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on standard output.")
 debug_option = click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 

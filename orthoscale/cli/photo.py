@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..requests import VehicleRequest
-from .options import EXIT_CODES, options_of, progress_bars, save_option
+from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, save_option, say
 from .photo_options import lens_options
+
+if TYPE_CHECKING:
+    from ..detections import Detections
+    from ..outputs import Outputs
+    from ..photos.measure import Photo
 
 
 @click.command(
@@ -19,15 +25,13 @@ from .photo_options import lens_options
     "  orthoscale photo frame.png --focal-px 1080 --pitch -60 --json\n"
     "  orthoscale photo flight/ --together       one altitude from all photos of a level flight\n\n" + EXIT_CODES
 )
-@click.argument("paths", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("paths", metavar="IMAGE...", nargs=-1, required=True, type=PATH)
 @options_of(VehicleRequest)
 @lens_options
 @click.option("--together", is_flag=True, help="Also one scale of all photos: one lens, one altitude.")
 @save_option
-@click.option(
-    "--out", "outputs", multiple=True, type=click.Path(path_type=Path), help="Table to write: .csv, .json or .gpkg."
-)
-@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.option("--out", "outputs", multiple=True, type=PATH, help="Table to write: .csv, .json or .gpkg.")
+@overwrite_option
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON on standard output.")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def photo(
@@ -51,25 +55,40 @@ def photo(
     over the ground where the vehicles stand, the average ground sampling distance, the footprint, each with a 90 %
     interval. The ground is taken to be level.
     """
-    from ..exchange import check_savable
+    from ..outputs import Outputs
     from ..photos import survey, tables
-    from ..photos.looking import Looking, save_boxes
+    from ..photos.looking import Looking
 
     how = Looking.of(looking)
-    tables.check_outputs(outputs, overwrite)
-    check_savable(save_detections)
     lens = {"lens_file": lens_file, "focal_px": focal_px, "pitch": pitch, "roll": roll}
-    with progress_bars() as progress:
-        made = survey.surveyed(paths, how, together, progress, **lens)
-    if save_detections is not None:
-        save_boxes(made.found, save_detections, made.photos)
-    outcomes, pooled = made.outcomes, made.together
-    text = tables.document(outcomes, made.fleet.code, made.found.detector, pooled)
-    if outputs:
-        tables.write(outcomes, text, outputs, overwrite)
+    with Outputs(overwrite, (paths, lens_file, looking)) as files, progress_bars() as progress:
+        for path in outputs:
+            tables.check_ending(path)
+        partials = [files.file(path, tables.known(path)) for path in outputs]
+        keep = None if save_detections is None else _keeper(files, save_detections)
+        made = survey.surveyed(paths, how, together, progress, keep, **lens)
+        outcomes, pooled = made.outcomes, made.together
+        text = tables.document(outcomes, made.fleet.code, made.found.detector, pooled)
+        for partial in partials:
+            tables.write(outcomes, text, partial)
     if as_json:
         click.echo(json.dumps(text))
     else:
         from ..photos.terminal import summary
 
-        click.echo(summary(outcomes, text, pooled, outputs))
+        say(summary(outcomes, text, pooled, outputs))
+
+
+def _keeper(files: Outputs, path: Path) -> Callable[[Detections, Sequence[Photo]], None]:
+    """What writes the boxes to `path` at once: they are worth a look above all where they are too few."""
+    from ..exchange import check_name
+    from ..photos.looking import save_boxes
+
+    check_name(path)
+    saved = files.file(path)
+
+    def keep(found: Detections, photos: Sequence[Photo]) -> None:
+        save_boxes(found, saved, photos)
+        files.deliver(saved)
+
+    return keep

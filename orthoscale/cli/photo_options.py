@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import click
+
+from .options import PATH
 
 
 def lens_options(command: Callable) -> Callable:
@@ -16,7 +17,7 @@ def lens_options(command: Callable) -> Callable:
             click.option(
                 "--lens",
                 "lens_file",
-                type=click.Path(path_type=Path),
+                type=PATH,
                 help="Calibration of the camera: Metashape's XML, COLMAP's cameras.txt with one camera, or JSON.",
             ),
             click.option(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .options import EXIT_CODES, memory_option
+from .options import EXIT_CODES, PATH, memory_option, overwrite_option, say
 
 
 @click.command(
@@ -14,10 +14,10 @@ from .options import EXIT_CODES, memory_option
     "  orthoscale estimate ortho.tif --fleet DE --json > estimate.json && orthoscale report estimate.json\n\n"
     + EXIT_CODES
 )
-@click.argument("path", metavar="REPORT.json", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), help="Page to write  [default: REPORT.html]")
-@click.option("--images", type=click.Path(path_type=Path), help="Folder of the model's frames.")
-@click.option("--overwrite", is_flag=True, help="Replace what is at --out.")
+@click.argument("path", metavar="REPORT.json", type=PATH)
+@click.option("--out", type=PATH, help="Page (or .png: the picture) to write  [default: REPORT.html]")
+@click.option("--images", type=PATH, help="Folder of the model's frames.")
+@overwrite_option
 @memory_option
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def report(path: Path, out: Path | None, images: Path | None, overwrite: bool, debug: bool) -> None:
@@ -31,5 +31,5 @@ def report(path: Path, out: Path | None, images: Path | None, overwrite: bool, d
     out = path.with_suffix(".html") if out is None else out
     why = redraw(path, out, images, overwrite)
     if why:
-        click.echo(f"without pictures: {why}", err=True)
-    click.echo(str(out))
+        say(f"without pictures: {why}", err=True)
+    say(str(out))

@@ -4,15 +4,27 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import UsageError
+from ..errors import Incomplete, UsageError
 from ..requests import EstimateRequest, FixRequest
-from .options import EXIT_CODES, debug_option, input_argument, json_option, options_of, progress_bars, save_option
+from .options import (
+    EXIT_CODES,
+    PATH,
+    debug_option,
+    input_argument,
+    json_option,
+    options_of,
+    overwrite_option,
+    progress_bars,
+    save_option,
+    say,
+)
 
 if TYPE_CHECKING:
     from ..workspace import Outcome
@@ -25,26 +37,35 @@ if TYPE_CHECKING:
 @input_argument
 @options_of(EstimateRequest)
 @save_option
+@overwrite_option
 @json_option
 @debug_option
-def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
+def estimate(
+    path: Path, as_json: bool, debug: bool, save_detections: Path | None, overwrite: bool, **options: Any
+) -> None:
     """Print the scale of INPUT, an orthophoto or the folder of a COLMAP model, and write nothing."""
     from .. import pipeline, workspace
-    from ..exchange import check_savable
+    from ..exchange import check_name, save
+    from ..outputs import Outputs
 
     request = EstimateRequest.of(options)
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
-    check_savable(save_detections)
-    with progress_bars() as progress:
+    with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
         if models:
             outcomes = workspace.estimate_all(models, request, progress)
         else:
+            if save_detections is not None:
+                check_name(save_detections)
+                saved = outputs.file(save_detections)
             result = pipeline.measured(path, request, progress)
+            if save_detections is not None:
+                outputs.protect(*result.source.files)
+                save(result.detections, saved, result.source)
     if models:
         _finish_all(outcomes, as_json)
         return
-    _finish(result, as_json, save_detections)
+    _finish(result, as_json)
     if (disagreement := result.disagreement) is not None:  # said after the figures: a script must not take them
         raise disagreement
 
@@ -57,7 +78,7 @@ def estimate(path: Path, as_json: bool, debug: bool, save_detections: Path | Non
 )
 @input_argument
 @options_of(FixRequest)
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="GeoTIFF or folder to write.")
+@click.option("--out", required=True, type=PATH, help="GeoTIFF or folder to write.")
 @save_option
 @json_option
 @debug_option
@@ -69,21 +90,26 @@ def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path
     several models (sparse/0, sparse/1 ...) each gets its own scale and folder in OUT. INPUT is never touched.
     """
     from .. import workspace, writing
-    from ..exchange import check_savable
 
     request = FixRequest.of(options)
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
-    check_savable(save_detections)
+    missing = None
     with progress_bars() as progress:
+        try:
+            if models:
+                done: Any = workspace.fix_all(models, out, request, path, progress)
+            else:
+                done = writing.written(path, out, request, progress, save_detections)
+        except Incomplete as error:
+            done, missing = error.result, error
+    with suppress(Exception) if missing else nullcontext():  # what could not be written may not be printable either
         if models:
-            outcomes = workspace.fix_all(models, out, request, progress)
+            _finish_all(done, as_json, out, request.report)
         else:
-            result = writing.written(path, out, request, progress)
-    if models:
-        _finish_all(outcomes, as_json, out, request.report)
-    else:
-        _finish(result, as_json, save_detections, _written(result, out, request.report))
+            _finish(done, as_json, _written(done, out, request.report))
+    if missing:
+        raise missing
 
 
 def _refuse_one_file_for_many(models: list[Path], save_detections: Path | None) -> None:
@@ -97,7 +123,7 @@ def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
     from ..writing import report_paths
 
     page = report_paths(out, result.source.unit, report).get("html")
-    return {"written": out} | ({"report": page} if page else {})
+    return {"written": out} | ({"report": page} if page and page.is_file() else {})
 
 
 def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None, report: str = "none") -> None:
@@ -107,20 +133,14 @@ def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None,
     from ..report.terminal import show
 
     for outcome in outcomes:
-        click.echo(f"--- {outcome.model}")
+        say(f"--- {outcome.model}")
         if outcome.result is not None:
             show(outcome.result, {} if out is None else _written(outcome.result, out / outcome.model.name, report))
         else:
-            click.echo(f"no scale   {outcome.error}")
+            say(f"no scale   {outcome.error}")
 
 
-def _finish(
-    result: Any, as_json: bool, save_detections: Path | None, written: Mapping[str, Path] = MappingProxyType({})
-) -> None:
-    if save_detections is not None:
-        from ..exchange import keep
-
-        keep(result.detections, save_detections, result.source)
+def _finish(result: Any, as_json: bool, written: Mapping[str, Path] = MappingProxyType({})) -> None:
     if as_json:
         from ..report.document import document
 

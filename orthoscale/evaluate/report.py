@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .. import __version__
-from ..atomic import new_file
 from ..detect.find import Progress
 from ..detections import Detections
 from ..errors import InputError, TooLittleEvidence
 from ..fleet import Fleet
+from ..outputs import has_header
+from ..photos.tables import write_csv
 from ..pooling.paper import MIN_SCORE, MIN_VEHICLES
 from . import score
 from .methods import METHODS
@@ -77,18 +76,17 @@ def document(
     return text | {"version": __version__, "rows": score.photo_rows(rows)}
 
 
-def write(text: dict[str, Any], outputs: Sequence[Path], overwrite: bool) -> None:
-    """The document (.json) and its photos (.csv); all of `outputs` appear, or none."""
-    with ExitStack() as files:
-        for path in outputs:
-            partial = files.enter_context(new_file(path, overwrite))
-            if path.suffix.lower() == ".json":
-                partial.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
-                continue
-            with partial.open("w", newline="", encoding="utf-8") as file:
-                table = csv.DictWriter(file, list(text["rows"][0]))
-                table.writeheader()
-                table.writerows(text["rows"])
+def known(path: Path) -> Callable[[Path], bool] | None:
+    """Whether a table at `path` is orthoscale's, where its format has no room for a signature; see `Outputs.file`."""
+    return (lambda place: has_header(place, score.columns(METHODS))) if path.suffix.lower() == ".csv" else None
+
+
+def write(text: dict[str, Any], path: Path) -> None:
+    """The document (.json), or its photos (.csv)."""
+    if path.suffix.lower() == ".json":
+        path.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+    else:
+        write_csv(text["rows"], path)
 
 
 def tables(text: dict[str, Any], outputs: Sequence[Path]) -> str:

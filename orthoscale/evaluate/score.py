@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,6 +118,12 @@ def sensitivity(
         if step:
             step(k + 1, len(wrong))
     return lines
+
+
+def columns(methods: Iterable[str]) -> list[str]:
+    """The keys of `photo_rows`."""
+    each = ("m", "low_m", "high_m", "vehicles")
+    return ["photo", "region", "altitude_m", "pitch_deg", *(f"{method}_{what}" for method in methods for what in each)]
 
 
 def photo_rows(rows: Sequence[Scored]) -> list[dict[str, Any]]:

@@ -1,5 +1,5 @@
 """Detections in the files of others: DOTA text, COCO, GeoJSON, GeoPackage, beside our own JSON."""
 
-from .files import FORMATS, check_name, check_savable, keep, load, save
+from .files import FORMATS, check_name, load, save
 
-__all__ = ["FORMATS", "check_name", "check_savable", "keep", "load", "save"]
+__all__ = ["FORMATS", "check_name", "load", "save"]

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..boxes import Boxes
 from ..errors import InputError, UsageError, shown
+from ..outputs import signature
 from ..reading import read_text
 from .items import Item, short_name
 
@@ -54,7 +55,7 @@ def read(path: Path, only_picture: bool) -> list[Item]:
 
 def write(path: Path, boxes: Mapping[str, Boxes], pictures: Sequence[str]) -> None:
     """Write a results file, which keeps scores and picture names. Raises UsageError for names with spaces."""
-    lines = []
+    lines = [f"imagesource:{signature(path)}"]
     for picture, found in boxes.items():
         name = short_name(picture, pictures)
         if any(c.isspace() for c in name):

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ..atomic import check_free, new_file
 from ..boxes import Boxes, distinct
 from ..detect.classes import plain
 from ..detections import WHAT, Detections
@@ -36,19 +35,6 @@ def check_name(path: Path) -> None:
     if path.suffix.lower() not in FORMATS:
         known = ", ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
         raise UsageError(f"{path.name}: no format of detections ends like this", f"Known: {known}.")
-
-
-def check_savable(path: Path | None) -> None:
-    """Refuse before any work is done what `keep` would refuse after it. Raises UsageError, OutputError."""
-    if path is not None:
-        check_name(path)
-        check_free(path, overwrite=True)
-
-
-def keep(found: Detections, path: Path, source: Pictures) -> None:
-    """`save`, whole or not at all. Raises UsageError, OutputError."""
-    with new_file(path, overwrite=True) as partial:
-        save(found, partial, source)
 
 
 def save(found: Detections, path: Path, source: Pictures) -> None:

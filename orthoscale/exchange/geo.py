@@ -17,7 +17,7 @@ import numpy as np
 
 from ..boxes import Boxes
 from ..detections import spread_note
-from ..errors import InputError, shown
+from ..errors import InputError, OutputError, shown
 from ..reading import check_regular, checked, parsed
 from .items import CLASS, LABEL, PICTURE, SCORE, Item, first
 
@@ -167,17 +167,20 @@ def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None
     spreads = np.array([properties.get("spread", (None, None)) for _, properties in features], float).reshape(-1, 2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # pixel coordinates have no CRS, and need none
-        pyogrio.raw.write(
-            path,
-            geometry=np.asarray(shapely.to_wkb(polygons), object),
-            field_data=[*columns, *spreads.T],
-            fields=np.array([*fields, *SPREAD], object),
-            geometry_type="Polygon",
-            crs=None if place is None else place.crs,
-            layer=LAYER,
-            driver="GPKG",
-            layer_metadata={"orthoscale": json.dumps(dict(note))},
-        )
+        try:
+            pyogrio.raw.write(
+                path,
+                geometry=np.asarray(shapely.to_wkb(polygons), object),
+                field_data=[*columns, *spreads.T],
+                fields=np.array([*fields, *SPREAD], object),
+                geometry_type="Polygon",
+                crs=None if place is None else place.crs,
+                layer=LAYER,
+                driver="GPKG",
+                layer_metadata={"orthoscale": json.dumps(dict(note))},
+            )
+        except RuntimeError as error:  # pyogrio's errors are all RuntimeErrors
+            raise OutputError(f"{path.name}: GDAL could not write it ({error})", "Check the free space.") from error
 
 
 # Both

@@ -12,7 +12,6 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from .. import __version__
-from ..atomic import new_folder
 from ..errors import UsageError
 from .catalogue import Facility, Request, parse_requests
 from .ground import Ground, open_ground, read_area
@@ -79,17 +78,16 @@ def _fixed(request: Request, ground: Ground, pixels: bool) -> Placed:
     return Placed(request.facility, (float(x), float(y)), float(request.bearing or 0.0) % 180)
 
 
-def write(layout: Layout, folder: Path, overwrite: bool = False) -> None:
-    """Write the folder: layout.json, layout.gpkg, layout.geojson, layout.dxf, mask.tif, lines.tif, lines.png, lot.png,
-    overlay.png, prompt.txt. It appears whole or not at all. Raises UsageError, OutputError."""
+def write(layout: Layout, folder: Path) -> None:
+    """Write into the empty `folder`: layout.json, layout.gpkg, layout.geojson, layout.dxf, mask.tif, lines.tif,
+    lines.png, lot.png, overlay.png, prompt.txt. Raises OSError."""
     from . import export
 
-    with new_folder(folder, overwrite) as partial:
-        (partial / "layout.json").write_text(json.dumps(document(layout), indent=1) + "\n", encoding="utf-8")
-        (partial / "prompt.txt").write_text(prompt(layout) + "\n", encoding="utf-8")
-        export.write_vectors(layout, partial, document(layout)["facilities"])
-        export.write_dxf(layout, partial / "layout.dxf")
-        export.write_pictures(layout, partial)
+    (folder / "layout.json").write_text(json.dumps(document(layout), indent=1) + "\n", encoding="utf-8")
+    (folder / "prompt.txt").write_text(prompt(layout) + "\n", encoding="utf-8")
+    export.write_vectors(layout, folder, document(layout)["facilities"])
+    export.write_dxf(layout, folder / "layout.dxf")
+    export.write_pictures(layout, folder)
 
 
 def document(layout: Layout) -> dict[str, Any]:

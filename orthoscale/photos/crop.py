@@ -20,7 +20,6 @@ import numpy as np
 import pyproj
 import rasterio
 
-from ..atomic import new_folder
 from ..errors import OutputError, UsageError
 from ..sources.picture import Picture
 from ..sources.raster import RasterSource
@@ -156,31 +155,30 @@ def write_crops(
     photo: Picture,
     told: dict[str, Any],
     folder: Path,
-    overwrite: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> None:
-    """Write the folder: query.jpg, gallery/*.jpg, manifest.csv with a line per crop, crop.json with what was done.
+    """Write into the empty `folder`: query.jpg, gallery/*.jpg, manifest.csv with a line per crop, and crop.json with
+    what was done.
 
-    told : what crop.json says of the photo. All appears, or nothing. Raises OutputError, InputError.
+    told : what crop.json says of the photo. Raises OutputError, InputError.
     """
     source = crops.satellite.source
     centres = crops.satellite.lon_lat(crops.windows[:, :2] + crops.windows[:, 2:] / 2)
     digits = max(4, len(str(len(crops.windows))))
-    with new_folder(folder, overwrite) as partial:
-        (partial / "gallery").mkdir()
-        x, y, width, height = crops.query
-        _write_jpeg(partial / "query.jpg", photo.read(x, y, width, height, *crops.out))
-        with (partial / "manifest.csv").open("w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file)
-            table.writerow(COLUMNS)
-            for k, ((x, y, width, height), (lon, lat)) in enumerate(zip(crops.windows.tolist(), centres, strict=True)):
-                name = f"gallery/{k:0{digits}d}.jpg"
-                _write_jpeg(partial / name, source.read(x, y, width, height, *crops.out))
-                metres = [f"{v:.3f}" for v in crops.size]
-                table.writerow([name, f"{lon:.8f}", f"{lat:.8f}", x, y, width, height, *metres])
-                if progress:
-                    progress("Cutting crops", k + 1, len(crops.windows))
-        (partial / "crop.json").write_text(json.dumps(document(crops, told), indent=1) + "\n", encoding="utf-8")
+    (folder / "gallery").mkdir()
+    x, y, width, height = crops.query
+    _write_jpeg(folder / "query.jpg", photo.read(x, y, width, height, *crops.out))
+    with (folder / "manifest.csv").open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(COLUMNS)
+        for k, ((x, y, width, height), (lon, lat)) in enumerate(zip(crops.windows.tolist(), centres, strict=True)):
+            name = f"gallery/{k:0{digits}d}.jpg"
+            _write_jpeg(folder / name, source.read(x, y, width, height, *crops.out))
+            metres = [f"{v:.3f}" for v in crops.size]
+            table.writerow([name, f"{lon:.8f}", f"{lat:.8f}", x, y, width, height, *metres])
+            if progress:
+                progress("Cutting crops", k + 1, len(crops.windows))
+    (folder / "crop.json").write_text(json.dumps(document(crops, told), indent=1) + "\n", encoding="utf-8")
 
 
 def document(crops: Crops, told: dict[str, Any]) -> dict[str, Any]:

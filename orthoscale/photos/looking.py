@@ -80,7 +80,7 @@ def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) 
 
 
 def save_boxes(found: Detections, path: Path, photos: Sequence[Photo]) -> None:
-    """Keep `found` in a file of the format that its name says. Raises UsageError, OutputError."""
-    from ..exchange import keep
+    """Write `found` to `path`, in the format that its name says. Raises UsageError, OSError."""
+    from ..exchange import save
 
-    keep(found, path, Album(photos))
+    save(found, path, Album(photos))

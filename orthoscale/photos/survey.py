@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,12 +62,22 @@ def photo(
 
 
 def surveyed(
-    paths: Sequence[Path], how: Looking, together: bool = False, progress: Progress | None = None, **lens: Any
+    paths: Sequence[Path],
+    how: Looking,
+    together: bool = False,
+    progress: Progress | None = None,
+    keep: Callable[[Detections, Sequence[Photo]], None] | None = None,
+    **lens: Any,
 ) -> Survey:
-    """What `how` asks of the photos at `paths`; `lens` as for `open_photo`. See `photo`."""
+    """What `how` asks of the photos at `paths`; `lens` as for `open_photo`. See `photo`.
+
+    keep : is given the boxes as soon as they are found, whether or not they turn out to be enough.
+    """
     fleet = how.ruler_fleet()
     photos, problems = open_photos(find_photos(paths), decode=how.detections is None, **lens)
     found = boxes_of(photos, how, progress)
+    if keep is not None:
+        keep(found, photos)
     outcomes = measure_each(photos, problems, found, fleet)
     pooled = measure_together(photos, found, fleet) if together else None
     if pooled is None and not any(outcome.measured for outcome in outcomes):

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..atomic import check_free, new_file
 from ..errors import UsageError
+from ..outputs import has_header
 from .measure import Measure, Photo, PhotoScale
 
 FORMATS = (".csv", ".json", ".gpkg")
@@ -82,28 +81,30 @@ def document(outcomes: Sequence[Outcome], fleet: str, detector: str, together: P
     return text | {"rows": [row(outcome) for outcome in outcomes]}
 
 
-def check_outputs(paths: Sequence[Path], overwrite: bool, formats: Sequence[str] = FORMATS) -> None:
-    """Refuse early what `write` would refuse late. Raises UsageError, OutputError."""
-    for path in paths:
-        if path.suffix.lower() not in formats:
-            raise UsageError(f"{path.name} is none of {', '.join(formats)}", "Its ending says how it is written.")
-        check_free(path, overwrite)
+def check_ending(path: Path, formats: Sequence[str] = FORMATS) -> None:
+    """Raises UsageError for a name that says no format."""
+    if path.suffix.lower() not in formats:
+        raise UsageError(f"{path.name} is none of {', '.join(formats)}", "Its ending says how it is written.")
 
 
-def write(outcomes: Sequence[Outcome], text: Mapping[str, Any], paths: Sequence[Path], overwrite: bool) -> None:
-    """Write the table to each of `paths`, in the format of its ending; all of them appear, or none."""
-    with ExitStack() as outputs:
-        for path in paths:
-            partial = outputs.enter_context(new_file(path, overwrite))
-            if path.suffix.lower() == ".json":
-                partial.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
-            elif path.suffix.lower() == ".csv":
-                _write_csv(text["rows"], partial)
-            else:
-                _write_geopackage(outcomes, text["rows"], partial)
+def known(path: Path) -> Callable[[Path], bool] | None:
+    """Whether a table at `path` is orthoscale's, where its format has no room for a signature; see `Outputs.file`."""
+    columns = list(row(Outcome("", None, None)))
+    return (lambda place: has_header(place, columns)) if path.suffix.lower() == ".csv" else None
 
 
-def _write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+def write(outcomes: Sequence[Outcome], text: Mapping[str, Any], path: Path) -> None:
+    """Write the table to `path`, in the format of its ending."""
+    if path.suffix.lower() == ".json":
+        path.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+    elif path.suffix.lower() == ".csv":
+        write_csv(text["rows"], path)
+    else:
+        _write_geopackage(outcomes, text["rows"], path)
+
+
+def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """A header, and a line per row; all rows have the same keys."""
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, list(rows[0]))
         table.writeheader()

@@ -5,31 +5,60 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from rasterio.transform import Affine
 
+from ..outputs import has_header, ours, signature
 from ..result import Result
 from ..sources.georeference import Place
 from ..sources.source import Source
 from .geo import check_on_earth, write_geojson, write_geopackage
 
+TILE_COLUMNS = ("x_px", "y_px", "width_px", "height_px", "vehicles", "used", "m_per_px", "relative_spread")
+
 
 @dataclass(frozen=True)
 class Extra:
     """place : the file's path, from that of the main output. write : makes it.
-    check : raises UsageError, before any work, for a source of which it cannot be made."""
+    check : raises UsageError, before any work, for a source of which it cannot be made.
+    mine : whether a file in that place is orthoscale's, by its content and the main output; for formats that have no
+    room for a signature.
+    """
 
     place: Callable[[Path], Path]
     write: Callable[[Result, Place, Path], None]
+    mine: Callable[[Path, Path], bool] | None = None
     check: Callable[[Source], None] = lambda source: None
+
+    def known(self, out: Path) -> Callable[[Path], bool] | None:
+        """`mine` for the main output `out`."""
+        return None if self.mine is None else partial(self.mine, out)
 
 
 def write_world_file(result: Result, place: Place, path: Path) -> None:
     """Six lines: the transform's linear part, then the centre of the first pixel (ESRI's convention)."""
-    t = place.transform
-    x, y = t.c + (t.a + t.b) / 2, t.f + (t.d + t.e) / 2
-    path.write_text("".join(f"{value:.17g}\n" for value in (t.a, t.d, t.b, t.e, x, y)))
+    path.write_text("".join(f"{value:.17g}\n" for value in _world(place.transform)))
+
+
+def _world(t: Affine) -> tuple[float, ...]:
+    return t.a, t.d, t.b, t.e, t.c + (t.a + t.b) / 2, t.f + (t.d + t.e) / 2
+
+
+def _says_the_same(out: Path, path: Path) -> bool:
+    """Whether the world file `path` places the picture as the GeoTIFF `out` does, which orthoscale wrote."""
+    import rasterio
+
+    if not ours(out):
+        return False
+    try:
+        with rasterio.open(out) as raster:
+            said = [float(line) for line in path.read_text(encoding="ascii").split()]
+            return len(said) == 6 and np.allclose(said, _world(raster.transform), rtol=1e-9, atol=1e-9)
+    except (rasterio.errors.RasterioError, ValueError):
+        return False
 
 
 def write_scale_file(result: Result, place: Place, path: Path) -> None:
@@ -37,7 +66,7 @@ def write_scale_file(result: Result, place: Place, path: Path) -> None:
     low, high = result.scale.interval90
     path.write_text(
         f"{result.scale.value:.17g}  # {result.scale.unit}, 90 % from {low:.6g} to {high:.6g}, "
-        f"{result.scale.vehicles_used} vehicles, fleet {result.scale.fleet}\n"
+        f"{result.scale.vehicles_used} vehicles, fleet {result.scale.fleet}; {signature(path)}\n"
     )
 
 
@@ -61,16 +90,20 @@ def write_tiles(result: Result, place: Place, path: Path) -> None:
             rows.append([tile.x, tile.y, tile.width, tile.height, int(here.sum()), n, f"{local:.6g}", f"{spread:.4g}"])
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["x_px", "y_px", "width_px", "height_px", "vehicles", "used", "m_per_px", "relative_spread"])
+        writer.writerow(TILE_COLUMNS)
         writer.writerows(rows)
 
 
+def _is_of_tiles(out: Path, path: Path) -> bool:
+    return has_header(path, TILE_COLUMNS)
+
+
 EXTRAS = {
-    "tfw": Extra(lambda out: out.with_suffix(".tfw"), write_world_file),
+    "tfw": Extra(lambda out: out.with_suffix(".tfw"), write_world_file, _says_the_same),
     "scale": Extra(lambda out: out.with_name(f"{out.name}.scale.txt"), write_scale_file),
     "gpkg": Extra(lambda out: out.with_name(f"{out.name}.gpkg"), write_geopackage),
-    "geojson": Extra(lambda out: out.with_name(f"{out.name}.geojson"), write_geojson, check_on_earth),
-    "tiles": Extra(lambda out: out.with_name(f"{out.name}.tiles.csv"), write_tiles),
+    "geojson": Extra(lambda out: out.with_name(f"{out.name}.geojson"), write_geojson, check=check_on_earth),
+    "tiles": Extra(lambda out: out.with_name(f"{out.name}.tiles.csv"), write_tiles, _is_of_tiles),
 }
 
 

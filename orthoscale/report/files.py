@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..atomic import check_free, new_file
 from ..errors import InputError, OrthoscaleError
+from ..outputs import Outputs, ours_in_a_folder
 from ..reading import is_there, reason
 from ..result import Result
 from ..sources.opening import open_source
@@ -20,52 +21,54 @@ from .scene import Scene
 if TYPE_CHECKING:
     from ..sources.source import Source
 
-log = logging.getLogger(__name__)
+Attempt = Callable[[Path, str], AbstractContextManager[None]]
 
 
-def write_report(result: Result, paths: Mapping[str, Path]) -> None:
-    """Write the parts of the report that `paths` names: ``json``, ``png``, ``html``."""
-    if not paths:
-        return
-    report = document(result)
-    if "json" in paths:
-        write_json(report, paths["json"])
-    if "png" in paths or "html" in paths:
-        scene = Scene.of(report, result.source)
-        if "png" in paths:
-            draw(report, scene, paths["png"])
-        if "html" in paths:
-            paths["html"].write_text(_page_or_why_not(report, scene), encoding="utf-8")
-
-
-def _page_or_why_not(report: Mapping[str, Any], scene: Scene) -> str:
-    """The page; where it cannot be drawn, one that says so: a fault here must not cost what was measured."""
-    try:
-        return page(report, scene)
-    except Exception:
-        log.exception("the report's page could not be drawn: a bug in orthoscale; the JSON holds all figures")
-        return "<!DOCTYPE html><title>orthoscale</title><p>This page could not be drawn; the JSON holds all figures.\n"
+def write_report(result: Result, paths: Mapping[str, Path], attempt: Attempt) -> None:
+    """Write the parts of the report that `paths` names, ``json`` first, then ``png``, ``html``, each in an `attempt`
+    (`Outputs.attempt`), so that one that fails takes nothing else away."""
+    report = cache(lambda: document(result))
+    scene = cache(lambda: Scene.of(report(), result.source))
+    writers: dict[str, Callable[[Path], None]] = {
+        "json": lambda place: write_json(report(), place),
+        "png": lambda place: draw(report(), scene(), place),
+        "html": lambda place: _write_page(page(report(), scene()), place),
+    }
+    for kind, write in writers.items():
+        if kind in paths:
+            with attempt(paths[kind], paths[kind].name):
+                write(paths[kind])
 
 
 def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = False) -> str:
-    """Draw the page of the report.json at `path` to `out`, with pictures when its input is still there, unchanged.
+    """Draw the report.json at `path` again, to `out`: its page, or its picture where `out` ends in .png; with frames
+    when its input is still there, unchanged.
 
-    Returns why there are no pictures, or ''. Raises InputError for a file that is no report, and what `new_file` does.
+    Returns why there are none, or ''. Raises InputError for a file that is no report, and what `Outputs` does.
     """
-    check_free(out, overwrite)
-    report = read_json(path)
-    try:
-        source, why = _source(report, path, images)
-        html = page(report, Scene.of(report, source))
-    except OrthoscaleError:
-        raise
-    except Exception as error:  # whatever values that do not fit together lead to
-        raise InputError(
-            f"{path}: a damaged report ({reason(error)})", "Make it again with `orthoscale fix`."
-        ) from error
-    with new_file(out, overwrite) as partial:
-        partial.write_text(html, encoding="utf-8")
+    with Outputs(overwrite, (path, images)) as outputs:
+        partial = outputs.file(out, ours_in_a_folder)
+        report = read_json(path)
+        try:
+            source, why = _source(report, path, images)
+            if source is not None:
+                outputs.protect(*source.files)
+            scene = Scene.of(report, source)
+            if out.suffix.lower() == ".png":
+                draw(report, scene, partial)
+            else:
+                _write_page(page(report, scene), partial)
+        except (OrthoscaleError, OSError):
+            raise
+        except Exception as error:  # whatever values that do not fit together lead to
+            raise InputError(
+                f"{path}: a damaged report ({reason(error)})", "Make it again with `orthoscale fix`."
+            ) from error
     return why
+
+
+def _write_page(html: str, path: Path) -> None:
+    path.write_bytes(html.encode("utf-8", "backslashreplace"))  # file names need not be text
 
 
 def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple[Source | None, str]:

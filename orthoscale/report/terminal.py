@@ -10,6 +10,7 @@ from types import MappingProxyType
 import click
 
 from ..claims import own_claim
+from ..errors import shown
 from ..pooling.posterior import Z90
 from ..result import Result
 from .document import remarks
@@ -75,7 +76,8 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
         ("also", f"{e.value:.5g} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)") for e in scale.evidence
     ]
     table += [("note", remark) for remark in remarks(result)]
-    return table + [(label, str(path)) for label, path in written.items()]
+    table += [(label, str(path)) for label, path in written.items()]
+    return [(label, shown(value)) for label, value in table]
 
 
 def _fleets(fleets: Mapping[str, float]) -> list[tuple[str, str]]:

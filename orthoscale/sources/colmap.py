@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError, OutputError, UsageError
+from ..outputs import MARK as FOLDER_MARK
 from ..projection.view import Views
 from ..rescale.dense import GEOMETRY, find_dense, sparse_folders
 from ..rescale.files import scale_path
@@ -37,7 +38,7 @@ UNSCALED = GEOMETRY | {".npz", ".npy", ".bin"}
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
 SAME_PLACE = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
 MARK = "sim3.txt"  # by which a model is known to be in metres
-OURS = {MARK, MATRIX, "sim3.json", "report.json", "report.html", "vehicles.png"}
+OURS = {MARK, MATRIX, FOLDER_MARK, "sim3.json", "report.json", "report.html", "vehicles.png"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +123,11 @@ class ColmapSource:
     @cached_property
     def _images(self) -> dict[str, pycolmap.Image]:
         return {self._model.image(i).name: self._model.image(i) for i in self._model.reg_image_ids()}
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files of the model itself."""
+        return self._paths
 
     def content_hash(self) -> str:
         """SHA-256 over the names and contents of the model's files."""
@@ -237,24 +243,23 @@ class ColmapSource:
 
     def _copy_rest(self, folder: Path) -> list[str]:
         tables = {f"{table}.{form}" for table in (*TABLES, *RIG_TABLES) for form in ("bin", "txt")}
-        copied, left = [], []
+        copied, left, links = [], [], []
         for path in sorted(self.folder.iterdir()):
             if not path.is_file() or path.name in {p.name for p in self._paths} | OURS:
                 continue
-            if (
-                path.is_symlink()
-                or path.name in tables
-                or path.suffix.lower() in UNSCALED
-                or path.stat().st_size > LARGEST_COPY
-            ):
+            if path.is_symlink():  # what it leads to was not handed over with the model
+                links.append(path.name)
+            elif path.name in tables or path.suffix.lower() in UNSCALED or path.stat().st_size > LARGEST_COPY:
                 left.append(path.name)
             else:
                 shutil.copyfile(path, folder / path.name)
                 copied.append(path.name)
         notes = [f"copied unchanged from {self.folder}: {', '.join(copied)}"] if copied else []
         if left:
-            why = "because it is not in metres (`orthoscale apply` scales it), is large or a link"
+            why = "because it is not in metres (`orthoscale apply` scales it) or is large"
             notes.append(f"left in {self.folder}, {why}: {', '.join(left)}")
+        if links:
+            notes.append(f"left in {self.folder}, because they are symbolic links: {', '.join(links)}")
         return notes
 
 

@@ -24,7 +24,7 @@ def read_model(folder: Path, form: str) -> pycolmap.Reconstruction:
 
     Raises InputError for one that pycolmap cannot read or that has no registered image.
     """
-    import pycolmap
+    from .colmap_library import pycolmap
 
     model = pycolmap.Reconstruction()
     try:
@@ -55,7 +55,7 @@ def write_scaled(source: Path, form: str, model: pycolmap.Reconstruction, folder
     Raises InputError if `source` has changed since, OutputError if what was written does not read back as `model` in
     metres: the same cameras, tracks and observations, positions to 1e-9, and projections to 1e-9 px, all of them.
     """
-    import pycolmap
+    from .colmap_library import pycolmap
 
     scaled = read_model(source, form)
     if len(scaled.points3D) != len(model.points3D):

@@ -193,8 +193,8 @@ def _check_places(where: object, centres: np.ndarray, distance: float) -> list[s
 
 def focal_notes(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[str]:
     """A note if EXIF tells focal lengths far from the model's. Flat scenes leave them open: it is no error."""
-    from ..photo.lens import lens_of
-    from ..photo.tags import read_tags
+    from ..photos.lens import lens_of
+    from ..photos.tags import read_tags
 
     cameras = {model.image(i).name: model.camera(model.image(i).camera_id) for i in model.reg_image_ids()}
     found = []

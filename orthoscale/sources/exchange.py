@@ -186,7 +186,7 @@ def build_model(
 ) -> pycolmap.Reconstruction:
     """A COLMAP model of `cameras` (model, width, height, parameters), `poses` by image name (camera, camera_from_world
     rotation (3, 3) and translation (3,)), and `points` (N, 3). Raises ValueError for what cannot be meant."""
-    import pycolmap
+    from .colmap_library import pycolmap
 
     model = pycolmap.Reconstruction()
     numbers = {key: k for k, key in enumerate(cameras, 1)}

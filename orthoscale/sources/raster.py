@@ -31,6 +31,7 @@ from rasterio.windows import Window
 from ..budget import in_words, memory, require
 from ..errors import InputError, OutputError, UsageError
 from ..fingerprint import fingerprint
+from ..outputs import signature
 from ..scratch import Scratch
 from .georeference import Place, claim_of, kept_place, local_place
 from .picture import Picture
@@ -175,9 +176,14 @@ class RasterSource:
         except OSError as error:
             raise InputError(f"{self.path} cannot be read ({error.strerror})", "Was it moved meanwhile?") from error
 
+    @property
+    def files(self) -> list[Path]:
+        """The image's file and what GDAL reads with it: world file, overviews, the parts of a VRT."""
+        return [Path(file) for file in self._dataset.files]
+
     def fingerprint(self) -> str:
         """What cached work on this image is keyed by: the content of all its files, sampled where it is large."""
-        return fingerprint(Path(f) for f in self._dataset.files)
+        return fingerprint(self.files)
 
     def __reduce__(self) -> tuple:
         """Pickled as its path: another process opens it anew, once for all its tiles."""
@@ -406,7 +412,7 @@ class RasterSource:
         georeferencing, ground control points and rational polynomials do not; `notes` says so.
         The result is read back and compared with the original: all of it up to 100 Mpx, else 64 windows.
 
-        path : where to write; an existing file is replaced. Use `orthoscale.atomic.new_file` around it.
+        path : where to write; an existing file is replaced. Use `orthoscale.outputs` around it.
         metres_per_pixel : [m/px] the measured scale.
         keep_origin : keep the coordinate reference system, first corner and direction of the input; else local metres,
             north up, origin at the lower left corner.
@@ -433,6 +439,7 @@ class RasterSource:
                 with rasterio.open(plain, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as copy:
                     self._restore_properties(copy)
                     copy.crs, copy.transform = place.crs, place.transform
+                    copy.update_tags(WRITTEN_BY=signature(path))
                 if cog:
                     self._optimise(plain, path)
                 # Whatever a GeoTIFF could not hold would be in here, and would not travel with a renamed file.

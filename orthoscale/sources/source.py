@@ -38,6 +38,11 @@ class Source(Pictures, Protocol):
     @property
     def metric_already(self) -> str: ...
 
+    @property
+    def files(self) -> Sequence[Path]:
+        """The files that it was read from, but for its pictures; none of them is ever written to."""
+        ...
+
     def content_hash(self) -> str:
         """SHA-256 of its files."""
         ...

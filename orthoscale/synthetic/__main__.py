@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from orthoscale import stopping
+from orthoscale.errors import OrthoscaleError, shown
 from orthoscale.fleet import Fleet
+from orthoscale.outputs import Outputs, ours
 from orthoscale.synthetic import STYLES, make_scene, write_colmap, write_labels, write_ortho
 from orthoscale.synthetic.folders import write_csv, write_denseuav, write_visloc
 
@@ -49,20 +52,40 @@ def main(arguments: list[str] | None = None) -> None:
         command.add_argument(
             "--fleet", help="code of a fleet, such as world or de (a normal one, 4.45 x 1.79 x 1.54 m)"
         )
+        command.add_argument("--overwrite", action="store_true", help="replace what orthoscale wrote there before")
     a = parser.parse_args(arguments)
+    try:
+        with stopping.listening():
+            _write(a, folder_writers)
+    except KeyboardInterrupt:
+        parser.exit(stopping.exit_code(), stopping.sentence() + "\n")
+    except OrthoscaleError as error:
+        parser.exit(error.exit_code, f"error: {shown(error.message)}\n{shown(error.hint)}\n")
+
+
+def _write(a: argparse.Namespace, folder_writers: Mapping[str, Callable[..., None]]) -> None:
     fleet = Fleet.load(a.fleet) if a.fleet else None
-    if a.command == "labels":
-        write_labels(a.out, a.count, a.seed, fleet)
-        return
-    scene = make_scene(a.seed, fleet, a.extent, a.vehicles, a.style)
-    if a.command == "ortho":
-        write_ortho(scene, a.out, a.gsd, a.seed)
-    elif a.command in folders:
-        folder_writers[a.command](scene, a.out)
-    else:
-        width, height = a.size
-        view = (a.frames, a.pitch, a.altitude, a.focal, width, height)
-        write_colmap(scene, a.out, a.metres_per_unit, *view, a.seed, not a.text, k1=a.k1)
+    a.out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with Outputs(a.overwrite, a.fleet) as outputs:
+        if a.command == "ortho":
+            beside = a.out.with_suffix(".truth.json")
+            # Not every picture has room for a signature; the truth beside it has.
+            picture, truth = outputs.file(a.out, lambda _: ours(beside)), outputs.file(beside)
+        else:
+            folder = outputs.folder(a.out)
+        if a.command == "labels":
+            write_labels(folder, a.count, a.seed, fleet)
+            return
+        scene = make_scene(a.seed, fleet, a.extent, a.vehicles, a.style)
+        if a.command == "ortho":
+            write_ortho(scene, picture, a.gsd, a.seed)
+            picture.with_suffix(".truth.json").replace(truth)
+        elif a.command in folder_writers:
+            folder_writers[a.command](scene, folder)
+        else:
+            width, height = a.size
+            view = (a.frames, a.pitch, a.altitude, a.focal, width, height)
+            write_colmap(scene, folder, a.metres_per_unit, *view, a.seed, not a.text, k1=a.k1)
 
 
 if __name__ == "__main__":

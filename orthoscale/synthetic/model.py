@@ -9,9 +9,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 
 from orthoscale.boxes import Boxes
+from orthoscale.sources.colmap_library import pycolmap
 from orthoscale.synthetic.labels import visible_share
 from orthoscale.synthetic.render import Look, ortho_view, render, surface, vehicle_boxes
 from orthoscale.synthetic.scene import Scene

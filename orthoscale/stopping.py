@@ -1,0 +1,91 @@
+"""SIGTERM and Ctrl-C: heard from the first moment, held while files change places, and answered with one sentence."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+written: list[str] = []  # outputs that are in their places already
+_state = {"received": 0, "held": 0}
+
+
+def sentence() -> str:
+    """What a stopped run leaves."""
+    return "stopped; " + (f"already written: {', '.join(written)}" if written else "nothing was written")
+
+
+def exit_code() -> int:
+    """As shells count: 128 and the signal's number."""
+    return 128 + (_state["received"] or signal.SIGINT)
+
+
+def leave_at_once() -> None:
+    """Until `listening`, and after it, no output is being made: a signal ends the process with the sentence."""
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        os.write(2, (sentence() + "\n").encode("ascii", "backslashreplace"))
+        os._exit(128 + number)
+
+    _handle(leave)
+
+
+@contextmanager
+def listening() -> Iterator[None]:
+    """A signal raises KeyboardInterrupt, so that what was begun is cleaned away; the former handlers come back."""
+
+    def heard(number: int, frame: FrameType | None) -> None:
+        _state["received"] = number
+        if not _state["held"]:
+            raise KeyboardInterrupt
+
+    written.clear()
+    _state.update(received=0, held=0)
+    former = _handle(heard)
+    try:
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def held() -> Iterator[None]:
+    """A signal waits for the end of the block."""
+    _state["held"] += 1
+    try:
+        yield
+    finally:
+        _state["held"] -= 1
+        if not _state["held"]:
+            check()
+
+
+def check() -> None:
+    """Raise KeyboardInterrupt if a signal came while they were held, or a library swallowed the exception."""
+    if _state["received"]:
+        raise KeyboardInterrupt
+
+
+def listen_again() -> None:
+    """Take back handlers that a library set behind Python's back; what Python knows of them is right."""
+    if threading.current_thread() is threading.main_thread():
+        for number in SIGNALS:
+            if (handler := signal.getsignal(number)) is not None:
+                signal.signal(number, handler)
+
+
+def _handle(handler: Any) -> dict[signal.Signals, Any]:
+    """Set `handler` where a signal is not ignored (a shell's background jobs ignore Ctrl-C); returns the former."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    former = {number: signal.getsignal(number) for number in SIGNALS}
+    heard = {number: before for number, before in former.items() if before not in (signal.SIG_IGN, None)}
+    for number in heard:
+        signal.signal(number, handler)
+    return heard

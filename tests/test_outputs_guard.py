@@ -1,0 +1,751 @@
+"""Nothing is lost: outputs are refused where they could touch an input or what others wrote, and appear whole or not
+at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from in_process import run
+
+from orthoscale import outputs as guard
+from orthoscale import stopping
+from orthoscale.errors import Incomplete, InputError, OutputError, UsageError
+from orthoscale.outputs import MARK, Outputs, named, ours, signature
+from orthoscale.writing import fix
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+MODEL, BOXES = EXAMPLES / "sheffield" / "sparse", EXAMPLES / "sheffield" / "detections.json"
+RULES = ("--detections", BOXES, "--fleet", "US")
+
+
+def names(folder):
+    return sorted(p.name for p in folder.iterdir())
+
+
+def state(folder):
+    """All that must not change: names, contents, links."""
+    return {
+        p.relative_to(folder): os.readlink(p) if p.is_symlink() else p.read_bytes() if p.is_file() else None
+        for p in sorted(folder.rglob("*"))
+    }
+
+
+def write_file(path, text="new", **options):
+    with Outputs(**options) as outputs:
+        outputs.file(path).write_text(json.dumps({"text": text}))
+
+
+def write_folder(path, files=("x",), text="new", **options):
+    with Outputs(**options) as outputs:
+        folder = outputs.folder(path)
+        for name in files:
+            (folder / name).write_text(text)
+
+
+BOTH = pytest.mark.parametrize("write", [write_file, write_folder])
+
+
+# Whole or not at all
+
+
+def test_a_file_appears_at_the_end(tmp_path):
+    with Outputs() as outputs:
+        partial = outputs.file(tmp_path / "a.tif")
+        assert partial.name == "a.tif" and partial.parent.parent.parent == tmp_path
+        partial.write_text("new")
+        assert not (tmp_path / "a.tif").exists()
+    assert (tmp_path / "a.tif").read_text() == "new" and names(tmp_path) == ["a.tif"]
+
+
+@pytest.mark.parametrize("name", ["model", "new", "former", "lock"])
+def test_a_folder_appears_at_the_end_and_is_replaced_as_a_whole(tmp_path, name):
+    for text in ("first", "second"):
+        write_folder(tmp_path / name, ("x", f"of {text}"), text, overwrite=True)
+        assert names(tmp_path) == [name] and names(tmp_path / name) == [MARK, f"of {text}", "x"]
+        assert ours(tmp_path / name)
+
+
+def test_relative_paths(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_file(Path("a.json"))
+    write_file(Path("a.json"), overwrite=True)
+    assert names(tmp_path) == ["a.json"]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, UsageError])
+@BOTH
+def test_nothing_is_left_after_an_error(tmp_path, write, error, monkeypatch):
+    write(tmp_path / "a")
+    before = state(tmp_path)
+
+    def stop(*_):
+        raise error("stop")
+
+    monkeypatch.setattr(guard, "_sign_file" if write is write_file else "_sign_folder", stop)
+    for path in ("a", "b"):
+        with pytest.raises(error):
+            write(tmp_path / path, overwrite=True)
+        assert state(tmp_path) == before
+
+
+@pytest.mark.parametrize("exchange", [True, False])
+def test_all_outputs_change_places_or_none_does(tmp_path, monkeypatch, exchange):
+    """The second rename fails: what the first did is undone, with and without Linux's exchange of names."""
+    if not exchange:
+        monkeypatch.setattr(guard, "_renameat2", lambda *_: False)
+    for name in ("main.json", "part.json", "stale.json"):
+        write_file(tmp_path / name)
+    before = state(tmp_path)
+    place = guard._Claim.place
+
+    def failing(claim):
+        if claim.path.name == "stale.json":
+            raise OSError(28, "No space left on device")
+        place(claim)
+
+    def again():
+        with Outputs(overwrite=True) as outputs:
+            partials = [outputs.file(tmp_path / name) for name in ("main.json", "part.json", "fresh.json")]
+            for partial in partials:
+                partial.write_text('{"text": "newer"}')
+            outputs.retire(tmp_path / "stale.json")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(guard._Claim, "place", failing)
+        with pytest.raises(OutputError, match="No space"):
+            again()
+    assert state(tmp_path) == before
+    again()
+    assert names(tmp_path) == ["fresh.json", "main.json", "part.json"]
+    assert all("newer" in (tmp_path / name).read_text() for name in names(tmp_path))
+
+
+@pytest.mark.parametrize("exchange", [True, False])
+@BOTH
+def test_what_appears_meanwhile_is_not_replaced(tmp_path, monkeypatch, write, exchange):
+    if not exchange:
+        monkeypatch.setattr(guard, "_renameat2", lambda *_: False)
+    sign = "_sign_file" if write is write_file else "_sign_folder"
+    really = getattr(guard, sign)
+    for overwrite, way in ((False, Path.mkdir), (True, Path.touch), (False, Path.touch)):
+        path = tmp_path / f"{overwrite} {way.__name__}"
+
+        def somebody_else(partial, way=way, path=path):
+            way(path)
+            really(partial)
+
+        with monkeypatch.context() as patch, pytest.raises(UsageError, match="somebody else"):
+            patch.setattr(guard, sign, somebody_else)
+            write(path, overwrite=overwrite)
+        assert path.exists() and not (path.is_dir() and any(path.iterdir()))
+    assert len(names(tmp_path)) == 3
+
+
+def test_what_was_changed_meanwhile_is_not_replaced(tmp_path):
+    write_folder(tmp_path / "a")
+    with pytest.raises(UsageError, match="meanwhile"), Outputs(overwrite=True) as outputs:
+        outputs.folder(tmp_path / "a")
+        (tmp_path / "a" / "precious").touch()
+    assert names(tmp_path) == ["a"] and "precious" in names(tmp_path / "a")
+
+
+def test_a_full_disk_is_an_output_error_and_a_broken_input_is_not(tmp_path):
+    with pytest.raises(OutputError, match="No space") as caught, Outputs() as outputs:
+        outputs.file(tmp_path / "a")
+        raise OSError(28, "No space left on device")
+    assert caught.value.exit_code == 6 and names(tmp_path) == []
+    with pytest.raises(OutputError, match="full"), Outputs() as outputs:
+        outputs.file(tmp_path / "a")
+        raise sqlite3.OperationalError("database or disk is full")
+    with pytest.raises(InputError, match="elsewhere") as caught, Outputs() as outputs:
+        outputs.file(tmp_path / "a")
+        (tmp_path / "elsewhere").read_bytes()
+    assert caught.value.exit_code == 5 and names(tmp_path) == []
+
+
+@pytest.mark.parametrize("path", ["none/a", "x" * 256])
+@BOTH
+def test_a_place_that_cannot_be(tmp_path, path, write):
+    with pytest.raises(OutputError):
+        write(tmp_path / path)
+    assert names(tmp_path) == []
+
+
+def test_a_part_that_fails_does_not_take_the_others_away(tmp_path):
+    write_file(tmp_path / "part.json", "of a former run")
+    with Outputs(overwrite=True) as outputs:
+        main, part = outputs.file(tmp_path / "main.json"), outputs.file(tmp_path / "part.json")
+        main.write_text("{}")
+        with outputs.attempt(part, part.name):
+            part.write_text("half")
+            raise OSError(28, "No space left on device")
+    assert names(tmp_path) == ["main.json"], "the former part would speak for the new main output"
+    assert outputs.missing() == "part.json could not be written (No space left on device)"
+
+
+# What is orthoscale's
+
+
+def png(path):
+    cv2.imwrite(str(path), np.full((20, 30, 3), 90, np.uint8))
+
+
+def geopackage(path):
+    import shapely
+
+    from orthoscale.vector import write_layer
+
+    write_layer(path, "places", [shapely.Point(1, 2)], [{"a": 1}], "Point", "EPSG:4326")
+
+
+CONTENT = {
+    "a.json": lambda path: path.write_text('{\n "a": [{}]\n}\n'),
+    "a.html": lambda path: path.write_text("<!doctype html><html></html>\n"),
+    "a.png": png,
+    "a.gpkg": geopackage,
+}
+
+
+@pytest.mark.parametrize("name", CONTENT)
+def test_files_carry_a_mark_that_their_readers_do_not_mind(tmp_path, name):
+    path = tmp_path / name
+    CONTENT[name](path)
+    assert not ours(path)
+    foreign = path.read_bytes()
+    with pytest.raises(UsageError, match="was not written by orthoscale"):
+        write_file(path, overwrite=True)
+    assert path.read_bytes() == foreign
+    path.unlink()
+    for overwrite in (False, True):
+        with Outputs(overwrite) as outputs:
+            CONTENT[name](outputs.file(path))
+        assert ours(path)
+    with pytest.raises(UsageError, match="already exists"):
+        write_file(path)
+    if name == "a.json":
+        assert json.loads(path.read_text()) == {"a": [{}], "written_by": signature(path)}
+    elif name == "a.png":
+        assert (cv2.imread(str(path)) == 90).all()
+    elif name == "a.gpkg":
+        from pyogrio import list_layers, read_info
+
+        assert [layer for layer, _ in list_layers(path)] == ["places"] and read_info(path)["features"] == 1
+    shutil.copy(path, tmp_path / f"mine{path.suffix}")
+    assert not ours(tmp_path / f"mine{path.suffix}"), "a copy under another name is somebody's own"
+
+
+@pytest.mark.parametrize("make", ["empty", "full", "stranger", "copy", "damaged", "link"])
+def test_only_a_folder_that_orthoscale_filled_is_replaced(tmp_path, make):
+    path = tmp_path / "a"
+    if make in ("empty", "full"):
+        path.mkdir()
+    if make == "full":
+        (path / "precious").touch()
+    if make in ("stranger", "damaged"):
+        write_folder(path)
+        (path / ("precious" if make == "stranger" else MARK)).write_text("{")
+    if make in ("copy", "link"):
+        write_folder(tmp_path / "b")
+        shutil.copytree(tmp_path / "b", path) if make == "copy" else path.symlink_to(tmp_path / "b")
+    before = state(tmp_path)
+    for write in (write_folder, write_file):
+        for overwrite in (False, True):
+            with pytest.raises(UsageError):
+                write(path, overwrite=overwrite)
+    assert state(tmp_path) == before
+
+
+def test_a_folder_within_a_folder_may_be_replaced_alone(tmp_path):
+    with Outputs() as outputs:
+        write_folder(outputs.folder(tmp_path / "all") / "0")
+    write_folder(tmp_path / "all/0", ("x", "y"), overwrite=True)
+    assert ours(tmp_path / "all")
+    (tmp_path / "all/0/precious").touch()
+    assert not ours(tmp_path / "all")
+
+
+def test_kinds_do_not_replace_each_other(tmp_path):
+    write_file(tmp_path / "file")
+    write_folder(tmp_path / "folder")
+    before = state(tmp_path)
+    with pytest.raises(UsageError, match="is a file"):
+        write_folder(tmp_path / "file", overwrite=True)
+    with pytest.raises(UsageError, match="is a folder"):
+        write_file(tmp_path / "folder", overwrite=True)
+    assert state(tmp_path) == before
+
+
+# Inputs
+
+
+@pytest.fixture
+def inputs(tmp_path):
+    """Our own outputs as inputs, so that nothing but their being inputs protects them."""
+    write_folder(tmp_path / "folder", ("in",))
+    (tmp_path / "sub").mkdir()
+    write_folder(tmp_path / "sub/folder", ("in",))
+    write_file(tmp_path / "a.tif")
+    write_file(tmp_path / "sub/b.tif")
+    (tmp_path / "link.tif").symlink_to(tmp_path / "a.tif")
+    (tmp_path / "via").symlink_to(tmp_path / "sub")
+    os.link(tmp_path / "a.tif", tmp_path / "hard.tif")
+    return tmp_path
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize(
+    "given, out",
+    [
+        ("a.tif", "a.tif"),
+        ("a.tif", "sub/../a.tif"),
+        ("a.tif", "link.tif"),
+        ("link.tif", "a.tif"),
+        ("a.tif", "hard.tif"),
+        ("sub/b.tif", "via/b.tif"),
+        ("via/b.tif", "sub/b.tif"),
+        ("sub/b.tif", "sub"),
+        ("link.tif", "."),
+        ("folder", "folder"),
+        ("folder", "."),
+        ("folder", "folder/new"),
+        ("folder", "folder/in"),
+        ("sub/folder", "via/folder/new"),
+        ("sub/folder", "via"),
+        ("a.tif", "a.tfw"),
+        ("a.tif", "A.TFW"),
+        ("a.tif", "a.tifw"),
+        ("a.tif", "a.wld"),
+        ("a.tif", "a.prj"),
+        ("a.tif", "a.tif.aux.xml"),
+        ("a.tif", "a.tif.ovr"),
+        ("link.tif", "link.tfw"),
+        ("link.tif", "a.tfw"),
+        ("via/b.tif", "sub/b.tfw"),
+    ],
+)
+def test_an_output_never_touches_an_input(inputs, given, out, overwrite):
+    before = state(inputs)
+    for kind in ("file", "folder"):
+        with pytest.raises(UsageError) as caught, Outputs(overwrite, {"x": [str(inputs / given)]}) as outputs:
+            getattr(outputs, kind)(inputs / out)
+        assert caught.value.exit_code == 2 and "Inputs are never touched" in caught.value.hint
+        with pytest.raises(UsageError), Outputs(overwrite) as outputs:  # one that is found later
+            getattr(outputs, kind)(inputs / out)
+            outputs.protect(inputs / given)
+    assert state(inputs) == before
+
+
+def test_neighbours_of_an_input_are_free(inputs):
+    for name in ("a.tif.json", "b.tfw", "folder2", "a.tiff"):
+        write_file(inputs / name, inputs=[inputs / "a.tif", inputs / "folder"])
+
+
+def test_inputs_are_all_that_exists_among_what_was_given(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a").touch()
+    given = ("a", Path("a"), "none", "", None, 3, {"k": ["a", "US"]}, (("a",),))
+    assert named(*given) == [Path("a")] * 4
+
+
+@pytest.mark.parametrize("first, second", [("a.json", "a.json"), ("a.json", "x/../a.json"), ("d", "d/a"), ("d/a", "d")])
+def test_two_outputs_never_share_a_place(tmp_path, first, second):
+    (tmp_path / "x").mkdir()
+    write_folder(tmp_path / "d", ("b",))
+    before = state(tmp_path)
+    with pytest.raises(UsageError), Outputs(overwrite=True) as outputs:
+        outputs.check(tmp_path / "d")
+        outputs.file(tmp_path / first) if first != "d" else outputs.folder(tmp_path / first)
+        outputs.file(tmp_path / second) if second != "d" else outputs.folder(tmp_path / second)
+    assert state(tmp_path) == before
+
+
+# Other runs
+
+
+@BOTH
+def test_of_two_writers_the_second_is_refused(tmp_path, write):
+    with Outputs() as outputs:
+        partial = outputs.file(tmp_path / "a.json")
+        with pytest.raises(UsageError, match="being written by another run"):
+            write(tmp_path / "a.json")
+        with pytest.raises(UsageError, match="being written by another run"):
+            write(tmp_path / "a.json", overwrite=True)
+        partial.write_text('{"text": "first"}')
+    assert "first" in (tmp_path / "a.json").read_text() and names(tmp_path) == ["a.json"]
+
+
+WRITER = """
+import os, signal, sys
+from pathlib import Path
+from orthoscale.outputs import Outputs
+with Outputs(overwrite=True) as outputs:
+    outputs.folder(Path(sys.argv[1])).joinpath("half").write_text("half")
+    print("ready", flush=True)
+    signal.pause()
+"""
+
+
+def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
+    write_folder(tmp_path / "a", text="former")
+    with subprocess.Popen([sys.executable, "-c", WRITER, tmp_path / "a"], stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        with pytest.raises(UsageError, match="another run"):
+            write_folder(tmp_path / "a", overwrite=True)
+        process.kill()
+    assert len(names(tmp_path)) == 2 and (tmp_path / "a/x").read_text() == "former"
+    write_folder(tmp_path / "a", overwrite=True)
+    assert names(tmp_path) == ["a"] and (tmp_path / "a/x").read_text() == "new"
+
+
+def test_a_former_output_that_a_killed_run_had_put_aside_comes_back(tmp_path, monkeypatch):
+    write_folder(tmp_path / "a", text="former")
+    monkeypatch.setattr(guard, "_renameat2", lambda *_: False)
+    with monkeypatch.context() as patch:
+        patch.setattr(guard._Claim, "release", lambda claim: os.close(claim._lock))
+        patch.setattr(guard._Claim, "undo", lambda claim: None)
+        claim = guard._Claim(tmp_path / "a")
+        claim._put_former_aside()
+        claim.release()
+    assert not (tmp_path / "a").exists()
+    with pytest.raises(ZeroDivisionError), Outputs(overwrite=True) as outputs:
+        outputs.folder(tmp_path / "a")
+        raise ZeroDivisionError
+    assert names(tmp_path) == ["a"] and (tmp_path / "a/x").read_text() == "former"
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "link"])
+def test_what_only_looks_like_left_over_is_left_alone(tmp_path, kind):
+    with Outputs() as outputs:
+        partial = outputs.file(tmp_path / "a")
+        partial.touch()
+        scratch = partial.parent.parent
+    (tmp_path / "a").unlink()
+    if kind == "file":
+        scratch.write_text("precious")
+    else:
+        (tmp_path / "theirs").mkdir()
+        (tmp_path / "theirs/precious").touch()
+        (tmp_path / "theirs").rename(scratch) if kind == "folder" else scratch.symlink_to(tmp_path / "theirs")
+    before = state(tmp_path)
+    with pytest.raises(UsageError, match="in the way"):
+        write_file(tmp_path / "a")
+    assert state(tmp_path) == before
+
+
+# Signals
+
+
+def test_a_signal_waits_while_files_change_places_and_is_not_forgotten():
+    with pytest.raises(KeyboardInterrupt), stopping.listening():
+        with stopping.held():
+            os.kill(os.getpid(), signal.SIGTERM)
+            for _ in range(100):
+                pass
+        pytest.fail("not answered")
+    assert stopping.exit_code() == 143
+    with stopping.listening():
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1)
+        except KeyboardInterrupt:
+            pass  # as a library may
+        with pytest.raises(KeyboardInterrupt):
+            stopping.check()
+
+
+LATE = """
+import sys, time
+there = sys.argv.pop()
+import orthoscale.__main__ as program
+from orthoscale.sources import colmap
+real = colmap.ColmapSource.write
+def stuck(self, folder, scale):
+    real(self, folder, scale)
+    assert "pycolmap" in sys.modules
+    open(there, "w").close()
+    time.sleep(60)
+colmap.ColmapSource.write = stuck
+program.main()
+"""
+EARLY = """
+import sys, time, importlib.abc
+there = sys.argv.pop()
+class Slow(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name == "click":
+            open(there, "w").close()
+            time.sleep(60)
+sys.meta_path.insert(0, Slow())
+import runpy
+sys.argv[0] = "orthoscale"
+runpy.run_module("orthoscale", run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("program", [EARLY, LATE], ids=["early", "late"])
+def test_a_stopped_run_leaves_nothing_and_says_so(tmp_path, program, how):
+    there = tmp_path / "there"
+    words = ["fix", MODEL, "--out", tmp_path / "out", *RULES, there]
+    # A shell's background jobs start with Ctrl-C ignored, and hand that on.
+    listening = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    command = [sys.executable, "-c", program, *map(str, words)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **listening) as process:
+        while not there.exists() and process.poll() is None:
+            time.sleep(0.02)
+        process.send_signal(how)
+        said = process.communicate()[1]
+    assert process.returncode == 128 + how and said.strip() == "stopped; nothing was written", said
+    assert names(tmp_path) == ["there"]
+
+
+def test_pycolmap_is_imported_in_one_place():
+    package = Path(guard.__file__).parent
+    for path in package.rglob("*.py"):
+        lines = path.read_text().splitlines()
+        typing = 0
+        for line in lines:
+            typing = line == "if TYPE_CHECKING:" or (typing and (line.startswith(" ") or not line))
+            if line.strip().startswith(("import pycolmap", "from pycolmap")) and not typing:
+                assert path.name == "colmap_library.py", path
+
+
+# Commands
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """Inputs of every kind. What is in them is of no account: outputs are refused before anything is read."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("in.tif", "in.json", "in.jpg", "lot.geojson", "sat.tif", "sim3.json", "mesh.ply", "net.onnx", "f.json",
+                 "lens.xml", "gcp.txt"):  # fmt: skip
+        Path(name).write_text("{}")
+    for name in ("model", "frames", "album"):
+        Path(name, "deep").mkdir(parents=True)
+        Path(name, "in.txt").touch()
+    return tmp_path
+
+
+EVIDENCE = ("--images frames", "--detections in.json", "--calibration f.json", "--fleet f.json", "--detector net.onnx",
+            "--ground-control gcp.txt")  # fmt: skip
+LOOKING = ("--detections in.json", "--calibration f.json", "--detector net.onnx", "--lens lens.xml")
+COMMANDS = {  # words, options that name more inputs, options that name an output
+    "estimate": ("in.tif", EVIDENCE, ["--save-detections"]),
+    "check": ("in.tif", EVIDENCE, ["--save-detections"]),
+    "fix": ("in.tif", EVIDENCE, ["--out", "--save-detections"]),
+    "apply": ("sim3.json mesh.ply model", (), ["--out"]),
+    "crop": ("in.jpg --satellite sat.tif --gsd 0.1", ("--lens lens.xml",), ["--out"]),
+    "layout": ("in.tif --lot lot.geojson --facility tennis", ("--avoid f.json", "--catalogue in.json"), ["--out"]),
+    "photo": ("album in.jpg", LOOKING[:1] + LOOKING[2:], ["--out", "--save-detections"]),
+    "evaluate": ("album", LOOKING[:1] + LOOKING[2:], ["--out", "--save-detections"]),
+    "calibrate": ("in.tif", ("--detector net.onnx",), ["--out"]),
+    "report": ("in.json", ("--images frames",), ["--out"]),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_command_writes_onto_its_inputs_or_what_others_wrote(bench, command):
+    words, more, options = COMMANDS[command]
+    given = [*words.split(), *(word for text in more for word in text.split())]
+    inputs = [word for word in given if (bench / word).exists()]
+    assert inputs
+    (bench / "foreign").mkdir()
+    for suffix in (".json", ".csv", ".gpkg"):
+        (bench / f"foreign{suffix}").write_text('{"precious": 1}')
+    places = ["foreign", "foreign.json", "foreign.csv", "foreign.gpkg", "."]
+    for number, name in enumerate(inputs):
+        link = f"link{number}.json"
+        (bench / link).symlink_to(bench / name)
+        places += [name, f"{bench}/model/../{name}", link]
+        if (bench / name).is_dir():
+            places += [f"{name}/new.json", f"{name}/deep/new.csv", f"{name}/in.txt"]
+        else:
+            os.link(bench / name, bench / f"hard{number}.json")
+            places += [f"hard{number}.json", f"{name}.aux.xml"]
+    before = state(bench)
+    for option in options:
+        main = ["--out", "fresh"] if command == "fix" and option != "--out" else []
+        for place in places:
+            for overwrite in ([], ["--overwrite"]):
+                done = run(command, *given, *main, option, place, *overwrite)
+                assert done.returncode == 2, (option, place, done.stderr)
+                assert state(bench) == before
+        done = run(command, *given, *main, option, "")
+        assert done.returncode == 2 and "empty name" in done.stderr
+
+
+def test_outputs_of_one_command_never_share_a_place(bench):
+    shutil.copytree(MODEL, "sparse")
+    for words in (
+        ("photo", "album", "--out", "a.csv", "--out", "./a.csv"),
+        ("photo", "album", "--out", "a.json", "--save-detections", "a.json"),
+        ("evaluate", "album", "--out", "a.json", "--save-detections", "a.json"),
+        ("fix", "sparse", *RULES, "--out", "a.json", "--save-detections", "a.json"),
+        ("fix", "sparse", *RULES, "--out", "a", "--save-detections", "a/boxes.json"),
+    ):
+        before = state(bench)
+        done = run(*words)
+        assert done.returncode in (2, 6) and done.stderr.count("\n") == 2, done.stderr
+        assert state(bench) == before
+
+
+# Orthophotos: many files side by side
+
+
+@pytest.fixture
+def ortho(tmp_path):
+    """An orthophoto with a world file, and boxes that give it 0.08 m/px."""
+    rng = np.random.default_rng(1)
+    size = np.exp(rng.multivariate_normal(np.log([4.37, 1.79]), [[0.008, 0.003], [0.003, 0.002]], 80)) / 0.08
+    places = zip(rng.uniform(60, [840, 640], (80, 2)), size, rng.uniform(-1.5, 1.5, 80), strict=True)
+    rows = [{"cx": x, "cy": y, "length": a, "width": b, "angle": t, "score": 0.8} for (x, y), (a, b), t in places]
+    folder = tmp_path / "here"
+    folder.mkdir()
+    (tmp_path / "boxes.json").write_text(json.dumps({"a.tif": rows}))
+    cv2.imwrite(str(folder / "a.tif"), rng.integers(0, 255, (700, 900, 3), dtype=np.uint8))
+    (folder / "a.tfw").write_text("0.1\n0\n0\n-0.1\n500\n900\n")
+    return folder / "a.tif"
+
+
+def fixed(ortho, out, *more):
+    return run("fix", ortho, "--out", out, "--fleet", "DE", "--detections", ortho.parent.parent / "boxes.json",
+               "--force", "--override", *more)  # fmt: skip
+
+
+ALL = [word for kind in ("tfw", "scale", "gpkg", "geojson", "tiles") for word in ("--also", kind)]
+
+
+def test_a_run_replaces_all_that_a_former_run_wrote_and_nothing_else(ortho):
+    here, out = ortho.parent, ortho.parent / "out.tif"
+    before = state(here)
+    assert fixed(ortho, out, *ALL).returncode == 0
+    first = set(names(here))
+    assert len(first) == 2 + 1 + 3 + 5 and all(
+        ours(here / name) for name in first if "out.tif" in name and "csv" not in name
+    )
+    (here / "out.tif.notes.txt").write_text("precious")
+    (here / "out.json").write_text("precious")
+    refused = fixed(ortho, out, *ALL)
+    assert refused.returncode == 2 and "already exists" in refused.stderr
+    assert fixed(ortho, out, *ALL, "--overwrite").returncode == 0
+    assert set(names(here)) == first | {"out.tif.notes.txt", "out.json"}
+    assert fixed(ortho, out, "--overwrite", "--report", "none").returncode == 0
+    assert set(names(here)) == {"a.tif", "a.tfw", "out.tif", "out.tif.notes.txt", "out.json"}
+    assert {name: content for name, content in state(here).items() if name in before} == before
+
+
+def test_the_georeferencing_of_the_input_stays_its_own(ortho):
+    here = ortho.parent
+    before = (here / "a.tfw").read_bytes()
+    for _ in range(2):
+        assert fixed(ortho, here / "a.tiff", "--overwrite").returncode == 0
+        assert (here / "a.tfw").read_bytes() == before
+    (here / "a.tfw").unlink()
+    done = fixed(ortho, here / "a.tiff", "--overwrite", "--also", "tfw")
+    assert done.returncode == 2 and "part of the input" in done.stderr and not (here / "a.tfw").exists()
+
+
+@pytest.mark.parametrize("name", ["out.tfw", "out.tif.gpkg", "out.tif.json", "out.tif.tiles.csv", "out.tif.ovr"])
+def test_others_files_in_the_places_of_parts_stay(ortho, name):
+    here = ortho.parent
+    assert fixed(ortho, here / "out.tif").returncode == 0
+    (here / name).write_text("1\n0\n0\n-1\n0\n0\n")
+    before = state(here)
+    done = fixed(ortho, here / "out.tif", "--overwrite", *ALL)
+    assert done.returncode == 2 and name in done.stderr
+    assert state(here) == before
+
+
+# What fails beside a verified copy
+
+
+@pytest.mark.parametrize("part", ["vehicles.png", "report.html", "report.json"])
+def test_a_model_is_delivered_though_its_report_fails(tmp_path, monkeypatch, part):
+    where = {"vehicles.png": "draw", "report.html": "page", "report.json": "document"}[part]
+
+    def fail(*_):
+        raise ValueError("no such colour")
+
+    monkeypatch.setattr(f"orthoscale.report.files.{where}", fail)
+    done = run("fix", MODEL, *RULES, "--out", tmp_path / "out")
+    assert done.returncode == 6 and f"{part}" in done.stderr and "no such colour" in done.stderr
+    assert "Traceback" not in done.stderr and "orthoscale report" in done.stderr
+    there = set(names(tmp_path / "out"))
+    assert {"cameras.bin", "images.bin", "points3D.bin", "sim3.json", MARK} <= there and part not in there
+    assert ours(tmp_path / "out") and names(tmp_path) == ["out"]
+    monkeypatch.undo()
+    if part != "report.json":
+        page = tmp_path / ("later.png" if part == "vehicles.png" else "later.html")
+        assert run("report", tmp_path / "out/report.json", "--out", page).returncode == 0
+        assert page.stat().st_size > 10_000
+        # Made again where it belongs, it is one of the folder's own, and may be replaced.
+        for _ in range(2):
+            assert run("report", tmp_path / "out/report.json", "--overwrite").returncode == 0
+        assert ours(tmp_path / "out")
+    with pytest.raises(Incomplete) as caught:
+        monkeypatch.setattr(f"orthoscale.report.files.{where}", fail)
+        fix(MODEL, tmp_path / "again", detections=BOXES, fleet="US")
+    assert caught.value.result.scale.value > 0
+
+
+def test_an_orthophoto_is_delivered_though_its_geopackage_fails(ortho, monkeypatch):
+    def fail(*_, **__):
+        raise RuntimeError("sqlite3_exec failed: database or disk is full")
+
+    monkeypatch.setattr("pyogrio.raw.write", fail)
+    done = fixed(ortho, ortho.parent / "out.tif", "--also", "gpkg")
+    assert done.returncode == 6 and "out.tif.gpkg could not be written" in done.stderr and "scale  " in done.stdout
+    assert names(ortho.parent) == sorted(
+        ["a.tif", "a.tfw"] + [f"out.tif{end}" for end in ("", ".json", ".png", ".html")]
+    )
+
+
+def test_a_full_disk_while_detections_are_saved_is_exit_code_6(tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise RuntimeError("sqlite3_exec failed: database or disk is full")
+
+    monkeypatch.setattr("pyogrio.raw.write", fail)
+    done = run("estimate", MODEL, *RULES, "--save-detections", tmp_path / "boxes.gpkg")
+    assert done.returncode == 6 and "disk is full" in done.stderr and names(tmp_path) == []
+
+
+def test_a_symbolic_link_beside_a_model_is_not_followed(tmp_path):
+    shutil.copytree(MODEL, tmp_path / "model")
+    (tmp_path / "secret").write_text("precious")
+    (tmp_path / "model/project.ini").write_text("plain")
+    (tmp_path / "model/notes.txt").symlink_to(tmp_path / "secret")
+    result = fix(tmp_path / "model", tmp_path / "out", detections=BOXES, fleet="US")
+    assert "project.ini" in names(tmp_path / "out") and "notes.txt" not in names(tmp_path / "out")
+    assert any("symbolic links: notes.txt" in note for note in result.source.notes)
+
+
+# Messages
+
+
+def test_messages_are_short_and_plain_whatever_a_name_is(tmp_path):
+    name = tmp_path / os.fsdecode(b"a\x1b]0;owned\x07\nb\xff.tif")
+    for words in (["estimate", name], ["estimate", "x" * 300], ["apply", "y" * 300, "z", "--out", tmp_path / "out"]):
+        done = run(*words)
+        assert done.returncode == 5, done.stderr
+        assert done.stderr.count("\n") <= 2 and all(c.isprintable() or c == "\n" for c in done.stderr)
+    done = run("estimate", MODEL, "--detections", tmp_path / ("q" * 200), "--fleet", "z" * 5000)
+    assert done.returncode in (2, 5) and len(done.stderr) < 2500
+    assert names(tmp_path) == []
+
+
+def test_unreadable_inputs_are_exit_code_5(tmp_path, monkeypatch):
+    (tmp_path / "boxes.json").write_text("no boxes")
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)  # root may read everything
+    done = run("estimate", MODEL, "--detections", tmp_path / "boxes.json")
+    assert done.returncode == 5 and "Usage" not in done.stderr
