@@ -29,7 +29,7 @@ from .table import table  # noqa: E402
 
 SHORT = 400  # attempts of a short run, about
 LEAST = 3  # of each class in a short run
-FAILURES = Path("fuzz-failures.jsonl")
+FAILURES = Path("build/fuzz-failures.jsonl")
 
 
 def wanted(options: argparse.Namespace) -> Iterator[tuple[str, int]]:
@@ -86,6 +86,7 @@ def main() -> int:
     failed = [o for o in outcomes if o.problems]
     if not options.only:
         print(table(outcomes, [name for name in commands.CLASSES if any(o.name == name for o in outcomes)]))
+        options.failures.parent.mkdir(exist_ok=True)
         options.failures.write_text("".join(json.dumps(asdict(o)) + "\n" for o in failed))
         cpu = sum(o.cpu for o in outcomes)
         print(f"\n{len(outcomes)} inputs in {time.monotonic() - begin:.0f} s ({cpu:.0f} s of the processor), "

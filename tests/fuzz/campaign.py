@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import signal
 import traceback
+from dataclasses import replace
 from pathlib import Path
 
 from . import commands, runner
 from .bench import Bench
+from .seeds import SEEDS
+
+
+PATIENCE = 300.0  # [s] for what once had no end
 
 
 def make_corpus(folder: Path) -> Path:
     """Build the corpus in the new `folder`; in a process of its own, since its makers load and start much."""
     from .corpus import build
 
-    return build(folder)
+    build(folder)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the commands that it called took it
+    return folder
 
 
 def attempt(place: tuple[Path, Path, str, int, bool]) -> runner.Outcome:
@@ -31,3 +39,9 @@ def attempt(place: tuple[Path, Path, str, int, bool]) -> runner.Outcome:
         for rest in work.glob(f".{folder.name}*"):
             runner.clean(rest)
     return outcome
+
+
+def run_seed(corpus: Path, work: Path, name: str) -> runner.Outcome:
+    """Make and run the seed called `name`, with patience for a machine that has much else to do."""
+    work.mkdir(parents=True)
+    return runner.run(name, 0, work, replace(SEEDS[name](Bench(corpus, work)), patience=PATIENCE))

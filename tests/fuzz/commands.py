@@ -197,12 +197,11 @@ def documents(bench: Bench, rng: Rng) -> Attempt:
 def rasters(bench: Bench, rng: Rng) -> Attempt:
     name = rng.choice(RASTERS)
     sidecars = {"ortho.png": ("ortho.pgw",), "ortho.jpg": ("ortho.jgw",), "ortho.vrt": ("ortho.tif",)}.get(name, ())
-    inside = bench.take("ortho", name, "boxes.txt", *sidecars)
+    inside = bench.take("ortho", name, "labels.txt", *sidecars)
     path = inside / (rng.choice((name, name, *sidecars)) if sidecars else name)
     harm(path, rng, how_for(path))
-    (inside / "boxes.txt").rename(inside / f"{Path(name).stem}.txt")
     ask = (f"in/{name}", "--fleet", "DE")
-    boxes = ("--detections", f"in/{Path(name).stem}.txt")
+    boxes = ("--detections", "in/labels.txt")
     command = rng.choice(("estimate", "estimate", "estimate", "check", "fix", "fix", "fix", "look"))
     if command == "look":
         return Attempt(("estimate", *ask, "--zoom", "1", "--json"), memory=HOSTILE_MEMORY)
@@ -216,7 +215,7 @@ def rasters(bench: Bench, rng: Rng) -> Attempt:
 
 def hostile_rasters(bench: Bench, rng: Rng) -> Attempt:
     """Bombs, strange types and sizes, VRTs of pipes, devices and servers."""
-    inside = bench.take("ortho", "ortho.tif", "boxes.txt")
+    inside = bench.take("ortho", "ortho.tif", "labels.txt")
     if rng.random() < 0.4:
         name = hostile.odd_vrt(inside, rng)
     else:
@@ -224,8 +223,7 @@ def hostile_rasters(bench: Bench, rng: Rng) -> Attempt:
         bench.take("strange", name)
     ask = ("estimate", f"in/{name}", "--fleet", "DE", "--json")
     if rng.random() < 0.5:
-        (inside / "boxes.txt").rename(inside / f"{Path(name).stem}.txt")
-        return Attempt((*ask, "--detections", f"in/{Path(name).stem}.txt"), memory=HOSTILE_MEMORY)
+        return Attempt((*ask, "--detections", "in/labels.txt"), memory=HOSTILE_MEMORY)
     return Attempt((*ask, "--zoom", "0.1" if "20000" in name else "1"), memory=HOSTILE_MEMORY)
 
 
@@ -506,6 +504,8 @@ def kills(bench: Bench, rng: Rng) -> Attempt:
     if argv[0] == "fix" and rng.random() < 0.3:
         argv = (*argv, "--force")
     number = rng.choice((signal.SIGINT, signal.SIGTERM, signal.SIGKILL))
+    if rng.random() < 0.5:
+        return Attempt(argv, kill=(int(number), rng.uniform(0, 0.15)), when_writing=True)
     return Attempt(argv, kill=(int(number), rng.choice((rng.uniform(0.1, 0.8), rng.uniform(0.3, 2.5)))))
 
 

@@ -136,6 +136,8 @@ def _ortho(folder: Path) -> None:
         found = Detections({"ortho.tif": boxes}, 1.0, ruler, (0.7, 0.6), "made for the campaign")
         for name in BOX_FORMATS[:-1]:
             save_detections(found, folder / name, source)
+    lines = [" ".join(f"{v:.2f}" for v in corners.ravel()) + " small-vehicle 0\n" for corners in boxes.corners]
+    (folder / "labels.txt").write_text("".join(lines))
     plain = [dict(zip(("cx", "cy", "length", "width", "angle"), row, strict=True)) for row in boxes.xylwa.tolist()]
     (folder / "plain.json").write_text(json.dumps({"ortho.tif": plain}))
 

@@ -45,8 +45,10 @@ class Attempt:
 
     argv : without the program's name; paths are relative to the folder. codes : exit codes that are in order.
     truth : the scale, where a success must be near it, within `tolerance`. memory : [GiB]. file_limit : [bytes] of any
-    file written. kill : (signal, delay [s]) sent to a process of its own. twins : how many run at once, of which one
+    file written. kill : (signal, delay [s]) sent to a process of its own; when_writing : the
+    delay counts from its first output. twins : how many run at once, of which one
     may succeed. beside : a success may add files to `in/`.
+    patience : [s] after which it hangs.
     """
 
     argv: tuple[str | bytes, ...]
@@ -58,6 +60,8 @@ class Attempt:
     kill: tuple[int, float] | None = None
     twins: int = 1
     beside: bool = False
+    when_writing: bool = False
+    patience: float = TIME_LIMIT
     environment: dict[str, str] = field(default_factory=dict)
 
 
@@ -110,7 +114,7 @@ def run(name: str, seed: int, folder: Path, attempt: Attempt) -> Outcome:
         problems.add("hang")
     if peak > attempt.memory:
         problems.add("memory")
-    problems |= _marks(before, contents(folder), any(r.code == 0 for r in runs), attempt.beside)
+    problems |= marks(before, contents(folder), any(r.code == 0 for r in runs), attempt.beside)
     if "left behind" in problems and attempt.kill and attempt.kill[0] == signal.SIGKILL:
         problems.discard("left behind")
         _forked(folder, attempt)  # the next one tidies up
@@ -141,7 +145,7 @@ def contents(folder: Path) -> dict[str, str]:
     return found
 
 
-def _marks(before: dict[str, str], after: dict[str, str], success: bool, beside: bool) -> set[str]:
+def marks(before: dict[str, str], after: dict[str, str], success: bool, beside: bool) -> set[str]:
     """Whether inputs changed, and whether something lies about that nobody asked for.
 
     A success may add what lies outside of `in/`; a failure nothing at all.
@@ -175,11 +179,13 @@ def _crashed(run: _Run, attempt: Attempt) -> bool:
     """A signal that nobody sent, an exit code that nobody promised, a traceback, or the words of a bug."""
     if run.hung or run.peak >= STOP_AT:
         return False  # stopped from here: it counts as such
-    bad = ("Traceback (most recent call last)", "bug in orthoscale", "Fatal Python error", "*** SIG", "*** Aborted")
-    if any(word in run.err for word in bad):
-        return True
-    codes = attempt.codes | ({130, -attempt.kill[0]} if attempt.kill else set())
-    return run.code not in codes
+    bad = ["bug in orthoscale", "Fatal Python error", "*** SIG", "*** Aborted"]
+    if not attempt.kill or "/orthoscale/" in run.err:  # Python itself has a word to say to a signal while it starts
+        bad.append("Traceback (most recent call last)")
+    # Whether a program that tidied up ends with 128 + number or with the signal is a matter of taste; Python's way is
+    # SIGINT for both.
+    stopped = {130, 143, -signal.SIGINT, -attempt.kill[0]} if attempt.kill else set()
+    return any(word in run.err for word in bad) or run.code not in attempt.codes | stopped
 
 
 def _wrong(out: str, attempt: Attempt) -> bool:
@@ -195,24 +201,44 @@ def _wrong(out: str, attempt: Attempt) -> bool:
 
 def _forked(folder: Path, attempt: Attempt) -> list[_Run]:
     """The attempt in children of this process, as many at once as it has twins."""
-    files = [(folder.parent / f"{folder.name}.{k}.out", folder.parent / f"{folder.name}.{k}.err") for k in range(attempt.twins)]
-    pids = []
-    for out, err in files:
+    running = []
+    for _ in range(attempt.twins):
+        out, err = _Pipe(), _Pipe()
         pid = os.fork()
         if pid == 0:
-            _child(folder, attempt, out, err)
-        pids.append(pid)
-    return [_wait(pid, *pair) for pid, pair in zip(pids, files, strict=True)]
+            _child(folder, attempt, out.end, err.end)
+        running.append((pid, out, err))
+    return _wait(running, attempt.patience)
 
 
-def _child(folder: Path, attempt: Attempt, out: Path, err: Path) -> None:
+class _Pipe:
+    """What a child prints, kept from filling the pipe. Not a file, since the size of files may be limited."""
+
+    def __init__(self) -> None:
+        self.start, self.end = os.pipe()
+        os.set_blocking(self.start, False)
+        self._parts: list[bytes] = []
+
+    def drain(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while part := os.read(self.start, 1 << 20):
+                self._parts.append(part)
+
+    def text(self) -> str:
+        """All of it, at the end."""
+        self.drain()
+        os.close(self.start)
+        return b"".join(self._parts).decode("utf-8", "replace")
+
+
+def _child(folder: Path, attempt: Attempt, out: int, err: int) -> None:
     """In the child: never returns."""
     code = 99
     try:
         os.setsid()
         os.chdir(folder)
-        for path, number in ((out, 1), (err, 2)):
-            os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+        os.dup2(out, 1)
+        os.dup2(err, 2)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
         os.environ.update({"ORTHOSCALE_CACHE": str(folder / "cache"), "COLUMNS": "200", **attempt.environment})
@@ -237,28 +263,32 @@ def _child(folder: Path, attempt: Attempt, out: Path, err: Path) -> None:
         os._exit(code)
 
 
-def _wait(pid: int, out: Path, err: Path) -> _Run:
-    """Until the child ends, or is stopped because it takes too long or too much."""
-    begin, pause, hung, most = time.monotonic(), 0.002, False, 0.0
-    while True:
-        done, status, usage = os.wait4(pid, os.WNOHANG)
-        if done:
-            break
-        most = max(most, _resident(pid))
-        hung = time.monotonic() - begin > TIME_LIMIT
-        if hung or most > STOP_AT:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(pid, signal.SIGKILL)
-            _, status, usage = os.wait4(pid, 0)
-            break
+def _wait(running: list[tuple[int, _Pipe, _Pipe]], patience: float) -> list[_Run]:
+    """Until all children ended, or were stopped because they took too long or too much."""
+    for _, *pipes in running:
+        for pipe in pipes:
+            os.close(pipe.end)
+    begin, pause, runs, most = time.monotonic(), 0.002, {}, dict.fromkeys((pid for pid, *_ in running), 0.0)
+    while len(runs) < len(running):
+        for pid, out, err in running:
+            if pid in runs:
+                continue
+            out.drain()
+            err.drain()
+            done, status, usage = os.wait4(pid, os.WNOHANG)
+            most[pid] = max(most[pid], _resident(pid))
+            hung = not done and time.monotonic() - begin > patience
+            if not done and (hung or most[pid] > STOP_AT):
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(pid, signal.SIGKILL)
+                done, status, usage = os.wait4(pid, 0)
+            if done:
+                peak = max(most[pid], usage.ru_maxrss * 1024 / GIB)
+                code, cpu = os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime
+                runs[pid] = _Run(code, cpu, peak, hung, out.text(), err.text())
         time.sleep(pause)
         pause = min(0.05, pause * 1.5)
-    texts = []
-    for path in (out, err):
-        texts.append(path.read_bytes()[-2_000_000:].decode("utf-8", "replace"))
-        path.unlink()
-    cpu = usage.ru_utime + usage.ru_stime
-    return _Run(os.waitstatus_to_exitcode(status), cpu, max(most, usage.ru_maxrss * 1024 / GIB), hung, *texts)
+    return list(runs.values())
 
 
 def _resident(pid: int) -> float:
@@ -277,16 +307,19 @@ def _killed(folder: Path, attempt: Attempt) -> list[_Run]:
     """The attempt in a process of its own, which gets a signal after a delay."""
     assert attempt.kill
     number, delay = attempt.kill
-    out, err = folder.parent / f"{folder.name}.out", folder.parent / f"{folder.name}.err"
+    out, err = _Pipe(), _Pipe()
     words = [sys.executable, "-m", "orthoscale", *attempt.argv]
     environment = {**os.environ, "ORTHOSCALE_CACHE": str(folder / "cache"), **attempt.environment}
-    with out.open("wb") as first, err.open("wb") as second:
-        child = subprocess.Popen(words, cwd=folder, env=environment, stdout=first, stderr=second, start_new_session=True)
-        timer = threading.Event()
-        timer.wait(delay)
-        os.kill(child.pid, number)
-        child.returncode = 0  # is waited for below
-        return [_wait(child.pid, out, err)]
+    child = subprocess.Popen(words, cwd=folder, env=environment, stdout=out.end, stderr=err.end, start_new_session=True)
+    names = set(os.listdir(os.fsencode(folder)))
+    while attempt.when_writing and set(os.listdir(os.fsencode(folder))) <= names:
+        if os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+            break
+        time.sleep(0.001)
+    time.sleep(delay)
+    os.kill(child.pid, number)
+    child.returncode = 0  # is waited for below
+    return _wait([(child.pid, out, err)], attempt.patience)
 
 
 def clean(folder: Path) -> None:

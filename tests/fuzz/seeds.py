@@ -25,6 +25,7 @@ from .truth import CARD
 Seed = Callable[[Bench], Attempt]
 SEEDS: dict[str, Seed] = {}
 BOXES = ("--detections", "in/boxes.json", "--fleet", "DE")
+FIX = ("fix", "in/ortho.tif", *BOXES, "--override")
 PLANS = ("in", *BOXES, "--mode", "planar")
 ESTIMATE = ("estimate", "in/ortho.tif", *BOXES, "--json")
 
@@ -89,11 +90,10 @@ _onto("report", "settings", "report", "in/report.json", "--out", "in/report.json
 
 @seed("output on input: the world file of a.tif")
 def _world_file(bench: Bench) -> Attempt:
-    inside = bench.take("ortho", "ortho.tif", "boxes.txt", "ortho.pgw")
+    inside = bench.take("ortho", "ortho.tif", "labels.txt", "ortho.pgw")
     (inside / "ortho.tif").rename(inside / "a.tif")
     (inside / "ortho.pgw").rename(inside / "a.tfw")
-    (inside / "boxes.txt").rename(inside / "a.txt")
-    argv = ("fix", "in/a.tif", "--detections", "in/a.txt", "--fleet", "DE", "--override", "--force", "--out", "in/a.tiff")
+    argv = ("fix", "in/a.tif", "--detections", "in/labels.txt", "--fleet", "DE", "--override", "--force", "--out", "in/a.tiff")
     return ends((*argv, "--overwrite"), 0, 2, beside=True)
 
 
@@ -140,7 +140,7 @@ def _one_byte(bench: Bench) -> Attempt:
     path = bench.take("colmap-bin") / "sparse/0/cameras.bin"
     data = bytearray(path.read_bytes())
     at = data.index(struct.pack("<d", 400.0))
-    data[at + 6] ^= 0x40  # of the exponent: 400 becomes 6400
+    data[at + 6] = 0xB9  # of the exponent: 400 becomes 6400
     path.write_bytes(data)
     return ends(("estimate", *PLANS), 5)
 
@@ -177,14 +177,13 @@ def tiff_tag(data: bytes, tag: int) -> tuple[int, int, int]:
 def _offsets(name: str, file: str, tag: int, value: int, command: str) -> None:
     @seed(f"raster: {name}, {command}")
     def make(bench: Bench) -> Attempt:
-        inside = bench.take("ortho", file, "boxes.txt")
-        (inside / "boxes.txt").rename(inside / f"{Path(file).stem}.txt")
+        inside = bench.take("ortho", file, "labels.txt")
         data = bytearray((inside / file).read_bytes())
         _, count, at = tiff_tag(bytes(data), tag)
         for k in range(count // 2, count):
             struct.pack_into("<I", data, at + 4 * k, value)
         (inside / file).write_bytes(data)
-        ask = (f"in/{file}", "--detections", f"in/{Path(file).stem}.txt", "--fleet", "DE")
+        ask = (f"in/{file}", "--detections", "in/labels.txt", "--fleet", "DE")
         if command == "fix":
             return ends(("fix", *ask, "--override", "--force", "--out", "out.tif"), 5)
         return ends(("estimate", *ask), 0, 5)
@@ -199,20 +198,22 @@ for _command in ("estimate", "fix"):
 # 6: kills
 
 
-def _kill(number: signal.Signals, delay: float, model: bool) -> None:
-    @seed(f"kill: {number.name} after {delay} s, {'model' if model else 'orthophoto'}")
+def _kill(number: signal.Signals, delay: float, model: bool, writing: bool) -> None:
+    @seed(f"kill: {number.name} {delay} s after {'writing' if writing else 'it'} began, {'model' if model else 'ortho'}")
     def make(bench: Bench) -> Attempt:
         if model:
             bench.take("colmap-bin")
-            return Attempt(("fix", *PLANS, "--out", "out"), kill=(int(number), delay))
+            return Attempt(("fix", *PLANS, "--out", "out"), kill=(int(number), delay), when_writing=writing)
         bench.take("ortho", "ortho.tif", "boxes.json")
-        return Attempt(("fix", "in/ortho.tif", *BOXES, "--override", "--out", "out.tif"), kill=(int(number), delay))
+        return Attempt(("fix", *FIX[1:], "--out", "out.tif"), kill=(int(number), delay), when_writing=writing)
 
 
 for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-    for _delay in (0.25, 0.8, 1.2, 1.6):
-        _kill(_number, _delay, model=True)
-    _kill(_number, 1.0, model=False)
+    for _delay in (0.25, 0.8, 1.4):
+        _kill(_number, _delay, model=True, writing=False)
+    for _delay in (0.0, 0.02, 0.1):
+        _kill(_number, _delay, model=True, writing=True)
+        _kill(_number, _delay, model=False, writing=True)
 
 
 # 7: hangs and floods
@@ -398,7 +399,6 @@ def _asked(name: str, *more: str | bytes, codes: tuple[int, ...] = (2,), command
         return ends((*command, *more), *codes)
 
 
-FIX = ("fix", "in/ortho.tif", *BOXES, "--override")
 _asked("a distance known to 1e300 m", "--known-distance", "10,10 300,300 41 1e300")
 _asked("a distance of nan", "--known-distance", "10,10 300,300 nan")
 _asked("no name of the output", "--out", "", "--overwrite", command=FIX)
