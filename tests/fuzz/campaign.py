@@ -11,7 +11,6 @@ from . import commands, runner
 from .bench import Bench
 from .seeds import SEEDS
 
-
 PATIENCE = 300.0  # [s] for what once had no end
 
 
@@ -41,7 +40,7 @@ def attempt(place: tuple[Path, Path, str, int, bool]) -> runner.Outcome:
     return outcome
 
 
-def run_seed(corpus: Path, work: Path, name: str) -> runner.Outcome:
+def run_seed(corpus: Path, work: Path, name: str, patience: float = PATIENCE) -> runner.Outcome:
     """Make and run the seed called `name`, with patience for a machine that has much else to do."""
     work.mkdir(parents=True)
-    return runner.run(name, 0, work, replace(SEEDS[name](Bench(corpus, work)), patience=PATIENCE))
+    return runner.run(name, 0, work, replace(SEEDS[name](Bench(corpus, work)), patience=patience))

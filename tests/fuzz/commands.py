@@ -12,7 +12,6 @@ import random
 import shutil
 import signal
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +41,9 @@ def _damaged_colmap(kinds: Sequence[str]) -> Callable[[Bench, Rng], Attempt]:
         model = bench.take(kind) / "sparse/0"
         # The large files are mostly observations, where damage matters least.
         files = sorted(p for p in model.iterdir())
-        path = rng.choice([p for p in files if p.stem in ("cameras", "images", "points3D")] if rng.random() < 0.7 else files)
+        path = rng.choice(
+            [p for p in files if p.stem in ("cameras", "images", "points3D")] if rng.random() < 0.7 else files
+        )
         harm(path, rng, how_for(path), rng.choice(files))
         if rng.random() < 0.05:
             path.unlink()
@@ -117,7 +118,9 @@ def detections(bench: Bench, rng: Rng) -> Attempt:
     ask = ("in/ortho.tif", "--detections", f"in/{name}", "--fleet", "DE")
     command = rng.choice(("estimate",) * 6 + ("check", "fix", "save", "exhaustive"))
     if command == "fix":
-        return Attempt(("fix", *ask, "--override", "--force", "--out", "out.tif", "--report", rng.choice(("json", "html"))))
+        return Attempt(
+            ("fix", *ask, "--override", "--force", "--out", "out.tif", "--report", rng.choice(("json", "html")))
+        )
     if command == "save":
         to = f"out{rng.choice(('.json', '.coco.json', '.geojson', '.gpkg', '.txt'))}"
         return Attempt(("estimate", *ask, "--save-detections", to))
@@ -132,7 +135,9 @@ def model_detections(bench: Bench, rng: Rng) -> Attempt:
     if which == 0:
         inside = bench.take("photos")
         harm(inside / "boxes.json", rng, damage.json_text)
-        return Attempt(("photo", "in/flight", "--detections", "in/boxes.json", "--fleet", "in/cars.json", "--out", "o.csv"))
+        return Attempt(
+            ("photo", "in/flight", "--detections", "in/boxes.json", "--fleet", "in/cars.json", "--out", "o.csv")
+        )
     if which == 1:
         kind = rng.choice(("denseuav", "csv"))
         inside = bench.take(kind)
@@ -162,7 +167,16 @@ def settings(bench: Bench, rng: Rng) -> Attempt:
     )
     if name.startswith("lens"):
         inside = bench.take("photos", "flight/a.jpg", "boxes.json", "cars.json", name)
-        argv = ("photo", "in/flight/a.jpg", "--detections", "in/boxes.json", "--fleet", "in/cars.json", "--lens", f"in/{name}")
+        argv = (
+            "photo",
+            "in/flight/a.jpg",
+            "--detections",
+            "in/boxes.json",
+            "--fleet",
+            "in/cars.json",
+            "--lens",
+            f"in/{name}",
+        )
     elif name.startswith("sim3"):
         inside = bench.take("geometry", name, "ascii.ply")
     elif name.startswith("cata"):
@@ -186,7 +200,9 @@ def documents(bench: Bench, rng: Rng) -> Attempt:
             ("scaled.tif.json", lay),
         )
     )
-    inside = bench.take("settings", "report.json", "lot.geojson", "trees.geojson", "scaled.tif", "scaled.tif.json", "ortho.tif")
+    inside = bench.take(
+        "settings", "report.json", "lot.geojson", "trees.geojson", "scaled.tif", "scaled.tif.json", "ortho.tif"
+    )
     harm(inside / name, rng, how_for(Path(name)))
     return Attempt(argv)
 
@@ -206,7 +222,9 @@ def rasters(bench: Bench, rng: Rng) -> Attempt:
     if command == "look":
         return Attempt(("estimate", *ask, "--zoom", "1", "--json"), memory=HOSTILE_MEMORY)
     if command == "fix":
-        more = rng.choice(((), ("--cog",), ("--keep-origin",), ("--also", "tfw"), ("--also", "gpkg", "--report", "html")))
+        more = rng.choice(
+            ((), ("--cog",), ("--keep-origin",), ("--also", "tfw"), ("--also", "gpkg", "--report", "html"))
+        )
         report = () if "--report" in more else ("--report", rng.choice(("none", "html")))
         argv = ("fix", *ask, *boxes, "--override", "--force", "--out", "out.tif", *report, *more)
         return Attempt(argv, memory=HOSTILE_MEMORY)
@@ -325,15 +343,22 @@ def onnx_files(bench: Bench, rng: Rng) -> Attempt:
 # Words, places, circumstances
 
 
+OPTIONS = (
+    *("--zoom", "--gsd-hint", "--target", "--seed", "--workers", "--fleet", "--vehicle-class", "--known-distance"),
+    *("--decoder", "--calibration", "--mode", "--images", "--scheduler"),
+)
+
+
 def options(bench: Bench, rng: Rng) -> Attempt:
     """Strange values of every option."""
     bench.take("settings", "ortho.tif", "boxes.json", "control.txt", "scaled.tif", "lot.geojson")
     value = rng.choice(hostile.WORDS)
     base = ("estimate", "in/ortho.tif", "--detections", "in/boxes.json", "--json")
-    option = rng.choice(("--zoom", "--gsd-hint", "--target", "--seed", "--workers", "--fleet", "--vehicle-class",
-                         "--known-distance", "--decoder", "--calibration", "--mode", "--images", "--scheduler"))  # fmt: skip
+    option = rng.choice(OPTIONS)
     if option == "--known-distance":
-        words = [rng.choice(("10,10", "300,300", "1e300,1", "nan,1", "10,10,10", "id:1", "x@1,1", "10", *hostile.WORDS[:9]))]
+        words = [
+            rng.choice(("10,10", "300,300", "1e300,1", "nan,1", "10,10,10", "id:1", "x@1,1", "10", *hostile.WORDS[:9]))
+        ]
         words += [rng.choice(("300,20", "10,10", "inf,0")), *(rng.choice(hostile.WORDS) for _ in range(2))]
         value = " ".join(words)
     if rng.random() < 0.2:
@@ -418,12 +443,14 @@ def frames(bench: Bench, rng: Rng) -> Attempt:
     if kind == "colmap-bin" and rng.random() < 0.4:
         shutil.copytree(inside / "sparse/0", inside / "sparse/1")
         harm(rng.choice(list((inside / f"sparse/{rng.randrange(2)}").iterdir())), rng, damage.binary)
-        return Attempt(("fix", "in", "--detections", "in/boxes.json", "--fleet", "DE", "--mode", "planar", "--out", "out"))
+        return Attempt(
+            ("fix", "in", "--detections", "in/boxes.json", "--fleet", "DE", "--mode", "planar", "--out", "out")
+        )
     return Attempt(("fix", "in", "--detections", "in/boxes.json", "--fleet", "DE", "--mode", "planar", "--out", "out"))
 
 
 def values(bench: Bench, rng: Rng) -> Attempt:
-    """Files that are sound but say too much: nested, enormous, countless, beyond every range. All the seeds, in turn."""
+    """Files that are sound but say too much: nested, enormous, countless, out of range; the seeds."""
     return seeds.SEEDS[rng.choice(list(seeds.SEEDS))](bench)
 
 
@@ -445,7 +472,9 @@ def writing(bench: Bench, rng: Rng, place: str = "out") -> tuple[str, ...]:
         return ("fix", "in", *boxes, "--mode", "planar", "--out", place)
     if what in (2, 3):
         bench.take("ortho", "ortho.tif", "boxes.json")
-        also = rng.choice(((), ("--also", "gpkg"), ("--also", "tfw", "--also", "geojson", "--also", "tiles"), ("--cog",)))
+        also = rng.choice(
+            ((), ("--also", "gpkg"), ("--also", "tfw", "--also", "geojson", "--also", "tiles"), ("--cog",))
+        )
         return ("fix", "in/ortho.tif", *boxes, "--override", *also, "--out", f"{place}.tif")
     if what == 4:
         bench.take("ortho", "ortho.tif", "boxes.json")
@@ -461,7 +490,16 @@ def writing(bench: Bench, rng: Rng, place: str = "out") -> tuple[str, ...]:
     if what == 7:
         bench.take("photos")
         end = rng.choice((".csv", ".json", ".gpkg"))
-        return ("photo", "in/flight", "--detections", "in/boxes.json", "--fleet", "in/cars.json", "--out", f"{place}{end}")
+        return (
+            "photo",
+            "in/flight",
+            "--detections",
+            "in/boxes.json",
+            "--fleet",
+            "in/cars.json",
+            "--out",
+            f"{place}{end}",
+        )
     bench.take("settings", "report.json", "ortho.tif")
     return ("report", "in/report.json", "--out", f"{place}.html")
 

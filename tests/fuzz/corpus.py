@@ -157,7 +157,11 @@ def _strange(folder: Path) -> None:
             if name in ("float", "double"):
                 data[:, ::3] = np.nan
             file.write(data)
-    place = {"nan": from_origin(np.nan, 0, 0.1, 0.1), "zero": from_origin(0, 0, 0, 0), "huge": from_origin(1e300, 0, 1e300, 1)}
+    place = {
+        "nan": from_origin(np.nan, 0, 0.1, 0.1),
+        "zero": from_origin(0, 0, 0, 0),
+        "huge": from_origin(1e300, 0, 1e300, 1),
+    }
     for name, transform in place.items():
         profile = {"driver": "GTiff", "width": 300, "height": 300, "count": 3, "dtype": "uint8", "transform": transform}
         with rasterio.open(folder / f"{name}.tif", "w", **profile, crs="EPSG:32632") as file:
@@ -198,7 +202,9 @@ def _settings(folder: Path) -> None:
     Calibration("tiny", "ab" * 32, Ruler(), dict(test_photo.CARS), {"ortho": "x.tif"}).save(folder / "calibration.json")
     Sim3(MODEL_SCALE).save(folder)
     own = {"name": "boules court", "length": 15, "width": 4, "ends": 1, "sides": 1, "source": "FIPJP"}
-    (folder / "catalogue.json").write_text(json.dumps({"facilities": {"boules": {**own, "lines": [["line", 0, 0, 5, 0]]}}}))
+    (folder / "catalogue.json").write_text(
+        json.dumps({"facilities": {"boules": {**own, "lines": [["line", 0, 0, 5, 0]]}}})
+    )
     (folder / "control.txt").write_text("40,40 4 -4\n360,40 36 -4\n40,360 4 -36\n360,360 36 -36\n")
     said = in_process.run("estimate", folder / "ortho.tif", "--detections", folder / "boxes.json", "--json")
     (folder / "report.json").write_text(said.stdout)
@@ -245,7 +251,9 @@ def _geometry(folder: Path) -> None:
     for form in ("ascii", "binary_little_endian", "binary_big_endian"):
         test_rescale.ply(folder / f"{form}.ply", form, ["x", "y", "z"], xyz, faces=True)
     splat = ["x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-    test_rescale.ply(folder / "splat.ply", "binary_little_endian", splat, np.random.default_rng(1).normal(0, 1, (40, 11)))
+    test_rescale.ply(
+        folder / "splat.ply", "binary_little_endian", splat, np.random.default_rng(1).normal(0, 1, (40, 11))
+    )
     (folder / "mesh.obj").write_text("mtllib a.mtl\nv 1 2 3\nv -4 0.5 6 1 0 0\nv 0 0 1\nvn 0 0 1\nf 1//1 2//1 3//1\n")
     (folder / "a.mtl").write_text("newmtl a\nmap_Kd a.png\n")
     (folder / "a.png").write_bytes(cv2.imencode(".png", np.zeros((2, 2, 3), np.uint8))[1].tobytes())

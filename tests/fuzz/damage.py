@@ -1,4 +1,4 @@
-"""Damage: what disks, transfers, editors and enemies do to files. All of it follows from the generator that is given."""
+"""Damage: what disks, transfers, editors and enemies do to files. It all follows from the generator of chance."""
 
 from __future__ import annotations
 
@@ -18,7 +18,19 @@ WORDS = (
 )
 VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 0.5, -0.0, 1e308, -1e300, 1e-320, 1e38, 2**31, 2**63, 2**64, -(2**63), 10**400),
-    *(float("nan"), float("inf"), -float("inf"), "", "x", "nan", "1e3", "\ud800", "\x1b[31mred\n", "../../x", "y" * 4096),
+    *(
+        float("nan"),
+        float("inf"),
+        -float("inf"),
+        "",
+        "x",
+        "nan",
+        "1e3",
+        "\ud800",
+        "\x1b[31mred\n",
+        "../../x",
+        "y" * 4096,
+    ),
     *([], {}, [[]], [None], {"": {}}, [1, 2, 3], [0, 0], [float("nan")] * 4, [1e308] * 16, list(range(2000))),
 )
 
@@ -34,7 +46,7 @@ def binary(data: bytes, rng: random.Random, donor: bytes = b"") -> bytes:
 
 
 def text(data: bytes, rng: random.Random, donor: bytes = b"") -> bytes:
-    """One to three of: numbers replaced, lines lost, doubled or moved, cut off, foreign bytes; now and then `binary`."""
+    """One to three of: numbers replaced, lines lost, doubled or moved, cut off, foreign bytes; or `binary`."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         data = rng.choice(TEXT)(data, rng, donor)
     return data
@@ -155,7 +167,9 @@ def _lines(data: bytes, rng: random.Random, donor: bytes) -> bytes:
         words = lines[at].split()
         lines[at] = b" ".join(words[: rng.randrange(len(words) + 1)] + words[:1] * rng.randrange(2))
     else:
-        lines[at] = rng.choice((b"", b"#", b"1 " * 3000, b"x" * 100_000, b"\xef\xbb\xbf", lines[at] + b"\r", b"\xff\xfe\0"))
+        lines[at] = rng.choice(
+            (b"", b"#", b"1 " * 3000, b"x" * 100_000, b"\xef\xbb\xbf", lines[at] + b"\r", b"\xff\xfe\0")
+        )
     return b"\n".join(lines)
 
 

@@ -18,12 +18,56 @@ Rng = random.Random
 
 WORDS = (
     *("nan", "inf", "-inf", "-1", "0", "-0.0", "1e300", "1e-300", "1e308", "1e400", "9" * 5000, "", " ", "abc", "1,5"),
-    *("0x10", "٣", "\x1b[31m", "a\nb", "'", '"', "--", "-", "~", "%s", "../..", "/dev/zero", "tcp://127.0.0.1:1", "\udcff"),
+    *(
+        "0x10",
+        "٣",
+        "\x1b[31m",
+        "a\nb",
+        "'",
+        '"',
+        "--",
+        "-",
+        "~",
+        "%s",
+        "../..",
+        "/dev/zero",
+        "tcp://127.0.0.1:1",
+        "\udcff",
+    ),
 )
 NAMES = (
-    *(b"\xff\xfe.tif", b"a" * 251 + b".tif", b"a" * 300 + b".tif", b"-rf.tif", b"a b.tif", b"a\nb.tif", b"\x1b[31mred.tif"),
-    *(b"%s%n.tif", b"", b" ", b".tif", b"..tif", b"x.tif ", "é".encode() * 100, b"a/b/c.tif", b"x.tif/", b"x", b"x.json"),
-    *(b"'\"<script>.tif", b"\xed\xa0\x80.ply", b"x.exe", b"x.gpkg", b"\xff.ply", b"a:b.tif", b"*.tif", b"http://x/y.tif"),
+    *(
+        b"\xff\xfe.tif",
+        b"a" * 251 + b".tif",
+        b"a" * 300 + b".tif",
+        b"-rf.tif",
+        b"a b.tif",
+        b"a\nb.tif",
+        b"\x1b[31mred.tif",
+    ),
+    *(
+        b"%s%n.tif",
+        b"",
+        b" ",
+        b".tif",
+        b"..tif",
+        b"x.tif ",
+        "é".encode() * 100,
+        b"a/b/c.tif",
+        b"x.tif/",
+        b"x",
+        b"x.json",
+    ),
+    *(
+        b"'\"<script>.tif",
+        b"\xed\xa0\x80.ply",
+        b"x.exe",
+        b"x.gpkg",
+        b"\xff.ply",
+        b"a:b.tif",
+        b"*.tif",
+        b"http://x/y.tif",
+    ),
 )
 
 
@@ -212,7 +256,22 @@ PLACES: dict[str, Callable[[Path], object]] = {
     "one byte": lambda path: path.write_bytes(b"\n"),
     "holes": _holes,
 }
-ENDINGS = (".tif", ".json", ".txt", ".geojson", ".gpkg", ".ply", ".glb", ".onnx", ".png", ".vrt", ".nvm", ".csv", ".obj", "")
+ENDINGS = (
+    ".tif",
+    ".json",
+    ".txt",
+    ".geojson",
+    ".gpkg",
+    ".ply",
+    ".glb",
+    ".onnx",
+    ".png",
+    ".vrt",
+    ".nvm",
+    ".csv",
+    ".obj",
+    "",
+)
 
 
 def odd_place(folder: Path, rng: Rng) -> str:

@@ -7,6 +7,7 @@ slate. Processes that are to be killed start anew, as a user's do.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import hashlib
 import importlib
 import json
@@ -67,7 +68,11 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Outcome:
-    """code : exit code, negative for a signal. seconds, cpu : by the clock, and of the processor. peak : of resident memory [GiB]. problems : of `PROBLEMS`."""
+    """What came of an attempt.
+
+    code : exit code, negative for a signal. seconds, cpu : by the clock, and of the processor. peak : of resident
+    memory [GiB]. problems : of `PROBLEMS`.
+    """
 
     name: str
     seed: int
@@ -124,7 +129,17 @@ def run(name: str, seed: int, folder: Path, attempt: Attempt) -> Outcome:
         problems.add("wrong answer")
     words = tuple(os.fsdecode(a) for a in attempt.argv)
     ordered = tuple(p for p in PROBLEMS if p in problems)
-    return Outcome(name, seed, words, code, round(seconds, 3), round(sum(r.cpu for r in runs), 3), round(peak, 3), ordered, said[-1500:])
+    return Outcome(
+        name,
+        seed,
+        words,
+        code,
+        round(seconds, 3),
+        round(sum(r.cpu for r in runs), 3),
+        round(peak, 3),
+        ordered,
+        said[-1500:],
+    )
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -141,7 +156,9 @@ def contents(folder: Path) -> dict[str, str]:
                     found[key] = hashlib.blake2b(file.read(), digest_size=16).hexdigest()
             else:
                 status = os.stat(path, follow_symlinks=False)
-                found[key] = "folder" if os.path.isdir(path) else f"{status.st_mode} {status.st_size} {status.st_mtime_ns}"
+                found[key] = (
+                    "folder" if os.path.isdir(path) else f"{status.st_mode} {status.st_size} {status.st_mtime_ns}"
+                )
     return found
 
 
@@ -235,6 +252,7 @@ def _child(folder: Path, attempt: Attempt, out: int, err: int) -> None:
     """In the child: never returns."""
     code = 99
     try:
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: it does not outlive the worker
         os.setsid()
         os.chdir(folder)
         os.dup2(out, 1)

@@ -69,7 +69,9 @@ def _onto(name: str, kind: str, *argv: str, twice: bool = False) -> None:
 _onto("model into its workspace", "colmap-bin", "fix", "in/sparse/0", *PLANS[1:], "--out", "in", "--overwrite")
 _onto("workspace onto its model", "colmap-bin", "fix", *PLANS, "--out", "in/sparse", "--overwrite")
 _onto("several models onto themselves", "colmap-bin", "fix", *PLANS, "--out", "in", "--overwrite", twice=True)
-_onto("frames", "colmap-bin", "fix", "in/sparse", *PLANS[1:], "--images", "in/images", "--out", "in/images", "--overwrite")
+_onto(
+    "frames", "colmap-bin", "fix", "in/sparse", *PLANS[1:], "--images", "in/images", "--out", "in/images", "--overwrite"
+)
 _onto("boxes", "colmap-bin", "fix", *PLANS, "--out", "in/boxes.json", "--overwrite")
 _onto("a foreign folder", "colmap-bin", "fix", *PLANS, "--out", "in/foreign", "--overwrite")
 _onto("apply", "geometry", "apply", "in/sim3.json", "in/ascii.ply", "--out", "in", "--overwrite")
@@ -93,7 +95,18 @@ def _world_file(bench: Bench) -> Attempt:
     inside = bench.take("ortho", "ortho.tif", "labels.txt", "ortho.pgw")
     (inside / "ortho.tif").rename(inside / "a.tif")
     (inside / "ortho.pgw").rename(inside / "a.tfw")
-    argv = ("fix", "in/a.tif", "--detections", "in/labels.txt", "--fleet", "DE", "--override", "--force", "--out", "in/a.tiff")
+    argv = (
+        "fix",
+        "in/a.tif",
+        "--detections",
+        "in/labels.txt",
+        "--fleet",
+        "DE",
+        "--override",
+        "--force",
+        "--out",
+        "in/a.tiff",
+    )
     return ends((*argv, "--overwrite"), 0, 2, beside=True)
 
 
@@ -130,7 +143,11 @@ for _kind in ("colmap-bin", "rig-txt"):
     _model(f"focal length 17 times too long ({_kind})", _focal(17.1), _kind)
     _model(f"focal length twice too long ({_kind})", _focal(2.0), _kind)
     _model(f"cameras twice as far apart ({_kind})", _moved(lambda c: c.mean(0) + 2 * (c - c.mean(0))), _kind)
-    _model(f"cameras in a line ({_kind})", _moved(lambda c: c.mean(0) + np.outer(np.arange(len(c)), [0.3, 0.1, 0.02])), _kind)
+    _model(
+        f"cameras in a line ({_kind})",
+        _moved(lambda c: c.mean(0) + np.outer(np.arange(len(c)), [0.3, 0.1, 0.02])),
+        _kind,
+    )
     _model(f"cameras in one place ({_kind})", _moved(lambda c: np.repeat(c.mean(0)[None], len(c), 0)), _kind)
     _model(f"points grown by 1.3 ({_kind})", lambda m: hostile.placed(m, lambda xyz: xyz * 1.3), _kind)
 
@@ -163,7 +180,7 @@ def _cameras_of_another(bench: Bench) -> Attempt:
 
 
 def tiff_tag(data: bytes, tag: int) -> tuple[int, int, int]:
-    """Where the entry of `tag` in the first directory of a little-endian TIFF is, its count, and where its values are."""
+    """Of `tag` in the first directory of a little-endian TIFF: where its entry is, its count, where its values are."""
     at = struct.unpack_from("<I", data, 4)[0]
     for k in range(struct.unpack_from("<H", data, at)[0]):
         entry = at + 2 + 12 * k
@@ -193,13 +210,17 @@ for _command in ("estimate", "fix"):
     _offsets("strips far behind the end", "strips.tif", 273, 0x7FFFFFF0, _command)
     _offsets("strips at 0xffffffff", "strips.tif", 273, 0xFFFFFFFF, _command)
     _offsets("tiles far behind the end", "ortho.tif", 324, 0x7FFFFFF0, _command)
+    _offsets("strips at 0", "strips.tif", 273, 0, _command)
+    _offsets("strips at odd places", "strips.tif", 273, 13, _command)
 
 
 # 6: kills
 
 
 def _kill(number: signal.Signals, delay: float, model: bool, writing: bool) -> None:
-    @seed(f"kill: {number.name} {delay} s after {'writing' if writing else 'it'} began, {'model' if model else 'ortho'}")
+    @seed(
+        f"kill: {number.name} {delay} s after {'writing' if writing else 'it'} began, {'model' if model else 'ortho'}"
+    )
     def make(bench: Bench) -> Attempt:
         if model:
             bench.take("colmap-bin")
@@ -402,7 +423,15 @@ def _asked(name: str, *more: str | bytes, codes: tuple[int, ...] = (2,), command
 _asked("a distance known to 1e300 m", "--known-distance", "10,10 300,300 41 1e300")
 _asked("a distance of nan", "--known-distance", "10,10 300,300 nan")
 _asked("no name of the output", "--out", "", "--overwrite", command=FIX)
-_asked("a point at 1e12", "--known-distance", "1000000000000,10 10,10 41", "--out", "o.tif", command=FIX, codes=(0, 2, 3, 4))
+_asked(
+    "a point at 1e12",
+    "--known-distance",
+    "1000000000000,10 10,10 41",
+    "--out",
+    "o.tif",
+    command=FIX,
+    codes=(0, 2, 3, 4),
+)
 _asked("an output whose name is no UTF-8", "--out", b"\xff\xfe.tif", command=FIX, codes=(0, 2, 6))
 _asked("an output whose name is too long", "--out", "a" * 300 + ".tif", command=FIX, codes=(2, 6))
 _asked("saved under a name that is no UTF-8", "--save-detections", b"\xff\xfe.json", codes=(0, 2, 6))
@@ -445,7 +474,9 @@ def _patched(at: int, value: bytes) -> Callable[[Path], object]:
 
 
 _cache("cut in half", lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]))
-_cache("zeros after the header", lambda path: path.write_bytes(path.read_bytes()[:200].ljust(path.stat().st_size, b"\0")))
+_cache(
+    "zeros after the header", lambda path: path.write_bytes(path.read_bytes()[:200].ljust(path.stat().st_size, b"\0"))
+)
 _cache("another page size", _patched(16, b"\x02\x00"))
 _cache("another text", lambda path: path.write_bytes(b"not a database" * 400))
 _cache("bits of the last page", lambda path: path.write_bytes(path.read_bytes()[:-800] + b"\x55" * 800))
@@ -482,7 +513,11 @@ READERS: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     "boxes.coco.json": ("ortho", ("ortho.tif",), ("estimate", "in/ortho.tif", "--detections", "in/boxes.coco.json")),
     "boxes.geojson": ("ortho", ("ortho.tif",), ("estimate", "in/ortho.tif", "--detections", "in/boxes.geojson")),
     "fleet.json": ("settings", ("ortho.tif", "boxes.json"), (*ESTIMATE[:4], "--fleet", "in/fleet.json")),
-    "calibration.json": ("settings", ("ortho.tif", "boxes.json"), (*ESTIMATE[:4], "--calibration", "in/calibration.json")),
+    "calibration.json": (
+        "settings",
+        ("ortho.tif", "boxes.json"),
+        (*ESTIMATE[:4], "--calibration", "in/calibration.json"),
+    ),
     "lens.json": (
         "photos",
         ("flight/a.jpg", "boxes.json"),
@@ -493,8 +528,18 @@ READERS: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     "catalogue.json": (
         "settings",
         ("scaled.tif", "lot.geojson"),
-        ("layout", "in/scaled.tif", "--lot", "in/lot.geojson", "--facility", "boules", "--catalogue", "in/catalogue.json",
-         "--out", "out"),  # fmt: skip
+        (
+            "layout",
+            "in/scaled.tif",
+            "--lot",
+            "in/lot.geojson",
+            "--facility",
+            "boules",
+            "--catalogue",
+            "in/catalogue.json",
+            "--out",
+            "out",
+        ),  # fmt: skip
     ),
     "lot.geojson": (
         "settings",
@@ -574,7 +619,7 @@ for _what, _edit in {
 }.items():
     _reader("boxes.geojson", _what, lambda path, e=_edit: edited(path, lambda d: e(d["features"][0])), 0, 5)
 for _what, _entry in {"focal length inf": {"focal_px": float("inf")}, "huge": {"k1": 1e308, "cx": 1e308},
-                      "size huge": {"width": 10**30, "height": 10**30}, "size inf": {"width": float("inf")}}.items():  # fmt: skip
+                      "size huge": {"width": 10**30}, "size inf": {"width": 1e400}}.items():  # fmt: skip
     _reader("lens.json", _what, lambda path, e=_entry: edited(path, lambda d: d.update(e)))
 for _what, _entry in {"buffers text": {"buffers": "x"}, "buffers of text": {"buffers": ["x"]}, "images a number":
                       {"images": 3}, "images of nothing": {"images": [None]}, "uri a list": {"buffers": [{"uri": []}]},
@@ -658,4 +703,3 @@ for _limit in (0, 4096, 30_000):
           "in/cars.json", "--out", "out.gpkg")  # fmt: skip
     _full("a model", "colmap-bin", _limit, "fix", *PLANS, "--out", "out")
     _full("an orthophoto", "ortho", _limit, *FIX, "--out", "out.tif")
-

@@ -37,9 +37,7 @@ def worker():
             yield pool
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if n.startswith(HEAVY) else n for n in SEEDS]
-)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n.startswith(HEAVY) else n for n in SEEDS])
 def test_what_once_failed(name, corpus, worker, tmp_path):
     outcome = worker.apply(campaign.run_seed, (corpus, tmp_path / "work", name))
     assert not outcome.problems, f"exit {outcome.code}, {outcome.peak} GiB\n{outcome.said}"
