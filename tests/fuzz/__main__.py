@@ -59,6 +59,7 @@ def main() -> int:
     parser.add_argument("--keep", action="store_true", help="leave the attempts' folders")
     parser.add_argument("--workers", type=int, default=min(4, os.cpu_count() or 1), help="(%(default)s)")
     parser.add_argument("--failures", type=Path, default=FAILURES, help="file for what failed (%(default)s)")
+    parser.add_argument("--log", type=Path, help="file for all outcomes")
     options = parser.parse_args()
     runner.one_thread()
     begin = time.monotonic()
@@ -88,6 +89,8 @@ def main() -> int:
         print(table(outcomes, [name for name in commands.CLASSES if any(o.name == name for o in outcomes)]))
         options.failures.parent.mkdir(exist_ok=True)
         options.failures.write_text("".join(json.dumps(asdict(o)) + "\n" for o in failed))
+        if options.log:
+            options.log.write_text("".join(json.dumps(asdict(o)) + "\n" for o in outcomes))
         cpu = sum(o.cpu for o in outcomes)
         print(f"\n{len(outcomes)} inputs in {time.monotonic() - begin:.0f} s ({cpu:.0f} s of the processor), "
               f"{len(failed)} with problems" + (f", listed in {options.failures}" if failed else ""))  # fmt: skip

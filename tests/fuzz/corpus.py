@@ -27,6 +27,7 @@ import test_other_programs as others
 import test_photo
 import test_rescale
 import test_text_models
+from rasterio.control import GroundControlPoint
 from rasterio.transform import from_origin
 from test_colmap import make_model, put_frames, save
 
@@ -166,6 +167,11 @@ def _strange(folder: Path) -> None:
         profile = {"driver": "GTiff", "width": 300, "height": 300, "count": 3, "dtype": "uint8", "transform": transform}
         with rasterio.open(folder / f"{name}.tif", "w", **profile, crs="EPSG:32632") as file:
             file.write(np.full((3, 300, 300), 90, np.uint8))
+    points = [GroundControlPoint(y, x, 0.1 * x, -0.1 * y) for x in (0, 300) for y in (0, 300)]
+    points[0] = GroundControlPoint(0, 0, np.nan, 0)
+    profile = {"driver": "GTiff", "width": 300, "height": 300, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
+    with rasterio.open(folder / "control.tif", "w", **profile, gcps=points) as file:
+        file.write(np.full((3, 300, 300), 90, np.uint8))
     profile = {"driver": "GTiff", "count": 1, "dtype": "uint8", "SPARSE_OK": True, "compress": "deflate"}
     with rasterio.open(folder / "tiled20000.tif", "w", **profile, width=20000, height=20000, tiled=True):
         pass

@@ -308,6 +308,13 @@ def _zeros(bench: Bench) -> Attempt:
     return ends(ESTIMATE, 5)
 
 
+@seed("raster: a control point that is no number")
+def _no_number(bench: Bench) -> Attempt:
+    bench.take("strange", "control.tif")
+    bench.take("ortho", "labels.txt")
+    return ends(("estimate", "in/control.tif", "--detections", "in/labels.txt", "--fleet", "DE"), 0, 3, 4, 5)
+
+
 for _name in hostile.VRTS:
 
     def _vrt(bench: Bench, name: str = _name) -> Attempt:
@@ -622,7 +629,7 @@ for _what, _entry in {"focal length inf": {"focal_px": float("inf")}, "huge": {"
                       "size huge": {"width": 10**30}, "size inf": {"width": 1e400}}.items():  # fmt: skip
     _reader("lens.json", _what, lambda path, e=_entry: edited(path, lambda d: d.update(e)))
 for _what, _entry in {"buffers text": {"buffers": "x"}, "buffers of text": {"buffers": ["x"]}, "images a number":
-                      {"images": 3}, "images of nothing": {"images": [None]}, "uri a list": {"buffers": [{"uri": []}]},
+                      {"images": 3}, "images of nothing": {"images": [None]}, "uri a list": {"buffers": [{"uri": [1]}]},
                       "nodes an object": {"nodes": {}}}.items():  # fmt: skip
     _reader("scene.gltf", _what, lambda path, e=_entry: edited(path, lambda d: d.update(e)))
 
@@ -674,7 +681,9 @@ for _what, _entry in {
     _onnx(f"card, {_what}", lambda n, path, e=_entry: n.card_network(path, json.dumps({**CARD, **e})))
 _onnx("card nested deeply", lambda n, path: n.card_network(path, damage.nested().decode()))
 _onnx("card a list", lambda n, path: n.card_network(path, "[]"))
-_onnx("names nested deeply", lambda n, path: n.many_boxes(path, 3, {**n.NAMES, "names": "[" * 5000 + "]" * 5000}))
+_onnx(
+    "names nested deeply", lambda n, path: n.many_boxes(path, 3, {**n.NAMES, "names": damage.nested().decode()}), 2, 5
+)
 
 
 def _control(name: str, line: str) -> None:
