@@ -7,6 +7,7 @@ import random
 import re
 import struct
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any
 
 DEPTH = 100_000  # of nested JSON
@@ -174,7 +175,7 @@ def _lines(data: bytes, rng: random.Random, donor: bytes) -> bytes:
 
 
 def _edited(document: Any, rng: random.Random) -> Any:
-    return _replaced(document, rng, rng.choice(VALUES)) if rng.random() < 0.7 else _rebuilt(document, rng)
+    return _replaced(document, rng, deepcopy(rng.choice(VALUES))) if rng.random() < 0.7 else _rebuilt(document, rng)
 
 
 def _containers(document: Any) -> list[Any]:
