@@ -27,8 +27,8 @@ from . import campaign, commands, runner  # noqa: E402
 from .runner import Outcome  # noqa: E402
 from .table import table  # noqa: E402
 
-SHORT = 400  # attempts of a short run, about
-LEAST = 3  # of each class in a short run
+SHORT = 300  # attempts of a short run, before the least of each class
+LEAST = 10  # of each class in a short run
 FAILURES = Path("build/fuzz-failures.jsonl")
 
 
@@ -51,13 +51,15 @@ def wanted(options: argparse.Namespace) -> Iterator[tuple[str, int]]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description="The damage campaign.")
-    parser.add_argument("--short", action="store_true", help=f"about {SHORT} attempts")
+    parser.add_argument("--short", action="store_true", help="about 400 attempts")
     parser.add_argument("--class", dest="part", default="", metavar="WORD", help="classes whose names hold this")
     parser.add_argument("--count", type=int, help="attempts of each class")
     parser.add_argument("--first", type=int, default=0, help="first seed (%(default)s)")
     parser.add_argument("--only", metavar="CLASS:SEED", help="one attempt")
     parser.add_argument("--keep", action="store_true", help="leave the attempts' folders")
-    parser.add_argument("--workers", type=int, default=min(4, os.cpu_count() or 1), help="(%(default)s)")
+    parser.add_argument(
+        "--workers", type=int, default=min(5, 1 + (os.cpu_count() or 1)), help="one more than cores, since some wait"
+    )
     parser.add_argument("--failures", type=Path, default=FAILURES, help="file for what failed (%(default)s)")
     parser.add_argument("--log", type=Path, help="file for all outcomes")
     options = parser.parse_args()
