@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 
-.PHONY: demo test fast lint types wheel
+.PHONY: demo test fast fuzz lint types wheel
 
 demo: $(INSTALLED)
 	$(BIN)/python examples/demo.py
@@ -13,6 +13,10 @@ test: $(INSTALLED)
 
 fast: $(INSTALLED)
 	$(BIN)/python -m pytest -rs -m "not slow"
+
+# All of the damage campaign, about 20 minutes on two cores; FUZZ=--short takes about one.
+fuzz: $(INSTALLED)
+	$(BIN)/python -m tests.fuzz $(FUZZ)
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

@@ -1,0 +1,87 @@
+"""Every input that once failed, and that a campaign can fail at all."""
+
+from __future__ import annotations
+
+import multiprocessing
+import random
+import sys
+from pathlib import Path
+
+import pytest
+
+if not sys.platform.startswith("linux"):
+    pytest.skip("forks, and reads /proc", allow_module_level=True)
+pytest.importorskip("onnx")
+
+from . import campaign, commands, damage, runner  # noqa: E402
+from .seeds import SEEDS  # noqa: E402
+
+HEAVY = ("memory", "kill", "ONNX: 100,000", "ONNX: 6e8", "ONNX: an endless")
+
+
+@pytest.fixture(scope="session")
+def corpus(tmp_path_factory):
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(campaign.make_corpus, (tmp_path_factory.mktemp("fuzz") / "corpus",))
+
+
+@pytest.fixture(scope="session")
+def worker():
+    """A process that has loaded the modules, started no thread, and can be forked."""
+    threads = {name: "1" for name in runner.THREADS}
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in threads.items():
+            patch.setenv(name, value)
+        pool = multiprocessing.get_context("spawn").Pool(1, runner.preload)
+        with pool:
+            yield pool
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n.startswith(HEAVY) else n for n in SEEDS])
+def test_what_once_failed(name, corpus, worker, tmp_path):
+    outcome = worker.apply(campaign.run_seed, (corpus, tmp_path / "work", name))
+    assert not outcome.problems, f"exit {outcome.code}, {outcome.peak} GiB\n{outcome.said}"
+
+
+def judged(attempt, folder: Path):
+    (folder / "in").mkdir(parents=True)
+    (folder / "in/a.txt").write_text("a")
+    return runner.run("own", 0, folder, attempt)
+
+
+def test_the_campaign_sees_what_goes_wrong(worker, tmp_path):
+    """Each column of the table can be other than 0."""
+    fine = worker.apply(judged, (runner.Attempt(("fleets",)), tmp_path / "fine"))
+    assert (fine.code, fine.problems) == (0, ())
+    usage = worker.apply(judged, (runner.Attempt(("fleets",), codes=frozenset((5,))), tmp_path / "code"))
+    assert usage.problems == ("crash",), "a code that nobody promised"
+    far = worker.apply(judged, (runner.Attempt(("fleets",), truth=1.0), tmp_path / "far"))
+    assert far.problems == ("wrong answer",)
+    both = worker.apply(judged, (runner.Attempt(("fleets",), twins=2), tmp_path / "twins"))
+    assert both.problems == ("wrong answer",)
+    much = worker.apply(judged, (runner.Attempt(("fleets",), memory=0.001), tmp_path / "much"))
+    assert much.problems == ("memory",)
+
+
+def test_marks():
+    before = {"in": "folder", "in/a": "1"}
+    assert runner.marks(before, dict(before), success=False, beside=False) == set()
+    assert runner.marks(before, {**before, "out": "2"}, success=True, beside=False) == set()
+    assert runner.marks(before, {**before, "out": "2"}, success=False, beside=False) == {"left behind"}
+    assert runner.marks(before, {**before, ".x.partial": "2"}, success=True, beside=False) == {"left behind"}
+    assert runner.marks(before, {**before, "in/a.aux": "2"}, success=True, beside=False) == {"left behind"}
+    assert runner.marks(before, {**before, "in/b": "2"}, success=True, beside=True) == set()
+    assert runner.marks(before, {"in": "folder", "in/a": "2"}, success=True, beside=False) == {"input changed"}
+    assert runner.marks(before, {"in": "folder"}, success=True, beside=False) == {"input changed"}
+
+
+@pytest.mark.parametrize("how", [damage.binary, damage.text, damage.json_text])
+def test_damage_follows_from_the_seed(how):
+    data = b'{"a": [1, 2.5, {"b": "text"}], "c": 3}'
+    made = [how(data, random.Random(seed)) for seed in range(200)]
+    assert made == [how(data, random.Random(seed)) for seed in range(200)]
+    assert sum(m != data for m in made) > 180
+
+
+def test_ten_thousand():
+    assert sum(count for _, count in commands.CLASSES.values()) >= 10_000
