@@ -413,6 +413,7 @@ def test_a_folder_becomes_a_table_in_every_format(tmp_path, flight):
     meta, _, places, values = pyogrio.raw.read(outputs[2], layer="photos")
     column = list(meta["fields"]).index("altitude_m")
     assert len(places) == 3 and np.isnan(values[column]).tolist() == [False, True, False]
+    assert {pyogrio.read_info(outputs[2], layer=name)["crs"] for name in ("photos", "footprints")} == {"EPSG:4326"}
     import pyproj
     import shapely
 

@@ -57,7 +57,7 @@ def photo(
     given = [paths] if isinstance(paths, (str, Path)) else paths
     lens = {"focal_px": focal_px, "lens_file": None if lens_file is None else Path(lens_file)}
     return surveyed(
-        [Path(path) for path in given], Looking.of(options), together, progress, pitch=pitch, roll=roll, **lens
+        [Path(path) for path in given], Looking.of(options), together, progress, None, pitch=pitch, roll=roll, **lens
     )
 
 

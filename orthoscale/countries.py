@@ -1,0 +1,230 @@
+"""Which country a name or a place on the Earth belongs to.
+
+Names and codes are those of Unicode's CLDR (package Babel): ISO 3166 codes of two and three letters, numbers, and names
+in English and in the country's own languages. Places are looked up in the polygons of the time zones (package tzfpy,
+OpenStreetMap's borders), of which the IANA table (package tzdata) says the country. Both are read when asked for.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from difflib import get_close_matches
+from functools import cache
+from importlib import resources
+
+# What people write and CLDR does not list. Values are keys of the fleet table or ISO codes.
+OTHER_NAMES = {
+    "america": "US",
+    "england": "GB",
+    "scotland": "GB",
+    "wales": "GB",
+    "great britain": "GB",
+    "britain": "GB",
+    "holland": "NL",
+    "turkey": "TR",
+    "czech republic": "CZ",
+    "ivory coast": "CI",
+    "swaziland": "SZ",
+    "macedonia": "MK",
+    "cape verde": "CV",
+    "east timor": "TL",
+    "burma": "MM",
+    "vatican": "VA",
+    "republic of korea": "KR",
+    "korea": "KR",
+    "uae": "AE",
+    "drc": "CD",
+    "congo kinshasa": "CD",
+    "congo brazzaville": "CG",
+    # Parts of Mexico whose vehicles differ; the north has many from the USA.
+    "mexico city": "MX_center",
+    "ciudad de mexico": "MX_center",
+    "puebla": "MX_center",
+    "merida": "MX_center",
+    "yucatan": "MX_center",
+    "tijuana": "MX_north",
+    "monterrey": "MX_north",
+    "ciudad juarez": "MX_north",
+}
+US_STATES = [
+    "AL",
+    "Alabama",
+    "AK",
+    "Alaska",
+    "AZ",
+    "Arizona",
+    "AR",
+    "Arkansas",
+    "CA",
+    "California",
+    "CO",
+    "Colorado",
+    "CT",
+    "Connecticut",
+    "DE",
+    "Delaware",
+    "FL",
+    "Florida",
+    "GA",
+    "Georgia",
+    "HI",
+    "Hawaii",
+    "ID",
+    "Idaho",
+    "IL",
+    "Illinois",
+    "IN",
+    "Indiana",
+    "IA",
+    "Iowa",
+    "KS",
+    "Kansas",
+    "KY",
+    "Kentucky",
+    "LA",
+    "Louisiana",
+    "ME",
+    "Maine",
+    "MD",
+    "Maryland",
+    "MA",
+    "Massachusetts",
+    "MI",
+    "Michigan",
+    "MN",
+    "Minnesota",
+    "MS",
+    "Mississippi",
+    "MO",
+    "Missouri",
+    "MT",
+    "Montana",
+    "NE",
+    "Nebraska",
+    "NV",
+    "Nevada",
+    "NH",
+    "New_Hampshire",
+    "NJ",
+    "New_Jersey",
+    "NM",
+    "New_Mexico",
+    "NY",
+    "New_York",
+    "NC",
+    "North_Carolina",
+    "ND",
+    "North_Dakota",
+    "OH",
+    "Ohio",
+    "OK",
+    "Oklahoma",
+    "OR",
+    "Oregon",
+    "PA",
+    "Pennsylvania",
+    "RI",
+    "Rhode_Island",
+    "SC",
+    "South_Carolina",
+    "SD",
+    "South_Dakota",
+    "TN",
+    "Tennessee",
+    "TX",
+    "Texas",
+    "UT",
+    "Utah",
+    "VT",
+    "Vermont",
+    "VA",
+    "Virginia",
+    "WA",
+    "Washington",
+    "WV",
+    "West_Virginia",
+    "WI",
+    "Wisconsin",
+    "WY",
+    "Wyoming",
+    "DC",
+    "District_of_Columbia",
+]
+
+
+def country_code(text: str) -> str | None:
+    """The ISO 3166 code of two letters (or the code of a part of a country) that `text` means, None for none.
+
+    Codes of two and three letters, names in English and in the country's languages, US states by name or as ``US-TX``;
+    case, accents and punctuation do not matter. A name's beginning is enough where only one has it ("hong kong").
+    """
+    wanted = _plain(text)
+    if not wanted:
+        return None
+    names = _names()
+    if wanted in names:
+        return names[wanted]
+    begun = {code for name, code in names.items() if name.startswith(wanted + " ")}
+    return begun.pop() if len(begun) == 1 else None
+
+
+def nearest_names(text: str) -> list[str]:
+    """Up to five names that are spelled like `text`, with their codes, such as ``germany (DE)``."""
+    names = _names()
+    return [f"{name} ({names[name]})" for name in get_close_matches(_plain(text), names, n=5, cutoff=0.7)]
+
+
+def country_name(code: str) -> str:
+    """The English name of an ISO 3166 code of two letters, or the code itself where it has none."""
+    from babel import Locale
+
+    return Locale("en").territories.get(code, code)
+
+
+def country_at(longitude: float, latitude: float) -> str | None:
+    """The ISO 3166 code of the country at a place [degrees, WGS 84]; None at sea and outside the range."""
+    if not (-180 <= longitude <= 180 and -90 <= latitude <= 90):
+        return None
+    from tzfpy import get_tz
+
+    return _country_of_zone().get(get_tz(longitude, latitude))
+
+
+def _plain(text: str) -> str:
+    """Lower case, without accents and punctuation."""
+    bare = (c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
+    return " ".join("".join(c if c.isalnum() else " " for c in bare).split())
+
+
+@cache
+def _names() -> dict[str, str]:
+    """Code by plain name or code."""
+    from babel import Locale, UnknownLocaleError
+    from babel.core import get_global
+    from babel.languages import get_official_languages
+
+    english = Locale("en").territories
+    codes = [code for code in english if len(code) == 2 and code.isalpha()]
+    found = {_plain(name): code for name, code in zip(US_STATES[1::2], ["US"] * len(US_STATES), strict=False)}
+    found |= {f"us {code.lower()}": "US" for code in US_STATES[::2]}
+    found |= OTHER_NAMES
+    for code in codes:
+        for language in get_official_languages(code, regional=True, de_facto=True):
+            try:
+                own = Locale.parse(language).territories.get(code)
+            except (UnknownLocaleError, ValueError):
+                continue
+            if own:
+                found[_plain(own)] = code
+    for alias, territories in get_global("territory_aliases").items():
+        if len(territories) == 1 and territories[0] in english:
+            found[_plain(alias)] = territories[0]
+    found |= {_plain(english[code]): code for code in codes}  # a country before a US state of its name: Georgia
+    return found | {code.lower(): code for code in codes}
+
+
+@cache
+def _country_of_zone() -> dict[str, str]:
+    table = (resources.files("tzdata") / "zoneinfo" / "zone.tab").read_text(encoding="utf-8")
+    rows = (line.split("\t") for line in table.splitlines() if not line.startswith("#"))
+    return {row[2]: row[0] for row in rows}

@@ -1,0 +1,141 @@
+"""Choices that a scale rests on, each against a truth worked out by hand, so that changing one is noticed."""
+
+import numpy as np
+import pycolmap
+import pytest
+from orthoscale.photos.measure import Photo
+from orthoscale.photos.tags import Tags
+from test_colmap import make_model, save
+
+from orthoscale.boxes import Boxes, suppress
+from orthoscale.detect.sweep import sweep_twice
+from orthoscale.detect.tiles import Looks, Tile
+from orthoscale.fleet import Fleet
+from orthoscale.measuring.oblique import geometry
+from orthoscale.pooling.agreement import compare, together
+from orthoscale.pooling.scale import Scale
+from orthoscale.pooling.verdicts import verdict
+from orthoscale.projection.exact import Hull
+from orthoscale.sources.colmap import ColmapSource
+
+
+def side_by_side(overlap_share):
+    """Two level boxes of 10 x 4 px whose overlap (intersection over union) is `overlap_share`."""
+    shift = 10 * (1 - 2 * overlap_share / (1 + overlap_share))
+    return Boxes(np.array([[0, 0, 10, 4, 0.0], [shift, 0, 10, 4, 0.0]]), np.array([0.9, 0.8]))
+
+
+@pytest.mark.parametrize("share, left", [(0.05, 2), (0.2, 2), (0.28, 2), (0.32, 1), (0.5, 1), (0.65, 1)])
+def test_suppression_leaves_neighbours_and_takes_second_boxes_of_one_vehicle(share, left):
+    assert len(suppress(side_by_side(share))) == left
+
+
+def one_tile(fine, coarse):
+    class Page:
+        name = "page"
+
+    tile = Tile(0, 0, 100, 100, 100, 100)
+    return sweep_twice([(Page(), tile)], np.arange(1), lambda some: ((n, Looks(fine, coarse)) for n in some))
+
+
+def test_a_vehicles_box_is_the_geometric_mean_of_both_passes():
+    fine = Boxes(np.array([[50, 50, 40, 16, 0.2]]), np.array([0.9]))
+    coarse = Boxes(np.array([[50, 50, 44, 18, 0.2]]), np.array([0.5]))
+    (box,) = one_tile(fine, coarse).boxes["page"].xylwa
+    assert box[2:4] == pytest.approx([np.sqrt(40 * 44), np.sqrt(16 * 18)])
+    assert one_tile(fine, coarse).boxes["page"].score == pytest.approx([0.7])
+
+
+@pytest.mark.parametrize("share, believed", [(0.2, 0), (0.45, 0), (0.55, 1), (0.8, 1)])
+def test_two_passes_show_one_vehicle_only_where_their_boxes_overlap_by_half(share, believed):
+    pair = side_by_side(share)
+    found = one_tile(pair[[0]], pair[[1]])
+    assert (len(found.boxes["page"]), len(found.doubtful["page"])) == (believed, 1 - believed)
+
+
+def scale(value, sampling):
+    parts = {"sampling": sampling, "fleet": 0.03}
+    used = np.ones(8, bool)
+    return Scale(value, "m/px", (value * 0.9, value * 1.1), parts, {}, (0.5, 0.5), 0.0, "DE", "fair", used, [""] * 8)
+
+
+def test_of_two_measurements_the_more_certain_one_counts_more():
+    sure, unsure = scale(0.100, 0.01), scale(0.102, 0.03)
+    both = together(compare({"oblique": sure, "planar": unsure}))
+    # Inverse variances: nine to one.
+    assert np.log(both.value / 0.1) == pytest.approx(0.1 * np.log(1.02), rel=1e-6)
+    assert both.parts["fleet"] == pytest.approx(0.03)  # what both share does not shrink
+
+
+@pytest.mark.parametrize(
+    "sd, word", [(0.029, "good"), (0.031, "fair"), (0.059, "fair"), (0.061, "poor"), (0.149, "poor")]
+)
+def test_the_words_for_a_scale_follow_its_uncertainty(sd, word):
+    assert verdict(sd, odd_shape=False, conflict=False) == word
+    assert verdict(0.151, odd_shape=False, conflict=False) == verdict(sd, odd_shape=False, conflict=True) != word
+
+
+def test_the_ground_of_a_model_is_known_to_a_hundredth_however_many_vehicles_stand_on_it():
+    size = np.tile([4.5, 1.8], (1000, 1))
+    shared = geometry(size, np.zeros((1000, 2)), np.zeros(2))  # seen from the nadir: the height of vehicles is nothing
+    assert shared == pytest.approx(np.full((2, 2), 0.01**2))
+
+
+def test_vehicles_of_one_place_stray_from_their_countrys_mean():
+    fleet = Fleet.load("DE")
+    national = (fleet.mean_sd / fleet.mean)[:2]
+    local = np.sqrt(np.diag(fleet.log_mean_covariance) - national**2)
+    assert local == pytest.approx([0.025, 0.012], rel=1e-6)
+
+
+def test_a_photo_counts_vehicles_down_to_an_elevation_of_25_degrees(tmp_path):
+    from orthoscale.photos.lens import Lens, brown
+
+    camera = brown((1000, 4000), 1000.0, 1000.0, (500, 500))
+    tags = Tags(1000, 4000, 1000)
+    photo = Photo("a", tmp_path / "a.jpg", tags, Lens(camera, 0.0, "given"), np.array([0, 0, -1.0]), 0.0, "nadir")
+    away = np.tan(np.radians([64, 66])) * 1000  # from the nadir; the camera looks straight down
+    seen = photo.views(np.column_stack([np.full(2, 500.0), 500 + away]), 50.0)[1]
+    assert seen.tolist() == [True, False]
+
+
+def test_a_frame_counts_vehicles_down_to_an_elevation_of_25_degrees(tmp_path):
+    model, _ = make_model()
+    model.cameras[1].model, model.cameras[1].params = pycolmap.CameraModelId.PINHOLE, [400.0, 400, 320, 240]
+    source = ColmapSource.open(save(model, tmp_path / "m", "txt"), need_images=False)
+    name = source.picture_names[0]
+    axis = source.rotation(name)[2]
+
+    class LevelGround:  # ten units ahead of the camera, which looks straight down on it
+        camera_height = 10.0
+
+        def intersect(self, centres, rays):
+            return centres + rays * (10 / (rays @ axis))[:, None], np.broadcast_to(-axis, rays.shape), rays @ axis > 0
+
+    vars(source)["ground"] = LevelGround()
+    away = 400 * np.tan(np.radians([0, 64, 66, 80]))
+    counted = source.views(name, np.column_stack([320 + away, np.full(4, 240.0)]))[2]
+    assert counted.tolist() == [True, True, False, False]
+
+
+def corners_at(level, **body):
+    """Distinct points of a hull's outline at `level` [m], of a vehicle of 4.5 x 1.8 m."""
+    plan, heights = Hull(**body).outline()
+    return {tuple(np.round(p * (4.5, 1.8), 3)) for p in plan[np.isclose(heights, level)]}
+
+
+def test_the_body_of_a_car_in_metres():
+    """Full footprint up to the belt line, corners cut by 0.23 m; the roof drawn in by 1.35, 0.54 and 0.18 m."""
+    low = {(x, y) for x in (2.25, -2.25) for y in (0.666, -0.666)} | {
+        (x, y) for x in (2.006, -2.006) for y in (0.9, -0.9)
+    }
+    assert corners_at(0.0, height=1.5) == corners_at(0.85, height=1.5) == low
+    roof = {(x, y) for x in (0.9, -1.71) for y in (0.486, -0.486)}
+    roof |= {(x, y) for x in (0.656, -1.466) for y in (0.72, -0.72)}
+    assert corners_at(1.5, height=1.5) == roof
+
+
+def test_walls_that_lean_do_so_from_the_bumpers_up():
+    plan, heights = Hull(height=0.8, end_lean=0.1).outline()
+    front = {round(float(h), 3): float(plan[np.isclose(heights, h), 0].max()) for h in np.unique(heights)}
+    assert front == pytest.approx({0.0: 0.5, 0.4: 0.5, 0.8: 0.46})
