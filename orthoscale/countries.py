@@ -8,6 +8,7 @@ OpenStreetMap's borders), of which the IANA table (package tzdata) says the coun
 from __future__ import annotations
 
 import unicodedata
+from collections.abc import Mapping
 from difflib import get_close_matches
 from functools import cache
 from importlib import resources
@@ -46,110 +47,12 @@ OTHER_NAMES = {
     "monterrey": "MX_north",
     "ciudad juarez": "MX_north",
 }
-US_STATES = [
-    "AL",
-    "Alabama",
-    "AK",
-    "Alaska",
-    "AZ",
-    "Arizona",
-    "AR",
-    "Arkansas",
-    "CA",
-    "California",
-    "CO",
-    "Colorado",
-    "CT",
-    "Connecticut",
-    "DE",
-    "Delaware",
-    "FL",
-    "Florida",
-    "GA",
-    "Georgia",
-    "HI",
-    "Hawaii",
-    "ID",
-    "Idaho",
-    "IL",
-    "Illinois",
-    "IN",
-    "Indiana",
-    "IA",
-    "Iowa",
-    "KS",
-    "Kansas",
-    "KY",
-    "Kentucky",
-    "LA",
-    "Louisiana",
-    "ME",
-    "Maine",
-    "MD",
-    "Maryland",
-    "MA",
-    "Massachusetts",
-    "MI",
-    "Michigan",
-    "MN",
-    "Minnesota",
-    "MS",
-    "Mississippi",
-    "MO",
-    "Missouri",
-    "MT",
-    "Montana",
-    "NE",
-    "Nebraska",
-    "NV",
-    "Nevada",
-    "NH",
-    "New_Hampshire",
-    "NJ",
-    "New_Jersey",
-    "NM",
-    "New_Mexico",
-    "NY",
-    "New_York",
-    "NC",
-    "North_Carolina",
-    "ND",
-    "North_Dakota",
-    "OH",
-    "Ohio",
-    "OK",
-    "Oklahoma",
-    "OR",
-    "Oregon",
-    "PA",
-    "Pennsylvania",
-    "RI",
-    "Rhode_Island",
-    "SC",
-    "South_Carolina",
-    "SD",
-    "South_Dakota",
-    "TN",
-    "Tennessee",
-    "TX",
-    "Texas",
-    "UT",
-    "Utah",
-    "VT",
-    "Vermont",
-    "VA",
-    "Virginia",
-    "WA",
-    "Washington",
-    "WV",
-    "West_Virginia",
-    "WI",
-    "Wisconsin",
-    "WY",
-    "Wyoming",
-    "DC",
-    "District_of_Columbia",
-]
+US_STATES = """AL Alabama AK Alaska AZ Arizona AR Arkansas CA California CO Colorado CT Connecticut DE Delaware FL Florida GA
+Georgia HI Hawaii ID Idaho IL Illinois IN Indiana IA Iowa KS Kansas KY Kentucky LA Louisiana ME Maine MD
+Maryland MA Massachusetts MI Michigan MN Minnesota MS Mississippi MO Missouri MT Montana NE Nebraska NV Nevada
+NH New_Hampshire NJ New_Jersey NM New_Mexico NY New_York NC North_Carolina ND North_Dakota OH Ohio OK Oklahoma
+OR Oregon PA Pennsylvania RI Rhode_Island SC South_Carolina SD South_Dakota TN Tennessee TX Texas UT Utah VT
+Vermont VA Virginia WA Washington WV West_Virginia WI Wisconsin WY Wyoming DC District_of_Columbia"""
 
 
 def country_code(text: str) -> str | None:
@@ -203,10 +106,10 @@ def _names() -> dict[str, str]:
     from babel.core import get_global
     from babel.languages import get_official_languages
 
-    english = Locale("en").territories
+    english: Mapping[str, str] = Locale("en").territories
     codes = [code for code in english if len(code) == 2 and code.isalpha()]
-    found = {_plain(name): code for name, code in zip(US_STATES[1::2], ["US"] * len(US_STATES), strict=False)}
-    found |= {f"us {code.lower()}": "US" for code in US_STATES[::2]}
+    states = US_STATES.split()
+    found = {_plain(name): "US" for name in states[1::2]} | {f"us {code.lower()}": "US" for code in states[::2]}
     found |= OTHER_NAMES
     for code in codes:
         for language in get_official_languages(code, regional=True, de_facto=True):

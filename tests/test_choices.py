@@ -3,8 +3,6 @@
 import numpy as np
 import pycolmap
 import pytest
-from orthoscale.photos.measure import Photo
-from orthoscale.photos.tags import Tags
 from test_colmap import make_model, save
 
 from orthoscale.boxes import Boxes, suppress
@@ -12,6 +10,8 @@ from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks, Tile
 from orthoscale.fleet import Fleet
 from orthoscale.measuring.oblique import geometry
+from orthoscale.photos.measure import Photo
+from orthoscale.photos.tags import Tags
 from orthoscale.pooling.agreement import compare, together
 from orthoscale.pooling.scale import Scale
 from orthoscale.pooling.verdicts import verdict
@@ -101,8 +101,9 @@ def test_a_photo_counts_vehicles_down_to_an_elevation_of_25_degrees(tmp_path):
 
 def test_a_frame_counts_vehicles_down_to_an_elevation_of_25_degrees(tmp_path):
     model, _ = make_model()
-    model.cameras[1].model, model.cameras[1].params = pycolmap.CameraModelId.PINHOLE, [400.0, 400, 320, 240]
     source = ColmapSource.open(save(model, tmp_path / "m", "txt"), need_images=False)
+    camera = source._model.cameras[1]
+    camera.model, camera.params = pycolmap.CameraModelId.PINHOLE, [400.0, 400, 320, 240]
     name = source.picture_names[0]
     axis = source.rotation(name)[2]
 
