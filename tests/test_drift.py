@@ -77,7 +77,7 @@ def test_one_judgement_of_drift(p, tilt, drifts):
     """Warned of and shown alike: not what chance makes, not what nobody need know."""
     found = Drift(np.empty((0, 5)), (1.0, 1.0), tilt, 0.01, 0.0, p, 0.0, 1.0)
     assert found.drifts is drifts and bool(found.remark) is drifts
-    report = {"unit": "m/px", "drift": document.drift_values(found)}
+    report = {"unit": "m/px", "scale": 0.1, "interval90": [0.08, 0.12], "drift": document.drift_values(found)}
     assert judgement._places(report).state == ("look" if drifts else "ok")
 
 
