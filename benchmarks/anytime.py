@@ -16,6 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+from orthoscale.actions.estimate import estimate
+from orthoscale.core.detections import Detections
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.measuring.measure import measure
 from orthoscale.detect.cache import TileCache, cache_key
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.find import Effort, find_vehicles
@@ -23,10 +27,6 @@ from orthoscale.detect.order import visiting_order
 from orthoscale.detect.promise import FAR, LOOKS, UNPROMISING, hint
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import CONFIRMING_ZOOM, tiles
-from orthoscale.detections import Detections
-from orthoscale.fleet import Fleet
-from orthoscale.measuring.measure import measure
-from orthoscale.pipeline import estimate
 from orthoscale.sources.opening import open_source
 
 

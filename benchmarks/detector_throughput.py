@@ -21,7 +21,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.boxes import matched, suppress
+from orthoscale.core.boxes import matched, suppress
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.tiles import TILE, read, tiles
 from orthoscale.sources.raster import RasterSource

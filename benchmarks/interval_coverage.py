@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from simulate import car_park, table
 
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.pooling.paper import pool_iqr
+from orthoscale.core.pooling.robust import pool
+from orthoscale.core.ruler import Ruler
 from orthoscale.errors import TooLittleEvidence
-from orthoscale.fleet import Fleet
-from orthoscale.pooling.paper import pool_iqr
-from orthoscale.pooling.robust import pool
-from orthoscale.pooling.ruler import Ruler
 
 FLEETS = ("US", "DE", "JP", "IN", "BR", "CN", "PH", "WORLD")
 SCENES = 500  # a cell

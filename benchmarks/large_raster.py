@@ -20,7 +20,7 @@ import rasterio
 from rasterio.enums import Resampling
 from rasterio.windows import Window
 
-from orthoscale.fleet import Fleet
+from orthoscale.core.fleet import Fleet
 from orthoscale.synthetic import make_scene, render_ortho
 
 SIDE, GSD = 2048, 0.1

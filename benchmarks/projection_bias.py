@@ -14,11 +14,11 @@ from functools import partial
 import numpy as np
 from simulate import DENSEUAV, VISLOC, Body, Flight, Seen, cuboid, fly, table
 
-from orthoscale.boxes import Boxes
-from orthoscale.projection import decoupled, exact
-from orthoscale.projection.calibration import CORNER, HEIGHT, LEAN, OwnRuler, own_ruler
-from orthoscale.projection.exact import BODIES, Hull
-from orthoscale.projection.view import Views
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.projection import decoupled, exact
+from orthoscale.core.projection.exact import BODIES, Hull
+from orthoscale.core.projection.self_calibration import CORNER, HEIGHT, LEAN, OwnRuler, own_ruler
+from orthoscale.core.projection.view import Views
 from orthoscale.synthetic.vehicle import Vehicle
 
 PITCHES = (-90, -75, -60, -45, -30)

@@ -16,7 +16,7 @@ import numpy as np
 from simulate import table
 
 import orthoscale
-from orthoscale.requests import ESTIMATORS, PROJECTIONS
+from orthoscale.actions.requests import ESTIMATORS, PROJECTIONS
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
 SCENES = {  # and the fleet of the country

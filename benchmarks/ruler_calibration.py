@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from simulate import table
 
-from orthoscale.boxes import Boxes
-from orthoscale.fleet import Fleet
-from orthoscale.projection import calibration
-from orthoscale.projection.calibration import OwnRuler, own_ruler
-from orthoscale.projection.exact import Hull
-from orthoscale.projection.view import Views
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.projection import self_calibration as calibration
+from orthoscale.core.projection.exact import Hull
+from orthoscale.core.projection.self_calibration import OwnRuler, own_ruler
+from orthoscale.core.projection.view import Views
 
 UNIT = 3.7  # metres
 FOCAL, WIDTH, HEIGHT = 1000.0, 1440.0, 1080.0

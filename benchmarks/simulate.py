@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoscale.boxes import Boxes
-from orthoscale.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
-from orthoscale.pooling.ruler import Ruler
-from orthoscale.projection.decoupled import simple_views
-from orthoscale.projection.exact import Hull
-from orthoscale.projection.view import Views
-from orthoscale.votes import Votes
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
+from orthoscale.core.projection.decoupled import simple_views
+from orthoscale.core.projection.exact import Hull
+from orthoscale.core.projection.view import Views
+from orthoscale.core.ruler import Ruler
+from orthoscale.core.votes import Votes
 
 SMALLEST = 5.0  # px: narrower boxes are not detected
 

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from orthoscale.core.detections import Detections
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.measuring.looks import find_in_model
 from orthoscale.detect.detector import Detector
-from orthoscale.detections import Detections
-from orthoscale.fleet import Fleet
-from orthoscale.measuring.looks import find_in_model
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.synthetic import make_scene, write_ortho
 

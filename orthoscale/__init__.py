@@ -13,9 +13,9 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any
 
-from . import libz
+from .system import libz
+from .version import __version__
 
-__version__ = "0.1.0"
 __all__ = [
     "Boxes",
     "Calibration",
@@ -24,6 +24,7 @@ __all__ = [
     "OrthoscaleError",
     "Result",
     "Scale",
+    "__version__",
     "apply",
     "calibrate",
     "check",
@@ -35,33 +36,33 @@ __all__ = [
 libz.settle()
 
 if TYPE_CHECKING:
-    from .applying import apply
-    from .boxes import Boxes
-    from .calibrating import calibrate
-    from .calibration import Calibration
-    from .claims import check
-    from .detections import Detections
+    from .actions.apply import apply
+    from .actions.calibrate import calibrate
+    from .actions.check import check
+    from .actions.estimate import estimate
+    from .actions.fix import fix
+    from .actions.result import Result
+    from .core.boxes import Boxes
+    from .core.calibration import Calibration
+    from .core.detections import Detections
+    from .core.fleet import Fleet
+    from .core.scale import Scale
     from .errors import OrthoscaleError
-    from .fleet import Fleet
     from .photos.survey import photo
-    from .pipeline import estimate
-    from .pooling.scale import Scale
-    from .result import Result
-    from .writing import fix
 
 _HOME = {
-    "Boxes": "boxes",
-    "Calibration": "calibration",
-    "Detections": "detections",
-    "Fleet": "fleet",
+    "Boxes": "core.boxes",
+    "Calibration": "core.calibration",
+    "Detections": "core.detections",
+    "Fleet": "core.fleet",
     "OrthoscaleError": "errors",
-    "Result": "result",
-    "Scale": "pooling.scale",
-    "apply": "applying",
-    "calibrate": "calibrating",
-    "check": "claims",
-    "estimate": "pipeline",
-    "fix": "writing",
+    "Result": "actions.result",
+    "Scale": "core.scale",
+    "apply": "actions.apply",
+    "calibrate": "actions.calibrate",
+    "check": "actions.check",
+    "estimate": "actions.estimate",
+    "fix": "actions.fix",
     "photo": "photos.survey",
 }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import stopping
+from .system import stopping
 
 stopping.leave_at_once()
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 import orthoscale
-from orthoscale.fleet import Fleet
+from orthoscale.core.fleet import Fleet
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
 GSD = 0.1  # m/px

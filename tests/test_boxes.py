@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import Polygon
 
-from orthoscale.boxes import Boxes, distinct, matched, overlap, suppress
+from orthoscale.core.boxes import Boxes, distinct, matched, overlap, suppress
 
 
 def boxes(*rows, score=None):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from orthoscale import budget
 from orthoscale.errors import InputError, UsageError
+from orthoscale.system import budget
 
 
 @pytest.fixture(autouse=True)

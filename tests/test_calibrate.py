@@ -8,14 +8,14 @@ import pytest
 from click.testing import CliRunner
 
 import orthoscale
-from orthoscale.boxes import Boxes
-from orthoscale.calibrating import box_noise, measure_ruler, same_vehicles
-from orthoscale.calibration import Calibration, fit_margin, scaled_fleet
+from orthoscale.actions.calibrate import box_noise, measure_ruler, same_vehicles
 from orthoscale.cli.main import cli
-from orthoscale.detections import UNKNOWN_RULER
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.calibration import Calibration, fit_margin, scaled_fleet
+from orthoscale.core.detections import UNKNOWN_RULER
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.ruler import Ruler
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
-from orthoscale.fleet import Fleet
-from orthoscale.pooling.ruler import Ruler
 
 GSD = 0.1
 ZOOMS = np.array([0.6, 0.85, 1.2])
@@ -184,7 +184,7 @@ def test_a_calibration_is_for_its_own_detector(place, tmp_path):
 
 
 def test_what_cannot_be_calibrated(place, tmp_path):
-    from orthoscale.calibrating import calibrate
+    from orthoscale.actions.calibrate import calibrate
 
     with pytest.raises(UsageError, match="scale is not known"):
         calibrate(place / "place.png", detector=place / "net.onnx")

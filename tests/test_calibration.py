@@ -13,8 +13,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 from ruler_calibration import UNIT, find, fly  # noqa: E402
 
-from orthoscale.fleet import Fleet  # noqa: E402
-from orthoscale.projection.calibration import UNDERCUT, OwnRuler, own_ruler, trends  # noqa: E402
+from orthoscale.core.fleet import Fleet  # noqa: E402
+from orthoscale.core.projection.self_calibration import UNDERCUT, OwnRuler, own_ruler, trends  # noqa: E402
 
 CARD = OwnRuler.shipped((0.7, 0.5), (1.0, 1.0), (0.25, 0.25), (1.0, 1.0))
 

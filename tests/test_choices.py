@@ -5,17 +5,17 @@ import pycolmap
 import pytest
 from test_colmap import make_model, save
 
-from orthoscale.boxes import Boxes, suppress
+from orthoscale.core.boxes import Boxes, suppress
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.measuring.oblique import geometry
+from orthoscale.core.pooling.agreement import compare, together
+from orthoscale.core.projection.exact import Hull
+from orthoscale.core.scale import Scale
+from orthoscale.core.verdicts import verdict
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks, Tile
-from orthoscale.fleet import Fleet
-from orthoscale.measuring.oblique import geometry
 from orthoscale.photos.measure import Photo
 from orthoscale.photos.tags import Tags
-from orthoscale.pooling.agreement import compare, together
-from orthoscale.pooling.scale import Scale
-from orthoscale.pooling.verdicts import verdict
-from orthoscale.projection.exact import Hull
 from orthoscale.sources.colmap import ColmapSource
 
 

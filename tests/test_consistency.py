@@ -224,8 +224,8 @@ def test_a_long_file_of_tracks_is_read_in_places(tmp_path, monkeypatch):
     model = make_model("RADIAL", (LENS["f"], 320, 240, LENS["k1"], LENS["k2"]))[0]
     path = opensfm(model, tmp_path)
     tracks(model, tmp_path / "tracks.csv")
-    monkeypatch.setattr("orthoscale.sources.exchange.READ_AT", 60)
-    monkeypatch.setattr("orthoscale.sources.exchange.READ_BYTES", 512)
+    monkeypatch.setattr("orthoscale.sources.json_model.READ_AT", 60)
+    monkeypatch.setattr("orthoscale.sources.json_model.READ_BYTES", 512)
     assert not any("nothing shows" in note for note in open_source(path, need_images=False).notes)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import orthoscale
+from orthoscale.core.fleet import Fleet
 from orthoscale.errors import EvidenceDisagrees, InputError, UsageError
-from orthoscale.fleet import Fleet
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 TOWN = EXAMPLES / "town" / "ortho.jpg"

@@ -12,11 +12,11 @@ from click.testing import CliRunner
 from test_colmap import make_model, put_frames, save
 from test_looks import UNIT, found_by, vehicles
 
-from orthoscale.boxes import Boxes
+from orthoscale.actions.cross_check import check_against_model, match
+from orthoscale.actions.estimate import estimate
 from orthoscale.cli.main import cli
-from orthoscale.cross_check import check_against_model, match
+from orthoscale.core.boxes import Boxes
 from orthoscale.errors import TooLittleEvidence, UsageError
-from orthoscale.pipeline import estimate
 
 GSD = 0.08  # [m/px] of the orthophoto
 

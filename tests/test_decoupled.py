@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orthoscale.boxes import Boxes
-from orthoscale.projection import decoupled
-from orthoscale.projection.decoupled import NAIVE, PROGRAM, TEXT, VARIANTS, simple_views
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.projection import decoupled
+from orthoscale.core.projection.decoupled import NAIVE, PROGRAM, TEXT, VARIANTS, simple_views
 
 SIZE, FOCAL = (1440, 1080), 1000.0
 MIDDLE = [720.0, 540.0]

@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
-from orthoscale.boxes import Boxes, matched
+from orthoscale.core.boxes import Boxes, matched
+from orthoscale.core.ruler import Ruler
 from orthoscale.detect.decoders import LENGTH_UNIT, STRIDE, WIDTH_UNIT, decode_maps
 from orthoscale.detect.detector import Card, Detector
 from orthoscale.detect.tiles import sweep, tiles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import InputError
-from orthoscale.pooling.ruler import Ruler
 
 CARD = Card("drawn rectangles", (12, 70), 38, 0.4, (0.8, 0.8), Ruler())
 

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from orthoscale.boxes import Boxes
-from orthoscale.detections import UNKNOWN_RULER, Detections
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.detections import UNKNOWN_RULER, Detections
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.pooling.robust import pool
+from orthoscale.core.ruler import Ruler
+from orthoscale.core.votes import gather
 from orthoscale.errors import InputError, TooLittleEvidence
-from orthoscale.fleet import Fleet
-from orthoscale.pooling.robust import pool
-from orthoscale.pooling.ruler import Ruler
-from orthoscale.votes import gather
 
 
 def test_what_is_saved_reads_back(tmp_path):

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 import orthoscale
-from orthoscale.boxes import Boxes
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.detections import Detections
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.measuring.measure import measure
+from orthoscale.core.ruler import Ruler
 from orthoscale.detect import foreign
 from orthoscale.detect.cache import TileCache
 from orthoscale.detect.classes import is_vehicle, vehicle_numbers
 from orthoscale.detect.detector import MOST, Detector
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks, Tile, look_twice
-from orthoscale.detections import Detections
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
-from orthoscale.fleet import Fleet
-from orthoscale.measuring.measure import measure
-from orthoscale.pooling.ruler import Ruler
 
 onnx = pytest.importorskip("onnx")
 helper, numpy_helper = onnx.helper, onnx.numpy_helper

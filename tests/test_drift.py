@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from orthoscale.boxes import Boxes
-from orthoscale.fleet import Fleet
-from orthoscale.measuring.drift import FEWEST, Drift, drift
-from orthoscale.measuring.vehicles import vehicle_table
-from orthoscale.pooling.robust import pool
-from orthoscale.pooling.ruler import Ruler
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.measuring.drift import FEWEST, Drift, drift
+from orthoscale.core.measuring.vehicles import vehicle_table
+from orthoscale.core.pooling.robust import pool
+from orthoscale.core.ruler import Ruler
+from orthoscale.core.votes import gather
 from orthoscale.report import document, judgement
-from orthoscale.votes import gather
 
 WIDTH, HEIGHT, GSD = 8000, 6000, 0.1
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from shapely import Polygon
 
-from orthoscale.boxes import Boxes, matched, suppress
+from orthoscale.core.boxes import Boxes, matched, suppress
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.tiles import BORDER, sweep, tiles
 

@@ -8,12 +8,12 @@ import in_process
 import numpy as np
 import pytest
 
-from orthoscale.detections import Detections
+from orthoscale.core.detections import Detections
+from orthoscale.core.fleet import Fleet
 from orthoscale.errors import InputError
 from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, changed, read_samples
 from orthoscale.evaluate.score import score, summary
 from orthoscale.evaluate.surface import Surface
-from orthoscale.fleet import Fleet
 from orthoscale.photos.looking import save_boxes
 from orthoscale.photos.measure import RIGHT
 from orthoscale.synthetic import NormalFleet, make_scene

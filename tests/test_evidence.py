@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from orthoscale.core.evidence import Evidence, combined, ground_control, known_distance
+from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.evidence.objects import known_objects, standard_object
-from orthoscale.pooling.evidence import Evidence, combined, ground_control, known_distance
-from orthoscale.pooling.posterior import Posterior
 
 VEHICLES = Posterior.normal(np.log(0.10), 0.05)
 PARTS = {"sampling": 0.03, "fleet": 0.04}

@@ -13,13 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from orthoscale.boxes import Boxes, overlap
 from orthoscale.cli.main import cli
-from orthoscale.detections import UNKNOWN_RULER, Detections
+from orthoscale.core.boxes import Boxes, overlap
+from orthoscale.core.detections import UNKNOWN_RULER, Detections
+from orthoscale.core.ruler import Ruler
 from orthoscale.errors import InputError, UsageError
-from orthoscale.exchange import load, save
-from orthoscale.exchange.items import rectangle
-from orthoscale.pooling.ruler import Ruler
+from orthoscale.formats.detections import load, save
+from orthoscale.formats.detections.items import rectangle
 from orthoscale.sources.opening import open_source
 
 RULER = Ruler((0.5, 1.0), (0.3, 0.4), (0.01, 0.02), 0.01, (1.0, 0.8))

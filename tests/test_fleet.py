@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orthoscale import fleet as fleet_module
+from orthoscale.core import fleet as fleet_module
+from orthoscale.core.fleet import Fleet, codes
 from orthoscale.countries import country_at
 from orthoscale.errors import InputError, UsageError
-from orthoscale.fleet import Fleet, codes
 
 
 @pytest.mark.parametrize("code", codes())

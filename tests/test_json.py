@@ -6,21 +6,21 @@ from pathlib import Path
 
 import pytest
 
-from orthoscale.calibration import Calibration
 from orthoscale.cli.explain import explain
+from orthoscale.core.calibration import Calibration
+from orthoscale.core.detections import Detections
+from orthoscale.core.fleet import Fleet
 from orthoscale.detect.detector import Card
-from orthoscale.detect.layout import _pipeline_normalisation
-from orthoscale.detections import Detections
+from orthoscale.detect.output_forms import _pipeline_normalisation
 from orthoscale.errors import InputError, OrthoscaleError, shown
-from orthoscale.exchange import load
-from orthoscale.fleet import Fleet
+from orthoscale.formats.detections import load
+from orthoscale.formats.geometry.files import scale_path
+from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.layout import catalogue
 from orthoscale.layout.ground import _polygons
 from orthoscale.photos.lens import read_calibration
 from orthoscale.report.document import read_json
-from orthoscale.rescale.files import scale_path
-from orthoscale.rescale.sim3 import Sim3
-from orthoscale.sources.exchange import ExchangeSource
+from orthoscale.sources.json_model import ExchangeSource
 
 RULER = {"margin": [0, 0], "margin_sd": [1, 1], "bias_sd": [0.01, 0.01], "noise": [1, 1]}
 BOX = {"cx": 30, "cy": 20, "length": 40, "width": 17, "angle": 0.1, "score": 0.9}
@@ -323,8 +323,8 @@ def test_a_value_that_cannot_be_meant_is_refused(tmp_path, reader, place, value)
 
 
 def test_the_tables_that_are_shipped_fit_their_own_schemas():
-    from orthoscale import schemas
-    from orthoscale.reading import read
+    from orthoscale.formats import schemas
+    from orthoscale.formats.reading import read
 
     data = Path(schemas.__file__).parent / "data"
     tables = {"fleets": schemas.FleetTable, "objects": schemas.ObjectTable, "stalls": schemas.StallTable}

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from test_colmap import make_model, put_frames, save
 
-from orthoscale.boxes import Boxes
-from orthoscale.detections import Detections
+from orthoscale.actions.estimate import estimate
+from orthoscale.actions.fix import fix
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.detections import Detections
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.measuring.looks import measure_model
+from orthoscale.core.pooling.agreement import compare, together
+from orthoscale.core.projection.exact import Hull
+from orthoscale.core.ruler import Ruler
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
-from orthoscale.fleet import Fleet
-from orthoscale.measuring.looks import measure_model
-from orthoscale.pipeline import estimate
-from orthoscale.pooling.agreement import compare, together
-from orthoscale.pooling.ruler import Ruler
-from orthoscale.projection.exact import Hull
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.ground_picture import NEAR_NADIR
 from orthoscale.sources.opening import open_source
-from orthoscale.writing import fix
 
 UNIT = 5.0  # [m]: the cameras of `make_model` fly at 60 m
 HEIGHT, MARGIN = 0.8, 0.5  # of the boxes [m], [px]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orthoscale.fleet import Fleet
-from orthoscale.measuring.model_drift import by_region, drift
-from orthoscale.pooling.robust import pool
-from orthoscale.pooling.ruler import Ruler
-from orthoscale.votes import gather
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.measuring.model_drift import by_region, drift
+from orthoscale.core.pooling.robust import pool
+from orthoscale.core.ruler import Ruler
+from orthoscale.core.votes import gather
 
 UNIT = 5.0  # [m]
 

@@ -9,15 +9,15 @@ import pytest
 from test_colmap import make_model, put_frames, save
 from test_looks import enclosing
 
-from orthoscale.boxes import Boxes
-from orthoscale.detections import Detections
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.detections import Detections
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.measuring.looks import measure_model
+from orthoscale.core.measuring.method import Method
+from orthoscale.core.pooling.agreement import compare, together
+from orthoscale.core.projection.exact import Hull
+from orthoscale.core.ruler import Ruler
 from orthoscale.evidence.surroundings import objects_in_model
-from orthoscale.fleet import Fleet
-from orthoscale.measuring.looks import measure_model
-from orthoscale.measuring.method import Method
-from orthoscale.pooling.agreement import compare, together
-from orthoscale.pooling.ruler import Ruler
-from orthoscale.projection.exact import Hull
 from orthoscale.sources.colmap import ColmapSource
 
 UNIT, STALL = 5.0, 2.5  # [m]

@@ -12,12 +12,12 @@ from test_colmap import make_model, put_frames, save
 from test_looks import UNIT, found_by
 from test_rescale import ply
 
+from orthoscale.actions.fix import fix
+from orthoscale.actions.several import models_in
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.sources.exchange import ExchangeSource
+from orthoscale.sources.json_model import ExchangeSource
 from orthoscale.sources.opening import open_source
-from orthoscale.workspace import models_in
-from orthoscale.writing import fix
 
 LENS = {"f": 400.0, "k1": 0.05, "k2": -0.02}
 
@@ -216,7 +216,7 @@ def test_damage_is_refused(made, tmp_path):
 def test_a_write_that_fails_is_noticed(made, tmp_path, monkeypatch):
     source = open_source(opensfm(made[0], tmp_path / "in"), need_images=False)
     (tmp_path / "out").mkdir()
-    monkeypatch.setattr("orthoscale.rescale.files.scale_reconstruction",
+    monkeypatch.setattr("orthoscale.formats.geometry.files.scale_reconstruction",
                         lambda a, b, s: b.write_text(a.read_text()))  # fmt: skip
     with pytest.raises(OutputError, match="differs"):
         source.write(tmp_path / "out", 2.0)

@@ -14,7 +14,7 @@ from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
 
 import orthoscale
-from orthoscale.claims import Comparison, comparisons
+from orthoscale.actions.check import Comparison, comparisons
 from orthoscale.errors import UsageError
 from orthoscale.report.geo import outlines
 from orthoscale.sources.raster import RasterSource

@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 from in_process import run
 
-from orthoscale import outputs as guard
-from orthoscale import stopping
+from orthoscale.actions.fix import fix
 from orthoscale.errors import Incomplete, InputError, OutputError, UsageError
-from orthoscale.outputs import MARK, Outputs, named, ours, signature
-from orthoscale.writing import fix
+from orthoscale.system import outputs as guard
+from orthoscale.system import stopping
+from orthoscale.system.outputs import MARK, Outputs, named, ours, signature
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 MODEL, BOXES = EXAMPLES / "sheffield" / "sparse", EXAMPLES / "sheffield" / "detections.json"
@@ -204,7 +204,7 @@ def png(path):
 def geopackage(path):
     import shapely
 
-    from orthoscale.vector import write_layer
+    from orthoscale.formats.vector import write_layer
 
     write_layer(path, "places", [shapely.Point(1, 2)], [{"a": 1}], "Point", "EPSG:4326")
 
@@ -388,7 +388,7 @@ def test_of_two_writers_the_second_is_refused(tmp_path, write):
 WRITER = """
 import os, signal, sys
 from pathlib import Path
-from orthoscale.outputs import Outputs
+from orthoscale.system.outputs import Outputs
 with Outputs(overwrite=True) as outputs:
     outputs.folder(Path(sys.argv[1])).joinpath("half").write_text("half")
     print("ready", flush=True)

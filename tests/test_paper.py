@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from orthoscale.core.pooling.paper import pool_iqr
 from orthoscale.errors import TooLittleEvidence
-from orthoscale.pooling.paper import pool_iqr
 
 TEN = [0.08, 0.09, 0.09, 0.10, 0.10, 0.10, 0.11, 0.11, 0.12]  # quartiles 0.09 and 0.11, so 0.06 to 0.14 counts
 

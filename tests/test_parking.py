@@ -5,8 +5,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from orthoscale.core.fleet import Fleet
 from orthoscale.evidence.parking import parking_pitch, stalls
-from orthoscale.fleet import Fleet
 
 GSD = 0.1
 

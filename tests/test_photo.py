@@ -10,21 +10,21 @@ import pyogrio
 import pytest
 from PIL import Image
 
-from orthoscale.boxes import Boxes
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.detections import Detections
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.projection.decoupled import simple_views
+from orthoscale.core.projection.exact import BODIES
+from orthoscale.core.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey
+from orthoscale.core.ruler import Ruler
 from orthoscale.detect.find import Effort
 from orthoscale.detect.workers import cores, worker_count
-from orthoscale.detections import Detections
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
-from orthoscale.fleet import Fleet
 from orthoscale.photos.lens import lens_of, read_calibration
 from orthoscale.photos.looking import Looking, boxes_of
 from orthoscale.photos.measure import LOWEST_ELEVATION, measure, open_photo
 from orthoscale.photos.survey import measure_together, open_photos
 from orthoscale.photos.tags import Tags, read_tags
-from orthoscale.pooling.ruler import Ruler
-from orthoscale.projection.decoupled import simple_views
-from orthoscale.projection.exact import BODIES
-from orthoscale.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey
 from orthoscale.synthetic import Camera, Perspective, Pose
 
 SIZE = (1000, 750)

@@ -8,8 +8,8 @@ import pytest
 import rasterio
 
 import orthoscale
+from orthoscale.core.fleet import Fleet
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
-from orthoscale.fleet import Fleet
 from orthoscale.synthetic import make_scene, write_colmap, write_ortho
 
 KEYS = {"scale", "unit", "interval90", "vehicles_used", "fleet", "verdict"}

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orthoscale.core.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
+from orthoscale.core.pooling.robust import pool
+from orthoscale.core.ruler import Ruler
+from orthoscale.core.votes import gather
 from orthoscale.errors import TooLittleEvidence
-from orthoscale.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
-from orthoscale.pooling.robust import pool
-from orthoscale.pooling.ruler import Ruler
-from orthoscale.votes import gather
 
 RULER = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), common_sd=0.02, noise=(1.5, 1.0))
 

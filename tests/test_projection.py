@@ -13,10 +13,10 @@ import projection_bias  # noqa: E402
 from simulate import DENSEUAV, cuboid  # noqa: E402
 from simulate import fly as flown  # noqa: E402
 
-from orthoscale.boxes import Boxes
-from orthoscale.projection.exact import BEND, BODIES, Hull, ground_size
-from orthoscale.projection.planar import footprint
-from orthoscale.projection.view import Views
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.projection.exact import BEND, BODIES, Hull, ground_size
+from orthoscale.core.projection.planar import footprint
+from orthoscale.core.projection.view import Views
 
 
 def flight(n, pitch_deg, rng, focal=1000.0, altitude=90.0, unit=0.07, hull=None, roll_deg=0.0, slope=0.0):

@@ -27,7 +27,7 @@ def test_public_names_are_there_and_cost_nothing_until_used():
     """Also after the modules beside them were imported, whose names must not hide theirs."""
     code = (
         "import sys, orthoscale; heavy = {'numpy', 'cv2', 'scipy', 'rasterio'} & set(sys.modules); "
-        "import orthoscale.photos.survey, orthoscale.claims, orthoscale.cli.main; "
+        "import orthoscale.photos.survey, orthoscale.actions.check, orthoscale.cli.main; "
         "print(sorted(heavy), [n for n in orthoscale.__all__ if not callable(getattr(orthoscale, n))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

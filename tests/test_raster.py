@@ -673,7 +673,7 @@ def test_a_copy_that_has_no_room_is_refused(tmp_path, monkeypatch):
 
 
 def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
-    make = "import os, signal; from orthoscale.scratch import Scratch; a, b = Scratch(), Scratch()"
+    make = "import os, signal; from orthoscale.system.scratch import Scratch; a, b = Scratch(), Scratch()"
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     subprocess.run([sys.executable, "-c", f"{make}; os.kill(os.getpid(), signal.SIGKILL)"], env=environment)
     assert len(list(tmp_path.iterdir())) == 2

@@ -7,14 +7,14 @@ import pytest
 from test_detect import Drawing, RectangleDetector, car_park
 
 import orthoscale
-from orthoscale.boxes import Boxes, matched
+from orthoscale.core.boxes import Boxes, matched
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.pooling.robust import pool
+from orthoscale.core.ruler import Ruler
+from orthoscale.core.votes import gather
 from orthoscale.detect.refine import VIEWS, agreed, look_turned, refined
 from orthoscale.detect.tiles import sweep, tiles
 from orthoscale.errors import UsageError
-from orthoscale.fleet import Fleet
-from orthoscale.pooling.robust import pool
-from orthoscale.pooling.ruler import Ruler
-from orthoscale.votes import gather
 
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])

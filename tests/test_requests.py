@@ -12,13 +12,13 @@ from in_process import run
 from reports import EXAMPLE, car_park
 
 import orthoscale
-from orthoscale import requests
+from orthoscale.actions import requests
+from orthoscale.actions.fix import REPORTS
+from orthoscale.actions.requests import EstimateRequest, FixRequest, VehicleRequest, flag
 from orthoscale.cli.main import COMMANDS, cli
+from orthoscale.core.measuring.method import PROJECTIONS
 from orthoscale.errors import UsageError
-from orthoscale.measuring.method import PROJECTIONS
 from orthoscale.report.extras import EXTRAS
-from orthoscale.requests import EstimateRequest, FixRequest, VehicleRequest, flag
-from orthoscale.writing import REPORTS
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +175,7 @@ def test_a_command_refuses_what_would_do_nothing(park, tmp_path, arguments):
 
 def test_check_keeps_boxes_in_the_format_of_their_name(tmp_path):
     """As a GeoPackage that can be read back, not JSON under its name."""
-    from orthoscale.exchange import load
+    from orthoscale.formats.detections import load
     from orthoscale.sources.opening import open_source
 
     car_park(tmp_path)

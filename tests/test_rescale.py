@@ -17,9 +17,9 @@ from click.testing import CliRunner
 
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
-from orthoscale.rescale.files import scale_path
-from orthoscale.rescale.ply import read_points
-from orthoscale.rescale.sim3 import Sim3
+from orthoscale.formats.geometry.files import scale_path
+from orthoscale.formats.geometry.ply import read_points
+from orthoscale.formats.geometry.sim3 import Sim3
 
 SCALE = 14.157
 SPARSE = Path(__file__).parent.parent / "examples" / "sheffield" / "sparse"
@@ -134,7 +134,7 @@ def test_a_splat_keeps_its_shape(tmp_path):
 
 
 def test_a_cloud_larger_than_a_chunk(tmp_path, monkeypatch):
-    monkeypatch.setattr("orthoscale.rescale.ply.ROWS", 7)
+    monkeypatch.setattr("orthoscale.formats.geometry.ply.ROWS", 7)
     rows = np.random.default_rng(0).normal(size=(50, 3))
     scale_path(ply(tmp_path / "a.ply", "binary_little_endian", ["x", "y", "z"], rows), tmp_path / "b.ply", 2)
     assert np.allclose(read_ply(tmp_path / "b.ply", 3)[0], 2 * rows, rtol=1e-6)
@@ -397,11 +397,11 @@ def test_a_ply_that_announces_what_it_has_not(tmp_path, lines):
 
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
 def test_of_very_many_points_some_are_read(tmp_path, monkeypatch, form):
-    monkeypatch.setattr("orthoscale.rescale.ply.ROWS", 7)
+    monkeypatch.setattr("orthoscale.formats.geometry.ply.ROWS", 7)
     rows = np.arange(150, dtype=float).reshape(50, 3)
     source = ply(tmp_path / "a.ply", form, ["x", "y", "z"], rows)
     assert (read_points(source) == rows).all()
-    monkeypatch.setattr("orthoscale.rescale.ply.MOST_POINTS", 20)
+    monkeypatch.setattr("orthoscale.formats.geometry.ply.MOST_POINTS", 20)
     assert (read_points(source) == rows[::3]).all()
 
 

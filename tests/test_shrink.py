@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from orthoscale.boxes import Boxes
-from orthoscale.fleet import Fleet
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.fleet import Fleet
 from training.shrink import fit_shrink, known_vehicles
 
 USUAL = np.array([4.4, 1.8])

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from test_detect import Drawing, RectangleDetector, car_park
 
-from orthoscale.boxes import Boxes, matched
+from orthoscale.actions.estimate import estimate
+from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.cache import TileCache, cache_key
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.promise import UNPROMISING, promise
@@ -22,8 +23,7 @@ from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks, Tile, look_twice, tiles
 from orthoscale.detect.workers import on_threads, worker_count
 from orthoscale.errors import UsageError
-from orthoscale.fingerprint import fingerprint
-from orthoscale.pipeline import estimate
+from orthoscale.sources.fingerprint import fingerprint
 
 
 def grid(columns, rows, side=100):

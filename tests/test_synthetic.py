@@ -10,7 +10,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from orthoscale.boxes import overlap
+from orthoscale.core.boxes import overlap
 from orthoscale.synthetic import (
     STYLES,
     Camera,

@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 from test_colmap import make_model, put_frames, save
 from test_other_programs import rescaled, same_views
 
+from orthoscale.actions.fix import fix
 from orthoscale.errors import InputError, OutputError, UsageError
-from orthoscale.rescale.files import scale_path
-from orthoscale.rescale.text_models import read_text_model
+from orthoscale.formats.geometry.files import scale_path
+from orthoscale.formats.geometry.text_models import read_text_model
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.text_model import TextSource
-from orthoscale.writing import fix
 
 K1, K2 = 0.05, -0.02
 FLIP = np.diag([1.0, -1.0, -1.0])
@@ -190,6 +190,8 @@ def test_a_write_that_fails_is_noticed(pinhole, tmp_path, monkeypatch):
     put_frames(pinhole[0], tmp_path / "in/images")
     source = open_source(path)
     (tmp_path / "out").mkdir()
-    monkeypatch.setattr("orthoscale.rescale.files.scale_text_model", lambda a, b, s: b.write_text(a.read_text()))
+    monkeypatch.setattr(
+        "orthoscale.formats.geometry.files.scale_text_model", lambda a, b, s: b.write_text(a.read_text())
+    )
     with pytest.raises(OutputError, match="differs"):
         source.write(tmp_path / "out", 2.0)

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from orthoscale.boxes import Boxes
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.fleet import Fleet
 from orthoscale.detect.decoders import decode_maps
-from orthoscale.fleet import Fleet
 from training import augment, by_hand, data, missing
 from training.data import MARGINS, read_labels, split
 from training.evaluate import (

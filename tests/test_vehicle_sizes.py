@@ -12,11 +12,11 @@ from reports import GSD, car_park, fixed
 from test_looks import FLEET, UNIT, found_by, vehicles
 from test_looks import flight as flight  # a fixture
 
-from orthoscale.measuring.looks import measure_model
+from orthoscale.actions.result import Result
+from orthoscale.core.measuring.looks import measure_model
 from orthoscale.report.document import document, read_json
 from orthoscale.report.page import page
 from orthoscale.report.scene import Scene
-from orthoscale.result import Result
 from orthoscale.sources.colmap import ColmapSource
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orthoscale.votes import gather
+from orthoscale.core.votes import gather
 
 
 def test_views_of_a_parked_car_are_one_vote_and_neighbours_are_not():

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from test_rescale import dense_workspace
 
+from orthoscale.actions.fix import fix
+from orthoscale.actions.requests import FixRequest
+from orthoscale.actions.several import fix_all, models_in
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
-from orthoscale.outputs import MARK
-from orthoscale.requests import FixRequest
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.workspace import fix_all, models_in
-from orthoscale.writing import fix
+from orthoscale.system.outputs import MARK
 
 pycolmap = pytest.importorskip("pycolmap")
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"

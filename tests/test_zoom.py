@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 import orthoscale
-from orthoscale.boxes import Boxes
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.fleet import Fleet
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import EvidenceDisagrees, UsageError
-from orthoscale.fleet import Fleet
 from orthoscale.synthetic import make_scene, write_ortho
 
 GERMAN = 4.37  # mean length [m]

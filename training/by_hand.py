@@ -27,7 +27,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.boxes import Boxes
+from orthoscale.core.boxes import Boxes
 
 from .data import read_labels
 from .evaluate import BY_HAND, checked_scenes, middle

@@ -33,11 +33,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.boxes import Boxes, matched
+from orthoscale.core.boxes import Boxes, matched
+from orthoscale.core.detections import Detections
+from orthoscale.core.fleet import Fleet
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import BORDER, look_twice, sweep, tiles
-from orthoscale.detections import Detections
-from orthoscale.fleet import Fleet
 from orthoscale.sources.picture_file import PictureFile, stored_size
 
 from .augment import NOMINAL_LENGTH

@@ -17,7 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.boxes import Boxes, matched, overlapping
+from orthoscale.core.boxes import Boxes, matched, overlapping
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.tiles import sweep
 from orthoscale.sources.picture_file import PictureFile

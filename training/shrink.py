@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoscale.boxes import Boxes, matched
+from orthoscale.core.boxes import Boxes, matched
 
 from .evaluate import IOU, picture_files, twice_seen
 

@@ -29,8 +29,8 @@ def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_js
     with Open3D also STL, OFF, PCD, XYZ, PTS. What has no length (colours, normals, rotations, intrinsics) stays.
     All files appear in --out, or none. FILEs are never touched.
     """
-    from .. import applying
-    from ..rescale.sim3 import Sim3
+    from ..actions import apply as applying
+    from ..formats.geometry.sim3 import Sim3
 
     written = applying.apply(sim3, files, out, overwrite=overwrite)
     if as_json:

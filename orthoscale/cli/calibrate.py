@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ..requests import VehicleRequest
+from ..actions.requests import VehicleRequest
 from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, say
 
 # The scale is known, and the boxes are looked for at three zooms: what says otherwise is not asked for.
@@ -36,8 +36,8 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, debu
     of others, whose boxes nobody has measured. With --local-fleet it also holds the sizes of the vehicles that stand
     here, for other pictures of the same place.
     """
-    from ..calibrating import calibrate as measure
-    from ..outputs import Outputs
+    from ..actions.calibrate import calibrate as measure
+    from ..system.outputs import Outputs
 
     with Outputs(overwrite, (path, options)) as outputs:
         partial = None if out is None else outputs.file(out)

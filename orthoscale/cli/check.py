@@ -9,8 +9,8 @@ from typing import Any
 
 import click
 
+from ..actions.requests import EstimateRequest
 from ..errors import EvidenceDisagrees, UsageError
-from ..requests import EstimateRequest
 from .options import (
     PATH,
     debug_option,
@@ -60,10 +60,10 @@ def check(
     The claim is measured on the ellipsoid at the image's centre: feet, degrees and stretched projections such as
     EPSG:3857 come out in true metres.
     """
-    from ..claims import checked
-    from ..exchange import check_name, save
-    from ..outputs import Outputs
+    from ..actions.check import checked
+    from ..formats.detections import check_name, save
     from ..sources.opening import open_source
+    from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
     if model is not None:
@@ -119,8 +119,8 @@ OF_MODEL = ("images", "mode", "projection")
 def _against_model(
     path: Path, as_json: bool, model: Path, model_detections: Path | None, request: EstimateRequest
 ) -> None:
-    from .. import pipeline
-    from ..cross_check import check_against_model
+    from ..actions import estimate as pipeline
+    from ..actions.cross_check import check_against_model
 
     not_of_model = (*OF_ORTHOPHOTO, *(request.of_detector if model_detections is not None else ()))
     with progress_bars() as progress:

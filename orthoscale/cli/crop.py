@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ..requests import VehicleRequest
+from ..actions.requests import VehicleRequest
 from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, say
 from .photo_options import lens_options
 
@@ -60,10 +60,10 @@ def crop(
     crop.json: a gallery for any retrieval network.
     """
     from ..errors import UsageError
-    from ..outputs import Outputs
     from ..photos import crop as cropping
     from ..photos.footprint import footprint_of
     from ..photos.looking import Looking
+    from ..system.outputs import Outputs
 
     lens = {"focal_px": focal_px, "lens_file": lens_file, "pitch": pitch, "roll": roll}
     how = Looking.of(looking)

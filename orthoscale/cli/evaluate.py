@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ..requests import VehicleRequest
+from ..actions.requests import VehicleRequest
 from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, save_option, say
 
 
@@ -53,10 +53,10 @@ def evaluate(
     paper's formula, `program` what its authors' program computes.
     """
     from ..evaluate import report
-    from ..exchange import check_name
-    from ..outputs import Outputs
+    from ..formats.detections import check_name
     from ..photos import looking as boxes
     from ..photos.tables import check_ending
+    from ..system.outputs import Outputs
 
     how = boxes.Looking.of(looking)
     ruler = how.ruler_fleet()

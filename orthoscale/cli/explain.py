@@ -23,9 +23,9 @@ def explain(report: Path, as_json: bool, debug: bool) -> None:
     REPORT is the report.json (or OUT.json) that `fix` wrote, or what `estimate --json` printed.
     """
     from ..errors import InputError
-    from ..reading import LARGE, checked, read_plain
+    from ..formats.reading import LARGE, checked, read_plain
+    from ..formats.schemas import Explained
     from ..report import explanation
-    from ..schemas import Explained
 
     hint = "Give the report.json of a run."
     text = read_plain(report, "a report", hint, LARGE)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from ..fleet import Fleet
+    from ..core.fleet import Fleet
 
 EXAMPLES = """\b
 Examples:
@@ -24,8 +24,8 @@ Examples:
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def fleets(codes: tuple[str, ...], as_json: bool, debug: bool) -> None:
     """List the built-in fleets: sizes, how well they are known, the mix of segments, and their sources."""
-    from ..fleet import Fleet
-    from ..fleet import codes as known
+    from ..core.fleet import Fleet
+    from ..core.fleet import codes as known
 
     table = [Fleet.load(code) for code in codes or known()]
     if as_json:

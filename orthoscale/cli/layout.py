@@ -57,7 +57,7 @@ def layout(
     from ..errors import UsageError
     from ..layout import plan as planning
     from ..layout.terminal import catalogue_table, summary
-    from ..outputs import Outputs
+    from ..system.outputs import Outputs
 
     if list_them:
         click.echo(catalogue_table(catalogue))

@@ -10,8 +10,9 @@ from importlib import import_module
 
 import click
 
-from .. import __version__, stopping
 from ..errors import InputError, OrthoscaleError, shown
+from ..system import stopping
+from ..version import __version__
 from .options import EXIT_CODES, say, set_verbosity
 
 COMMANDS = {  # name: module of this package; the function in it has the command's name

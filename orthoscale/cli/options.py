@@ -12,8 +12,8 @@ from typing import Any
 
 import click
 
+from ..actions.requests import Option, flag
 from ..errors import shown
-from ..requests import Option, flag
 
 EXIT_CODES = """\b
 Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
@@ -67,7 +67,7 @@ def options_of(request: type, leave: Collection[str] = ()) -> Callable[[Callable
 
 def _allow_memory(context: click.Context, option: click.Parameter, value: str | None) -> None:
     if value is not None:
-        from ..budget import allow
+        from ..system.budget import allow
 
         allow(value)
 

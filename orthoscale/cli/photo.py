@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..requests import VehicleRequest
+from ..actions.requests import VehicleRequest
 from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, save_option, say
 from .photo_options import lens_options
 
 if TYPE_CHECKING:
-    from ..detections import Detections
-    from ..outputs import Outputs
+    from ..core.detections import Detections
     from ..photos.measure import Photo
+    from ..system.outputs import Outputs
 
 
 @click.command(
@@ -55,9 +55,9 @@ def photo(
     over the ground where the vehicles stand, the average ground sampling distance, the footprint, each with a 90 %
     interval. The ground is taken to be level.
     """
-    from ..outputs import Outputs
     from ..photos import survey, tables
     from ..photos.looking import Looking
+    from ..system.outputs import Outputs
 
     how = Looking.of(looking)
     lens = {"lens_file": lens_file, "focal_px": focal_px, "pitch": pitch, "roll": roll}
@@ -81,7 +81,7 @@ def photo(
 
 def _keeper(files: Outputs, path: Path) -> Callable[[Detections, Sequence[Photo]], None]:
     """What writes the boxes to `path` at once: they are worth a look above all where they are too few."""
-    from ..exchange import check_name
+    from ..formats.detections import check_name
     from ..photos.looking import save_boxes
 
     check_name(path)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..actions.requests import EstimateRequest, FixRequest
 from ..errors import Incomplete, UsageError
-from ..requests import EstimateRequest, FixRequest
 from .options import (
     EXIT_CODES,
     PATH,
@@ -27,7 +27,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ..workspace import Outcome
+    from ..actions.several import Outcome
 
 
 @click.command(
@@ -44,9 +44,10 @@ def estimate(
     path: Path, as_json: bool, debug: bool, save_detections: Path | None, overwrite: bool, **options: Any
 ) -> None:
     """Print the scale of INPUT, an orthophoto or the folder of a COLMAP model, and write nothing."""
-    from .. import pipeline, workspace
-    from ..exchange import check_name, save
-    from ..outputs import Outputs
+    from ..actions import estimate as pipeline
+    from ..actions import several as workspace
+    from ..formats.detections import check_name, save
+    from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
     models = workspace.models_in(path)
@@ -89,7 +90,8 @@ def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path
     its own origin; sim3.txt, sim3.json, report.html, report.json and vehicles.png come with it. Of a workspace with
     several models (sparse/0, sparse/1 ...) each gets its own scale and folder in OUT. INPUT is never touched.
     """
-    from .. import workspace, writing
+    from ..actions import fix as writing
+    from ..actions import several as workspace
 
     request = FixRequest.of(options)
     models = workspace.models_in(path)
@@ -120,7 +122,7 @@ def _refuse_one_file_for_many(models: list[Path], save_detections: Path | None) 
 
 def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
     """What a person will look for."""
-    from ..writing import report_paths
+    from ..actions.fix import report_paths
 
     page = report_paths(out, result.source.unit, report).get("html")
     return {"written": out} | ({"report": page} if page and page.is_file() else {})

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..boxes import Boxes
+from ..core.boxes import Boxes
 from ..sources.picture import Picture
 from .detector import Detector
 from .tiles import BORDER, CONFIRMING_ZOOM, OVERLAP, TILE, Looks, Tile

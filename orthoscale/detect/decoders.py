@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ..boxes import Boxes
+from ..core.boxes import Boxes
 
 # How `training/targets.py` writes boxes; see there.
 STRIDE = 4

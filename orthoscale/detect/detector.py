@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from ..boxes import Boxes
-from ..budget import require
-from ..detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
+from ..core.boxes import Boxes
+from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
+from ..core.ruler import Ruler
 from ..errors import InputError
-from ..pooling.ruler import Ruler
-from ..reading import checked, parsed
+from ..formats.reading import checked, parsed
+from ..system.budget import require
 from . import foreign_worker
 from .foreign import ForeignError, Said, Worker
-from .layout import Layout, Normalisation, Shape, recognise
+from .output_forms import Layout, Normalisation, Shape, recognise
 
 SHIPPED = "small_vehicle.onnx"
 # A shared library with operators that onnxruntime lacks; MMDeploy's networks need its libmmdeploy_onnxruntime_ops.
@@ -68,7 +68,7 @@ class Card:
         """From the text in a file's metadata; `origin` names it in the message. Raises InputError for what is none."""
         from msgspec import UNSET
 
-        from ..schemas import CardEntry
+        from ..formats.schemas import CardEntry
 
         if len(text) > LONGEST_CARD:
             raise InputError(f"{origin}: longer than the {LONGEST_CARD} characters that it may have", CARD_HINT)

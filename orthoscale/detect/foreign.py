@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..budget import in_words, memory
 from ..errors import InputError
+from ..system.budget import in_words, memory
 from . import foreign_worker
 from .foreign_worker import receive, send
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..boxes import Boxes, matched, suppress
+from ..core.boxes import Boxes, matched, suppress
 from ..sources.picture import Picture
 from .find import Progress
 from .tiles import Detect, Tile, place, read, tiles

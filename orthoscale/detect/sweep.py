@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..boxes import Boxes, matched, suppress
+from ..core.boxes import Boxes, matched, suppress
 from ..sources.picture import Picture
 from .cache import TileCache
 from .tiles import Looks, Tile

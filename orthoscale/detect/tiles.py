@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from ..boxes import Boxes, suppress
+from ..core.boxes import Boxes, suppress
 from ..sources.picture import Picture
 from .detector import CUT_OBJECT, VEHICLES, Detector
 

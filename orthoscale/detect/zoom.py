@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..boxes import Boxes, matched, suppress
+from ..core.boxes import Boxes, matched, suppress
 from ..errors import UsageError
 from ..sources.picture import Picture
 from .detector import Card

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..boxes import Boxes
-from ..detections import Detections
+from ..core.boxes import Boxes
+from ..core.detections import Detections
+from ..core.fleet import Fleet
+from ..core.pooling.paper import pool_iqr
+from ..core.projection.decoupled import PROGRAM, TEXT, Variant, focal_plane_scale
 from ..errors import TooLittleEvidence
-from ..fleet import Fleet
 from ..photos.measure import Photo, measure
-from ..pooling.paper import pool_iqr
-from ..projection.decoupled import PROGRAM, TEXT, Variant, focal_plane_scale
 
 
 @dataclass(frozen=True)

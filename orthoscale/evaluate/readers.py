@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.projection.level import up_from_survey
 from ..errors import InputError
+from ..formats.reading import check_regular, read_text
 from ..photos.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
 from ..photos.tags import read_tags
-from ..projection.level import up_from_survey
-from ..reading import check_regular, read_text
 from .surface import Surface
 
 NAMED_ALTITUDE = re.compile(r"(?:^|[_/ -])H_?(\d+(?:\.\d+)?)(?=\.|_|/|$)", re.IGNORECASE)

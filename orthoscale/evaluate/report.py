@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
+from ..core.detections import Detections
+from ..core.fleet import Fleet
+from ..core.pooling.paper import MIN_SCORE, MIN_VEHICLES
 from ..detect.find import Progress
-from ..detections import Detections
 from ..errors import InputError, TooLittleEvidence
-from ..fleet import Fleet
-from ..outputs import has_header
 from ..photos.tables import write_csv
-from ..pooling.paper import MIN_SCORE, MIN_VEHICLES
+from ..system.outputs import has_header
+from ..version import __version__
 from . import score
 from .methods import METHODS
 from .readers import Sample, read_samples

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..detections import Detections
-from ..fleet import Fleet
-from ..pooling.paper import MIN_SCORE, MIN_VEHICLES
+from ..core.detections import Detections
+from ..core.fleet import Fleet
+from ..core.pooling.paper import MIN_SCORE, MIN_VEHICLES
 from .methods import METHODS, Estimate
 from .readers import Sample, changed
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from ..core.evidence import Evidence, ground_control, known_distance
 from ..errors import InputError, UsageError, shown
-from ..pooling.evidence import Evidence, ground_control, known_distance
-from ..reading import read_text, reason
+from ..formats.reading import read_text, reason
 
 if TYPE_CHECKING:
     from ..sources.colmap import ColmapSource

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..pooling.evidence import Evidence
-from ..reading import read_plain
+from ..core.evidence import Evidence
+from ..formats.reading import read_plain
 
 EDGE_SD = 2.0  # of one box side, in detector pixels: how well an object's edges are boxed, which nobody has measured
 SHARED = 0.5  # share of that variance that all boxes of a class have in common: the boxes' margin

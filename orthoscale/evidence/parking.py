@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..pooling.evidence import Evidence
-from ..reading import read_plain
+from ..core.evidence import Evidence
+from ..formats.reading import read_plain
 
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
 ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..boxes import Boxes
-from ..pooling.evidence import Evidence
-from ..pooling.ruler import Ruler
-from ..projection.exact import Hull, ground_axes, ground_size
-from ..projection.view import Views
-from ..votes import Votes, gather
+from ..core.boxes import Boxes
+from ..core.evidence import Evidence
+from ..core.projection.exact import Hull, ground_axes, ground_size
+from ..core.projection.view import Views
+from ..core.ruler import Ruler
+from ..core.votes import Votes, gather
 from .objects import known_objects, standard_object
 from .parking import parking_pitch
 

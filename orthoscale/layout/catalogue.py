@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, UsageError, shown
-from ..reading import checked, read_plain, reason
+from ..formats.reading import checked, read_plain, reason
 
 HINT = 'Expected {"facilities": {CODE: {"name", "length", "width", "ends", "sides", "source"}}} in metres.'
 ARC_STEP = 6.0  # [deg] between the points of a drawn arc
@@ -117,7 +117,7 @@ def load(path: Path | None = None) -> dict[str, Facility]:
     built_in = _table()["facilities"]
     if path is None:
         return {code: _facility(code, entry, built_in) for code, entry in built_in.items()}
-    from ..schemas import Catalogue
+    from ..formats.schemas import Catalogue
 
     own = read_plain(path, "a catalogue", HINT)
     checked(own, Catalogue, str(path), "a catalogue", HINT)

@@ -11,8 +11,8 @@ import rasterio
 import shapely
 from rasterio.windows import Window as RasterWindow
 
-from ..png import write_png
-from ..vector import write_layer
+from ..formats.png import write_png
+from ..formats.vector import write_layer
 from . import draw
 
 if TYPE_CHECKING:

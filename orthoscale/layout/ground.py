@@ -16,7 +16,7 @@ from rasterio.transform import Affine
 from shapely.geometry.base import BaseGeometry
 
 from ..errors import InputError, UsageError, shown
-from ..reading import LARGE, check_regular, read, read_plain
+from ..formats.reading import LARGE, check_regular, read, read_plain
 from ..sources.raster import RasterSource
 
 AREA_HINT = "Give the polygon of the area as GeoJSON, GeoPackage ..."
@@ -121,7 +121,7 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
             raise UsageError("--scale-error must lie between 0 and 100 per cent")
         return (1 - scale_error, 1 + scale_error), ()
     report = path.with_name(path.name + ".json")
-    from ..schemas import Measured
+    from ..formats.schemas import Measured
 
     try:
         told = read(report, Measured, "a report of orthoscale", most=LARGE)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from .. import __version__
 from ..errors import UsageError
+from ..version import __version__
 from .catalogue import Facility, Request, parse_requests
 from .ground import Ground, open_ground, read_area
 from .place import Missing, Placed, arrange, holds

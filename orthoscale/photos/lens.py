@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError, UsageError
-from ..reading import SMALL, read, read_text, reason
+from ..formats.reading import SMALL, read, read_text, reason
 from .tags import Tags
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def _from_metashape(text: str) -> pycolmap.Camera:
 
 
 def _from_json(path: Path) -> pycolmap.Camera:
-    from ..schemas import LensEntry
+    from ..formats.schemas import LensEntry
 
     lens = read(path, LensEntry, "a calibration of a lens", HINT)
     fx = lens.fx or lens.focal_px or 0.0  # one of the two is there

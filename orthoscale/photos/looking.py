@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..calibration import Calibration, fleet_of
+from ..actions.requests import VehicleRequest
+from ..core.calibration import Calibration, fleet_of
+from ..core.detections import Detections
+from ..core.fleet import Fleet
 from ..detect.find import Progress
 from ..detect.zoom import told_zoom
-from ..detections import Detections
 from ..errors import EvidenceDisagrees, TooLittleEvidence
-from ..fleet import Fleet
-from ..requests import VehicleRequest
 from ..sources.picture_file import PictureFile
 from .measure import Photo
 
@@ -54,7 +54,7 @@ def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = 
     Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees.
     """
     if how.detections is not None:
-        from ..exchange import load
+        from ..formats.detections import load
 
         found = load(Path(how.detections), Album(photos), how.vehicle_classes)
     else:
@@ -81,6 +81,6 @@ def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) 
 
 def save_boxes(found: Detections, path: Path, photos: Sequence[Photo]) -> None:
     """Write `found` to `path`, in the format that its name says. Raises UsageError, OSError."""
-    from ..exchange import save
+    from ..formats.detections import save
 
     save(found, path, Album(photos))

@@ -14,21 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
-from ..boxes import Boxes
-from ..detections import Detections
+from ..core.boxes import Boxes
+from ..core.detections import Detections
+from ..core.fleet import Fleet
+from ..core.measuring.oblique import HEIGHT_SD, ROUNDS, SETTLED
+from ..core.pooling.posterior import Z90
+from ..core.pooling.robust import MIN_VEHICLES, pool
+from ..core.projection.exact import BODIES, Hull, ground_size
+from ..core.projection.level import level_axes, level_views, up_from_gimbal
+from ..core.projection.view import Views
+from ..core.scale import Scale
+from ..core.verdicts import UNUSABLE, VERDICTS, verdict
+from ..core.votes import gather
 from ..errors import InputError, TooLittleEvidence, UsageError
-from ..fleet import Fleet
-from ..measuring.oblique import HEIGHT_SD, ROUNDS, SETTLED
-from ..pooling.posterior import Z90
-from ..pooling.robust import MIN_VEHICLES, pool
-from ..pooling.scale import Scale
-from ..pooling.verdicts import UNUSABLE, VERDICTS, verdict
-from ..projection.exact import BODIES, Hull, ground_size
-from ..projection.level import level_axes, level_views, up_from_gimbal
-from ..projection.view import Views
 from ..sources.picture_file import PictureFile
 from ..sources.undistort import undistort
-from ..votes import gather
 from .lens import Lens, brown, lens_of
 from .tags import Tags, read_tags
 

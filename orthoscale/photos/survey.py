@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..detections import Detections
+from ..core.detections import Detections
+from ..core.fleet import Fleet
 from ..errors import InputError, TooLittleEvidence, UsageError
-from ..fleet import Fleet
 from .looking import Looking, boxes_of
 from .measure import Photo, PhotoScale, find_photos, measure, open_photo
 from .tables import Outcome
@@ -19,8 +19,8 @@ from .tables import Outcome
 if TYPE_CHECKING:
     from typing import Unpack
 
+    from ..actions.requests import VehicleOptions
     from ..detect.find import Progress
-    from ..requests import VehicleOptions
 
 SAME_FOCAL = 0.001  # relative difference of focal lengths up to which photos are of one lens
 

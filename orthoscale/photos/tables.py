@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import UsageError
-from ..outputs import has_header
+from ..system.outputs import has_header
 from .measure import Measure, Photo, PhotoScale
 
 FORMATS = (".csv", ".json", ".gpkg")
@@ -116,7 +116,7 @@ def _write_geopackage(outcomes: Sequence[Outcome], rows: Sequence[Mapping[str, A
     measured photo shows, where place and heading are told; longitude and latitude."""
     import shapely
 
-    from ..vector import write_layer
+    from ..formats.vector import write_layer
 
     places = [
         shapely.Point(o.photo.tags.lon_lat) if o.photo is not None and o.photo.tags.lon_lat else None for o in outcomes

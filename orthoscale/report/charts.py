@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup, escape
 
-from ..pooling.posterior import Z90
+from ..core.pooling.posterior import Z90
 from .judgement import signed
 from .places import Frame, Region
 

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
-from ..claims import own_claim
+from ..actions.check import own_claim
+from ..actions.result import Result
+from ..core.fleet import Fleet
+from ..core.measuring.drift import Drift
 from ..errors import InputError, shown
-from ..fleet import Fleet
-from ..measuring.drift import Drift
-from ..reading import LARGE, checked, read_plain
-from ..result import Result
+from ..formats.reading import LARGE, checked, read_plain
+from ..version import __version__
 from .above import from_above
 
 FORMAT = "orthoscale report 1"
@@ -200,7 +200,7 @@ def write_json(report: Mapping[str, Any], path: Path) -> None:
 
 def read_json(path: Path) -> dict[str, Any]:
     """A report that `write_json` wrote. Raises InputError for anything else."""
-    from ..schemas import Report
+    from ..formats.schemas import Report
 
     hint = "Give the report.json or OUT.tif.json that `orthoscale fix` wrote, or make it again."
     report = read_plain(path, "a report", hint, LARGE)

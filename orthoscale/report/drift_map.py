@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ..pooling.posterior import Z90
+from ..core.pooling.posterior import Z90
 from .lettering import BLACK, WHITE, text_width, write_on
 
 FULL = 0.1  # relative deviation with full colour

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..reading import reason
+from ..formats.reading import reason
 
 MEANINGS = {
     "sampling": "vehicles differ, and only so many were measured",

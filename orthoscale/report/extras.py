@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from rasterio.transform import Affine
 
-from ..outputs import has_header, ours, signature
-from ..result import Result
+from ..actions.result import Result
 from ..sources.georeference import Place
 from ..sources.source import Source
+from ..system.outputs import has_header, ours, signature
 from .geo import check_on_earth, write_geojson, write_geopackage
 
 TILE_COLUMNS = ("x_px", "y_px", "width_px", "height_px", "vehicles", "used", "m_per_px", "relative_spread")

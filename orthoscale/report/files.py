@@ -8,11 +8,11 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..actions.result import Result
 from ..errors import InputError, OrthoscaleError
-from ..outputs import Outputs, ours_in_a_folder
-from ..reading import is_there, reason
-from ..result import Result
+from ..formats.reading import is_there, reason
 from ..sources.opening import open_source
+from ..system.outputs import Outputs, ours_in_a_folder
 from .document import document, read_json, write_json
 from .page import page
 from .pictures import draw

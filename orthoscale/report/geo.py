@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from rasterio.warp import transform_geom
 
+from ..actions.result import Result
 from ..errors import OutputError, UsageError
-from ..result import Result
+from ..formats.vector import write_layer
 from ..sources.georeference import Place
-from ..vector import write_layer
 
 if TYPE_CHECKING:
     from ..sources.raster import RasterSource

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from math import exp, log
 from typing import Any
 
-from ..pooling.posterior import Z90
-from ..pooling.scale import decimals
-from ..pooling.verdicts import CHECK_LIMIT
+from ..core.pooling.posterior import Z90
+from ..core.scale import decimals
+from ..core.verdicts import CHECK_LIMIT
 from .explanation import explain
 from .places import frames, trend
 

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from ..cli.reproduce import command_line
+from ..core.pooling.posterior import Z90
 from ..errors import OutputError
-from ..pooling.posterior import Z90
 from . import charts, judgement, places
 from .document import completed
 from .explanation import explain

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 import cv2
 import numpy as np
 
-from ..boxes import Boxes
+from ..core.boxes import Boxes
 from ..sources.picture import Picture
 from .above import from_above
 

@@ -9,10 +9,10 @@ from types import MappingProxyType
 
 import click
 
-from ..claims import own_claim
+from ..actions.check import own_claim
+from ..actions.result import Result
+from ..core.pooling.posterior import Z90
 from ..errors import shown
-from ..pooling.posterior import Z90
-from ..result import Result
 from .document import remarks
 from .judgement import percent
 

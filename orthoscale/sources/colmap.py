@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.projection.view import Views
 from ..errors import InputError, OutputError, UsageError
-from ..outputs import MARK as FOLDER_MARK
-from ..projection.view import Views
-from ..rescale.dense import GEOMETRY, find_dense, sparse_folders
-from ..rescale.files import scale_path
-from ..rescale.sim3 import MATRIX, Sim3
+from ..formats.geometry.dense import GEOMETRY, find_dense, sparse_folders
+from ..formats.geometry.files import scale_path
+from ..formats.geometry.sim3 import MATRIX, Sim3
+from ..system.outputs import MARK as FOLDER_MARK
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
 from .consistency import check_consistency, focal_notes

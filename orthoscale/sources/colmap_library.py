@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pycolmap
 
-from .. import stopping
+from ..system import stopping
 
 stopping.listen_again()
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError, OutputError
-from ..rescale.sim3 import Sim3
+from ..formats.geometry.sim3 import Sim3
 from .colmap_check import check_model
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from .. import budget
 from ..errors import InputError
+from ..system import budget
 from .picture_file import LARGE, PictureFile, covering, memory, resized, shrunk
 
 if TYPE_CHECKING:

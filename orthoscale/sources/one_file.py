@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import OutputError, UsageError
-from ..rescale.sim3 import Sim3
+from ..formats.geometry.sim3 import Sim3
 from .colmap import ColmapSource
 from .colmap_write import difference
 

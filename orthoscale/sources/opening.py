@@ -14,8 +14,8 @@ def open_source(path: str | Path, images: str | Path | None = None, need_images:
     path, images = Path(path), None if images is None else Path(images)
     if not os.path.exists(path):  # noqa: PTH110  pathlib's raises for names that are too long
         raise InputError(f"{path} does not exist", "Give an orthophoto, or the folder of a COLMAP model.")
-    from ..rescale.text_models import SUFFIXES
-    from .exchange import ExchangeSource, find_exchange
+    from ..formats.geometry.text_models import SUFFIXES
+    from .json_model import ExchangeSource, find_exchange
 
     if (text := find_exchange(path)) is not None:
         if text.suffix.lower() in SUFFIXES:

@@ -15,9 +15,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from .. import budget
 from ..errors import InputError
-from ..fingerprint import fingerprint
+from ..system import budget
+from .fingerprint import fingerprint
 
 # Shares of the memory budget: what decoded pictures may take together as long as they are small, and from which size
 # on one is large: decoded no finer than needed, one at a time, and kept alone.

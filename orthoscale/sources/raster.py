@@ -28,11 +28,11 @@ from rasterio.shutil import copy as gdal_copy
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from ..budget import in_words, memory, require
 from ..errors import InputError, OutputError, UsageError
-from ..fingerprint import fingerprint
-from ..outputs import signature
-from ..scratch import Scratch
+from ..system.budget import in_words, memory, require
+from ..system.outputs import signature
+from ..system.scratch import Scratch
+from .fingerprint import fingerprint
 from .georeference import Place, claim_of, kept_place, local_place
 from .picture import Picture
 from .tiff_blocks import blocks_of
@@ -412,7 +412,7 @@ class RasterSource:
         georeferencing, ground control points and rational polynomials do not; `notes` says so.
         The result is read back and compared with the original: all of it up to 100 Mpx, else 64 windows.
 
-        path : where to write; an existing file is replaced. Use `orthoscale.outputs` around it.
+        path : where to write; an existing file is replaced. Use `orthoscale.system.outputs` around it.
         metres_per_pixel : [m/px] the measured scale.
         keep_origin : keep the coordinate reference system, first corner and direction of the input; else local metres,
             north up, origin at the lower left corner.

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError
-from ..rescale.files import scale_path
-from ..rescale.text_models import TextModel, read_text_model
+from ..formats.geometry.files import scale_path
+from ..formats.geometry.text_models import TextModel, read_text_model
 from .colmap import find_frames, image_folder
 from .consistency import Observations, check_consistency, focal_notes, observations, some_of_each
-from .exchange import build_model
+from .json_model import build_model
 from .one_file import OneFileSource
 from .picture_file import stored_size
 

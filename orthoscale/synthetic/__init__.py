@@ -7,12 +7,12 @@
 Nothing in orthoscale imports this package.
 """
 
-from orthoscale.synthetic.labels import write_labels
-from orthoscale.synthetic.model import flight, write_colmap, write_ortho
-from orthoscale.synthetic.render import Look, render, render_frame, render_ortho, vehicle_boxes
-from orthoscale.synthetic.scene import STYLES, NormalFleet, Scene, make_scene
-from orthoscale.synthetic.vehicle import Vehicle
-from orthoscale.synthetic.view import Camera, Ortho, Perspective, Pose
+from .labels import write_labels
+from .model import flight, write_colmap, write_ortho
+from .render import Look, render, render_frame, render_ortho, vehicle_boxes
+from .scene import STYLES, NormalFleet, Scene, make_scene
+from .vehicle import Vehicle
+from .view import Camera, Ortho, Perspective, Pose
 
 __all__ = [
     "STYLES",

@@ -6,12 +6,12 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from orthoscale import stopping
-from orthoscale.errors import OrthoscaleError, shown
-from orthoscale.fleet import Fleet
-from orthoscale.outputs import Outputs, ours
-from orthoscale.synthetic import STYLES, make_scene, write_colmap, write_labels, write_ortho
-from orthoscale.synthetic.folders import write_csv, write_denseuav, write_visloc
+from ..core.fleet import Fleet
+from ..errors import OrthoscaleError, shown
+from ..system import stopping
+from ..system.outputs import Outputs, ours
+from . import STYLES, make_scene, write_colmap, write_labels, write_ortho
+from .folders import write_csv, write_denseuav, write_visloc
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -12,12 +12,12 @@ import pyproj
 import rasterio
 from rasterio.transform import from_origin
 
-from orthoscale.boxes import Boxes
-from orthoscale.detections import Detections
-from orthoscale.pooling.ruler import Ruler
-from orthoscale.synthetic.render import Look, render, vehicle_boxes
-from orthoscale.synthetic.scene import Scene
-from orthoscale.synthetic.view import Camera, Perspective, Pose
+from ..core.boxes import Boxes
+from ..core.detections import Detections
+from ..core.ruler import Ruler
+from .render import Look, render, vehicle_boxes
+from .scene import Scene
+from .view import Camera, Perspective, Pose
 
 SIZE = (720, 540)
 DENSEUAV_FOCAL = 8.8 / 14.667 * float(np.hypot(*SIZE))

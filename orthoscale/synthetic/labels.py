@@ -8,11 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.boxes import Boxes
-from orthoscale.synthetic.render import ortho_view, render, vehicle_boxes
-from orthoscale.synthetic.scene import Fleet, Scene, make_scene
-from orthoscale.synthetic.vehicle import Vehicle
-from orthoscale.synthetic.view import Camera, Perspective, Pose, View
+from ..core.boxes import Boxes
+from .render import ortho_view, render, vehicle_boxes
+from .scene import Fleet, Scene, make_scene
+from .vehicle import Vehicle
+from .view import Camera, Perspective, Pose, View
 
 VEHICLE_M = 4.45
 """Length that the pixel length of a picture refers to [m]."""

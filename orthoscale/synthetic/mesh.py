@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from orthoscale.synthetic.texture import MATERIALS
+from .texture import MATERIALS
 
 CORNERS = 12
 """Corners stored per face; faces with fewer repeat their last one."""

@@ -10,12 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.boxes import Boxes
-from orthoscale.sources.colmap_library import pycolmap
-from orthoscale.synthetic.labels import visible_share
-from orthoscale.synthetic.render import Look, ortho_view, render, surface, vehicle_boxes
-from orthoscale.synthetic.scene import Scene
-from orthoscale.synthetic.view import Camera, Perspective, Pose
+from ..core.boxes import Boxes
+from ..sources.colmap_library import pycolmap
+from .labels import visible_share
+from .render import Look, ortho_view, render, surface, vehicle_boxes
+from .scene import Scene
+from .view import Camera, Perspective, Pose
 
 
 @dataclass(frozen=True)

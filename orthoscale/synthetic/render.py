@@ -13,12 +13,12 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from orthoscale.boxes import Boxes
-from orthoscale.synthetic.mesh import Mesh, faces, join
-from orthoscale.synthetic.scene import Scene
-from orthoscale.synthetic.texture import BLOTCH_TEXEL_M, atlas, blotch
-from orthoscale.synthetic.vehicle import Vehicle
-from orthoscale.synthetic.view import Camera, Ortho, Perspective, Pose, View
+from ..core.boxes import Boxes
+from .mesh import Mesh, faces, join
+from .scene import Scene
+from .texture import BLOTCH_TEXEL_M, atlas, blotch
+from .vehicle import Vehicle
+from .view import Camera, Ortho, Perspective, Pose, View
 
 SUPERSAMPLING = 2
 """Samples along each side of a pixel."""

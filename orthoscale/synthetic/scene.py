@@ -12,10 +12,10 @@ from typing import Protocol
 
 import numpy as np
 
-from orthoscale.synthetic import things
-from orthoscale.synthetic.mesh import Mesh, Surface, disc, join, patch, pavement, rectangle, rounded
-from orthoscale.synthetic.things import MARK, Thing, pick, tinted
-from orthoscale.synthetic.vehicle import Vehicle, choose
+from . import things
+from .mesh import Mesh, Surface, disc, join, patch, pavement, rectangle, rounded
+from .things import MARK, Thing, pick, tinted
+from .vehicle import Vehicle, choose
 
 STYLES = ("city", "suburb", "village", "industrial", "carpark", "park")
 
@@ -35,7 +35,7 @@ Span = tuple[float, float]
 
 
 class Fleet(Protocol):
-    """Anything that draws vehicle sizes, such as `orthoscale.fleet.Fleet`."""
+    """Anything that draws vehicle sizes, such as `orthoscale.core.fleet.Fleet`."""
 
     def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
         """(n, 3) length, width, height [m]."""

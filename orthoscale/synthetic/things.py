@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoscale.synthetic.mesh import (
+from .mesh import (
     Colour,
     Mesh,
     Surface,
@@ -24,7 +24,7 @@ from orthoscale.synthetic.mesh import (
     rectangle,
     rounded,
 )
-from orthoscale.synthetic.vehicle import GLASS, RUBBER
+from .vehicle import GLASS, RUBBER
 
 PANEL = (0.02, 0.03, 0.06)
 """Solar panels."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoscale.synthetic.mesh import Mesh, at_height, disc, faces, join, loft, patch, prism, rectangle, rounded
+from .mesh import Mesh, at_height, disc, faces, join, loft, patch, prism, rectangle, rounded
 
 GLASS = (0.012, 0.016, 0.02)
 RUBBER = (0.012, 0.012, 0.012)

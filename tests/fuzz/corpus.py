@@ -31,11 +31,11 @@ from rasterio.control import GroundControlPoint
 from rasterio.transform import from_origin
 from test_colmap import make_model, put_frames, save
 
-from orthoscale.calibration import Calibration
-from orthoscale.detections import Detections
-from orthoscale.exchange.files import save as save_detections
-from orthoscale.pooling.ruler import Ruler
-from orthoscale.rescale.sim3 import Sim3
+from orthoscale.core.calibration import Calibration
+from orthoscale.core.detections import Detections
+from orthoscale.core.ruler import Ruler
+from orthoscale.formats.detections.files import save as save_detections
+from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.sources.opening import open_source
 from orthoscale.synthetic import make_scene, render_ortho, write_colmap
 from orthoscale.synthetic.folders import write_csv, write_denseuav, write_visloc

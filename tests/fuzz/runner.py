@@ -12,6 +12,7 @@ import hashlib
 import importlib
 import json
 import os
+import pkgutil
 import resource
 import shutil
 import signal
@@ -23,19 +24,15 @@ import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import orthoscale
+
 TIME_LIMIT = 30.0  # [s]
 GIB = 2**30
 MEMORY_LIMIT = 1.0  # [GiB]
 STOP_AT = 3.0  # [GiB] where a child is stopped, for the sake of the machine
 TOLERANCE = 0.02  # of the scale of a damaged input that was accepted
 DONE = frozenset((0, 2, 3, 4, 5, 6))
-MODULES = (
-    *("cli.scale", "cli.check", "cli.apply", "cli.photo", "cli.crop", "cli.layout", "cli.evaluate", "cli.report"),
-    *("cli.explain", "cli.fleets", "cli.calibrate", "cli.main", "pipeline", "workspace", "writing", "calibrating"),
-    *("sources.colmap", "sources.raster", "sources.text_model", "sources.exchange", "exchange.files", "rescale.files"),
-    *("report.page", "report.files", "report.pictures", "photo.survey", "photo.tables", "photo.crop", "layout.export"),
-    *("layout.draw", "evaluate.report", "evaluate.readers", "detect.detector", "detect.cache", "detect.sweep"),
-)
+NOT_LOADED = ("orthoscale.synthetic", "orthoscale.rio", "orthoscale.__main__")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "GDAL_NUM_THREADS")
 PROBLEMS = ("crash", "hang", "memory", "left behind", "input changed", "wrong answer")
 
@@ -87,9 +84,9 @@ class Outcome:
 
 def preload() -> None:
     """Load what commands need, once. Raises RuntimeError when that has started a thread: children would hang."""
-    for name in MODULES:
-        with contextlib.suppress(ModuleNotFoundError):
-            importlib.import_module(f"orthoscale.{name}")
+    for module in pkgutil.walk_packages(orthoscale.__path__, "orthoscale."):
+        if not module.name.startswith(NOT_LOADED):
+            importlib.import_module(module.name)
     for name in ("pycolmap", "rasterio", "pyogrio", "cv2", "ezdxf", "PIL.Image", "scipy.spatial"):
         importlib.import_module(name)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # pycolmap's is loud

@@ -1,0 +1,190 @@
+"""From an orthophoto of known scale to a calibration: the same vehicles at three zooms, against their fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from ..core.boxes import Boxes, matched
+from ..core.calibration import Calibration, MarginFit, fit_margin, scaled_fleet
+from ..core.detections import UNKNOWN_RULER
+from ..core.fleet import Fleet
+from ..core.pooling.robust import pool
+from ..core.projection.planar import ground_size
+from ..core.ruler import Ruler
+from ..core.votes import gather
+from ..detect.detector import Detector
+from ..detect.find import Progress
+from ..detect.sweep import SAME_BOX
+from ..detect.tiles import sweep
+from ..detect.zoom import check_zoom
+from ..errors import InputError, TooLittleEvidence, UsageError
+
+if TYPE_CHECKING:
+    from ..sources.raster import RasterSource
+
+LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms, as shares of the detector's best; a vehicle must show in all
+FEWEST = 20  # vehicles; a mean length is then known to 2 %
+NO_PRIOR = (6.0, 4.0)  # how far the margin of a detector without a card may be from none, one sigma [detector px]
+ROBUST = 1.48  # a normal distribution's standard deviation per median absolute deviation
+DISAGREEMENT = 0.02  # between --gsd and the georeferencing, from which on it is worth a note
+
+
+def calibrate(
+    path: str | Path,
+    *,
+    gsd: float | None = None,
+    fleet: str | Path = "world",
+    detector: str | Path | None = None,
+    decoder: str | None = None,
+    vehicle_classes: Sequence[str] = (),
+    local_fleet: bool = False,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Measure a detector's ruler on the orthophoto at `path`, whose scale is known.
+
+    gsd : metres per pixel; by default what its georeferencing says. fleet : of the country; the better it is known, the
+    better the ruler. local_fleet : also fit the sizes of the vehicles that stand here. The other options are those of
+    `orthoscale.estimate`. Raises InputError, UsageError, TooLittleEvidence.
+    """
+    from ..sources.opening import open_source
+
+    path = Path(path)
+    if gsd is not None and not (np.isfinite(gsd) and gsd > 0):
+        raise UsageError(f"--gsd must be a positive number of metres per pixel, not {gsd}")
+    source = open_source(path, need_images=False)
+    if source.unit != "m/px":
+        raise UsageError(
+            f"{path} is a reconstruction", "Calibrate on an orthophoto; models calibrate themselves on their own views."
+        )
+    raster = cast("RasterSource", source)
+    gsd, notes = _known_gsd(raster, gsd)
+    prior = Fleet.load(fleet)
+    network = Detector(None if detector is None else Path(detector), decoder, vehicle_classes)
+    zooms = LOOKS * network.card.best_length * gsd / float(prior.mean[0])
+    check_zoom(float(zooms.max()), network.card)
+
+    def step(k: int) -> Callable[[int, int], None] | None:
+        return (lambda done, total: progress(f"Look {k + 1} of {len(zooms)}", done, total)) if progress else None
+
+    looks = [sweep(source.pictures, z, network, step(k))[source.picture_names[0]] for k, z in enumerate(zooms)]
+    looks = same_vehicles(looks)
+    if len(looks[0]) < FEWEST:
+        raise TooLittleEvidence(
+            f"{path}: {len(looks[0])} vehicles seen at all three zooms, {FEWEST} are needed for a calibration",
+            "Give an orthophoto with more vehicles, and check its scale (--gsd).",
+        )
+    ruler, fits, used, factor = measure_ruler(looks, zooms, gsd, prior, network.card.ruler)
+    entry = None
+    if local_fleet:
+        relative_sd = np.array([fit.size_sd / fit.size for fit in fits])
+        entry = scaled_fleet(
+            prior,
+            factor,
+            relative_sd,
+            f"vehicles of {path.name}",
+            f"orthoscale calibrate, {used} vehicles, {prior.code}",
+        )
+    made_from = {
+        "orthophoto": path.name,
+        "sha256": source.content_hash(),
+        "gsd_m": gsd,
+        "fleet": prior.code,
+        "vehicles": used,
+        "zooms": [round(float(z), 4) for z in zooms],
+        "size_m": [round(fit.size, 3) for fit in fits],
+        "size_sd_m": [round(fit.size_sd, 3) for fit in fits],
+        "notes": notes,
+    }
+    return Calibration(network.card.name, network.sha256, ruler, entry, made_from)
+
+
+def _known_gsd(source: RasterSource, gsd: float | None) -> tuple[float, list[str]]:
+    claimed = source.claimed.gsd_m if source.claimed.usable else None
+    if gsd is None and claimed is None:
+        raise UsageError(
+            f"{source.path}: its scale is not known ({source.claimed.why})", "Say it: --gsd METRES_PER_PIXEL."
+        )
+    if gsd is None:
+        assert claimed is not None
+        return claimed, [f"scale {source.claimed.why}"]
+    if claimed is not None and abs(gsd / claimed - 1) > DISAGREEMENT:
+        return gsd, [f"--gsd {gsd:g} was used; the georeferencing says {claimed:.4g} m/px"]
+    return gsd, []
+
+
+def same_vehicles(looks: Sequence[Boxes]) -> list[Boxes]:
+    """The boxes of vehicles that show in all looks, row by row the same vehicle."""
+    rows = [np.arange(len(looks[0]))]
+    for before, here in zip(looks, looks[1:], strict=False):
+        i, j, _ = matched(before[rows[-1]], here, SAME_BOX)
+        rows = [*(r[i] for r in rows), j]
+    return [look[r] for look, r in zip(looks, rows, strict=True)]
+
+
+def measure_ruler(
+    looks: Sequence[Boxes], zooms: np.ndarray, gsd: float, fleet: Fleet, ruler: Ruler
+) -> tuple[Ruler, tuple[MarginFit, MarginFit], int, np.ndarray]:
+    """The ruler that `looks` at the same vehicles ask for, beginning from the detector's own `ruler`.
+
+    looks : boxes of the same vehicles [px of the picture] at `zooms` (K,) [detector px per picture px].
+    Returns the ruler, the fits of length and width, the vehicles used, and how many times the fleet's length and width
+    (2,) the vehicles have. Raises InputError when the vehicles' sizes do not belong to this scale.
+    """
+    middle = len(looks) // 2
+    used = _pooled(looks[middle], zooms[middle], fleet, ruler).used
+    pools = [_pooled(look[used], zoom, fleet, ruler) for look, zoom in zip(looks, zooms, strict=True)]
+    # Vehicles' mean sizes in metres, as boxes of each zoom have them with the detector's own margin taken off, (K, 2).
+    seen = fleet.mean[:2] * [[gsd / p.checks["length"], gsd / p.checks["width"]] for p in pools]
+    if np.abs(np.log(seen[middle] / fleet.mean[:2])).max() > np.log(1.4):
+        raise InputError(
+            f"at {gsd:g} m/px these vehicles would be {seen[middle, 0]:.2f} x {seen[middle, 1]:.2f} m on average",
+            "Check --gsd; a preview that was made smaller than its original has larger pixels.",
+        )
+    pixel = gsd / zooms
+    bias_sd = np.asarray(ruler.bias_sd) * seen
+    # The vehicles here stray from the fleet's mean, and all their boxes may be a little large together.
+    stray = np.diag(fleet.log_mean_covariance) + pools[middle].parts["sampling"] ** 2 + ruler.common_sd**2
+    fleet_sd = np.sqrt(stray) * fleet.mean[:2]
+    margin_sd = NO_PRIOR if ruler == UNKNOWN_RULER else ruler.margin_sd
+    fits = tuple(
+        fit_margin(
+            seen[:, axis] + ruler.margin[axis] * pixel,
+            pixel,
+            bias_sd[:, axis],
+            (float(fleet.mean[axis]), float(fleet_sd[axis])),
+            (ruler.margin[axis], margin_sd[axis]),
+        )
+        for axis in (0, 1)
+    )
+    new = replace(
+        ruler,
+        margin=(fits[0].margin, fits[1].margin),
+        margin_sd=(fits[0].margin_sd, fits[1].margin_sd),
+        noise=box_noise([look[used] for look in looks], zooms),
+    )
+    final = _pooled(looks[middle][used], zooms[middle], fleet, new)
+    factor = gsd / np.array([final.checks["length"], final.checks["width"]])
+    return new, (fits[0], fits[1]), int(used.sum()), factor
+
+
+def _pooled(boxes: Boxes, zoom: float, fleet: Fleet, ruler: Ruler):
+    votes = gather(ground_size(boxes), np.full(len(boxes), 1 / zoom), boxes.centre, boxes.score, repeated=False)
+    return pool(votes, fleet, ruler, "m/px")
+
+
+def box_noise(looks: Sequence[Boxes], zooms: np.ndarray) -> tuple[float, float]:
+    """One box's noise in length and width [detector px], from how neighbouring looks at the same vehicles differ."""
+    noise = []
+    for (a, za), (b, zb) in zip(zip(looks, zooms, strict=True), list(zip(looks, zooms, strict=True))[1:], strict=False):
+        ratio = np.log(b.xylwa[:, 2:4] / a.xylwa[:, 2:4])
+        spread = ROBUST * np.median(np.abs(ratio - np.median(ratio, axis=0)), axis=0)
+        # Two boxes differ by both their noises, each a share of its own size in pixels.
+        size = np.median(a.xylwa[:, 2:4], axis=0)
+        noise.append(spread * size / np.hypot(1 / za, 1 / zb))
+    length, width = np.mean(noise, axis=0)
+    return float(length), float(width)

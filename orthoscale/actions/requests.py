@@ -1,0 +1,326 @@
+"""What can be asked for: every option once, with its default, its choices, its help, and which others it excludes.
+
+The command line makes its options of these fields, `estimate` and `fix` take them as keywords. A request is checked
+when it is made: an option that would do nothing, or is not one, is refused and never ignored.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import Field, dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict
+
+from ..errors import UsageError
+
+if TYPE_CHECKING:
+    from typing import Self
+
+MODES = ("both", "oblique", "planar")
+PROJECTIONS = ("exact", "planar", "decoupled", "program", "naive")
+ESTIMATORS = ("robust", "iqr")
+EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
+REPORTS = ("none", "json", "html")
+
+
+@dataclass(frozen=True)
+class Option:
+    """kind : of a value: Path, str, float, int or bool. help : for people. choices : what it may be, if not anything.
+
+    flag : its name on the command line, if not the field's. metavar : how its help calls a value.
+    positive : whether a number must be above 0.
+    """
+
+    kind: type
+    help: str
+    choices: tuple[str, ...] = ()
+    flag: str = ""
+    metavar: str | None = None
+    positive: bool = False
+
+
+def option(default: Any, kind: type, help: str, **more: Any) -> Any:
+    """A field of a request."""
+    return field(default=default, metadata={"option": Option(kind, help, **more)})
+
+
+def flag(of: Field) -> str:
+    """What the command line calls the field `of` a request; of a switch that is on by default, the name that turns it
+    off. Other errors speak of options by this name too."""
+    named: str = of.metadata["option"].flag
+    return named or "--" + of.name.replace("_", "-")
+
+
+@dataclass(frozen=True, kw_only=True)
+class VehicleRequest:
+    """Of which fleet the vehicles are, and where their boxes come from; shared by all that measure."""
+
+    fleet: str | Path | None = option(
+        None,
+        str,
+        "Country code (US, DE, JP ...), 'auto' to find it by the vehicles' shapes, or a fleet.json; by default the "
+        "calibration's own, else world.",
+    )
+    detections: str | Path | None = option(
+        None, Path, "Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector needed."
+    )
+    detector: str | Path | None = option(None, Path, "Another detector, an .onnx file.")
+    decoder: str | None = option(None, str, "Its output layout, where the file does not tell it.", metavar="NAME")
+    vehicle_classes: Sequence[str] = option(
+        (),
+        str,
+        "Class that counts, by name or number, instead of those called small vehicles; repeatable.",
+        flag="--vehicle-class",
+        metavar="NAME",
+    )
+    calibration: str | Path | None = option(None, Path, "The detector's ruler as `orthoscale calibrate` measured it.")
+    zoom: float | None = option(
+        None, float, "Resampling factor: detector pixels per picture pixel, instead of the search.", positive=True
+    )
+    gsd_hint: float | None = option(
+        None, float, "Rough metres per pixel, instead of the search.", metavar="M", positive=True
+    )
+
+    def __post_init__(self) -> None:
+        """Raises UsageError for values of the wrong kind and for options that exclude each other."""
+        for each in fields(self):
+            if (about := each.metadata.get("option")) is not None:
+                object.__setattr__(self, each.name, _checked(each, about, getattr(self, each.name)))
+        if self.zoom is not None and self.gsd_hint is not None:
+            raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
+        if self.detections is not None:
+            self._refuse(self.of_detector, "--detections takes the boxes from a file: nothing is looked for")
+
+    @property
+    def of_detector(self) -> Iterable[str]:
+        """Names of the options that say how to look for vehicles, and do nothing where nobody looks."""
+        return ("detector", "decoder", "zoom", "gsd_hint")
+
+    def _refuse(self, names: Iterable[str], why: str) -> None:
+        """Raise UsageError where one of the options `names` says something."""
+        for each in fields(self):
+            if each.name in names and getattr(self, each.name) != each.default:
+                raise UsageError(f"{flag(each)} does nothing here: {why}", f"Leave {flag(each)} away.")
+
+    @classmethod
+    def of(cls, keywords: Mapping[str, Any]) -> Self:
+        """The request that `keywords` make. Raises UsageError, which names what a misspelt one may mean."""
+        known = [each.name for each in fields(cls)]
+        for name in keywords:
+            if name not in known:
+                raise UsageError(f"no option is called {name!r}", _nearest(name, known))
+        return cls(**keywords)
+
+    def without(self, names: Iterable[str], **other: Any) -> Self:
+        """The same with the options `names` at their defaults, and `other` ones as they are named."""
+        changed: dict[str, Any] = {each.name: each.default for each in fields(self) if each.name in names}
+        return replace(self, **changed | other)
+
+    def settings(self) -> dict[str, Any]:
+        """The options that are not at their defaults, as values that JSON knows: with them it is done again."""
+        said = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {
+            each.name: str(said[each.name]) if isinstance(said[each.name], Path) else said[each.name]
+            for each in fields(self)
+            if said[each.name] != each.default
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimateRequest(VehicleRequest):
+    """What `estimate` may be asked for; see its fields' help. Raises UsageError when made of what makes no sense."""
+
+    images: str | Path | None = option(None, Path, "Folder of the model's frames.")
+    refine: bool = option(False, bool, "Look at every vehicle four times more: sharper boxes, for small inputs.")
+    mode: str | None = option(
+        None,
+        str,
+        "Measure a model in its frames (oblique), in frames warped onto the ground (planar), or both (the default, "
+        "where it can be done).",
+        choices=MODES,
+    )
+    target: float = option(
+        0.005,
+        float,
+        "Stop looking at an orthophoto when its sampling uncertainty (one sigma) is at most this.",
+        positive=True,
+    )
+    exhaustive: bool = option(False, bool, "Look at all of an orthophoto.")
+    seed: int = option(0, int, "Of the order in which places are looked at.")
+    workers: int | None = option(None, int, "Threads; by default one per core, eight at most.", positive=True)
+    scheduler: str | None = option(None, str, "Look on a Dask cluster, such as tcp://host:8786.", metavar="URL")
+    cache: bool = option(True, bool, "Do not read or write the cache of what the detector saw.", flag="--no-cache")
+    projection: str | None = option(
+        None,
+        str,
+        "From boxes in frames to the ground; exact if not given. The others are for comparison.",
+        choices=PROJECTIONS,
+    )
+    estimator: str = option("robust", str, "From vehicles to the scale; iqr is the paper's.", choices=ESTIMATORS)
+    known_distance: Sequence[str] = option(
+        (),
+        str,
+        "Two points, the metres between them, their sigma: '120,80 560,80 23.77'. Points are X,Y in an orthophoto; "
+        "X,Y,Z, id:NUMBER or FRAME@X,Y in a model. May be given again.",
+        metavar="'A B M [SD]'",
+    )
+    ground_control: str | Path | None = option(
+        None, Path, "Lines of POINT EAST NORTH [UP] in metres; points as for --known-distance.", metavar="FILE"
+    )
+    surroundings: bool = option(
+        True,
+        bool,
+        "Whether parking rows and objects of standard size count, where the boxes show them.",
+        flag="--surroundings/--no-surroundings",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.mode == "planar":
+            self._refuse(("projection", "refine"), "--mode planar measures no boxes in frames")
+        if self.exhaustive:
+            self._refuse(("target",), "--exhaustive looks at everything")
+        if self.estimator == "iqr" and (self.known_distance or self.ground_control is not None):
+            raise UsageError(
+                "the estimator 'iqr' is the paper's, and knows vehicles only",
+                "Leave known distances and ground control away, or take --estimator robust.",
+            )
+
+    @property
+    def of_detector(self) -> Iterable[str]:
+        return (*super().of_detector, *OF_LOOKING)
+
+    def for_orthophoto(self, path: object) -> None:
+        """Raise UsageError for what is for models only."""
+        self._refuse(("mode", "images"), f"it is for COLMAP models, and {path} is an image")
+        if self.projection not in (None, "planar"):
+            raise UsageError(
+                f"--projection {self.projection} needs a camera; an orthophoto has none", "Leave --projection away."
+            )
+
+    def for_model(self, path: object) -> None:
+        """Raise UsageError for what is for orthophotos only."""
+        self._refuse(("target", "exhaustive"), f"all frames of a model are looked at, and {path} is one")
+
+
+OF_LOOKING = ("refine", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixRequest(EstimateRequest):
+    """What `fix` may be asked for: all that `estimate` may, and what to write."""
+
+    overwrite: bool = option(False, bool, "Replace what is at --out.")
+    override: bool = option(False, bool, "Rescale although INPUT says that it is in metres.")
+    keep_origin: bool = option(False, bool, "Keep an orthophoto's CRS, first corner and direction.")
+    cog: bool = option(False, bool, "Write a cloud-optimised GeoTIFF.")
+    also: Sequence[str] = option(
+        (),
+        str,
+        "More files beside OUT: world file, plain scale, vehicles (GeoPackage, GeoJSON), statistics per tile.",
+        choices=EXTRAS,
+    )
+    force: bool = option(False, bool, "Write although the scale is unusable: too uncertain, or its evidence disagrees.")
+    dense: bool = option(False, bool, "The model's dense workspace too: depth maps, cloud, meshes.")
+    report: str = option(
+        "html", str, "html: a page for people, a picture and JSON; json: without the page.", choices=REPORTS
+    )
+
+    def for_orthophoto(self, path: object) -> None:
+        super().for_orthophoto(path)
+        self._refuse(("dense",), f"it is for COLMAP models, and {path} is an image")
+
+    def for_model(self, path: object) -> None:
+        super().for_model(path)
+        self._refuse(("keep_origin", "cog", "also"), f"it is for orthophotos, and {path} is a model")
+
+    def estimating(self) -> EstimateRequest:
+        """The part that says how to measure."""
+        return EstimateRequest(**{each.name: getattr(self, each.name) for each in fields(EstimateRequest)})
+
+
+class VehicleOptions(TypedDict, total=False):
+    """The fields of `VehicleRequest` as keywords, for type checkers and editors."""
+
+    fleet: str | Path | None
+    detections: str | Path | None
+    detector: str | Path | None
+    decoder: str | None
+    vehicle_classes: Sequence[str]
+    calibration: str | Path | None
+    zoom: float | None
+    gsd_hint: float | None
+
+
+class EstimateOptions(VehicleOptions, total=False):
+    """The fields of `EstimateRequest` as keywords."""
+
+    images: str | Path | None
+    refine: bool
+    mode: str | None
+    target: float
+    exhaustive: bool
+    seed: int
+    workers: int | None
+    scheduler: str | None
+    cache: bool
+    projection: str | None
+    estimator: str
+    known_distance: Sequence[str]
+    ground_control: str | Path | None
+    surroundings: bool
+
+
+class FixOptions(EstimateOptions, total=False):
+    """The fields of `FixRequest` as keywords."""
+
+    overwrite: bool
+    override: bool
+    keep_origin: bool
+    cog: bool
+    also: Sequence[str]
+    force: bool
+    dense: bool
+    report: str
+
+
+_KINDS: dict[type, tuple[tuple[type, ...], str]] = {  # what each kind of option takes, and what it is called
+    Path: ((str, Path), "a path"),
+    str: ((str, Path), "a text"),
+    float: ((int, float), "a number"),
+    int: ((int,), "a whole number"),
+    bool: ((bool,), "True or False"),
+}
+
+
+def _checked(of: Field, about: Option, value: Any) -> Any:
+    """`value` for the field `of`, lists as tuples. Raises UsageError."""
+    if value is None and of.default is None:
+        return None
+    if not isinstance(of.default, tuple):
+        _check(flag(of), about, value)
+        return value
+    if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
+        raise UsageError(f"{flag(of)} takes a list of values, not {value!r}")
+    for each in value:
+        _check(flag(of), about, each)
+    return tuple(value)
+
+
+def _check(name: str, about: Option, value: Any) -> None:
+    wanted, called = _KINDS[about.kind]
+    fits = isinstance(value, wanted) and (about.kind is bool or not isinstance(value, bool))
+    if not fits:
+        raise UsageError(f"{name} takes {called}, not {value!r}")
+    if about.choices and value not in about.choices:
+        raise UsageError(f"{name} {value} is none of {', '.join(about.choices)}", _nearest(value, about.choices))
+    if about.positive and not (math.isfinite(value) and value > 0):
+        raise UsageError(f"{name} must be a positive number, not {value}")
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    """A sentence that says what `name` may have meant, or ''."""
+    near = difflib.get_close_matches(str(name), list(known), 1)
+    return f"Did you mean {near[0]!r}?" if near else ""

@@ -1,0 +1,146 @@
+"""What was found in one source, and the scale that follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..core.boxes import Boxes
+from ..core.detections import Detections
+from ..core.fleet import Fleet
+from ..core.measuring.drift import Drift
+from ..core.measuring.measure import Measured
+from ..core.measuring.method import Method
+from ..core.scale import Scale
+from ..core.verdicts import UNUSABLE
+from ..core.votes import Votes
+from ..errors import EvidenceDisagrees, TooLittleEvidence
+
+if TYPE_CHECKING:
+    from ..detect.zoom import ZoomChoice
+    from ..sources.source import Source
+
+CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
+
+
+@dataclass(frozen=True, repr=False)
+class Result:
+    """A measured source; what `fix` writes and every report shows.
+
+    ``result.scale`` is the answer, ``result.vehicles`` a table of the vehicles (``pandas.DataFrame(result.vehicles)``),
+    ``result.to_dict()`` the report as plain values.
+    """
+
+    source: Source
+    fleet: Fleet
+    detections: Detections
+    zoom_choice: ZoomChoice | None
+    seconds: float
+    measured: Measured = field(repr=False)
+    drift: Drift | None = None  # of the scale within an orthophoto
+    method: Method = field(default_factory=Method)
+    settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
+
+    @property
+    def projection(self) -> str:
+        """The projection that was used: the one asked for, or what fits the source."""
+        return self.method.projection or ("planar" if self.source.unit == "m/px" else "exact")
+
+    def answer(self) -> list[tuple[str, str]]:
+        """The scale in words, by what each line is called; signs in ASCII, which every terminal can write."""
+        scale = self.scale
+        within = f"{scale.verdict} (90 % within +-{100 * scale.half_width:.1f} %)"
+        return [("scale", f"{scale.text()}  {within}"), ("90 %", scale.text(*scale.interval90))]
+
+    def _brief(self) -> list[tuple[str, str]]:
+        scale = self.scale
+        rejected = sum(scale.rejected.values())
+        remarks = f"{len(scale.remarks)}, the first: {scale.remarks[0]}" if scale.remarks else "none"
+        return [
+            *self.answer(),
+            ("vehicles", f"{scale.vehicles_used} used, {rejected} rejected"),
+            ("fleet", f"{scale.fleet} ({self.fleet.name})"),
+            ("input", str(self.source.path)),
+            ("remarks", remarks),
+        ]
+
+    def __repr__(self) -> str:
+        return "\n".join(f"{label:10s} {text}" for label, text in self._brief())
+
+    def _repr_html_(self) -> str:
+        """The same as a table, for notebooks."""
+        rows = "".join(f"<tr><th>{escape(label)}</th><td>{escape(text)}</td></tr>" for label, text in self._brief())
+        return f"<table>{rows}</table>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report (what `fix` writes as JSON) as plain values; see `report.document.document`."""
+        from ..report.document import document
+
+        return document(self)
+
+    @property
+    def notes(self) -> list[str]:
+        """What was chosen, left aside, or could not be done: in opening the source, finding vehicles and measuring."""
+        return [*self.source.notes, *self.detections.notes, *self.measured.notes]
+
+    @property
+    def scale(self) -> Scale:
+        return self.measured.scale
+
+    @property
+    def votes(self) -> Votes:
+        return self.measured.votes
+
+    @property
+    def vehicles(self) -> np.ndarray:
+        """(N,) structured array, a row for each vehicle with its metres (`measuring.vehicles.VEHICLE`)."""
+        return self.measured.vehicles
+
+    @property
+    def boxes(self) -> Boxes:
+        """All boxes that entered the projection, of all pictures."""
+        return self.measured.boxes
+
+    @property
+    def picture(self) -> np.ndarray:
+        """(M,) name of each box's picture."""
+        return self.measured.picture
+
+    @property
+    def rejected_boxes(self) -> dict[str, int]:
+        """Boxes that never became votes, by reason."""
+        return {reason: count for reason, count in self.measured.lost.items() if count}
+
+    @property
+    def disagreement(self) -> EvidenceDisagrees | None:
+        """What contradicts what, where something does; raised by `require_useful` and by the command line."""
+        if self.scale.conflict or self.scale.tension > CONFLICT:
+            return EvidenceDisagrees(
+                f"{self.source.path}: {self.scale.remarks[0]}",
+                "Look at the boxes (--save-detections), check what was given, name the country's fleet, or write all "
+                "the same with `orthoscale fix --force`.",
+            )
+        agreement = self.measured.agreement
+        if agreement is not None and agreement.contradicts:
+            return EvidenceDisagrees(
+                f"{self.source.path}: {agreement.sentence()}",
+                "Look at the boxes (--save-detections) and the poses, choose one way with --mode, or write all the "
+                "same with `orthoscale fix --force`.",
+            )
+        return None
+
+    def require_useful(self) -> None:
+        """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
+        if (disagreement := self.disagreement) is not None:
+            raise disagreement
+        if self.scale.verdict == UNUSABLE:
+            low, high = self.scale.interval90
+            raise TooLittleEvidence(
+                f"{self.source.path}: the scale is only known to lie between {low:.4g} and {high:.4g} "
+                f"{self.scale.unit}",
+                "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with "
+                "--force.",
+            )

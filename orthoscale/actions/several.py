@@ -1,0 +1,108 @@
+"""A workspace whose mapper left several models: each has its own scale."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import EvidenceDisagrees, Incomplete, InputError, OrthoscaleError, TooLittleEvidence
+from ..sources.json_model import find_exchange
+from ..system.outputs import Outputs
+from .estimate import measured
+from .fix import written
+from .requests import EstimateRequest, FixRequest
+from .result import Result
+
+if TYPE_CHECKING:
+    from ..detect.find import Progress
+
+# What may befall one model and leave the others what they are.
+OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one model: its result, or why it has none; both where something beside it is missing."""
+
+    model: Path
+    result: Result | None
+    error: OrthoscaleError | None
+
+    def document(self) -> dict[str, Any]:
+        """As plain values, for models.json."""
+        if self.result is None:
+            code = self.error.exit_code if self.error else 1
+            return {"model": str(self.model), "error": str(self.error), "exit_code": code}
+        scale = self.result.scale
+        missing = {"missing": self.error.message} if self.error else {}
+        return {
+            "model": str(self.model),
+            "scale": scale.value,
+            "unit": scale.unit,
+            "interval90": list(scale.interval90),
+            "verdict": scale.verdict,
+            "vehicles_used": scale.vehicles_used,
+            **missing,
+        }
+
+
+def models_in(path: Path) -> list[Path]:
+    """The models of the workspace `path`, largest names last; empty where there are not several (or it is a file)."""
+    if not path.is_dir() or find_exchange(path) is not None:
+        return []
+    from ..sources.colmap_check import model_folders
+
+    folders = model_folders(path)
+    return folders if len(folders) > 1 else []
+
+
+def estimate_all(models: list[Path], request: EstimateRequest, progress: Progress | None = None) -> list[Outcome]:
+    """`estimate` for each of `models`. Raises the first error if none has a scale."""
+    return _checked([_one(model, partial(measured, model, request, progress)) for model in models])
+
+
+def fix_all(
+    models: list[Path],
+    out: Path,
+    request: FixRequest,
+    workspace: Path | None = None,
+    progress: Progress | None = None,
+) -> list[Outcome]:
+    """`fix` for each of `models`, into folders of their names in the folder `out`, with models.json beside them.
+
+    A model that has too little evidence, or is damaged, is left out and does not stop the others. workspace : what they
+    were found in, an input as they are.
+    Raises the first error if none has a scale; then nothing is written. Raises Incomplete, with the outcomes, if
+    something beside a model could not be made.
+    """
+    with Outputs(request.overwrite, (workspace, models, vars(request))) as outputs:
+        folder = outputs.folder(out)
+        fresh = replace(request, overwrite=False)  # nothing can be in a new folder
+        outcomes = _checked(
+            [_one(model, partial(written, model, folder / model.name, fresh, progress)) for model in models]
+        )
+        text = {outcome.model.name: outcome.document() for outcome in outcomes}
+        (folder / "models.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+    missing = [outcome.error for outcome in outcomes if isinstance(outcome.error, Incomplete)]
+    if missing:
+        raise Incomplete("; ".join(error.message for error in missing), missing[0].hint, outcomes)
+    return outcomes
+
+
+def _one(model: Path, do: Callable[[], Result]) -> Outcome:
+    try:
+        return Outcome(model, do(), None)
+    except Incomplete as error:
+        return Outcome(model, error.result, error)
+    except OF_ONE as error:
+        return Outcome(model, None, error)
+
+
+def _checked(outcomes: list[Outcome]) -> list[Outcome]:
+    if all(outcome.result is None for outcome in outcomes):
+        raise next(outcome.error for outcome in outcomes if outcome.error is not None)
+    return outcomes

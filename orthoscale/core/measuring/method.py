@@ -1,0 +1,75 @@
+"""Which way from boxes to the scale: the projection, the estimator, and what is known besides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..boxes import Boxes
+from ..evidence import Evidence
+from ..fleet import Fleet
+from ..pooling.paper import pool_paper
+from ..pooling.robust import pool
+from ..projection import decoupled
+from ..projection.exact import Hull
+from ..projection.exact import ground_size as exact_size
+from ..projection.view import Views
+from ..ruler import Ruler
+from ..scale import Scale
+from ..votes import Votes
+
+FLAT = 0.01  # [m] height of a vehicle painted on the ground
+# How `requests.PROJECTIONS` are done, which the paper names so. For frames; an orthophoto's is always planar.
+PROJECTIONS = {
+    "exact": None,
+    "planar": None,  # on the true ground, but without a height
+    "decoupled": decoupled.TEXT,
+    "program": decoupled.PROGRAM,
+    "naive": decoupled.NAIVE,
+}
+
+
+@dataclass(frozen=True)
+class Method:
+    """projection : one of PROJECTIONS; None is what fits the source. estimator : one of `requests.ESTIMATORS`.
+
+    evidence : what is known of the scale besides the vehicles.
+    surroundings : whether parking rows and objects of standard size count, where the boxes show them.
+    `requests.EstimateRequest` has checked them.
+    """
+
+    projection: str | None = None
+    estimator: str = "robust"
+    evidence: tuple[Evidence, ...] = ()
+    surroundings: bool = True
+
+    def sizes(
+        self, boxes: Boxes, views: Views, metres_per_unit: float, height: Sequence[float] | np.ndarray, fleet: Fleet
+    ) -> np.ndarray:
+        """(N, 2) length and width on the ground [units]; NaN where no vehicle gives the box.
+
+        `height` (2,) is up to where boxes enclose a vehicle, along its length and its width [m].
+        """
+        variant = PROJECTIONS[self.projection or "exact"]
+        if variant is not None:
+            length, width, tall = (float(v) for v in fleet.mean)
+            return decoupled.ground_size(boxes, views, (length, width, tall), variant)
+        heights = np.full(2, FLAT) if self.projection == "planar" else height
+        sides = [exact_size(boxes, views, metres_per_unit, Hull(height=float(h)))[:, k] for k, h in enumerate(heights)]
+        return np.stack(sides, 1)
+
+    def pool(
+        self,
+        votes: Votes,
+        fleet: Fleet,
+        ruler: Ruler,
+        unit: str,
+        geometry: np.ndarray | None = None,
+        more: Sequence[Evidence] = (),
+    ) -> Scale:
+        """The scale; `more` is what else the source itself shows."""
+        if self.estimator == "iqr":
+            return pool_paper(votes, fleet, unit)
+        return pool(votes, fleet, ruler, unit, geometry, (*self.evidence, *more))

@@ -1,0 +1,114 @@
+"""Does one scale hold for the whole model? By frame, by region, and as a trend over the ground.
+
+Frames are compared through the vehicles that they share: whatever a vehicle's true size, all frames must give it the
+same. Regions are compared through the fleet: their vehicles differ, so a region says less than its count suggests.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.special import fdtrc
+
+from ..scale import Scale
+from ..votes import Votes
+from .drift import CHANCE, NOTABLE
+
+MIN_SHARED = 3  # vehicles that a frame must share with others before it is judged
+ODD_SIGMAS, ODD = 4.0, 0.05  # a frame is odd that strays by so many sigmas, and by so much of the scale
+CELLS = 3  # regions across the longer side of the model
+MIN_IN_REGION = 5
+MIN_FOR_TREND = 12
+
+
+def drift(size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale, plan: np.ndarray) -> dict[str, Any]:
+    """Per-frame and per-region scale and the trend, as plain values, with a remark for what is wrong.
+
+    size : (M, 2) of each box. picture : (M,) its frame. votes : of N vehicles. Margins are taken off both.
+    plan : (N, 2) where the votes are.
+    """
+    frames, odd = by_frame(np.log(np.maximum(size, 1e-12)).mean(1), picture, votes, scale)
+    used = scale.used
+    log_scale = -np.log(votes.size[used]) @ np.asarray(scale.weights)
+    regions, trend = by_region(log_scale - np.median(log_scale), plan[used], scale.value)
+    remarks = []
+    drifts = trend is not None and trend["chance"] < CHANCE and trend["percent_across"] >= 100 * NOTABLE
+    if odd:
+        worst = ", ".join(f"{name} by {100 * stray:+.0f} %" for name, stray in odd[:5])
+        who = "a frame disagrees" if len(odd) == 1 else f"{len(odd)} frames disagree"
+        remarks.append(f"{who} with the others about the same vehicles: {worst}")
+    if trend is not None and drifts:
+        remarks.append(
+            f"the scale changes by {trend['percent_across']:.0f} % across the model: it may be bent, or its vehicles "
+            "differ from place to place"
+        )
+    return {
+        "frames": frames,
+        "odd_frames": [n for n, _ in odd],
+        "regions": regions,
+        "trend": trend,
+        "drifts": drifts,
+        "remarks": remarks,
+    }
+
+
+def by_frame(
+    log_size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale
+) -> tuple[dict[str, dict[str, float]], list[tuple[str, float]]]:
+    """Metres per unit by each frame that shares vehicles with others, and the odd ones, worst first, with their stray.
+
+    A box strays by its size against the median of the same vehicle's other views.
+    """
+    stray = np.full(len(log_size), np.nan)
+    for members, counts in zip(votes.members, scale.used, strict=True):
+        if counts and len(members) >= 3:
+            for m in members:
+                stray[m] = np.median(log_size[members[members != m]]) - log_size[m]
+    known = np.isfinite(stray)
+    if not known.any():
+        return {}, []
+    spread = 1.4826 * float(np.median(np.abs(stray[known] - np.median(stray[known]))))
+    frames, odd = {}, []
+    for name in np.unique(picture[known]):
+        mine = stray[known & (picture == name)]
+        if len(mine) < MIN_SHARED:
+            continue
+        middle, sd = float(np.median(mine)), 1.2533 * spread / np.sqrt(len(mine))
+        frames[str(name)] = {"scale": scale.value * np.exp(middle), "sd": scale.value * sd, "vehicles": len(mine)}
+        if abs(middle) > max(ODD, ODD_SIGMAS * sd):
+            odd.append((str(name), float(np.expm1(middle))))
+    return frames, sorted(odd, key=lambda item: -abs(item[1]))
+
+
+def by_region(
+    log_scale: np.ndarray, plan: np.ndarray, value: float
+) -> tuple[list[dict[str, Any]], dict[str, float] | None]:
+    """Regions with their own scale, and a linear trend of `log_scale` (K,), relative, over the `plan` (K, 2).
+
+    The trend's chance is that of an F test against no trend, its percent the change from end to end.
+    """
+    low, extent = plan.min(0), np.maximum(np.ptp(plan, axis=0), 1e-12)
+    cell = np.minimum(((plan - low) / (extent.max() / CELLS)).astype(int), CELLS - 1)
+    regions = []
+    for key in np.unique(cell, axis=0):
+        mine = log_scale[(cell == key).all(1)]
+        if len(mine) >= MIN_IN_REGION:
+            regions.append(
+                {
+                    "centre_unit": plan[(cell == key).all(1)].mean(0).tolist(),
+                    "scale": value * float(np.exp(mine.mean())),
+                    "sd": value * float(mine.std(ddof=1) / np.sqrt(len(mine))),
+                    "vehicles": len(mine),
+                }
+            )
+    if len(plan) < MIN_FOR_TREND:
+        return regions, None
+    x = np.column_stack([np.ones(len(plan)), (plan - plan.mean(0)) / extent.max()])
+    slope, *_ = np.linalg.lstsq(x, log_scale, rcond=None)
+    left = float(((log_scale - x @ slope) ** 2).sum())
+    whole = float(((log_scale - log_scale.mean()) ** 2).sum())
+    freedom = len(plan) - 3
+    chance = float(fdtrc(2, freedom, (whole - left) / 2 / max(left / freedom, 1e-300)))
+    along = x[:, 1:] @ slope[1:]
+    return regions, {"percent_across": 100 * float(np.ptp(along)), "chance": chance}

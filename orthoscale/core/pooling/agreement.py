@@ -1,0 +1,114 @@
+"""Two measurements of one model's scale: do they agree, and what do they say together?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..scale import Scale
+from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
+from .posterior import Z90
+
+CONTRADICTION = 2.6  # sigmas from which two measurements of one scale contradict each other; chance makes 1 %
+OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two looks at the same vehicles may differ
+# What one look of a detector differs by from another at the same vehicles (relative, one sigma). An assumption: on
+# the two real scenes the vehicles measured both ways part by 3.5 % and 1.8 % at most.
+OWN_MARGIN = 0.015
+MIN_COMMON = 5  # vehicles measured in both ways from which these alone are compared
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The two measurements, by name; how far apart they are (log of second over first), and one sigma of that.
+
+    common : vehicles that the difference was taken over, 0 where it is that of the scales.
+    apart, apart_sd : log of second scale over first, by all vehicles of each, and one sigma of that.
+    """
+
+    scales: dict[str, Scale]
+    difference: float
+    sd: float
+    apart: float
+    apart_sd: float
+    common: int = 0
+
+    @property
+    def tension(self) -> float:
+        """Sigmas between the two: on the vehicles that both measured, or by all of each, whichever is more."""
+        return max(abs(self.difference) / self.sd, abs(self.apart) / self.apart_sd)
+
+    @property
+    def surer(self) -> str:
+        """The name of the one that is known better."""
+        return min(self.scales, key=lambda name: self.scales[name].relative_sd)
+
+    @property
+    def contradicts(self) -> bool:
+        return self.tension > CONTRADICTION
+
+    def sentence(self) -> str:
+        """In words."""
+        (first, a), (second, b) = self.scales.items()
+        same = f" on the {self.common} vehicles measured both ways" if self.common else ""
+        return (
+            f"{second} gives {b.value:.5g} {b.unit}, {first} {a.value:.5g}: {100 * self.difference:+.1f} %{same}, "
+            f"{self.tension:.1f} sigma" + ("; the two contradict each other" if self.contradicts else "")
+        )
+
+
+def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreement:
+    """How two scales of one source, by the same vehicles, fit together.
+
+    ratio : (K, 2) log of the size that the first gives a vehicle over what the second gives it, for lengths and widths
+    of the vehicles that both measured. With enough of them the vehicles' own sizes cancel, and so do the fleet's.
+    Without, sampling is taken as independent, which lets the two differ by more than two looks at one place should.
+    Most of the detector's error is the same in both; geometry is taken as independent.
+    """
+    a, b = scales.values()
+    own = sum(scale.parts.get("geometry", 0.0) ** 2 for scale in (a, b)) + 2 * OWN_MARGIN**2
+    sampling = sum(scale.parts.get("sampling", 0.0) ** 2 for scale in (a, b))
+    apart = float(np.log(b.value / a.value)), float(np.sqrt(own + sampling))
+    if ratio is None or len(ratio) < MIN_COMMON:
+        return Agreement(scales, *apart, *apart)
+    each = ratio @ (np.add(a.weights, b.weights) / 2)
+    spread = 1.4826 * np.median(np.abs(each - np.median(each)))
+    own += 1.57 * spread**2 / len(each)  # of a median
+    return Agreement(scales, float(np.median(each)), float(np.sqrt(own)), *apart, len(each))
+
+
+def together(agreement: Agreement) -> Scale:
+    """The pooled scale: the first, moved towards the second by its weight.
+
+    Weights are the inverse variances of what the two do not share. Vehicles, detector and ground are largely the same,
+    so no part of the uncertainty gets smaller than its weighted mean.
+    Two that contradict each other have no mean: the surer one gives the value, and the interval reaches over both, as
+    with other evidence (`pooling.evidence`).
+    """
+    a, b = agreement.scales.values()
+    for scale in (a, b):
+        if scale.conflict:  # what else is known contradicts the vehicles: that stands, and nothing is averaged
+            return replace(scale, checks={**scale.checks, **{name: s.value for name, s in agreement.scales.items()}})
+    checks = {**a.checks, **{name: scale.value for name, scale in agreement.scales.items()}}
+    if agreement.contradicts:
+        surer = agreement.scales[agreement.surer]
+        low, high = min(s.interval90[0] for s in (a, b)), max(s.interval90[1] for s in (a, b))
+        spread = max(float(np.log(high / low)) / (2 * Z90), surer.relative_sd)
+        return replace(
+            surer, interval90=(low, high), parts={"conflict": spread}, verdict=UNUSABLE, checks=surer.checks | checks
+        )
+    own = np.array([sum(v**2 for k, v in s.parts.items() if k in OWN) for s in (a, b)])
+    weight = (1 / own) / (1 / own).sum()
+    log_value = float(weight @ np.log([a.value, b.value]))
+    names = {**a.parts, **b.parts}  # one look may see parking rows where the other does not
+    parts = {name: float(weight @ [s.parts.get(name, 0.0) for s in (a, b)]) for name in names}
+    sd = np.sqrt(sum(v**2 for v in parts.values()))
+    return replace(
+        a,
+        value=float(np.exp(log_value)),
+        interval90=(float(np.exp(log_value - Z90 * sd)), float(np.exp(log_value + Z90 * sd))),
+        parts=parts,
+        verdict=verdict(float(sd), a.tension > CHECK_LIMIT, a.verdict == UNUSABLE),
+        checks=checks,
+        evidence=a.evidence or b.evidence,
+    )

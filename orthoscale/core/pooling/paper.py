@@ -1,0 +1,96 @@
+"""The paper's estimator (arXiv 2603.07535), to the letter: a trimmed mean of what each vehicle says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import stdtrit
+
+from ...errors import TooLittleEvidence
+from ..fleet import Fleet
+from ..scale import Scale
+from ..verdicts import verdict
+from ..votes import Votes
+from .posterior import Z90
+
+MIN_SCORE = 0.5
+MIN_VEHICLES = 5
+WHISKER = 1.5  # interquartile ranges beyond the quartiles within which a value counts
+
+
+@dataclass(frozen=True)
+class PaperScale:
+    """Metres per unit of the source, by the paper's estimator.
+
+    value : the mean of the scales that count.
+    interval90 : 90 % interval of that mean, from the scatter between vehicles alone (Student's t). It has no part for
+        what is not known of the fleet, the boxes' margin or the geometry: with many vehicles it is far too narrow.
+    used : (N,) bool, which scales count.
+    """
+
+    value: float
+    interval90: tuple[float, float]
+    used: np.ndarray = field(repr=False)
+
+    @property
+    def vehicles_used(self) -> int:
+        return int(self.used.sum())
+
+
+def pool_iqr(
+    scales: np.ndarray, scores: np.ndarray, min_score: float = MIN_SCORE, min_vehicles: int = MIN_VEHICLES
+) -> PaperScale:
+    """One scale from `scales` (N,), metres per unit by each vehicle, whose boxes have `scores` (N,) in 0..1.
+
+    Scores above `min_score`, at least `min_vehicles` of them, then the mean of the values within
+    ``[Q1 - 1.5 IQR, Q3 + 1.5 IQR]``, quartiles interpolated linearly. Scales that are not finite do not count.
+    Raises TooLittleEvidence.
+    """
+    scales, scores = np.asarray(scales, float), np.asarray(scores, float)
+    confident = (scores > min_score) & np.isfinite(scales)
+    count = int(confident.sum())
+    if count < max(min_vehicles, 1):
+        raise TooLittleEvidence(
+            f"{count} of {len(scales)} vehicles have a score above {min_score:g}, {min_vehicles} are needed"
+        )
+    q1, q3 = np.percentile(scales[confident], [25, 75])
+    reach = WHISKER * (q3 - q1)
+    used = confident & (scales >= q1 - reach) & (scales <= q3 + reach)
+    kept = scales[used]
+    value = float(kept.mean())
+    half = float(stdtrit(len(kept) - 1, 0.95) * kept.std(ddof=1) / np.sqrt(len(kept))) if len(kept) > 1 else np.inf
+    return PaperScale(value, (value - half, value + half), used)
+
+
+def pool_paper(votes: Votes, fleet: Fleet, unit: str) -> Scale:
+    """What the paper makes of `votes`: each vehicle says the mean of the scales by its length and by its width, with
+    the mean size of `fleet` (``PAPER`` has the paper's own). Boxes are taken as they are, without their margin.
+
+    Raises TooLittleEvidence.
+    """
+    by_side = fleet.mean[:2] / votes.size
+    each = by_side.mean(1)
+    found = pool_iqr(each, votes.score)
+    low, high = found.interval90
+    sd = (high - low) / (2 * Z90 * found.value)
+    apart = np.log(each) - np.log(found.value)
+    reasons = ["" if u else f"score of {MIN_SCORE:g} or less" for u in found.used]
+    for k in np.flatnonzero(~found.used & (votes.score > MIN_SCORE)):
+        reasons[k] = "beyond the whiskers, too " + ("small" if apart[k] > 0 else "large")
+    length, width = by_side[found.used].mean(0)
+    return Scale(
+        value=found.value,
+        unit=unit,
+        interval90=found.interval90,
+        parts={"sampling": sd},
+        checks={"length": float(length), "width": float(width)},
+        weights=(0.5, 0.5),
+        tension=0.0,
+        fleet=fleet.code,
+        verdict=verdict(sd, odd_shape=False, conflict=False),
+        used=found.used,
+        reasons=reasons,
+        remarks=("the paper's estimator: its interval has no part for the fleet, the boxes' margin and the geometry",),
+        fleets={fleet.code: 1.0},
+    )

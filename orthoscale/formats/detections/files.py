@@ -1,0 +1,191 @@
+"""Detections in and out, by what the file's name ends in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.boxes import Boxes, distinct
+from ...core.detections import WHAT, Detections
+from ...detect.classes import plain
+from ...errors import InputError, UsageError, shown
+from ...evidence.objects import known_objects
+from ...sources.source import Pictures
+from ..reading import LARGE, read_plain
+from . import coco, dota, geo, table
+from .items import Item, boxes_by_picture
+
+FORMATS = {
+    ".json": "orthoscale's own (COCO too, when reading)",
+    ".coco.json": "COCO",
+    ".txt": "DOTA text",
+    ".geojson": "GeoJSON",
+    ".gpkg": "GeoPackage",
+}
+READABLE = {**FORMATS, ".txt": "DOTA or Ultralytics text", ".csv": "a table"}
+
+
+def check_name(path: Path) -> None:
+    """Raises UsageError for a file name that says no format, or one that cannot be written here."""
+    if path.suffix.lower() not in FORMATS:
+        known = ", ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
+        raise UsageError(f"{path.name}: no format of detections ends like this", f"Known: {known}.")
+
+
+def save(found: Detections, path: Path, source: Pictures) -> None:
+    """Write `found` to `path` in the format that its name says. Raises UsageError.
+
+    `load` gives back what was saved, to the digits written, from all but DOTA's text. That holds the vehicles' corners,
+    scores and pictures, and nothing else: no zoom, ruler, spreads, doubtful boxes, objects or plans.
+    """
+    check_name(path)
+    suffix = path.suffix.lower()
+    if suffix == ".txt":
+        dota.write(path, found.boxes, source.picture_names)
+    elif suffix == ".gpkg":
+        geo.write_geopackage(path, found.boxes, _place(source), found.note())
+    elif suffix == ".geojson":
+        _write(geo.geojson(found.boxes, _place(source), found.note()), path)
+    elif path.name.lower().endswith(".coco.json"):
+        _write(coco.document(found.boxes, _sizes(source), found.note()), path)
+    else:
+        found.save(path)
+
+
+def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = ()) -> Detections:
+    """The vehicles that a file, or a folder of DOTA's or Ultralytics' labels, has of the pictures of `source`.
+
+    vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles. Standard
+    objects (tennis courts ...) come along as `Detections.objects`. Boxes of others have no ruler: theirs is one that
+    nobody has measured. Boxes that repeat one vehicle count once. Raises InputError.
+    """
+    suffix = path.suffix.lower()
+    note: Mapping[str, Any] | None = None
+    sizes: dict[str, tuple[int, int]] = {}
+    items: list[Item]
+    if path.is_dir() or suffix == ".txt":
+        items = dota.read(path, only_picture=len(source.picture_names) == 1 and not path.is_dir())
+        if any(item.relative for item in items):
+            items = _of_vehicles(items, vehicle_classes, path)
+    elif suffix == ".csv":
+        items = table.read(path)
+    elif suffix == ".gpkg":
+        items, note = geo.read_geopackage(path, _place(source))
+    else:
+        text = read_plain(path, WHAT, f"Detections end in {', '.join(READABLE)}.", LARGE)
+        if geo.is_geojson(text):
+            items, note = geo.read_geojson(text, str(path), _place(source)), text.get("orthoscale")
+        elif coco.is_coco(text):
+            items, sizes = coco.read(text, str(path))
+            note = (text.get("info") or {}).get("orthoscale") if isinstance(text, dict) else None
+        else:
+            return _checked(Detections.of_document(text, path), source, path)
+    own_sizes = _sizes(source)
+    boxes = boxes_by_picture(items, source.picture_names, vehicle_classes, str(path), own_sizes)
+    found = Detections.of(boxes, note, f"boxes of {path.name}", str(path))
+    if not found.objects:
+        found = replace(found, objects=_objects(items, source, path))
+    _check_sizes(sizes, source, path)
+    return _checked(found, source, path)
+
+
+def _of_vehicles(items: Sequence[Item], vehicle_classes: Sequence[str], path: Path) -> list[Item]:
+    """Boxes of a format that numbers its classes and does not name them: those of the wanted numbers, or all where
+    there is one class only. Raises InputError where the user must choose."""
+    numbers = sorted({item.label for item in items if item.label is not None}, key=int)
+    if not vehicle_classes and len(numbers) > 1:
+        raise InputError(
+            f"{path}: its classes have numbers and no names ({shown(', '.join(numbers), 200)})",
+            f"Say which are small vehicles: --vehicle-class {numbers[0]}, for instance.",
+        )
+    return list(items) if vehicle_classes else [replace(item, label=None) for item in items]
+
+
+def _objects(items: Sequence[Item], source: Pictures, path: Path) -> dict[str, dict[str, Boxes]]:
+    """Boxes of standard objects among `items`, by picture and class."""
+    objects: dict[str, dict[str, Boxes]] = {}
+    for kind in known_objects():
+        those = [item for item in items if plain(item.label or "") == plain(kind)]
+        for name, boxes in boxes_by_picture(those, source.picture_names, [kind], str(path), _sizes(source)).items():
+            objects.setdefault(name, {})[kind] = boxes
+    return objects
+
+
+def _write(text: Any, path: Path) -> None:
+    path.write_text(json.dumps(text) + "\n", encoding="utf-8")
+
+
+def _place(source: Pictures) -> geo.Place | None:
+    return geo.Place.of(source.path) if source.unit == "m/px" else None
+
+
+def _sizes(source: Pictures) -> dict[str, tuple[int, int]]:
+    return {p.name: (p.width, p.height) for p in source.pictures}
+
+
+def _check_sizes(sizes: Mapping[str, tuple[int, int]], source: Pictures, path: Path) -> None:
+    for name, size in _sizes(source).items():
+        if sizes.get(name, size) not in (size, (0, 0)):
+            raise InputError(
+                f"{path}: its {name} has {sizes[name][0]} x {sizes[name][1]} px, the source's {size[0]} x {size[1]}",
+                "Give detections made on this very picture; boxes of another size measure another scale.",
+            )
+
+
+def _checked(found: Detections, source: Pictures, path: Path) -> Detections:
+    """`found` without pictures that `source` does not have, those of a workspace's other models, and without boxes that
+    repeat another.
+
+    Raises InputError where it has none of them, or boxes outside of them or that cannot be meant.
+    """
+    known = source.picture_names
+    strangers = [name for name in found.boxes if name not in set(known)]
+    if strangers and len(strangers) == len(found.boxes):
+        raise InputError(
+            f"{path}: {len(strangers)} of its {len(found.boxes)} pictures are not in {source.path}, "
+            f"the first is {shown(strangers[0])!r}",
+            f"The source has pictures like {known[0]!r}: give the detections that were made on it.",
+        )
+    if strangers:
+        note = f"{path}: {len(strangers)} of its pictures are not in this model, the first is {shown(strangers[0])}"
+        source.notes.append(note)
+        found = replace(found, boxes={name: boxes for name, boxes in found.boxes.items() if name not in strangers})
+    sizes = _sizes(source)
+    _check_boxes(found, sizes, path)
+    for name, size in sizes.items():
+        boxes = found.boxes.get(name, Boxes.empty())
+        outside = ((boxes.centre < 0) | (boxes.centre > np.array(size))).any(1)
+        if outside.any():
+            x, y = boxes.centre[outside][0]
+            raise InputError(
+                f"{path}: {int(outside.sum())} of {len(boxes)} boxes lie outside of {name} ({size[0]} x {size[1]} px), "
+                f"the first at x {x:.6g}, y {y:.6g}",
+                "Give detections made on this very picture, in its pixels or its coordinates.",
+            )
+    try:
+        single = {name: distinct(boxes) for name, boxes in found.boxes.items()}
+        planar = found.planar
+        if planar is not None:
+            planar = replace(planar, boxes={name: distinct(boxes) for name, boxes in planar.boxes.items()})
+    except ValueError as error:
+        raise InputError(f"{path}: {error}", "Give detections with one box for each vehicle.") from error
+    copies = len(found) - sum(map(len, single.values()))
+    if copies:
+        source.notes.append(f"{path}: {copies} of its {len(found)} boxes repeat another's vehicle and were left out")
+    return replace(found, boxes=single, planar=planar)
+
+
+def _check_boxes(found: Detections, sizes: Mapping[str, tuple[int, int]], path: Path) -> None:
+    """Raise InputError for boxes that cannot be meant, whatever the format that they came in."""
+    if found.planar is not None:
+        _check_boxes(found.planar, {}, path)  # in plans, whose sizes a file does not tell
+    parts = [*found.boxes.items(), *found.doubtful.items()]
+    parts += [(name, boxes) for name, kinds in found.objects.items() for boxes in kinds.values()]
+    for name, boxes in parts:
+        if fault := boxes.fault(*sizes.get(name, (np.inf, np.inf))):
+            raise InputError(f"{path}: box {fault[0] + 1} of {shown(name)} {fault[1]}", "Remove it or correct it.")

@@ -1,0 +1,261 @@
+"""Detections as map features: GeoJSON (RFC 7946) and GeoPackage, in the raster's own place on Earth where it has one.
+
+A picture without georeferencing has pixel coordinates. They are written with rows as negative y, as QGIS shows such
+pictures, and read with either sign.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.boxes import Boxes
+from ...core.detections import spread_note
+from ...errors import InputError, OutputError, shown
+from ..reading import check_regular, checked, parsed
+from .items import CLASS, LABEL, PICTURE, SCORE, Item, first
+
+LAYER = "vehicles"
+SPREAD = ("length_spread", "width_spread")  # columns of a GeoPackage, which has no lists
+PIXELS = "pixels"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a picture's pixels lie: `transform` from pixels to map coordinates, rasterio's Affine, and their CRS."""
+
+    transform: Any
+    crs: str
+
+    @classmethod
+    def of(cls, path: Path) -> Place | None:
+        """Of the raster at `path`; None for one that no coordinate reference system ties to the ground."""
+        import warnings
+
+        import rasterio
+        from rasterio.errors import NotGeoreferencedWarning
+
+        if not path.is_file():
+            return None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path, sharing=False) as dataset:
+                if dataset.crs is None or dataset.transform.is_identity:
+                    return None
+                return cls(dataset.transform, dataset.crs.to_wkt())
+
+    def to_map(self, pixels: np.ndarray, crs: str | None = None) -> np.ndarray:
+        """(K, 2) map coordinates of (K, 2) pixels, in `crs` or the raster's own."""
+        x, y = _mapped(self.transform, pixels)
+        if crs is not None:
+            x, y = _transformer(self.crs, crs).transform(x, y)
+        return np.column_stack([x, y])
+
+    def to_pixels(self, points: np.ndarray, crs: str | None = None) -> np.ndarray:
+        """(K, 2) pixels of (K, 2) map coordinates, in `crs` or the raster's own."""
+        x, y = points.T
+        if crs is not None:
+            x, y = _transformer(crs, self.crs).transform(x, y)
+        return np.column_stack(_mapped(~self.transform, np.column_stack([x, y])))
+
+
+def _mapped(transform: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    t, (x, y) = transform, points.T
+    return t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f
+
+
+@cache
+def _transformer(source: str, target: str):
+    from pyproj import Transformer
+
+    return Transformer.from_crs(source, target, always_xy=True)
+
+
+# GeoJSON
+
+
+def is_geojson(text: Any) -> bool:
+    """Whether a JSON document is a collection of features."""
+    return isinstance(text, dict) and text.get("type") == "FeatureCollection"
+
+
+def read_geojson(text: Mapping[str, Any], origin: str, place: Place | None) -> list[Item]:
+    """The boxes of a document. Raises InputError."""
+    from ..schemas import GeoCollection
+
+    whole = checked(
+        text, GeoCollection, origin, "GeoJSON that can be read", "Save it as a FeatureCollection of polygons."
+    )
+    # QGIS and GDAL write a CRS, though RFC 7946 does not know it.
+    crs = whole.crs.properties.name if whole.crs is not None else "EPSG:4326"
+    if whole.orthoscale is not None and whole.orthoscale.coordinates == PIXELS:
+        place = None
+    items = []
+    for number, feature in enumerate(whole.features, 1):
+        shape = feature.geometry
+        kind, rings = (None, None) if shape is None else (shape.type, shape.coordinates)
+        ring = _ring(kind, rings, f"{origin}: feature {number}")
+        items.append(_item(_in_pixels(ring, place, crs, origin), feature.properties or {}))
+    return items
+
+
+def geojson(boxes: Mapping[str, Boxes], place: Place | None, note: Mapping[str, Any]) -> dict:
+    """A document of `boxes` by picture name, in longitude and latitude where `place` is known."""
+    features = []
+    for polygon, properties in _features(boxes, place, None if place is None else "EPSG:4326"):
+        digits = 3 if place is None else 9
+        ring = [[round(float(v), digits) for v in point] for point in [*polygon, polygon[0]]]
+        geometry = {"type": "Polygon", "coordinates": [ring]}
+        features.append({"type": "Feature", "geometry": geometry, "properties": properties})
+    told = {**note, **({"coordinates": PIXELS} if place is None else {})}
+    return {"type": "FeatureCollection", "orthoscale": told, "features": features}
+
+
+# GeoPackage
+
+
+def read_geopackage(path: Path, place: Place | None) -> tuple[list[Item], dict[str, Any] | None]:
+    """The boxes of the layer `vehicles`, or else the first, and what `write_geopackage` said about them.
+
+    Raises InputError.
+    """
+    import pyogrio.raw
+    import shapely.geometry
+
+    check_regular(path, "Give a detections file.")
+    try:
+        names = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
+        layer = LAYER if LAYER in names else names[0]
+        info = pyogrio.read_info(path, layer=layer)
+        meta, _, blobs, columns = pyogrio.raw.read(path, layer=layer)
+        shapes = shapely.from_wkb(blobs)
+    except Exception as error:  # GDAL's and GEOS's errors share no base
+        raise InputError(f"{path}: not a GeoPackage of polygons that can be read ({error})") from error
+    told = (info.get("layer_metadata") or {}).get("orthoscale")
+    note = parsed(told, str(path), "a GeoPackage that orthoscale wrote", "Save the detections again.") if told else None
+    crs = meta["crs"]
+    if place is not None and not crs:
+        place = None
+    items = []
+    for number, shape in enumerate(shapes, 1):
+        what = f"{path}: feature {number} of {layer}"
+        there = {"type": None, "coordinates": None} if shape is None else shapely.geometry.mapping(shape)
+        ring = _ring(there["type"], there.get("coordinates"), what)
+        properties = {name: column[number - 1] for name, column in zip(meta["fields"], columns, strict=True)}
+        items.append(_item(_in_pixels(ring, place, crs, str(path)), properties))
+    return items, note
+
+
+def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None, note: Mapping[str, Any]) -> None:
+    """Write the layer `vehicles`, in the raster's own coordinates where `place` is known."""
+    import warnings
+
+    import pyogrio.raw
+    import shapely.geometry
+
+    features = list(_features(boxes, place, None))
+    polygons = shapely.polygons([polygon for polygon, _ in features]) if features else np.empty(0, object)
+    fields = ("picture", "score", "class", "length_px", "width_px", "angle_deg")
+    columns = [np.array([properties[name] for _, properties in features]) for name in fields]
+    columns = [c.astype(object) if k in (0, 2) else c.astype(float) for k, c in enumerate(columns)]
+    spreads = np.array([properties.get("spread", (None, None)) for _, properties in features], float).reshape(-1, 2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # pixel coordinates have no CRS, and need none
+        try:
+            pyogrio.raw.write(
+                path,
+                geometry=np.asarray(shapely.to_wkb(polygons), object),
+                field_data=[*columns, *spreads.T],
+                fields=np.array([*fields, *SPREAD], object),
+                geometry_type="Polygon",
+                crs=None if place is None else place.crs,
+                layer=LAYER,
+                driver="GPKG",
+                layer_metadata={"orthoscale": json.dumps(dict(note))},
+            )
+        except RuntimeError as error:  # pyogrio's errors are all RuntimeErrors
+            raise OutputError(f"{path.name}: GDAL could not write it ({error})", "Check the free space.") from error
+
+
+# Both
+
+
+def _features(
+    boxes: Mapping[str, Boxes], place: Place | None, crs: str | None
+) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
+    for picture, found in boxes.items():
+        assert found.spread is not None  # since it was made
+        for corners, row, score, spread in zip(found.corners, found.xylwa, found.score, found.spread, strict=True):
+            polygon = corners * [1, -1] if place is None else place.to_map(corners, crs)
+            yield (
+                polygon,
+                {
+                    "picture": picture,
+                    "score": round(float(score), 4),
+                    "class": LABEL,
+                    "length_px": round(float(row[2]), 3),
+                    "width_px": round(float(row[3]), 3),
+                    "angle_deg": round(float(np.degrees(row[4])), 3),
+                    **spread_note(spread),
+                },
+            )
+
+
+def _in_pixels(ring: np.ndarray, place: Place | None, crs: str | None, origin: str) -> np.ndarray:
+    if place is None:
+        return ring * [1, -1] if ring[:, 1].mean() < 0 else ring
+    from pyproj.exceptions import CRSError, ProjError
+
+    try:
+        return place.to_pixels(ring, crs)
+    except (CRSError, ProjError) as error:
+        raise InputError(f"{origin}: its coordinates do not fit the raster's ({error})") from error
+
+
+def _ring(kind: str | None, rings: Any, what: str) -> np.ndarray:
+    """(K, 2) outer ring of a polygon, or of a multipolygon with one part, without the repeated last point."""
+    try:
+        if kind == "MultiPolygon" and len(rings) == 1:
+            rings, kind = rings[0], "Polygon"
+        if kind != "Polygon":
+            raise ValueError("not a polygon")
+        ring = np.array([point[:2] for point in rings[0]], float).reshape(-1, 2)
+    except (IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+        other = "a geometry that is missing" if kind is None else "one with damaged corners"
+        raise InputError(
+            f"{what} is no polygon but {other if kind in (None, 'Polygon') else shown(kind)}",
+            "Boxes must be polygons with four corners.",
+        ) from error
+    if len(ring) and np.array_equal(ring[0], ring[-1]):
+        ring = ring[:-1]
+    if len(ring) < 3 or not np.isfinite(ring).all():
+        raise InputError(f"{what} has {len(ring)} usable corners", "Boxes must be polygons with four corners.")
+    return ring
+
+
+def _item(polygon: np.ndarray, properties: Mapping[str, Any]) -> Item:
+    label, picture = first(properties, CLASS), first(properties, PICTURE)
+    told = first(properties, SCORE)
+    score = 1.0 if told is None else _number(told)
+    spread = properties.get("spread")  # a list, which GDAL and QGIS turn into text
+    if isinstance(spread, str):
+        spread = spread.strip("[] ").split(",")
+    if not isinstance(spread, (list, np.ndarray)) or len(spread) != 2:
+        spread = [properties.get(name) for name in SPREAD]
+    length, width = (_number(v) for v in spread)
+    name = None if picture is None else str(picture)
+    return Item(polygon, score, None if label is None else str(label), name, (length, width))
+
+
+def _number(value: Any) -> float:
+    """NaN for what is none."""
+    try:
+        return float(value)
+    except (OverflowError, TypeError, ValueError):
+        return float("nan")

@@ -1,0 +1,140 @@
+"""What every format comes down to: named polygons in pixels, and how they become boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ...core.boxes import Boxes
+from ...detect.classes import is_vehicle
+from ...errors import InputError, shown
+
+FARTHEST = 1e7  # [px]
+# What programs call these properties of a box; the first that is there counts.
+PICTURE = ("picture", "image", "file_name", "filename")
+SCORE = ("score", "confidence", "conf", "probability")
+CLASS = ("class", "label", "category", "class_name", "name", "kind")
+LABEL = "small-vehicle"  # what our own boxes are called in the files of others, DOTA's word
+
+
+@dataclass(frozen=True)
+class Item:
+    """One detection as a file has it.
+
+    polygon : (K, 2) vertices [px of the picture]. picture : its name, None where the file names none. label : class
+    name, None where the file has none; such boxes count as vehicles. spread : as in `Boxes`, None where unknown.
+    relative : the polygon is in shares of the picture's width and height instead.
+    """
+
+    polygon: np.ndarray
+    score: float = 1.0
+    label: str | None = None
+    picture: str | None = None
+    spread: tuple[float | None, float | None] = (None, None)
+    relative: bool = False
+
+
+def rectangle(polygon: np.ndarray) -> np.ndarray:
+    """(5,) centre x, y, length, width, angle of the rectangle that a polygon (K, 2) stands for.
+
+    Four corners in order: the mean of opposite sides, because the rectangle around hand-drawn corners is always too
+    large. Anything else: the smallest rectangle around it; NaN where a vertex lies nowhere.
+    """
+    p = np.asarray(polygon, float)
+    if not (np.abs(p) < FARTHEST).all():  # OpenCV takes single precision only
+        return np.full(5, np.nan)
+    if len(p) > 1 and np.array_equal(p[0], p[-1]):
+        p = p[:-1]
+    centre = p.mean(0)
+    if len(p) == 4:
+        sides = np.roll(p, -1, axis=0) - p  # opposite ones are antiparallel
+        first, second = (sides[0] - sides[2]) / 2, (sides[1] - sides[3]) / 2
+        lengths = np.linalg.norm(sides, axis=1)
+        extent = (lengths[0] + lengths[2]) / 2, (lengths[1] + lengths[3]) / 2
+        area = abs(first[0] * second[1] - first[1] * second[0])
+        if area > 0.8 * extent[0] * extent[1]:  # else the corners are not in order, or those of something else
+            axis = first if extent[0] >= extent[1] else second
+            return np.array([*centre, max(extent), min(extent), np.arctan2(axis[1], axis[0])])
+    (x, y), (w, h), degrees = cv2.minAreaRect((p - centre).astype(np.float32))
+    return np.array([x + centre[0], y + centre[1], w, h, np.radians(degrees)])
+
+
+def boxes_by_picture(
+    items: Sequence[Item],
+    pictures: Sequence[str],
+    vehicle_classes: Sequence[str],
+    origin: str,
+    sizes: Mapping[str, tuple[int, int]],
+) -> dict[str, Boxes]:
+    """Boxes of the vehicles among `items`, by the names that the source's `pictures` have.
+
+    sizes : (width, height) of the pictures, for items that are `relative` to them. A name may lack its suffix or its
+    folder, as in DOTA and COCO, where that leaves no doubt; names that the source does not have stay as they are.
+    Raises InputError for items without vehicles, or of pictures that cannot be told; `origin` names the file. Whether
+    the boxes can be meant is for `files.load` to check.
+    """
+    labels = {item.label for item in items if item.label is not None}
+    counted = [item for item in items if item.label is None or is_vehicle(item.label, vehicle_classes)]
+    if items and not counted:
+        wanted = f"called {' or '.join(vehicle_classes)}" if vehicle_classes else "whose name means small vehicles"
+        listed = shown(", ".join(sorted(labels)), 300)
+        raise InputError(
+            f"{origin}: {len(items)} boxes, none of a class {wanted}; its classes are {listed}",
+            "Name the right one by --vehicle-class.",
+        )
+    names = _names(pictures)
+    rows: dict[str, list[np.ndarray]] = {}
+    rest: dict[str, list[tuple]] = {}
+    for item in counted:
+        name = _resolved(item.picture, pictures, names, origin)
+        polygon = item.polygon * sizes.get(name, (1, 1)) if item.relative else item.polygon
+        rows.setdefault(name, []).append(rectangle(polygon))
+        rest.setdefault(name, []).append((item.score, *item.spread))
+    found = {}
+    for name in rows:
+        score, spread = np.split(np.array(rest[name], float), [1], axis=1)
+        found[name] = Boxes(np.array(rows[name]), score, spread)
+    return found
+
+
+def first(properties: Mapping[Any, Any], names: Sequence[str]) -> Any:
+    """The first of a box's properties that is called one of `names` and says something; None without one."""
+    return next((properties[name] for name in names if properties.get(name) is not None), None)
+
+
+def short_name(picture: str, pictures: Sequence[str]) -> str:
+    """A picture's name without suffix, as DOTA has it, where no other picture shares that."""
+    short = str(PurePosixPath(picture).with_suffix(""))
+    shared = sum(str(PurePosixPath(p).with_suffix("")) == short for p in pictures) > 1
+    return picture if shared else short
+
+
+def _names(pictures: Sequence[str]) -> dict[str, str | None]:
+    """What a picture may be called; None where two could be meant."""
+    names: dict[str, str | None] = {}
+    for picture in pictures:
+        path = PurePosixPath(picture)
+        for name in {str(path.with_suffix("")), path.name, path.stem}:
+            names[name] = None if name in names else picture
+    return {**names, **{p: p for p in pictures}}
+
+
+def _resolved(name: str | None, pictures: Sequence[str], names: dict[str, str | None], origin: str) -> str:
+    if name is not None and name in names:
+        picture = names[name]
+        if picture is None:
+            raise InputError(f"{origin}: several pictures are called {name!r}", "Write their names with the folder.")
+        return picture
+    if name is None and len(pictures) == 1:
+        return pictures[0]
+    if name is None:
+        raise InputError(
+            f"{origin}: does not say to which of the {len(pictures)} pictures a box belongs",
+            f"Name the picture of each, {pictures[0]!r} for instance.",
+        )
+    return name  # a picture that the source does not have

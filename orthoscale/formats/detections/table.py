@@ -1,0 +1,59 @@
+"""A CSV table of boxes, a line each, under the names of its columns.
+
+``cx,cy,length,width`` [px] and ``angle`` [rad] or ``angle_deg`` are needed, as in orthoscale's own JSON; ``score``, the
+picture and the class may come too, under the names that GeoJSON's properties have.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ...core.boxes import Boxes
+from ...errors import InputError, shown
+from ..reading import read_text
+from .items import CLASS, PICTURE, SCORE, Item, first
+
+NUMBERS = ("cx", "cy", "length", "width")
+HINT = "Columns: cx, cy, length, width, angle (rad) or angle_deg; where wanted score, picture, class."
+
+
+def read(path: Path) -> list[Item]:
+    """The boxes of a table. Raises InputError."""
+    text = read_text(path, "Give a detections file.")
+    table = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True, delimiter=_delimiter(text))
+    try:
+        names = [(name or "").strip().lower() for name in table.fieldnames or ()]
+        table.fieldnames = names
+        missing = [name for name in NUMBERS if name not in names]
+        missing += ["angle"] if not {"angle", "angle_deg"} & set(names) else []
+        if missing:
+            raise InputError(f"{path}: no column {' and '.join(missing)}", HINT)
+        return [_item(row, f"{path}, line {table.line_num}") for row in table]
+    except csv.Error as error:
+        raise InputError(f"{path}: not a CSV table (line {table.line_num})", HINT) from error
+
+
+def _delimiter(text: str) -> str:
+    head = text.partition("\n")[0]
+    return max(",;\t", key=head.count)
+
+
+def _item(row: Mapping[str | None, str | None], origin: str) -> Item:
+    def number(name: str, default: str | None = None) -> float:
+        word = row.get(name) or default
+        try:
+            return float(word or "")
+        except ValueError:
+            raise InputError(f"{origin}: {name} is {shown(word or '')!r}, not a number", HINT) from None
+
+    angle = number("angle") if "angle" in row else np.radians(number("angle_deg"))
+    box = [*(number(name) for name in NUMBERS), float(angle)]
+    score = next((name for name in SCORE if name in row), "score")
+    label, picture = first(row, CLASS), first(row, PICTURE)
+    corners = Boxes(np.array([box]), np.ones(1)).corners[0]
+    return Item(corners, number(score, "1"), label or None, picture or None)

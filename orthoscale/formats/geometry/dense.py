@@ -1,0 +1,93 @@
+"""COLMAP's dense workspace in metres: undistorted model, depth maps, fused cloud, meshes; the rest is copied."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError
+
+# Files of COLMAP's dense workspace whose coordinates are in model units. Settings (stereo/*.cfg, *.sh), normal maps,
+# consistency graphs, fused.ply.vis and undistorted images have no lengths.
+GEOMETRY = {".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".las", ".laz", ".xyz", ".pcd", ".splat", ".spz"}
+DEPTH_KINDS = (".geometric.bin", ".photometric.bin")
+COPY_AGAIN = "The file is damaged or was cut off: copy it again, or compute it anew."
+
+
+def scale_depth_map(source: Path, target: Path, scale: float) -> None:
+    """Write COLMAP's depth map (``width&height&channels&``, then float32, little-endian) with depths times `scale`."""
+    data = source.read_bytes()
+    try:
+        *shape, rest = data[:64].split(b"&", 3)
+        width, height, channels = map(int, shape)
+        head = len(data[:64]) - len(rest)
+    except ValueError:
+        raise InputError(f"{source}: not a depth map of COLMAP", COPY_AGAIN) from None
+    needed = head + 4 * width * height * channels
+    if channels != 1 or min(width, height) < 1 or len(data) != needed:
+        raise InputError(
+            f"{source}: {len(data)} bytes, but a depth map of {width} x {height} x {channels} has {needed}", COPY_AGAIN
+        )
+    depths = np.frombuffer(data, "<f4", offset=head).astype(float) * scale
+    target.write_bytes(data[:head] + depths.astype("<f4").tobytes())
+
+
+def is_dense(folder: Path) -> bool:
+    """Whether `folder` looks like a dense workspace of COLMAP."""
+    return (folder / "stereo").is_dir() or (folder / "fused.ply").is_file()
+
+
+def find_dense(model: Path) -> Path | None:
+    """The dense workspace that belongs to the sparse model in the folder `model`, where COLMAP would have put it.
+
+    ``W/dense/sparse`` lies in its own; ``W/sparse`` has ``W/dense``; ``W/sparse/0`` has ``W/dense/0`` or ``W/dense``.
+    """
+    model = model.resolve()
+    places = [model.parent, model.parent / "dense", model / "dense"]
+    if model.name.isdigit():
+        above = model.parent.parent / "dense"
+        places = [above / model.name, above, *places]
+    return next((place for place in places if is_dense(place)), None)
+
+
+def sparse_folders(dense: Path) -> list[Path]:
+    """The folders of undistorted sparse models in the workspace `dense`."""
+    sparse = dense / "sparse"
+    folders = [sparse, *sorted(p for p in sparse.iterdir() if p.is_dir())] if sparse.is_dir() else []
+    return [f for f in folders if any((f / f"cameras.{form}").is_file() for form in ("bin", "txt"))]
+
+
+def scale_dense(
+    source: Path, target: Path, scale: float, model: Callable[[Path, Path], None], any_file: Callable[[Path, Path], str]
+) -> list[str]:
+    """Write the dense workspace `source` into the empty folder `target` in metres; returns what there is to say.
+
+    model : writes the sparse model in one folder into another, in metres. any_file : writes one file of geometry, or
+    says why it cannot. Raises what these raise, and InputError for a damaged depth map.
+    """
+    left, scaled = [], 0
+    for path in sorted(p for p in source.rglob("*") if p.is_file()):
+        place = path.relative_to(source)
+        if place.parts[0] == "sparse" and len(place.parts) > 1:
+            continue
+        out = target / place
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if "depth_maps" in place.parts and path.name.endswith(DEPTH_KINDS):
+            scale_depth_map(path, out, scale)
+            scaled += 1
+        elif path.suffix.lower() in GEOMETRY:
+            if reason := any_file(path, out):
+                left.append(f"{place} ({reason})")
+            else:
+                scaled += 1
+        else:
+            shutil.copyfile(path, out)
+    for folder in sparse_folders(source):
+        out = target / folder.relative_to(source)
+        out.mkdir(parents=True, exist_ok=True)
+        model(folder, out)
+    notes = [f"{source}: {scaled} depth maps, clouds and meshes brought to metres as well"]
+    return notes + ([f"left in {source}, because not in metres: {', '.join(left)}"] if left else [])

@@ -1,0 +1,210 @@
+"""PLY: point clouds, meshes and Gaussian splats. Coordinates grow, a splat's log scales too; the rest stays as it is.
+
+Turk's format in its three encodings. A splat (Kerbl et al. 2023) keeps the logarithms of its axes in ``scale_0`` ...,
+so metres add ``log(scale)`` to them; rotations, opacities and harmonics have no length.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ...errors import InputError
+from .mark import MARK, mark, refuse_marked
+
+TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
+    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
+}
+ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+LONGEST_HEADER = 1 << 16  # [bytes]
+ROWS = 1 << 17  # vertices in memory at once
+MOST_POINTS = 500_000  # that a model is given; the ground is found from fewer
+LENGTHS = ("x", "y", "z", "radius")
+COPY_AGAIN = "The file is damaged or was cut off: copy it again, or export it anew."
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: list[tuple[str, str]]  # name and numpy type; '' for a list
+
+    @property
+    def fixed(self) -> bool:
+        return all(kind for _, kind in self.properties)
+
+    def row(self, order: str) -> np.dtype:
+        return np.dtype([(name, order + kind) for name, kind in self.properties])
+
+    def least(self, form: str) -> int:
+        """Bytes that the element takes at least: a list one for its count, a word of text two with what ends it."""
+        if form == "ascii":
+            return self.count * max(1, 2 * len(self.properties))
+        return self.count * sum(np.dtype(kind).itemsize if kind else 1 for _, kind in self.properties)
+
+
+def scale_ply(source: Path, target: Path, scale: float) -> None:
+    """Write the PLY file `source` to `target` with all lengths times `scale`. Raises InputError, UsageError."""
+    with source.open("rb") as file:
+        lines, form, elements = _header(source, file)
+        _require(source, file, form, elements)
+        if any(line.startswith("comment " + MARK) for line in lines):
+            refuse_marked(source)
+        vertex = next((e for e in elements if e.name == "vertex"), None)
+        names = [name for name, _ in vertex.properties] if vertex else []
+        if vertex is None or not {"x", "y", "z"} <= set(names):
+            raise InputError(
+                f"{source}: no vertices with x, y and z among its elements ({', '.join(e.name for e in elements)})",
+                "Packed splats and other exotic layouts must be unpacked first.",
+            )
+        before = elements[: elements.index(vertex)]
+        if not all(e.fixed for e in (*before, vertex)):
+            raise InputError(f"{source}: lists before or among the vertices", "Export it with plain vertices first.")
+        kinds = dict(vertex.properties)
+        logs = [n for n in names if re.fullmatch(r"scale_\d", n) and "rot_0" in names]
+        lengths = [n for n in LENGTHS if n in names]
+        whole = [n for n in (*lengths, *logs) if kinds[n][0] != "f"]
+        if whole:
+            raise InputError(f"{source}: {whole[0]} is a whole number and cannot be scaled", "Export it as float.")
+        with target.open("wb") as out:
+            lines.insert(2, "comment " + mark(scale))
+            out.write(("\n".join(lines) + "\n").encode())
+            if form == "ascii":
+                _ascii(source, file, out, sum(e.count for e in before), vertex, lengths, logs, scale)
+            else:
+                for element in before:
+                    _copy(file, out, element.least(form))
+                _binary(source, file, out, vertex.row(ORDER[form]), vertex.count, lengths, logs, scale)
+            shutil.copyfileobj(file, out, 1 << 20)
+
+
+def _require(path: Path, file: BinaryIO, form: str, elements: list[_Element]) -> None:
+    """Raise InputError where less follows than the header announces."""
+    missing = sum(element.least(form) for element in elements) - (path.stat().st_size - file.tell()) - 1
+    if missing > 0:  # the last line of text may have no end
+        raise InputError(f"{path}: {missing} bytes or more are missing at its end", COPY_AGAIN)
+
+
+def _copy(file: BinaryIO, out: BinaryIO, size: int) -> None:
+    while size > 0:
+        block = file.read(min(size, 1 << 20))
+        out.write(block)
+        size -= max(len(block), 1)
+
+
+def read_points(path: Path) -> np.ndarray:
+    """(N, 3) vertices of the PLY file `path`, MOST_POINTS of them at most. Raises InputError."""
+    with path.open("rb") as file:
+        _, form, elements = _header(path, file)
+        vertex = elements[0] if elements else None
+        names = [name for name, _ in vertex.properties] if vertex else []
+        if vertex is None or vertex.name != "vertex" or not vertex.fixed or not {"x", "y", "z"} <= set(names):
+            raise InputError(f"{path}: it does not begin with vertices that have x, y and z", "Export it anew.")
+        _require(path, file, form, elements)
+        # More points make the ground no better known: of very many, every so-manieth is taken.
+        step = -(-vertex.count // MOST_POINTS)
+        parts = []
+        if form == "ascii":
+            columns = [names.index(axis) for axis in "xyz"]
+            for start in range(0, vertex.count, ROWS):
+                rows = [file.readline() for _ in range(min(ROWS, vertex.count - start))][-start % step :: step]
+                try:
+                    words = [row.split() for row in rows]
+                    parts.append(np.array([[row[k] for k in columns] for row in words], float).reshape(-1, 3))
+                except (ValueError, IndexError) as error:
+                    raise InputError(f"{path}: a vertex is missing or malformed", COPY_AGAIN) from error
+        else:
+            row = vertex.row(ORDER[form])
+            for start in range(0, vertex.count, ROWS):
+                data = file.read(min(ROWS, vertex.count - start) * row.itemsize)
+                table = np.frombuffer(data, row)[-start % step :: step]
+                parts.append(np.column_stack([table[axis].astype(float) for axis in "xyz"]))
+    points = np.concatenate([np.empty((0, 3)), *parts])
+    if not np.isfinite(points).all():
+        raise InputError(f"{path}: a vertex is not finite", COPY_AGAIN)
+    return points
+
+
+def _header(path: Path, file: BinaryIO) -> tuple[list[str], str, list[_Element]]:
+    """The header's lines, the encoding and the elements; the file is left at the first byte of data."""
+    lines: list[str] = []
+    elements: list[_Element] = []
+    form = ""
+    try:
+        while not lines or lines[-1] != "end_header":
+            line = file.readline(LONGEST_HEADER).decode("utf-8").rstrip("\r\n")
+            if file.tell() > LONGEST_HEADER or not (line or file.peek(1)):  # type: ignore[attr-defined]
+                raise ValueError("no end_header")
+            lines.append(line)
+            words = line.split()
+            if len(lines) == 1 and line != "ply":
+                raise ValueError("it does not start with 'ply'")
+            if words[:1] == ["format"]:
+                form = words[1]
+            elif words[:1] == ["element"]:
+                elements.append(_Element(words[1], int(words[2]), []))
+            elif words[:1] == ["property"]:
+                kind = "" if words[1] == "list" else TYPES[words[1]]
+                if words[-1] in (name for name, _ in elements[-1].properties):
+                    raise ValueError(f"{words[-1][:40]} appears twice")
+                elements[-1].properties.append((words[-1], kind))
+        if form not in ORDER or any(e.count < 0 for e in elements):
+            raise ValueError("no known format, or a negative count")
+    except (ValueError, IndexError, KeyError) as error:
+        raise InputError(f"{path}, line {len(lines) + 1}: not a PLY header ({error})", COPY_AGAIN) from error
+    return lines, form, elements
+
+
+def _binary(
+    path: Path,
+    file: BinaryIO,
+    out: BinaryIO,
+    row: np.dtype,
+    count: int,
+    lengths: list[str],
+    logs: list[str],
+    scale: float,
+) -> None:
+    for start in range(0, count, ROWS):
+        many = min(ROWS, count - start)
+        vertices = np.frombuffer(file.read(many * row.itemsize), row).copy()
+        if len(vertices) != many:
+            raise InputError(f"{path}: ends within vertex {start + len(vertices)} of {count}", COPY_AGAIN)
+        for name in lengths:
+            vertices[name] = vertices[name].astype(float) * scale
+        for name in logs:
+            vertices[name] = vertices[name].astype(float) + np.log(scale)
+        out.write(vertices.tobytes())
+
+
+def _ascii(
+    path: Path,
+    file: BinaryIO,
+    out: BinaryIO,
+    before: int,
+    vertex: _Element,
+    lengths: list[str],
+    logs: list[str],
+    scale: float,
+) -> None:
+    names = [name for name, _ in vertex.properties]
+    grow, add = [names.index(n) for n in lengths], [names.index(n) for n in logs]
+    for _ in range(before):
+        out.write(file.readline())
+    for k in range(vertex.count):
+        words = file.readline().split()
+        try:
+            for j in grow:
+                words[j] = f"{float(words[j]) * scale:.9g}".encode()
+            for j in add:
+                words[j] = f"{float(words[j]) + np.log(scale):.9g}".encode()
+        except (ValueError, IndexError) as error:
+            raise InputError(f"{path}: vertex {k} of {vertex.count} is missing or malformed", COPY_AGAIN) from error
+        out.write(b" ".join(words) + b"\n")

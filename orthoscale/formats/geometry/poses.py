@@ -1,0 +1,76 @@
+"""Camera files in JSON: nerfstudio's and instant-ngp's transforms.json, OpenSfM's and ODM's reconstruction.json."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from ...errors import InputError
+from ..reading import HUGE, checked, read_plain
+from .beside import beside
+from .mark import MARK, mark, refuse_marked
+
+HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
+
+
+def read_poses(path: Path) -> dict[str, Any] | list[dict[str, Any]]:
+    """The plain values of a transforms.json, a mapping, or of a reconstruction.json, a list. Raises InputError."""
+    from ..schemas import OpensfmPart, Transforms
+
+    text = read_plain(path, "a JSON of cameras", HINT, HUGE)
+    if isinstance(text, list):
+        checked(text, list[OpensfmPart], str(path), "an OpenSfM reconstruction", HINT)
+        if not text:
+            raise InputError(f"{path}: not an OpenSfM reconstruction (it holds none)", HINT)
+    else:
+        checked(text, Transforms, str(path), "a transforms.json", HINT)
+    return text
+
+
+def scale_transforms(source: Path, target: Path, scale: float) -> list[Path]:
+    """Write a transforms.json in metres; returns the point cloud beside it that must be scaled as well.
+
+    The cameras' positions grow, and the shift of ``applied_transform``, which leads back to the world before
+    nerfstudio turned it. ``applied_scale`` stays: its world is now the metric one. Raises InputError, UsageError.
+    """
+    text = cast("dict[str, Any]", read_poses(source))
+    if MARK in text:
+        refuse_marked(source)
+    for frame in text["frames"]:
+        frame["transform_matrix"] = _grown(frame["transform_matrix"], scale)
+    if "applied_transform" in text:
+        text["applied_transform"] = _grown(text["applied_transform"], scale)
+    cloud = text.get("ply_file_path")
+    text[MARK] = mark(scale)
+    target.write_text(json.dumps(text, indent=1), encoding="utf-8")
+    found = beside(source, cloud or "")
+    return [] if found is None else [found]
+
+
+def scale_reconstruction(source: Path, target: Path, scale: float) -> None:
+    """Write an OpenSfM reconstruction.json in metres: shots, rigs and points. Raises InputError, UsageError."""
+    text = read_poses(source)
+    for part in cast("list[dict[str, Any]]", text):
+        if MARK in part:
+            refuse_marked(source)
+        for shot in part["shots"].values():
+            shot["translation"] = _grown(shot["translation"], scale)
+        for rigid in (*part.get("rig_instances", {}).values(), *part.get("rig_cameras", {}).values()):
+            rigid["translation"] = _grown(rigid["translation"], scale)
+        for point in part.get("points", {}).values():
+            point["coordinates"] = _grown(point["coordinates"], scale)
+        part[MARK] = mark(scale)
+    target.write_text(json.dumps(text), encoding="utf-8")
+
+
+def _grown(values: Any, scale: float) -> list:
+    """`values` with its lengths times `scale`: a vector, or the last column of a pose's first three rows."""
+    array = np.array(values, float)
+    if array.ndim == 1:
+        array *= scale
+    else:
+        array[:3, 3] *= scale
+    return array.tolist()

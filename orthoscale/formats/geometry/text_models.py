@@ -1,0 +1,234 @@
+"""Reconstructions in plain text: Bundler's bundle.out (v0.3) and VisualSFM's .nvm (NVM_V3).
+
+Both are walked line by line, so that a count that lies meets the end of the file and not all of the memory. The walk
+says which words of a line are lengths: reading and scaling are the same walk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...errors import InputError
+
+BUNDLER, NVM = ".out", ".nvm"
+SUFFIXES = (BUNDLER, NVM)
+TRACKS = 20_000  # points, about, whose images are read
+UPRIGHT = np.diag([1.0, -1.0, -1.0])  # Bundler's cameras have y up and look along -z; COLMAP's y down, along z
+
+
+@dataclass(frozen=True)
+class TextModel:
+    """What such a file says, C cameras with one image each, in COLMAP's axes.
+
+    names : (C,) of the images, None where the file does not tell. focal : (C,) [px], 0 where not registered.
+    distortion : (C, 3) of FULL_OPENCV's k1, k2, k3. centre : (C, 2) principal points [px], NaN: the image's middle.
+    rotation, translation : (C, 3, 3), (C, 3) camera_from_world. points, colours : (M, 3).
+    seen : (K, 4) camera, point, and where it saw that: x, y [px], y down, from the principal point or, where
+    `from_corner`, from the image's corner; for some of the points.
+    """
+
+    names: list[str] | None
+    focal: np.ndarray
+    distortion: np.ndarray
+    centre: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    points: np.ndarray
+    colours: np.ndarray
+    seen: np.ndarray
+    from_corner: bool
+
+
+class Line(NamedTuple):
+    """kind : what the line is. words : of it. lengths : which of the words are lengths. seen : in which images a point
+    is, and where; only for some of the points."""
+
+    text: str
+    kind: str
+    words: list[str]
+    lengths: slice = slice(0, 0)
+    seen: str = ""
+
+
+def read_text_model(path: Path) -> TextModel:
+    """The first model in the file `path`. Raises InputError for one that is damaged or of another format."""
+    parts: dict[str, list[list[Any]]] = {}
+    try:
+        for line in _lines(path):
+            if line.kind in ("head", "camera"):
+                parts.setdefault(line.kind, []).append(line.words)
+            elif line.kind:
+                parts.setdefault(line.kind, []).append([float(word) for word in line.words[:6]])
+            if line.seen:
+                parts.setdefault("seen", []).extend(_seen(line.seen, len(parts["point"]) - 1))
+        model = (_bundler if path.suffix.lower() == BUNDLER else _nvm)(parts)
+        if not ((model.seen[:, 0] >= 0) & (model.seen[:, 0] < len(model.focal))).all():
+            raise ValueError("a point was seen by a camera that does not exist")
+        return model
+    except ValueError as error:
+        raise _damaged(path, str(error)) from error
+
+
+def scale_text_model(source: Path, target: Path, scale: float) -> None:
+    """Write the first model of `source` with all lengths times `scale`; all else stays as it was. Raises InputError."""
+    with target.open("w", encoding="utf-8") as out:
+        for line in _lines(source):
+            words = line.words[line.lengths]
+            if words:
+                line.words[line.lengths] = [repr(float(word) * scale) for word in words]
+                out.write(" ".join(line.words) + "\n")
+            else:
+                out.write(line.text)
+        if source.suffix.lower() == NVM:
+            out.write("\n0\n")  # no more models
+
+
+def _lines(path: Path) -> Iterator[Line]:
+    """The lines of the file's first model. Raises InputError."""
+    walk = _walk_bundler if path.suffix.lower() == BUNDLER else _walk_nvm
+    number = 0
+
+    def following() -> str:
+        nonlocal number
+        number += 1
+        line = file.readline()
+        if not line:
+            raise ValueError("the file ends too early")
+        return line
+
+    try:
+        with path.open(encoding="utf-8") as file:
+            for line in walk(following):
+                if not np.isfinite([float(word) for word in line.words[line.lengths]]).all():
+                    raise ValueError("a length is not finite")
+                yield line
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})", "Check the file and its permissions.") from error
+    except ValueError as error:  # of numbers, of counts, and of bytes that are no text
+        raise _damaged(path, f"line {number}: {error}") from error
+
+
+def _damaged(path: Path, why: str) -> InputError:
+    return InputError(
+        f"{path}: neither Bundler's bundle.out (v0.3) nor VisualSFM's NVM_V3 ({why})",
+        "The file may be damaged or of another version: copy it again, or write it anew.",
+    )
+
+
+def _walk_bundler(following: Callable[[], str]) -> Iterator[Line]:
+    head = following()
+    if not head.startswith("# Bundle file v0.3"):
+        raise ValueError("it does not begin with '# Bundle file v0.3'")
+    yield Line(head, "", [])
+    counts = following()
+    cameras, points = _counts(counts, 2)
+    yield Line(counts, "", [])
+
+    def vector(kind: str, is_length: bool = False) -> Line:
+        text = following()
+        words = text.split()
+        if len(words) != 3:
+            raise ValueError(f"{len(words)} numbers where 3 belong")
+        return Line(text, kind, words, slice(0, 3) if is_length else slice(0, 0))
+
+    for _ in range(cameras):
+        yield vector("lens")
+        for _row in range(3):
+            yield vector("rotation")
+        yield vector("translation", True)
+    for k in range(points):
+        yield vector("point", True)
+        yield vector("colour")
+        text = following()
+        yield Line(text, "", [], seen=_every(k, points, text))
+
+
+def _walk_nvm(following: Callable[[], str]) -> Iterator[Line]:
+    head = following()
+    if not head.startswith("NVM_V3"):
+        raise ValueError("it does not begin with NVM_V3")
+    yield Line(head, "head", head.split())
+    for kind, least, lengths in (("camera", 10, slice(6, 9)), ("point", 6, slice(0, 3))):
+        text = following()
+        while not text.split():
+            yield Line(text, "", [])
+            text = following()
+        (count,) = _counts(text, 1)
+        yield Line(text, "", [])
+        for k in range(count):
+            text = following()
+            words = text.rstrip().split(maxsplit=least)  # in which images, in pixels, stays in one piece
+            if len(words) < least:
+                raise ValueError(f"{len(words)} words where {least} belong")
+            yield Line(text, kind, words, lengths, _every(k, count, words[6]) if kind == "point" and words[6:] else "")
+
+
+def _every(number: int, count: int, text: str) -> str:
+    """`text` of the point `number`, empty for all but some of `count` points."""
+    return text if number % max(1, count // TRACKS) == 0 else ""
+
+
+def _seen(text: str, point: int) -> list[list[float]]:
+    """Camera, `point`, x and y of a track's text: how many, then camera, key, x and y of each."""
+    count, *words = text.split()
+    if len(words) != 4 * int(count):
+        raise ValueError(f"a track of {count} images has {len(words)} numbers")
+    return [[int(words[k]), point, float(words[k + 2]), float(words[k + 3])] for k in range(0, len(words), 4)]
+
+
+def _counts(text: str, number: int) -> list[int]:
+    counts = [int(word) for word in text.split()]
+    if len(counts) != number or min(counts) < 1:
+        raise ValueError(f"{text.strip()[:40]!r} where counts belong")
+    return counts
+
+
+def _bundler(parts: dict[str, list[list[Any]]]) -> TextModel:
+    """Snavely's manual: P = R X + t, p = -P / P.z, pixels from the middle f (1 + k1 |p|^2 + k2 |p|^4) p, y up."""
+    lens = np.array(parts["lens"], float)
+    count = len(lens)
+    return TextModel(
+        names=None,
+        focal=lens[:, 0],
+        distortion=np.column_stack([lens[:, 1:], np.zeros(count)]),
+        centre=np.full((count, 2), np.nan),
+        rotation=UPRIGHT @ np.array(parts["rotation"], float).reshape(count, 3, 3),
+        translation=np.array(parts["translation"], float) @ UPRIGHT,
+        points=np.array(parts["point"], float),
+        colours=np.array(parts["colour"], float),
+        seen=np.array(parts.get("seen", []), float).reshape(-1, 4) * (1, 1, 1, -1),
+        from_corner=False,
+    )
+
+
+def _nvm(parts: dict[str, list[list[Any]]]) -> TextModel:
+    """VisualSFM's manual: name, focal length, quaternion wxyz, camera centre, radial distortion r; spaces in names are
+    double quotes. It takes measurements m to the pinhole's by (1 + r |m|^2) m; here is its inverse, as a series."""
+    values = np.array([words[1:10] for words in parts["camera"]], float)
+    quaternion, centre, r = values[:, 1:5], values[:, 5:8], values[:, 8]
+    if not (np.abs(np.linalg.norm(quaternion, axis=1) - 1) < 0.01).all():
+        raise ValueError("a quaternion is not of length one")
+    rotation = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix()
+    head = parts["head"][0]  # NVM_V3 FixedK fx cx fy cy, for all cameras
+    middle = (float(head[3]), float(head[5])) if len(head) >= 6 and head[1] == "FixedK" else (np.nan, np.nan)
+    points = np.array([words[:6] for words in parts["point"]], float)
+    seen = np.array(parts.get("seen", []), float).reshape(-1, 4)
+    return TextModel(
+        names=[words[0].replace('"', " ") for words in parts["camera"]],
+        focal=values[:, 0],
+        distortion=np.column_stack([-r, 3 * r**2, -12 * r**3]),
+        centre=np.tile(middle, (len(r), 1)),
+        rotation=rotation,
+        translation=-np.einsum("nij,nj->ni", rotation, centre),
+        points=points[:, :3],
+        colours=points[:, 3:],
+        seen=seen,
+        # VisualSFM's manual counts from the image's middle, COLMAP writes what it counts from the corner.
+        from_corner=bool((seen[:, 2:] >= 0).mean() > 0.95) if len(seen) else False,
+    )

@@ -1,0 +1,222 @@
+"""Files that users hand in, read carefully: bytes, text, JSON, and JSON that must fit a schema.
+
+Every JSON that orthoscale reads comes through here. What is no regular file, too large, too deep, not UTF-8, or of the
+wrong kind raises InputError, in one line that names the file, the place in it and what was expected there.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from pathlib import Path
+from typing import Any, TypeVar
+
+from ..errors import InputError, shown
+
+MIB = 1 << 20
+SMALL = 4 * MIB  # a file of settings: a fleet, a card, a lens
+LARGE = 256 * MIB  # a list of vehicles: two million boxes
+HUGE = 1024 * MIB  # a model with its points
+DEEPEST = 64  # levels of nesting; the formats read here have ten at most
+
+T = TypeVar("T")
+
+# How texts begin that Python and numpy give to errors in values.
+PROGRAMMERS = (
+    "could not ", "cannot ", "invalid literal", "too many values", "not enough values", "setting an array", "all the ",
+    "operands", "math domain", "embedded null", "matmul", "Exceeds the limit",
+)  # fmt: skip
+
+# What msgspec calls things, and what the people call them who have to mend the file.
+WORDS = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "text",
+    "bool": "true or false",
+    "object": "an object",
+    "array": "a list",
+    "null": "null",
+}
+
+
+def read_bytes(path: Path, hint: str = "", most: int = SMALL) -> bytes:
+    """What is in the regular file `path`, of `most` bytes or fewer. Raises InputError."""
+    check_regular(path, hint)  # before it is opened: opening a pipe waits for its other end
+    try:
+        with path.open("rb") as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})", hint) from error
+    if len(content) > most:
+        raise InputError(f"{path}: larger than the {most // MIB} MiB that such a file may have", hint)
+    return content
+
+
+def check_regular(path: Path, hint: str = "") -> None:
+    """Raise InputError for what is no regular file: a folder, a pipe, an endless device, nothing."""
+    try:
+        mode = os.stat(path).st_mode
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})", hint) from error
+    except ValueError as error:  # a zero byte in its name
+        raise InputError(f"{path}: cannot be read (no such file)", hint) from error
+    if not stat.S_ISREG(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
+        raise InputError(f"{path}: cannot be read (it is {kind}, not a file)", hint)
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is a file or a folder at `path`, which a file names; False too for names that none can have."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # too long, or with a zero byte
+        return False
+
+
+def read_text(path: Path, hint: str = "", most: int = LARGE) -> str:
+    """The UTF-8 text in `path`, with or without a byte order mark. Raises InputError."""
+    try:
+        return read_bytes(path, hint, most).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not text (byte {error.start})", hint) from error
+
+
+def read_plain(path: Path, what: str, hint: str = "", most: int = SMALL) -> Any:
+    """The JSON in `path` as plain values; `what` it should be, for the message ("a fleet"). Raises InputError."""
+    return parsed(read_bytes(path, hint, most), str(path), what, hint)
+
+
+def read(path: Path, schema: type[T], what: str, hint: str = "", most: int = SMALL) -> T:
+    """The JSON in `path` as a `schema`, a type that msgspec understands. Raises InputError."""
+    return checked(read_plain(path, what, hint, most), schema, str(path), what, hint)
+
+
+def parsed(content: bytes | str, origin: str, what: str, hint: str = "") -> Any:
+    """JSON as plain values. `origin` is where it is from, for the message. Raises InputError."""
+    import msgspec
+
+    try:
+        values = msgspec.json.decode(content)
+        _check_depth(values)
+        return values
+    except RecursionError:
+        problem = f"nested deeper than {DEEPEST} levels"
+    except UnicodeError:
+        problem = "not UTF-8 text"
+    except msgspec.DecodeError as error:  # with ValidationError: a number beyond all numbers
+        start = content[:3] if isinstance(content, bytes) else content[:1].encode("utf-8", "replace")
+        if start == b"\xef\xbb\xbf":
+            problem = "it begins with a byte order mark, which JSON may not have: save it as UTF-8 without"
+        elif start[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            problem = "not UTF-8 text but UTF-16"
+        else:
+            problem = _in_words(str(error))
+    raise InputError(f"{origin}: not {what} ({problem})", hint)
+
+
+def checked(values: Any, schema: type[T], origin: str, what: str, hint: str = "") -> T:
+    """Plain values as a `schema`. Raises InputError, which names the first place that does not fit."""
+    import msgspec
+
+    try:
+        return msgspec.convert(values, schema)
+    except msgspec.ValidationError as error:
+        place, problem = _place_and_problem(values, schema, str(error))
+    raise InputError(f"{origin}: not {what} ({place}{': ' if place else ''}{problem})", hint)
+
+
+def reason(error: Exception) -> str:
+    """What is wrong with values that do not fit together, in words: of an error that using them raised.
+
+    A ValueError's text says so if it was raised on purpose; Python's and numpy's own are for programmers.
+    """
+    if isinstance(error, KeyError) and error.args:
+        return f"{shown(str(error.args[0]))} is missing"
+    if type(error) is ValueError and not str(error).startswith(PROGRAMMERS):
+        return shown(str(error), 200)
+    return "values of a wrong kind"
+
+
+def _check_depth(values: Any) -> None:
+    """Raise RecursionError for values nested deeper than what walks them later can follow."""
+    level = [values]
+    for _ in range(DEEPEST + 1):
+        if not level:
+            return
+        level = [
+            part
+            for whole in level
+            if isinstance(whole, (dict, list))
+            for part in (whole.values() if isinstance(whole, dict) else whole)
+            if isinstance(part, (dict, list))
+        ]
+    raise RecursionError
+
+
+def _place_and_problem(values: Any, schema: Any, message: str) -> tuple[str, str]:
+    text, _, where = message.partition(" - at ")
+    where = where.strip("`").removeprefix("key` in `").removeprefix("$")
+    try:
+        keys = _keys(values, schema, message, re.findall(r"\.\w+|\[\d+\]|\[\.\.\.\]", where))
+    except (KeyError, IndexError, TypeError):
+        return where.lstrip("."), _in_words(text)
+    place = "".join(
+        f"[{key}]" if isinstance(key, int) else f".{key}" if key.isidentifier() else f'["{shown(key)}"]' for key in keys
+    )
+    return place.lstrip("."), _in_words(text)
+
+
+def _keys(values: Any, schema: Any, message: str, path: list[str]) -> list[str | int]:
+    """The keys that lead to what `message` is about; msgspec writes ``[...]`` for any key of a mapping, so that which
+    one it is must be found: by halves, of which the failing one fails with the same message."""
+    import msgspec
+
+    keys: list[str | int] = []
+    here = values
+    for step in path:
+        if step == "[...]":
+            names = list(here)
+            while len(names) > 1:
+                half = names[: len(names) // 2]
+                try:
+                    msgspec.convert(_replaced(values, keys, {name: here[name] for name in half}), schema)
+                    failed = False
+                except msgspec.ValidationError as error:
+                    failed = str(error) == message
+                names = half if failed else names[len(names) // 2 :]
+            key: str | int = names[0]
+        else:
+            key = step[1:] if step.startswith(".") else int(step[1:-1])
+        keys.append(key)
+        here = here[key]
+    return keys
+
+
+def _replaced(values: Any, keys: list[str | int], new: Any) -> Any:
+    """`values` with `new` at the end of `keys`; the rest is shared, not copied."""
+    if not keys:
+        return new
+    copy = values.copy()
+    copy[keys[0]] = _replaced(values[keys[0]], keys[1:], new)
+    return copy
+
+
+def _in_words(message: str) -> str:
+    if "truncated" in message:
+        return "it ends too early"
+    if match := re.search(r"malformed: .*\(byte (\d+)\)", message):
+        return f"malformed JSON at byte {match[1]}"
+    if "out of range" in message:
+        return "a number too large"
+    if match := re.match(r"Object (missing required|contains unknown) field `(.*)`", message, re.DOTALL):
+        return f"{shown(match[2])} {'is missing' if 'missing' in match[1] else 'is not known here'}"
+    if match := re.match(r"Invalid enum value (.*)", message, re.DOTALL):
+        return f"{shown(match[1])} is none of the values known here"
+    message = message.replace("Expected", "expected").replace(", got", ", found")
+    message = re.sub(r"`([^`]*)`", _kinds, message).replace("a number > 0.0", "a positive number")
+    return shown(message, 300)
+
+
+def _kinds(match: re.Match[str]) -> str:
+    return " or ".join(WORDS.get(word, word) for word in match[1].split(" | "))

@@ -1,0 +1,602 @@
+"""What each JSON file that orthoscale reads must look like: types, and the ranges outside of which nothing is meant.
+
+Lengths are in metres or pixels as the names in the formats' own documents say. Fields that are not named here are
+allowed unless a schema forbids them. This module is imported when a file is read, because msgspec takes time.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from msgspec import UNSET, Meta, Struct, UnsetType
+
+from ..core.market_segments import AXES
+from ..core.projection.exact import BODIES
+from ..core.ruler import Ruler
+
+Finite = Annotated[float, Meta(ge=-1e15, le=1e15)]
+Positive = Annotated[float, Meta(gt=0, le=1e15)]
+Share = Annotated[float, Meta(ge=0, le=1)]
+Count = Annotated[int, Meta(ge=0, le=10**12)]
+Text = Annotated[str, Meta(max_length=10_000)]
+Name = Annotated[str, Meta(max_length=1_000)]
+Metres = Annotated[float, Meta(ge=0.3, le=50)]  # of a vehicle: a bicycle's width to a road train's length
+Sigma = Annotated[float, Meta(gt=0, le=25)]  # [m] of that
+Px = Annotated[float, Meta(ge=-1e7, le=1e7)]  # a place in a picture
+PxLength = Annotated[float, Meta(gt=0, le=1e7)]
+PxOfDetector = Annotated[float, Meta(ge=-50, le=50)]  # of a margin
+PxSd = Annotated[float, Meta(ge=0, le=100)]
+Size = Annotated[int, Meta(gt=0, lt=2**20)]  # width or height of a picture
+
+
+# Detectors
+
+
+Shrink = Annotated[float, Meta(ge=-1, lt=1)]  # 1 draws all vehicles alike: nothing could be measured
+Height = Annotated[float, Meta(ge=0, le=20)]  # [m] up to which boxes enclose a vehicle
+InputPx = Annotated[float, Meta(gt=0, le=10_000)]  # a vehicle in a network's input
+
+
+class RulerEntry(Struct, forbid_unknown_fields=True):
+    """`pooling.ruler.Ruler`."""
+
+    margin: tuple[PxOfDetector, PxOfDetector] = Ruler.margin
+    margin_sd: tuple[PxSd, PxSd] = Ruler.margin_sd
+    bias_sd: tuple[Share, Share] = Ruler.bias_sd
+    common_sd: Share = Ruler.common_sd
+    noise: tuple[PxSd, PxSd] = Ruler.noise
+    shrink: tuple[Shrink, Shrink] = Ruler.shrink
+    shrink_sd: tuple[Share, Share] = Ruler.shrink_sd
+    usual: tuple[Metres, Metres] = Ruler.usual
+
+    @property
+    def ruler(self) -> Ruler:
+        return Ruler(**{name: getattr(self, name) for name in self.__struct_fields__})
+
+
+def _check_body(name: str) -> None:
+    if name not in BODIES:
+        raise ValueError(f"body: expected one of {', '.join(BODIES)}")
+
+
+class NormalisationEntry(Struct):
+    """`detect.layout.Normalisation`."""
+
+    mean: tuple[Finite, Finite, Finite]
+    std: tuple[Positive, Positive, Positive]
+    channels: Literal["RGB", "BGR"] = "RGB"
+
+
+class CardEntry(Struct, forbid_unknown_fields=True):
+    """`detect.detector.Card`."""
+
+    name: Name
+    usable_length: tuple[InputPx, InputPx]
+    best_length: InputPx
+    score: Share
+    effective_height: tuple[Height, Height]
+    ruler: RulerEntry
+    training: Text = ""
+    licence: Text = ""
+    sure: Share = 0.0
+    stride: Annotated[int, Meta(ge=1, le=1024)] = 32
+    body: Name = "car"
+    normalisation: NormalisationEntry | UnsetType = UNSET
+    extra: dict[str, Any] = {}
+
+    def __post_init__(self) -> None:
+        _check_body(self.body)
+        if not self.usable_length[0] < self.usable_length[1]:
+            raise ValueError("usable_length: expected the shorter of two lengths first")
+
+
+class Task(Struct):
+    transforms: list[dict[str, Any]] = []
+
+
+class Tasks(Struct):
+    tasks: list[Task]
+
+
+class Pipeline(Struct):
+    """MMDeploy's ``pipeline.json``."""
+
+    pipeline: Tasks
+
+
+# Detections
+
+
+Spread = Annotated[float, Meta(ge=0, le=10)] | None
+
+
+class BoxEntry(Struct):
+    """One oriented box [px, rad]; `spread` as in `boxes.Boxes`, null where unknown."""
+
+    cx: Px
+    cy: Px
+    length: PxLength
+    width: PxLength
+    angle: Annotated[float, Meta(ge=-1e3, le=1e3)]
+    score: Share = 1.0
+    kind: Name = "vehicle"
+    spread: tuple[Spread, Spread] = (None, None)
+
+
+BoxesByPicture = dict[str, list[BoxEntry]]
+
+
+class NoteEntry(Struct, kw_only=True):
+    """What is needed to measure with boxes, and what beside the vehicles was found (`detections.Detections`)."""
+
+    zoom: Annotated[float, Meta(gt=1e-4, le=1e3)]
+    effective_height: tuple[Height, Height]
+    detector_sha256: Name
+    detector: Text | UnsetType = UNSET
+    body: Name = "car"
+    ruler: RulerEntry | UnsetType = UNSET
+    doubt: Text | UnsetType = UNSET
+    doubtful: BoxesByPicture = {}
+    objects: BoxesByPicture = {}
+    planar: DetectionsEntry | None = None
+
+    def __post_init__(self) -> None:
+        _check_body(self.body)
+
+
+class DetectionsEntry(NoteEntry, kw_only=True):
+    """Orthoscale's own file of detections."""
+
+    pictures: BoxesByPicture
+
+
+class CocoImage(Struct):
+    id: int | str
+    file_name: Text
+    width: Annotated[float, Meta(ge=0, le=1e7)] = 0
+    height: Annotated[float, Meta(ge=0, le=1e7)] = 0
+
+
+class CocoCategory(Struct):
+    id: int | str
+    name: Text
+
+
+class CocoAnnotation(Struct):
+    image_id: int | str
+    category_id: int | str | None = None
+    segmentation: list[list[Px]] | dict[str, Any] | None = None
+    bbox: list[Px] | None = None
+    score: Share = 1.0
+    spread: tuple[Spread, Spread] = (None, None)
+
+
+class CocoInfo(Struct):
+    orthoscale: NoteEntry | None = None
+
+
+class Coco(Struct):
+    annotations: list[CocoAnnotation]
+    images: list[CocoImage] = []
+    categories: list[CocoCategory] = []
+    info: CocoInfo | None = None
+
+
+class GeoGeometry(Struct):
+    type: Name
+    coordinates: Any = None
+
+
+class GeoFeature(Struct):
+    geometry: GeoGeometry | None
+    properties: dict[str, Any] | None = None
+
+
+class GeoCrsName(Struct):
+    name: Text
+
+
+class GeoCrs(Struct):
+    properties: GeoCrsName
+
+
+class GeoNote(Struct):
+    coordinates: str | None = None
+
+
+class GeoCollection(Struct):
+    features: list[GeoFeature]
+    crs: GeoCrs | None = None
+    orthoscale: GeoNote | None = None
+
+
+# Fleets
+
+
+Sizes = tuple[Metres, Sigma]  # mean and one sigma between vehicles
+Correlation = Annotated[float, Meta(gt=-1, lt=1)]
+Weight = Annotated[float, Meta(ge=0, le=1e6)]
+
+
+WIDEST = 0.5  # sigma of a size as a share of it: a size may not be nought
+
+
+def _check_sizes(entry: FleetEntry | MixturePart) -> None:
+    for axis in AXES:
+        mean, sd = getattr(entry, axis)
+        if sd > WIDEST * mean:
+            raise ValueError(f"{axis}: expected a mean and a sigma of at most half of it")
+    if entry.length[0] < entry.width[0]:
+        raise ValueError("length: expected no less than the width")
+
+
+class MixturePart(Struct, rename={"class_": "class"}):
+    class_: Name
+    length: Sizes
+    width: Sizes
+    height: Sizes
+    weight: Weight = 1.0
+    corr_LW: Correlation | UnsetType = UNSET
+
+
+class FleetEntry(Struct):
+    """An entry of ``data/fleets.json``, and a user's file; see `fleet.Fleet`."""
+
+    name: Text
+    source: Text
+    length: Sizes
+    width: Sizes
+    height: Sizes
+    mean_sd: tuple[Sigma, Sigma, Sigma]
+    shares: dict[str, Weight] | UnsetType = UNSET
+    mixture: list[MixturePart] | None = None
+    corr_LW: Correlation | UnsetType = UNSET
+    year: Annotated[int, Meta(ge=0, le=9999)] = 0
+    shares_source: Text = ""
+
+    def __post_init__(self) -> None:
+        _check_sizes(self)
+        for part in self.mixture or ():
+            _check_sizes(part)
+        for axis, sd in zip(AXES, self.mean_sd, strict=True):
+            if sd > WIDEST * getattr(self, axis)[0]:
+                raise ValueError(f"mean_sd: expected at most half of the {axis}")
+        if self.shares is not UNSET and not sum(self.shares.values()) > 0:
+            raise ValueError("expected shares of which one is greater than nought")
+        if self.mixture and not sum(part.weight for part in self.mixture) > 0:
+            raise ValueError("expected a mixture of which one weight is greater than nought")
+
+
+class Segment(Struct, rename={"class_": "class"}):
+    class_: Name
+    length: Sizes
+    width: Sizes
+    height: Sizes
+    corr_LW: Correlation
+    models: Annotated[int, Meta(ge=1)]
+
+
+class FleetTable(Struct):
+    """``data/fleets.json``."""
+
+    segments: dict[str, Segment]
+    fleets: dict[str, FleetEntry]
+
+
+class CalibrationEntry(Struct):
+    """`calibration.Calibration`."""
+
+    kind: Literal["orthoscale calibration 1"]
+    detector: Text
+    detector_sha256: Name
+    ruler: RulerEntry
+    fleet: FleetEntry | None
+    made_from: dict[str, Any]
+
+
+# Shipped tables of what is known besides vehicles
+
+
+class Standard(Struct):
+    name: Text
+    length: Sizes
+    width: Sizes
+    source: Text
+
+
+class ObjectTable(Struct):
+    """``data/objects.json``."""
+
+    objects: dict[str, list[Standard]]
+
+
+class Stall(Struct):
+    width: Metres
+    width_sd: Sigma
+
+
+class StallTable(Struct):
+    """``data/stalls.json``."""
+
+    stalls: dict[str, Stall]
+
+
+# Layout
+
+
+Extent = Annotated[float, Meta(gt=0, le=10_000)]  # [m]
+RunOff = Annotated[float, Meta(ge=0, le=10_000)]
+Colour = Annotated[int, Meta(ge=0, le=255)]
+Line = Annotated[list[str | Annotated[float, Meta(ge=-10_000, le=10_000)]], Meta(min_length=1, max_length=10)]
+
+
+class FacilityEntry(Struct):
+    """One of ``data/facilities.json`` or of a user's catalogue; see `layout.catalogue`."""
+
+    name: Text
+    source: Text
+    length: Extent
+    width: Extent
+    ends: RunOff = 0.0
+    sides: RunOff = 0.0
+    north_south: bool = False
+    shape: Name = ""
+    lines: list[Line] = []
+    both_ends: list[Line] = []
+    infield: Name | None = None
+    look: Text | UnsetType = UNSET
+    colour: tuple[Colour, Colour, Colour] | UnsetType = UNSET
+
+    def __post_init__(self) -> None:
+        if self.length < self.width:
+            raise ValueError("expected a length of no less than the width")
+
+
+class Catalogue(Struct):
+    facilities: dict[str, FacilityEntry]
+
+
+class Bay(Struct):
+    length: Extent
+    width: Extent
+    aisle: Extent
+    source: Text
+
+
+class FacilityTable(Catalogue):
+    """``data/facilities.json``."""
+
+    parking: dict[str, Bay]
+
+
+# Lenses
+
+
+Bend = Annotated[float, Meta(ge=-1e4, le=1e4)]  # a coefficient of distortion
+
+
+class LensEntry(Struct):
+    """A calibrated camera [px], distortion as in OpenCV; `focal_px` may stand for `fx`."""
+
+    width: Size
+    height: Size
+    fx: PxLength | None = None
+    focal_px: PxLength | None = None
+    fy: PxLength | None = None
+    cx: Px | None = None
+    cy: Px | None = None
+    k1: Bend = 0.0
+    k2: Bend = 0.0
+    p1: Bend = 0.0
+    p2: Bend = 0.0
+    k3: Bend = 0.0
+
+    def __post_init__(self) -> None:
+        if self.fx is None and self.focal_px is None:
+            raise ValueError("fx or focal_px is missing")
+
+
+# Reports
+
+
+class Measured(Struct):
+    """What of a report (`report.document`) says how long a unit is."""
+
+    scale: Positive
+    interval90: tuple[Positive, Positive]
+
+
+class Explained(Struct):
+    """What of a report `report.explanation` needs."""
+
+    scale: Positive
+    unit: Name
+    uncertainty: dict[str, Annotated[float, Meta(ge=0, le=1e3)]]
+    vehicles_used: Count
+    fleet: Name
+    verdict: Name = ""
+    remarks: list[str] = []
+
+
+class ReportInput(Struct):
+    path: Annotated[str, Meta(min_length=1, max_length=10_000)]
+    sha256: Name
+
+
+class ReportBox(Struct):
+    picture: Text
+    xylwa_px: tuple[Px, Px, PxLength, PxLength, Finite]
+    score: Share
+
+
+class ReportVehicle(Struct):
+    length: Finite
+    width: Finite
+    place_m: tuple[Finite, Finite]
+    used: bool
+    reason: Text
+    boxes: list[ReportBox]
+
+
+class ReportSize(Struct):
+    mean: Metres
+    sd: Sigma
+    mean_sd: Sigma
+
+
+class ReportClass(Struct):
+    name: Text
+    weight: Weight
+    mean: tuple[Metres, Metres]
+    sd: tuple[Sigma, Sigma]
+
+
+class ReportFleet(Struct):
+    length: ReportSize
+    width: ReportSize
+    classes: list[ReportClass]
+
+
+class ReportEvidence(Struct):
+    kind: Text
+    scale: Positive
+    relative_sd: Finite
+    says: Text
+
+
+class Report(Explained, kw_only=True):
+    """A report from which a page is drawn; findings of one kind of source, ``drift`` among them, are left open."""
+
+    format: Literal["orthoscale report 1"]
+    interval90: tuple[Positive, Positive]
+    verdict: Name
+    vehicles_rejected: dict[str, Count]
+    boxes_rejected: dict[str, Count]
+    fleet_sizes: ReportFleet
+    checks: dict[str, Finite]
+    notes: list[str]
+    input: ReportInput
+    settings: dict[str, Any]
+    pictures: dict[str, tuple[Count, Count]]
+    vehicles: list[ReportVehicle]
+    evidence: list[ReportEvidence] = []
+    fleets: dict[str, Finite] = {}
+    claim: dict[str, Any] | None = None
+    drift: dict[str, Any] | None = None
+    modes: dict[str, Any] | None = None
+    calibration: dict[str, Any] | None = None
+    agreement: dict[str, Any] | None = None
+
+
+# Reconstructions
+
+
+Focal = Annotated[float, Meta(gt=0, le=1e4)]  # as a share of a picture's longer side
+Vector = tuple[Finite, Finite, Finite]
+Row = tuple[Finite, Finite, Finite, Finite]
+
+
+class Sim3Entry(Struct):
+    """`rescale.sim3.Sim3`."""
+
+    scale: Finite
+    rotation_wxyz: Row
+    translation: Vector
+
+
+class Intrinsics(Struct, kw_only=True):
+    """nerfstudio's, for all frames or for one; which are needed depends on where else they stand."""
+
+    w: Annotated[float, Meta(ge=1, lt=2**20)] | UnsetType = UNSET
+    h: Annotated[float, Meta(ge=1, lt=2**20)] | UnsetType = UNSET
+    fl_x: PxLength | UnsetType = UNSET
+    fl_y: PxLength | UnsetType = UNSET
+    cx: Px | UnsetType = UNSET
+    cy: Px | UnsetType = UNSET
+    k1: Bend = 0.0
+    k2: Bend = 0.0
+    k3: Bend = 0.0
+    k4: Bend = 0.0
+    p1: Bend = 0.0
+    p2: Bend = 0.0
+    camera_angle_x: Annotated[float, Meta(gt=0, lt=3.1415)] | UnsetType = UNSET
+    camera_model: Name | UnsetType = UNSET
+
+
+class Frame(Intrinsics, kw_only=True):
+    file_path: Text
+    transform_matrix: tuple[Row, Row, Row, Row]
+
+
+class Transforms(Intrinsics, kw_only=True):
+    """nerfstudio's and instant-ngp's ``transforms.json``."""
+
+    frames: list[Frame]
+    applied_transform: tuple[Row, Row, Row] | UnsetType = UNSET
+    ply_file_path: Text | UnsetType = UNSET
+
+
+class OpensfmCamera(Struct):
+    width: Size
+    height: Size
+    projection_type: Name = "perspective"
+    focal: Focal | UnsetType = UNSET
+    focal_x: Focal | UnsetType = UNSET
+    focal_y: Focal | UnsetType = UNSET
+    c_x: Finite = 0.0
+    c_y: Finite = 0.0
+    k1: Bend = 0.0
+    k2: Bend = 0.0
+    k3: Bend = 0.0
+    k4: Bend = 0.0
+    p1: Bend = 0.0
+    p2: Bend = 0.0
+
+
+class Placed(Struct):
+    translation: Vector
+
+
+class Shot(Placed):
+    rotation: Vector
+    camera: Text
+    gps_dop: Finite | UnsetType = UNSET
+
+
+class Point(Struct):
+    coordinates: Vector
+    color: Vector = (128.0, 128.0, 128.0)
+
+
+class OpensfmPart(Struct):
+    """One of the reconstructions in OpenSfM's ``reconstruction.json``."""
+
+    shots: dict[str, Shot]
+    cameras: dict[str, OpensfmCamera] = {}
+    points: dict[str, Point] = {}
+    rig_instances: dict[str, Placed] = {}
+    rig_cameras: dict[str, Placed] = {}
+
+
+class GltfAsset(Struct):
+    extras: dict[str, Any] | None = None
+
+
+class GltfScene(Struct):
+    nodes: list[Count] = []
+
+
+class GltfPart(Struct):
+    """A buffer or an image."""
+
+    uri: str | None = None
+
+
+class Gltf(Struct):
+    """The JSON of a glTF 2.0 scene, as far as scaling it needs."""
+
+    asset: GltfAsset
+    nodes: list[dict[str, Any]]
+    scenes: list[GltfScene]
+    buffers: list[GltfPart] = []
+    images: list[GltfPart] = []

@@ -1,0 +1,284 @@
+"""Reconstructions of other programs: OpenSfM's and ODM's reconstruction.json, nerfstudio's transforms.json.
+
+They are read into the same model as COLMAP's, measured in the same way, and written back as they came, in metres.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..errors import InputError
+from ..formats.geometry.beside import beside
+from ..formats.geometry.files import scale_path
+from ..formats.geometry.mark import MARK
+from ..formats.geometry.ply import read_points
+from ..formats.geometry.poses import read_poses
+from ..formats.geometry.text_models import SUFFIXES
+from ..formats.reading import reason
+from .colmap import find_frames
+from .colmap_check import FARTHEST, model_folders
+from .consistency import Observations, check_consistency, focal_notes, observations, some_of_each
+from .one_file import OneFileSource
+
+if TYPE_CHECKING:
+    import pycolmap
+
+PLACES = ("reconstruction.json", "opensfm/reconstruction.json", "transforms.json", "bundle.out", "bundle/bundle.out")
+READ_AT, READ_BYTES = 1000, 4096  # of a long file of tracks: at so many places, so much
+GPS_DOP = 1000.0  # from which OpenSfM means that there was no GPS
+# OpenSfM's projection types: COLMAP's model and its parameters, from focal lengths and centre [px] and distortion.
+OPENSFM = {
+    "perspective": ("RADIAL", ("f", "cx", "cy", "k1", "k2")),
+    "simple_radial": ("OPENCV", ("fx", "fy", "cx", "cy", "k1", "0", "0", "0")),
+    "radial": ("OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "0", "0")),
+    "brown": ("FULL_OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "0", "0", "0")),
+    "fisheye": ("RADIAL_FISHEYE", ("f", "cx", "cy", "k1", "k2")),
+    "fisheye_opencv": ("OPENCV_FISHEYE", ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
+}
+NERFSTUDIO = {
+    "SIMPLE_PINHOLE": ("PINHOLE", ("fx", "fy", "cx", "cy")),
+    "PINHOLE": ("PINHOLE", ("fx", "fy", "cx", "cy")),
+    "OPENCV": ("FULL_OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "0", "0", "0")),
+    "OPENCV_FISHEYE": ("OPENCV_FISHEYE", ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
+}
+
+
+def find_exchange(path: Path) -> Path | None:
+    """The file of another program that `path` is, or that its folder holds where it holds no COLMAP model."""
+    if path.suffix.lower() in (".json", *SUFFIXES) and path.is_file():
+        return path
+    if not path.is_dir():
+        return None
+    places = [*(path / place for place in PLACES), *sorted(path.glob("*.nvm"))]
+    found = next((place for place in places if place.is_file()), None)
+    if found is not None:
+        try:
+            model_folders(path)
+        except InputError:
+            return found
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class ExchangeSource(OneFileSource):
+    """A reconstruction in one JSON file, with its frames. Made by `ExchangeSource.open`."""
+
+    @classmethod
+    def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ExchangeSource:
+        """Open the file `path`; otherwise as `ColmapSource.open`. Raises InputError."""
+        path = Path(path)
+        model, others, notes, tracks = _read(path)
+        notes += check_consistency(path, model, _seen(path, model, tracks))
+        pictures = find_frames(model, path.parent, images, need_images, notes)
+        notes += focal_notes(model, pictures)
+        return cls(path, path.parent, "json", pictures, notes, (path, *others), model)
+
+    @property
+    def metric_already(self) -> str:
+        """Why it counts as metric: orthoscale's mark, or OpenSfM's alignment with GPS."""
+        text = read_poses(self.path)
+        if isinstance(text, dict):
+            return "orthoscale wrote it" if MARK in text else ""
+        part, _ = _largest(self.path, text)
+        if MARK in part:
+            return "orthoscale wrote it"
+        placed = [s for s in part["shots"].values() if s.get("gps_dop", GPS_DOP) < GPS_DOP and "gps_position" in s]
+        aligned = "reference_lla" in part and len(placed) >= 3
+        return "OpenSfM aligned it with the GPS of its images" if aligned else ""
+
+    def content_hash(self) -> str:
+        """SHA-256 of the file, and of its point cloud."""
+        digest = hashlib.sha256()
+        for path in self._paths:
+            digest.update(path.read_bytes())
+        return digest.hexdigest()
+
+    def _write_file(self, out: Path, scale: float) -> None:
+        text = read_poses(self.path)
+        if isinstance(text, list) and len(text) > 1:  # each has its own scale, and only one was found
+            alone = out.parent / "largest.json"
+            alone.write_text(json.dumps([_largest(self.path, text)[0]]), encoding="utf-8")
+            scale_path(alone, out, scale)
+            alone.unlink()
+        else:
+            scale_path(self.path, out, scale)
+
+    def _read_back(self, out: Path) -> pycolmap.Reconstruction:
+        return _read(out)[0]
+
+
+def _read(path: Path) -> tuple[pycolmap.Reconstruction, list[Path], list[str], list[str]]:
+    """The model in the file `path`, other files that belong to it, what there is to say, and its points' tracks."""
+    text = read_poses(path)
+    try:
+        if isinstance(text, list):
+            part, notes = _largest(path, text)
+            return _opensfm(path, part), [], notes, list(part["points"])
+        return *_nerfstudio(path, text), [], []
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError) as error:
+        raise InputError(
+            f"{path}: neither OpenSfM's reconstruction.json nor nerfstudio's transforms.json ({reason(error)})",
+            "The file may be damaged: copy it again, or write it anew.",
+        ) from error
+
+
+def _largest(path: Path, text: list[dict[str, Any]]) -> tuple[dict[str, Any], list[str]]:
+    """The reconstruction of most images in OpenSfM's list, and a note if there are others."""
+    sizes = [len(part["shots"]) for part in text]
+    best = text[int(np.argmax(sizes))]
+    if len(text) == 1:
+        return best, []
+    note = f"{path} holds {len(text)} reconstructions: that of {max(sizes)} images is scaled, the others are left out"
+    return best, [note]
+
+
+def _seen(path: Path, model: pycolmap.Reconstruction, tracks: list[str]) -> Observations:
+    """Some of what the images saw, by OpenSfM's tracks.csv beside the reconstruction; nothing where that is not there.
+
+    tracks : of the model's points, in their order. The lines are image, track, feature, x, y and more, with tabs
+    between; x and y as lengths in `_opensfm`. Lines that are no such are passed over.
+    """
+    images = {image.name: model.camera(image.camera_id) for image in model.images.values()}
+    points = {track: k for k, track in enumerate(tracks)}
+    found: dict[str, list[tuple[float, float, int]]] = {name: [] for name in images}
+    for line in _some_lines(path.with_name("tracks.csv")) if points else ():
+        name, track, _, x, y, *_ = [*line.split("\t"), *[""] * 5]
+        if name in found and track in points:
+            with contextlib.suppress(ValueError):
+                found[name].append((float(x), float(y), points[track]))
+    place = np.array([point.xyz for _, point in sorted(model.points3D.items())])
+    pairs = []
+    for (name, seen), some in zip(found.items(), some_of_each([len(v) for v in found.values()]), strict=True):
+        x, y, number = np.array(seen, float).reshape(-1, 3)[some].T
+        size = np.array([images[name].width, images[name].height])
+        pairs.append((np.column_stack([x, y]) * size.max() + size / 2, place[number.astype(int)]))
+    return observations(list(images), pairs)
+
+
+def _some_lines(path: Path) -> Iterator[str]:
+    """The lines of a text file; of a long one some thousands from all of it. Nothing where there is none."""
+    try:
+        with path.open("rb") as file:
+            size = path.stat().st_size
+            parts = 1 if size <= READ_AT * READ_BYTES else READ_AT
+            for k in range(parts):
+                file.seek(k * size // parts)
+                lines = file.read(size if parts == 1 else READ_BYTES).decode("utf-8", "replace").split("\n")
+                yield from lines[1:-1]  # the first is a head or, like the last, cut
+    except OSError:
+        return
+
+
+def build_model(
+    cameras: dict[Any, tuple[str, int, int, list[float]]],
+    poses: dict[str, tuple[Any, np.ndarray, np.ndarray]],
+    points: np.ndarray,
+    colours: np.ndarray,
+) -> pycolmap.Reconstruction:
+    """A COLMAP model of `cameras` (model, width, height, parameters), `poses` by image name (camera, camera_from_world
+    rotation (3, 3) and translation (3,)), and `points` (N, 3). Raises ValueError for what cannot be meant."""
+    from .colmap_library import pycolmap
+
+    model = pycolmap.Reconstruction()
+    numbers = {key: k for k, key in enumerate(cameras, 1)}
+    for key, (name, width, height, params) in cameras.items():
+        if not (0 < width < 2**20 and 0 < height < 2**20 and np.isfinite(params).all() and params[0] > 0):
+            raise ValueError(f"camera {key} has an impossible size or focal length")
+        camera = pycolmap.Camera(camera_id=numbers[key], model=name, width=width, height=height, params=params)
+        model.add_camera_with_trivial_rig(camera)
+    for k, (name, (key, rotation, translation)) in enumerate(poses.items(), 1):
+        values = np.concatenate([rotation.ravel(), translation])
+        if not (np.abs(values) <= FARTHEST).all() or np.abs(rotation @ rotation.T - np.eye(3)).max() > 0.01:
+            raise ValueError(f"the pose of {name} is no rotation and finite position")
+        quaternion = Rotation.from_matrix(rotation).as_quat()
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(quaternion), translation)
+        image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=k)
+        model.add_image_with_trivial_frame(image, pose)
+    if not poses or not len(points) or not (np.abs(points) <= FARTHEST).all():
+        raise ValueError("no images, no points, or points that are not finite")
+    for point, colour in zip(points, colours, strict=True):
+        model.add_point3D(point, pycolmap.Track(), colour)
+    return model
+
+
+def _opensfm(path: Path, part: dict[str, Any]) -> pycolmap.Reconstruction:
+    """OpenSfM's lengths in images are shares of the longer side, from the middle; its axes are COLMAP's."""
+    cameras = {}
+    for key, camera in part["cameras"].items():
+        kind = camera.get("projection_type", "perspective")
+        if kind not in OPENSFM:
+            raise InputError(f"{path}: camera {key} is of the type {kind}", f"Known are: {', '.join(OPENSFM)}.")
+        width, height = int(camera["width"]), int(camera["height"])
+        side = max(width, height)
+        focal = camera.get("focal_x", camera.get("focal"))
+        values = {
+            **camera,
+            "f": focal * side,
+            "fx": focal * side,
+            "fy": camera.get("focal_y", focal) * side,
+            "cx": width / 2 + camera.get("c_x", 0.0) * side,
+            "cy": height / 2 + camera.get("c_y", 0.0) * side,
+        }
+        name, wanted = OPENSFM[kind]
+        cameras[key] = (name, width, height, [float(values.get(k, 0.0)) for k in wanted])
+    poses = {
+        name: (
+            shot["camera"],
+            Rotation.from_rotvec(np.array(shot["rotation"], float)).as_matrix(),
+            np.array(shot["translation"], float).reshape(3),
+        )
+        for name, shot in part["shots"].items()
+    }
+    points = list(part["points"].values())
+    xyz = np.array([point["coordinates"] for point in points], float).reshape(-1, 3)
+    colours = np.array([point.get("color", (128, 128, 128)) for point in points], float).reshape(-1, 3)
+    return build_model(cameras, poses, xyz, colours.clip(0, 255).astype(np.uint8))
+
+
+def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstruction, list[Path]]:
+    """nerfstudio's poses are world_from_camera with y up and z back, as in OpenGL."""
+    cameras: dict[Any, tuple[str, int, int, list[float]]] = {}
+    poses = {}
+    for frame in text["frames"]:
+        own = {**text, **frame}
+        kind = own.get("camera_model", "OPENCV")
+        if kind not in NERFSTUDIO:
+            raise InputError(f"{path}: cameras of the model {kind}", f"Known are: {', '.join(NERFSTUDIO)}.")
+        width, height = int(own["w"]), int(own["h"])
+        fx = own["fl_x"] if "fl_x" in own else width / 2 / np.tan(own["camera_angle_x"] / 2)
+        values = {
+            **own,
+            "fx": fx,
+            "fy": own.get("fl_y", fx),
+            "cx": own.get("cx", width / 2),
+            "cy": own.get("cy", height / 2),
+        }
+        name, wanted = NERFSTUDIO[kind]
+        params = [float(values.get(k, 0.0)) for k in wanted]
+        key = (name, width, height, *params)
+        cameras.setdefault(key, (name, width, height, params))
+        matrix = np.array(frame["transform_matrix"], float).reshape(4, 4)
+        world_from_camera = matrix[:3, :3] * (1.0, -1.0, -1.0)
+        rotation = world_from_camera.T
+        file = Path(frame["file_path"]).as_posix()
+        if file in poses:
+            raise ValueError(f"{file} appears twice")
+        poses[file] = (key, rotation, -rotation @ matrix[:3, 3])
+    name = text.get("ply_file_path", "sparse_pc.ply")
+    cloud = beside(path, name)
+    if cloud is None:
+        raise InputError(
+            f"{path} has no sparse points (there is no {name[:80]} beside it), and the ground is found from them",
+            "Make it with a newer ns-process-data, or give the COLMAP model that it came from.",
+        )
+    points = read_points(cloud)
+    return build_model(cameras, poses, points, np.full(points.shape, 128, np.uint8)), [cloud]
