@@ -433,7 +433,7 @@ def test_one_photo_is_answered_in_full(flight):
     assert lines[0].startswith("altitude") and "90 %" in lines[0]
     assert "the drone says 59 m over its take-off point" in done.stdout and "from XMP" in done.stdout
     assumed = run(folder / "a.jpg", *rules, "--pitch", "-60", "--focal-px", FOCAL)
-    assert "as told" in assumed.stdout
+    assert ", given" in assumed.stdout
 
 
 def test_an_unknown_pitch_is_said(tmp_path, flight):

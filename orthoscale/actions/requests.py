@@ -106,9 +106,9 @@ class VehicleRequest:
             if (about := each.metadata.get("option")) is not None:
                 object.__setattr__(self, each.name, _checked(each, about, getattr(self, each.name)))
         if self.zoom is not None and self.gsd_hint is not None:
-            raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
+            raise UsageError("--zoom and --gsd-hint set the same thing twice", "Give one of them.")
         if self.detections is not None:
-            self._refuse(self.of_detector, "--detections takes the boxes from a file: nothing is looked for")
+            self._refuse(self.of_detector, "--detections takes the boxes from a file: no detector runs")
 
     @property
     def of_detector(self) -> Iterable[str]:
@@ -119,7 +119,7 @@ class VehicleRequest:
         """Raise UsageError where one of the options `names` says something."""
         for each in fields(self):
             if each.name in names and getattr(self, each.name) != each.default:
-                raise UsageError(f"{flag(each)} does nothing here: {why}", f"Leave {flag(each)} away.")
+                raise UsageError(f"{flag(each)} does nothing here: {why}", f"Remove {flag(each)}.")
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> Self:
@@ -218,11 +218,11 @@ class EstimateRequest(VehicleRequest):
         if self.mode == "planar":
             self._refuse(("projection", "refine"), "--mode planar measures no boxes in frames")
         if self.exhaustive:
-            self._refuse(("target",), "--exhaustive looks at everything")
+            self._refuse(("target",), "--exhaustive visits every tile")
         if self.estimator == "iqr" and (self.known_distance or self.ground_control is not None):
             raise UsageError(
-                "the estimator 'iqr' is the paper's, and knows vehicles only",
-                "Leave known distances and ground control away, or take --estimator robust.",
+                "the estimator 'iqr' is the paper's, for vehicles only",
+                "Remove known distances and ground control, or use --estimator robust.",
             )
 
     @property
@@ -234,12 +234,12 @@ class EstimateRequest(VehicleRequest):
         self._refuse(("mode", "images"), f"it is for COLMAP models, and {path} is an image")
         if self.projection not in (None, "planar"):
             raise UsageError(
-                f"--projection {self.projection} needs a camera; an orthophoto has none", "Leave --projection away."
+                f"--projection {self.projection} needs a camera; an orthophoto has none", "Remove --projection."
             )
 
     def for_model(self, path: object) -> None:
         """Raise UsageError for what is for orthophotos only."""
-        self._refuse(("target", "exhaustive"), f"all frames of a model are looked at, and {path} is one")
+        self._refuse(("target", "exhaustive"), f"all frames of a model are measured, and {path} is a model")
 
 
 OF_LOOKING = ("refine", "target", "exhaustive", "seed", "workers", "scheduler", "cache")

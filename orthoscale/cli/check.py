@@ -71,7 +71,7 @@ def check(
     request = EstimateRequest.of(options)
     if model is not None:
         if save_detections is not None:
-            raise UsageError("--save-detections keeps the boxes of one input", "Leave it away, or leave --model away.")
+            raise UsageError("--save-detections keeps the boxes of one input", "Remove it, or remove --model.")
         _against_model(path, as_json, model, model_detections, request)
         return
     if model_detections is not None:

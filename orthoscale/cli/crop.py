@@ -87,7 +87,7 @@ def crop(
     lens = {"focal_px": focal_px, "lens_file": lens_file, "pitch": pitch, "roll": roll}
     how = Looking.of(looking)
     if gsd is not None and (how.settings() or any(value is not None for value in lens.values())):
-        raise UsageError("--gsd says how large a pixel is: nothing is measured", "Leave the other options away.")
+        raise UsageError("--gsd says how large a pixel is: nothing is measured", "Remove the other options.")
     place = _place(at)
     with Outputs(overwrite, (path, satellite, lens_file, looking)) as outputs, progress_bars() as progress:
         folder = outputs.folder(out)

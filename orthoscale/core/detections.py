@@ -70,7 +70,7 @@ class Detections:
 
     def note(self) -> dict[str, Any]:
         """What a file of another format keeps beside the vehicles' boxes, so that `of` gives back all: `about`, the
-        doubtful boxes, the objects, and what `planar` holds, as plain values."""
+        boxes of low confidence, the objects, and what `planar` holds, as plain values."""
         objects = {name: rows for name in self.objects if (rows := self._object_rows(name))}
         return {**self.about(), **self._rest(), **({"objects": objects} if objects else {})}
 

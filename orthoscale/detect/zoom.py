@@ -91,8 +91,8 @@ def check_zoom(zoom: float, card: Card) -> None:
     """Raises UsageError for a zoom at which no vehicle could be seen, and which would take forever."""
     if zoom > HIGHEST_ZOOM:
         raise UsageError(
-            f"a zoom of {zoom:.3g} would look for vehicles {card.best_length / zoom:.2g} px long",
-            f"A zoom is detector pixels per picture pixel, {HIGHEST_ZOOM:g} at most; a GSD is in metres per pixel.",
+            f"a resampling factor of {zoom:.3g} would search for vehicles {card.best_length / zoom:.2g} px long",
+            f"It is detector pixels per picture pixel, {HIGHEST_ZOOM:g} at most; a GSD is in metres per pixel.",
         )
 
 

@@ -55,7 +55,7 @@ def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = 
     if focal_px is not None:
         if not (math.isfinite(focal_px) and focal_px > 0):
             raise UsageError(f"--focal-px must be a positive number, not {focal_px}")
-        return Lens(brown(size, focal_px, focal_px), TOLD_SD, "as told")
+        return Lens(brown(size, focal_px, focal_px), TOLD_SD, "given")
     share = tags.width / tags.full_width  # of the full image's pixels, where the photo was made smaller
     nominal = _nominal(tags)
     if tags.dewarp is not None:

@@ -84,7 +84,7 @@ def document(outcomes: Sequence[Outcome], fleet: str, detector: str, together: P
 def check_ending(path: Path, formats: Sequence[str] = FORMATS) -> None:
     """Raises UsageError for a name that says no format."""
     if path.suffix.lower() not in formats:
-        raise UsageError(f"{path.name} is none of {', '.join(formats)}", "Its ending says how it is written.")
+        raise UsageError(f"{path.name} is none of {', '.join(formats)}", "The file's ending sets its format.")
 
 
 def known(path: Path) -> Callable[[Path], bool] | None:

@@ -83,7 +83,7 @@ def measure_model(
     if mode in (PLANAR, BOTH) and found.planar is None:
         raise UsageError(
             f"--mode {mode}: these detections hold no boxes of a planar sweep",
-            "Leave --detections away, or use a file that --save-detections wrote for --mode both.",
+            "Remove --detections, or use a file that --save-detections wrote for --mode both.",
         )
     ways = {OBLIQUE: lambda: measure_frames(source, found, fleet, method)}
     if found.planar is not None:
