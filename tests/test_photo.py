@@ -431,7 +431,7 @@ def test_one_photo_is_answered_in_full(flight):
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith("altitude") and "90 %" in lines[0]
-    assert "the drone says 59 m over its take-off point" in done.stdout and "from XMP" in done.stdout
+    assert "the drone reports 59 m above its take-off point" in done.stdout and "from XMP" in done.stdout
     assumed = run(folder / "a.jpg", *rules, "--pitch", "-60", "--focal-px", FOCAL)
     assert ", given" in assumed.stdout
 

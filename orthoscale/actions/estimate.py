@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ..core.calibration import Calibration, fleet_of
+from ..core.calibration import Calibration
 from ..core.detections import Detections
 from ..core.evidence import Evidence
 from ..core.fleet import Fleet
@@ -27,9 +27,11 @@ from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from ..evidence.control import read_control, read_distance
 from ..formats.detections import load as load_detections
+from ..sources.location import location_of
 from ..sources.opening import open_source
 from .requests import EstimateRequest
 from .result import Result
+from .whose import fleet_of
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -79,9 +81,9 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     started = time.perf_counter()
     log.info("measuring %s", path)
     known = None if request.calibration is None else Calibration.load(Path(request.calibration))
-    fleet = fleet_of(request.fleet, known)
     from_file = request.detections is not None
     source = open_source(path, request.images, not from_file) if isinstance(path, (str, Path)) else path
+    fleet, choice_of_fleet = fleet_of(request.fleet, known, None if request.fleet else location_of(source))
     model = None if source.unit == "m/px" else cast("ColmapSource", source)
     if model is None:
         request.for_orthophoto(source.path)
@@ -94,6 +96,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         found = load_detections(Path(request.detections), source, request.vehicle_classes)
     else:
         found, choice = _looked_for(source, model, request, fleet, progress)
+    found = replace(found, notes=(*choice_of_fleet, *found.notes))
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if known is not None:
         found = known.applied(found, Path(str(request.calibration)))

@@ -63,8 +63,8 @@ class VehicleRequest:
         None,
         str,
         "Input",
-        "Country of the vehicles, by code or name (US, DE, Japan ...); 'auto' to infer it from their shapes; or a "
-        "fleet.json. Default: the calibration's own, else world.",
+        "Country of the vehicles, by code or name (US, DE, Japan ...); 'auto' to infer it from their shapes; 'world'; "
+        "or a fleet.json. Default: the calibration's own, else the country where the input lies, else world.",
     )
     detections: str | Path | None = option(
         None,

@@ -80,12 +80,6 @@ class Calibration:
         return cls(entry.detector, entry.detector_sha256, entry.ruler.ruler, text["fleet"], entry.made_from)
 
 
-def fleet_of(name: str | Path | None, known: Calibration | None) -> Fleet:
-    """The fleet that was named; else the calibration's own, else that of the world. Raises UsageError, InputError."""
-    own = known.fleet if known is not None else None
-    return own if name is None and own is not None else Fleet.load(name or "world")
-
-
 @dataclass(frozen=True)
 class MarginFit:
     """size, margin : the vehicles' mean size [m] and the boxes' margin [detector px]; `_sd` their one sigma each."""
