@@ -70,6 +70,14 @@ def test_links_lead_to_files_and_headings_that_are_there(page):
         assert not anchor or anchor in anchors(file), f"{page.name} links to {target}"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_files_that_a_page_names_are_there(page):
+    """Those of the repository, named from its root: `orthoscale/detect/decoders.py`."""
+    folders = "orthoscale|tests|docs|examples|benchmarks|colmap_hooks"
+    for name in re.findall(rf"`((?:{folders})/[\w./-]+)`", page.read_text()):
+        assert (ROOT / name).exists(), f"{page.name} names {name}"
+
+
 def test_the_page_of_a_package_index_needs_no_other_file():
     told = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     text = (ROOT / told["readme"]).read_text()
