@@ -78,6 +78,16 @@ def test_files_that_a_page_names_are_there(page):
         assert (ROOT / name).exists(), f"{page.name} names {name}"
 
 
+def test_names_in_the_glossary_are_in_the_code():
+    rows = re.findall(r"^\|.*\|([^|]*)\|$", (ROOT / "docs" / "glossary.md").read_text(), re.MULTILINE)
+    code = "\n".join(path.read_text() for path in sorted((ROOT / "orthoscale").rglob("*.py")))
+    names = [name for cell in rows for name in re.findall(r"`([^`]+)`", cell)]
+    assert len(names) > 20
+    for name in names:
+        last = name.removeprefix("orthoscale ").removeprefix("--").rsplit(".")[-1].split("/")[-1]
+        assert re.search(rf"\b{re.escape(last)}\b", code), f"the glossary's {name} is in no module"
+
+
 def test_the_page_of_a_package_index_needs_no_other_file():
     told = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     text = (ROOT / told["readme"]).read_text()

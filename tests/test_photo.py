@@ -507,3 +507,16 @@ def test_altitude_of_a_real_flight(data):
     got = json.loads(done.stdout)["together"]
     assert got["altitude_m"] == pytest.approx(40, rel=0.12)
     assert got["altitude_m_low"] < 40 < got["altitude_m_high"]
+
+
+@pytest.mark.parametrize(
+    "make, model, camera",
+    [
+        ("Canon", "Canon IXUS 127", "Canon IXUS 127"),
+        ("DJI", "FC3411", "DJI FC3411"),
+        ("", "FC3411", "FC3411"),
+        ("", "", ""),
+    ],
+)
+def test_a_camera_names_its_maker_once(make, model, camera):
+    assert Tags(4, 3, 4, make, model).camera == camera

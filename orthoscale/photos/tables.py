@@ -55,7 +55,7 @@ def row(outcome: Outcome) -> dict[str, Any]:
         "longitude": tags.lon_lat[0] if tags and tags.lon_lat else None,
         "latitude": tags.lon_lat[1] if tags and tags.lon_lat else None,
         "taken": tags.taken if tags else "",
-        "camera": f"{tags.make} {tags.model}".strip() if tags else "",
+        "camera": tags.camera if tags else "",
         "notes": "; ".join(tags.notes) if tags else "",
     }
 
