@@ -175,5 +175,5 @@ def test_two_sizes_as_likely_are_not_guessed_between_unless_distance_explains_th
 @pytest.mark.parametrize("wish", [{"zoom": 1e6}, {"gsd_hint": 50}])
 def test_zooms_at_which_no_vehicle_could_be_seen_are_refused(tmp_path, wish):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((200, 200, 3), np.uint8))
-    with pytest.raises(UsageError, match="would look for vehicles .* px long"):
+    with pytest.raises(UsageError, match="would search for vehicles .* px long"):
         orthoscale.estimate(tmp_path / "a.png", **wish)
