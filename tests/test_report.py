@@ -311,7 +311,7 @@ def test_planar_and_oblique_are_drawn_where_they_are(report):
     text = page({**report, "modes": modes}, Scene())
     assert (
         "Planar and oblique agree" in text
-        and "9.95 cm/px, 9.50 to 10.40 with 90 %, 40 vehicles" in text
+        and "9.95 cm/px, 9.50 to 10.40 (90 %), 40 vehicles" in text
         and ">oblique</text>" in text
     )
     assert "lanar" not in plain

@@ -127,8 +127,8 @@ class Result:
         if agreement is not None and agreement.contradicts:
             return EvidenceDisagrees(
                 f"{self.source.path}: {agreement.sentence()}",
-                "Inspect the boxes (--save-detections) and the poses, choose one mode with --mode, or write all the "
-                "same with `orthoscale fix --force`.",
+                "Inspect the boxes (--save-detections) and the poses, choose one mode with --mode, or write "
+                "anyway with `orthoscale fix --force`.",
             )
         return None
 
