@@ -61,7 +61,7 @@ class VehicleRequest:
         None,
         str,
         "Country by name or code (US, DE, Japan ...), 'auto' to find it by the vehicles' shapes, 'world', or a "
-        "fleet.json; by default the calibration's own, else that of the country where the input says it is, else world.",
+        "fleet.json; by default the calibration's own, else that of the country where the input lies, else world.",
     )
     detections: str | Path | None = option(
         None, Path, "Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector needed."
