@@ -164,12 +164,11 @@ def test_two_sizes_as_likely_are_not_guessed_between_unless_distance_explains_th
     picture = Windows(side)
     both = Boxes.concatenate([scattered(1, side, 180, 8), scattered(2, side, other, 20)])
     detector = Seen(picture, both, np.ones(len(both)))
-    if other == 90:  # frames from two altitudes show that
-        find_vehicles([picture], detector, effort=Effort(workers=1, cache=False))
-        return
     with pytest.raises(EvidenceDisagrees, match=r"vehicles may be \d+ px long, or \d+ px") as refusal:
         find_vehicles([picture], detector, effort=Effort(workers=1, cache=False))
     assert "--zoom 0.2" in refusal.value.hint and "--gsd-hint" in refusal.value.hint
+    if other == 90:  # frames from two altitudes show that
+        assert search_zoom([picture, picture], detector, detector.card).as_likely is None
 
 
 @pytest.mark.parametrize("wish", [{"zoom": 1e6}, {"gsd_hint": 50}])

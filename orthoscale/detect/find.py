@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.alike import all_alike
+from ..core.boxes import Boxes
 from ..core.detections import Detections
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from .cache import TileCache, cache_key
@@ -111,7 +113,22 @@ def find_vehicles(
             step("Finding vehicles"),
             card.sure,
         )
-    return detections(found), choice
+    return _without_equal_things(detections(found)), choice
+
+
+def _without_equal_things(found: Detections) -> Detections:
+    """`found`, where boxes of things too much alike for vehicles are doubtful, and a note says how many."""
+    boxes, doubtful, count = dict(found.boxes), dict(found.doubtful), 0
+    for name, seen in found.boxes.items():
+        alike = all_alike(seen)
+        if alike.any():
+            boxes[name] = seen[~alike]
+            doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), seen[alike]])
+            count += int(alike.sum())
+    if not count:
+        return found
+    note = f"{count} boxes do not count: things of one size that stand together, as solar panels or graves do"
+    return replace(found, boxes=boxes, doubtful=doubtful, notes=(*found.notes, note))
 
 
 def _searched(
