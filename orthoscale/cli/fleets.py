@@ -24,10 +24,9 @@ Examples:
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def fleets(codes: tuple[str, ...], as_json: bool, debug: bool) -> None:
     """List the built-in fleets: sizes, how well they are known, the mix of segments, and their sources."""
-    from ..core.fleet import Fleet
-    from ..core.fleet import codes as known
+    from ..fleets import fleet_codes, load_fleet
 
-    table = [Fleet.load(code) for code in codes or known()]
+    table = [load_fleet(code) for code in codes or fleet_codes()]
     if as_json:
         click.echo(json.dumps([_plain(f) for f in table], indent=1, ensure_ascii=False))
         return

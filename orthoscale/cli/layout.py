@@ -55,6 +55,7 @@ def layout(
     orthophoto's own grid, as the conditioning image of a generative renderer, with a prompt; and a picture.
     """
     from ..errors import UsageError
+    from ..layout import export
     from ..layout import plan as planning
     from ..layout.terminal import catalogue_table, summary
     from ..system.outputs import Outputs
@@ -85,5 +86,5 @@ def layout(
             )
         outputs.protect(*made.ground.source.files)
         if folder is not None:
-            planning.write(made, folder)
+            export.write(made, folder)
     click.echo(json.dumps(planning.document(made))) if as_json else say(summary(made, out))

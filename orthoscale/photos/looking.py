@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..actions.requests import VehicleRequest
-from ..core.calibration import Calibration, fleet_of
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..detect.find import Progress
 from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
+from ..fleets import fleet_of
+from ..formats.calibration import load_calibration
 from ..sources.picture_file import PictureFile
 from .measure import Photo
 
@@ -23,7 +24,7 @@ class Looking(VehicleRequest):
 
     def ruler_fleet(self) -> Fleet:
         """The fleet that was named; else the calibration's own, else that of the world."""
-        return fleet_of(self.fleet, None if self.calibration is None else Calibration.load(Path(self.calibration)))
+        return fleet_of(self.fleet, None if self.calibration is None else load_calibration(Path(self.calibration)))
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Album:
 
     photos: Sequence[Photo]
     notes: list[str] = field(default_factory=list)
-    unit: str = "m/photo"
+    raster: None = None
 
     @property
     def path(self) -> Path:
@@ -60,7 +61,7 @@ def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = 
     else:
         found = _detected(photos, how, progress)
     if how.calibration is not None:
-        found = Calibration.load(path := Path(how.calibration)).applied(found, path)
+        found = load_calibration(path := Path(how.calibration)).applied(found, path)
     return found
 
 
