@@ -64,11 +64,11 @@ def read_fleet(path: Path) -> Fleet:
     return Fleet.from_entry(path.stem, entry, segments)
 
 
-def fleet_of(name: str | Path | None, known: Calibration | None) -> Fleet:
-    """The fleet that was named; else the calibration's own, else that of the world. Raises UsageError, InputError."""
-    if name is None and known is not None and known.fleet_entry is not None:
-        return Fleet.from_entry("local", known.fleet_entry, _document()["segments"])
-    return load_fleet(name or "world")
+def local_fleet(known: Calibration | None) -> Fleet | None:
+    """The vehicles of the place that a calibration was measured at, None where it does not tell."""
+    if known is None or known.fleet_entry is None:
+        return None
+    return Fleet.from_entry("local", known.fleet_entry, _document()["segments"])
 
 
 def fleet_codes() -> list[str]:

@@ -25,15 +25,16 @@ from ..detect.refine import refined
 from ..detect.workers import worker_count
 from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
-from ..fleets import fleet_of
 from ..formats.calibration import load_calibration
 from ..formats.detections import load as load_detections
+from ..sources.location import location_of
 from ..sources.opening import open_source
 from ..tables import standards
 from .control import read_control, read_distance
 from .find import find_in
 from .requests import EstimateRequest
 from .result import Result
+from .whose import fleet_of
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -81,9 +82,9 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     started = time.perf_counter()
     log.info("measuring %s", path)
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
-    fleet = fleet_of(request.fleet, known)
     from_file = request.detections is not None
     source = open_source(path, request.images, not from_file) if isinstance(path, (str, Path)) else path
+    fleet, choice_of_fleet = fleet_of(request.fleet, known, None if request.fleet else location_of(source))
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
     method = Method(request.projection, request.estimator, tuple(given), standards() if request.surroundings else None)
@@ -92,6 +93,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         found = load_detections(Path(request.detections), source, request.vehicle_classes)
     else:
         found, choice = _looked_for(source, request, fleet, progress)
+    found = replace(found, notes=(*choice_of_fleet, *found.notes))
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if known is not None:
         found = known.applied(found, Path(str(request.calibration)))

@@ -78,8 +78,9 @@ class VehicleRequest:
     fleet: str | Path | None = option(
         None,
         str,
-        "Country code (US, DE, JP ...), 'auto' to find it by the vehicles' shapes, or a fleet.json; by default the "
-        "calibration's own, else world.",
+        "Country by name or code (US, DE, Japan ...), 'auto' to find it by the vehicles' shapes, 'world', or a "
+        "fleet.json; by default the calibration's own, else that of the country where the input says it is, else "
+        "world.",
     )
     detections: str | Path | None = option(
         None, Path, "Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector needed."

@@ -59,7 +59,6 @@ def evaluate(
     from ..system.outputs import Outputs
 
     how = boxes.Looking.of(looking)
-    ruler = how.ruler_fleet()
     with Outputs(overwrite, (path, lens_file, looking)) as files, progress_bars() as progress:
         for output in outputs:
             check_ending(output, (".json", ".csv"))
@@ -69,6 +68,8 @@ def evaluate(
             saved = files.file(save_detections)
         samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
         photos = [sample.photo for sample in samples]
+        ruler, why = how.ruler_fleet([photo.path for photo in photos])
+        notes = [*notes, *why]
         found = boxes.boxes_of(photos, how, progress)
         if save_detections is not None:  # worth a look above all where they are too few
             boxes.save_boxes(found, saved, photos)

@@ -10,7 +10,7 @@ from importlib import import_module
 
 import click
 
-from ..errors import InputError, OrthoscaleError, shown
+from ..errors import LONGEST, InputError, OrthoscaleError, shown
 from ..system import stopping
 from ..version import __version__
 from .options import EXIT_CODES, say, set_verbosity
@@ -94,6 +94,6 @@ def main() -> None:
 def _complain(message: str, hint: str, debug: bool) -> None:
     if debug:
         traceback.print_exc()
-    click.echo(f"error: {shown(message)}", err=True)
+    click.echo(f"error: {shown(message, LONGEST)}", err=True)
     if hint:
-        click.echo(shown(hint), err=True)
+        click.echo(shown(hint, LONGEST), err=True)

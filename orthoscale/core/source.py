@@ -59,7 +59,10 @@ class Pictures(Protocol):
 
 
 class Claim(Protocol):
-    """What a source says of its own scale: metres per pixel or None, whether to believe it, and why."""
+    """What a source says of its own scale: metres per pixel or None, whether to believe it, and why.
+
+    crs, transform : the georeferencing behind it, None without any.
+    """
 
     @property
     def gsd_m(self) -> float | None: ...
@@ -67,6 +70,10 @@ class Claim(Protocol):
     def usable(self) -> bool: ...
     @property
     def why(self) -> str: ...
+    @property
+    def crs(self) -> Any: ...
+    @property
+    def transform(self) -> Any: ...
 
 
 class Source(Pictures, Protocol):

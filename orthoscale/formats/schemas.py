@@ -150,6 +150,13 @@ class DetectionsEntry(NoteEntry, kw_only=True):
     pictures: BoxesByPicture
 
 
+class ReferenceLla(Struct):
+    """OpenSfM's place of a reconstruction [degrees, WGS 84]."""
+
+    longitude: Annotated[float, Meta(ge=-180, le=180)]
+    latitude: Annotated[float, Meta(ge=-90, le=90)]
+
+
 class CocoImage(Struct):
     id: int | str
     file_name: Text

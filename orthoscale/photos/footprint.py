@@ -35,7 +35,7 @@ def footprint_of(
         tags = read_tags(path)
         picture = PictureFile(path.name, path, tags.width, tags.height)
         return Footprint(picture, gsd, (tags.width, tags.height), {"photo": str(path), "gsd": gsd})
-    ruler = how.ruler_fleet()
+    ruler, _ = how.ruler_fleet([path])
     photo = open_photo(path, **lens)
     found = boxes_of([photo], how, progress)
     try:

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..actions.requests import VehicleRequest
+from ..actions.whose import fleet_of
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..detect.find import Progress
 from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
-from ..fleets import fleet_of
 from ..formats.calibration import load_calibration
+from ..sources.location import location_in
 from ..sources.picture_file import PictureFile
 from .measure import Photo
 
@@ -22,9 +23,10 @@ from .measure import Photo
 class Looking(VehicleRequest):
     """How to look for vehicles in photos."""
 
-    def ruler_fleet(self) -> Fleet:
-        """The fleet that was named; else the calibration's own, else that of the world."""
-        return fleet_of(self.fleet, None if self.calibration is None else load_calibration(Path(self.calibration)))
+    def ruler_fleet(self, photos: Sequence[Path]) -> tuple[Fleet, tuple[str, ...]]:
+        """The fleet that `photos` are measured by, and what to say of it; see `whose.fleet_of`."""
+        known = None if self.calibration is None else load_calibration(Path(self.calibration))
+        return fleet_of(self.fleet, known, None if self.fleet else location_in(photos))
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) 
     effort = Effort()
     path = None if how.detector is None else Path(how.detector)
     detector = Detector(path, how.decoder, how.vehicle_classes, effort.threads_each)
-    zoom = told_zoom(how.zoom, how.gsd_hint, detector.card, float(how.ruler_fleet().mean[0]))
+    zoom = told_zoom(how.zoom, how.gsd_hint, detector.card, float(how.ruler_fleet([p.path for p in photos])[0].mean[0]))
     try:
         return find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)[0]
     except (TooLittleEvidence, EvidenceDisagrees) as error:

@@ -28,13 +28,14 @@ SAME_FOCAL = 0.001  # relative difference of focal lengths up to which photos ar
 @dataclass(frozen=True)
 class Survey:
     """outcomes : of every photo by itself. together : one scale of all of them, where that was asked for.
-    found : the boxes. photos : those that could be read. fleet : by which they were measured."""
+    found : the boxes. photos : those that could be read. fleet : by which they were measured, and why by that one."""
 
     outcomes: list[Outcome]
     together: PhotoScale | None
     found: Detections
     photos: list[Photo]
     fleet: Fleet
+    why: tuple[str, ...] = ()
 
 
 def photo(
@@ -73,8 +74,8 @@ def surveyed(
 
     keep : is given the boxes as soon as they are found, whether or not they turn out to be enough.
     """
-    fleet = how.ruler_fleet()
     photos, problems = open_photos(find_photos(paths), decode=how.detections is None, **lens)
+    fleet, why = how.ruler_fleet([photo.path for photo in photos])
     found = boxes_of(photos, how, progress)
     if keep is not None:
         keep(found, photos)
@@ -88,7 +89,7 @@ def surveyed(
             else f"{most.name}: {most.problem}",
             "Give photos with more vehicles, or pool those of a level flight with --together.",
         )
-    return Survey(outcomes, pooled, found, photos, fleet)
+    return Survey(outcomes, pooled, found, photos, fleet, why)
 
 
 def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tuple[list[Photo], dict[str, str]]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.fleet import Fleet
 from ..errors import UsageError
 from ..system.outputs import has_header
 from .measure import Measure, Photo, PhotoScale
@@ -59,16 +60,23 @@ def row(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def document(outcomes: Sequence[Outcome], fleet: str, detector: str, together: PhotoScale | None) -> dict[str, Any]:
-    """All rows, with the share of photos that had enough vehicles; and the scale of all together where it was asked."""
+def document(
+    outcomes: Sequence[Outcome], fleet: Fleet, detector: str, together: PhotoScale | None, notes: Sequence[str] = ()
+) -> dict[str, Any]:
+    """All rows, with the share of photos that had enough vehicles; and the scale of all together where it was asked.
+
+    fleet : by which they were measured. notes : what else the user should know.
+    """
     used = sum(outcome.measured is not None for outcome in outcomes)
     text: dict[str, Any] = {
         "photos": len(outcomes),
         "measured": used,
         "used_ratio": used / len(outcomes) if outcomes else 0.0,
-        "fleet": fleet,
+        "fleet": fleet.code,
+        "fleet_name": fleet.name,
         "detector": detector,
         "interval_level": 0.9,
+        "notes": list(notes),
     }
     if together is not None:
         pooled = row(Outcome("all together", together.photo, together))

@@ -36,8 +36,10 @@ def summary(
         if len(outcomes) > LONGEST:
             lines.append(f"  and {len(outcomes) - LONGEST} more: --out TABLE.csv has them all")
     photos = [o.photo for o in outcomes if o.photo is not None]
+    lines.append(f"fleet      {text['fleet']} ({text['fleet_name']})")
     lines += _told("focal", [f"{p.lens.focal_px:.1f} px, {p.lens.source}" for p in photos])
     lines += _told("attitude", [p.attitude for p in photos])
+    lines += _told("note", text["notes"])
     lines += _told("note", [note for p in photos for note in p.tags.notes])
     for got in (together, *(o.measured for o in outcomes)):
         lines += [f"note       {got.photo.name}: {remark}" for remark in got.scale.remarks] if got else []

@@ -12,7 +12,7 @@ import click
 from ..actions.result import Result
 from ..core.claims import own_claim
 from ..core.pooling.posterior import Z90
-from ..errors import shown
+from ..errors import LONGEST, shown
 from .judgement import percent
 
 STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
@@ -76,7 +76,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     ]
     table += [("note", remark) for remark in result.remarks]
     table += [(label, str(path)) for label, path in written.items()]
-    return [(label, shown(value)) for label, value in table]
+    return [(label, shown(value, LONGEST)) for label, value in table]
 
 
 def _fleets(fleets: Mapping[str, float]) -> list[tuple[str, str]]:

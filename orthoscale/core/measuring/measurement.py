@@ -80,8 +80,8 @@ class Measurement:
     @property
     def remarks(self) -> list[str]:
         """What speaks against the scale, or limits it."""
-        drifting = isinstance(self.drift, Drift) and self.drift.drifts
-        return [*self.scale.remarks, *([self.drift.remark] if drifting else [])]
+        drift = [self.drift.remark] if isinstance(self.drift, Drift) and self.drift.drifts else []
+        return [*self.scale.remarks, *drift]
 
     @property
     def accord(self) -> list[str]:

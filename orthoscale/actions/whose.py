@@ -1,0 +1,30 @@
+"""Whose vehicles an input shows: those of the fleet that was named, or else of the country that it lies in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..core.fleet import Fleet
+from ..countries import country_at, country_name
+from ..fleets import load_fleet, local_fleet
+
+if TYPE_CHECKING:
+    from ..core.calibration import Calibration
+    from ..sources.location import Location
+
+
+def fleet_of(
+    name: str | Path | None, known: Calibration | None, location: Location | None
+) -> tuple[Fleet, tuple[str, ...]]:
+    """The fleet that was named; else the calibration's own; else that of the country at `location`; else the world's.
+    With it, what the user should know of the choice. Raises UsageError, InputError."""
+    own = local_fleet(known)
+    if name is None and own is not None:
+        return own, ()
+    if name is not None or location is None:
+        return load_fleet(name or "world"), ()
+    code = country_at(location.longitude, location.latitude)
+    if code is None:
+        return load_fleet("world"), (f"{location.told_by} is in no country: fleet world",)
+    return load_fleet(code), (f"fleet {code}: {location.told_by} is in {country_name(code)}; --fleet names another",)

@@ -1,0 +1,75 @@
+"""Where on the Earth an input is, as it says itself: that tells whose vehicles it shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..core.source import Claim, Source
+from ..errors import InputError
+
+REFERENCE = "reference_lla.json"  # OpenSfM's and OpenDroneMap's, beside the reconstruction
+MOST = 5  # pictures that are asked; a flight is in one country
+
+
+@dataclass(frozen=True)
+class Location:
+    """longitude, latitude : [degrees, WGS 84]. told_by : what says so, for people."""
+
+    longitude: float
+    latitude: float
+    told_by: str
+
+
+def location_of(source: Source) -> Location | None:
+    """The place of an orthophoto or a reconstruction: by its georeferencing or ground control points where they are to
+    be believed (`georeference.Claim.usable`), by OpenSfM's reference beside it, or by the GPS position in a picture's
+    EXIF; None where nothing says."""
+    if (plan := source.plan) is not None and (place := _of_claim(plan.claimed, plan.width, plan.height)) is not None:
+        return place
+    folder = source.path if source.path.is_dir() else source.path.parent
+    if (place := _of_reference(folder / REFERENCE)) is not None:
+        return place
+    return location_in([Path(picture.path) for picture in source.pictures[:MOST] if hasattr(picture, "path")])
+
+
+def location_in(pictures: Iterable[Path]) -> Location | None:
+    """The GPS position in the EXIF of the first of `pictures` that has one."""
+    from ..photos.tags import read_tags
+
+    for path in pictures:
+        try:
+            place = read_tags(path).lon_lat
+        except InputError:
+            continue
+        if place is not None:
+            return Location(*place, f"the GPS position in {path.name}")
+    return None
+
+
+def _of_claim(claimed: Claim, width: int, height: int) -> Location | None:
+    if not claimed.usable or claimed.crs is None or claimed.transform is None:
+        return None
+    import pyproj
+
+    to_degrees = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(claimed.crs), "EPSG:4326", always_xy=True)
+    t, x, y = claimed.transform, width / 2, height / 2
+    longitude, latitude = to_degrees.transform(t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f)
+    if not (math.isfinite(longitude) and math.isfinite(latitude)):
+        return None
+    return Location(longitude, latitude, "its georeferencing")
+
+
+def _of_reference(path: Path) -> Location | None:
+    from ..formats.reading import is_there, read
+    from ..formats.schemas import ReferenceLla
+
+    if not is_there(path):
+        return None
+    try:
+        reference = read(path, ReferenceLla, "OpenSfM's reference", "Delete it, or name the country by --fleet.")
+    except InputError:
+        return None
+    return Location(reference.longitude, reference.latitude, path.name)

@@ -1,0 +1,68 @@
+"""The country is proposed by the input: by its georeferencing, OpenSfM's reference, or GPS in EXIF; a name wins."""
+
+import json
+
+import numpy as np
+import pytest
+import rasterio
+from PIL import Image
+from rasterio.transform import from_origin
+from test_photo import write_photo
+
+from orthoscale.actions.whose import fleet_of
+from orthoscale.sources.georeference import LOCAL_CRS
+from orthoscale.sources.location import Location, location_in, location_of
+from orthoscale.sources.opening import open_source
+
+IN_MANILA = Location(121.0, 14.6, "its georeferencing")
+
+
+def orthophoto(path, crs, west, north, pixel):
+    profile = {"driver": "GTiff", "width": 400, "height": 300, "count": 3, "dtype": "uint8"}
+    with rasterio.open(path, "w", crs=crs, transform=from_origin(west, north, pixel, pixel), **profile) as file:
+        file.write(np.full((3, 300, 400), 90, np.uint8))
+    return open_source(path)
+
+
+@pytest.mark.parametrize(
+    ("crs", "west", "north", "pixel", "country"),
+    [("EPSG:32651", 283_000, 1_615_000, 0.1, "PH"), ("EPSG:2180", 360_000, 500_000, 0.1, "PL"),
+     ("EPSG:4326", -97.74, 30.27, 1e-6, "US"), ("EPSG:3857", 950_700, 6_004_600, 0.15, "CH")],
+)  # fmt: skip
+def test_georeferencing_names_the_country(tmp_path, crs, west, north, pixel, country):
+    fleet, notes = fleet_of(None, None, location_of(orthophoto(tmp_path / "a.tif", crs, west, north, pixel)))
+    assert fleet.code == country and "its georeferencing is in" in notes[0] and "--fleet" in notes[0]
+
+
+@pytest.mark.parametrize(("crs", "west", "north"), [("EPSG:32630", 0, 0), (LOCAL_CRS, 5000, 5000), (None, 0, 30)])
+def test_georeferencing_that_is_not_to_be_believed_names_none(tmp_path, crs, west, north):
+    """Not OpenDroneMap's placeholder in Spain's zone, nor local metres."""
+    assert location_of(orthophoto(tmp_path / "a.tif", crs, west, north, 0.1)) is None
+    assert fleet_of(None, None, None)[0].code == "WORLD"
+
+
+def test_the_place_of_a_picture_is_its_gps_position(tmp_path):
+    plain = write_photo(tmp_path / "a.jpg")
+    placed = write_photo(tmp_path / "b.jpg", gps=(139.7, 35.7))
+    (tmp_path / "c.jpg").write_text("no picture")
+    found = location_in([plain, tmp_path / "c.jpg", placed])
+    assert (found.longitude, found.latitude) == pytest.approx((139.7, 35.7), abs=1e-4)
+    assert fleet_of(None, None, found)[0].code == "JP" and "b.jpg" in found.told_by
+    assert location_in([plain]) is None
+    assert fleet_of(None, None, location_of(open_source(placed)))[0].code == "JP"
+
+
+def test_a_reconstruction_lies_where_opensfm_says(tmp_path):
+    Image.new("RGB", (64, 48)).save(tmp_path / "a.jpg")
+    source = open_source(tmp_path / "a.jpg")
+    for text, country in (({"longitude": 24.7, "latitude": 59.4, "altitude": 0}, "EE"), ({"longitude": 400}, None)):
+        (tmp_path / "reference_lla.json").write_text(json.dumps(text))
+        found = location_of(source)
+        assert (found and fleet_of(None, None, found)[0].code) == country
+
+
+def test_a_name_wins_and_the_sea_has_no_country():
+    named, notes = fleet_of("DE", None, IN_MANILA)
+    assert named.code == "DE" and notes == ()
+    at_sea, notes = fleet_of(None, None, Location(-30.0, 30.0, "the GPS position in x.jpg"))
+    assert at_sea.code == "WORLD" and notes == ("the GPS position in x.jpg is in no country: fleet world",)
