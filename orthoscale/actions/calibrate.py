@@ -15,6 +15,7 @@ from ..core.fleet import Fleet
 from ..core.pooling.robust import pool
 from ..core.projection.planar import ground_size
 from ..core.ruler import Ruler
+from ..core.scale import PER_PIXEL
 from ..core.source import Plan
 from ..core.votes import gather
 from ..detect.detector import Detector
@@ -172,7 +173,7 @@ def measure_ruler(
 
 def _pooled(boxes: Boxes, zoom: float, fleet: Fleet, ruler: Ruler):
     votes = gather(ground_size(boxes), np.full(len(boxes), 1 / zoom), boxes.centre, boxes.score, repeated=False)
-    return pool(votes, fleet, ruler, "m/px")
+    return pool(votes, fleet, ruler, PER_PIXEL)
 
 
 def box_noise(looks: Sequence[Boxes], zooms: np.ndarray) -> tuple[float, float]:

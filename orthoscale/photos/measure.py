@@ -28,7 +28,7 @@ from ..core.pooling.robust import MIN_VEHICLES
 from ..core.projection.exact import BODIES, ground_size
 from ..core.projection.level import level_axes, level_views, up_from_gimbal
 from ..core.projection.view import Views
-from ..core.scale import Scale
+from ..core.scale import PER_PIXEL, Scale
 from ..core.verdicts import UNUSABLE, VERDICTS, verdict
 from ..core.votes import Votes
 from ..errors import InputError, TooLittleEvidence, UsageError
@@ -199,7 +199,7 @@ class PhotoGeometry:
     picture: np.ndarray
     views: Views
     off: Mapping[str, Views]
-    unit: str = "m/px"
+    unit: str = PER_PIXEL
     projection: str = "exact"
     called: str = "usable vehicles"
     repeated: bool = False

@@ -18,6 +18,7 @@ from ..core.fleet import Fleet
 from ..core.measuring.drift import Drift
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.model_drift import ModelDrift
+from ..core.scale import PER_PIXEL
 from ..core.source import Source
 from ..detect.zoom import ZoomChoice
 from ..errors import InputError, shown
@@ -219,6 +220,11 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
         "drifts": drift.drifts,
         "remarks": drift.remarks,
     }
+
+
+def of_plan(report: Mapping[str, Any]) -> bool:
+    """Whether it is that of an orthophoto; else of a reconstruction."""
+    return report["unit"] == PER_PIXEL
 
 
 def completed(report: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core.boxes import Boxes
 from ..core.source import Picture, PosedSet, Source
+from .document import of_plan
 
 OVERVIEW = 1600  # longest side of an overview [px]
 CHIPS, REJECTED_CHIPS = 24, 8  # vehicles shown one by one
@@ -57,7 +58,7 @@ class Scene:
         vehicles = report["vehicles"]
         pictures = _pictures(source, vehicles) if source else {}
         overviews = []
-        if report["unit"] == "m/model-unit":
+        if not of_plan(report):
             overviews.append(_plan(report, source.posed if source else None))
             name = _busiest(vehicles, pictures)
         else:
@@ -107,7 +108,7 @@ def _overview(report: Mapping[str, Any], name: str, picture: Picture | None) -> 
         for box in vehicle["boxes"]
         if box["picture"] == name
     ]
-    flat = report["unit"] == "m/px"
+    flat = of_plan(report)
     bar = _bar(float(report["scale"]) / zoom, size[0]) if flat else None
     title = name if flat else f"{name}, the frame with most vehicles"
     return Panel(title, image, outlines, bar)

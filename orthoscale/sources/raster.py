@@ -28,6 +28,7 @@ from rasterio.shutil import copy as gdal_copy
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from ..core.scale import PER_PIXEL
 from ..core.source import Picture
 from ..errors import InputError, OutputError, UsageError
 from ..formats.points import coordinates
@@ -89,7 +90,7 @@ class RasterSource:
     claimed : what its georeferencing says; see `georeference.Claim`.
     """
 
-    unit = "m/px"
+    unit = PER_PIXEL
 
     def __init__(self, path: Path, dataset: DatasetReader):
         """Use `RasterSource.open`."""
