@@ -18,7 +18,6 @@ import numpy as np
 
 from orthoscale.actions.estimate import estimate
 from orthoscale.core.detections import Detections
-from orthoscale.core.fleet import Fleet
 from orthoscale.core.measuring.measure import measure
 from orthoscale.detect.cache import TileCache, cache_key
 from orthoscale.detect.detector import Detector
@@ -27,6 +26,7 @@ from orthoscale.detect.order import visiting_order
 from orthoscale.detect.promise import FAR, LOOKS, UNPROMISING, hint
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import CONFIRMING_ZOOM, tiles
+from orthoscale.fleets import load_fleet
 from orthoscale.sources.opening import open_source
 
 
@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--time", action="store_true", help="also run both sweeps without the cache, and time them")
     a = parser.parse_args()
 
-    source, fleet, detector = open_source(a.raster), Fleet.load(a.fleet), Detector(threads=1)
+    source, fleet, detector = open_source(a.raster), load_fleet(a.fleet), Detector(threads=1)
     (picture,) = source.pictures
     whole = estimate(source, fleet=a.fleet, exhaustive=True, zoom=a.zoom)
     zoom = whole.detections.zoom
@@ -53,7 +53,7 @@ def main() -> None:
 
     def sampling(found) -> float:
         kept = Detections(found.boxes, zoom, detector.card.ruler, detector.card.effective_height, "", "")
-        scales.append(measure(source, kept, fleet)[3])
+        scales.append(measure(source, kept, fleet).scale)
         return scales[-1].parts["sampling"]
 
     rows = []

@@ -21,6 +21,7 @@ from orthoscale.core.pooling.paper import pool_iqr
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.errors import TooLittleEvidence
+from orthoscale.fleets import load_fleet
 
 FLEETS = ("US", "DE", "JP", "IN", "BR", "CN", "PH", "WORLD")
 SCENES = 500  # a cell
@@ -104,7 +105,7 @@ def by_fleet(ruler: Ruler, scenes: int) -> str:
     """Each fleet in each condition, all pixel sizes together."""
     rows = []
     for code in FLEETS:
-        fleet = Fleet.load(code)
+        fleet = load_fleet(code)
         rows.append([code, *(run(fleet, scenes, ruler=ruler, vans=v, false=f).cell() for v, f in CONDITIONS.values())])
     return table(["fleet", *CONDITIONS], rows)
 
@@ -114,20 +115,20 @@ def by_gsd(name: str, scenes: int) -> str:
     vans, false = CONDITIONS[name]
     rows = []
     for code in FLEETS:
-        fleet = Fleet.load(code)
+        fleet = load_fleet(code)
         rows.append([code, *(run(fleet, scenes, gsds=(g,), vans=vans, false=false).cell() for g in GSDS)])
     return table(["fleet", *(f"{100 * g:.0f} cm/px" for g in GSDS)], rows)
 
 
 def without_country(scenes: int) -> str:
     """Vehicles of a country drawn anew for each scene, pooled as of a fleet to be found, and as of the world's."""
-    auto = Fleet.load("auto")
+    auto = load_fleet("auto")
     countries = auto.candidates[1:]  # the first is the world's average
     rows = []
     for name in ("vehicles only", "both"):
         vans, false = CONDITIONS[name]
         cells = []
-        for ruler_fleet in (auto, Fleet.load("WORLD")):
+        for ruler_fleet in (auto, load_fleet("WORLD")):
             errors, sds, hits = [], [], []
             for k in range(scenes):
                 rng, gsd = np.random.default_rng([3, k]), GSDS[k % len(GSDS)]
@@ -147,7 +148,7 @@ def by_count(code: str, vans: float, false: float, scenes: int) -> str:
     """Error against the number of boxes, and what the paper's mean makes of the same boxes."""
     rows = []
     for n in COUNTS:
-        t = run(Fleet.load(code), scenes if n < 3000 else scenes // 2, n, vans=vans, false=false)
+        t = run(load_fleet(code), scenes if n < 3000 else scenes // 2, n, vans=vans, false=false)
         own = [rms(t.error), rms(t.sd), f"{100 * t.hit.mean():.0f} %", f"{t.refused}"]
         paper = [rms(t.paper_error), f"{100 * t.paper_hit.mean():.0f} %", rms(t.fair_error)]
         rows.append([f"{n:,}", *own, *paper])
@@ -157,7 +158,7 @@ def by_count(code: str, vans: float, false: float, scenes: int) -> str:
 
 def paper_thresholds(scenes: int) -> str:
     """The paper's two thresholds: scenes answered, and the RMS error of those, fleet and margin known exactly."""
-    fleet = Fleet.load("PAPER")
+    fleet = load_fleet("PAPER")
     known = replace(fleet, mean_sd=np.full(3, 1e-6))
     exact = replace(NO_MARGIN, bias_sd=(0.0, 0.0))
     rows = []

@@ -20,7 +20,7 @@ import rasterio
 from rasterio.enums import Resampling
 from rasterio.windows import Window
 
-from orthoscale.core.fleet import Fleet
+from orthoscale.fleets import load_fleet
 from orthoscale.synthetic import make_scene, render_ortho
 
 SIDE, GSD = 2048, 0.1
@@ -44,7 +44,7 @@ def scenes(folder: Path) -> list[list[Path]]:
         for n, path in enumerate(files[-1]):
             if path.exists():
                 continue
-            scene = make_scene(100 * k + n, Fleet.load("DE"), SIDE * GSD, vehicles, style)
+            scene = make_scene(100 * k + n, load_fleet("DE"), SIDE * GSD, vehicles, style)
             image, _ = render_ortho(scene, GSD, seed=100 * k + n)
             part = path.with_suffix(".part.png")
             cv2.imwrite(str(part), cv2.cvtColor(image[:SIDE, :SIDE], cv2.COLOR_RGB2BGR))

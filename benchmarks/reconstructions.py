@@ -14,11 +14,11 @@ import numpy as np
 
 from orthoscale.actions.estimate import estimate
 from orthoscale.actions.result import Result
-from orthoscale.core.fleet import Fleet
 from orthoscale.core.pooling.paper import pool_iqr
 from orthoscale.core.projection.decoupled import PRIORS, VARIANTS, paper_scale
 from orthoscale.core.projection.view import Views
 from orthoscale.errors import TooLittleEvidence
+from orthoscale.fleets import load_fleet
 
 SCENES = {"sheffield": "US", "brighton": "US"}
 # Outer corners of the northern tennis court in one frame, picked by hand [px], and its size [m].
@@ -57,19 +57,19 @@ def main() -> None:
     for scene, fleet in SCENES.items():
         folder = data / "reconstructions" / scene
         truth = json.loads((folder / "truth.json").read_text())["metres_per_model_unit"]
-        result = estimate(folder, fleet=Fleet.load(fleet).code, detections=boxes and boxes / f"{scene}.json")
+        result = estimate(folder, fleet=load_fleet(fleet).code, detections=boxes and boxes / f"{scene}.json")
         source, measured = result.source, result.measured
         print(f"\n`{scene}`, truth {truth} m per unit, {len(result.boxes)} boxes in frames\n")
         print("| method | m per unit | error | 90 % interval |\n|---|---|---|---|")
         rows = {"pooled": (result.scale.value, result.scale.interval90)}
-        rows |= {name: (m["scale"], m["interval90"]) for name, m in measured.findings["modes"].items()}
+        rows |= {name: (m.scale.value, m.scale.interval90) for name, m in measured.modes.items()}
         for name, (value, (low, high)) in rows.items():
             print(f"| {name} | {value:.4g} | {100 * (value / truth - 1):+.1f} % | {low:.4g} to {high:.4g} |")
         for name, value in by_the_paper(result, source).items():
             print(f"| decoupled, {name} | {value:.4g} | {100 * (value / truth - 1):+.1f} % | |")
         if measured.agreement is not None:
             print(f"\n{measured.agreement.sentence()}")
-        changes = measured.findings["calibration"]["trends"]
+        changes = measured.found.calibration.trends
         for when, slopes in (changes or {}).items():
             said = ", ".join(f"{v:+.1f} +- {sd:.1f} {name.replace('_', ' ')}" for name, (v, sd) in slopes.items())
             print(f"\nTrend {when} calibration: {said}")

@@ -17,6 +17,7 @@ from orthoscale.core.projection import self_calibration as calibration
 from orthoscale.core.projection.exact import Hull
 from orthoscale.core.projection.self_calibration import OwnRuler, own_ruler
 from orthoscale.core.projection.view import Views
+from orthoscale.fleets import load_fleet
 
 UNIT = 3.7  # metres
 FOCAL, WIDTH, HEIGHT = 1000.0, 1440.0, 1080.0
@@ -108,7 +109,7 @@ def find(flight: Flight, metres_per_unit: float = UNIT) -> tuple[OwnRuler, np.nd
 
 
 def main() -> None:
-    fleet = Fleet.load("DE")
+    fleet = load_fleet("DE")
     rows = []
     for height, margin, undercut in [*((h, m, 0.0) for h in HEIGHTS for m in MARGINS), *UNDERCUTS]:
         flights = [fly(np.random.default_rng([k, 1]), fleet, height, margin, undercut=undercut) for k in range(FLIGHTS)]

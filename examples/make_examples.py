@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from orthoscale.core.detections import Detections
-from orthoscale.core.fleet import Fleet
-from orthoscale.core.measuring.looks import find_in_model
+from orthoscale.actions.find import find_in_model
 from orthoscale.detect.detector import Detector
+from orthoscale.fleets import load_fleet
+from orthoscale.formats.detections.own import save_detections
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.synthetic import make_scene, write_ortho
 
@@ -31,7 +31,7 @@ TRACK = 5  # observations kept of each point
 
 
 def make_town() -> None:
-    scene = make_scene(seed=11, fleet=Fleet.load("DE"), extent_m=130, n_vehicles=90, style="suburb")
+    scene = make_scene(seed=11, fleet=load_fleet("DE"), extent_m=130, n_vehicles=90, style="suburb")
     truth = write_ortho(scene, HERE / "town" / "ortho.jpg", TOWN_GSD, seed=11)
     (HERE / "town" / "ortho.truth.json").unlink()
     keep = {"gsd_m": truth["gsd_m"], "fleet": "DE", "what": "synthetic suburb, python -m orthoscale.synthetic, seed 11"}
@@ -46,7 +46,7 @@ def make_sheffield(data: Path) -> None:
     reduced(pycolmap.Reconstruction(str(original / "sparse"))).write_binary(str(folder / "sparse"))
     source = ColmapSource.open(original)
     found, _ = find_in_model(source, None, Detector())
-    Detections.save(found, folder / "detections.json")
+    save_detections(found, folder / "detections.json")
     truth = json.loads((original / "truth.json").read_text())
     keep = {key: truth[key] for key in ("metres_per_model_unit", "how", "relative_uncertainty")}
     keep |= {"fleet": "US", "source": "pierotofy/drone_dataset_sheffield_cross, public domain"}

@@ -30,7 +30,12 @@ __all__ = [
     "check",
     "estimate",
     "fix",
+    "load_calibration",
+    "load_detections",
+    "load_fleet",
     "photo",
+    "save_calibration",
+    "save_detections",
 ]
 
 libz.settle()
@@ -48,6 +53,9 @@ if TYPE_CHECKING:
     from .core.fleet import Fleet
     from .core.scale import Scale
     from .errors import OrthoscaleError
+    from .fleets import load_fleet
+    from .formats.calibration import load_calibration, save_calibration
+    from .formats.detections.own import load_detections, save_detections
     from .photos.survey import photo
 
 _HOME = {
@@ -63,7 +71,12 @@ _HOME = {
     "check": "actions.check",
     "estimate": "actions.estimate",
     "fix": "actions.fix",
+    "load_calibration": "formats.calibration",
+    "load_detections": "formats.detections.own",
+    "load_fleet": "fleets",
     "photo": "photos.survey",
+    "save_calibration": "formats.calibration",
+    "save_detections": "formats.detections.own",
 }
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())  # who uses the library says whether it speaks

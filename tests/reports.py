@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 import orthoscale
-from orthoscale.core.fleet import Fleet
+from orthoscale.fleets import load_fleet
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
 GSD = 0.1  # m/px
@@ -23,7 +23,7 @@ def car_park(folder: Path, name: str = "park.png", count: int = 60, drift: float
     `drift` : the vehicles at the right are so much smaller (relative, in pixels) than those at the left.
     """
     random = np.random.default_rng(seed)
-    size = Fleet.load("DE").sample(random, count)[:, :2]
+    size = load_fleet("DE").sample(random, count)[:, :2]
     places = [(60 + 90 * i, 60 + 95 * j) for j in range(7) for i in range(10)]
     centre = np.array(places, float)[random.permutation(len(places))[:count]]
     px = size / GSD * (1 - drift * centre[:, :1] / WIDTH)

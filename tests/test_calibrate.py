@@ -16,6 +16,8 @@ from orthoscale.core.detections import UNKNOWN_RULER
 from orthoscale.core.fleet import Fleet
 from orthoscale.core.ruler import Ruler
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+from orthoscale.fleets import load_fleet
+from orthoscale.formats.calibration import load_calibration, save_calibration
 
 GSD = 0.1
 ZOOMS = np.array([0.6, 0.85, 1.2])
@@ -53,7 +55,7 @@ def test_a_contradiction_widens():
 @pytest.mark.parametrize("ruler", [UNKNOWN_RULER, Ruler()], ids=["unknown detector", "detector with a card"])
 def test_the_margin_is_within_what_is_said_of_it(ruler):
     """Places whose fleet, margin and boxes stray as much as they claim to."""
-    fleet = Fleet.load("DE")
+    fleet = load_fleet("DE")
     pulls = []
     for seed in range(25):
         rng = np.random.default_rng(seed)
@@ -71,7 +73,7 @@ def test_the_margin_is_within_what_is_said_of_it(ruler):
 
 def test_box_noise_comes_back():
     rng = np.random.default_rng(1)
-    looks = looks_at(Fleet.load("US").sample(rng, 600)[:, :2], 0.0, np.array([2.0, 1.2]), rng)
+    looks = looks_at(load_fleet("US").sample(rng, 600)[:, :2], 0.0, np.array([2.0, 1.2]), rng)
     assert box_noise(looks, ZOOMS) == pytest.approx((2.0, 1.2), rel=0.15)
 
 
@@ -84,13 +86,13 @@ def test_only_vehicles_that_all_looks_show_count():
 
 def test_vehicles_of_another_scale_are_refused():
     rng = np.random.default_rng(0)
-    looks = looks_at(Fleet.load("DE").sample(rng, 60)[:, :2] * 2, 0.0, 1.0, rng)
+    looks = looks_at(load_fleet("DE").sample(rng, 60)[:, :2] * 2, 0.0, 1.0, rng)
     with pytest.raises(InputError, match="would be"):
-        measure_ruler(looks, ZOOMS, GSD, Fleet.load("DE"), Ruler())
+        measure_ruler(looks, ZOOMS, GSD, load_fleet("DE"), Ruler())
 
 
 def test_a_fleet_grows_class_by_class():
-    japan = Fleet.load("JP")
+    japan = load_fleet("JP")
     entry = scaled_fleet(japan, np.array([1.1, 1.05]), np.array([0.01, 0.02]), "a place", "a test")
     local = Fleet.from_entry("local", json.loads(json.dumps(entry)))
     assert local.mean == pytest.approx(japan.mean * [1.1, 1.05, 1], abs=1e-3)
@@ -111,7 +113,7 @@ def place(tmp_path_factory):
     cv2.imwrite(str(folder / "place.png"), image)
     n = 60
     rng = np.random.default_rng(5)
-    sizes = Fleet.load("DE").sample(rng, n)[:, :2] / GSD
+    sizes = load_fleet("DE").sample(rng, n)[:, :2] / GSD
     spots = np.stack(np.meshgrid(np.arange(10) * 65 + 60.0, np.arange(6) * 65 + 60.0), -1).reshape(-1, 2)
     sized = np.column_stack([spots, sizes, np.zeros((n, 2))])[None]
     rest = np.tile([0, 0, 3, 2, 0.3, 0.9], (n, 1))[None]
@@ -148,7 +150,7 @@ def test_a_calibrated_detector_measures_better(place, tmp_path):
     result = command("calibrate", place / "place.png", "--gsd", GSD, *common, "--out", out)
     assert result.exception is None, result.output
     assert "60, at 0.1 m/px, against fleet DE" in result.output
-    ruler = Calibration.load(out).ruler
+    ruler = load_calibration(out).ruler
     assert ruler.margin == pytest.approx((3, 2), abs=0.8)
     assert ruler.noise[0] < 1
 
@@ -168,7 +170,7 @@ def test_the_local_fleet_travels_with_the_file(place, tmp_path):
     assert result.exception is None, result.output
     told = json.loads(result.output)
     assert told.items() <= json.loads(out.read_text()).items()
-    american = Fleet.load("US").mean
+    american = load_fleet("US").mean
     assert told["fleet"]["length"][0] < american[0], "these are German vehicles"
     options = {"detector": place / "net.onnx", "zoom": 0.9, "calibration": out}
     local = orthoscale.estimate(place / "place.png", **options)
@@ -178,7 +180,7 @@ def test_the_local_fleet_travels_with_the_file(place, tmp_path):
 
 def test_a_calibration_is_for_its_own_detector(place, tmp_path):
     out = tmp_path / "ruler.json"
-    Calibration("another", "ff", Ruler(), None, {}).save(out)
+    save_calibration(Calibration("another", "ff", Ruler(), None, {}), out)
     with pytest.raises(UsageError, match="was measured for another, but these boxes are those of"):
         orthoscale.estimate(place / "place.png", detector=place / "net.onnx", zoom=0.9, calibration=out)
 
@@ -207,6 +209,6 @@ def test_what_cannot_be_calibrated(place, tmp_path):
 def test_a_file_that_is_no_calibration(tmp_path, text):
     (tmp_path / "bad.json").write_text(text)
     with pytest.raises(InputError, match=r"bad\.json: not a calibration"):
-        Calibration.load(tmp_path / "bad.json")
+        load_calibration(tmp_path / "bad.json")
     with pytest.raises(InputError, match="cannot be read"):
-        Calibration.load(tmp_path / "none.json")
+        load_calibration(tmp_path / "none.json")

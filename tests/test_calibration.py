@@ -13,20 +13,20 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 from ruler_calibration import UNIT, find, fly  # noqa: E402
 
-from orthoscale.core.fleet import Fleet  # noqa: E402
 from orthoscale.core.projection.self_calibration import UNDERCUT, OwnRuler, own_ruler, trends  # noqa: E402
+from orthoscale.fleets import load_fleet
 
 CARD = OwnRuler.shipped((0.7, 0.5), (1.0, 1.0), (0.25, 0.25), (1.0, 1.0))
 
 
 @pytest.fixture(scope="module")
 def flight():
-    return fly(np.random.default_rng(1), Fleet.load("DE"), 1.1, 3.0, vehicles=40, frames=20)
+    return fly(np.random.default_rng(1), load_fleet("DE"), 1.1, 3.0, vehicles=40, frames=20)
 
 
 @pytest.mark.parametrize("height, margin", [(0.5, 0.0), (1.6, 4.0)])
 def test_height_and_margin_come_back_and_the_scale_is_unbiased(height, margin):
-    ruler, error = find(fly(np.random.default_rng(0), Fleet.load("DE"), height, margin))
+    ruler, error = find(fly(np.random.default_rng(0), load_fleet("DE"), height, margin))
     # Above the belt a car grows narrower, so that lengths hardly tell how high a box reaches there.
     assert ruler.height == pytest.approx([height] * 2, abs=0.15 if height < 0.85 else 0.3)
     assert ruler.margin == pytest.approx([margin] * 2, abs=0.5)
@@ -37,7 +37,7 @@ def test_height_and_margin_come_back_and_the_scale_is_unbiased(height, margin):
 @pytest.mark.parametrize("undercut, height", [(0.15, 0.8), (0.3, 0.9)])
 def test_a_body_that_recedes_below_does_not_bias_the_scale(undercut, height):
     """Without an undercut, a straight line through the flat views takes 8 % off all widths."""
-    body = fly(np.random.default_rng(1), Fleet.load("DE"), height, 1.0, undercut=undercut)
+    body = fly(np.random.default_rng(1), load_fleet("DE"), height, 1.0, undercut=undercut)
     ruler, error = find(body)
     assert ruler.undercut == pytest.approx([undercut] * 2, abs=0.05)
     assert ruler.height == pytest.approx([height] * 2, abs=0.15)
@@ -63,7 +63,7 @@ def test_a_trend_is_gone_once_the_ruler_is_found(flight):
 
 
 def test_from_one_altitude_the_margin_stays_as_shipped(flight):
-    level = fly(np.random.default_rng(3), Fleet.load("DE"), 1.1, 3.0, vehicles=40, frames=20, altitude=(90, 90))
+    level = fly(np.random.default_rng(3), load_fleet("DE"), 1.1, 3.0, vehicles=40, frames=20, altitude=(90, 90))
     ruler = own_ruler(level.boxes, level.views, 1.0, level.members, UNIT, CARD)
     assert (ruler.margin == CARD.margin).all() and (ruler.height != CARD.height).all()
 

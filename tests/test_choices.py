@@ -6,14 +6,17 @@ import pytest
 from test_colmap import make_model, save
 
 from orthoscale.core.boxes import Boxes, suppress
-from orthoscale.core.fleet import Fleet
-from orthoscale.core.measuring.oblique import geometry
+from orthoscale.core.detections import Tile
+from orthoscale.core.measuring.geometry import Observation
+from orthoscale.core.measuring.oblique import GROUND, height_share
 from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.projection.exact import Hull
+from orthoscale.core.ruler import Ruler
 from orthoscale.core.scale import Scale
 from orthoscale.core.verdicts import verdict
 from orthoscale.detect.sweep import sweep_twice
-from orthoscale.detect.tiles import Looks, Tile
+from orthoscale.detect.tiles import Looks
+from orthoscale.fleets import load_fleet
 from orthoscale.photos.measure import Photo
 from orthoscale.photos.tags import Tags
 from orthoscale.sources.colmap import ColmapSource
@@ -77,12 +80,13 @@ def test_the_words_for_a_scale_follow_its_uncertainty(sd, word):
 
 def test_the_ground_of_a_model_is_known_to_a_hundredth_however_many_vehicles_stand_on_it():
     size = np.tile([4.5, 1.8], (1000, 1))
-    shared = geometry(size, np.zeros((1000, 2)), np.zeros(2))  # seen from the nadir: the height of vehicles is nothing
+    nadir = height_share(size, np.zeros((1000, 2)), 1.0)  # from there vehicles show nothing of their height
+    shared = Observation(size, Ruler(), nadir, GROUND).covariance
     assert shared == pytest.approx(np.full((2, 2), 0.01**2))
 
 
 def test_vehicles_of_one_place_stray_from_their_countrys_mean():
-    fleet = Fleet.load("DE")
+    fleet = load_fleet("DE")
     national = (fleet.mean_sd / fleet.mean)[:2]
     local = np.sqrt(np.diag(fleet.log_mean_covariance) - national**2)
     assert local == pytest.approx([0.025, 0.012], rel=1e-6)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import orthoscale
-from orthoscale.core.fleet import Fleet
 from orthoscale.errors import EvidenceDisagrees, InputError, UsageError
+from orthoscale.fleets import load_fleet
+from orthoscale.formats.detections.own import save_detections
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 TOWN = EXAMPLES / "town" / "ortho.jpg"
@@ -23,7 +24,7 @@ FOUND = EXAMPLES / "sheffield" / "detections.json"
 def boxes(tmp_path_factory):
     """Vehicles of the German fleet on the town's picture, at its scale, with a tennis court among them."""
     rng = np.random.default_rng(0)
-    size = Fleet.load("DE").sample(rng, 60)[:, :2] / GSD
+    size = load_fleet("DE").sample(rng, 60)[:, :2] / GSD
     rows = [{"cx": 40 + 90 * (k % 10), "cy": 40 + 90 * (k // 10), "length": s[0], "width": s[1],
              "angle": float(rng.uniform(-1.5, 1.5))} for k, s in enumerate(size)]  # fmt: skip
     path = tmp_path_factory.mktemp("found") / "boxes.json"
@@ -57,7 +58,7 @@ def test_a_court_among_the_boxes_counts_unless_told_otherwise(boxes):
     assert seen.scale.value == pytest.approx(GSD, rel=0.02)
     blind = orthoscale.estimate(TOWN, fleet="world", detections=court, surroundings=False)
     assert not blind.scale.evidence and blind.scale.relative_sd > 2 * seen.scale.relative_sd
-    seen.detections.save(boxes.with_name("again.json"))
+    save_detections(seen.detections, boxes.with_name("again.json"))
     again = orthoscale.estimate(TOWN, fleet="world", detections=boxes.with_name("again.json"))
     assert again.scale.value == pytest.approx(seen.scale.value, rel=1e-3)
 

@@ -14,6 +14,7 @@ from rasterio.transform import Affine
 from test_photo import ALTITUDE, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
 
 from orthoscale.errors import UsageError
+from orthoscale.formats.detections.own import save_detections
 from orthoscale.photos.crop import Satellite, plan_crops
 
 LON, LAT = 9.0, 60.0
@@ -102,7 +103,7 @@ def test_a_gallery_with_its_manifest(tmp_path):
     path = satellite(tmp_path / "sat.tif")
     photo = write_photo(tmp_path / "a.jpg")
     (tmp_path / "cars.json").write_text(json.dumps(CARS))
-    detections_of({"a.jpg": boxes_in(view_from(-90))}).save(tmp_path / "boxes.json")
+    save_detections(detections_of({"a.jpg": boxes_in(view_from(-90))}), tmp_path / "boxes.json")
     out = tmp_path / "crops"
     lens = ["--focal-px", FOCAL, "--pitch", -90]
     rules = ["--detections", tmp_path / "boxes.json", "--fleet", tmp_path / "cars.json", *lens]
@@ -150,7 +151,7 @@ def test_bad_input_ends_in_one_sentence_and_nothing_written(tmp_path, monkeypatc
     satellite(tmp_path / "sat.tif", size=300)
     cv2.imwrite("plain.png", np.full((300, 300, 3), 120, np.uint8))
     write_photo(tmp_path / "a.jpg")
-    detections_of({"a.jpg": boxes_in(view_from(-90), 3)}).save(tmp_path / "few.json")
+    save_detections(detections_of({"a.jpg": boxes_in(view_from(-90), 3)}), tmp_path / "few.json")
     done = run(photo, "--satellite", sky, *options, "--out", "out")
     assert done.returncode == code, done.stderr
     assert word in done.stderr and "Traceback" not in done.stderr and not (tmp_path / "out").exists()

@@ -17,6 +17,7 @@ from orthoscale.actions.estimate import estimate
 from orthoscale.cli.main import cli
 from orthoscale.core.boxes import Boxes
 from orthoscale.errors import TooLittleEvidence, UsageError
+from orthoscale.formats.detections.own import save_detections
 
 GSD = 0.08  # [m/px] of the orthophoto
 
@@ -52,7 +53,7 @@ def pair(tmp_path_factory):
     save(model, folder / "sparse/0", "bin")
     put_frames(model, folder / "images")
     found = found_by(folder, turn)
-    found.save(folder / "model.json")
+    save_detections(found, folder / "model.json")
     bodies, ends = (points @ turn * UNIT for points in vehicles(turn))
     cv2.imwrite(str(folder / "ortho.png"), np.full((1500, 1500, 3), 90, np.uint8))
     rows = []
@@ -65,7 +66,7 @@ def pair(tmp_path_factory):
         rows.append([*centre, np.ptp(along), np.ptp(across), np.arctan2(u[1], u[0])])
     ruler = replace(found.ruler, margin=(0.0, 0.0))
     boxes = {"ortho.png": Boxes(np.array(rows), np.full(len(rows), 0.9))}
-    replace(found, boxes=boxes, ruler=ruler, planar=None).save(folder / "ortho.json")
+    save_detections(replace(found, boxes=boxes, ruler=ruler, planar=None), folder / "ortho.json")
     return folder
 
 

@@ -7,18 +7,19 @@ import pytest
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import UNKNOWN_RULER, Detections
-from orthoscale.core.fleet import Fleet
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
 from orthoscale.errors import InputError, TooLittleEvidence
+from orthoscale.fleets import load_fleet
+from orthoscale.formats.detections.own import load_detections, save_detections
 
 
 def test_what_is_saved_reads_back(tmp_path):
     boxes = {"a.jpg": Boxes([[10.25, 20.5, 40.125, 17, 0.3]], [0.75]), "b.jpg": Boxes.empty()}
     ruler = Ruler((0.5, 1.0), (0.3, 0.4), (0.01, 0.02), noise=(1.0, 0.8))
-    Detections(boxes, 0.8, ruler, (0.7, 0.5), "test", "abc").save(tmp_path / "d.json")
-    again = Detections.load(tmp_path / "d.json")
+    save_detections(Detections(boxes, 0.8, ruler, (0.7, 0.5), "test", "abc"), tmp_path / "d.json")
+    again = load_detections(tmp_path / "d.json")
     assert again.boxes["a.jpg"].xylwa == pytest.approx(boxes["a.jpg"].xylwa, abs=0.01)
     assert len(again) == 1 and len(again.boxes["b.jpg"]) == 0 and again.body == "car"
     assert (again.zoom, again.ruler, again.effective_height, again.detector) == (0.8, ruler, (0.7, 0.5), "test")
@@ -28,7 +29,7 @@ def test_plain_boxes_of_others_get_a_careful_ruler(tmp_path):
     row = {"cx": 5, "cy": 6, "length": 40, "width": 17, "angle": 0.1}
     path = tmp_path / "theirs.json"
     path.write_text(json.dumps({"a.jpg": [row, {**row, "kind": "large-vehicle"}], "b.jpg": []}))
-    found = Detections.load(path)
+    found = load_detections(path)
     assert len(found) == 1 and found.ruler == UNKNOWN_RULER and found.zoom == 1
     assert found.boxes["a.jpg"].score.tolist() == [1]
 
@@ -51,15 +52,15 @@ def test_a_file_that_is_none_is_refused_by_name(tmp_path, content):
     path = tmp_path / "bad.json"
     path.write_text(content)
     with pytest.raises(InputError, match=r"bad\.json: not a detections file"):
-        Detections.load(path)
+        load_detections(path)
     with pytest.raises(InputError, match="cannot be read"):
-        Detections.load(tmp_path / "missing.json")
+        load_detections(tmp_path / "missing.json")
 
 
 def test_boxes_are_normalised_on_the_way_in(tmp_path):
     path = tmp_path / "flat.json"
     path.write_text(json.dumps({"a": [{"cx": 0, "cy": 0, "length": 2, "width": 4, "angle": 0}]}))
-    assert Detections.load(path).boxes["a"].xylwa[0, 2:] == pytest.approx([4, 2, -np.pi / 2])
+    assert load_detections(path).boxes["a"].xylwa[0, 2:] == pytest.approx([4, 2, -np.pi / 2])
 
 
 @pytest.mark.parametrize("width", [40.0, 20.0, 0.4])
@@ -71,7 +72,7 @@ def test_boxes_shaped_like_no_vehicles_are_too_little_evidence_or_a_scale_but_no
     votes = gather(boxes.xylwa[:, 2:4], pixel, boxes.centre, boxes.score, False, boxes.spread)
     for ruler in (UNKNOWN_RULER, Ruler(margin=(-30.0, -0.2)), Ruler(margin=(30.0, 0.0))):
         try:
-            scale = pool(votes, Fleet.load("DE"), ruler, "m/px")
+            scale = pool(votes, load_fleet("DE"), ruler, "m/px")
             assert np.isfinite([scale.value, *scale.interval90]).all() and scale.value > 0
         except TooLittleEvidence:
             assert width != 20.0 or ruler.margin != UNKNOWN_RULER.margin

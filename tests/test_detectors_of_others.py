@@ -9,17 +9,19 @@ import pytest
 
 import orthoscale
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.detections import Detections
-from orthoscale.core.fleet import Fleet
+from orthoscale.core.detections import Detections, Tile
 from orthoscale.core.measuring.measure import measure
+from orthoscale.core.measuring.method import Method
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect import foreign
 from orthoscale.detect.cache import TileCache
 from orthoscale.detect.classes import is_vehicle, vehicle_numbers
 from orthoscale.detect.detector import MOST, Detector
 from orthoscale.detect.sweep import sweep_twice
-from orthoscale.detect.tiles import Looks, Tile, look_twice
+from orthoscale.detect.tiles import Looks, look_twice
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
+from orthoscale.fleets import load_fleet
+from orthoscale.tables import standards
 
 onnx = pytest.importorskip("onnx")
 helper, numpy_helper = onnx.helper, onnx.numpy_helper
@@ -429,7 +431,7 @@ def test_a_court_in_two_tiles_counts_once_and_becomes_evidence():
     ruler = Ruler(margin=(0, 0))
     detections = Detections(found.boxes, 1.0, ruler, (0.7, 0.5), "test", objects=found.objects)
     source = type("Ortho", (), {"picture_names": ["court.png"], "unit": "m/px"})()
-    scale = measure(source, detections, Fleet.load("DE")).scale
+    scale = measure(source, detections, load_fleet("DE"), Method(standards=standards())).scale
     (evidence,) = [e for e in scale.evidence if e.kind == "tennis-court"]
     assert evidence.value == pytest.approx(0.1, rel=0.002)
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.fleet import Fleet
 from orthoscale.core.measuring.drift import FEWEST, Drift, drift
 from orthoscale.core.measuring.vehicles import vehicle_table
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
+from orthoscale.fleets import load_fleet
 from orthoscale.report import document, judgement
 
 WIDTH, HEIGHT, GSD = 8000, 6000, 0.1
@@ -27,7 +27,7 @@ def measured(rng, n, change=lambda x, y: 0.0, clusters=None):
 
 def table(votes):
     boxes = Boxes(np.column_stack([votes.place, votes.size, np.zeros(len(votes))]), votes.score)
-    scale = pool(votes, Fleet.load("DE"), Ruler(), "m/px")
+    scale = pool(votes, load_fleet("DE"), Ruler(), "m/px")
     return vehicle_table(votes, votes.size, scale, boxes, np.full(len(boxes), "a.tif"))
 
 

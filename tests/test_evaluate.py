@@ -8,12 +8,12 @@ import in_process
 import numpy as np
 import pytest
 
-from orthoscale.core.detections import Detections
-from orthoscale.core.fleet import Fleet
 from orthoscale.errors import InputError
 from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, changed, read_samples
 from orthoscale.evaluate.score import score, summary
 from orthoscale.evaluate.surface import Surface
+from orthoscale.fleets import load_fleet
+from orthoscale.formats.detections.own import load_detections
 from orthoscale.photos.looking import save_boxes
 from orthoscale.photos.measure import RIGHT
 from orthoscale.synthetic import NormalFleet, make_scene
@@ -90,7 +90,7 @@ def test_a_table_with_pitch_and_focal_length(folders):
 def measured(folders, name):
     path = folders / name / "photos.csv" if name == "table" else folders / name
     samples, _ = read_samples(path)
-    return samples, Detections.load(folders / name / "detections.json"), Fleet.load(folders / "fleet.json")
+    return samples, load_detections(folders / name / "detections.json"), load_fleet(folders / "fleet.json")
 
 
 @pytest.mark.parametrize("name, worst", [("dense", 1.0), ("visloc", 1.0), ("table", 1.5)])

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from orthoscale.core.evidence import Evidence, combined, ground_control, known_distance
+from orthoscale.core.measuring.objects import standard_object
 from orthoscale.core.pooling.posterior import Posterior
-from orthoscale.evidence.objects import known_objects, standard_object
+from orthoscale.tables import known_objects
 
 VEHICLES = Posterior.normal(np.log(0.10), 0.05)
 PARTS = {"sampling": 0.03, "fleet": 0.04}
@@ -71,14 +72,20 @@ def test_ground_control_is_a_similarity_wherever_its_axes_point():
         ground_control(units[:1], metres[:1])
 
 
+def scale_by(kind, size, pixel):
+    return standard_object(kind, known_objects().get(kind, []), size, pixel)
+
+
 def test_courts_and_containers_are_told_apart_by_their_shape():
     pixel = np.full(2, 1.0)
-    court = standard_object("tennis-court", np.array([[237.7, 109.7], [238.5, 110.0]]), pixel)
+    court = standard_object(
+        "tennis-court", known_objects().get("tennis-court", []), np.array([[237.7, 109.7], [238.5, 110.0]]), pixel
+    )
     assert court.value == pytest.approx(0.1, rel=0.01) and court.relative_sd < 0.02
     boxes = np.array([[121.9, 24.4], [60.6, 24.4]])  # 40 and 20 feet
-    assert standard_object("container", boxes, pixel).value == pytest.approx(0.1, rel=0.01)
-    assert standard_object("tennis-court", np.array([[100.0, 95.0]]), pixel[:1]) is None  # no court is square
-    assert standard_object("swimming-pool", boxes, pixel) is None
+    assert scale_by("container", boxes, pixel).value == pytest.approx(0.1, rel=0.01)
+    assert scale_by("tennis-court", np.array([[100.0, 95.0]]), pixel[:1]) is None  # no court is square
+    assert scale_by("swimming-pool", boxes, pixel) is None
 
 
 def test_every_standard_says_where_it_comes_from():

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from orthoscale.core import fleet as fleet_module
-from orthoscale.core.fleet import Fleet, codes
 from orthoscale.countries import country_at
 from orthoscale.errors import InputError, UsageError
+from orthoscale.fleets import fleet_codes, load_fleet
 
 
-@pytest.mark.parametrize("code", codes())
+@pytest.mark.parametrize("code", fleet_codes())
 def test_every_fleet_is_plausible_and_says_where_it_comes_from(code):
-    fleet = Fleet.load(code)
+    fleet = load_fleet(code)
     assert 3.5 < fleet.mean[0] < 6 and 1.5 < fleet.mean[1] < 2.2 and 1.4 < fleet.mean[2] < 2.1
     assert (fleet.mean_sd > 0).all() and len(fleet.source) > 10
     assert sum(c.weight for c in fleet.classes) == pytest.approx(1)
@@ -24,7 +24,7 @@ def test_every_fleet_is_plausible_and_says_where_it_comes_from(code):
 
 @pytest.mark.parametrize("code", ["US", "JP", "WORLD"])
 def test_samples_have_the_fleets_moments(code):
-    fleet = Fleet.load(code)
+    fleet = load_fleet(code)
     sizes = fleet.sample(np.random.default_rng(0), 40_000)
     assert sizes.mean(0) == pytest.approx(fleet.mean, rel=0.01)
     assert sizes[:, :2].std(0) == pytest.approx(fleet.sd[:2], rel=0.12)
@@ -34,7 +34,7 @@ def test_samples_have_the_fleets_moments(code):
 def test_classes_follow_from_the_shares_of_segments():
     document = json.loads((Path(fleet_module.__file__).parent / "data" / "fleets.json").read_text())
     known = {"mini", "small", "compact", "mid", "large", "SUV", "pickup", "van"}
-    mixed = [Fleet.load(code) for code, entry in document["fleets"].items() if "shares" in entry]
+    mixed = [load_fleet(code) for code, entry in document["fleets"].items() if "shares" in entry]
     assert len(mixed) >= 30
     for fleet in mixed:
         shares = document["fleets"][fleet.code]["shares"]
@@ -54,17 +54,17 @@ def test_classes_follow_from_the_shares_of_segments():
 
 def test_fleets_without_known_shares_say_so_and_are_one_wide_class():
     for code in ("WORLD", "PAPER", "R_WEU"):
-        fleet = Fleet.load(code)
+        fleet = load_fleet(code)
         assert len(fleet.classes) == 1 and fleet.shares_source.startswith("unknown")
         assert fleet.mean_sd[0] / fleet.mean[0] > 0.025
 
 
 def test_classes_that_boxes_cannot_tell_apart_are_merged_and_others_are_not():
-    assert [round(c.mean[0], 1) for c in Fleet.load("JP").told_apart] == [3.4, 4.1, 4.6]
-    cars, pickups = Fleet.load("US").told_apart
+    assert [round(c.mean[0], 1) for c in load_fleet("JP").told_apart] == [3.4, 4.1, 4.6]
+    cars, pickups = load_fleet("US").told_apart
     assert cars.weight == pytest.approx(0.8, abs=0.02) and "pickup" not in cars.name and pickups.mean[0] > 5.5
-    for code in codes():
-        fleet = Fleet.load(code)
+    for code in fleet_codes():
+        fleet = load_fleet(code)
         few = fleet.told_apart
         assert sum(c.weight * c.mean for c in few) == pytest.approx(sum(c.weight * c.mean for c in fleet.classes))
         second = [
@@ -74,9 +74,9 @@ def test_classes_that_boxes_cannot_tell_apart_are_merged_and_others_are_not():
 
 
 def test_names_are_case_blind_and_unknown_ones_are_refused_with_the_list():
-    assert Fleet.load("us").code == Fleet.load("US").code == "US"
+    assert load_fleet("us").code == load_fleet("US").code == "US"
     with pytest.raises(UsageError, match="ISO 3166"):
-        Fleet.load("atlantis")
+        load_fleet("atlantis")
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_names_are_case_blind_and_unknown_ones_are_refused_with_the_list():
      ("Mexico City", "MX_center"), ("turkey", "TR"), ("276", "DE"), ("deutschland", "DE")],
 )  # fmt: skip
 def test_a_country_resolves_by_any_of_its_names(text, code):
-    assert Fleet.load(text).code == code
+    assert load_fleet(text).code == code
 
 
 def test_every_inhabited_country_has_a_fleet():
@@ -95,20 +95,20 @@ def test_every_inhabited_country_has_a_fleet():
     nobody_drives_there = {"AQ", "BV", "CP", "GS", "HM"}
     no_country = {"CQ", "DG", "EZ", "QO", "UN", "XA", "XB", "ZZ"}  # parts of others, unions, placeholders of CLDR
     codes = {c for c in Locale("en").territories if len(c) == 2 and c.isalpha()} - nobody_drives_there - no_country
-    assert len(codes) > 245 and all(Fleet.load(code).mean[0] > 3.5 for code in codes)
+    assert len(codes) > 245 and all(load_fleet(code).mean[0] > 3.5 for code in codes)
 
 
 def test_a_country_without_a_fleet_takes_a_neighbours_or_its_regions_less_certain_and_says_so():
-    kuwait, gulf = Fleet.load("Kuwait"), Fleet.load("GCC")
+    kuwait, gulf = load_fleet("Kuwait"), load_fleet("GCC")
     assert (kuwait.mean == gulf.mean).all() and "no fleet of its own" in kuwait.name and "Gulf" in kuwait.name
     assert (kuwait.mean_sd**2 - gulf.mean_sd**2)[:2] == pytest.approx([0.1**2, 0.03**2])
-    iceland, region = Fleet.load("IS"), Fleet.load("R_WEU")
-    assert (iceland.mean_sd == region.mean_sd).all() and region.mean_sd[0] > 2 * Fleet.load("DE").mean_sd[0]
+    iceland, region = load_fleet("IS"), load_fleet("R_WEU")
+    assert (iceland.mean_sd == region.mean_sd).all() and region.mean_sd[0] > 2 * load_fleet("DE").mean_sd[0]
 
 
 def test_a_misspelt_country_is_refused_with_the_nearest_names():
     with pytest.raises(UsageError, match=r"germany \(DE\)"):
-        Fleet.load("Germny")
+        load_fleet("Germny")
 
 
 @pytest.mark.parametrize(
@@ -125,11 +125,11 @@ def test_a_fleet_of_ones_own(tmp_path):
              "mean_sd": [0.01, 0.01, 0.01], "corr_LW": 0.5, "source": "the depot"}  # fmt: skip
     path = tmp_path / "taxis.json"
     path.write_text(json.dumps(entry))
-    assert Fleet.load(path).mean.tolist() == [4.8, 1.8, 1.5]
+    assert load_fleet(path).mean.tolist() == [4.8, 1.8, 1.5]
     del entry["mean_sd"]
     path.write_text(json.dumps(entry))
     with pytest.raises(InputError, match="mean_sd"):
-        Fleet.load(path)
+        load_fleet(path)
 
 
 def test_a_fleet_of_ones_own_may_be_given_by_the_shares_of_its_segments(tmp_path):
@@ -137,15 +137,15 @@ def test_a_fleet_of_ones_own_may_be_given_by_the_shares_of_its_segments(tmp_path
              "mean_sd": [0.05, 0.02, 0.03], "shares": {"mini": 30, "compact hatch": 70}}  # fmt: skip
     path = tmp_path / "campus.json"
     path.write_text(json.dumps(entry))
-    mini, compact = Fleet.load(path).classes
+    mini, compact = load_fleet(path).classes
     assert (mini.name, compact.name) == ("mini", "compact") and mini.weight == pytest.approx(0.3)
     assert 0.3 * mini.mean + 0.7 * compact.mean == pytest.approx([4.2, 1.75, 1.5])
     entry["shares"]["rickshaw"] = 5
     path.write_text(json.dumps(entry))
     with pytest.raises(InputError, match="rickshaw"):
-        Fleet.load(path)
+        load_fleet(path)
 
 
 def test_what_is_unknown_does_not_depend_on_how_many_are_seen():
-    world, germany = Fleet.load("WORLD"), Fleet.load("DE")
+    world, germany = load_fleet("WORLD"), load_fleet("DE")
     assert world.log_mean_covariance[0, 0] > 3 * germany.log_mean_covariance[0, 0]

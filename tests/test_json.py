@@ -7,20 +7,20 @@ from pathlib import Path
 import pytest
 
 from orthoscale.cli.explain import explain
-from orthoscale.core.calibration import Calibration
-from orthoscale.core.detections import Detections
-from orthoscale.core.fleet import Fleet
 from orthoscale.detect.detector import Card
 from orthoscale.detect.output_forms import _pipeline_normalisation
 from orthoscale.errors import InputError, OrthoscaleError, shown
+from orthoscale.fleets import load_fleet
+from orthoscale.formats.calibration import load_calibration
 from orthoscale.formats.detections import load
-from orthoscale.formats.geometry.files import scale_path
+from orthoscale.formats.detections.own import load_detections
 from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.layout import catalogue
 from orthoscale.layout.ground import _polygons
 from orthoscale.photos.lens import read_calibration
 from orthoscale.report.document import read_json
 from orthoscale.sources.json_model import ExchangeSource
+from orthoscale.sources.scaling import scale_path
 
 RULER = {"margin": [0, 0], "margin_sd": [1, 1], "bias_sd": [0.01, 0.01], "noise": [1, 1]}
 BOX = {"cx": 30, "cy": 20, "length": 40, "width": 17, "angle": 0.1, "score": 0.9}
@@ -94,13 +94,13 @@ def sketched(path):
 
 # File name, how it is read, what is valid in it, and a place in that with a value of a wrong kind there.
 READERS = {
-    "detections": ("d.json", Detections.load, {**NOTE, "pictures": {"a": [BOX], "b": [BOX]}}, ("pictures", "b", 0)),
-    "plain detections": ("d.json", Detections.load, {"a": [BOX], "b": [BOX, BOX]}, ("b", 1, "length")),
+    "detections": ("d.json", load_detections, {**NOTE, "pictures": {"a": [BOX], "b": [BOX]}}, ("pictures", "b", 0)),
+    "plain detections": ("d.json", load_detections, {"a": [BOX], "b": [BOX, BOX]}, ("b", 1, "length")),
     "coco": ("d.coco.json", lambda p: load(p, Ortho()), COCO, ("images",)),
     "geojson": ("d.geojson", lambda p: load(p, Ortho()), {"type": "FeatureCollection", "orthoscale": NOTE, "features": [
         {"type": "Feature", "geometry": SHAPE, "properties": {"score": 1}}]}, ("features", 0, "geometry")),
-    "fleet": ("f.json", Fleet.load, FLEET, ("shares",)),
-    "calibration": ("c.json", Calibration.load, CALIBRATION, ("ruler", "margin")),
+    "fleet": ("f.json", load_fleet, FLEET, ("shares",)),
+    "calibration": ("c.json", load_calibration, CALIBRATION, ("ruler", "margin")),
     "report": ("r.json", read_json, REPORT, ("fleet_sizes", "length")),
     "explained report": ("r.json", lambda p: explain.callback(p, False, False), REPORT, ("uncertainty",)),
     "lens": ("l.json", read_calibration, LENS, ("fx",)),
@@ -230,7 +230,7 @@ def test_what_is_no_file_is_refused_at_once(tmp_path, reader):
 def test_a_file_larger_than_its_kind_may_be_is_not_read(tmp_path):
     with (tmp_path / "f.json").open("wb") as file:
         file.truncate(5 << 20)
-    assert "larger than the 4 MiB" in refusal(Fleet.load, tmp_path / "f.json")
+    assert "larger than the 4 MiB" in refusal(load_fleet, tmp_path / "f.json")
 
 
 def test_the_place_is_named_to_the_key(tmp_path):
@@ -238,7 +238,7 @@ def test_the_place_is_named_to_the_key(tmp_path):
     pictures["37.jpg"] = [BOX, BOX, {**BOX, "length": -4}]
     path = tmp_path / "d.json"
     path.write_text(json.dumps({**NOTE, "pictures": pictures}))
-    message = refusal(Detections.load, path)
+    message = refusal(load_detections, path)
     assert message.endswith('not a detections file (pictures["37.jpg"][2].length: expected a positive number)')
 
 
@@ -246,9 +246,9 @@ def test_forged_strings_stay_short_and_plain(tmp_path):
     path = tmp_path / "d.json"
     forged = "\x1b[2J\r\n" + "x" * 100_000
     path.write_text(json.dumps({**NOTE, "pictures": {forged: [{**BOX, "cx": "left"}]}}))
-    assert len(refusal(Detections.load, path)) < 300 + len(str(path))
+    assert len(refusal(load_detections, path)) < 300 + len(str(path))
     path.write_text(json.dumps({**NOTE, "ruler": {**RULER, forged: 1}, "pictures": {}}))
-    assert len(refusal(Detections.load, path)) < 300 + len(str(path))
+    assert len(refusal(load_detections, path)) < 300 + len(str(path))
     error = OrthoscaleError(f"a picture called {forged}", "\x07hint")
     assert error.message.isprintable() and len(error.message) < 2000 and error.hint == "\\x07hint"
     assert shown("Straße 東京") == "Straße 東京"

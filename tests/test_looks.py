@@ -13,19 +13,20 @@ from orthoscale.actions.estimate import estimate
 from orthoscale.actions.fix import fix
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
-from orthoscale.core.fleet import Fleet
-from orthoscale.core.measuring.looks import measure_model
+from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.projection.exact import Hull
 from orthoscale.core.ruler import Ruler
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
+from orthoscale.fleets import load_fleet
+from orthoscale.formats.detections.own import load_detections, save_detections
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.ground_picture import NEAR_NADIR
 from orthoscale.sources.opening import open_source
 
 UNIT = 5.0  # [m]: the cameras of `make_model` fly at 60 m
 HEIGHT, MARGIN = 0.8, 0.5  # of the boxes [m], [px]
-FLEET = Fleet.load("DE")
+FLEET = load_fleet("DE")
 
 
 @pytest.fixture(scope="module")
@@ -100,16 +101,16 @@ def found(flight):
 
 @pytest.mark.parametrize("mode", [None, "oblique", "planar"])
 def test_the_scale_of_known_vehicles(flight, found, mode):
-    measured = measure_model(ColmapSource.open(flight[0]), found, FLEET, mode=mode)
+    measured = measure_source(ColmapSource.open(flight[0]), found, FLEET, mode=mode)
     assert measured.scale.value == pytest.approx(UNIT, rel=0.03)
     low, high = measured.scale.interval90
     assert low < UNIT < high
-    assert set(measured.findings["modes"]) == ({mode} if mode else {"oblique", "planar"})
+    assert set(measured.modes) == ({mode} if mode else {"oblique", "planar"})
 
 
 def test_both_looks_agree_and_are_pooled(flight, found):
-    measured = measure_model(ColmapSource.open(flight[0]), found, FLEET)
-    oblique, planar = (measured.findings["modes"][name]["scale"] for name in ("oblique", "planar"))
+    measured = measure_source(ColmapSource.open(flight[0]), found, FLEET)
+    oblique, planar = (measured.modes[name].scale.value for name in ("oblique", "planar"))
     assert planar == pytest.approx(oblique, rel=0.02)
     assert min(oblique, planar) <= measured.scale.value <= max(oblique, planar)
     assert not measured.agreement.contradicts and "planar gives" in measured.scale.remarks[-1]
@@ -123,12 +124,12 @@ def test_a_wrong_card_is_found_out_by_the_views(flight, found, height, margin):
     """The views know better than the card what the boxes are, and the trends that it leaves go away."""
     ruler = replace(found.ruler, margin=(margin, margin), margin_sd=(2.0, 2.0))
     wrong = replace(found, ruler=ruler, effective_height=(height, height), planar=None)
-    measured = measure_model(ColmapSource.open(flight[0]), wrong, FLEET)
-    calibration = measured.findings["calibration"]
-    fitted = np.array(calibration["effective_height"]["fitted"])
+    measured = measure_source(ColmapSource.open(flight[0]), wrong, FLEET)
+    calibration = measured.found.calibration
+    fitted = calibration.ruler.height
     assert np.abs(fitted - HEIGHT).max() < 0.5 * abs(height - HEIGHT)
-    assert calibration["views"] > 100
-    before, after = (calibration["trends"][k]["percent_per_10_degrees"] for k in ("before", "after"))
+    assert calibration.ruler.views > 100
+    before, after = (calibration.trends[k]["percent_per_10_degrees"] for k in ("before", "after"))
     assert abs(before[0]) > 3 * before[1] and abs(after[0]) < abs(before[0]) / 3
 
 
@@ -136,7 +137,7 @@ def test_looks_that_contradict_write_nothing_unless_forced(flight, found, tmp_pa
     planar = found.planar
     smaller = {n: Boxes(b.xylwa * [1, 1, 0.7, 0.7, 1], b.score) for n, b in planar.boxes.items()}
     path = tmp_path / "boxes.json"
-    replace(found, planar=replace(planar, boxes=smaller)).save(path)
+    save_detections(replace(found, planar=replace(planar, boxes=smaller)), path)
     with pytest.raises(EvidenceDisagrees, match="planar gives") as caught:
         fix(flight[0], tmp_path / "out", fleet="DE", detections=path)
     assert caught.value.exit_code == 4 and "--mode" in caught.value.hint
@@ -145,14 +146,14 @@ def test_looks_that_contradict_write_nothing_unless_forced(flight, found, tmp_pa
     assert one.scale.value == pytest.approx(UNIT, rel=0.03)
     both = fix(flight[0], tmp_path / "out", fleet="DE", detections=path, force=True)
     low, high = both.scale.interval90
-    planar = both.measured.findings["modes"]["planar"]["scale"]
+    planar = both.measured.modes["planar"].scale.value
     assert both.scale.value in (one.scale.value, planar), "never the mean of two that contradict"
     assert low < one.scale.value < planar < high and both.scale.verdict == "unusable"
 
 
 def test_a_planar_sweep_alone_is_written_with_its_picture(flight, found, tmp_path):
-    found.save(tmp_path / "boxes.json")
-    again = Detections.load(tmp_path / "boxes.json")
+    save_detections(found, tmp_path / "boxes.json")
+    again = load_detections(tmp_path / "boxes.json")
     assert {n: len(b) for n, b in again.planar.boxes.items()} == {n: len(b) for n, b in found.planar.boxes.items()}
     fix(flight[0], tmp_path / "out", fleet="DE", detections=tmp_path / "boxes.json", mode="planar")
     assert cv2.imread(str(tmp_path / "out/vehicles.png")) is not None
@@ -162,23 +163,23 @@ def test_a_frame_of_another_scale_is_named(flight, found):
     name = "04.png"
     boxes = dict(found.boxes)
     boxes[name] = Boxes(boxes[name].xylwa * [1, 1, 0.8, 0.8, 1], boxes[name].score)
-    measured = measure_model(ColmapSource.open(flight[0]), replace(found, boxes=boxes), FLEET, mode="oblique")
-    assert measured.findings["drift"]["odd_frames"] == [name]
+    measured = measure_source(ColmapSource.open(flight[0]), replace(found, boxes=boxes), FLEET, mode="oblique")
+    assert [odd for odd, _ in measured.drift.odd] == [name]
     assert any(name in remark for remark in measured.scale.remarks)
 
 
 def test_one_look_answers_where_the_other_has_too_little(flight, found):
     source = ColmapSource.open(flight[0])
     before = list(source.notes)
-    measured = measure_model(source, replace(found, planar=replace(found.planar, boxes={})), FLEET)
-    assert set(measured.findings["modes"]) == {"oblique"} and measured.agreement is None
+    measured = measure_source(source, replace(found, planar=replace(found.planar, boxes={})), FLEET)
+    assert set(measured.modes) == {"oblique"} and measured.agreement is None
     assert any(note.startswith("planar: 0 boxes") for note in measured.notes) and source.notes == before
     with pytest.raises(TooLittleEvidence):
-        measure_model(source, replace(found, boxes={}, planar=replace(found.planar, boxes={})), FLEET)
+        measure_source(source, replace(found, boxes={}, planar=replace(found.planar, boxes={})), FLEET)
 
 
 def test_modes_that_cannot_be(flight, found, tmp_path):
-    replace(found, planar=None).save(tmp_path / "boxes.json")
+    save_detections(replace(found, planar=None), tmp_path / "boxes.json")
     with pytest.raises(UsageError, match="no boxes of a planar sweep"):
         estimate(flight[0], fleet="DE", detections=tmp_path / "boxes.json", mode="both")
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((50, 50, 3), np.uint8))
@@ -214,7 +215,7 @@ def test_ground_pictures_show_what_the_frames_show(flight, tmp_path):
 
 
 def test_agreement_of_two_scales(flight, found):
-    scale = measure_model(ColmapSource.open(flight[0]), found, FLEET, mode="oblique").scale
+    scale = measure_source(ColmapSource.open(flight[0]), found, FLEET, mode="oblique").scale
     same = compare({"oblique": scale, "planar": replace(scale, value=1.01 * scale.value)})
     assert not same.contradicts and same.difference == pytest.approx(0.01, rel=0.01)
     assert together(same).value == pytest.approx(1.005 * scale.value, rel=1e-3)
@@ -225,7 +226,7 @@ def test_agreement_of_two_scales(flight, found):
 
 def test_vehicles_measured_both_ways_are_compared_themselves(flight, found):
     """Different vehicles in the two looks part their scales, and are no contradiction."""
-    measured = measure_model(ColmapSource.open(flight[0]), found, FLEET)
+    measured = measure_source(ColmapSource.open(flight[0]), found, FLEET)
     agreement = measured.agreement
     assert agreement.common > 15 and agreement.difference == pytest.approx(0, abs=0.01)
     assert "vehicles measured both ways" in agreement.sentence()

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orthoscale.core.fleet import Fleet
-from orthoscale.core.measuring.model_drift import by_region, drift
+from orthoscale.core.measuring.model_drift import by_region, model_drift
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
+from orthoscale.fleets import load_fleet
 
 UNIT = 5.0  # [m]
 
@@ -18,7 +18,7 @@ def seen(stray=(), bend=0.0, seed=0, vehicles=60, frames=12):
     """Vehicles of one fleet, each seen by half of the frames; `stray` says by how much frames see them too small."""
     rng = np.random.default_rng(seed)
     place = rng.uniform(0, 40, (vehicles, 2))
-    true = Fleet.load("DE").sample(rng, vehicles)[:, :2] / UNIT
+    true = load_fleet("DE").sample(rng, vehicles)[:, :2] / UNIT
     true *= np.exp(-bend * (place[:, :1] / 40 - 0.5))
     vehicle, frame = np.nonzero(rng.random((vehicles, frames)) < 0.5)
     wrong = np.ones(frames)
@@ -26,35 +26,36 @@ def seen(stray=(), bend=0.0, seed=0, vehicles=60, frames=12):
         wrong[k] = 1 + by
     size = true[vehicle] / wrong[frame, None] * np.exp(rng.normal(0, 0.03, (len(vehicle), 2)))
     votes = gather(size, np.full(len(size), 0.004), place[vehicle], np.ones(len(size)), repeated=True)
-    scale = pool(votes, Fleet.load("DE"), Ruler(), "m/model-unit")
-    return drift(size, np.array([f"{k:02d}.jpg" for k in frame]), votes, scale, votes.place), scale
+    scale = pool(votes, load_fleet("DE"), Ruler(), "m/model-unit")
+    return model_drift(size, np.array([f"{k:02d}.jpg" for k in frame]), votes, scale, votes.place), scale
 
 
 def test_a_frame_that_disagrees_is_named():
     found, scale = seen(stray=[(3, 0.2)])
-    assert found["odd_frames"] == ["03.jpg"]
-    assert found["frames"]["03.jpg"]["scale"] == pytest.approx(1.2 * scale.value, rel=0.04)
-    assert "03.jpg by +2" in found["remarks"][0]
+    assert [name for name, _ in found.odd] == ["03.jpg"]
+    assert found.frames["03.jpg"].scale == pytest.approx(1.2 * scale.value, rel=0.04)
+    assert "03.jpg by +2" in found.remarks[0]
 
 
 def test_two_frames_are_named_worst_first():
-    assert seen(stray=[(3, 0.12), (7, -0.25)])[0]["odd_frames"] == ["07.jpg", "03.jpg"]
+    found, _ = seen(stray=[(3, 0.12), (7, -0.25)])
+    assert [name for name, _ in found.odd] == ["07.jpg", "03.jpg"]
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_frames_that_agree_are_not(seed):
     found, scale = seen(seed=seed)
-    assert found["odd_frames"] == [] and len(found["frames"]) == 12
-    assert all(abs(f["scale"] / scale.value - 1) < 0.05 for f in found["frames"].values())
+    assert list(found.odd) == [] and len(found.frames) == 12
+    assert all(abs(f.scale / scale.value - 1) < 0.05 for f in found.frames.values())
 
 
 def test_a_bent_model_shows_a_trend():
     straight, _ = seen()
-    assert straight["trend"]["chance"] > 0.01 and straight["remarks"] == []
+    assert straight.trend.chance > 0.01 and straight.remarks == []
     bent, _ = seen(bend=0.3)
-    assert bent["trend"]["chance"] < 0.001 and 15 < bent["trend"]["percent_across"] < 50
-    assert "across the model" in bent["remarks"][-1]
-    scales = [region["scale"] for region in sorted(bent["regions"], key=lambda r: r["centre_unit"][0])]
+    assert bent.trend.chance < 0.001 and 15 < bent.trend.percent_across < 50
+    assert "across the model" in bent.remarks[-1]
+    scales = [region.scale for region in sorted(bent.regions, key=lambda r: r.centre[0])]
     assert scales[-1] > 1.1 * scales[0]
 
 

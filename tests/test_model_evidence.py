@@ -11,17 +11,18 @@ from test_looks import enclosing
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
-from orthoscale.core.fleet import Fleet
-from orthoscale.core.measuring.looks import measure_model
 from orthoscale.core.measuring.method import Method
+from orthoscale.core.measuring.surroundings import objects_in_model
+from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.projection.exact import Hull
 from orthoscale.core.ruler import Ruler
-from orthoscale.evidence.surroundings import objects_in_model
+from orthoscale.fleets import load_fleet
 from orthoscale.sources.colmap import ColmapSource
+from orthoscale.tables import standards
 
 UNIT, STALL = 5.0, 2.5  # [m]
-FLEET = Fleet.load("DE")
+FLEET = load_fleet("DE")
 HEIGHT = 0.5  # of the vehicles' boxes [m]
 COURT, CONTAINER = (23.77, 10.97, 0.01), (12.192, 2.438, 2.591)
 
@@ -84,7 +85,9 @@ def found_in(model, stall=STALL):
 @pytest.fixture(scope="module")
 def scales(model):
     """The scale with the rows, and without."""
-    return tuple(measure_model(model[0], found_in(model), FLEET, Method(surroundings=s)).scale for s in (True, False))
+    return tuple(
+        measure_source(model[0], found_in(model), FLEET, Method(standards=s)).scale for s in (standards(), None)
+    )
 
 
 def test_rows_seen_in_many_frames_are_one_measurement(scales):
@@ -104,7 +107,7 @@ def test_an_object_seen_in_many_frames_is_one_measurement(model, kind, size):
     bodies = [block(size, np.array([x, y]), heading) for x, y, heading in places]
     frames = {name: {kind: boxes} for name, boxes in boxes_of(model, bodies).items()}
     assert sum(len(kinds[kind]) for kinds in frames.values()) > 5
-    (found,) = objects_in_model(model[0], frames, 1.0, UNIT)
+    (found,) = objects_in_model(model[0], frames, 1.0, UNIT, standards())
     assert found.kind == kind and "2 boxes" in found.says
     assert abs(np.log(found.value / UNIT)) < (0.01 if kind == "tennis-court" else 1.5 * found.relative_sd)
     assert found.relative_sd < (0.02 if kind == "tennis-court" else 0.12)
@@ -115,14 +118,16 @@ def test_an_object_cut_by_the_frame_or_of_another_shape_says_nothing(model):
     width, height = model[0].image_size(name)
     cut = Boxes(np.array([[60.0, height / 2, 130, 60, 0.0]]), np.ones(1))
     square = Boxes(np.array([[width / 2, height / 2, 100, 99, 0.0]]), np.ones(1))
-    assert objects_in_model(model[0], {name: {"tennis-court": cut}}, 1.0, UNIT) == []
-    assert objects_in_model(model[0], {name: {"tennis-court": square}}, 1.0, UNIT) == []
+    assert objects_in_model(model[0], {name: {"tennis-court": cut}}, 1.0, UNIT, standards()) == []
+    assert objects_in_model(model[0], {name: {"tennis-court": square}}, 1.0, UNIT, standards()) == []
 
 
 def test_a_court_that_contradicts_the_vehicles_is_a_conflict(model, scales):
     wrong = [block((1.5 * COURT[0], 1.5 * COURT[1], 0.01), np.array([-1.0, 5.5]), 0.0)]
     objects = {name: {"tennis-court": boxes} for name, boxes in boxes_of(model, wrong).items()}
-    scale = measure_model(model[0], replace(found_in(model), objects=objects), FLEET).scale
+    scale = measure_source(
+        model[0], replace(found_in(model), objects=objects), FLEET, Method(standards=standards())
+    ).scale
     assert scale.conflict > 3 and scale.verdict == "unusable"
     assert any("conflict" in remark and "tennis-court" in remark for remark in scale.remarks)
     low, high = scale.interval90

@@ -15,6 +15,7 @@ from test_rescale import ply
 from orthoscale.actions.fix import fix
 from orthoscale.actions.several import models_in
 from orthoscale.errors import InputError, OutputError, UsageError
+from orthoscale.formats.detections.own import save_detections
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.json_model import ExchangeSource
 from orthoscale.sources.opening import open_source
@@ -81,7 +82,7 @@ def rescaled(model, turn, writer, tmp_path):
     path = writer(model, tmp_path / "in")
     put_frames(model, tmp_path / "in/images")
     before = {p: p.read_bytes() for p in (tmp_path / "in").rglob("*.*")}
-    found_by(path, turn).save(tmp_path / "boxes.json")
+    save_detections(found_by(path, turn), tmp_path / "boxes.json")
     result = fix(path.parent, tmp_path / "out", fleet="DE", detections=tmp_path / "boxes.json")
     assert {p: p.read_bytes() for p in before} == before
     assert result.scale.value == pytest.approx(UNIT, rel=0.03)
@@ -100,7 +101,7 @@ def test_views_are_those_of_the_colmap_model(made, tmp_path, program):
 @pytest.mark.parametrize("program", WRITERS)
 def test_written_again_in_metres(made, tmp_path, program):
     path, result = rescaled(*made, WRITERS[program], tmp_path)
-    assert set(result.measured.findings["modes"]) == {"oblique", "planar"}
+    assert set(result.measured.modes) == {"oblique", "planar"}
     new = open_source(tmp_path / "out" / path.name, need_images=False)
     assert isinstance(new, ExchangeSource)
     assert new.camera_height == pytest.approx(result.scale.value * result.source.camera_height, rel=1e-5)

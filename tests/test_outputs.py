@@ -302,10 +302,9 @@ def test_the_report_of_an_estimate_compares_too(tmp_path, boxes):
     path = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM)
     result = orthoscale.estimate(path, detections=boxes, fleet="DE")
     assert comparisons(result)[0].verdict == "agrees"
-    from orthoscale.report.document import document
     from orthoscale.report.terminal import summary
 
-    report = document(result)
+    report = result.to_dict()
     assert report["claim"]["verdict"] == "agrees" and json.dumps(report)
     assert report["drift"]["p_tilt"] > 0 and len(report["drift"]["cells"]) > 5
     assert "claim      agrees" in summary(result)

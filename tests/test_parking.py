@@ -5,10 +5,12 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from orthoscale.core.fleet import Fleet
-from orthoscale.evidence.parking import parking_pitch, stalls
+from orthoscale.core.measuring.parking import parking_pitch
+from orthoscale.fleets import load_fleet
+from orthoscale.tables import standards
 
 GSD = 0.1
+STALLS = standards().stalls
 
 
 def car_park(rng, pitch=2.5, rows=4, stalls_each=12, taken=0.7, heading=0.3, dims=2):
@@ -21,7 +23,7 @@ def car_park(rng, pitch=2.5, rows=4, stalls_each=12, taken=0.7, heading=0.3, dim
     forward, sideways = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
     place = (across[:, None] * sideways + ahead[:, None] * forward) / GSD
     along = np.stack([np.cos(turn), np.sin(turn)], -1) * rng.choice([-1, 1], len(turn))[:, None]
-    size = Fleet.load("DE").sample(rng, len(turn))[:, :2] / GSD
+    size = load_fleet("DE").sample(rng, len(turn))[:, :2] / GSD
     if dims == 3:  # the same ground, tilted in space
         tilt = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         place, along = (np.pad(v, ((0, 0), (0, 1))) @ tilt for v in (place, along))
@@ -31,7 +33,7 @@ def car_park(rng, pitch=2.5, rows=4, stalls_each=12, taken=0.7, heading=0.3, dim
 @pytest.mark.parametrize("pitch, country", [(2.5, "DE"), (2.74, "US"), (2.3, "FR")])
 @pytest.mark.parametrize("dims", [2, 3])
 def test_the_pitch_gives_the_scale(pitch, country, dims):
-    found = parking_pitch(*car_park(np.random.default_rng(0), pitch, dims=dims), country)
+    found = parking_pitch(*car_park(np.random.default_rng(0), pitch, dims=dims), STALLS, country)
     assert found is not None and found.value == pytest.approx(GSD, rel=0.02)
     assert 0.05 < found.relative_sd < 0.09
 
@@ -40,7 +42,7 @@ def test_vehicles_without_rows_have_no_pitch():
     rng = np.random.default_rng(1)
     _, along, size = car_park(rng)
     anywhere = rng.uniform(0, 600, (len(size), 2))
-    assert parking_pitch(anywhere, along, size, "DE") is None
+    assert parking_pitch(anywhere, along, size, STALLS, "DE") is None
 
 
 def test_rows_parked_without_stalls_have_no_pitch():
@@ -48,36 +50,36 @@ def test_rows_parked_without_stalls_have_no_pitch():
     for _ in range(20):
         place, along, size = car_park(rng, heading=0.0, taken=1.0)
         gaps = rng.uniform(2.1, 3.9, (4, 12)).cumsum(1).ravel() / GSD
-        refused += parking_pitch(np.stack([place[:, 0], gaps], -1), along, size, "DE") is None
+        refused += parking_pitch(np.stack([place[:, 0], gaps], -1), along, size, STALLS, "DE") is None
     assert refused >= 14  # uneven gaps look even by chance now and then
 
 
 def test_few_vehicles_or_a_country_without_standard_say_nothing():
     place, along, size = car_park(np.random.default_rng(3))
-    assert parking_pitch(place, along, size, "NP") is None
-    assert parking_pitch(place[:5], along[:5], size[:5], "DE") is None
-    assert parking_pitch(place[:0], along[:0], size[:0], "DE") is None
+    assert parking_pitch(place, along, size, STALLS, "NP") is None
+    assert parking_pitch(place[:5], along[:5], size[:5], STALLS, "DE") is None
+    assert parking_pitch(place[:0], along[:0], size[:0], STALLS, "DE") is None
 
 
-@pytest.mark.parametrize("country", stalls())
+@pytest.mark.parametrize("country", STALLS)
 def test_every_stall_is_plausible_and_says_where_it_comes_from(country):
-    stall = stalls()[country]
+    stall = STALLS[country]
     assert 2.2 < stall["width"] < 2.9 and 0.05 < stall["width_sd"] < 0.25 and len(stall["source"]) > 10
 
 
 def test_boxes_in_one_place_are_one_vehicle():
     """20,000 of them were two hundred million pairs before, in gigabytes."""
     place, along, size = car_park(np.random.default_rng(4))
-    expected = parking_pitch(place, along, size, "DE")
+    expected = parking_pitch(place, along, size, STALLS, "DE")
     place, along, size = (np.concatenate([v, np.repeat(v[:1], 20_000, 0)]) for v in (place, along, size))
-    found = parking_pitch(place, along, np.where(size == size[0], np.median(size, axis=0), size), "DE")
+    found = parking_pitch(place, along, np.where(size == size[0], np.median(size, axis=0), size), STALLS, "DE")
     assert found is not None and found.value == pytest.approx(expected.value, rel=0.05)
 
 
 def test_fifty_thousand_vehicles_take_little_memory():
     place, along, size = car_park(np.random.default_rng(5), rows=360, stalls_each=200)
     tracemalloc.start()
-    found = parking_pitch(place, along, size, "DE")
+    found = parking_pitch(place, along, size, STALLS, "DE")
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(place) > 50_000 and found.value == pytest.approx(GSD, rel=0.02)

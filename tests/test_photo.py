@@ -12,7 +12,6 @@ from PIL import Image
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
-from orthoscale.core.fleet import Fleet
 from orthoscale.core.projection.decoupled import simple_views
 from orthoscale.core.projection.exact import BODIES
 from orthoscale.core.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey
@@ -20,6 +19,8 @@ from orthoscale.core.ruler import Ruler
 from orthoscale.detect.find import Effort
 from orthoscale.detect.workers import cores, worker_count
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+from orthoscale.fleets import load_fleet
+from orthoscale.formats.detections.own import save_detections
 from orthoscale.photos.lens import lens_of, read_calibration
 from orthoscale.photos.looking import Looking, boxes_of
 from orthoscale.photos.measure import LOWEST_ELEVATION, measure, open_photo
@@ -280,7 +281,7 @@ def detections_of(boxes):
 def fleet(tmp_path):
     path = tmp_path / "cars.json"
     path.write_text(json.dumps(CARS))
-    return Fleet.load(path)
+    return load_fleet(path)
 
 
 @pytest.mark.parametrize("body", BODIES)
@@ -388,7 +389,7 @@ def flight(tmp_path):
     for k, name in enumerate(["a.jpg", "more/b.jpg", "c.jpg"]):
         write_photo(folder / name, xmp, exif, gps=(8.0 + 0.001 * k, 47.0))
     boxes = boxes_in(view_from(-60))
-    detections_of({"a.jpg": boxes, "more/b.jpg": boxes, "c.jpg": boxes[:4]}).save(tmp_path / "boxes.json")
+    save_detections(detections_of({"a.jpg": boxes, "more/b.jpg": boxes, "c.jpg": boxes[:4]}), tmp_path / "boxes.json")
     (tmp_path / "cars.json").write_text(json.dumps(CARS))
     return folder, ["--detections", tmp_path / "boxes.json", "--fleet", tmp_path / "cars.json"]
 

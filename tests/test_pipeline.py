@@ -8,8 +8,8 @@ import pytest
 import rasterio
 
 import orthoscale
-from orthoscale.core.fleet import Fleet
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+from orthoscale.fleets import load_fleet
 from orthoscale.synthetic import make_scene, write_colmap, write_ortho
 
 KEYS = {"scale", "unit", "interval90", "vehicles_used", "fleet", "verdict"}
@@ -35,7 +35,7 @@ def files_of(folder):
 def town(tmp_path_factory):
     """A synthetic orthophoto of German vehicles, 0.11 m/px."""
     folder = tmp_path_factory.mktemp("town")
-    scene = make_scene(seed=3, fleet=Fleet.load("DE"), extent_m=110, n_vehicles=80, style="city")
+    scene = make_scene(seed=3, fleet=load_fleet("DE"), extent_m=110, n_vehicles=80, style="city")
     write_ortho(scene, folder / "town.png", 0.11, seed=3)
     return folder / "town.png"
 
@@ -44,7 +44,7 @@ def town(tmp_path_factory):
 def flight(tmp_path_factory):
     """A synthetic reconstruction of German vehicles, 7.3 m per model unit, camera pitched by 70 degrees."""
     folder = tmp_path_factory.mktemp("flight")
-    scene = make_scene(seed=5, fleet=Fleet.load("DE"), extent_m=110, n_vehicles=80, style="suburb")
+    scene = make_scene(seed=5, fleet=load_fleet("DE"), extent_m=110, n_vehicles=80, style="suburb")
     write_colmap(scene, folder, 7.3, n_frames=9, pitch_deg=70, altitude_m=70, focal_px=1000, seed=5)
     return folder
 
@@ -126,7 +126,7 @@ def test_the_example_without_frames_gives_its_metres(tmp_path):
 
 
 def test_ground_without_vehicles_is_refused_and_nothing_is_written(tmp_path):
-    park = make_scene(seed=2, fleet=Fleet.load("DE"), extent_m=90, n_vehicles=0, style="park")
+    park = make_scene(seed=2, fleet=load_fleet("DE"), extent_m=90, n_vehicles=0, style="park")
     write_ortho(park, tmp_path / "park.png", 0.12, seed=2)
     before = files_of(tmp_path)
     with pytest.raises(TooLittleEvidence) as refusal:

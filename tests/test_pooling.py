@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orthoscale.core.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
+from orthoscale.core.fleet import LOCAL_SD, MEAN_CORRELATION
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
 from orthoscale.errors import TooLittleEvidence
+from orthoscale.fleets import load_fleet
 
 RULER = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), common_sd=0.02, noise=(1.5, 1.0))
 
@@ -37,7 +38,7 @@ def scene(rng, fleet, n=60, gsd=0.12, vans=0.0, false=0.0, ruler=RULER, surprise
 
 def test_a_clean_scene_gives_its_gsd():
     rng = np.random.default_rng(0)
-    scale = pool(scene(rng, Fleet.load("DE"), 2000, surprise=False), Fleet.load("DE"), RULER, "m/px")
+    scale = pool(scene(rng, load_fleet("DE"), 2000, surprise=False), load_fleet("DE"), RULER, "m/px")
     # Within 2 %: how many larger vehicles there are is never quite known, so the middle lies a little high.
     assert scale.value == pytest.approx(0.12, rel=0.02)
     assert scale.verdict in ("good", "fair") and scale.vehicles_used > 1900
@@ -48,7 +49,7 @@ def test_a_clean_scene_gives_its_gsd():
 @pytest.mark.parametrize("code", ["US", "DE", "JP", "WORLD"])
 @pytest.mark.parametrize("vans, false", [(0, 0), (0.25, 0.1)])
 def test_nine_intervals_of_ten_hold_the_truth(code, vans, false):
-    fleet, rng = Fleet.load(code), np.random.default_rng(7)
+    fleet, rng = load_fleet(code), np.random.default_rng(7)
     inside, scenes = 0, 30 if fleet.candidates else 100  # every candidate is fitted
     for _ in range(scenes):
         low, high = pool(scene(rng, fleet, 60, vans=vans, false=false), fleet, RULER, "m/px").interval90
@@ -59,20 +60,20 @@ def test_nine_intervals_of_ten_hold_the_truth(code, vans, false):
 
 @pytest.mark.parametrize("code", ["DE", "JP"])
 def test_a_quarter_of_vans_is_seen_as_such_and_does_not_pull_the_scale(code):
-    fleet = Fleet.load(code)
+    fleet = load_fleet(code)
     scale = pool(scene(np.random.default_rng(11), fleet, 400, vans=0.25, surprise=False), fleet, RULER, "m/px")
     assert scale.value == pytest.approx(0.12, rel=0.015)
     assert scale.larger_share == pytest.approx(0.25, abs=0.05)
 
 
 def test_the_fleet_is_found_where_the_shapes_tell_it_and_the_interval_is_honest_where_not():
-    auto = Fleet.load("auto")
-    japan = pool(scene(np.random.default_rng(12), Fleet.load("JP"), 150, surprise=False), auto, RULER, "m/px")
+    auto = load_fleet("auto")
+    japan = pool(scene(np.random.default_rng(12), load_fleet("JP"), 150, surprise=False), auto, RULER, "m/px")
     assert max(japan.fleets, key=japan.fleets.get) == "JP" and japan.fleets["JP"] > 0.7
-    germany = pool(scene(np.random.default_rng(13), Fleet.load("DE"), 150, surprise=False), auto, RULER, "m/px")
+    germany = pool(scene(np.random.default_rng(13), load_fleet("DE"), 150, surprise=False), auto, RULER, "m/px")
     assert max(germany.fleets.values()) < 0.9 and sum(germany.fleets.values()) <= 1.0001
     world = pool(
-        scene(np.random.default_rng(13), Fleet.load("DE"), 150, surprise=False), Fleet.load("world"), RULER, ""
+        scene(np.random.default_rng(13), load_fleet("DE"), 150, surprise=False), load_fleet("world"), RULER, ""
     )
     assert germany.parts["fleet"] < world.parts["fleet"]
     for scale in (japan, germany):
@@ -88,7 +89,7 @@ def drawn(votes, gsd, shrink, usual, margin=(1.0, 1.5)):
 
 
 def test_sizes_drawn_to_the_usual_are_undone_by_what_the_card_says_and_found_where_classes_tell_them():
-    fleet, usual = Fleet.load("JP"), (4.4, 1.78)
+    fleet, usual = load_fleet("JP"), (4.4, 1.78)
     faithful = replace(RULER, noise=(0.8, 0.5))
     votes = scene(np.random.default_rng(14), fleet, 200, ruler=faithful, surprise=False)
     votes = drawn(votes, 0.12, (0.4, 0.2), usual)
@@ -106,7 +107,7 @@ def test_what_is_not_known_of_the_drawing_counts_where_the_fleet_is_not_the_usua
     sure, unsure = replace(RULER, shrink_sd=(0.0, 0.0)), replace(RULER, shrink_sd=(0.2, 0.2))
     added = {}
     for code in ("DE", "NP"):
-        fleet = Fleet.load(code)
+        fleet = load_fleet(code)
         votes = scene(np.random.default_rng(15), fleet, 400, surprise=False)
         known, unknown = (pool(votes, fleet, ruler, "m/px") for ruler in (sure, unsure))
         added[code] = unknown.parts["margin"] ** 2 - known.parts["margin"] ** 2
@@ -117,7 +118,7 @@ def test_what_is_not_known_of_the_drawing_counts_where_the_fleet_is_not_the_usua
 @pytest.mark.parametrize("code", ["DE", "JP"])
 def test_intervals_hold_the_truth_for_a_detector_that_draws_to_the_usual(code):
     ruler = replace(RULER, shrink=(0.4, 0.2), shrink_sd=(0.1, 0.1))
-    fleet, rng = Fleet.load(code), np.random.default_rng(16)
+    fleet, rng = load_fleet(code), np.random.default_rng(16)
     inside = 0
     for _ in range(80):
         votes = scene(rng, fleet, 60)
@@ -128,14 +129,14 @@ def test_intervals_hold_the_truth_for_a_detector_that_draws_to_the_usual(code):
 
 
 def test_more_vehicles_shrink_the_sampling_part_only():
-    fleet = Fleet.load("DE")
+    fleet = load_fleet("DE")
     few, many = (pool(scene(np.random.default_rng(1), fleet, n), fleet, RULER, "m/px") for n in (40, 4000))
     assert many.parts["sampling"] < few.parts["sampling"] / 5
     assert many.parts["fleet"] == pytest.approx(few.parts["fleet"], rel=0.3)
 
 
 def test_lengths_rule_where_pixels_are_coarse_and_widths_where_they_are_fine():
-    fleet = Fleet.load("DE")
+    fleet = load_fleet("DE")
     coarse, fine = (
         pool(scene(np.random.default_rng(2), fleet, 300, gsd=gsd), fleet, RULER, "m/px") for gsd in (0.3, 0.02)
     )
@@ -143,7 +144,7 @@ def test_lengths_rule_where_pixels_are_coarse_and_widths_where_they_are_fine():
 
 
 def test_false_boxes_are_set_aside_with_a_reason():
-    fleet, rng = Fleet.load("DE"), np.random.default_rng(3)
+    fleet, rng = load_fleet("DE"), np.random.default_rng(3)
     scale = pool(scene(rng, fleet, 300, false=0.3, surprise=False), fleet, RULER, "m/px")
     assert scale.value == pytest.approx(0.12, rel=0.03)
     assert sum(scale.rejected.values()) > 50
@@ -156,7 +157,7 @@ def test_false_boxes_are_set_aside_with_a_reason():
 
 
 def test_widths_that_contradict_lengths_lower_the_verdict_and_widen_the_interval():
-    fleet, rng = Fleet.load("DE"), np.random.default_rng(4)
+    fleet, rng = load_fleet("DE"), np.random.default_rng(4)
     votes = scene(rng, fleet, 300, surprise=False)
     votes.size[:, 1] *= 1.3
     honest = pool(scene(np.random.default_rng(4), fleet, 300, surprise=False), fleet, RULER, "m/px")
@@ -167,7 +168,7 @@ def test_widths_that_contradict_lengths_lower_the_verdict_and_widen_the_interval
 
 @pytest.mark.parametrize("n", [0, 1, 4])
 def test_too_few_vehicles_are_refused(n):
-    fleet = Fleet.load("DE")
+    fleet = load_fleet("DE")
     with pytest.raises(TooLittleEvidence, match=f"{n} usable vehicles, 5 are needed"):
         pool(scene(np.random.default_rng(5), fleet, n), fleet, RULER, "m/px")
 
@@ -177,11 +178,11 @@ def test_boxes_without_a_common_scale_are_refused():
     size = np.exp(rng.uniform(0, 5, (9, 2)))
     votes = gather(size, np.full(9, 1e-3), rng.uniform(0, 9, (9, 2)), np.ones(9), repeated=False)
     with pytest.raises(TooLittleEvidence, match="9 boxes, but only"):
-        pool(votes, Fleet.load("DE"), RULER, "m/px")
+        pool(votes, load_fleet("DE"), RULER, "m/px")
 
 
 def test_the_unit_of_the_source_cancels():
-    fleet = Fleet.load("US")
+    fleet = load_fleet("US")
     votes = scene(np.random.default_rng(8), fleet, 80)
     stretched = gather(votes.size * 40, votes.pixel * 40, votes.place, votes.score, repeated=False)
     a, b = (pool(v, fleet, RULER, "m/px") for v in (votes, stretched))
@@ -190,7 +191,7 @@ def test_the_unit_of_the_source_cancels():
 
 
 def test_what_only_one_frame_of_many_shows_does_not_count():
-    fleet, rng = Fleet.load("DE"), np.random.default_rng(9)
+    fleet, rng = load_fleet("DE"), np.random.default_rng(9)
     cars = fleet.sample(rng, 20)[:, :2] / 0.12
     which = np.repeat(np.arange(20), 8)
     ghosts = np.tile([20.0, 9.0], (60, 1))  # half a car's size, each in one frame only

@@ -8,13 +8,13 @@ from test_detect import Drawing, RectangleDetector, car_park
 
 import orthoscale
 from orthoscale.core.boxes import Boxes, matched
-from orthoscale.core.fleet import Fleet
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
 from orthoscale.detect.refine import VIEWS, agreed, look_turned, refined
 from orthoscale.detect.tiles import sweep, tiles
 from orthoscale.errors import UsageError
+from orthoscale.fleets import load_fleet
 
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])
@@ -90,7 +90,7 @@ def test_the_spread_travels_with_the_boxes():
 
 def test_steady_boxes_count_more_in_the_pooling():
     """Half of the boxes are 15 % too large, and only by their spread can one tell which half to believe."""
-    fleet = Fleet.load("DE")
+    fleet = load_fleet("DE")
     rng = np.random.default_rng(2)
     wrong = np.arange(80) < 40
     size = fleet.sample(rng, 80)[:, :2] / 0.1 * np.where(wrong, 1.15, 1.0)[:, None]
@@ -106,7 +106,7 @@ def test_steady_boxes_count_more_in_the_pooling():
 def test_views_that_agree_do_not_make_boxes_exact():
     """What views share stays as the ruler says it is."""
     rng = np.random.default_rng(1)
-    fleet = Fleet.load("DE")
+    fleet = load_fleet("DE")
     size = fleet.sample(rng, 40)[:, :2] / 0.1
 
     def sampling(spread):

@@ -12,7 +12,7 @@ import pytest
 from reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
 
 import orthoscale
-from orthoscale.cli.reproduce import command_line
+from orthoscale.actions.requests import command_line
 from orthoscale.errors import InputError, UsageError
 from orthoscale.report import judgement, places
 from orthoscale.report.document import OPTIONAL, read_json

@@ -94,8 +94,8 @@ def test_what_is_for_the_other_kind_of_input_is_refused(park, tmp_path, name, co
         return
     request = kind(**{name: SAID[name]})
     for judge, refused in (
-        (request.for_orthophoto, OF_MODEL),
-        (request.for_model, OF_ORTHOPHOTO | TO_WRITE_AN_ORTHOPHOTO),
+        (request._for_plan, OF_MODEL),
+        (request._for_posed, OF_ORTHOPHOTO | TO_WRITE_AN_ORTHOPHOTO),
     ):
         if name in refused:
             with pytest.raises(UsageError):
@@ -119,10 +119,9 @@ def test_what_is_not_refused_has_its_effect(park, name):
     (park / "control.txt").write_text("100,100 0 0\n600,100 50 0\n600,500 50 -40\n100,500 0 -40\n")
     value, effect = EFFECTS[name]
     usual = {"fleet": "DE", "detections": park / "detections.json"}
-    from orthoscale.report.document import document
 
     value = park / value if name == "ground_control" else value
-    before, after = (document(orthoscale.estimate(park / "park.png", **usual | more)) for more in ({}, {name: value}))
+    before, after = (orthoscale.estimate(park / "park.png", **usual | more).to_dict() for more in ({}, {name: value}))
     assert effect(before, after)
 
 

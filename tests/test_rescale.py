@@ -17,9 +17,9 @@ from click.testing import CliRunner
 
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
-from orthoscale.formats.geometry.files import scale_path
 from orthoscale.formats.geometry.ply import read_points
 from orthoscale.formats.geometry.sim3 import Sim3
+from orthoscale.sources.scaling import scale_path
 
 SCALE = 14.157
 SPARSE = Path(__file__).parent.parent / "examples" / "sheffield" / "sparse"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.fleet import Fleet
+from orthoscale.fleets import load_fleet
 from training.shrink import fit_shrink, known_vehicles
 
 USUAL = np.array([4.4, 1.8])
@@ -22,7 +22,7 @@ def test_shrink_usual_and_noise_are_recovered():
     rng = np.random.default_rng(1)
     known = []
     for code, gsd in (("JP", 0.11), ("DE", 0.12), ("US", 0.12)):
-        vehicle = Fleet.load(code).sample(rng, 400)[:, :2]
+        vehicle = load_fleet(code).sample(rng, 400)[:, :2]
         known.append((vehicle, drawn(vehicle, gsd, (0.35, 0.15), (0.6, 0.4), rng), gsd))
     fit = fit_shrink(known, (0.6, 0.4))
     assert fit.value == pytest.approx([0.35, 0.15], abs=0.04)

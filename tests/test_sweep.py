@@ -16,11 +16,12 @@ from test_detect import Drawing, RectangleDetector, car_park
 
 from orthoscale.actions.estimate import estimate
 from orthoscale.core.boxes import Boxes, matched
+from orthoscale.core.detections import Tile
 from orthoscale.detect.cache import TileCache, cache_key
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.promise import UNPROMISING, promise
 from orthoscale.detect.sweep import sweep_twice
-from orthoscale.detect.tiles import Looks, Tile, look_twice, tiles
+from orthoscale.detect.tiles import Looks, look_twice, tiles
 from orthoscale.detect.workers import on_threads, worker_count
 from orthoscale.errors import UsageError
 from orthoscale.sources.fingerprint import fingerprint

@@ -12,10 +12,10 @@ from test_other_programs import rescaled, same_views
 
 from orthoscale.actions.fix import fix
 from orthoscale.errors import InputError, OutputError, UsageError
-from orthoscale.formats.geometry.files import scale_path
 from orthoscale.formats.geometry.text_models import read_text_model
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.opening import open_source
+from orthoscale.sources.scaling import scale_path
 from orthoscale.sources.text_model import TextSource
 
 K1, K2 = 0.05, -0.02

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.fleet import Fleet
 from orthoscale.detect.decoders import decode_maps
+from orthoscale.fleets import load_fleet
 from training import augment, by_hand, data, missing
 from training.data import MARGINS, read_labels, split
 from training.evaluate import (
@@ -343,7 +343,7 @@ def test_incomplete_references_say_nothing_about_precision(tmp_path):
 
 
 def simulated(rng, code, gsd, margin, n=400):
-    fleet = Fleet.load(code)
+    fleet = load_fleet(code)
     size = fleet.sample(rng, n)[:, :2] / np.reshape(gsd, (-1, 1)) + margin + rng.normal(0, (1.5, 1.0), (n, 2))
     return size[:, 0], size[:, 1], gsd, fleet
 
@@ -373,7 +373,7 @@ def test_fit_margin_trusts_coarse_pixels_and_known_fleets_most_and_admits_disagr
 
 def test_known_boxes_are_in_detector_pixels(tmp_path):
     cv2.imwrite(str(tmp_path / "p.png"), np.full((300, 300, 3), 90, np.uint8))
-    length, width = np.exp(Fleet.load("DE").log_mean)
+    length, width = np.exp(load_fleet("DE").log_mean)
 
     def detect(image):
         wanted = [40, 40 * width / length]

@@ -13,8 +13,8 @@ from test_looks import FLEET, UNIT, found_by, vehicles
 from test_looks import flight as flight  # a fixture
 
 from orthoscale.actions.result import Result
-from orthoscale.core.measuring.looks import measure_model
-from orthoscale.report.document import document, read_json
+from orthoscale.core.measuring.ways import measure_source
+from orthoscale.report.document import read_json
 from orthoscale.report.page import page
 from orthoscale.report.scene import Scene
 from orthoscale.sources.colmap import ColmapSource
@@ -37,9 +37,9 @@ def test_an_orthophotos_vehicles_have_one_size_in_every_output_and_the_true_one(
 def test_a_models_vehicles_have_one_size_in_every_output_and_the_true_one(flight, mode):
     folder, turn = flight
     source, found = ColmapSource.open(folder), found_by(folder, turn)
-    measured = measure_model(source, found, FLEET, mode=mode)
+    measured = measure_source(source, found, FLEET, mode=mode)
     result = Result(source, FLEET, found, None, 0.0, measured)
-    report = json.loads(json.dumps(document(result)))
+    report = json.loads(json.dumps(result.to_dict()))
     said = np.array([[v["length"], v["width"]] for v in report["vehicles"]])
     assert said == pytest.approx(np.stack([result.vehicles["length"], result.vehicles["width"]], -1), rel=1e-12)
     assert said == pytest.approx(measured.size * measured.scale.value, rel=1e-12), "the margin is off it once"

@@ -6,11 +6,11 @@ import pytest
 
 import orthoscale
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.fleet import Fleet
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import EvidenceDisagrees, UsageError
+from orthoscale.fleets import load_fleet
 from orthoscale.synthetic import make_scene, write_ortho
 
 GERMAN = 4.37  # mean length [m]
@@ -43,7 +43,7 @@ class Counting:
 def street(tmp_path_factory):
     """A street at 0.07 m/px: vehicles are 62 px long."""
     file = tmp_path_factory.mktemp("street") / "street.png"
-    scene = make_scene(seed=3, fleet=Fleet.load("DE"), extent_m=70, n_vehicles=50, style="city")
+    scene = make_scene(seed=3, fleet=load_fleet("DE"), extent_m=70, n_vehicles=50, style="city")
     write_ortho(scene, file, 0.07, seed=3)
     return cv2.cvtColor(cv2.imread(str(file)), cv2.COLOR_BGR2RGB)
 

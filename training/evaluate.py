@@ -34,10 +34,11 @@ import cv2
 import numpy as np
 
 from orthoscale.core.boxes import Boxes, matched
-from orthoscale.core.detections import Detections
 from orthoscale.core.fleet import Fleet
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import BORDER, look_twice, sweep, tiles
+from orthoscale.fleets import load_fleet
+from orthoscale.formats.detections.own import load_detections
 from orthoscale.sources.picture_file import PictureFile, stored_size
 
 from .augment import NOMINAL_LENGTH
@@ -234,10 +235,10 @@ def measured_scenes(data: Path) -> list[Scene]:
 
 
 def reference_scene(text: str) -> Scene:
-    """A scene from ``NAME=IMAGES_FOLDER_OR_IMAGE:BOXES.json``, boxes as `Detections.load` reads them."""
+    """A scene from ``NAME=IMAGES_FOLDER_OR_IMAGE:BOXES.json``, boxes as `load_detections` reads them."""
     name, _, rest = text.partition("=")
     images, _, boxes_file = rest.rpartition(":")
-    boxes = Detections.load(Path(boxes_file)).boxes
+    boxes = load_detections(Path(boxes_file)).boxes
     pictures = [p for p in picture_files(Path(images)) if p.name in boxes]
     if not pictures:
         raise ValueError(f"{images}: none of the pictures of {boxes_file}")
@@ -379,7 +380,7 @@ def known_boxes(
     """One scene for `fit_margin` from ``PICTURE_OR_FOLDER:GSD:FLEET`` (gsd: metres per pixel of the picture), swept at
     the zoom that brings the fleet's vehicles to the best length. Boxes far from the fleet's sizes are left out."""
     path, gsd, code = text.rsplit(":", 2)
-    fleet = Fleet.load(code)
+    fleet = load_fleet(code)
     size = np.exp(fleet.log_mean)
     zoom = best_length * float(gsd) / size[0]
     boxes = Boxes.concatenate(list(sweep(picture_files(Path(path)), zoom, detect).values()))

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import UsageError
-from ..formats.geometry.files import scale_path
 from ..formats.geometry.sim3 import Sim3
+from ..sources.scaling import scale_path
 from ..system.outputs import Outputs
 
 

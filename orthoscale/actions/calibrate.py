@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -16,6 +15,8 @@ from ..core.fleet import Fleet
 from ..core.pooling.robust import pool
 from ..core.projection.planar import ground_size
 from ..core.ruler import Ruler
+from ..core.scale import PER_PIXEL
+from ..core.source import Plan
 from ..core.votes import gather
 from ..detect.detector import Detector
 from ..detect.find import Progress
@@ -23,9 +24,7 @@ from ..detect.sweep import SAME_BOX
 from ..detect.tiles import sweep
 from ..detect.zoom import check_zoom
 from ..errors import InputError, TooLittleEvidence, UsageError
-
-if TYPE_CHECKING:
-    from ..sources.raster import RasterSource
+from ..fleets import load_fleet
 
 LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms, as shares of the detector's best; a vehicle must show in all
 FEWEST = 20  # vehicles; a mean length is then known to 2 %
@@ -57,13 +56,13 @@ def calibrate(
     if gsd is not None and not (np.isfinite(gsd) and gsd > 0):
         raise UsageError(f"--gsd must be a positive number of metres per pixel, not {gsd}")
     source = open_source(path, need_images=False)
-    if source.unit != "m/px":
+    raster = source.plan
+    if raster is None:
         raise UsageError(
             f"{path} is a reconstruction", "Calibrate on an orthophoto; models calibrate themselves on their own views."
         )
-    raster = cast("RasterSource", source)
     gsd, notes = _known_gsd(raster, gsd)
-    prior = Fleet.load(fleet)
+    prior = load_fleet(fleet)
     network = Detector(None if detector is None else Path(detector), decoder, vehicle_classes)
     zooms = LOOKS * network.card.best_length * gsd / float(prior.mean[0])
     check_zoom(float(zooms.max()), network.card)
@@ -106,7 +105,7 @@ def calibrate(
     return Calibration(network.card.name, network.sha256, ruler, entry, made_from)
 
 
-def _known_gsd(source: RasterSource, gsd: float | None) -> tuple[float, list[str]]:
+def _known_gsd(source: Plan, gsd: float | None) -> tuple[float, list[str]]:
     claimed = source.claimed.gsd_m if source.claimed.usable else None
     if gsd is None and claimed is None:
         raise UsageError(
@@ -177,7 +176,7 @@ def measure_ruler(
 
 def _pooled(boxes: Boxes, zoom: float, fleet: Fleet, ruler: Ruler):
     votes = gather(ground_size(boxes), np.full(len(boxes), 1 / zoom), boxes.centre, boxes.score, repeated=False)
-    return pool(votes, fleet, ruler, "m/px")
+    return pool(votes, fleet, ruler, PER_PIXEL)
 
 
 def box_noise(looks: Sequence[Boxes], zooms: np.ndarray) -> tuple[float, float]:

@@ -8,7 +8,7 @@ and another projection than the orthophoto's own boxes.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,7 +19,6 @@ from ..core.pooling.posterior import Z90
 from ..errors import TooLittleEvidence, UsageError
 
 if TYPE_CHECKING:
-    from ..sources.colmap import ColmapSource
     from .result import Result
 
 SAME_VEHICLE = 0.35  # of a vehicle's length: how far apart one may stand in the two
@@ -65,10 +64,10 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     Raises UsageError if they are not one of each, TooLittleEvidence if their vehicles do not match: another place, or
     too few.
     """
-    if ortho.source.unit != "m/px" or model.source.unit == "m/px":
+    posed = model.source.posed
+    if ortho.source.plan is None or posed is None:
         raise UsageError("a cross-check needs an orthophoto and a model", "Give ORTHO.tif and --model FOLDER.")
-    ground = cast("ColmapSource", model.source).ground
-    places = ground.plane(model.votes.place[model.scale.used])
+    places = posed.from_above(model.votes.place[model.scale.used])
     pixels = ortho.votes.place[ortho.scale.used] * (1.0, -1.0)  # y up, as in the plan
     found = match(
         pixels * ortho.scale.value,

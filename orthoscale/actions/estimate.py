@@ -7,28 +7,31 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.calibration import Calibration
 from ..core.detections import Detections
 from ..core.evidence import Evidence
 from ..core.fleet import Fleet
-from ..core.measuring.drift import drift
-from ..core.measuring.looks import find_in_model, measure_model
 from ..core.measuring.measure import measure
 from ..core.measuring.method import Method
+from ..core.measuring.plan import PlanGeometry
+from ..core.measuring.ways import measure_source
+from ..core.source import Plan, Source
 from ..detect.detector import Detector
-from ..detect.find import Effort, Progress, find_vehicles
+from ..detect.find import Effort, Progress
 from ..detect.refine import refined
 from ..detect.workers import worker_count
 from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
-from ..evidence.control import read_control, read_distance
+from ..formats.calibration import load_calibration
 from ..formats.detections import load as load_detections
 from ..sources.location import location_of
 from ..sources.opening import open_source
+from ..tables import standards
+from .control import read_control, read_distance
+from .find import find_in
 from .requests import EstimateRequest
 from .result import Result
 from .whose import fleet_of
@@ -37,8 +40,6 @@ if TYPE_CHECKING:
     from typing import Unpack
 
     from ..detect.zoom import ZoomChoice
-    from ..sources.colmap import ColmapSource
-    from ..sources.source import Source
     from .requests import EstimateOptions
 
 log = logging.getLogger(__name__)
@@ -65,7 +66,7 @@ def estimate(
     images : folder of a model's frames, when not beside it. mode : how a model is measured, one of `requests.MODES`;
     by default in every way that there is evidence for.
     projection, estimator : other ways than the usual, see `measuring.method.Method`. known_distance, ground_control :
-    what is known besides, see `evidence.control`. surroundings : whether parking rows and standard objects count.
+    what is known besides, see `actions.control`. surroundings : whether parking rows and standard objects count.
 
     How much is looked at, and with what (`detect.find.Effort`)
     target, exhaustive, seed, workers, scheduler, cache.
@@ -80,52 +81,37 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     """What `request` asks of the input at `path`; see `estimate`."""
     started = time.perf_counter()
     log.info("measuring %s", path)
-    known = None if request.calibration is None else Calibration.load(Path(request.calibration))
+    known = None if request.calibration is None else load_calibration(Path(request.calibration))
     from_file = request.detections is not None
     source = open_source(path, request.images, not from_file) if isinstance(path, (str, Path)) else path
     fleet, choice_of_fleet = fleet_of(request.fleet, known, None if request.fleet else location_of(source))
-    model = None if source.unit == "m/px" else cast("ColmapSource", source)
-    if model is None:
-        request.for_orthophoto(source.path)
-    else:
-        request.for_model(source.path)
+    request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
-    method = Method(request.projection, request.estimator, tuple(given), request.surroundings)
+    method = Method(request.projection, request.estimator, tuple(given), standards() if request.surroundings else None)
     choice = None
     if request.detections is not None:
         found = load_detections(Path(request.detections), source, request.vehicle_classes)
     else:
-        found, choice = _looked_for(source, model, request, fleet, progress)
+        found, choice = _looked_for(source, request, fleet, progress)
     found = replace(found, notes=(*choice_of_fleet, *found.notes))
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if known is not None:
         found = known.applied(found, Path(str(request.calibration)))
     try:
-        if model is None:
-            answer = measure(source, found, fleet, method)
-        else:
-            answer = measure_model(model, found, fleet, method, request.mode)
+        answer = measure_source(source, found, fleet, method, request.mode)
     except TooLittleEvidence as error:
         raise TooLittleEvidence(
             f"{source.path}: {error.message} (resampling factor {found.zoom:.2f}, {_typical_length(found)})",
             "Try the fleet of the country (--fleet), another resampling factor (--gsd-hint METRES_PER_PIXEL or "
             "--zoom FACTOR), or a scene with more vehicles.",
         ) from error
-    within = None
-    if model is None:
-        (whole,) = source.pictures
-        within = drift(answer.vehicles, whole.width, whole.height)
     seconds = time.perf_counter() - started
     log.info("%.6g %s by %d vehicles in %.1f s", answer.scale.value, source.unit, answer.scale.vehicles_used, seconds)
-    return Result(source, fleet, found, choice, seconds, answer, within, method, request.settings())
+    return Result(source, fleet, found, choice, seconds, answer, method, request.settings())
 
 
 def _looked_for(
-    source: Source,
-    model: ColmapSource | None,
-    request: EstimateRequest,
-    fleet: Fleet,
-    progress: Progress | None,
+    source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles that a detector finds. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
     effort = Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
@@ -134,11 +120,7 @@ def _looked_for(
     network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads)
     zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
-        if model is None:
-            sampling = _sampling(source, fleet)
-            found, choice = find_vehicles(source.pictures, network, zoom, progress, effort, sampling)
-        else:
-            found, choice = find_in_model(model, request.mode, network, zoom, progress, effort)
+        found, choice = find_in(source, request.mode, network, zoom, progress, effort, _sampling(source.plan, fleet))
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
@@ -159,14 +141,16 @@ def _path(value: str | Path | None) -> Path | None:
     return None if value is None else Path(value)
 
 
-def _sampling(source: Source, fleet: Fleet) -> Callable[[Detections], float]:
+def _sampling(plan: Plan | None, fleet: Fleet) -> Callable[[Detections], float] | None:
     """The sampling part of the uncertainty after a part of an orthophoto's sweep. Frames are all looked at: they show
     the same vehicles again, and need each other."""
+    if plan is None:
+        return None
     one = replace(fleet, candidates=(), prior=())  # which fleet it is matters little here, and trying all takes time
 
     def sampling(found: Detections) -> float:
         try:
-            return measure(source, found, one).scale.parts["sampling"]
+            return measure(PlanGeometry.of(plan, found), one).scale.parts["sampling"]
         except TooLittleEvidence:
             return np.inf
 

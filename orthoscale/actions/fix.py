@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
+from ..core.source import Plan, PosedSet, Source
 from ..errors import Incomplete, UsageError
+from ..formats.detections import check_name, save
+from ..report.extras import EXTRAS, chosen
+from ..report.files import write_report
 from ..sources.opening import open_source
 from ..system.outputs import Outputs
 from .estimate import measured
@@ -17,8 +22,6 @@ if TYPE_CHECKING:
     from typing import Unpack
 
     from ..detect.find import Progress
-    from ..sources.colmap import ColmapSource
-    from ..sources.raster import RasterSource
     from .requests import FixOptions
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
@@ -57,66 +60,30 @@ def written(
     path: Path, out: Path, request: FixRequest, progress: Progress | None = None, save_detections: Path | None = None
 ) -> Result:
     """What `request` asks of the input at `path`, written at `out`; see `fix`."""
-    from ..formats.detections import check_name, save
-    from ..report.extras import EXTRAS, chosen
-    from ..report.files import write_report
-
     with Outputs(request.overwrite, (path, vars(request))) as outputs:
         outputs.check(out)
         if save_detections is not None:
             check_name(save_detections)
             outputs.check(save_detections)
         source = open_source(path, request.images, need_images=request.detections is None)
-        parts, extras = report_paths(out, source.unit, request.report), chosen(request.also)
-        picture = source.unit == "m/px"
-        if picture:
-            request.for_orthophoto(path)
-            for extra in extras:
-                extra.check(source)
-        else:
-            request.for_model(path)
+        request.check_for(source)
+        writer = _writer(source, out, request)
         if source.metric_already and not request.override:  # not behind its owner's back
             raise UsageError(
                 f"{path} is in metres already: {source.metric_already}",
                 "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
             )
-        dense = cast("ColmapSource", source).dense if request.dense else None  # raises where there is none
-        if picture:
-            for suffix in GDAL_SIDECARS:
-                if os.path.lexists(beside := _beside(out, suffix)):
-                    raise UsageError(f"{beside} would be taken for a part of {out}", "Move it away, or delete it.")
-            main = outputs.file(out)
-            parts = {kind: outputs.file(place) for kind, place in parts.items()}
-            places = [outputs.file(extra.place(out), extra.known(out)) for extra in extras]
-            # What lies beside the file that is replaced would speak for the new one.
-            for kind in set(REPORTS["html"]) - set(parts):
-                outputs.retire(_beside(out, f".{kind}"))
-            for extra in EXTRAS.values():
-                if extra not in extras:
-                    outputs.retire(extra.place(out), extra.known(out))
-        else:
-            main = outputs.folder(out)
-            parts = {kind: main / place.name for kind, place in parts.items()}
+        main, parts = writer.places(outputs)
         if save_detections is not None:
             save_detections = outputs.file(save_detections)
-        outputs.protect(*source.files, *([] if dense is None else [dense]))
+        outputs.protect(*source.files, *writer.more_inputs)
         result = measured(source, request.estimating(), progress)
         if not request.force:
             result.require_useful()
-        if picture:
-            raster = cast("RasterSource", source)
-            raster.write(main, result.scale.value, request.keep_origin, request.cog)
-        else:
-            source.write(main, result.scale.value)
-            if request.dense:
-                (main / "dense").mkdir()
-                cast("ColmapSource", source).write_dense(main / "dense", result.scale.value)
+        writer.write(main, result.scale.value)
         # The copy is verified: what fails from here on does not take it away.
         write_report(result, parts, outputs.attempt)
-        if picture:
-            for extra, partial in zip(extras, places, strict=True):
-                with outputs.attempt(partial, partial.name):
-                    extra.write(result, raster.place(result.scale.value, request.keep_origin), partial)
+        writer.write_more(result, outputs)
         if save_detections is not None:
             with outputs.attempt(save_detections, save_detections.name):
                 save(result.detections, save_detections, source)
@@ -129,11 +96,76 @@ def written(
     return result
 
 
-def report_paths(out: Path, unit: str, report: str) -> dict[str, Path]:
+def report_paths(out: Path, source: Source, report: str) -> dict[str, Path]:
     """Where `fix` writes the parts of a report: beside the scaled orthophoto `out`, or into the folder `out`."""
-    if unit == "m/px":
+    if source.plan is not None:
         return {kind: _beside(out, f".{kind}") for kind in REPORTS[report]}
     return {kind: out / ("vehicles.png" if kind == "png" else f"report.{kind}") for kind in REPORTS[report]}
+
+
+def _writer(source: Source, out: Path, request: FixRequest) -> _PlanWriter | _PosedWriter:
+    if source.plan is not None:
+        return _PlanWriter(source.plan, out, request)
+    assert source.posed is not None, "it is one of the two"
+    return _PosedWriter(source.posed, out, request)
+
+
+class _PlanWriter:
+    """Writes an orthophoto: one file, and others beside it that are named after it."""
+
+    more_inputs: Sequence[Path] = ()
+
+    def __init__(self, plan: Plan, out: Path, request: FixRequest):
+        self.plan, self.out, self.request = plan, out, request
+        self.extras = chosen(request.also)
+        self.places_of_extras: list[Path] = []
+        for extra in self.extras:
+            extra.check(self.plan)
+
+    def places(self, outputs: Outputs) -> tuple[Path, dict[str, Path]]:
+        for suffix in GDAL_SIDECARS:
+            if os.path.lexists(beside := _beside(self.out, suffix)):
+                raise UsageError(f"{beside} would be taken for a part of {self.out}", "Move it away, or delete it.")
+        main = outputs.file(self.out)
+        parts = report_paths(self.out, self.plan, self.request.report)
+        parts = {kind: outputs.file(place) for kind, place in parts.items()}
+        self.places_of_extras = [outputs.file(extra.place(self.out), extra.known(self.out)) for extra in self.extras]
+        # What lies beside the file that is replaced would speak for the new one.
+        for kind in set(REPORTS["html"]) - set(parts):
+            outputs.retire(_beside(self.out, f".{kind}"))
+        for extra in EXTRAS.values():
+            if extra not in self.extras:
+                outputs.retire(extra.place(self.out), extra.known(self.out))
+        return main, parts
+
+    def write(self, main: Path, scale: float) -> None:
+        self.plan.write(main, scale, self.request.keep_origin, self.request.cog)
+
+    def write_more(self, result: Result, outputs: Outputs) -> None:
+        for extra, partial in zip(self.extras, self.places_of_extras, strict=True):
+            with outputs.attempt(partial, partial.name):
+                extra.write(result, self.plan.place(result.scale.value, self.request.keep_origin), partial)
+
+
+class _PosedWriter:
+    """Writes a reconstruction: a folder with all in it."""
+
+    def __init__(self, posed: PosedSet, out: Path, request: FixRequest):
+        self.posed, self.out, self.request = posed, out, request
+        self.more_inputs = [self.posed.dense] if request.dense else []  # raises where there is none
+
+    def places(self, outputs: Outputs) -> tuple[Path, dict[str, Path]]:
+        main = outputs.folder(self.out)
+        return main, report_paths(main, self.posed, self.request.report)
+
+    def write(self, main: Path, scale: float) -> None:
+        self.posed.write(main, scale)
+        if self.request.dense:
+            (main / "dense").mkdir()
+            self.posed.write_dense(main / "dense", scale)
+
+    def write_more(self, result: Result, outputs: Outputs) -> None:
+        """There is nothing else."""
 
 
 def _beside(out: Path, suffix: str) -> Path:

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import difflib
 import math
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
+from ..core.source import Source
 from ..errors import UsageError
 
 if TYPE_CHECKING:
@@ -53,6 +55,22 @@ def flag(of: Field) -> str:
     off. Other errors speak of options by this name too."""
     named: str = of.metadata["option"].flag
     return named or "--" + of.name.replace("_", "-")
+
+
+def command_line(path: str, settings: Mapping[str, Any]) -> str:
+    """`orthoscale estimate` of `path` with the `settings` of a report, those that are not its defaults."""
+    words = ["orthoscale", "estimate", path]
+    for each in fields(EstimateRequest):
+        value = settings.get(each.name)
+        if value is None or value == each.default or value == []:
+            continue
+        on, *off = flag(each).split("/")
+        if isinstance(value, bool):
+            words.append(off[0] if off and not value else on)
+        else:
+            for one in value if isinstance(value, (list, tuple)) else [value]:
+                words += [on, str(one)]
+    return shlex.join(words)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,16 +247,18 @@ class EstimateRequest(VehicleRequest):
     def of_detector(self) -> Iterable[str]:
         return (*super().of_detector, *OF_LOOKING)
 
-    def for_orthophoto(self, path: object) -> None:
-        """Raise UsageError for what is for models only."""
+    def check_for(self, source: Source) -> None:
+        """Raise UsageError for what does nothing on such a source."""
+        (self._for_plan if source.plan is not None else self._for_posed)(source.path)
+
+    def _for_plan(self, path: Path) -> None:
         self._refuse(("mode", "images"), f"it is for COLMAP models, and {path} is an image")
         if self.projection not in (None, "planar"):
             raise UsageError(
                 f"--projection {self.projection} needs a camera; an orthophoto has none", "Remove --projection."
             )
 
-    def for_model(self, path: object) -> None:
-        """Raise UsageError for what is for orthophotos only."""
+    def _for_posed(self, path: Path) -> None:
         self._refuse(("target", "exhaustive"), f"all frames of a model are measured, and {path} is a model")
 
 
@@ -269,12 +289,12 @@ class FixRequest(EstimateRequest):
         "html", str, "Output", "html: page, picture and JSON; json: without the page.", choices=REPORTS
     )
 
-    def for_orthophoto(self, path: object) -> None:
-        super().for_orthophoto(path)
+    def _for_plan(self, path: Path) -> None:
+        super()._for_plan(path)
         self._refuse(("dense",), f"it is for COLMAP models, and {path} is an image")
 
-    def for_model(self, path: object) -> None:
-        super().for_model(path)
+    def _for_posed(self, path: Path) -> None:
+        super()._for_posed(path)
         self._refuse(("keep_origin", "cog", "also"), f"it is for orthophotos, and {path} is a model")
 
     def estimating(self) -> EstimateRequest:

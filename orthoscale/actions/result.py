@@ -11,17 +11,16 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..core.detections import Detections
 from ..core.fleet import Fleet
-from ..core.measuring.drift import Drift
-from ..core.measuring.measure import Measured
+from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
 from ..core.scale import Scale
+from ..core.source import Source
 from ..core.verdicts import UNUSABLE
 from ..core.votes import Votes
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 
 if TYPE_CHECKING:
     from ..detect.zoom import ZoomChoice
-    from ..sources.source import Source
 
 CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
 
@@ -39,15 +38,14 @@ class Result:
     detections: Detections
     zoom_choice: ZoomChoice | None
     seconds: float
-    measured: Measured = field(repr=False)
-    drift: Drift | None = None  # of the scale within an orthophoto
+    measured: Measurement = field(repr=False)
     method: Method = field(default_factory=Method)
     settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
 
     @property
     def projection(self) -> str:
         """The projection that was used: the one asked for, or what fits the source."""
-        return self.method.projection or ("planar" if self.source.unit == "m/px" else "exact")
+        return self.measured.projection
 
     def answer(self) -> list[tuple[str, str]]:
         """The scale in words, by what each line is called; signs in ASCII, which every terminal can write."""
@@ -79,12 +77,26 @@ class Result:
         """The report (what `fix` writes as JSON) as plain values; see `report.document.document`."""
         from ..report.document import document
 
-        return document(self)
+        return document(
+            self.measured,
+            self.source,
+            self.detections,
+            self.zoom_choice,
+            self.fleet,
+            self.method.estimator,
+            self.settings,
+            self.seconds,
+        )
 
     @property
     def notes(self) -> list[str]:
         """What was chosen, left aside, or could not be done: in opening the source, finding vehicles and measuring."""
         return [*self.source.notes, *self.detections.notes, *self.measured.notes]
+
+    @property
+    def remarks(self) -> list[str]:
+        """What a reader should know beside the figures."""
+        return [*self.measured.remarks, *self.notes]
 
     @property
     def scale(self) -> Scale:
@@ -112,7 +124,7 @@ class Result:
     @property
     def rejected_boxes(self) -> dict[str, int]:
         """Boxes that never became votes, by reason."""
-        return {reason: count for reason, count in self.measured.lost.items() if count}
+        return self.measured.rejected_boxes
 
     @property
     def disagreement(self) -> EvidenceDisagrees | None:

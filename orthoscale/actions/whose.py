@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from ..core.fleet import Fleet
 from ..countries import country_at, country_name
+from ..fleets import load_fleet, local_fleet
 
 if TYPE_CHECKING:
     from ..core.calibration import Calibration
@@ -18,12 +19,12 @@ def fleet_of(
 ) -> tuple[Fleet, tuple[str, ...]]:
     """The fleet that was named; else the calibration's own; else that of the country at `location`; else the world's.
     With it, what the user should know of the choice. Raises UsageError, InputError."""
-    own = known.fleet if known is not None else None
+    own = local_fleet(known)
     if name is None and own is not None:
         return own, ()
     if name is not None or location is None:
-        return Fleet.load(name or "world"), ()
+        return load_fleet(name or "world"), ()
     code = country_at(location.longitude, location.latitude)
     if code is None:
-        return Fleet.load("world"), (f"{location.told_by} is in no country: fleet world",)
-    return Fleet.load(code), (f"fleet {code}: {location.told_by} is in {country_name(code)}; --fleet names another",)
+        return load_fleet("world"), (f"{location.told_by} is in no country: fleet world",)
+    return load_fleet(code), (f"fleet {code}: {location.told_by} is in {country_name(code)}; --fleet names another",)

@@ -54,6 +54,7 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, debu
     file also holds the mean size of the vehicles here, for other pictures of the same place.
     """
     from ..actions.calibrate import calibrate as measure
+    from ..formats.calibration import calibration_values, save_calibration
     from ..system.outputs import Outputs
 
     with Outputs(overwrite, (path, options)) as outputs:
@@ -61,9 +62,9 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, debu
         with progress_bars() as progress:
             calibration = measure(path, progress=progress, **options)
         if partial is not None:
-            calibration.save(partial)
+            save_calibration(calibration, partial)
     if as_json:
-        click.echo(json.dumps(calibration.as_json()))
+        click.echo(json.dumps(calibration_values(calibration)))
         return
     ruler, made = calibration.ruler, calibration.made_from
     lines = [f"detector   {calibration.detector}"]

@@ -29,10 +29,9 @@ def fleets(codes: tuple[str, ...], as_json: bool, debug: bool) -> None:
 
     CODES are codes or names of countries: these fleets in full. Without them all are listed, in short.
     """
-    from ..core.fleet import Fleet
-    from ..core.fleet import codes as known
+    from ..fleets import fleet_codes, load_fleet
 
-    table = [Fleet.load(code) for code in codes or known()]
+    table = [load_fleet(code) for code in codes or fleet_codes()]
     if as_json:
         click.echo(json.dumps([_plain(f) for f in table], indent=1, ensure_ascii=False))
         return

@@ -85,6 +85,7 @@ def layout(
     prompt; and a picture.
     """
     from ..errors import UsageError
+    from ..layout import export
     from ..layout import plan as planning
     from ..layout.terminal import catalogue_table, summary
     from ..system.outputs import Outputs
@@ -115,5 +116,5 @@ def layout(
             )
         outputs.protect(*made.ground.source.files)
         if folder is not None:
-            planning.write(made, folder)
+            export.write(made, folder)
     click.echo(json.dumps(planning.document(made))) if as_json else say(summary(made, out))

@@ -131,7 +131,7 @@ def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
     """What a person will look for."""
     from ..actions.fix import report_paths
 
-    page = report_paths(out, result.source.unit, report).get("html")
+    page = report_paths(out, result.source, report).get("html")
     return {"written": out} | ({"report": page} if page and page.is_file() else {})
 
 
@@ -151,9 +151,7 @@ def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None,
 
 def _finish(result: Any, as_json: bool, written: Mapping[str, Path] = MappingProxyType({})) -> None:
     if as_json:
-        from ..report.document import document
-
-        click.echo(json.dumps(document(result)))
+        click.echo(json.dumps(result.to_dict()))
     else:
         from ..report.terminal import show
 

@@ -1,4 +1,4 @@
-"""What an orthophoto of known scale says of a detector: the pixels by which its boxes exceed vehicles, in a file.
+"""What an orthophoto of known scale says of a detector: the pixels by which its boxes exceed vehicles.
 
 In metres a box of zoom k is ``S + c x_k``: the vehicle, and a margin of c detector pixels, each x_k metres on the
 ground. The same vehicles at several zooms tell S and c apart a little; what is known of the fleet (S) and of the
@@ -7,28 +7,24 @@ detector (c) beforehand tells the rest. All of it is one least-squares problem p
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..errors import UsageError
-from ..formats.reading import checked, read_plain
 from .detections import Detections
 from .fleet import Fleet
 from .ruler import Ruler
-
-KIND = "orthoscale calibration 1"
 
 
 @dataclass(frozen=True)
 class Calibration:
     """A detector's ruler as measured at one place, and that place's vehicles where asked for.
 
-    fleet_entry : as in a fleet file (`Fleet.from_entry`), None where the local fleet was not fitted.
+    fleet_entry : that place's vehicles as in a fleet file (`Fleet.from_entry`), None where they were not fitted.
     made_from : the orthophoto, its scale, fleet and counts, for people.
     """
 
@@ -37,11 +33,6 @@ class Calibration:
     ruler: Ruler
     fleet_entry: Mapping[str, Any] | None
     made_from: Mapping[str, Any]
-
-    @property
-    def fleet(self) -> Fleet | None:
-        """The local fleet."""
-        return None if self.fleet_entry is None else Fleet.from_entry("local", self.fleet_entry)
 
     def applied(self, found: Detections, path: Path) -> Detections:
         """`found` with this ruler. Raises UsageError when other boxes than this detector's were found; `path` is the
@@ -53,31 +44,6 @@ class Calibration:
             )
         planar = None if found.planar is None else replace(found.planar, ruler=self.ruler)
         return replace(found, ruler=self.ruler, planar=planar)
-
-    def save(self, path: Path) -> None:
-        """Write as JSON."""
-        path.write_text(json.dumps(self.as_json(), indent=1) + "\n", encoding="utf-8")
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain values, as in the file."""
-        return {
-            "kind": KIND,
-            "detector": self.detector,
-            "detector_sha256": self.detector_sha256,
-            "ruler": asdict(self.ruler),
-            "fleet": self.fleet_entry,
-            "made_from": self.made_from,
-        }
-
-    @classmethod
-    def load(cls, path: Path) -> Calibration:
-        """Raises InputError for what `save` did not write."""
-        from ..formats.schemas import CalibrationEntry
-
-        hint = "Make one: orthoscale calibrate ORTHO --out FILE.json"
-        text = read_plain(path, "a calibration", hint)
-        entry = checked(text, CalibrationEntry, str(path), "a calibration", hint)
-        return cls(entry.detector, entry.detector_sha256, entry.ruler.ruler, text["fleet"], entry.made_from)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ import numpy as np
 
 from .evidence import Evidence
 
+PER_PIXEL = "m/px"  # the unit of a plan's scale: its ground sampling distance
+
 
 def decimals(uncertainty: float) -> int:
     """Decimal places of a figure that is known to so much: two digits of it. 6 where it is known exactly."""
@@ -65,7 +67,7 @@ class Scale:
         values = values or (self.value,)
         places = decimals(self.half_width * self.value)
         metres = f"{' to '.join(f'{value:.{places}f}' for value in values)} {self.unit}"
-        if self.unit != "m/px" or self.value >= 1:
+        if self.unit != PER_PIXEL or self.value >= 1:
             return metres
         return f"{metres} ({' to '.join(f'{100 * value:.{max(places - 2, 0)}f}' for value in values)} cm)"
 

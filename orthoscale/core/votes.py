@@ -36,6 +36,10 @@ class Votes:
     def __len__(self) -> int:
         return len(self.size)
 
+    def counted(self, used: np.ndarray) -> list[np.ndarray]:
+        """The `members` of those votes that are `used` (N,)."""
+        return [members for members, counts in zip(self.members, used, strict=True) if counts]
+
     @property
     def fleeting(self) -> np.ndarray:
         """(N,) bool: seen in one frame where vehicles are usually seen in many. Mistakes flicker, parked cars stay."""

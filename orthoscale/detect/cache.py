@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from ..core.boxes import Boxes
-from ..sources.picture import Picture
+from ..core.detections import Tile
+from ..core.source import Picture
 from .detector import Detector
-from .tiles import BORDER, CONFIRMING_ZOOM, OVERLAP, TILE, Looks, Tile
+from .tiles import BORDER, CONFIRMING_ZOOM, OVERLAP, TILE, Looks
 
 KEPT = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
 CODE = ("boxes.py", "detect/*.py", "sources/raster.py", "sources/picture_file.py")  # what decides over the looks

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
-from ..evidence.objects import known_objects
+from ..tables import known_objects
 
 # What data sets call the vehicles that a fleet describes: DOTA, DIOR, FAIR1M, VEDAI, xView, COWC, COCO, orthoscale.
 SMALL_VEHICLES = frozenset(

@@ -23,7 +23,7 @@ from .workers import cores, visitor, worker_count
 from .zoom import ZoomChoice, search_zoom
 
 if TYPE_CHECKING:
-    from ..sources.picture import Picture
+    from ..core.source import Picture
 
 Progress = Callable[[str, int, int], None]  # what, done, total
 

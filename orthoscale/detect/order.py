@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .tiles import Tile
+from ..core.detections import Tile
 
 GOLDEN = (np.sqrt(5) - 1) / 2
 

@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..sources.picture import Picture
+from ..core.detections import Tile
+from ..core.source import Picture
 from .detector import Detector
-from .tiles import Tile, look
+from .tiles import look
 
 FAR = 0.25  # zoom of the far look as a share of the sweep's: a sixteenth of its pixels
 SCORE = 0.5  # what the detector must be sure of there; empty ground seldom looks so much like a vehicle from afar

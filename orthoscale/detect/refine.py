@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.boxes import Boxes, matched, suppress
-from ..sources.picture import Picture
+from ..core.detections import Tile
+from ..core.source import Picture
 from .find import Progress
-from .tiles import Detect, Tile, place, read, tiles
+from .tiles import Detect, place, read, tiles
 
 SAME_BOX = 0.5  # overlap at which two views show the same vehicle
 FEWEST = 3  # views of a vehicle, the first included, from which a median says more than a single box

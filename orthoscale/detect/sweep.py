@@ -8,27 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..core.boxes import Boxes, matched, suppress
-from ..sources.picture import Picture
+from ..core.detections import Swept, Tile
+from ..core.source import Picture
 from .cache import TileCache
-from .tiles import Looks, Tile
+from .tiles import Looks
 from .workers import Visit
 
 SAME_BOX = 0.5  # overlap at which two looks show the same vehicle
 FIRST = 16  # tiles that are looked at before asking whether they are enough
 FEWEST = 4  # tiles of any later batch
-
-
-@dataclass(frozen=True)
-class Swept:
-    """Which tiles were looked at.
-
-    tiles : (picture name, tile) of each that was, in reading order. total : how many there are.
-    from_cache : how many of the looks had been had before.
-    """
-
-    tiles: list[tuple[str, Tile]] = field(repr=False)
-    total: int
-    from_cache: int = 0
 
 
 @dataclass(frozen=True)

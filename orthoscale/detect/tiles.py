@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 
 from ..core.boxes import Boxes, suppress
-from ..sources.picture import Picture
+from ..core.detections import Tile
+from ..core.source import Picture
 from .detector import CUT_OBJECT, VEHICLES, Detector
 
 TILE = 1024  # side of the network's input [px]
@@ -21,18 +22,6 @@ BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of 
 CONFIRMING_ZOOM = float(1 / np.sqrt(2))
 
 Detect = Callable[[np.ndarray], Boxes]
-
-
-@dataclass(frozen=True)
-class Tile:
-    """A window of a picture: position and size [px of the picture], and the size it is resampled to."""
-
-    x: int
-    y: int
-    width: int
-    height: int
-    out_width: int
-    out_height: int
 
 
 @dataclass(frozen=True)

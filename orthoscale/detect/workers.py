@@ -11,10 +11,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from ..core.detections import Tile
+from ..core.source import Picture
 from ..errors import OrthoscaleError, UsageError
-from ..sources.picture import Picture
 from .detector import Detector
-from .tiles import Detect, Looks, Tile, look_twice
+from .tiles import Detect, Looks, look_twice
 
 Jobs = Mapping[int, tuple[Picture, Tile]]
 Settings = tuple[Path | None, str | None, tuple[str, ...]]

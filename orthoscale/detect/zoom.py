@@ -21,10 +21,11 @@ import numpy as np
 
 from ..core.alike import all_alike
 from ..core.boxes import Boxes, matched, suppress
+from ..core.detections import Tile
+from ..core.source import Picture
 from ..errors import UsageError
-from ..sources.picture import Picture
 from .detector import Card
-from .tiles import Detect, Tile, look, tiles
+from .tiles import Detect, look, tiles
 
 # Zooms looked at: octaves that bring vehicles of 8 to 400 px into the detector's range, each into that of two or three.
 LEVELS = 2.0 ** np.arange(-4, 2.1, 1.0)

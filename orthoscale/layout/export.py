@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -14,11 +15,20 @@ from rasterio.windows import Window as RasterWindow
 from ..formats.png import write_png
 from ..formats.vector import write_layer
 from . import draw
-
-if TYPE_CHECKING:
-    from .plan import Layout
+from .plan import Layout, document, prompt
 
 TILE = 256
+
+
+def write(layout: Layout, folder: Path) -> None:
+    """Write into the empty `folder`: layout.json, layout.gpkg, layout.geojson, layout.dxf, mask.tif, lines.tif,
+    lines.png, lot.png, overlay.png, prompt.txt. Raises OSError."""
+    values = document(layout)
+    (folder / "layout.json").write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+    (folder / "prompt.txt").write_text(prompt(layout) + "\n", encoding="utf-8")
+    write_vectors(layout, folder, values["facilities"])
+    write_dxf(layout, folder / "layout.dxf")
+    write_pictures(layout, folder)
 
 
 def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,18 +75,6 @@ def _fixed(request: Request, ground: Ground, pixels: bool) -> Placed:
     place = np.array([request.centre])
     x, y = (ground.to_metres(place) if pixels else ground.from_crs(place))[0]
     return Placed(request.facility, (float(x), float(y)), float(request.bearing or 0.0) % 180)
-
-
-def write(layout: Layout, folder: Path) -> None:
-    """Write into the empty `folder`: layout.json, layout.gpkg, layout.geojson, layout.dxf, mask.tif, lines.tif,
-    lines.png, lot.png, overlay.png, prompt.txt. Raises OSError."""
-    from . import export
-
-    (folder / "layout.json").write_text(json.dumps(document(layout), indent=1) + "\n", encoding="utf-8")
-    (folder / "prompt.txt").write_text(prompt(layout) + "\n", encoding="utf-8")
-    export.write_vectors(layout, folder, document(layout)["facilities"])
-    export.write_dxf(layout, folder / "layout.dxf")
-    export.write_pictures(layout, folder)
 
 
 def document(layout: Layout) -> dict[str, Any]:

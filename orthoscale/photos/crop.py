@@ -20,8 +20,8 @@ import numpy as np
 import pyproj
 import rasterio
 
+from ..core.source import Picture
 from ..errors import OutputError, UsageError
-from ..sources.picture import Picture
 from ..sources.raster import RasterSource
 
 MOST_WINDOWS = 100_000

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from ..actions.requests import VehicleRequest
 from ..actions.whose import fleet_of
-from ..core.calibration import Calibration
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..detect.find import Progress
 from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
+from ..formats.calibration import load_calibration
 from ..sources.location import location_in
 from ..sources.picture_file import PictureFile
 from .measure import Photo
@@ -25,7 +25,7 @@ class Looking(VehicleRequest):
 
     def ruler_fleet(self, photos: Sequence[Path]) -> tuple[Fleet, tuple[str, ...]]:
         """The fleet that `photos` are measured by, and what to say of it; see `whose.fleet_of`."""
-        known = None if self.calibration is None else Calibration.load(Path(self.calibration))
+        known = None if self.calibration is None else load_calibration(Path(self.calibration))
         return fleet_of(self.fleet, known, None if self.fleet else location_in(photos))
 
 
@@ -35,7 +35,7 @@ class Album:
 
     photos: Sequence[Photo]
     notes: list[str] = field(default_factory=list)
-    unit: str = "m/photo"
+    raster: None = None
 
     @property
     def path(self) -> Path:
@@ -63,7 +63,7 @@ def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = 
     else:
         found = _detected(photos, how, progress)
     if how.calibration is not None:
-        found = Calibration.load(path := Path(how.calibration)).applied(found, path)
+        found = load_calibration(path := Path(how.calibration)).applied(found, path)
     return found
 
 

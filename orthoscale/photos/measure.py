@@ -16,16 +16,21 @@ import numpy as np
 
 from ..core.boxes import Boxes
 from ..core.detections import Detections
+from ..core.evidence import Evidence
 from ..core.fleet import Fleet
+from ..core.measuring.geometry import Geometry, Observation
+from ..core.measuring.measure import measure as measure_boxes
+from ..core.measuring.measurement import Findings
 from ..core.measuring.oblique import HEIGHT_SD, ROUNDS, SETTLED
+from ..core.measuring.surroundings import Standards
 from ..core.pooling.posterior import Z90
-from ..core.pooling.robust import MIN_VEHICLES, pool
-from ..core.projection.exact import BODIES, Hull, ground_size
+from ..core.pooling.robust import MIN_VEHICLES
+from ..core.projection.exact import BODIES, ground_size
 from ..core.projection.level import level_axes, level_views, up_from_gimbal
 from ..core.projection.view import Views
-from ..core.scale import Scale
+from ..core.scale import PER_PIXEL, Scale
 from ..core.verdicts import UNUSABLE, VERDICTS, verdict
-from ..core.votes import gather
+from ..core.votes import Votes
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..sources.picture_file import PictureFile
 from ..sources.undistort import undistort
@@ -182,56 +187,103 @@ class PhotoScale:
         return views.ground @ level_axes(self.photo.up).T if (ok & seen).all() else None
 
 
-def measure(
-    photos: Sequence[Photo], found: Detections, fleet: Fleet, overlap: float = 1.0, min_vehicles: int = MIN_VEHICLES
-) -> PhotoScale:
+@dataclass(frozen=True)
+class PhotoGeometry:
+    """A `Geometry` of boxes in photos over level ground, in pixels of the nadir view from the same altitude.
+
+    views : how each box is seen; `off` by cause, how it would be if pitch, roll or focal length were one sigma more.
+    """
+
+    found: Detections
+    boxes: Boxes
+    picture: np.ndarray
+    views: Views
+    off: Mapping[str, Views]
+    unit: str = PER_PIXEL
+    projection: str = "exact"
+    called: str = "usable vehicles"
+    repeated: bool = False
+    rounds: int = ROUNDS
+    settled: float = SETTLED
+
+    @classmethod
+    def of(cls, photos: Sequence[Photo], found: Detections) -> PhotoGeometry:
+        """That of the boxes `found` in `photos`, those that see the ground steeply enough."""
+        seen = [(p, found.boxes.get(p.name, Boxes.empty())) for p in photos]
+        usable = [(p, b[p.views(b.centre, 1.0)[1]]) for p, b in seen if len(b)]
+        if not any(len(b) for _, b in usable):
+            raise TooLittleEvidence(f"0 usable vehicles, {MIN_VEHICLES} are needed")
+        return cls(
+            found=found,
+            boxes=Boxes.concatenate([b for _, b in usable]),
+            picture=np.array([p.name for p, b in usable for _ in range(len(b))]),
+            views=_together(usable, lambda photo: photo),
+            off={
+                "pitch": _together(usable, lambda photo: photo.turned(RIGHT, photo.up_sd)),
+                "roll": _together(usable, lambda photo: photo.turned(_sideways(photo.up), photo.up_sd)),
+                "focal": _together(usable, lambda photo: photo.refocused(1 + photo.lens.sd)),
+            },
+        )
+
+    @property
+    def pixel(self) -> np.ndarray:
+        return self.views.unit_per_pixel / self.found.zoom
+
+    @property
+    def place(self) -> np.ndarray:
+        return self.views.ground
+
+    @property
+    def lost(self) -> dict[str, int]:
+        return {}
+
+    @property
+    def typical_length(self) -> float:
+        return float(np.median(self.boxes.length * self.views.unit_per_pixel))
+
+    def observe(self, metres_per_unit: float) -> Observation:
+        """What is not known of attitude, lens and effective height is measured again with each a little off."""
+        height = np.array(self.found.effective_height)
+        size = self._sizes(self.views, metres_per_unit, height)
+        if not np.isfinite(size).all(1).any():
+            return Observation(size, self.found.ruler)
+        shared = {name: _change(size, self._sizes(v, metres_per_unit, height)) for name, v in self.off.items()}
+        raised = _change(size, self._sizes(self.views, metres_per_unit, height + HEIGHT_SD))
+        return Observation(size, self.found.ruler, raised, shared)
+
+    def _sizes(self, view: Views, metres_per_unit: float, height: np.ndarray) -> np.ndarray:
+        """(N, 2) length and width of vehicles of the detector's body, each by the effective height of its own."""
+        body = BODIES[self.found.body]
+        bodies = [replace(body, height=h) for h in height]
+        return np.stack([ground_size(self.boxes, view, metres_per_unit, b)[:, k] for k, b in enumerate(bodies)], 1)
+
+    def surroundings(
+        self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
+    ) -> Sequence[Evidence]:
+        """Photos are not searched for them."""
+        return ()
+
+    def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
+        """There is nothing to refine."""
+        return self
+
+    def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
+        """By how much attitude and lens, one sigma off, would change the sizes."""
+        return Findings(shared=seen.shared)
+
+
+def measure(photos: Sequence[Photo], found: Detections, fleet: Fleet, overlap: float = 1.0) -> PhotoScale:
     """One scale from the vehicles of `photos`, which were taken with one lens from one altitude (or are a single one).
 
-    overlap : see `PhotoScale`; the sampling part of the interval grows by its square root.
-    Raises TooLittleEvidence for fewer than `min_vehicles` usable boxes.
+    overlap : see `PhotoScale`; the sampling part of the interval grows by its square root. Raises TooLittleEvidence.
     """
-    first = photos[0]
-    seen = [(p, found.boxes.get(p.name, Boxes.empty())) for p in photos]
-    usable = [(p, b[p.views(b.centre, 1.0)[1]]) for p, b in seen if len(b)]
-    boxes = Boxes.concatenate([b for _, b in usable])
-    if len(boxes) < min_vehicles:
-        raise TooLittleEvidence(
-            f"{len(boxes)} usable vehicles, {min_vehicles} are needed",
-            "Give photos that show more vehicles, or pool those of one altitude with --together.",
-        )
-    picture = np.array([p.name for p, b in usable for _ in range(len(b))])
-    view = _together(usable, lambda photo: photo)
-    off = {
-        "pitch": _together(usable, lambda photo: photo.turned(RIGHT, photo.up_sd)),
-        "roll": _together(usable, lambda photo: photo.turned(_sideways(photo.up), photo.up_sd)),
-        "focal": _together(usable, lambda photo: photo.refocused(1 + photo.lens.sd)),
-    }
-    height, body = np.array(found.effective_height), BODIES[found.body]
-    metres_per_unit = float(fleet.mean[0] / np.median(boxes.length * view.unit_per_pixel))
-    for _ in range(ROUNDS):
-        size = _sizes(boxes, view, metres_per_unit, height, body)
-        solved = np.isfinite(size).all(1)
-        if solved.sum() < min_vehicles:
-            raise TooLittleEvidence(f"{int(solved.sum())} boxes that a vehicle explains, {min_vehicles} are needed")
-        # (2,) by how much lengths and widths (log) come out larger where something is one sigma off.
-        shifts = {name: _change(size, _sizes(boxes, v, metres_per_unit, height, body)) for name, v in off.items()}
-        raised = _change(size, _sizes(boxes, view, metres_per_unit, height + HEIGHT_SD, body))
-        votes = gather(
-            size[solved],
-            view.unit_per_pixel[solved] / found.zoom,
-            view.ground[solved],
-            boxes.score[solved],
-            repeated=False,
-        )
-        geometry = np.diag(raised**2) + sum(np.outer(s, s) for s in shifts.values())
-        scale = pool(votes, fleet, found.ruler, "m/px", geometry)
-        change = abs(np.log(scale.value / metres_per_unit))
-        metres_per_unit = scale.value
-        if change < SETTLED:
-            break
-    if overlap > 1:
-        scale = _thinned(scale, overlap)
-    return _assembled(first, scale, shifts, boxes[solved], picture[solved], overlap)
+    try:
+        got = measure_boxes(PhotoGeometry.of(photos, found), fleet)
+    except TooLittleEvidence as error:
+        hint = error.hint or "Give photos that show more vehicles, or pool those of one altitude with --together."
+        raise TooLittleEvidence(error.message, hint) from error
+    scale = _thinned(got.scale, overlap) if overlap > 1 else got.scale
+    return _assembled(photos[0], scale, got.found.shared, got.boxes, got.picture, overlap)
 
 
 def _together(usable: Sequence[tuple[Photo, Boxes]], changed: Callable[[Photo], Photo]) -> Views:
@@ -249,12 +301,6 @@ def _sideways(up: np.ndarray) -> np.ndarray:
 def _change(size: np.ndarray, other: np.ndarray) -> np.ndarray:
     """(2,) median log ratio of lengths and of widths."""
     return np.nanmedian(np.log(other / size), axis=0)
-
-
-def _sizes(boxes: Boxes, view: Views, metres_per_unit: float, height: np.ndarray, body: Hull) -> np.ndarray:
-    """(N, 2) length and width [units of `view`] of vehicles like `body`, each by the effective height of its own."""
-    parts = [ground_size(boxes, view, metres_per_unit, replace(body, height=h))[:, k] for k, h in enumerate(height)]
-    return np.stack(parts, 1)
 
 
 def _thinned(scale: Scale, overlap: float) -> Scale:

@@ -12,14 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from ..actions.check import own_claim
-from ..actions.result import Result
+from ..core.claims import own_claim
+from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.measuring.drift import Drift
+from ..core.measuring.measurement import Measurement
+from ..core.measuring.model_drift import ModelDrift
+from ..core.scale import PER_PIXEL
+from ..core.source import Source
+from ..detect.zoom import ZoomChoice
 from ..errors import InputError, shown
 from ..formats.reading import LARGE, checked, read_plain
 from ..version import __version__
-from .above import from_above
 
 FORMAT = "orthoscale report 1"
 
@@ -61,15 +65,25 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pycolmap", "rasterio")
 
 
-def document(result: Result) -> dict[str, Any]:
-    """`result` as plain values. Lengths in metres unless a name says px or unit; intervals are 90 %.
+def document(
+    measured: Measurement,
+    source: Source,
+    found: Detections,
+    zoom_choice: ZoomChoice | None,
+    fleet: Fleet,
+    estimator: str,
+    settings: Mapping[str, Any],
+    seconds: float,
+) -> dict[str, Any]:
+    """The parts of a `Result` as plain values. Lengths in metres unless a name says px or unit; intervals are 90 %.
 
     ``vehicles[].length`` and ``width`` are those of the vehicle, the detector's margin taken off; ``place_m`` is its
-    place on a plan, x right and y up (see `from_above`). ``notes`` are those remarks that do not speak against the
-    scale.
+    place on a plan, x right and y up (see `Source.from_above`). ``notes`` are those remarks that do not speak against
+    the scale.
     """
-    scale, found, votes, vehicles = result.scale, result.detections, result.votes, result.vehicles
-    plan = from_above(result.source, votes.place) * scale.value
+    scale, votes, vehicles = measured.scale, measured.votes, measured.vehicles
+    plan = source.from_above(votes.place) * scale.value
+    notes = [*source.notes, *found.notes, *measured.notes]
     return {
         "format": FORMAT,
         "scale": scale.value,
@@ -78,22 +92,22 @@ def document(result: Result) -> dict[str, Any]:
         "verdict": scale.verdict,
         "vehicles_used": scale.vehicles_used,
         "vehicles_rejected": scale.rejected,
-        "boxes_rejected": result.rejected_boxes,
+        "boxes_rejected": measured.rejected_boxes,
         "fleet": scale.fleet,
-        "fleet_name": result.fleet.name,
-        "fleet_source": result.fleet.source,
+        "fleet_name": fleet.name,
+        "fleet_source": fleet.source,
         "fleets": dict(sorted(scale.fleets.items(), key=lambda item: -item[1])),
         "larger_vehicles": scale.larger_share,
         "evidence": [
             {"kind": e.kind, "scale": e.value, "relative_sd": e.relative_sd, "says": e.says} for e in scale.evidence
         ],
-        "method": {"projection": result.projection, "estimator": result.method.estimator},
-        "fleet_sizes": _fleet_sizes(result.fleet),
-        "uncertainty": {name: sd for name, sd in scale.parts.items()},
+        "method": {"projection": measured.projection, "estimator": estimator},
+        "fleet_sizes": _fleet_sizes(fleet),
+        "uncertainty": dict(scale.parts),
         "checks": {**scale.checks, "tension_sigmas": scale.tension, "conflict_sigmas": scale.conflict},
         "weights": {"length": scale.weights[0], "width": scale.weights[1]},
-        "remarks": remarks(result),
-        "notes": _notes(result),
+        "remarks": [*measured.remarks, *notes],
+        "notes": [*notes, *measured.accord],
         "detector": {
             "name": found.detector,
             "sha256": found.detector_sha256,
@@ -104,26 +118,22 @@ def document(result: Result) -> dict[str, Any]:
         "sweep": None
         if found.swept is None
         else {"tiles": len(found.swept.tiles), "of": found.swept.total, "from_cache": found.swept.from_cache},
-        "claim": None if (claim := own_claim(result.source, scale)) is None else claim.document(),
-        "drift": None if result.drift is None else drift_values(result.drift),
+        "claim": None if (claim := own_claim(source, scale)) is None else claim.document(),
+        "drift": _drift(measured.drift),
         "zoom_search": None
-        if result.zoom_choice is None
-        else {
-            "vehicle_px": result.zoom_choice.vehicle_px,
-            "votes": result.zoom_choice.votes,
-            "runner_up": result.zoom_choice.rival,
-        },
-        **result.measured.findings,
-        "input": {"path": str(result.source.path), "sha256": result.source.content_hash()},
-        "settings": result.settings,
-        "pictures": {p.name: [p.width, p.height] for p in result.source.pictures},
+        if zoom_choice is None
+        else {"vehicle_px": zoom_choice.vehicle_px, "votes": zoom_choice.votes, "runner_up": zoom_choice.rival},
+        **_of_posed(measured),
+        "input": {"path": str(source.path), "sha256": source.content_hash()},
+        "settings": dict(settings),
+        "pictures": {p.name: [p.width, p.height] for p in source.pictures},
         "versions": {
             "orthoscale": __version__,
             "python": platform.python_version(),
             **{name: _version(name) for name in PACKAGES},
         },
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seconds": round(result.seconds, 2),
+        "seconds": round(seconds, 2),
         "vehicles": [
             {
                 "length": float(vehicles["length"][k]),
@@ -136,9 +146,9 @@ def document(result: Result) -> dict[str, Any]:
                 "reason": scale.reasons[k],
                 "boxes": [
                     {
-                        "picture": str(result.picture[m]),
-                        "xylwa_px": [round(float(v), 3) for v in result.boxes.xylwa[m]],
-                        "score": round(float(result.boxes.score[m]), 3),
+                        "picture": str(measured.picture[m]),
+                        "xylwa_px": [round(float(v), 3) for v in measured.boxes.xylwa[m]],
+                        "score": round(float(measured.boxes.score[m]), 3),
                     }
                     for m in votes.members[k]
                 ],
@@ -148,22 +158,41 @@ def document(result: Result) -> dict[str, Any]:
     }
 
 
-def remarks(result: Result) -> list[str]:
-    """What a reader should know beside the figures."""
-    drift = [result.drift.remark] if result.drift is not None and result.drift.remark else []
-    return [*result.scale.remarks, *drift, *result.notes]
+def _of_posed(measured: Measurement) -> dict[str, Any]:
+    """What only reconstructions have: how the ruler calibrated itself, each way of measuring, and how they agree."""
+    values: dict[str, Any] = {}
+    if (own := measured.found.calibration) is not None:
+        values["calibration"] = {**own.ruler.document(own.card), "trends": own.trends}
+    if measured.modes:
+        values["modes"] = {
+            name: {
+                "scale": mode.scale.value,
+                "interval90": list(mode.scale.interval90),
+                "verdict": mode.scale.verdict,
+                "vehicles_used": mode.scale.vehicles_used,
+                "boxes": len(mode.boxes),
+                "uncertainty": dict(mode.scale.parts),
+            }
+            for name, mode in measured.modes.items()
+        }
+    if (agreement := measured.agreement) is not None:
+        values["agreement"] = {
+            "difference": agreement.difference,
+            "sigmas": agreement.tension,
+            "common_vehicles": agreement.common,
+            "contradicts": agreement.contradicts,
+        }
+    return values
 
 
-def _notes(result: Result) -> list[str]:
-    """Those of the remarks that do not speak against the scale."""
-    agreement = result.measured.agreement
-    if agreement is None or agreement.contradicts:
-        return result.notes
-    return [*result.notes, agreement.sentence()]
+def _drift(drift: Drift | ModelDrift | None) -> dict[str, Any] | None:
+    if drift is None:
+        return None
+    return drift_values(drift) if isinstance(drift, Drift) else _model_drift(drift)
 
 
 def drift_values(drift: Drift) -> dict[str, Any]:
-    """As the report holds it."""
+    """That of an orthophoto, as the report holds it."""
     names = ("x_px", "y_px", "vehicles", "deviation", "sd")
     return {
         "tilt": drift.tilt,
@@ -176,6 +205,26 @@ def drift_values(drift: Drift) -> dict[str, Any]:
         "cell_px": list(drift.cell),
         "cells": [dict(zip(names, map(float, cell), strict=True)) for cell in drift.cells],
     }
+
+
+def _model_drift(drift: ModelDrift) -> dict[str, Any]:
+    return {
+        "frames": {name: {"scale": f.scale, "sd": f.sd, "vehicles": f.vehicles} for name, f in drift.frames.items()},
+        "odd_frames": [name for name, _ in drift.odd],
+        "regions": [
+            {"centre_unit": list(r.centre), "scale": r.scale, "sd": r.sd, "vehicles": r.vehicles} for r in drift.regions
+        ],
+        "trend": None
+        if drift.trend is None
+        else {"percent_across": drift.trend.percent_across, "chance": drift.trend.chance},
+        "drifts": drift.drifts,
+        "remarks": drift.remarks,
+    }
+
+
+def of_plan(report: Mapping[str, Any]) -> bool:
+    """Whether it is that of an orthophoto; else of a reconstruction."""
+    return report["unit"] == PER_PIXEL
 
 
 def completed(report: Mapping[str, Any]) -> dict[str, Any]:

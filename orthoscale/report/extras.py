@@ -12,8 +12,7 @@ import numpy as np
 from rasterio.transform import Affine
 
 from ..actions.result import Result
-from ..sources.georeference import Place
-from ..sources.source import Source
+from ..core.source import Placement, Plan
 from ..system.outputs import has_header, ours, signature
 from .geo import check_on_earth, write_geojson, write_geopackage
 
@@ -29,16 +28,16 @@ class Extra:
     """
 
     place: Callable[[Path], Path]
-    write: Callable[[Result, Place, Path], None]
+    write: Callable[[Result, Placement, Path], None]
     mine: Callable[[Path, Path], bool] | None = None
-    check: Callable[[Source], None] = lambda source: None
+    check: Callable[[Plan], None] = lambda source: None
 
     def known(self, out: Path) -> Callable[[Path], bool] | None:
         """`mine` for the main output `out`."""
         return None if self.mine is None else partial(self.mine, out)
 
 
-def write_world_file(result: Result, place: Place, path: Path) -> None:
+def write_world_file(result: Result, place: Placement, path: Path) -> None:
     """Six lines: the transform's linear part, then the centre of the first pixel (ESRI's convention)."""
     path.write_text("".join(f"{value:.17g}\n" for value in _world(place.transform)))
 
@@ -61,7 +60,7 @@ def _says_the_same(out: Path, path: Path) -> bool:
         return False
 
 
-def write_scale_file(result: Result, place: Place, path: Path) -> None:
+def write_scale_file(result: Result, place: Placement, path: Path) -> None:
     """The scale as the first word; what it is, after a ``#``."""
     low, high = result.scale.interval90
     path.write_text(
@@ -70,7 +69,7 @@ def write_scale_file(result: Result, place: Place, path: Path) -> None:
     )
 
 
-def write_tiles(result: Result, place: Place, path: Path) -> None:
+def write_tiles(result: Result, place: Placement, path: Path) -> None:
     """A line per tile that was looked at: where it is, how many vehicles stand in it, what scale they give."""
     swept = result.detections.swept
     votes, scale = result.votes, result.scale

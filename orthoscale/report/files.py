@@ -6,20 +6,18 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..actions.result import Result
+from ..core.source import Source
 from ..errors import InputError, OrthoscaleError
 from ..formats.reading import is_there, reason
 from ..sources.opening import open_source
 from ..system.outputs import Outputs, ours_in_a_folder
-from .document import document, read_json, write_json
+from .document import read_json, write_json
 from .page import page
 from .pictures import draw
 from .scene import Scene
-
-if TYPE_CHECKING:
-    from ..sources.source import Source
 
 Attempt = Callable[[Path, str], AbstractContextManager[None]]
 
@@ -27,7 +25,7 @@ Attempt = Callable[[Path, str], AbstractContextManager[None]]
 def write_report(result: Result, paths: Mapping[str, Path], attempt: Attempt) -> None:
     """Write the parts of the report that `paths` names, ``json`` first, then ``png``, ``html``, each in an `attempt`
     (`Outputs.attempt`), so that one that fails takes nothing else away."""
-    report = cache(lambda: document(result))
+    report = cache(result.to_dict)
     scene = cache(lambda: Scene.of(report(), result.source))
     writers: dict[str, Callable[[Path], None]] = {
         "json": lambda place: write_json(report(), place),

@@ -5,19 +5,14 @@ from __future__ import annotations
 import json
 import sqlite3
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from rasterio.warp import transform_geom
 
 from ..actions.result import Result
+from ..core.source import Placement, Plan
 from ..errors import OutputError, UsageError
 from ..formats.vector import write_layer
-from ..sources.georeference import Place
-
-if TYPE_CHECKING:
-    from ..sources.raster import RasterSource
-    from ..sources.source import Source
 
 LAYER = "vehicles"
 # Used green, others red, as in the picture; what a QGIS layer loads as its default style from the table layer_styles.
@@ -68,7 +63,7 @@ def table(result: Result) -> dict[str, np.ndarray]:
     }
 
 
-def outlines(result: Result, place: Place) -> np.ndarray:
+def outlines(result: Result, place: Placement) -> np.ndarray:
     """(N, 5, 2) closed outlines of the vehicles in the coordinates of `place`."""
     box = np.array([members[0] for members in result.votes.members], int)
     corners = result.boxes[box].corners
@@ -78,7 +73,7 @@ def outlines(result: Result, place: Place) -> np.ndarray:
     return np.concatenate([ring, ring[:, :1]], 1)
 
 
-def write_geopackage(result: Result, place: Place, path: Path) -> None:
+def write_geopackage(result: Result, place: Placement, path: Path) -> None:
     """Vehicles as polygons in the CRS of the scaled copy, layer ``vehicles``. Raises OutputError."""
     import shapely
 
@@ -92,9 +87,9 @@ def write_geopackage(result: Result, place: Place, path: Path) -> None:
         raise OutputError(f"{path} could not be written ({error})", "Check the free space on its disk.") from error
 
 
-def check_on_earth(source: Source) -> None:
-    """Raise UsageError where nothing says where on Earth `source`, an orthophoto, lies: GeoJSON knows nothing else."""
-    crs = cast("RasterSource", source).place(1.0, keep_origin=True).crs
+def check_on_earth(source: Plan) -> None:
+    """Raise UsageError where nothing says where on Earth `source` lies: GeoJSON knows nothing else."""
+    crs = source.place(1.0, keep_origin=True).crs
     if isinstance(crs, str) or not (crs.is_geographic or crs.is_projected):
         raise UsageError(
             f"--also geojson: {source.path} lies nowhere on Earth, and GeoJSON has longitude and latitude only",
@@ -102,12 +97,13 @@ def check_on_earth(source: Source) -> None:
         )
 
 
-def write_geojson(result: Result, place: Place, path: Path) -> None:
+def write_geojson(result: Result, place: Placement, path: Path) -> None:
     """Vehicles as polygons in longitude and latitude (WGS 84), as RFC 7946 wants it and every reader takes it.
 
     They lie where the input's own georeferencing puts its first corner, whether or not the copy keeps that.
     """
-    place = cast("RasterSource", result.source).place(result.scale.value, keep_origin=True)
+    assert result.source.plan is not None, "it is of orthophotos"
+    place = result.source.plan.place(result.scale.value, keep_origin=True)
     columns = {name: values.tolist() for name, values in table(result).items()}
     features = []
     for k, ring in enumerate(outlines(result, place)):

@@ -10,6 +10,7 @@ from typing import Any
 from ..core.pooling.posterior import Z90
 from ..core.scale import decimals
 from ..core.verdicts import CHECK_LIMIT
+from .document import of_plan
 from .explanation import explain
 from .places import frames, trend
 
@@ -42,9 +43,9 @@ def half_width(report: Mapping[str, Any]) -> float:
 
 def quantity(report: Mapping[str, Any], *values: float) -> tuple[list[str], str]:
     """`values` with as many digits as the scale deserves (two of its uncertainty), and their unit for people."""
-    unit = {"m/px": "m/px", "m/model-unit": "m per model unit"}.get(report["unit"], report["unit"])
+    unit = {"m/model-unit": "m per model unit"}.get(report["unit"], report["unit"])
     factor = 1.0
-    if report["unit"] == "m/px" and report["scale"] < 1:
+    if of_plan(report) and report["scale"] < 1:
         factor, unit = 100.0, "cm/px"
     uncertainty = half_width(report) * report["scale"] * factor
     places = decimals(uncertainty)
@@ -87,7 +88,7 @@ def _shapes(report: Mapping[str, Any]) -> Check:
 
 def _places(report: Mapping[str, Any]) -> Check | None:
     found = trend(report)
-    if found is None and report["unit"] != "m/px" and not report.get("drift"):
+    if found is None and not of_plan(report) and not report.get("drift"):
         return None  # nobody compared them
     if found is None:
         return Check("none", "Places not compared", "too few vehicles for it")

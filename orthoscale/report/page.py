@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from ..cli.reproduce import command_line
+from ..actions.requests import command_line
 from ..core.pooling.posterior import Z90
 from ..errors import OutputError
 from . import charts, judgement, places

@@ -7,18 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import cv2
 import numpy as np
 
 from ..core.boxes import Boxes
-from ..sources.picture import Picture
-from .above import from_above
-
-if TYPE_CHECKING:
-    from ..sources.colmap import ColmapSource
-    from ..sources.source import Source
+from ..core.source import Picture, PosedSet, Source
+from .document import of_plan
 
 OVERVIEW = 1600  # longest side of an overview [px]
 CHIPS, REJECTED_CHIPS = 24, 8  # vehicles shown one by one
@@ -62,8 +58,8 @@ class Scene:
         vehicles = report["vehicles"]
         pictures = _pictures(source, vehicles) if source else {}
         overviews = []
-        if report["unit"] == "m/model-unit":
-            overviews.append(_plan(report, cast("ColmapSource", source) if source else None))
+        if not of_plan(report):
+            overviews.append(_plan(report, source.posed if source else None))
             name = _busiest(vehicles, pictures)
         else:
             name = _busiest(vehicles, report["pictures"])
@@ -83,7 +79,7 @@ def _pictures(source: Source, vehicles: Sequence[Mapping]) -> dict[str, Picture]
     pictures: dict[str, Picture] = {p.name: p for p in source.pictures}
     names = {box["picture"] for vehicle in vehicles for box in vehicle["boxes"]}
     if pictures and not names <= set(source.picture_names):
-        plans = cast("ColmapSource", source).ground_pictures
+        plans = source.posed.ground_pictures if source.posed is not None else ()
         pictures |= {p.name: p for p in plans if p.frame is not None}
     return pictures
 
@@ -112,13 +108,13 @@ def _overview(report: Mapping[str, Any], name: str, picture: Picture | None) -> 
         for box in vehicle["boxes"]
         if box["picture"] == name
     ]
-    flat = report["unit"] == "m/px"
+    flat = of_plan(report)
     bar = _bar(float(report["scale"]) / zoom, size[0]) if flat else None
     title = name if flat else f"{name}, the frame with most vehicles"
     return Panel(title, image, outlines, bar)
 
 
-def _plan(report: Mapping[str, Any], source: ColmapSource | None) -> Panel:
+def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
     """A model's sparse points from above, in metres, with the vehicles where they stand."""
     scale = float(report["scale"])
     vehicles = np.array([v["place_m"] for v in report["vehicles"]], float)
@@ -126,7 +122,7 @@ def _plan(report: Mapping[str, Any], source: ColmapSource | None) -> Panel:
     if source is not None:
         xyz, colours = source.sparse
         order = np.argsort(source.ground.height_above(xyz))  # what stands higher is drawn later
-        points, colours = from_above(source, xyz[order]) * scale, colours[order]
+        points, colours = source.from_above(xyz[order]) * scale, colours[order]
     low, high = np.percentile(points, [1, 99], axis=0)
     low, high = np.minimum(low, vehicles.min(0)), np.maximum(high, vehicles.max(0))
     border = 0.02 * (high - low).max()

@@ -9,11 +9,10 @@ from types import MappingProxyType
 
 import click
 
-from ..actions.check import own_claim
 from ..actions.result import Result
+from ..core.claims import own_claim
 from ..core.pooling.posterior import Z90
 from ..errors import LONGEST, shown
-from .document import remarks
 from .judgement import percent
 
 STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
@@ -75,7 +74,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     table += [
         ("also", f"{e.value:.5g} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)") for e in scale.evidence
     ]
-    table += [("note", remark) for remark in remarks(result)]
+    table += [("note", remark) for remark in result.remarks]
     table += [(label, str(path)) for label, path in written.items()]
     return [(label, shown(value, LONGEST)) for label, value in table]
 

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.projection.view import Views
+from ..core.source import LOWEST_ELEVATION
 from ..errors import InputError, OutputError, UsageError
-from ..formats.geometry.dense import GEOMETRY, find_dense, sparse_folders
-from ..formats.geometry.files import scale_path
+from ..formats.geometry.dense import GEOMETRY, find_dense, scale_dense, sparse_folders
+from ..formats.geometry.files import reason_left
 from ..formats.geometry.sim3 import MATRIX, Sim3
+from ..formats.points import coordinates, number
 from ..system.outputs import MARK as FOLDER_MARK
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
@@ -31,7 +33,6 @@ from .undistort import undistort
 if TYPE_CHECKING:
     import pycolmap
 
-LOWEST_ELEVATION = 25.0  # [deg] flatter rays meet the ground too far off, and see vehicles from the side
 IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
 # Geometry beside a model is in the model's old units: a copy would pass for one in metres.
 UNSCALED = GEOMETRY | {".npz", ".npy", ".bin"}
@@ -91,12 +92,49 @@ class ColmapSource:
     @cached_property
     def ground_pictures(self) -> list[GroundPicture]:
         """The near-nadir parts of the frames, warped onto the ground."""
-        return ground_pictures(self)
+        return ground_pictures(self, self.pictures)
 
     @property
     def camera_height(self) -> float:
         """Median height of the cameras over the ground [model units]."""
         return self.ground.camera_height
+
+    @property
+    def raster(self) -> None:
+        """There is none: frames have no georeferencing."""
+        return None
+
+    @property
+    def claimed(self) -> None:
+        """A model in its own units claims no scale."""
+        return None
+
+    @property
+    def plan(self) -> None:
+        """A model is none."""
+        return None
+
+    @property
+    def posed(self) -> ColmapSource:
+        """This source itself."""
+        return self
+
+    def from_above(self, place: np.ndarray) -> np.ndarray:
+        """(N, 2) places on the ground's plane [model units] of points (N, 3). Which way north lies is not known."""
+        return self.ground.plane(place)
+
+    def locate(self, point: str) -> np.ndarray:
+        """(3,) the point [model units] that ``X,Y,Z``, ``id:123`` (a 3D point) or ``NAME@X,Y`` (what the image shows of
+        the ground at a pixel) means. Raises ValueError."""
+        if point.startswith("id:"):
+            return self.point(int(number(point[3:])))
+        if "@" not in point:
+            return coordinates(point, 3, "a point of a model")
+        name, _, pixel = point.rpartition("@")
+        _, place, ok = self.views(name, coordinates(pixel, 2, "a pixel")[None])
+        if not ok[0]:
+            raise ValueError(f"{point!r} does not see the model's ground")
+        return place[0]
 
     @property
     def metric_already(self) -> str:
@@ -239,7 +277,7 @@ class ColmapSource:
 
     def write_dense(self, folder: Path, metres_per_unit: float) -> None:
         """Write the dense workspace in metres into the empty `folder`; raises as `dense` does."""
-        self.notes.extend(scale_path(self.dense, folder, metres_per_unit))
+        self.notes.extend(scale_workspace(self.dense, folder, metres_per_unit))
 
     def _copy_rest(self, folder: Path) -> list[str]:
         tables = {f"{table}.{form}" for table in (*TABLES, *RIG_TABLES) for form in ("bin", "txt")}
@@ -261,6 +299,22 @@ class ColmapSource:
         if links:
             notes.append(f"left in {self.folder}, because they are symbolic links: {', '.join(links)}")
         return notes
+
+
+def scale_model(source: Path, target: Path, scale: float) -> None:
+    """Write the sparse model in the folder `source` into the empty folder `target` in metres. Raises InputError,
+    UsageError for one that is in metres already."""
+    model = ColmapSource.open(source, need_images=False)
+    if model.metric_already:
+        raise UsageError(f"{source} is in metres already: {model.metric_already}", "Apply it to the original model.")
+    model.write(target, scale)
+
+
+def scale_workspace(source: Path, target: Path, scale: float) -> list[str]:
+    """Write the dense workspace `source` into the empty folder `target` in metres; returns what there is to say."""
+    return scale_dense(
+        source, target, scale, lambda a, b: scale_model(a, b, scale), lambda a, b: reason_left(a, b, scale)
+    )
 
 
 def find_frames(

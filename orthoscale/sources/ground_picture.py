@@ -7,21 +7,18 @@ still leans outwards, as in any picture that is not a true orthophoto.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from ..core.source import NEAR_NADIR, PosedSet
 from ..errors import InputError
 from ..system import budget
 from .picture_file import LARGE, PictureFile, covering, memory, resized, shrunk
 
-if TYPE_CHECKING:
-    from .colmap import ColmapSource
-
 GROUND = "ground/"  # before the name of a frame: its picture of the ground
-NEAR_NADIR = 60.0  # [deg] elevation of the viewing ray from which a frame may pass for an orthophoto
 SHOWN_BELOW = 8.0  # [deg] that are shown beyond, so that a vehicle at the limit is whole
 SAMPLES = (32, 24)  # of a frame across and down, to find what it sees of the ground
 CELL = 8  # [px] of the warp; between, it is linear
@@ -48,7 +45,7 @@ class GroundPicture:
     origin: np.ndarray
     axes: np.ndarray
     frame: PictureFile | None
-    source: ColmapSource
+    source: PosedSet
 
     def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
         """See `Picture.read`. Raises InputError as the frame does."""
@@ -90,12 +87,14 @@ class GroundPicture:
         return float(self.source.ground.height_above(self.source.centre(self.image)[None])[0])
 
 
-def ground_pictures(source: ColmapSource) -> list[GroundPicture]:
+def ground_pictures(source: PosedSet, frames: Sequence[PictureFile]) -> list[GroundPicture]:
     """The near-nadir parts of the images of `source`, all at the same model units per pixel: the median image's own.
+
+    frames : those whose pixels are at hand.
 
     Raises what `ColmapSource.ground` raises.
     """
-    files = {frame.name: frame for frame in source.pictures}
+    files = {frame.name: frame for frame in frames}
     extents, sampling = [], []
     for name in source.picture_names:
         size = source.image_size(name)
@@ -119,7 +118,7 @@ def ground_pictures(source: ColmapSource) -> list[GroundPicture]:
     return pictures
 
 
-def _axes(source: ColmapSource, name: str) -> np.ndarray:
+def _axes(source: PosedSet, name: str) -> np.ndarray:
     """(2, 2) plane vectors to the right and down in the frame `name`, as it looks down on the ground."""
     to_right = source.rotation(name)[0]
     centre = source.centre(name)

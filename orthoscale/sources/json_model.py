@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from ..errors import InputError
 from ..formats.geometry.beside import beside
-from ..formats.geometry.files import scale_path
+from ..formats.geometry.files import scale_file
 from ..formats.geometry.mark import MARK
 from ..formats.geometry.ply import read_points
 from ..formats.geometry.poses import read_poses
@@ -107,10 +107,10 @@ class ExchangeSource(OneFileSource):
         if isinstance(text, list) and len(text) > 1:  # each has its own scale, and only one was found
             alone = out.parent / "largest.json"
             alone.write_text(json.dumps([_largest(self.path, text)[0]]), encoding="utf-8")
-            scale_path(alone, out, scale)
+            scale_file(alone, out, scale)
             alone.unlink()
         else:
-            scale_path(self.path, out, scale)
+            scale_file(self.path, out, scale)
 
     def _read_back(self, out: Path) -> pycolmap.Reconstruction:
         return _read(out)[0]

@@ -6,13 +6,9 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from ..core.source import Claim, Source
 from ..errors import InputError
-
-if TYPE_CHECKING:
-    from .georeference import Claim
-    from .source import Source
 
 REFERENCE = "reference_lla.json"  # OpenSfM's and OpenDroneMap's, beside the reconstruction
 MOST = 5  # pictures that are asked; a flight is in one country
@@ -31,11 +27,8 @@ def location_of(source: Source) -> Location | None:
     """The place of an orthophoto or a reconstruction: by its georeferencing or ground control points where they are to
     be believed (`georeference.Claim.usable`), by OpenSfM's reference beside it, or by the GPS position in a picture's
     EXIF; None where nothing says."""
-    claimed: Claim | None = getattr(source, "claimed", None)
-    if claimed is not None:
-        (whole,) = source.pictures
-        if (place := _of_claim(claimed, whole.width, whole.height)) is not None:
-            return place
+    if (plan := source.plan) is not None and (place := _of_claim(plan.claimed, plan.width, plan.height)) is not None:
+        return place
     folder = source.path if source.path.is_dir() else source.path.parent
     if (place := _of_reference(folder / REFERENCE)) is not None:
         return place

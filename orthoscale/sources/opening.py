@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from ..core.source import Source
 from ..errors import InputError, UsageError
-from .source import Source
 
 
 def open_source(path: str | Path, images: str | Path | None = None, need_images: bool = True) -> Source:

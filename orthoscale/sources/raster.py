@@ -28,13 +28,15 @@ from rasterio.shutil import copy as gdal_copy
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from ..core.scale import PER_PIXEL
+from ..core.source import Picture
 from ..errors import InputError, OutputError, UsageError
+from ..formats.points import coordinates
 from ..system.budget import in_words, memory, require
 from ..system.outputs import signature
 from ..system.scratch import Scratch
 from .fingerprint import fingerprint
 from .georeference import Place, claim_of, kept_place, local_place
-from .picture import Picture
 from .tiff_blocks import blocks_of
 
 GREY = 114
@@ -88,7 +90,7 @@ class RasterSource:
     claimed : what its georeferencing says; see `georeference.Claim`.
     """
 
-    unit = "m/px"
+    unit = PER_PIXEL
 
     def __init__(self, path: Path, dataset: DatasetReader):
         """Use `RasterSource.open`."""
@@ -147,6 +149,29 @@ class RasterSource:
     def picture_names(self) -> list[str]:
         """The one image's name."""
         return [self.name]
+
+    @property
+    def raster(self) -> Path:
+        """The file itself."""
+        return self.path
+
+    @property
+    def plan(self) -> RasterSource:
+        """This source itself."""
+        return self
+
+    @property
+    def posed(self) -> None:
+        """An image by itself has no pose."""
+        return None
+
+    def from_above(self, place: np.ndarray) -> np.ndarray:
+        """(N, 2) places [px], x right and y up from the lower left corner, of pixels (N, 2)."""
+        return np.stack([place[:, 0], self.height - place[:, 1]], -1)
+
+    def locate(self, point: str) -> np.ndarray:
+        """(2,) the pixel that ``X,Y`` means. Raises ValueError."""
+        return coordinates(point, 2, "a point of an orthophoto")
 
     @property
     def metric_already(self) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError
-from ..formats.geometry.files import scale_path
+from ..formats.geometry.files import scale_file
 from ..formats.geometry.text_models import TextModel, read_text_model
 from .colmap import find_frames, image_folder
 from .consistency import Observations, check_consistency, focal_notes, observations, some_of_each
@@ -50,7 +50,7 @@ class TextSource(OneFileSource):
         return cls(path, path.parent, path.suffix, pictures, notes, (path, *lists), model)
 
     def _write_file(self, out: Path, scale: float) -> None:
-        scale_path(self.path, out, scale)
+        scale_file(self.path, out, scale)
         for path in self._paths[1:]:
             shutil.copyfile(path, out.with_name(path.name))
 

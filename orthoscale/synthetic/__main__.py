@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from ..core.fleet import Fleet
 from ..errors import OrthoscaleError
+from ..fleets import load_fleet
 from ..system import stopping
 from ..system.outputs import Outputs, ours
 from . import STYLES, make_scene, write_colmap, write_labels, write_ortho
@@ -64,7 +64,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _write(a: argparse.Namespace, folder_writers: Mapping[str, Callable[..., None]]) -> None:
-    fleet = Fleet.load(a.fleet) if a.fleet else None
+    fleet = load_fleet(a.fleet) if a.fleet else None
     a.out.absolute().parent.mkdir(parents=True, exist_ok=True)
     with Outputs(a.overwrite, a.fleet) as outputs:
         if a.command == "ortho":

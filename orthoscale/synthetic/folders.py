@@ -15,6 +15,7 @@ from rasterio.transform import from_origin
 from ..core.boxes import Boxes
 from ..core.detections import Detections
 from ..core.ruler import Ruler
+from ..formats.detections.own import save_detections
 from .render import Look, render, vehicle_boxes
 from .scene import Scene
 from .view import Camera, Perspective, Pose
@@ -127,7 +128,7 @@ def _write_detections(found: dict[str, Boxes], path: Path) -> None:
     """The true boxes, as those of a detector without faults; half a pixel of noise at most is in their rounding."""
     height = (EFFECTIVE_HEIGHT_M, EFFECTIVE_HEIGHT_M)
     faultless = Ruler(margin_sd=(0.1, 0.1), bias_sd=(0.005, 0.005), noise=(0.3, 0.3))
-    Detections(found, 1.0, faultless, height, "true boxes of a synthetic scene").save(path)
+    save_detections(Detections(found, 1.0, faultless, height, "true boxes of a synthetic scene"), path)
 
 
 def _on_earth(x: float, y: float) -> tuple[float, float]:

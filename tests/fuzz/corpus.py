@@ -34,6 +34,8 @@ from test_colmap import make_model, put_frames, save
 from orthoscale.core.calibration import Calibration
 from orthoscale.core.detections import Detections
 from orthoscale.core.ruler import Ruler
+from orthoscale.formats.calibration import save_calibration
+from orthoscale.formats.detections import own
 from orthoscale.formats.detections.files import save as save_detections
 from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.sources.opening import open_source
@@ -105,7 +107,7 @@ def _other(write: Callable) -> Callable[[Path], None]:
 
 
 def _found(folder: Path, turn: np.ndarray, path: Path | None = None) -> None:
-    test_looks.found_by(path or folder, turn).save(folder / "boxes.json")
+    own.save_detections(test_looks.found_by(path or folder, turn), folder / "boxes.json")
 
 
 # Orthophotos and what is found in them
@@ -205,7 +207,8 @@ def _settings(folder: Path) -> None:
     (folder / "mixture.json").write_text(json.dumps({**test_photo.CARS, "mixture": parts}))
     shares = {"mini": 0.1, "small hatch": 0.5, "compact hatch": 0.4}
     (folder / "shares.json").write_text(json.dumps({**test_photo.CARS, "shares": shares}))
-    Calibration("tiny", "ab" * 32, Ruler(), dict(test_photo.CARS), {"ortho": "x.tif"}).save(folder / "calibration.json")
+    known = Calibration("tiny", "ab" * 32, Ruler(), dict(test_photo.CARS), {"ortho": "x.tif"})
+    save_calibration(known, folder / "calibration.json")
     Sim3(MODEL_SCALE).save(folder)
     own = {"name": "boules court", "length": 15, "width": 4, "ends": 1, "sides": 1, "source": "FIPJP"}
     (folder / "catalogue.json").write_text(
@@ -231,7 +234,9 @@ def _photos(folder: Path) -> None:
     for k, name in enumerate(("a.jpg", "b.jpg", "c.jpg")):
         test_photo.write_photo(folder / "flight" / name, xmp, exif, gps=(8.0 + 0.001 * k, 47.0))
     boxes = test_photo.boxes_in(test_photo.view_from(-60))
-    test_photo.detections_of({"a.jpg": boxes, "b.jpg": boxes, "c.jpg": boxes[:4]}).save(folder / "boxes.json")
+    own.save_detections(
+        test_photo.detections_of({"a.jpg": boxes, "b.jpg": boxes, "c.jpg": boxes[:4]}), folder / "boxes.json"
+    )
     (folder / "cars.json").write_text(json.dumps(test_photo.CARS))
     for name, text in test_photo.CALIBRATIONS.items():
         (folder / f"lens{Path(name).suffix}").write_text(text.replace("4000", "1000").replace("3000", "750"))

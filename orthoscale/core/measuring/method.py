@@ -19,6 +19,7 @@ from ..projection.view import Views
 from ..ruler import Ruler
 from ..scale import Scale
 from ..votes import Votes
+from .surroundings import Standards
 
 FLAT = 0.01  # [m] height of a vehicle painted on the ground
 # How `requests.PROJECTIONS` are done, which the paper names so. For frames; an orthophoto's is always planar.
@@ -36,14 +37,15 @@ class Method:
     """projection : one of PROJECTIONS; None is what fits the source. estimator : one of `requests.ESTIMATORS`.
 
     evidence : what is known of the scale besides the vehicles.
-    surroundings : whether parking rows and objects of standard size count, where the boxes show them.
+    standards : by which parking rows and objects of standard size count, where the boxes show them;
+    None leaves them out.
     `requests.EstimateRequest` has checked them.
     """
 
     projection: str | None = None
     estimator: str = "robust"
     evidence: tuple[Evidence, ...] = ()
-    surroundings: bool = True
+    standards: Standards | None = None
 
     def sizes(
         self, boxes: Boxes, views: Views, metres_per_unit: float, height: Sequence[float] | np.ndarray, fleet: Fleet

@@ -6,7 +6,8 @@ same. Regions are compared through the fleet: their vehicles differ, so a region
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import fdtrc
@@ -22,8 +23,70 @@ MIN_IN_REGION = 5
 MIN_FOR_TREND = 12
 
 
-def drift(size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale, plan: np.ndarray) -> dict[str, Any]:
-    """Per-frame and per-region scale and the trend, as plain values, with a remark for what is wrong.
+@dataclass(frozen=True)
+class FrameScale:
+    """scale : metres per unit by one frame. sd : one sigma of that. vehicles : that it shares with others."""
+
+    scale: float
+    sd: float
+    vehicles: int
+
+
+@dataclass(frozen=True)
+class Region:
+    """centre : (2,) of its vehicles on the plan [units]. scale : metres per unit by them. sd : one sigma of that."""
+
+    centre: tuple[float, ...]
+    scale: float
+    sd: float
+    vehicles: int
+
+
+@dataclass(frozen=True)
+class Trend:
+    """percent_across : by how much the scale changes from end to end. chance : of as much without one (F test)."""
+
+    percent_across: float
+    chance: float
+
+
+@dataclass(frozen=True)
+class ModelDrift:
+    """How the scale changes within a model.
+
+    frames : by name, those that share vehicles with others. odd : those that disagree, worst first, with their stray.
+    regions : of the plan, with vehicles enough. trend : over it, None for too few vehicles.
+    """
+
+    frames: Mapping[str, FrameScale]
+    odd: Sequence[tuple[str, float]]
+    regions: Sequence[Region]
+    trend: Trend | None
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the trend is more than chance makes, and large enough to matter."""
+        trend = self.trend
+        return trend is not None and trend.chance < CHANCE and trend.percent_across >= 100 * NOTABLE
+
+    @property
+    def remarks(self) -> list[str]:
+        """Warnings in words."""
+        remarks = []
+        if self.odd:
+            worst = ", ".join(f"{name} by {100 * stray:+.0f} %" for name, stray in self.odd[:5])
+            who = "a frame disagrees" if len(self.odd) == 1 else f"{len(self.odd)} frames disagree"
+            remarks.append(f"{who} with the others about the same vehicles: {worst}")
+        if self.trend is not None and self.drifts:
+            remarks.append(
+                f"the scale changes by {self.trend.percent_across:.0f} % across the model: it may be bent, or its "
+                "vehicles differ from place to place"
+            )
+        return remarks
+
+
+def model_drift(size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale, plan: np.ndarray) -> ModelDrift:
+    """Per-frame and per-region scale, and the trend.
 
     size : (M, 2) of each box. picture : (M,) its frame. votes : of N vehicles. Margins are taken off both.
     plan : (N, 2) where the votes are.
@@ -32,30 +95,12 @@ def drift(size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale, pla
     used = scale.used
     log_scale = -np.log(votes.size[used]) @ np.asarray(scale.weights)
     regions, trend = by_region(log_scale - np.median(log_scale), plan[used], scale.value)
-    remarks = []
-    drifts = trend is not None and trend["chance"] < CHANCE and trend["percent_across"] >= 100 * NOTABLE
-    if odd:
-        worst = ", ".join(f"{name} by {100 * stray:+.0f} %" for name, stray in odd[:5])
-        who = "a frame disagrees" if len(odd) == 1 else f"{len(odd)} frames disagree"
-        remarks.append(f"{who} with the others about the same vehicles: {worst}")
-    if trend is not None and drifts:
-        remarks.append(
-            f"the scale changes by {trend['percent_across']:.0f} % across the model: it may be bent, or its vehicles "
-            "differ from place to place"
-        )
-    return {
-        "frames": frames,
-        "odd_frames": [n for n, _ in odd],
-        "regions": regions,
-        "trend": trend,
-        "drifts": drifts,
-        "remarks": remarks,
-    }
+    return ModelDrift(frames, odd, regions, trend)
 
 
 def by_frame(
     log_size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scale
-) -> tuple[dict[str, dict[str, float]], list[tuple[str, float]]]:
+) -> tuple[dict[str, FrameScale], list[tuple[str, float]]]:
     """Metres per unit by each frame that shares vehicles with others, and the odd ones, worst first, with their stray.
 
     A box strays by its size against the median of the same vehicle's other views.
@@ -75,15 +120,13 @@ def by_frame(
         if len(mine) < MIN_SHARED:
             continue
         middle, sd = float(np.median(mine)), 1.2533 * spread / np.sqrt(len(mine))
-        frames[str(name)] = {"scale": scale.value * np.exp(middle), "sd": scale.value * sd, "vehicles": len(mine)}
+        frames[str(name)] = FrameScale(float(scale.value * np.exp(middle)), float(scale.value * sd), len(mine))
         if abs(middle) > max(ODD, ODD_SIGMAS * sd):
             odd.append((str(name), float(np.expm1(middle))))
     return frames, sorted(odd, key=lambda item: -abs(item[1]))
 
 
-def by_region(
-    log_scale: np.ndarray, plan: np.ndarray, value: float
-) -> tuple[list[dict[str, Any]], dict[str, float] | None]:
+def by_region(log_scale: np.ndarray, plan: np.ndarray, value: float) -> tuple[list[Region], Trend | None]:
     """Regions with their own scale, and a linear trend of `log_scale` (K,), relative, over the `plan` (K, 2).
 
     The trend's chance is that of an F test against no trend, its percent the change from end to end.
@@ -95,12 +138,12 @@ def by_region(
         mine = log_scale[(cell == key).all(1)]
         if len(mine) >= MIN_IN_REGION:
             regions.append(
-                {
-                    "centre_unit": plan[(cell == key).all(1)].mean(0).tolist(),
-                    "scale": value * float(np.exp(mine.mean())),
-                    "sd": value * float(mine.std(ddof=1) / np.sqrt(len(mine))),
-                    "vehicles": len(mine),
-                }
+                Region(
+                    tuple(plan[(cell == key).all(1)].mean(0).tolist()),
+                    value * float(np.exp(mine.mean())),
+                    value * float(mine.std(ddof=1) / np.sqrt(len(mine))),
+                    len(mine),
+                )
             )
     if len(plan) < MIN_FOR_TREND:
         return regions, None
@@ -111,4 +154,4 @@ def by_region(
     freedom = len(plan) - 3
     chance = float(fdtrc(2, freedom, (whole - left) / 2 / max(left / freedom, 1e-300)))
     along = x[:, 1:] @ slope[1:]
-    return regions, {"percent_across": 100 * float(np.ptp(along)), "chance": chance}
+    return regions, Trend(100 * float(np.ptp(along)), chance)

@@ -1,119 +1,208 @@
 """Measuring in the frames of a reconstruction, as they are: each box with its own camera, distortion and ground.
 
-The ruler calibrates itself on the way (`projection.calibration`): what the boxes take in of a vehicle's height, and
-their margin, follow from vehicles that are seen steeply and flatly, near and far.
+The ruler calibrates itself on the way (`projection.self_calibration`): what the boxes take in of a vehicle's height,
+and their margin, follow from vehicles that are seen steeply and flatly, near and far.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ...errors import TooLittleEvidence
-from ...evidence.surroundings import GROUND_SD, objects_in_model, rows_in_model, world_axes
 from ..boxes import Boxes
 from ..detections import Detections
+from ..evidence import Evidence
 from ..fleet import Fleet
 from ..pooling.robust import MIN_VEHICLES
 from ..projection.exact import BODIES
 from ..projection.height import lean
 from ..projection.self_calibration import OwnRuler, own_ruler, trends
 from ..projection.view import Views
-from ..votes import gather
-from .measure import Measured, doubts, tight
+from ..scale import Scale
+from ..source import PosedSet
+from ..votes import Votes
+from .geometry import Geometry, Observation
+from .measure import doubts
+from .measurement import Findings, SelfCalibration
 from .method import Method
-from .model_drift import drift
-
-if TYPE_CHECKING:
-    from ...sources.colmap import ColmapSource
+from .model_drift import model_drift
+from .surroundings import GROUND_SD, Standards, objects_in_model, rows_in_model, world_axes
 
 ROUNDS = 6  # of projection and pooling; the scale enters its own projection only through the vehicles' height
 SETTLED = 1e-4  # relative change of the scale at which the rounds end
 HEIGHT_SD = 0.25  # how far a detector's effective height strays from its card between scenes (one sigma) [m]
 NO_GROUND = "no ground under the box, or too low an elevation angle"
-NO_HULL = "no vehicle on the ground gives this box"
+CALLED = "boxes on the ground"
 
 
-def measure_frames(source: ColmapSource, found: Detections, fleet: Fleet, method: Method) -> Measured:
-    """Measure the boxes `found` in the frames of `source`. Raises TooLittleEvidence."""
-    parts, names, views, places = [], [], [], []
-    lost = doubts(found)
-    for name, boxes in found.boxes.items():
-        if not len(boxes):
-            continue
-        view, place, ok = source.views(name, boxes.centre)
-        parts.append(boxes[ok])
-        names += [name] * int(ok.sum())
-        views.append(view[ok])
-        places.append(place[ok])
-        lost[NO_GROUND] = lost.get(NO_GROUND, 0) + int((~ok).sum())
-    if len(names) < MIN_VEHICLES:
-        raise TooLittleEvidence(f"{len(names)} boxes on the ground, {MIN_VEHICLES} vehicles are needed")
-    boxes, picture, place = Boxes.concatenate(parts), np.array(names), np.concatenate(places)
-    view = Views.concatenate(views)
-    pixel = view.unit_per_pixel / found.zoom
-    leaning = lean(boxes, view)
-    along = world_axes(source, picture, boxes, view)
-    # The height's share of a box is a small correction, so a few rounds of measuring and pooling settle the scale.
-    metres_per_unit = float(fleet.mean[0] / np.median(boxes.length * view.unit_per_pixel))
-    # The other projections have no effective height, or one of their own: they measure by the detector's card.
-    exact = method.projection in (None, "exact")
-    card = OwnRuler.shipped(
-        found.effective_height, found.ruler.margin, (HEIGHT_SD, HEIGHT_SD), found.ruler.margin_sd, BODIES[found.body]
-    )
-    ruler = card
-    for _ in range(ROUNDS):
-        if exact:
-            size, slopes = (f(boxes, view, found.zoom, metres_per_unit) for f in (ruler.size, ruler.slopes))
-        else:
-            size, slopes = method.sizes(boxes, view, metres_per_unit, ruler.height, fleet), None
+@dataclass(frozen=True)
+class FramesGeometry:
+    """What a `Geometry` of boxes that are seen in `views`, each by its own camera, has whatever the projection.
+
+    source : whose frames they are. found : all that was found in them.
+    """
+
+    source: PosedSet
+    found: Detections
+    fleet: Fleet
+    boxes: Boxes
+    picture: np.ndarray
+    views: Views
+    place: np.ndarray
+    lost: Mapping[str, int]
+    projection: str = "exact"
+    called: str = CALLED
+    repeated: bool = True
+    rounds: int = ROUNDS
+    settled: float = SETTLED
+
+    @classmethod
+    def of(cls, source: PosedSet, found: Detections, fleet: Fleet, method: Method) -> Geometry:
+        """That of the boxes `found` in the frames of a reconstruction, projected as `method` wants it.
+
+        Raises TooLittleEvidence.
+        """
+        parts, names, views, places = [], [], [], []
+        lost = doubts(found)
+        for name, boxes in found.boxes.items():
+            if not len(boxes):
+                continue
+            view, place, ok = source.views(name, boxes.centre)
+            parts.append(boxes[ok])
+            names += [name] * int(ok.sum())
+            views.append(view[ok])
+            places.append(place[ok])
+            lost[NO_GROUND] = lost.get(NO_GROUND, 0) + int((~ok).sum())
+        if len(names) < MIN_VEHICLES:
+            raise TooLittleEvidence(f"{len(names)} {CALLED}, {MIN_VEHICLES} are needed")
+        boxes, place, view = Boxes.concatenate(parts), np.concatenate(places), Views.concatenate(views)
+        seen = (source, found, fleet, boxes, np.array(names), view, place, lost)
+        if method.projection in (None, "exact"):
+            return ExactGeometry(*seen)
+        return OtherGeometry(*seen, projection=method.projection, method=method)
+
+    @property
+    def unit(self) -> str:
+        return self.source.unit
+
+    @cached_property
+    def pixel(self) -> np.ndarray:
+        return self.views.unit_per_pixel / self.found.zoom
+
+    @property
+    def typical_length(self) -> float:
+        return float(np.median(self.boxes.length * self.views.unit_per_pixel))
+
+    @cached_property
+    def along(self) -> np.ndarray:
+        """(M, 3) unit vectors of the boxes' long sides, in the world."""
+        return world_axes(self.source, self.picture, self.boxes, self.views)
+
+    @cached_property
+    def card(self) -> OwnRuler:
+        """The ruler that the detector ships."""
+        found = self.found
+        return OwnRuler.shipped(
+            found.effective_height,
+            found.ruler.margin,
+            (HEIGHT_SD, HEIGHT_SD),
+            found.ruler.margin_sd,
+            BODIES[found.body],
+        )
+
+    def surroundings(
+        self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
+    ) -> Sequence[Evidence]:
+        """Objects of standard size, and rows of parked vehicles."""
+        objects = objects_in_model(self.source, self.found.objects, self.found.zoom, metres_per_unit, standards)
+        return [*objects, *rows_in_model(vehicles, self.along[seen.solved], standards, country)]
+
+    def _findings(
+        self, seen: Observation, shipped: np.ndarray, bare: np.ndarray, ruler: OwnRuler, vehicles: Votes, scale: Scale
+    ) -> Findings:
+        """`shipped`, `bare` : (M, 2) sizes by the detector's card, and without the margin."""
+        ok = seen.solved
+        changes = trends(
+            shipped[ok], bare[ok], np.degrees(self.views.elevation[ok]), self.pixel[ok], vehicles.counted(scale.used)
+        )
+        plan = self.source.ground.plane(vehicles.place)
+        return Findings(
+            SelfCalibration(ruler, self.card, changes), model_drift(bare[ok], self.picture[ok], vehicles, scale, plan)
+        )
+
+
+@dataclass(frozen=True)
+class ExactGeometry(FramesGeometry):
+    """By the exact model. ruler : as the vehicles have it so far, the card's at first."""
+
+    ruler: OwnRuler | None = None
+
+    @property
+    def _ruler(self) -> OwnRuler:
+        return self.ruler or self.card
+
+    def observe(self, metres_per_unit: float) -> Observation:
+        """The margin comes off the boxes before they are projected."""
+        ruler, known = self._ruler, self.found.ruler
+        size, slopes = (f(self.boxes, self.views, self.found.zoom, metres_per_unit) for f in (ruler.size, ruler.slopes))
         solved = np.isfinite(size).all(1)
-        own = boxes[solved]
-        votes = gather(size[solved], pixel[solved], place[solved], own.score, True, own.spread)
-        spread, left = geometry(size[solved], leaning[solved], np.full(2, HEIGHT_SD / metres_per_unit)), found.ruler
-        if slopes is not None and solved.any():
-            by_height, by_margin, *by_shape = ruler.relative_sd(size[solved], slopes[solved]).T
-            spread = np.diag(by_height**2 + np.square(by_shape).sum(0)) + GROUND_SD**2
-            per_pixel = np.median(pixel[solved, None] / size[solved], axis=0)
-            left = replace(found.ruler, margin=(0.0, 0.0), margin_sd=_pair(by_margin / per_pixel))  # it is off already
-        more = []
-        if method.surroundings:
-            rows = rows_in_model(replace(votes, size=tight(votes, left.margin)), along[solved], fleet.code)
-            more = objects_in_model(source, found.objects, found.zoom, metres_per_unit) + ([rows] if rows else [])
-        scale = method.pool(votes, fleet, left, source.unit, spread, more)
-        change = abs(np.log(scale.value / metres_per_unit))
-        metres_per_unit = scale.value
-        if change < SETTLED:
-            break
-        counted = [members for members, used in zip(votes.members, scale.used, strict=True) if used]
-        if exact:
-            ruler = own_ruler(boxes[solved], view[solved], found.zoom, counted, metres_per_unit, card, ruler)
-    lost[NO_HULL] = int((~solved).sum())
-    picture = picture[solved]
-    bare = size[solved] if exact else size[solved] - card.margin * pixel[solved, None]
-    shipped = card.size(boxes, view, found.zoom, metres_per_unit)[solved] if exact else bare
-    counted = [members for members, used in zip(votes.members, scale.used, strict=True) if used]
-    changes = trends(shipped, bare, np.degrees(view.elevation[solved]), pixel[solved], counted)
-    tightened = replace(votes, size=tight(votes, left.margin))
-    findings = {
-        "calibration": {**ruler.document(card), "trends": changes},
-        "drift": drift(bare, picture, tightened, scale, source.ground.plane(votes.place)),
-    }
-    return Measured(boxes[solved], picture, votes, scale, lost, findings, tightened.size)
+        if not solved.any():
+            return Observation(size, known)
+        by_height, by_margin, *by_shape = ruler.relative_sd(size[solved], slopes[solved]).T
+        per_pixel = np.median(self.pixel[solved, None] / size[solved], axis=0)
+        margin_sd = by_margin / per_pixel
+        left = replace(known, margin=(0.0, 0.0), margin_sd=(float(margin_sd[0]), float(margin_sd[1])))  # it is off
+        return Observation(size, left, np.sqrt(by_height**2 + np.square(by_shape).sum(0)), GROUND)
+
+    def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
+        """With the ruler for which vehicles have one size from all their views."""
+        ok = seen.solved
+        zoom, counted = self.found.zoom, votes.counted(scale.used)
+        ruler = own_ruler(self.boxes[ok], self.views[ok], zoom, counted, scale.value, self.card, self._ruler)
+        return replace(self, ruler=ruler)
+
+    def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
+        """The ruler, and how the scale changes from frame to frame and from place to place."""
+        shipped = self.card.size(self.boxes, self.views, self.found.zoom, scale.value)
+        return self._findings(seen, shipped, seen.size, self._ruler, vehicles, scale)
 
 
-def _pair(values: np.ndarray) -> tuple[float, float]:
-    return float(values[0]), float(values[1])
+@dataclass(frozen=True)
+class OtherGeometry(FramesGeometry):
+    """By another projection of `method.PROJECTIONS`: it has no effective height, or one of its own, and measures by the
+    detector's card."""
+
+    method: Method = Method()
+
+    def observe(self, metres_per_unit: float) -> Observation:
+        """Boxes as they are, with their margin."""
+        size = self.method.sizes(self.boxes, self.views, metres_per_unit, self.card.height, self.fleet)
+        ok = np.isfinite(size).all(1)
+        own = height_share(size[ok], lean(self.boxes, self.views)[ok], metres_per_unit)
+        return Observation(size, self.found.ruler, own, GROUND)
+
+    def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
+        """There is nothing to refine."""
+        return self
+
+    def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
+        """How the scale changes from frame to frame and from place to place."""
+        bare = seen.size - self.card.margin * self.pixel[:, None]
+        return self._findings(seen, bare, bare, self.card, vehicles, scale)
 
 
-def geometry(size: np.ndarray, leaning: np.ndarray, height_sd: np.ndarray) -> np.ndarray:
-    """(2, 2) relative covariance of length and width from the ground's height (shared) and the effective height.
+GROUND = {"ground": np.full(2, GROUND_SD)}  # what all sizes share of a reconstruction's uncertainty
 
-    size, leaning : (N, 2) as measured. height_sd : (2,) one sigma of the effective height [units of `size`].
+
+def height_share(size: np.ndarray, leaning: np.ndarray, metres_per_unit: float) -> np.ndarray:
+    """(2,) relative one-sigmas of lengths and widths from what is not known of the effective height.
+
+    size, leaning : (N, 2) as measured [units], and by `height.lean`.
     """
     if not len(size):
-        return np.zeros((2, 2))
-    share = np.median(leaning * height_sd / size, axis=0)
-    return np.diag(share**2) + GROUND_SD**2
+        return np.zeros(2)
+    return np.median(leaning * np.full(2, HEIGHT_SD / metres_per_unit) / size, axis=0)

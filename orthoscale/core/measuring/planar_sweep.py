@@ -7,71 +7,119 @@ parts is taken off.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...errors import TooLittleEvidence
-from ...evidence.surroundings import rows_in_model
 from ..boxes import Boxes
 from ..detections import Detections
-from ..fleet import Fleet
+from ..evidence import Evidence
 from ..pooling.robust import MIN_VEHICLES
 from ..projection.planar import footprint, ground_size
-from ..votes import gather
-from .measure import Measured, doubts, tight
-from .method import Method
-from .oblique import HEIGHT_SD, geometry
-
-if TYPE_CHECKING:
-    from ...sources.colmap import ColmapSource
-    from ...sources.ground_picture import GroundPicture
+from ..scale import Scale
+from ..source import NEAR_NADIR, GroundView, PosedSet
+from ..votes import Votes
+from .geometry import Geometry, Observation
+from .measure import doubts
+from .measurement import Findings
+from .oblique import GROUND, height_share
+from .surroundings import Standards, rows_in_model
 
 ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
 ROOM = 1.15  # a box, enlarged so, must lie within what the frame saw, or it may be cut
 BORDER = 2.0  # [px of the frame]
 TOO_FLAT = "cut by the frame's edge, or too low an elevation angle"
+CALLED = "boxes near the nadir"
 
 
-def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet, method: Method) -> Measured:
-    """Measure the boxes `found` in the `source.ground_pictures`. Raises TooLittleEvidence."""
-    pictures = {picture.name: picture for picture in source.ground_pictures}
-    lost = {**doubts(found), TOO_FLAT: 0}
-    parts, names, offsets, heights, places, alongs = [], [], [], [], [], []
-    for name, boxes in found.boxes.items():
-        picture = pictures.get(name)
-        if picture is None or not len(boxes):
-            continue
-        whole, offset = _whole(picture, boxes)
-        lost[TOO_FLAT] += int((~whole).sum())
-        parts.append(boxes[whole])
-        names += [name] * int(whole.sum())
-        offsets.append(offset[whole])
-        heights.append(np.full(int(whole.sum()), picture.camera_height))
-        places.append(picture.ground(boxes.centre[whole]))
-        alongs.append(picture.ground(boxes.centre[whole] + _heading(boxes[whole])) - places[-1])
-    if len(names) < MIN_VEHICLES:
-        raise TooLittleEvidence(f"{len(names)} boxes near the nadir, {MIN_VEHICLES} vehicles are needed")
-    boxes, place, along = Boxes.concatenate(parts), np.concatenate(places), np.concatenate(alongs)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    unit = next(iter(pictures.values())).unit_per_pixel
-    camera = np.concatenate(heights)[:, None]
-    offset = _along(boxes, np.concatenate(offsets))
-    flat = ground_size(boxes) * unit
-    height = np.array(found.effective_height)
-    metres_per_unit = float(fleet.mean[0] / np.median(flat[:, 0]))
-    for _ in range(ROUNDS):
-        size = camera * footprint(flat / camera, offset, height / metres_per_unit / camera)
-        votes = gather(size, np.full(len(boxes), unit / found.zoom), place, boxes.score, repeated=True)
-        spread = geometry(size, np.abs(offset), np.full(2, HEIGHT_SD / metres_per_unit))
-        more = []
-        if method.surroundings:
-            rows = rows_in_model(replace(votes, size=tight(votes, found.ruler.margin)), along, fleet.code)
-            more = [rows] if rows else []
-        scale = method.pool(votes, fleet, found.ruler, source.unit, spread, more)
-        metres_per_unit = scale.value
-    return Measured(boxes, np.array(names), votes, scale, lost, {}, tight(votes, found.ruler.margin))
+@dataclass(frozen=True)
+class SweepGeometry:
+    """A `Geometry` of boxes in plans of the ground, each under one camera.
+
+    flat : (M, 2) sides of the boxes [model units]. offset : (M, 2) how far they lie from below the camera, along these
+    and across, and camera : (M, 1) its height over the ground, in which `offset` is measured [model units].
+    along : (M, 3) unit vectors of the long sides, in the world.
+    """
+
+    unit: str
+    found: Detections
+    boxes: Boxes
+    picture: np.ndarray
+    pixel: np.ndarray
+    place: np.ndarray
+    along: np.ndarray
+    flat: np.ndarray
+    offset: np.ndarray
+    camera: np.ndarray
+    lost: Mapping[str, int]
+    projection: str = "exact"
+    called: str = CALLED
+    repeated: bool = True
+    rounds: int = ROUNDS
+    settled: float = 0.0
+
+    @classmethod
+    def of(cls, source: PosedSet, found: Detections) -> SweepGeometry:
+        """That of the boxes `found` in the `source.ground_pictures`. Raises TooLittleEvidence."""
+        pictures = {picture.name: picture for picture in source.ground_pictures}
+        lost = {**doubts(found), TOO_FLAT: 0}
+        parts, names, offsets, heights, places, alongs = [], [], [], [], [], []
+        for name, boxes in found.boxes.items():
+            picture = pictures.get(name)
+            if picture is None or not len(boxes):
+                continue
+            whole, offset = _whole(picture, boxes)
+            lost[TOO_FLAT] += int((~whole).sum())
+            parts.append(boxes[whole])
+            names += [name] * int(whole.sum())
+            offsets.append(offset[whole])
+            heights.append(np.full(int(whole.sum()), picture.camera_height))
+            places.append(picture.ground(boxes.centre[whole]))
+            alongs.append(picture.ground(boxes.centre[whole] + _heading(boxes[whole])) - places[-1])
+        if len(names) < MIN_VEHICLES:
+            raise TooLittleEvidence(f"{len(names)} {CALLED}, {MIN_VEHICLES} are needed")
+        boxes, along = Boxes.concatenate(parts), np.concatenate(alongs)
+        unit_per_pixel = next(iter(pictures.values())).unit_per_pixel
+        return cls(
+            unit=source.unit,
+            found=found,
+            boxes=boxes,
+            picture=np.array(names),
+            pixel=np.full(len(boxes), unit_per_pixel / found.zoom),
+            place=np.concatenate(places),
+            along=along / np.linalg.norm(along, axis=1, keepdims=True),
+            flat=ground_size(boxes) * unit_per_pixel,
+            offset=_along(boxes, np.concatenate(offsets)),
+            camera=np.concatenate(heights)[:, None],
+            lost=lost,
+        )
+
+    @property
+    def typical_length(self) -> float:
+        return float(np.median(self.flat[:, 0]))
+
+    def observe(self, metres_per_unit: float) -> Observation:
+        """What is left of a box without the part of the vehicle's height."""
+        top = np.array(self.found.effective_height) / metres_per_unit / self.camera
+        size = self.camera * footprint(self.flat / self.camera, self.offset, top)
+        own = height_share(size, np.abs(self.offset), metres_per_unit)
+        return Observation(size, self.found.ruler, own, GROUND)
+
+    def surroundings(
+        self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
+    ) -> Sequence[Evidence]:
+        """Rows of parked vehicles."""
+        return rows_in_model(vehicles, self.along[seen.solved], standards, country)
+
+    def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
+        """There is nothing to refine."""
+        return self
+
+    def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
+        """Nothing: the frames as they are tell more."""
+        return Findings()
 
 
 def _along(boxes: Boxes, offset: np.ndarray) -> np.ndarray:
@@ -86,10 +134,8 @@ def _heading(boxes: Boxes) -> np.ndarray:
     return np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1)
 
 
-def _whole(picture: GroundPicture, boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
+def _whole(picture: GroundView, boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
     """(N,) bool, boxes that the frame shows whole and steeply enough, and (N, 2) where they lie, see `seen`."""
-    from ...sources.ground_picture import NEAR_NADIR
-
     centre = boxes.centre[:, None]
     corners = (centre + ROOM * (boxes.corners - centre)).reshape(-1, 2)
     with np.errstate(invalid="ignore"):

@@ -19,6 +19,8 @@ from ..boxes import Boxes
 from .exact import Hull, ground_size
 from .view import Views
 
+Trends = dict[str, dict[str, list[float]]]  # see `trends`
+
 MIN_VIEWS = 3  # views of one vehicle from which its own mean is taken off
 MIN_RESIDUALS = 20  # observations below which nothing is fitted
 STEPS = 16
@@ -303,7 +305,7 @@ def _gain(plain: np.ndarray, shaped: np.ndarray, vehicle: np.ndarray) -> float:
 
 def trends(
     before: np.ndarray, after: np.ndarray, elevation: np.ndarray, pixel: np.ndarray, members: Sequence[np.ndarray]
-) -> dict[str, Any] | None:
+) -> Trends | None:
     """How the scale of a vehicle changes from view to view, before and after calibration; None for too few views.
 
     before, after : (N, 2) sizes. elevation : (N,) [deg]. pixel : (N,) what one covers of the ground [units]: the
@@ -316,7 +318,7 @@ def trends(
     index = np.concatenate(often)
     vehicle = np.repeat(np.arange(len(often)), [len(m) for m in often])
     over = {"percent_per_10_degrees": elevation / 10, "percent_per_pixel_doubling": -np.log2(pixel)}
-    out: dict[str, Any] = {}
+    out: Trends = {}
     for when, size in (("before", before), ("after", after)):
         log_scale = -100 * np.log(np.maximum(size, 1e-12)).mean(1)
         out[when] = {}

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...core.boxes import Boxes
-from ...core.detections import spread_note
 from ...errors import InputError
 from ..reading import checked, reason
 from .items import LABEL, Item
+from .own import spread_note
 
 if TYPE_CHECKING:
     from ..schemas import CocoAnnotation

@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 
 from ...core.boxes import Boxes, distinct
-from ...core.detections import WHAT, Detections
+from ...core.detections import Detections
+from ...core.source import Pictures
 from ...detect.classes import plain
 from ...errors import InputError, UsageError, shown
-from ...evidence.objects import known_objects
-from ...sources.source import Pictures
+from ...tables import known_objects
 from ..reading import LARGE, read_plain
 from . import coco, dota, geo, table
 from .items import Item, boxes_by_picture
+from .own import WHAT, note, noted, of_document, save_detections
 
 FORMATS = {
     ".json": "orthoscale's own (COCO too, when reading)",
@@ -48,13 +49,13 @@ def save(found: Detections, path: Path, source: Pictures) -> None:
     if suffix == ".txt":
         dota.write(path, found.boxes, source.picture_names)
     elif suffix == ".gpkg":
-        geo.write_geopackage(path, found.boxes, _place(source), found.note())
+        geo.write_geopackage(path, found.boxes, _place(source), note(found))
     elif suffix == ".geojson":
-        _write(geo.geojson(found.boxes, _place(source), found.note()), path)
+        _write(geo.geojson(found.boxes, _place(source), note(found)), path)
     elif path.name.lower().endswith(".coco.json"):
-        _write(coco.document(found.boxes, _sizes(source), found.note()), path)
+        _write(coco.document(found.boxes, _sizes(source), note(found)), path)
     else:
-        found.save(path)
+        save_detections(found, path)
 
 
 def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = ()) -> Detections:
@@ -65,7 +66,7 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = ()) -> D
     nobody has measured. Boxes that repeat one vehicle count once. Raises InputError.
     """
     suffix = path.suffix.lower()
-    note: Mapping[str, Any] | None = None
+    kept: Mapping[str, Any] | None = None
     sizes: dict[str, tuple[int, int]] = {}
     items: list[Item]
     if path.is_dir() or suffix == ".txt":
@@ -75,19 +76,19 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = ()) -> D
     elif suffix == ".csv":
         items = table.read(path)
     elif suffix == ".gpkg":
-        items, note = geo.read_geopackage(path, _place(source))
+        items, kept = geo.read_geopackage(path, _place(source))
     else:
         text = read_plain(path, WHAT, f"Detections end in {', '.join(READABLE)}.", LARGE)
         if geo.is_geojson(text):
-            items, note = geo.read_geojson(text, str(path), _place(source)), text.get("orthoscale")
+            items, kept = geo.read_geojson(text, str(path), _place(source)), text.get("orthoscale")
         elif coco.is_coco(text):
             items, sizes = coco.read(text, str(path))
-            note = (text.get("info") or {}).get("orthoscale") if isinstance(text, dict) else None
+            kept = (text.get("info") or {}).get("orthoscale") if isinstance(text, dict) else None
         else:
-            return _checked(Detections.of_document(text, path), source, path)
+            return _checked(of_document(text, path), source, path)
     own_sizes = _sizes(source)
     boxes = boxes_by_picture(items, source.picture_names, vehicle_classes, str(path), own_sizes)
-    found = Detections.of(boxes, note, f"boxes of {path.name}", str(path))
+    found = noted(boxes, kept, f"boxes of {path.name}", str(path))
     if not found.objects:
         found = replace(found, objects=_objects(items, source, path))
     _check_sizes(sizes, source, path)
@@ -121,7 +122,7 @@ def _write(text: Any, path: Path) -> None:
 
 
 def _place(source: Pictures) -> geo.Place | None:
-    return geo.Place.of(source.path) if source.unit == "m/px" else None
+    return None if source.raster is None else geo.Place.of(source.raster)
 
 
 def _sizes(source: Pictures) -> dict[str, tuple[int, int]]:

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from ...core.boxes import Boxes
-from ...core.detections import spread_note
 from ...errors import InputError, OutputError, shown
 from ..reading import check_regular, checked, parsed
 from .items import CLASS, LABEL, PICTURE, SCORE, Item, first
+from .own import spread_note
 
 LAYER = "vehicles"
 SPREAD = ("length_spread", "width_spread")  # columns of a GeoPackage, which has no lists

@@ -1,13 +1,12 @@
-"""Any file or folder that is in a model's units, again in metres."""
+"""Any file that is in a model's units, again in metres."""
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 
 from ...errors import InputError, UsageError
-from .dense import is_dense, scale_dense, scale_depth_map
+from .dense import scale_depth_map
 from .gltf import scale_glb, scale_gltf
 from .mesh import CLOUDS, MESHES, scale_mesh
 from .obj import scale_obj
@@ -21,19 +20,13 @@ KNOWN = (
 )
 
 
-def scale_path(source: Path, target: Path, scale: float) -> list[str]:
-    """Write `source`, in model units, to `target`, in metres: all lengths times `scale`; returns what there is to say.
+def scale_file(source: Path, target: Path, scale: float) -> list[str]:
+    """Write the file `source`, in model units, to `target`, in metres: all lengths times `scale`; returns what there is
+    to say.
 
-    A folder is a sparse model or a dense workspace of COLMAP; `target` is then an empty folder. Files that a file
-    refers to (materials, buffers, point clouds) come along beside `target`.
-    Raises InputError for a missing, damaged or unknown file, UsageError for one that is in metres already.
+    Files that it refers to (materials, buffers, point clouds) come along beside `target`. Raises InputError for a
+    missing, damaged or unknown file, UsageError for one that is in metres already.
     """
-    if not os.path.exists(source):  # noqa: PTH110  pathlib's raises for names that are too long
-        raise InputError(f"{source} does not exist", "Give files in the units of the model.")
-    return _scale_folder(source, target, scale) if source.is_dir() else _scale_file(source, target, scale)
-
-
-def _scale_file(source: Path, target: Path, scale: float) -> list[str]:
     suffix = source.suffix.lower()
     companions: list[Path] = []
     clouds: list[Path] = []
@@ -77,29 +70,10 @@ def _beside(path: Path, source: Path, target: Path) -> Path:
     return out
 
 
-def _scale_folder(source: Path, target: Path, scale: float) -> list[str]:
-    if is_dense(source):
-        return scale_dense(
-            source, target, scale, lambda a, b: scale_model(a, b, scale), lambda a, b: reason_left(a, b, scale)
-        )
-    scale_model(source, target, scale)
-    return []
-
-
-def scale_model(source: Path, target: Path, scale: float) -> None:
-    """Write the sparse model in the folder `source` into the empty folder `target` in metres."""
-    from ...sources.colmap import ColmapSource
-
-    model = ColmapSource.open(source, need_images=False)
-    if model.metric_already:
-        raise UsageError(f"{source} is in metres already: {model.metric_already}", "Apply it to the original model.")
-    model.write(target, scale)
-
-
 def reason_left(source: Path, target: Path, scale: float) -> str:
     """Write one file of geometry in metres and return '', or return why it cannot be (no Open3D, unknown format)."""
     try:
-        _scale_file(source, target, scale)
+        scale_file(source, target, scale)
     except UsageError as error:
         return error.message
     except InputError as error:

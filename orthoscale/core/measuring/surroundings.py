@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from ..core.boxes import Boxes
-from ..core.evidence import Evidence
-from ..core.projection.exact import Hull, ground_axes, ground_size
-from ..core.projection.view import Views
-from ..core.ruler import Ruler
-from ..core.votes import Votes, gather
-from .objects import known_objects, standard_object
+from ..boxes import Boxes
+from ..evidence import Evidence
+from ..projection.exact import Hull, ground_axes, ground_size
+from ..projection.view import Views
+from ..source import PosedSet
+from ..votes import Votes, gather
+from .objects import standard_object
 from .parking import parking_pitch
-
-if TYPE_CHECKING:
-    from ..sources.colmap import ColmapSource
 
 # Relative uncertainty of a reconstruction's ground (one sigma), as a share of the camera's height: sparse points on
 # bare ground scatter by about this much on the two real scenes. Whatever is measured on the ground errs with it.
@@ -27,23 +24,40 @@ FLAT = 0.01  # [m] height of what is painted on the ground
 WHOLE = 3.0  # [px] from a frame's border: nearer, a box may be cut
 
 
-def orthophoto_evidence(
-    votes: Votes, angle: np.ndarray, objects: Mapping[str, Boxes], zoom: float, ruler: Ruler, country: str
-) -> list[Evidence]:
-    """In an orthophoto: `votes` of single boxes with `angle` (N,) [rad], and boxes of other classes by class.
+@dataclass(frozen=True)
+class Standards:
+    """What is of a standard size beside vehicles.
 
-    `zoom` is detector pixels per picture pixel, `country` the fleet's code.
+    stalls : of car parks, by country, as in ``data/stalls.json``. objects : by class, as in ``data/objects.json``.
     """
-    size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
-    along = np.stack([np.cos(angle), np.sin(angle)], -1)
-    found = [parking_pitch(votes.place, along, size, country)]
-    for kind, boxes in objects.items():
-        found.append(standard_object(kind, boxes.xylwa[:, 2:4], np.full(len(boxes), 1 / zoom)))
+
+    stalls: dict[str, dict[str, Any]]
+    objects: dict[str, list[dict[str, Any]]]
+
+
+def rows_in_plan(votes: Votes, along: np.ndarray, standards: Standards, country: str) -> list[Evidence]:
+    """The pitch of parking rows in an orthophoto, where they show one.
+
+    votes : of single boxes, `size` without the margin. along : (N, 2) unit vectors of their long sides. country : the
+    fleet's code.
+    """
+    found = parking_pitch(votes.place, along, votes.size, standards.stalls, country)
+    return [] if found is None else [found]
+
+
+def standard_objects(objects: Mapping[str, Boxes], zoom: float, standards: Standards) -> list[Evidence]:
+    """Objects of standard size in an orthophoto. objects : boxes by class. zoom : detector pixels per picture pixel."""
+    found = [
+        standard_object(kind, standards.objects.get(kind, []), boxes.xylwa[:, 2:4], np.full(len(boxes), 1 / zoom))
+        for kind, boxes in objects.items()
+    ]
     return [evidence for evidence in found if evidence is not None]
 
 
-def rows_in_model(votes: Votes, along: np.ndarray, country: str) -> Evidence | None:
-    """The pitch of parking rows on a reconstruction's ground, one place for each vehicle however often it was seen.
+def rows_in_model(votes: Votes, along: np.ndarray, standards: Standards, country: str) -> list[Evidence]:
+    """The pitch of parking rows on a reconstruction's ground, where they show one.
+
+    Each vehicle has one place, however often it was seen.
 
     votes : of vehicles, `place` (N, 3) in the world, `size` without the margin. along : (M, 3) unit vectors of the
     long sides of all boxes, in the world. Vehicles seen once where others are seen often are left out.
@@ -51,11 +65,11 @@ def rows_in_model(votes: Votes, along: np.ndarray, country: str) -> Evidence | N
     kept = ~votes.fleeting
     members = [m for m, keep in zip(votes.members, kept, strict=True) if keep]
     axes = np.array([_mean_axis(along[m]) for m in members]).reshape(-1, 3)
-    found = parking_pitch(votes.place[kept], axes, votes.size[kept], country)
-    return None if found is None else _on_ground(found)
+    found = parking_pitch(votes.place[kept], axes, votes.size[kept], standards.stalls, country)
+    return [] if found is None else [_on_ground(found)]
 
 
-def world_axes(source: ColmapSource, names: np.ndarray, boxes: Boxes, views: Views) -> np.ndarray:
+def world_axes(source: PosedSet, names: np.ndarray, boxes: Boxes, views: Views) -> np.ndarray:
     """(N, 3) unit vectors in the world along the long sides of boxes (N,) in the frames `names` (N,)."""
     along, _ = ground_axes(views, np.stack([np.cos(boxes.angle), np.sin(boxes.angle)], -1))
     out = np.empty_like(along)
@@ -66,7 +80,11 @@ def world_axes(source: ColmapSource, names: np.ndarray, boxes: Boxes, views: Vie
 
 
 def objects_in_model(
-    source: ColmapSource, objects: Mapping[str, Mapping[str, Boxes]], zoom: float, metres_per_unit: float
+    source: PosedSet,
+    objects: Mapping[str, Mapping[str, Boxes]],
+    zoom: float,
+    metres_per_unit: float,
+    known: Standards,
 ) -> list[Evidence]:
     """Objects of standard size in a reconstruction's frames, one vote for each object however often it was seen.
 
@@ -75,7 +93,7 @@ def objects_in_model(
     would make of the scale is in the uncertainty.
     """
     found = []
-    for kind, standards in known_objects().items():
+    for kind, standards in known.objects.items():
         parts, views, places = [], [], []
         for name, kinds in objects.items():
             boxes = kinds.get(kind, Boxes.empty())
@@ -91,7 +109,9 @@ def objects_in_model(
             continue
         boxes, view, place = Boxes.concatenate(parts), Views.concatenate(views), np.concatenate(places)
         tall = max(s["height"][0] if "height" in s else FLAT for s in standards)
-        by_height = [_objects(kind, boxes, view, place, zoom, metres_per_unit, h) for h in (tall / 2, tall, FLAT)]
+        by_height = [
+            _objects(kind, standards, boxes, view, place, zoom, metres_per_unit, h) for h in (tall / 2, tall, FLAT)
+        ]
         middle, whole, none = by_height
         if middle is None:
             continue
@@ -103,14 +123,21 @@ def objects_in_model(
 
 
 def _objects(
-    kind: str, boxes: Boxes, views: Views, place: np.ndarray, zoom: float, metres_per_unit: float, height: float
+    kind: str,
+    standards: Sequence[Mapping[str, Any]],
+    boxes: Boxes,
+    views: Views,
+    place: np.ndarray,
+    zoom: float,
+    metres_per_unit: float,
+    height: float,
 ) -> Evidence | None:
     size = ground_size(boxes, views, metres_per_unit, Hull(height=height, belt=height, roof=height, corner=0.0))
     solved = np.isfinite(size).all(1)
     size = np.sort(size[solved], axis=1)[:, ::-1]  # foreshortened, the longer side may be the box's shorter one
     pixel = views.unit_per_pixel[solved] / zoom
     votes = gather(size, pixel, place[solved], boxes.score[solved], repeated=True)
-    return standard_object(kind, votes.size, votes.pixel)
+    return standard_object(kind, standards, votes.size, votes.pixel)
 
 
 def _on_ground(evidence: Evidence) -> Evidence:

@@ -2,18 +2,17 @@
 
 Seen in the boxes alone. In a row, the distances between vehicles across their length are multiples of one pitch, give
 or take how askew they park; where that pitch shows, it is a measurement of the scale that knows nothing of vehicles'
-sizes. The widths and their sources are in ``data/stalls.json``.
+sizes.
 """
 
 from __future__ import annotations
 
-from functools import cache
-from pathlib import Path
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
-from ..core.evidence import Evidence
-from ..formats.reading import read_plain
+from ..evidence import Evidence
 
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
 ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another
@@ -34,14 +33,20 @@ RECALLED_SD = 0.25
 
 
 def parking_pitch(
-    place: np.ndarray, along: np.ndarray, size: np.ndarray, country: str, min_vehicles: int = MIN_VEHICLES
+    place: np.ndarray,
+    along: np.ndarray,
+    size: np.ndarray,
+    stalls: Mapping[str, Mapping[str, Any]],
+    country: str,
+    min_vehicles: int = MIN_VEHICLES,
 ) -> Evidence | None:
     """The scale by the pitch of parking rows; None where no rows show one, or `country` has no standard.
 
     place : (N, D) where vehicles stand [units], D 2 or 3. along : (N, D) unit vectors of their long sides.
-    size : (N, 2) length and width [units]. country : code of a fleet; ``auto`` and ``WORLD`` mean any country.
+    size : (N, 2) length and width [units]. stalls : widths and their one sigma by country, as in ``data/stalls.json``
+    [m]. country : code of a fleet; ``auto`` and ``WORLD`` mean any country.
     """
-    stall = stalls().get("WORLD" if country == "auto" else country)
+    stall = stalls.get("WORLD" if country == "auto" else country)
     if stall is None or len(place) < min_vehicles:
         return None
     length, width = np.median(size, axis=0)
@@ -63,17 +68,11 @@ def parking_pitch(
     left_out = candidates[np.argmax(together - rhythm, axis=1)]
     spread = np.std(np.log(left_out)) * np.sqrt(len(rhythm) - 1) if len(rhythm) > 1 else 0.0
     step = np.log(candidates[1] / candidates[0])
-    sourced = stall is not stalls()["WORLD"] and not stall["source"].startswith("recalled")
+    sourced = stall is not stalls["WORLD"] and not stall["source"].startswith("recalled")
     own = np.hypot(stall["width_sd"], PLACE_SD if sourced else RECALLED_SD)
     sd = float(np.sqrt((own / stall["width"]) ** 2 + spread**2 + step**2))
     says = f"the pitch of parking rows ({vehicles} vehicles, stalls of {stall['width']:.2f} m)"
     return Evidence("parking pitch", stall["width"] / pitch, sd, says)
-
-
-@cache
-def stalls() -> dict[str, dict]:
-    """Stall widths [m] by country, with sources."""
-    return read_plain(Path(__file__).parent.parent / "data" / "stalls.json", "the table of stalls")["stalls"]
 
 
 def _rhythm_of_rows(row: np.ndarray, distance: np.ndarray, candidates: np.ndarray) -> np.ndarray:

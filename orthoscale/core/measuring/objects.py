@@ -1,30 +1,31 @@
 """Objects of a standard size, where a detector has classes for them: courts, containers, buses.
 
-Sizes and their sources are in ``data/objects.json``; a class with several standards (20 and 40 foot containers) is told
+A class with several standards (20 and 40 foot containers) is told
 apart by the ratio of length to width, which needs no scale.
 """
 
 from __future__ import annotations
 
-from functools import cache
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from ..core.evidence import Evidence
-from ..formats.reading import read_plain
+from ..evidence import Evidence
 
 EDGE_SD = 2.0  # of one box side, in detector pixels: how well an object's edges are boxed, which nobody has measured
 SHARED = 0.5  # share of that variance that all boxes of a class have in common: the boxes' margin
 ODD_RATIO = 3.0  # sigmas between a box's ratio of sides and a standard's, beyond which it is not that standard
 
 
-def standard_object(kind: str, size: np.ndarray, pixel: np.ndarray) -> Evidence | None:
+def standard_object(
+    kind: str, standards: Sequence[Mapping[str, Any]], size: np.ndarray, pixel: np.ndarray
+) -> Evidence | None:
     """The scale by objects of class `kind`; None where no standard is known or none has that shape.
 
+    standards : those of the class, as in ``data/objects.json``: length and width, each a value and one sigma [m].
     size : (N, 2) length and width [units]. pixel : (N,) size of one detector pixel [units].
     """
-    standards = known_objects().get(kind, [])
     if not standards or not len(size):
         return None
     edge = EDGE_SD * pixel[:, None] / size  # (N, 2) relative
@@ -44,9 +45,3 @@ def standard_object(kind: str, size: np.ndarray, pixel: np.ndarray) -> Evidence 
     sd = float(np.sqrt(SHARED * (weight @ var) + (1 - SHARED) * independent))
     count = int(fits.sum())
     return Evidence(kind, float(np.exp(weight @ value)), sd, f"{count} box{'es' if count > 1 else ''} of class {kind}")
-
-
-@cache
-def known_objects() -> dict[str, list[dict]]:
-    """Standards by class: name, length, width (value and one sigma) [m], flat, source."""
-    return read_plain(Path(__file__).parent.parent / "data" / "objects.json", "the table of objects")["objects"]

@@ -1,0 +1,100 @@
+"""What measuring asks of a geometry: how boxes and vehicles on the ground belong together in one kind of picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from ..boxes import Boxes
+from ..evidence import Evidence
+from ..ruler import Ruler
+from ..scale import Scale
+from ..votes import Votes
+from .measurement import Findings
+from .surroundings import Standards
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What M boxes measure, if a unit of the source is so many metres as the geometry was told.
+
+    size : (M, 2) length and width of the vehicles on the ground [source units], NaN where no vehicle gives the box.
+    ruler : what is left of the detector's ruler to take off, and how well that is known.
+    own : (2,) relative one-sigmas of all lengths, and of all widths, that come from the geometry.
+    shared : by cause, (2,) by how much lengths and widths come out larger (log) where it is one sigma off.
+    """
+
+    size: np.ndarray
+    ruler: Ruler
+    own: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    shared: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    @cached_property
+    def solved(self) -> np.ndarray:
+        """(M,) bool, whether a vehicle on the ground explains the box."""
+        return np.isfinite(self.size).all(1)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """(2, 2) relative covariance of lengths and widths, shared by all boxes."""
+        return np.diag(np.square(self.own)) + sum((np.outer(s, s) for s in self.shared.values()), np.zeros((2, 2)))
+
+
+class Geometry(Protocol):
+    """M boxes of one source, and what they measure on its ground.
+
+    unit : of its lengths, as a scale's. projection : what it is called, one of `method.PROJECTIONS`.
+    boxes : M of them, all that can be measured. called : what these are, for people.
+    picture : (M,) name of the picture of each. pixel : (M,) ground size of one detector pixel [source units].
+    place : (M, D) where they stand [source units]. lost : boxes that cannot be measured, by reason.
+    repeated : whether pictures show vehicles again, so that boxes in one place are one vehicle.
+    typical_length : median length of the boxes [source units], with which the rounds begin.
+    rounds : of measuring and pooling, at most. settled : relative change of the scale at which they end.
+    """
+
+    @property
+    def unit(self) -> str: ...
+    @property
+    def projection(self) -> str: ...
+    @property
+    def boxes(self) -> Boxes: ...
+    @property
+    def called(self) -> str: ...
+    @property
+    def picture(self) -> np.ndarray: ...
+    @property
+    def pixel(self) -> np.ndarray: ...
+    @property
+    def place(self) -> np.ndarray: ...
+    @property
+    def lost(self) -> Mapping[str, int]: ...
+    @property
+    def repeated(self) -> bool: ...
+    @property
+    def typical_length(self) -> float: ...
+    @property
+    def rounds(self) -> int: ...
+    @property
+    def settled(self) -> float: ...
+
+    def observe(self, metres_per_unit: float) -> Observation:
+        """What the boxes measure; the scale enters through the vehicles' height."""
+        ...
+
+    def surroundings(
+        self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
+    ) -> Sequence[Evidence]:
+        """What else the pictures show of the scale; `vehicles` are the votes without the detector's margin."""
+        ...
+
+    def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
+        """The same after what the vehicles tell of it themselves, for the next round."""
+        ...
+
+    def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
+        """What the boxes tell besides the scale."""
+        ...

@@ -1,0 +1,94 @@
+"""What measuring gives: the scale, the vehicles, and what they tell besides."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ..boxes import Boxes
+from ..pooling.agreement import Agreement
+from ..projection.self_calibration import OwnRuler, Trends
+from ..scale import Scale
+from ..votes import Votes
+from .drift import Drift
+from .model_drift import ModelDrift
+from .vehicles import vehicle_table
+
+LEAST = 0.1  # of a box's side that is taken for the vehicle's at least, however large the margin
+
+
+@dataclass(frozen=True)
+class SelfCalibration:
+    """ruler : as the vehicles' own views have it. card : as the detector ships it. trends : what is left of either,
+    None for too few views."""
+
+    ruler: OwnRuler
+    card: OwnRuler
+    trends: Trends | None
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the boxes of one geometry tell besides the scale, where they can. shared : as in `Observation`."""
+
+    calibration: SelfCalibration | None = None
+    drift: Drift | ModelDrift | None = None
+    shared: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What the vehicles of one source say.
+
+    boxes : all that were measured, M of them. picture : (M,) name of the picture of each. lost : boxes that never
+    became votes, by reason. size : (N, 2) of the votes' vehicles, the margin taken off [source units].
+    projection : how they were seen. found : what they tell besides the scale.
+    modes : by name, each way in which a posed set was measured; empty for other sources.
+    agreement : of two ways, where there were two. notes : what could not be done.
+    """
+
+    boxes: Boxes
+    picture: np.ndarray
+    votes: Votes
+    scale: Scale
+    lost: dict[str, int]
+    size: np.ndarray
+    projection: str
+    found: Findings = field(default_factory=Findings)
+    modes: Mapping[str, Measurement] = field(default_factory=dict)
+    agreement: Agreement | None = None
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def vehicles(self) -> np.ndarray:
+        """(N,) one row for each of the votes' vehicles, in metres too, see `vehicles.VEHICLE`."""
+        return vehicle_table(self.votes, self.size, self.scale, self.boxes, self.picture)
+
+    @property
+    def drift(self) -> Drift | ModelDrift | None:
+        """How the scale changes from place to place, where there are vehicles enough to say."""
+        return self.found.drift
+
+    @property
+    def rejected_boxes(self) -> dict[str, int]:
+        """Boxes that never became votes, by reason."""
+        return {reason: count for reason, count in self.lost.items() if count}
+
+    @property
+    def remarks(self) -> list[str]:
+        """What speaks against the scale, or limits it."""
+        drift = [self.drift.remark] if isinstance(self.drift, Drift) and self.drift.drifts else []
+        return [*self.scale.remarks, *drift]
+
+    @property
+    def accord(self) -> list[str]:
+        """Those of the remarks that only say that two ways agree."""
+        return [self.agreement.sentence()] if self.agreement is not None and not self.agreement.contradicts else []
+
+
+def tight(votes: Votes, margin: Sequence[float] | np.ndarray) -> np.ndarray:
+    """(N, 2) sizes of the vehicles behind the votes, without the boxes' `margin` (2,) [detector px]; never nothing."""
+    return np.maximum(votes.size - np.asarray(margin) * votes.pixel[:, None], LEAST * votes.size)

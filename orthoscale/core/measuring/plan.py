@@ -1,0 +1,95 @@
+"""Measuring in a plan: an orthophoto shows footprints, so a box is a vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..boxes import Boxes
+from ..detections import Detections
+from ..evidence import Evidence
+from ..projection.planar import ground_size
+from ..ruler import Ruler
+from ..scale import Scale
+from ..source import Plan
+from ..votes import Votes
+from .drift import drift
+from .geometry import Geometry, Observation
+from .measure import doubts
+from .measurement import Findings
+from .surroundings import Standards, rows_in_plan, standard_objects
+from .vehicles import vehicle_table
+
+
+@dataclass(frozen=True)
+class PlanGeometry:
+    """A `Geometry` whose units are the plan's pixels. size : width and height of the plan [px].
+
+    objects : boxes of other classes than vehicles, by class. zoom : detector pixels per pixel.
+    """
+
+    boxes: Boxes
+    picture: np.ndarray
+    unit: str
+    size: tuple[int, int]
+    zoom: float
+    ruler: Ruler
+    objects: Mapping[str, Boxes]
+    lost: Mapping[str, int]
+    projection: str = "planar"
+    called: str = "usable vehicles"
+    repeated: bool = False
+    rounds: int = 1  # footprints have no height
+    settled: float = 0.0
+
+    @classmethod
+    def of(cls, source: Plan, found: Detections) -> PlanGeometry:
+        """That of the boxes `found` in an orthophoto."""
+        boxes = found.boxes.get(source.name, Boxes.empty())
+        return cls(
+            boxes=boxes,
+            picture=np.full(len(boxes), source.name),
+            unit=source.unit,
+            size=(source.width, source.height),
+            zoom=found.zoom,
+            ruler=found.ruler,
+            objects=found.objects.get(source.name, {}),
+            lost=doubts(found),
+        )
+
+    @property
+    def pixel(self) -> np.ndarray:
+        return np.full(len(self.boxes), 1 / self.zoom)
+
+    @property
+    def place(self) -> np.ndarray:
+        return self.boxes.centre
+
+    @property
+    def typical_length(self) -> float:
+        return float(np.median(self.boxes.length))
+
+    def observe(self, metres_per_unit: float) -> Observation:
+        """Boxes as they are."""
+        return Observation(ground_size(self.boxes), self.ruler)
+
+    def surroundings(
+        self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
+    ) -> Sequence[Evidence]:
+        """Rows of parked vehicles, and objects of standard size."""
+        along = np.stack([np.cos(self.boxes.angle), np.sin(self.boxes.angle)], -1)
+        return [
+            *rows_in_plan(vehicles, along, standards, country),
+            *standard_objects(self.objects, self.zoom, standards),
+        ]
+
+    def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
+        """There is nothing to refine."""
+        return self
+
+    def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
+        """The drift of the scale."""
+        table = vehicle_table(vehicles, vehicles.size, scale, self.boxes, self.picture)
+        return Findings(drift=drift(table, *self.size))

@@ -1,0 +1,234 @@
+"""What is measured: something with pictures and without metres. A plan, or a set of pictures whose poses are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from .projection.view import Views
+
+LOWEST_ELEVATION = 25.0  # [deg] flatter rays meet the ground too far off, and see vehicles from the side
+NEAR_NADIR = 60.0  # [deg] elevation of the viewing ray from which a frame may pass for an orthophoto
+
+
+class Picture(Protocol):
+    """An image that is read by windows: a raster, one frame of a reconstruction, or that frame warped onto the ground.
+
+    name : unique within its source. width, height : [px].
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+
+    def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
+        """RGB uint8 (out_height, out_width, 3) of the window at (x, y) with `width` x `height` px, resampled.
+
+        The window lies inside the image. Pixels without data are grey (114). Shrinking averages; enlarging is bicubic.
+        """
+        ...
+
+
+class Pictures(Protocol):
+    """Something with pictures.
+
+    path : of its file or folder. notes : what its user should know.
+    """
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def notes(self) -> list[str]: ...
+    @property
+    def pictures(self) -> Sequence[Picture]: ...
+    @property
+    def picture_names(self) -> list[str]:
+        """Names of all its pictures, also of those whose pixels are not at hand."""
+        ...
+
+    @property
+    def raster(self) -> Path | None:
+        """The file whose georeferencing places its one picture on the Earth, if there is such a file."""
+        ...
+
+
+class Claim(Protocol):
+    """What a source says of its own scale: metres per pixel or None, whether to believe it, and why.
+
+    crs, transform : the georeferencing behind it, None without any.
+    """
+
+    @property
+    def gsd_m(self) -> float | None: ...
+    @property
+    def usable(self) -> bool: ...
+    @property
+    def why(self) -> str: ...
+    @property
+    def crs(self) -> Any: ...
+    @property
+    def transform(self) -> Any: ...
+
+
+class Source(Pictures, Protocol):
+    """What a scale is found for. It is a `Plan` or a `PosedSet`: one of `plan` and `posed` is itself, the other None.
+
+    unit : what its scale is measured in, "m/px", "m/model-unit" ...
+    metric_already : why the source counts as metric already, as a sentence; empty if it does not.
+    claimed : what it says of its own scale, None where it cannot say anything.
+    """
+
+    @property
+    def unit(self) -> str: ...
+    @property
+    def metric_already(self) -> str: ...
+    @property
+    def claimed(self) -> Claim | None: ...
+    @property
+    def plan(self) -> Plan | None: ...
+    @property
+    def posed(self) -> PosedSet | None: ...
+    @property
+    def files(self) -> Sequence[Path]:
+        """The files that it was read from, but for its pictures; none of them is ever written to."""
+        ...
+
+    def content_hash(self) -> str:
+        """SHA-256 of its files."""
+        ...
+
+    def from_above(self, place: np.ndarray) -> np.ndarray:
+        """(N, 2) places on a plan, x right and y up [source units], of places (N, D) in its own coordinates."""
+        ...
+
+    def locate(self, point: str) -> np.ndarray:
+        """(2,) or (3,) the place that a user's word for a point means [source units]. Raises ValueError."""
+        ...
+
+
+class Placement(Protocol):
+    """Where a plan lies: its coordinate reference system, the affine transform of its pixels into that, and in words
+    what became of the input's own."""
+
+    @property
+    def crs(self) -> Any: ...
+    @property
+    def transform(self) -> Any: ...
+    @property
+    def said(self) -> str: ...
+
+
+class Plan(Source, Picture, Protocol):
+    """One picture of the ground from straight above, its own only `Picture`: an orthophoto. Its unit is the pixel."""
+
+    @property
+    def claimed(self) -> Claim: ...
+
+    def place(self, metres_per_pixel: float, keep_origin: bool = False) -> Placement:
+        """The georeferencing that a copy of this scale gets: local metres, or the input's own place and direction."""
+        ...
+
+    def write(self, path: Path, metres_per_pixel: float, keep_origin: bool = False, cog: bool = False) -> None:
+        """Write a GeoTIFF of the same pixels in metres; what is worth knowing of that goes to `notes`."""
+        ...
+
+
+class Ground(Protocol):
+    """The ground under a reconstruction's cameras, and a plane that follows it [model units]."""
+
+    def plane(self, points: np.ndarray) -> np.ndarray:
+        """(N, 2) places on the plane, of points (N, 3)."""
+        ...
+
+    def lift(self, plane: np.ndarray) -> np.ndarray:
+        """(N, 3) points on the ground, of places (N, 2) on the plane."""
+        ...
+
+    def height_above(self, points: np.ndarray) -> np.ndarray:
+        """(N,) heights of points (N, 3) over the ground."""
+        ...
+
+
+class GroundView(Picture, Protocol):
+    """What one frame shows of the ground, warped to a plan of `unit_per_pixel` model units per pixel.
+
+    size : (2,) width and height of the frame [px]. camera_height : over the ground [model units].
+    """
+
+    @property
+    def size(self) -> tuple[int, int]: ...
+    @property
+    def unit_per_pixel(self) -> float: ...
+    @property
+    def camera_height(self) -> float: ...
+    @property
+    def frame(self) -> Picture | None:
+        """The frame, None where its pixels are not at hand."""
+        ...
+
+    def ground(self, points: np.ndarray) -> np.ndarray:
+        """(N, 2) pixels of this picture to (N, 3) points on the ground [model units, world]."""
+        ...
+
+    def seen(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the frame has what this picture shows at `points` (N, 2): frame pixels (N, 2), NaN behind the camera,
+        and (N, 2) plane vectors from below the camera to the points, in this picture's axes, per camera height."""
+        ...
+
+
+class PosedSet(Source, Protocol):
+    """Pictures whose poses are known, up to a scale: a reconstruction. Lengths are in model units."""
+
+    @property
+    def ground(self) -> Ground: ...
+    @property
+    def ground_pictures(self) -> Sequence[GroundView]:
+        """The near-nadir parts of the frames, warped onto the ground."""
+        ...
+
+    @property
+    def sparse(self) -> tuple[np.ndarray, np.ndarray]:
+        """The sparse points: (M, 3) positions [model units] and (M, 3) uint8 RGB colours."""
+        ...
+
+    def views(
+        self, name: str, points: np.ndarray, lowest_elevation: float = LOWEST_ELEVATION
+    ) -> tuple[Views, np.ndarray, np.ndarray]:
+        """How the picture `name` sees the ground at its pixels `points` (N, 2): the `Views`, the ground points (N, 3)
+        in the world, and (N,) bool whether the ray meets known ground at `lowest_elevation` degrees or steeper."""
+        ...
+
+    def centre(self, name: str) -> np.ndarray:
+        """(3,) where the camera of the picture `name` stands [model units, world]."""
+        ...
+
+    def rotation(self, name: str) -> np.ndarray:
+        """(3, 3) `camera_from_world` of the picture `name`: its rows are the camera's x, y and z in the world."""
+        ...
+
+    def image_size(self, name: str) -> tuple[int, int]:
+        """Width and height of the picture `name` [px]."""
+        ...
+
+    def project(self, name: str, world: np.ndarray) -> np.ndarray:
+        """(N, 2) pixels at which the picture `name` has the points `world` (N, 3); NaN where it cannot."""
+        ...
+
+    @property
+    def dense(self) -> Path:
+        """The dense workspace that belongs to it. Raises UsageError where there is none."""
+        ...
+
+    def write(self, folder: Path, metres_per_unit: float) -> None:
+        """Write it in metres into the empty `folder`; what is worth knowing of that goes to `notes`."""
+        ...
+
+    def write_dense(self, folder: Path, metres_per_unit: float) -> None:
+        """Write the dense workspace in metres into the empty `folder`; raises as `dense` does."""
+        ...

@@ -1,0 +1,108 @@
+"""The table of fleets: a fleet by a country's name, by a code, or from a file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .core.calibration import Calibration
+from .core.fleet import Fleet
+from .errors import InputError, UsageError, shown
+from .formats.reading import checked, read_plain
+
+HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
+AUTO = "auto"
+WORLD = "WORLD"
+# A place of which nothing is known has a country all the same. Half of the prior goes to the world's average, whose
+# uncertainty is the scatter of the countries about it; half to the countries as they are: their vehicles' shapes may
+# tell which it is. The average alone takes a country of small cars with some vans for one of ordinary cars.
+AVERAGE_SHARE = 0.5
+REGION = "R_"  # codes of regions, which stand in for their countries that have no row
+
+
+def load_fleet(name: str | Path) -> Fleet:
+    """A fleet by country (``US``, ``DEU``, ``Schweiz``, ``Texas``; see `countries.country_code`), by a code of the
+    table (``US_pickup``, ``world``), or from a JSON file of one such entry.
+
+    A country without a fleet of its own takes its neighbours' or its region's, less certain, and its name says so.
+    ``world`` and ``auto`` have the fleets of countries all over the world and its average as candidates (the table
+    names them; to try every country moved the scales of 12 places by 2 % at most, and took three times as long):
+    half of the prior is the average's, or all are equally likely. Raises UsageError for an unknown name, InputError
+    for a file that is no fleet.
+    """
+    if str(name).upper() in (WORLD, AUTO.upper()):
+        average = _row(WORLD)
+        countries = [_row(code) for code in _document()["world"]]
+        if str(name).upper() == WORLD:
+            share = (AVERAGE_SHARE, *[(1 - AVERAGE_SHARE) / len(countries)] * len(countries))
+            return replace(average, candidates=(average, *countries), prior=share)
+        name, share = "inferred from the vehicles' shapes", (1 / (1 + len(countries)),) * (1 + len(countries))
+        return replace(average, code=AUTO, name=name, candidates=(average, *countries), prior=share)
+    known = {code.lower(): code for code in fleet_codes()}
+    if str(name).lower() in known:
+        return _row(known[str(name).lower()])
+    path = Path(name)
+    return read_fleet(path) if path.suffix == ".json" else _of_country(str(name))
+
+
+def read_fleet(path: Path) -> Fleet:
+    """A fleet from a JSON file of one entry, as in ``data/fleets.json``. Raises InputError."""
+    from .formats.schemas import FleetEntry
+
+    entry = read_plain(path, "a fleet", HINT)
+    checked(entry, FleetEntry, str(path), "a fleet", HINT)
+    segments = _document()["segments"]
+    unknown = [name for name in entry.get("shares", ()) if name not in segments]
+    if unknown:
+        raise InputError(
+            f"{path}: not a fleet (no segment is called {shown(unknown[0])!r})", f"Known: {', '.join(segments)}."
+        )
+    return Fleet.from_entry(path.stem, entry, segments)
+
+
+def local_fleet(known: Calibration | None) -> Fleet | None:
+    """The vehicles of the place that a calibration was measured at, None where it does not tell."""
+    if known is None or known.fleet_entry is None:
+        return None
+    return Fleet.from_entry("local", known.fleet_entry, _document()["segments"])
+
+
+def fleet_codes() -> list[str]:
+    """The codes of the built-in fleets."""
+    return list(_document()["fleets"])
+
+
+def _of_country(text: str) -> Fleet:
+    """The fleet of a country by any of its names; raises UsageError with the nearest ones for no country's."""
+    from .countries import country_code, country_name, nearest_names
+
+    code = country_code(text)
+    if code in fleet_codes():
+        return _row(code)
+    stand_in = None if code is None else _document()["fallback"].get(code)
+    if code is None or stand_in is None:
+        near = nearest_names(text)
+        hint = f"Did you mean {', '.join(near)}? " if near else ""
+        raise UsageError(
+            f"no fleet is called {text!r}",
+            f"{hint}Give a country's name or ISO 3166 code, {AUTO}, world, or a .json file; "
+            "`orthoscale fleets` lists them.",
+        )
+    fleet = _row(stand_in)
+    # A neighbour's fleet is another country's; a region's spread between its countries is in its figures already.
+    more = np.zeros(3) if stand_in.startswith(REGION) else np.array(_document()["fallback_add_sd"])
+    name = f"{country_name(code)}: no fleet of its own, taken from {fleet.name}"
+    return replace(fleet, code=code, name=name, mean_sd=np.hypot(fleet.mean_sd, more))
+
+
+def _row(code: str) -> Fleet:
+    return Fleet.from_entry(code, _document()["fleets"][code], _document()["segments"])
+
+
+@cache
+def _document() -> dict[str, Any]:
+    return read_plain(Path(__file__).parent / "data" / "fleets.json", "the table of fleets")

@@ -1,0 +1,40 @@
+"""Calibrations as JSON files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ..core.calibration import Calibration
+from .reading import checked, read_plain
+
+KIND = "orthoscale calibration 1"
+
+
+def save_calibration(calibration: Calibration, path: Path) -> None:
+    """Write as JSON."""
+    path.write_text(json.dumps(calibration_values(calibration), indent=1) + "\n", encoding="utf-8")
+
+
+def calibration_values(calibration: Calibration) -> dict[str, Any]:
+    """Plain values, as in the file."""
+    return {
+        "kind": KIND,
+        "detector": calibration.detector,
+        "detector_sha256": calibration.detector_sha256,
+        "ruler": asdict(calibration.ruler),
+        "fleet": calibration.fleet_entry,
+        "made_from": calibration.made_from,
+    }
+
+
+def load_calibration(path: Path) -> Calibration:
+    """Raises InputError for what `save_calibration` did not write."""
+    from .schemas import CalibrationEntry
+
+    hint = "Make one: orthoscale calibrate ORTHO --out FILE.json"
+    text = read_plain(path, "a calibration", hint)
+    entry = checked(text, CalibrationEntry, str(path), "a calibration", hint)
+    return Calibration(entry.detector, entry.detector_sha256, entry.ruler.ruler, text["fleet"], entry.made_from)

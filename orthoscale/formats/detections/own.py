@@ -1,0 +1,149 @@
+"""Orthoscale's own JSON of detections, and the note of them that files of other formats keep."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...core.boxes import Boxes
+from ...core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
+from ...tables import known_objects
+from ..reading import LARGE, checked, read_plain
+
+if TYPE_CHECKING:
+    from ..schemas import BoxEntry, DetectionsEntry, NoteEntry
+
+FIELDS = ("cx", "cy", "length", "width", "angle")
+WHAT = "a detections file"
+HINT = 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.'
+
+
+def save_detections(found: Detections, path: Path) -> None:
+    """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians."""
+    path.write_text(json.dumps(_document(found), indent=0))
+
+
+def load_detections(path: Path) -> Detections:
+    """Read what `save_detections` wrote, or a plain ``{name: [box, ...]}``. Raises InputError."""
+    return of_document(read_plain(path, WHAT, HINT, LARGE), path)
+
+
+def of_document(text: Any, path: Path) -> Detections:
+    """The same from the plain values that are in the file `path`. Raises InputError."""
+    from ..schemas import BoxesByPicture, DetectionsEntry
+
+    name = f"boxes of {path.name}"
+    if not (isinstance(text, dict) and "pictures" in text):
+        pictures = checked(text, BoxesByPicture, str(path), WHAT, HINT)
+        return replace(noted(_vehicles(pictures), None, name, str(path)), objects=_objects(pictures))
+    return _whole(checked(text, DetectionsEntry, str(path), WHAT, HINT), name)
+
+
+def about(found: Detections) -> dict[str, Any]:
+    """All that is needed to measure with the boxes, as plain values."""
+    return {
+        "detector": found.detector,
+        "detector_sha256": found.detector_sha256,
+        "zoom": found.zoom,
+        "effective_height": list(found.effective_height),
+        "body": found.body,
+        "ruler": asdict(found.ruler),
+    }
+
+
+def note(found: Detections) -> dict[str, Any]:
+    """What a file of another format keeps beside the vehicles' boxes, so that `noted` gives back all: `about`, the
+    doubtful boxes, the objects, and what `planar` holds, as plain values."""
+    objects = {name: rows for name in found.objects if (rows := _object_rows(found, name))}
+    return {**about(found), **_rest(found), **({"objects": objects} if objects else {})}
+
+
+def noted(boxes: dict[str, Boxes], note: Mapping[str, Any] | None, name: str, origin: str) -> Detections:
+    """Boxes from a file, with the `note` that it keeps of them; without one they are those of `name`, a detector
+    that nobody has measured. Raises InputError, which calls the file `origin`."""
+    if note is None:
+        return Detections(boxes, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, name)
+    from ..schemas import NoteEntry
+
+    return _of_entry(boxes, checked(note, NoteEntry, origin, WHAT, "Save the detections again."), name)
+
+
+def _of_entry(boxes: dict[str, Boxes], entry: NoteEntry, name: str) -> Detections:
+    from msgspec import UNSET
+
+    found = Detections(
+        boxes=boxes,
+        zoom=entry.zoom,
+        ruler=UNKNOWN_RULER if entry.ruler is UNSET else entry.ruler.ruler,
+        effective_height=entry.effective_height,
+        detector=name if entry.detector is UNSET else entry.detector,
+        detector_sha256=entry.detector_sha256,
+        doubtful=_vehicles(entry.doubtful),
+        objects=_objects(entry.objects),
+        planar=None if entry.planar is None else _whole(entry.planar, name),
+        body=entry.body,
+    )
+    return found if entry.doubt is UNSET else replace(found, doubt=entry.doubt)
+
+
+def _whole(text: DetectionsEntry, name: str) -> Detections:
+    return replace(_of_entry(_vehicles(text.pictures), text, name), objects=_objects(text.pictures))
+
+
+def _document(found: Detections) -> dict[str, Any]:
+    names = dict.fromkeys([*found.boxes, *found.objects])
+    pictures = {name: _rows(found.boxes.get(name, Boxes.empty())) + _object_rows(found, name) for name in names}
+    return {**about(found), **_rest(found), "pictures": pictures}
+
+
+def _rest(found: Detections) -> dict[str, Any]:
+    rest: dict[str, Any] = {}
+    if found.doubtful:
+        rest |= {"doubt": found.doubt, "doubtful": {name: _rows(boxes) for name, boxes in found.doubtful.items()}}
+    return rest if found.planar is None else {**rest, "planar": _document(found.planar)}
+
+
+def _object_rows(found: Detections, name: str) -> list[dict[str, Any]]:
+    others = found.objects.get(name, {})
+    return [{**row, "kind": kind} for kind, boxes in others.items() for row in _rows(boxes)]
+
+
+def _vehicles(pictures: Mapping[str, Sequence[BoxEntry]]) -> dict[str, Boxes]:
+    return {name: _boxes(rows) for name, rows in pictures.items()}
+
+
+def _objects(pictures: Mapping[str, Sequence[BoxEntry]]) -> dict[str, dict[str, Boxes]]:
+    """Boxes of standard objects, by picture and kind."""
+    objects = {}
+    for name, rows in pictures.items():
+        kinds = {row.kind for row in rows} & set(known_objects())
+        if kinds:
+            objects[name] = {kind: _boxes(rows, kind) for kind in sorted(kinds)}
+    return objects
+
+
+def _rows(boxes: Boxes) -> list[dict[str, Any]]:
+    assert boxes.spread is not None  # since it was made
+    rows = []
+    for row, score, spread in zip(boxes.xylwa, boxes.score, boxes.spread, strict=True):
+        plain = {k: round(float(v), 4 if k == "angle" else 2) for k, v in zip(FIELDS, row, strict=True)}
+        rows.append({**plain, "score": round(float(score), 3), **spread_note(spread)})
+    return rows
+
+
+def spread_note(spread: np.ndarray) -> dict[str, list[float | None]]:
+    """What a file says of one box's spread (2,), nothing where it is not known."""
+    values = [round(float(v), 5) if np.isfinite(v) else None for v in spread]
+    return {} if values == [None, None] else {"spread": values}
+
+
+def _boxes(rows: Sequence[BoxEntry], kind: str = "vehicle") -> Boxes:
+    rows = [row for row in rows if row.kind == kind]
+    xylwa = np.array([[getattr(row, k) for k in FIELDS] for row in rows], float).reshape(-1, 5)
+    spread = np.array([row.spread for row in rows], float).reshape(-1, 2)  # None becomes NaN
+    return Boxes(xylwa, np.array([row.score for row in rows], float), spread)

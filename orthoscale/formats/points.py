@@ -1,0 +1,26 @@
+"""Points and numbers as people write them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import shown
+
+
+def coordinates(text: str, count: int, what: str) -> np.ndarray:
+    """(count,) the numbers in `text`, with commas between. Raises ValueError, which says that `text` is not `what`."""
+    found = np.array([number(part) for part in text.split(",")])
+    if len(found) != count:
+        raise ValueError(f"{text!r} is not {what}")
+    return found
+
+
+def number(text: str) -> float:
+    """Raises ValueError for what is no finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise ValueError(f"{shown(text)!r} is not a finite number")
+    return value

@@ -1,0 +1,114 @@
+"""How the modules may know one another: nobody in a circle, the core nobody, and the extras known by nobody."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import orthoscale
+
+ROOT = Path(orthoscale.__file__).parent
+# What stands beside the program: commands of their own, and what draws scenes for tests and training.
+EXTRAS = {"layout", "evaluate", "synthetic", "photos.crop"}
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the package by its name below it; a package by its own."""
+    found = {}
+    for path in ROOT.rglob("*.py"):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(part for part in parts if part != "__init__")] = path
+    return found
+
+
+MODULES = modules()
+
+
+@cache
+def tree_of(name: str) -> ast.Module:
+    return ast.parse(MODULES[name].read_text(encoding="utf-8"))
+
+
+@cache
+def imports(name: str, within: ast.AST | None = None) -> set[str]:
+    """The modules of the package that the module `name` imports, in functions and for type checkers too; or those that
+    the part `within` of it does."""
+    package = name.split(".") if MODULES[name].name == "__init__.py" else name.split(".")[:-1]
+    package = [part for part in package if part]
+    found = set()
+    for node in ast.walk(within or tree_of(name)):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            above = package[: len(package) - node.level + 1]
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            inside = {a.name: f"{base}.{a.name}".strip(".") for a in node.names}
+            found |= {place if place in MODULES else base for place in inside.values()}
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "orthoscale":
+            found.add((node.module or "").removeprefix("orthoscale").strip("."))
+        elif isinstance(node, ast.Import):
+            own = [a.name for a in node.names if a.name.split(".")[0] == "orthoscale"]
+            found |= {each.removeprefix("orthoscale").strip(".") for each in own}
+    return found & set(MODULES) - {name}
+
+
+def folder(name: str) -> str:
+    return name.split(".")[0]
+
+
+def extra(name: str) -> str | None:
+    return next((each for each in EXTRAS if name == each or name.startswith(each + ".")), None)
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    """Counting imports in functions, and those for type checkers only."""
+    assert len(MODULES) > 150
+    try:
+        TopologicalSorter({name: imports(name) for name in MODULES}).prepare()
+    except CycleError as error:
+        raise AssertionError(f"an import circle: {' -> '.join(error.args[1])}") from None
+
+
+def test_the_core_knows_nothing_but_errors():
+    """Values and arithmetic: no files, no sources, no detector, no reports."""
+    known = {
+        name: {m for m in imports(name) if folder(m) not in ("core", "errors")}
+        for name in MODULES
+        if folder(name) == "core"
+    }
+    assert len(known) > 30
+    assert {name: found for name, found in known.items() if found} == {}
+
+
+def test_the_core_opens_no_file():
+    for name in MODULES:
+        if folder(name) == "core":
+            tree = tree_of(name)
+            called = {ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+            reads = {
+                call
+                for call in called
+                if call == "open" or call.split(".")[-1] in ("read_text", "write_text", "read_bytes")
+            }
+            assert not reads, f"{name} calls {reads}"
+
+
+def test_extras_are_imported_by_nobody_but_their_commands():
+    """And by these in functions only, so that the program starts without them."""
+    for name in MODULES:
+        theirs = {m for m in imports(name) if extra(m) not in (None, extra(name))}
+        if not theirs:
+            continue
+        assert folder(name) == "cli", f"{name} imports {theirs}"
+        for node in tree_of(name).body:
+            if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and "TYPE_CHECKING" not in ast.unparse(
+                node
+            ):
+                at_once = {m for m in imports(name, node) if extra(m)}
+                assert not at_once, f"{name} imports {at_once} when it is imported"
+
+
+def test_the_system_knows_nothing_but_errors_and_the_version():
+    for name in MODULES:
+        if folder(name) == "system":
+            assert {folder(m) for m in imports(name)} <= {"system", "errors", "version"}, name
