@@ -19,6 +19,7 @@ from ..core.measuring.drift import drift
 from ..core.measuring.looks import find_in_model, measure_model
 from ..core.measuring.measure import measure
 from ..core.measuring.method import Method
+from ..core.measuring.planar_sweep import measure_ground
 from ..detect.detector import Detector
 from ..detect.find import Effort, Progress, find_vehicles
 from ..detect.refine import refined
@@ -135,7 +136,8 @@ def _looked_for(
             sampling = _sampling(source, fleet)
             found, choice = find_vehicles(source.pictures, network, zoom, progress, effort, sampling)
         else:
-            found, choice = find_in_model(model, request.mode, network, zoom, progress, effort)
+            enough = _enough(model, fleet)
+            found, choice = find_in_model(model, request.mode, network, zoom, progress, effort, enough)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
@@ -168,6 +170,19 @@ def _sampling(source: Source, fleet: Fleet) -> Callable[[Detections], float]:
             return np.inf
 
     return sampling
+
+
+def _enough(source: ColmapSource, fleet: Fleet) -> Callable[[Detections], bool]:
+    """Whether vehicles in a model's pictures of the ground are enough for a scale."""
+    one = replace(fleet, candidates=(), prior=())
+
+    def enough(found: Detections) -> bool:
+        try:
+            return bool(measure_ground(source, found, one, Method()).scale.vehicles_used)
+        except TooLittleEvidence:
+            return False
+
+    return enough
 
 
 def _typical_length(found: Detections) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,7 +74,7 @@ def find_vehicles(
     detector = detector or Detector(threads=effort.threads_each)
     choice = None
     if zoom is None:
-        choice = _searched(pictures, detector, step("Looking for the right zoom"), count, effort.seed)
+        choice = find_zoom(pictures, detector, progress, effort)
         zoom = choice.zoom
     card = detector.card
 
@@ -114,15 +115,13 @@ def find_vehicles(
     return detections(found), choice
 
 
-def _searched(
-    pictures: Sequence[Picture],
-    detector: Detector,
-    progress: Callable[[int, int], None] | None,
-    workers: int,
-    seed: int,
+def find_zoom(
+    pictures: Sequence[Picture], detector: Detector, progress: Progress | None = None, effort: Effort | None = None
 ) -> ZoomChoice:
     """The zoom to sweep at. Raises TooLittleEvidence where none shows vehicles, EvidenceDisagrees where two do."""
-    choice = search_zoom(pictures, detector, detector.card, progress, seed, workers)
+    effort = effort or Effort()
+    step = None if progress is None else partial(progress, "Looking for the right zoom")
+    choice = search_zoom(pictures, detector, detector.card, step, effort.seed, worker_count(effort.workers))
     if choice.vehicle_px is None:
         raise TooLittleEvidence(
             f"no vehicles found at any zoom from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "

@@ -12,7 +12,7 @@ import click
 from ..actions.check import own_claim
 from ..actions.result import Result
 from ..core.pooling.posterior import Z90
-from ..errors import shown
+from ..errors import LONGEST, shown
 from .document import remarks
 from .judgement import percent
 
@@ -77,7 +77,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     ]
     table += [("note", remark) for remark in remarks(result)]
     table += [(label, str(path)) for label, path in written.items()]
-    return [(label, shown(value)) for label, value in table]
+    return [(label, shown(value, LONGEST)) for label, value in table]
 
 
 def _fleets(fleets: Mapping[str, float]) -> list[tuple[str, str]]:

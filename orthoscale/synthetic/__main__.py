@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         parser.exit(stopping.exit_code(), stopping.sentence() + "\n")
     except OrthoscaleError as error:
-        parser.exit(error.exit_code, f"error: {shown(error.message)}\n{shown(error.hint)}\n")
+        parser.exit(error.exit_code, f"error: {error.message}\n{error.hint}\n")
 
 
 def _write(a: argparse.Namespace, folder_writers: Mapping[str, Callable[..., None]]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...detect.detector import Detector
-from ...detect.find import Effort, Progress, find_vehicles
+from ...detect.find import Effort, Progress, find_vehicles, find_zoom
 from ...errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from ..detections import Detections
 from ..fleet import Fleet
@@ -22,6 +24,7 @@ from .planar_sweep import measure_ground
 if TYPE_CHECKING:
     from ...detect.zoom import ZoomChoice
     from ...sources.colmap import ColmapSource
+    from ...sources.picture import Picture
 
 OBLIQUE, PLANAR, BOTH = "oblique", "planar", "both"
 SAME_PLACE = 0.8  # of a vehicle's width: how far apart the two looks may see one vehicle
@@ -34,13 +37,19 @@ def find_in_model(
     zoom: float | None = None,
     progress: Progress | None = None,
     effort: Effort | None = None,
+    enough: Callable[[Detections], bool] = lambda planar: True,
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles in the frames of `source`, and in `planar` those in its pictures of the ground, as `mode` asks.
 
-    zoom : of the frames; by default it is searched for. Raises TooLittleEvidence.
+    zoom : of the frames; by default it is searched for. enough : whether what the pictures of the ground show is
+    enough for a scale, see `_planar`. Raises TooLittleEvidence.
     """
+
+    def searched() -> float:
+        return find_zoom(source.pictures, detector, _named(progress, "in the frames"), effort).zoom
+
     if mode == PLANAR:
-        planar, choice = find_vehicles(_plans(source, True), detector, zoom, progress, effort)
+        planar, choice = _planar(_plans(source, True), detector, zoom, progress, effort, enough, searched)
         return replace(planar, boxes={}, doubtful={}, planar=planar), choice
     found, choice = find_vehicles(source.pictures, detector, zoom, progress, effort)
     if mode == OBLIQUE:
@@ -48,11 +57,45 @@ def find_in_model(
     plans = _plans(source, mode == BOTH)
     if not plans:
         return found, choice
-    try:  # as `planar` alone would: what the frames show must not decide how the plans are looked at
-        planar, _ = find_vehicles(plans, detector, zoom, _named(progress), effort)
+    try:
+        known = found.zoom  # what `searched` would give
+        planar, _ = _planar(plans, detector, zoom, _named(progress, "from above"), effort, enough, lambda: known)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         return replace(found, notes=(*found.notes, f"planar sweep: {error.message}")), choice
     return replace(found, planar=planar), choice
+
+
+def _planar(
+    plans: Sequence[Picture],
+    detector: Detector,
+    zoom: float | None,
+    progress: Progress | None,
+    effort: Effort | None,
+    enough: Callable[[Detections], bool],
+    of_frames: Callable[[], float],
+) -> tuple[Detections, ZoomChoice | None]:
+    """The vehicles in pictures of the ground, the same in `planar` alone and beside the frames.
+
+    The resampling factor is first searched for in these pictures themselves. Where few vehicles stand, a slightly other
+    one may decide whether there are enough: then that `of_frames`, which show the same vehicles as large, is tried too.
+    Raises TooLittleEvidence, EvidenceDisagrees.
+    """
+    found, failed = None, None
+    try:
+        found, choice = find_vehicles(plans, detector, zoom, progress, effort)
+        if zoom is not None or enough(found):
+            return found, choice
+    except (TooLittleEvidence, EvidenceDisagrees) as error:
+        if zoom is not None:
+            raise
+        failed = error
+    with suppress(TooLittleEvidence, EvidenceDisagrees):
+        again, _ = find_vehicles(plans, detector, of_frames(), progress, effort)
+        if enough(again):
+            return again, None
+    if found is None:
+        raise failed
+    return found, choice
 
 
 def _plans(source: ColmapSource, needed: bool) -> list:
@@ -64,8 +107,8 @@ def _plans(source: ColmapSource, needed: bool) -> list:
     return plans
 
 
-def _named(progress: Progress | None) -> Progress | None:
-    return None if progress is None else lambda what, done, total: progress(f"{what} from above", done, total)
+def _named(progress: Progress | None, where: str) -> Progress | None:
+    return None if progress is None else lambda what, done, total: progress(f"{what} {where}", done, total)
 
 
 def measure_model(
