@@ -71,6 +71,7 @@ def written(
         picture = source.unit == "m/px"
         if picture:
             request.for_orthophoto(path)
+            cast("RasterSource", source).check_name(out)
             for extra in extras:
                 extra.check(source)
         else:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from ..core.fleet import Fleet
-from ..errors import OrthoscaleError, shown
+from ..errors import OrthoscaleError
 from ..system import stopping
 from ..system.outputs import Outputs, ours
 from . import STYLES, make_scene, write_colmap, write_labels, write_ortho

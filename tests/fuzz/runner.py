@@ -116,7 +116,7 @@ def run(name: str, seed: int, folder: Path, attempt: Attempt) -> Outcome:
         problems.add("hang")
     if peak > attempt.memory:
         problems.add("memory")
-    problems |= marks(before, contents(folder), any(r.code == 0 for r in runs), attempt.beside)
+    problems |= marks(before, contents(folder), any(_delivered(r) for r in runs), attempt.beside)
     if "left behind" in problems and attempt.kill and attempt.kill[0] == signal.SIGKILL:
         problems.discard("left behind")
         _forked(folder, attempt)  # the next one tidies up
@@ -187,6 +187,11 @@ class _Run:
     hung: bool
     out: str
     err: str
+
+
+def _delivered(run: _Run) -> bool:
+    """Whether there is an output: also where a report or a picture beside it failed, which is said."""
+    return run.code == 0 or (run.code == 6 and "is written and verified, but" in run.err)
 
 
 def _crashed(run: _Run, attempt: Attempt) -> bool:

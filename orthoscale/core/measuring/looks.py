@@ -80,7 +80,7 @@ def _planar(
     one may decide whether there are enough: then that `of_frames`, which show the same vehicles as large, is tried too.
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
-    found, failed = None, None
+    failed = None
     try:
         found, choice = find_vehicles(plans, detector, zoom, progress, effort)
         if zoom is not None or enough(found):
@@ -93,7 +93,7 @@ def _planar(
         again, _ = find_vehicles(plans, detector, of_frames(), progress, effort)
         if enough(again):
             return again, None
-    if found is None:
+    if failed is not None:
         raise failed
     return found, choice
 
