@@ -38,7 +38,7 @@ def read(path: Path) -> list[Item]:
     except csv.Error as error:
         raise InputError(f"{path}: not a CSV table (line {table.line_num})", HINT) from error
     corners = Boxes(np.array([row[0] for row in rows], float).reshape(-1, 5), np.ones(len(rows))).corners
-    return [Item(polygon, *rest) for polygon, (_, *rest) in zip(corners, rows, strict=True)]
+    return [Item(c, score, label, picture) for c, (_, score, label, picture) in zip(corners, rows, strict=True)]
 
 
 def _delimiter(text: str) -> str:
