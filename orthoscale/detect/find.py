@@ -17,7 +17,7 @@ from .detector import Detector
 from .order import visiting_order
 from .promise import promise
 from .sweep import Found, sweep_twice
-from .tiles import tiles
+from .tiles import check_number, tiles
 from .workers import cores, visitor, worker_count
 from .zoom import ZoomChoice, search_zoom
 
@@ -90,6 +90,7 @@ def find_vehicles(
             body=card.body,
         )
 
+    check_number(pictures, zoom)
     jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
     anytime = sampling is not None and not effort.exhaustive
     order = np.arange(len(jobs))

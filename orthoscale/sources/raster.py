@@ -143,6 +143,10 @@ class RasterSource:
         """Raise UsageError for a name that `write` would refuse."""
         if out.suffix.lower() not in (".tif", ".tiff"):
             raise UsageError(f"{out.name} would be a GeoTIFF", "Let its name end in .tif.")
+        try:
+            str(out).encode()
+        except UnicodeEncodeError as error:
+            raise UsageError(f"{out}: GDAL takes names in UTF-8 only", "Choose another name.") from error
 
     @property
     def pictures(self) -> list[Picture]:
