@@ -133,7 +133,8 @@ class RasterSource:
         with reading(path, "is not an image that GDAL can open", "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file."):
             dataset = open_dataset(path)
         try:
-            return cls(path, dataset)
+            with reading(path, "is damaged", _EXPORT_AGAIN):
+                return cls(path, dataset)
         except BaseException:
             dataset.close()
             raise
