@@ -3,7 +3,7 @@
 import numpy as np
 import pycolmap
 import pytest
-from test_colmap import make_model, save
+from support.models import make_model, save
 
 from orthoscale.core.boxes import Boxes, suppress
 from orthoscale.core.fleet import Fleet

@@ -4,9 +4,9 @@ import csv
 import json
 import shutil
 
-import in_process
 import numpy as np
 import pytest
+from support import in_process
 
 from orthoscale.core.detections import Detections
 from orthoscale.core.fleet import Fleet

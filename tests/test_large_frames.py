@@ -8,7 +8,7 @@ import zlib
 import cv2
 import numpy as np
 import pytest
-from test_colmap import make_model, save
+from support.models import make_model, save
 
 from orthoscale.errors import InputError
 from orthoscale.sources import ground_picture, picture_file

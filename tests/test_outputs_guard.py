@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from in_process import run
+from support.in_process import run
 
 from orthoscale.actions.fix import fix
 from orthoscale.errors import Incomplete, InputError, OutputError, UsageError

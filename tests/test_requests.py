@@ -8,8 +8,8 @@ from types import SimpleNamespace
 from typing import get_type_hints
 
 import pytest
-from in_process import run
-from reports import EXAMPLE, car_park
+from support.in_process import run
+from support.reports import EXAMPLE, car_park
 
 import orthoscale
 from orthoscale.actions import requests

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_rescale import dense_workspace
+from support.geometry import dense_workspace
 
 from orthoscale.actions.fix import fix
 from orthoscale.actions.requests import FixRequest
