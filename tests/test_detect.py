@@ -8,7 +8,7 @@ import pytest
 from support.drawings import CARD, Drawing, RectangleDetector, car_park
 
 from orthoscale.core.boxes import Boxes, matched
-from orthoscale.detect.decoders import LENGTH_UNIT, STRIDE, WIDTH_UNIT, decode_maps
+from orthoscale.detect.decoders import LENGTH_UNIT, MAP_STRIDE, WIDTH_UNIT, decode_maps
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.tiles import sweep, tiles
 from orthoscale.detect.zoom import search_zoom
@@ -92,8 +92,8 @@ def test_decoding_gives_back_what_was_written():
     boxes = Boxes([[41.3, 22.6, 40, 16, 0.7], [90.2, 70.1, 25, 11, -1.2]], [0.9, 0.6])
     maps = np.full((7, 32, 32), -6, np.float32)
     for (cx, cy, length, width, angle), score in zip(boxes.xylwa, boxes.score, strict=True):
-        x, y = int(cx / STRIDE), int(cy / STRIDE)
-        offset = (cx / STRIDE - 0.5 - x, cy / STRIDE - 0.5 - y)
+        x, y = int(cx / MAP_STRIDE), int(cy / MAP_STRIDE)
+        offset = (cx / MAP_STRIDE - 0.5 - x, cy / MAP_STRIDE - 0.5 - y)
         values = (np.log(length / LENGTH_UNIT), np.log(width / WIDTH_UNIT), np.cos(2 * angle), np.sin(2 * angle))
         maps[:, y, x] = (np.log(score / (1 - score)), *offset, *values)
     found = decode_maps(maps, 0.3)

@@ -460,14 +460,14 @@ def flat(path):
     ],
 )
 def test_a_hostile_network_ends_in_one_sentence(tmp_path, monkeypatch, capfd, make, message):
-    monkeypatch.setattr(foreign, "LONGEST", 3.0)
+    monkeypatch.setattr(foreign, "LONGEST_SECONDS", 3.0)
     with pytest.raises(InputError, match=message):
         Detector(make(tmp_path / "a.onnx"))(np.zeros((64, 64, 3), np.uint8))
     assert capfd.readouterr() == ("", "")
 
 
 def test_a_network_that_ended_stays_so_and_leaves_no_process(tmp_path, monkeypatch):
-    monkeypatch.setattr(foreign, "LONGEST", 3.0)
+    monkeypatch.setattr(foreign, "LONGEST_SECONDS", 3.0)
     detector = Detector(endless(tmp_path / "a.onnx"))
     process = detector._network._process
     for _ in range(2):

@@ -18,7 +18,7 @@ from orthoscale.actions.requests import EstimateRequest, FixRequest, VehicleRequ
 from orthoscale.cli.main import COMMANDS, cli
 from orthoscale.core.measuring.method import PROJECTIONS
 from orthoscale.errors import UsageError
-from orthoscale.report.extras import EXTRAS
+from orthoscale.report.extras import WRITERS
 
 
 @pytest.fixture(scope="module")
@@ -257,7 +257,7 @@ def test_the_command_line_says_nothing_of_its_own(park):
 
 def test_choices_are_those_that_there_is_something_for():
     assert tuple(PROJECTIONS) == requests.PROJECTIONS
-    assert tuple(EXTRAS) == requests.EXTRAS and tuple(REPORTS) == requests.REPORTS
+    assert tuple(WRITERS) == requests.EXTRAS and tuple(REPORTS) == requests.REPORTS
 
 
 def test_seed_reaches_the_search_for_the_zoom(monkeypatch):

@@ -37,7 +37,7 @@ from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.detections import Detections
 from orthoscale.core.fleet import Fleet
 from orthoscale.detect.sweep import sweep_twice
-from orthoscale.detect.tiles import BORDER, look_twice, sweep, tiles
+from orthoscale.detect.tiles import TILE_BORDER, look_twice, sweep, tiles
 from orthoscale.sources.picture_file import PictureFile, stored_size
 
 from .augment import NOMINAL_LENGTH
@@ -277,7 +277,7 @@ def evaluate(
     for p in scene.pictures:
         # The sweep drops boxes that the picture's edge may cut, so labels there are nobody's to find.
         labels = Boxes(p.vehicles, np.ones(len(p.vehicles)))
-        whole = labels.inside(p.picture.width, p.picture.height, BORDER / zoom)
+        whole = labels.inside(p.picture.width, p.picture.height, TILE_BORDER / zoom)
         ignored = np.concatenate([p.ignored, labels.xylwa[~whole]])
         comparisons.append(compare(found[p.picture.name], labels.xylwa[whole], ignored))
     return summarise(scene, comparisons, zoom, score), comparisons

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ..core.boxes import Boxes, matched
+from ..core.boxes import SAME_VEHICLE, Boxes, matched
 from ..core.calibration import Calibration, MarginFit, fit_margin, scaled_fleet
 from ..core.detections import UNKNOWN_RULER
 from ..core.fleet import Fleet
@@ -19,7 +19,6 @@ from ..core.ruler import Ruler
 from ..core.votes import gather
 from ..detect.detector import Detector
 from ..detect.find import Progress
-from ..detect.sweep import SAME_BOX
 from ..detect.tiles import sweep
 from ..detect.zoom import check_zoom
 from ..errors import InputError, TooLittleEvidence, UsageError
@@ -121,7 +120,7 @@ def same_vehicles(looks: Sequence[Boxes]) -> list[Boxes]:
     """The boxes of vehicles that show in all looks, row by row the same vehicle."""
     rows = [np.arange(len(looks[0]))]
     for before, here in zip(looks, looks[1:], strict=False):
-        i, j, _ = matched(before[rows[-1]], here, SAME_BOX)
+        i, j, _ = matched(before[rows[-1]], here, SAME_VEHICLE)
         rows = [*(r[i] for r in rows), j]
     return [look[r] for look, r in zip(looks, rows, strict=True)]
 

@@ -58,7 +58,7 @@ def written(
 ) -> Result:
     """What `request` asks of the input at `path`, written at `out`; see `fix`."""
     from ..formats.detections import check_name, save
-    from ..report.extras import EXTRAS, chosen
+    from ..report.extras import WRITERS, chosen
     from ..report.files import write_report
 
     with Outputs(request.overwrite, (path, vars(request))) as outputs:
@@ -91,7 +91,7 @@ def written(
             # What lies beside the file that is replaced would speak for the new one.
             for kind in set(REPORTS["html"]) - set(parts):
                 outputs.retire(_beside(out, f".{kind}"))
-            for extra in EXTRAS.values():
+            for extra in WRITERS.values():
                 if extra not in extras:
                     outputs.retire(extra.place(out), extra.known(out))
         else:

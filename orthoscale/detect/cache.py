@@ -16,10 +16,10 @@ import numpy as np
 
 from ..core.boxes import Boxes
 from ..sources.picture import Picture
-from .detector import Detector
-from .tiles import BORDER, CONFIRMING_ZOOM, OVERLAP, TILE, Looks, Tile
+from .detector import OVERLAP, Detector
+from .tiles import CONFIRMING_ZOOM, TILE, TILE_BORDER, Looks, Tile
 
-KEPT = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
+KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
 CODE = ("boxes.py", "detect/*.py", "sources/raster.py", "sources/picture_file.py")  # what decides over the looks
 NO_MATTER = {"cache.py", "find.py", "order.py", "promise.py", "sweep.py", "workers.py", "zoom.py"}  # what does not
 
@@ -43,7 +43,7 @@ def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> s
         "pictures": [[picture.name, of()] for picture, of in zip(pictures, prints, strict=True) if of],
         "detector": [detector.sha256, repr(detector.card), repr(detector.layout)],
         "zoom": [zoom, CONFIRMING_ZOOM],
-        "tiles": [TILE, OVERLAP, BORDER],
+        "tiles": [TILE, OVERLAP, TILE_BORDER],
         "code": _code_hash(),
     }
     return hashlib.sha256(json.dumps(settings).encode()).hexdigest()
@@ -144,7 +144,7 @@ def _open(path: Path) -> sqlite3.Connection:
 
 def _forget_old(folder: Path) -> None:
     for path in folder.glob("*.sqlite"):
-        if time.time() - path.stat().st_mtime > KEPT:
+        if time.time() - path.stat().st_mtime > KEPT_SECONDS:
             path.unlink(missing_ok=True)
 
 

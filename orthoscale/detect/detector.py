@@ -17,6 +17,7 @@ from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
 from ..core.ruler import Ruler
 from ..errors import InputError
 from ..formats.reading import checked, parsed
+from ..sources.picture import NO_DATA_GREY
 from ..system.budget import require
 from . import foreign_worker
 from .foreign import ForeignError, Said, Worker
@@ -25,12 +26,11 @@ from .output_forms import Layout, Normalisation, Shape, recognise
 SHIPPED = "small_vehicle.onnx"
 # A shared library with operators that onnxruntime lacks; MMDeploy's networks need its libmmdeploy_onnxruntime_ops.
 OPERATORS = "ORTHOSCALE_ONNX_OPS"
-GREY = 114 / 255  # around pictures smaller than the network's input, as a share of white
-OVERLAP = 128  # of neighbouring windows, for networks whose input is smaller than the image [px]
+OVERLAP = 128  # shared by neighbouring tiles or windows [px of the input]; more than the longest usable vehicle
 VEHICLES = "vehicle"
 CARD, CARD_HINT = "a network with an orthoscale card that can be read", "Export it with training.export."
 LONGEST_CARD = 100_000  # characters
-TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # of images
+IMAGE_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # of images
 MOST = 10_000  # boxes of one kind in one look, before those of one vehicle are made one; honest ones are some hundreds
 CUT = 2.0  # boxes closer than this to a window's edge may be cut by it [px]
 CUT_OBJECT = 8.0  # the same for objects, which are larger, and so are the errors of their boxes [px]
@@ -128,7 +128,7 @@ class Detector:
         if len(inputs) != 1:
             raise InputError(f"{path}: a network with {len(inputs)} inputs, not one image")
         ((_, kind, shape),) = inputs
-        if kind not in TYPES:
+        if kind not in IMAGE_TYPES:
             raise InputError(f"{path}: its input is a {kind}, not an image of single or half precision")
         shapes = {name: _shape(sizes) for name, _, sizes in outputs}
         layout = recognise(path, meta, _shape(shape), shapes, decoder, vehicle_classes)
@@ -137,7 +137,7 @@ class Detector:
             layout = replace(layout, multiple=self.card.stride, normalisation=self.card.normalisation)
         self.layout = layout
         self.sha256 = hashlib.sha256(content).hexdigest()
-        self._type = TYPES[kind]
+        self._type = IMAGE_TYPES[kind]
 
     def __call__(self, image: np.ndarray, threshold: float | None = None) -> Boxes:
         """Boxes in `image`, RGB uint8 (h, w, 3), before non-maximum suppression; coordinates in its pixels."""
@@ -174,7 +174,7 @@ class Detector:
         std = np.array(how.std, np.float32)[:, None, None]
         shift = np.array(how.mean, np.float32)[:, None, None] / std
         padded = np.empty((1, 3, rows, columns), np.float32)
-        padded[:] = GREY * 255 / std
+        padded[:] = NO_DATA_GREY / std
         pixels = image if how.channels == "RGB" else image[..., ::-1]
         np.multiply(pixels.transpose(2, 0, 1), 1 / std, out=padded[0, :, :height, :width])
         if shift.any():

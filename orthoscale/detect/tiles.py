@@ -12,11 +12,10 @@ import numpy as np
 
 from ..core.boxes import Boxes, suppress
 from ..sources.picture import Picture
-from .detector import CUT_OBJECT, VEHICLES, Detector
+from .detector import CUT_OBJECT, OVERLAP, VEHICLES, Detector
 
 TILE = 1024  # side of the network's input [px]
-OVERLAP = 128  # shared by neighbouring tiles [px of the input]; more than the longest usable vehicle
-BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
+TILE_BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
 # The second look, half an octave coarser: half the pixels, another view of each mistake.
 CONFIRMING_ZOOM = float(1 / np.sqrt(2))
 
@@ -97,7 +96,7 @@ def read(picture: Picture, tile: Tile) -> np.ndarray:
     return picture.read(tile.x, tile.y, tile.width, tile.height, tile.out_width, tile.out_height)
 
 
-def place(boxes: Boxes, tile: Tile, border: float = BORDER) -> Boxes:
+def place(boxes: Boxes, tile: Tile, border: float = TILE_BORDER) -> Boxes:
     whole = boxes[boxes.inside(tile.out_width, tile.out_height, border)]
     return whole.mapped(tile.width / tile.out_width, (tile.x, tile.y))
 

@@ -18,7 +18,7 @@ from . import draw
 if TYPE_CHECKING:
     from .plan import Layout
 
-TILE = 256
+TILE_PX = 256
 
 
 def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -106,8 +106,8 @@ def _write_grid(layout: Layout, path: Path, bands: np.ndarray, window: draw.Wind
         crs=ground.crs,
         transform=ground.transform,
         tiled=True,
-        blockxsize=TILE,
-        blockysize=TILE,
+        blockxsize=TILE_PX,
+        blockysize=TILE_PX,
         compress="deflate",
         sparse_ok=True,
         bigtiff="IF_SAFER",

@@ -12,6 +12,7 @@ from rasterio.warp import transform_geom
 
 from ..actions.result import Result
 from ..errors import OutputError, UsageError
+from ..formats.detections.geo import LAYER
 from ..formats.vector import write_layer
 from ..sources.georeference import Place
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from ..sources.raster import RasterSource
     from ..sources.source import Source
 
-LAYER = "vehicles"
 # Used green, others red, as in the picture; what a QGIS layer loads as its default style from the table layer_styles.
 STYLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <qgis styleCategories="Symbology">

@@ -16,7 +16,7 @@ from ..errors import shown
 from .document import remarks
 from .judgement import percent
 
-STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
+VERDICT_STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
 
 
 def show(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> None:
@@ -37,7 +37,7 @@ def show(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> 
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for k, (label, value) in enumerate(rows(result, written)):
-        table.add_row(Text(label, "dim"), Text(value, STYLES[result.scale.verdict] if k == 0 else ""))
+        table.add_row(Text(label, "dim"), Text(value, VERDICT_STYLES[result.scale.verdict] if k == 0 else ""))
     console.print(table)
 
 

@@ -66,7 +66,7 @@ def view_from(pitch, roll=0.0):
 
 
 def boxes_in(view, n=40, seed=0, shape=None):
-    """Boxes of a body (a car up to 0.8 m, unless told), sized as CARS, with any heading, on the ground in the picture."""
+    """Boxes of a body (a car up to 0.8 m, unless told), sized as CARS, of any heading, on the ground in the picture."""
     rng = np.random.default_rng(seed)
     plan, heights = shape or body()
     pixels = rng.uniform([60, 60], np.array(SIZE) - 60, (n, 2))

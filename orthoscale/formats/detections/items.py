@@ -14,10 +14,10 @@ from ...core.boxes import Boxes
 from ...detect.classes import is_vehicle
 from ...errors import InputError, shown
 
-FARTHEST = 1e7  # [px]
+FARTHEST_PX = 1e7  # [px]
 # What programs call these properties of a box; the first that is there counts.
 PICTURE = ("picture", "image", "file_name", "filename")
-SCORE = ("score", "confidence", "conf", "probability")
+SCORE_NAMES = ("score", "confidence", "conf", "probability")
 CLASS = ("class", "label", "category", "class_name", "name", "kind")
 LABEL = "small-vehicle"  # what our own boxes are called in the files of others, DOTA's word
 
@@ -46,7 +46,7 @@ def rectangle(polygon: np.ndarray) -> np.ndarray:
     large. Anything else: the smallest rectangle around it; NaN where a vertex lies nowhere.
     """
     p = np.asarray(polygon, float)
-    if not (np.abs(p) < FARTHEST).all():  # OpenCV takes single precision only
+    if not (np.abs(p) < FARTHEST_PX).all():  # OpenCV takes single precision only
         return np.full(5, np.nan)
     if len(p) > 1 and np.array_equal(p[0], p[-1]):
         p = p[:-1]
