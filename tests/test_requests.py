@@ -13,10 +13,10 @@ from support.reports import EXAMPLE, car_park
 
 import orthoscale
 from orthoscale.actions import requests
-from orthoscale.actions.fix import REPORTS
+from orthoscale.actions.fix import REPORT_FILES
 from orthoscale.actions.requests import EstimateRequest, FixRequest, VehicleRequest, flag
 from orthoscale.cli.main import COMMANDS, cli
-from orthoscale.core.measuring.method import PROJECTIONS
+from orthoscale.core.measuring.method import VARIANTS_BY_NAME
 from orthoscale.errors import UsageError
 from orthoscale.report.extras import WRITERS
 
@@ -256,8 +256,8 @@ def test_the_command_line_says_nothing_of_its_own(park):
 
 
 def test_choices_are_those_that_there_is_something_for():
-    assert tuple(PROJECTIONS) == requests.PROJECTIONS
-    assert tuple(WRITERS) == requests.EXTRAS and tuple(REPORTS) == requests.REPORTS
+    assert tuple(VARIANTS_BY_NAME) == requests.PROJECTIONS
+    assert tuple(WRITERS) == requests.EXTRAS and tuple(REPORT_FILES) == requests.REPORTS
 
 
 def test_seed_reaches_the_search_for_the_zoom(monkeypatch):

@@ -13,6 +13,7 @@ from ..core.boxes import SAME_VEHICLE, Boxes, matched
 from ..core.calibration import Calibration, MarginFit, fit_margin, scaled_fleet
 from ..core.detections import UNKNOWN_RULER
 from ..core.fleet import Fleet
+from ..core.pooling.posterior import ROBUST_SD
 from ..core.pooling.robust import pool
 from ..core.projection.planar import ground_size
 from ..core.ruler import Ruler
@@ -27,9 +28,8 @@ if TYPE_CHECKING:
     from ..sources.raster import RasterSource
 
 LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms, as shares of the detector's best; a vehicle must show in all
-FEWEST = 20  # vehicles; a mean length is then known to 2 %
+FEWEST_VEHICLES = 20  # vehicles; a mean length is then known to 2 %
 NO_PRIOR = (6.0, 4.0)  # how far the margin of a detector without a card may be from none, one sigma [detector px]
-ROBUST = 1.48  # a normal distribution's standard deviation per median absolute deviation
 DISAGREEMENT = 0.02  # between --gsd and the georeferencing, from which on it is worth a note
 
 
@@ -72,9 +72,9 @@ def calibrate(
 
     looks = [sweep(source.pictures, z, network, step(k))[source.picture_names[0]] for k, z in enumerate(zooms)]
     looks = same_vehicles(looks)
-    if len(looks[0]) < FEWEST:
+    if len(looks[0]) < FEWEST_VEHICLES:
         raise TooLittleEvidence(
-            f"{path}: {len(looks[0])} vehicles seen at all three zooms, {FEWEST} are needed for a calibration",
+            f"{path}: {len(looks[0])} vehicles seen at all three zooms, {FEWEST_VEHICLES} are needed for a calibration",
             "Give an orthophoto with more vehicles, and check its scale (--gsd).",
         )
     ruler, fits, used, factor = measure_ruler(looks, zooms, gsd, prior, network.card.ruler)
@@ -181,7 +181,7 @@ def box_noise(looks: Sequence[Boxes], zooms: np.ndarray) -> tuple[float, float]:
     noise = []
     for (a, za), (b, zb) in zip(zip(looks, zooms, strict=True), list(zip(looks, zooms, strict=True))[1:], strict=False):
         ratio = np.log(b.xylwa[:, 2:4] / a.xylwa[:, 2:4])
-        spread = ROBUST * np.median(np.abs(ratio - np.median(ratio, axis=0)), axis=0)
+        spread = ROBUST_SD * np.median(np.abs(ratio - np.median(ratio, axis=0)), axis=0)
         # Two boxes differ by both their noises, each a share of its own size in pixels.
         size = np.median(a.xylwa[:, 2:4], axis=0)
         noise.append(spread * size / np.hypot(1 / za, 1 / zb))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .requests import FixOptions
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
-REPORTS = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by its level
+REPORT_FILES = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by its level
 
 
 def fix(
@@ -89,7 +89,7 @@ def written(
             parts = {kind: outputs.file(place) for kind, place in parts.items()}
             places = [outputs.file(extra.place(out), extra.known(out)) for extra in extras]
             # What lies beside the file that is replaced would speak for the new one.
-            for kind in set(REPORTS["html"]) - set(parts):
+            for kind in set(REPORT_FILES["html"]) - set(parts):
                 outputs.retire(_beside(out, f".{kind}"))
             for extra in WRITERS.values():
                 if extra not in extras:
@@ -132,8 +132,8 @@ def written(
 def report_paths(out: Path, unit: str, report: str) -> dict[str, Path]:
     """Where `fix` writes the parts of a report: beside the scaled orthophoto `out`, or into the folder `out`."""
     if unit == "m/px":
-        return {kind: _beside(out, f".{kind}") for kind in REPORTS[report]}
-    return {kind: out / ("vehicles.png" if kind == "png" else f"report.{kind}") for kind in REPORTS[report]}
+        return {kind: _beside(out, f".{kind}") for kind in REPORT_FILES[report]}
+    return {kind: out / ("vehicles.png" if kind == "png" else f"report.{kind}") for kind in REPORT_FILES[report]}
 
 
 def _beside(out: Path, suffix: str) -> Path:

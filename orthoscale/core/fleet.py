@@ -27,7 +27,7 @@ MEAN_CORRELATION = 0.85
 LOCAL_SD = np.array([0.025, 0.012])
 
 
-HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
+FLEET_HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
 AUTO = "auto"
 WORLD = "WORLD"
 # A place of which nothing is known has a country all the same. Half of the prior goes to the world's average, whose
@@ -90,8 +90,8 @@ class Fleet:
         """A fleet from a JSON file of one entry, as in ``data/fleets.json``. Raises InputError."""
         from ..formats.schemas import FleetEntry
 
-        entry = read_plain(path, "a fleet", HINT)
-        checked(entry, FleetEntry, str(path), "a fleet", HINT)
+        entry = read_plain(path, "a fleet", FLEET_HINT)
+        checked(entry, FleetEntry, str(path), "a fleet", FLEET_HINT)
         unknown = [name for name in entry.get("shares", ()) if name not in _document()["segments"]]
         if unknown:
             known = ", ".join(_document()["segments"])

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.projection.view import Views
+from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..errors import InputError, OutputError, UsageError
 from ..formats.geometry.dense import GEOMETRY, find_dense, sparse_folders
 from ..formats.geometry.files import scale_path
@@ -31,7 +31,6 @@ from .undistort import undistort
 if TYPE_CHECKING:
     import pycolmap
 
-LOWEST_ELEVATION = 25.0  # [deg] flatter rays meet the ground too far off, and see vehicles from the side
 IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
 # Geometry beside a model is in the model's old units: a copy would pass for one in metres.
 UNSCALED = GEOMETRY | {".npz", ".npy", ".bin"}

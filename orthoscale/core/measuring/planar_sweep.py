@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ...sources.colmap import ColmapSource
     from ...sources.ground_picture import GroundPicture
 
-ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
+SWEEP_ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
 ROOM = 1.15  # a box, enlarged so, must lie within what the frame saw, or it may be cut
 BORDER = 2.0  # [px of the frame]
 TOO_FLAT = "cut by the frame's edge, or seen too flatly"
@@ -61,7 +61,7 @@ def measure_ground(source: ColmapSource, found: Detections, fleet: Fleet, method
     flat = ground_size(boxes) * unit
     height = np.array(found.effective_height)
     metres_per_unit = float(fleet.mean[0] / np.median(flat[:, 0]))
-    for _ in range(ROUNDS):
+    for _ in range(SWEEP_ROUNDS):
         size = camera * footprint(flat / camera, offset, height / metres_per_unit / camera)
         votes = gather(size, np.full(len(boxes), unit / found.zoom), place, boxes.score, repeated=True)
         spread = geometry(size, np.abs(offset), np.full(2, HEIGHT_SD / metres_per_unit))

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
-from .posterior import Z90
+from .posterior import ROBUST_SD, Z90
 
 CONTRADICTION = 2.6  # sigmas from which two measurements of one scale contradict each other; chance makes 1 %
 OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two looks at the same vehicles may differ
@@ -72,7 +72,7 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreem
     if ratio is None or len(ratio) < MIN_COMMON:
         return Agreement(scales, *apart, *apart)
     each = ratio @ (np.add(a.weights, b.weights) / 2)
-    spread = 1.4826 * np.median(np.abs(each - np.median(each)))
+    spread = ROBUST_SD * np.median(np.abs(each - np.median(each)))
     own += 1.57 * spread**2 / len(each)  # of a median
     return Agreement(scales, float(np.median(each)), float(np.sqrt(own)), *apart, len(each))
 

@@ -13,9 +13,9 @@ from ..scale import Scale
 from ..verdicts import verdict
 from ..votes import Votes
 from .posterior import Z90
+from .robust import MIN_VEHICLES
 
 MIN_SCORE = 0.5
-MIN_VEHICLES = 5
 WHISKER = 1.5  # interquartile ranges beyond the quartiles within which a value counts
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-Z90 = 1.6449  # two-sided 90 % of a normal distribution
+Z90 = 1.6449  # two-sided 90 % of a normal distribution, in standard deviations
+ROBUST_SD = 1.4826  # a normal distribution's standard deviation per median absolute deviation
 
 
 @dataclass(frozen=True)

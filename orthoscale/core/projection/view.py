@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+LOWEST_ELEVATION = 25.0  # [deg] flatter rays meet the ground too far off, and see vehicles from the side
+
 
 @dataclass(frozen=True)
 class Views:
