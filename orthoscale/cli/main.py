@@ -35,9 +35,11 @@ class Commands(click.Group):
     """Commands by name, in the order in which a newcomer meets them."""
 
     def list_commands(self, context: click.Context) -> list[str]:
+        """Names in the order of COMMANDS, which is that of the help; nothing is imported."""
         return list(COMMANDS)
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        """The command `name`, whose module is imported only now; None where there is none."""
         if name not in COMMANDS:
             return None
         return getattr(import_module(f".{COMMANDS[name]}", __package__), name)

@@ -88,6 +88,7 @@ class TileCache:
         self._close()
 
     def get(self, picture: Picture, tile: Tile) -> Looks | None:
+        """What was seen of `tile` before, or None: never looked at, or the entry is damaged. Raises nothing."""
         if self._file is None:
             return None
         name = _name(picture, tile)
@@ -101,6 +102,7 @@ class TileCache:
         return _looks(row[0])
 
     def put(self, picture: Picture, tile: Tile, looks: Looks) -> None:
+        """Keep what was seen of `tile`. Raises nothing: what cannot be written is looked at again next time."""
         if self._file is None:
             return
         name, content = _name(picture, tile), _content(looks)

@@ -107,7 +107,7 @@ class Detector:
     ):
         """Load a network once.
 
-        path : an ONNX file; None: the shipped weights. decoder : its layout (`layout.DECODERS`), where it is not to be
+        path : an ONNX file; None: the shipped weights. decoder : its layout (`detect.output_forms.DECODERS`), where it is not to be
         recognised. vehicle_classes : names or numbers of the classes that count, instead of those called small
         vehicles. threads : work on one image together; 0 for as many as there are cores. Raises InputError, UsageError.
         """

@@ -93,10 +93,13 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect) -> Looks:
 
 
 def read(picture: Picture, tile: Tile) -> np.ndarray:
+    """The tile's pixels at its zoom: RGB uint8 (out_height, out_width, 3)."""
     return picture.read(tile.x, tile.y, tile.width, tile.height, tile.out_width, tile.out_height)
 
 
 def place(boxes: Boxes, tile: Tile, border: float = TILE_BORDER) -> Boxes:
+    """`boxes` of a tile [px of the input] in pixels of its picture; those that come nearer than `border` [px of the
+    input] to the tile's edge are left out, for they may be cut, and a neighbouring tile shows them whole."""
     whole = boxes[boxes.inside(tile.out_width, tile.out_height, border)]
     return whole.mapped(tile.width / tile.out_width, (tile.x, tile.y))
 

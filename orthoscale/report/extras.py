@@ -108,4 +108,5 @@ WRITERS = {
 
 
 def chosen(kinds: Sequence[str]) -> list[Extra]:
+    """Those of WRITERS that `kinds` names, each once, in the order in which they were asked for."""
     return [WRITERS[kind] for kind in dict.fromkeys(kinds)]

@@ -165,8 +165,10 @@ def metres_of(report: Mapping[str, Any], length: float = 10.0) -> str:
 
 
 def percent(value: float) -> str:
+    """A share with one decimal: 0.0123 is ``1.2 %``."""
     return f"{100 * value:.1f} %"
 
 
 def signed(value: float) -> str:
+    """As `percent`, with its sign; a true minus, as it is printed."""
     return f"{100 * value:+.1f} %".replace("-", "−")

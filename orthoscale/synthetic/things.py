@@ -290,6 +290,7 @@ def _person(rng: np.random.Generator) -> Thing:
 
 
 def pool(rng: np.random.Generator) -> Thing:
+    """A swimming pool with its paved edge, from a garden's 3 x 2 m to 6.5 x 3.5 m."""
     length, width = rng.uniform([3, 2], [6.5, 3.5])
     edge = patch(rounded(length + 0.8, width + 0.8, 0.6, 0.6), 0.003, "plaster", (0.5, 0.48, 0.45))
     water = patch(rounded(length, width, 0.5, 0.5), 0.005, "water", (0.08, 0.35, 0.45), 0.5)
