@@ -59,7 +59,7 @@ def resolves(name):
 def test_modules_that_docstrings_name_are_there():
     stale = []
     for path in MODULES:
-        for name in re.findall(r"`(?:orthoscale\.)?([a-z_]+(?:\.\w+)+)`", path.read_text()):
+        for name in re.findall(r"(?<!`)`(?:orthoscale\.)?([a-z_]+(?:\.\w+)+)`(?!`)", path.read_text()):
             if name.split(".")[0] in FOLDERS and not resolves(name):
                 stale.append(f"{path.relative_to(PACKAGE)}: {name}")
     assert not stale

@@ -56,6 +56,7 @@ class Comparison:
 
     @property
     def sigmas(self) -> float:
+        """How many of their common one sigma the two scales lie apart."""
         return abs(math.log(self.ratio)) / self.sd
 
     @property

@@ -51,10 +51,10 @@ def estimate(
 
     Where the vehicles' boxes come from
     fleet : code of the country's fleet, or a JSON file; by default the calibration's own, else ``world``.
-    detections : boxes from a file instead of the detector; see `exchange` for the formats.
+    detections : boxes from a file instead of the detector; see `formats.detections` for them.
     detector : an ONNX file instead of the shipped one.
-    decoder : how to read its outputs, where they do not tell (`detect.layout.DECODERS`). vehicle_classes : names or
-    numbers of the classes that count, instead of those called small vehicles.
+    decoder : how to read its outputs, where they do not tell (`detect.output_forms.DECODERS`).
+    vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
     calibration : file of `orthoscale.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : resampling factor (detector pixels per picture pixel), or the expected metres per pixel, instead of
     the search for it. refine : look at every vehicle four times more, turned and at neighbouring zooms.
@@ -62,8 +62,8 @@ def estimate(
     How it is measured
     images : folder of a model's frames, when not beside it. mode : how a model is measured, one of `requests.MODES`;
     by default in every way that there is evidence for.
-    projection, estimator : other ways than the usual, see `measuring.method.Method`. known_distance, ground_control :
-    what is known besides, see `evidence.control`. surroundings : whether parking rows and standard objects count.
+    projection, estimator : other ways than the usual, see `core.measuring.method.Method`.
+    known_distance, ground_control : what is known besides, see `evidence.control`. surroundings : whether parking rows and standard objects count.
 
     How much is looked at, and with what (`detect.find.Effort`)
     target, exhaustive, seed, workers, scheduler, cache.

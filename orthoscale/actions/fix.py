@@ -41,7 +41,7 @@ def fix(
     overwrite : replace what orthoscale wrote at `out` before. override : rescale although the input's own
     georeferencing gives a scale. keep_origin : an orthophoto keeps its coordinate reference system, first corner and
     direction; else local metres.
-    cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.EXTRAS`.
+    cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.WRITERS`.
     force : write although the evidence is too uncertain to be useful (verdict ``unusable``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
     report : ``html``, ``json`` (without the page) or ``none``.

@@ -190,6 +190,7 @@ class EstimateRequest(VehicleRequest):
 
     @property
     def of_detector(self) -> Iterable[str]:
+        """Names of the options that say how to detect, which boxes from a file leave without effect."""
         return (*super().of_detector, *OF_LOOKING)
 
     def for_orthophoto(self, path: object) -> None:
@@ -229,10 +230,12 @@ class FixRequest(EstimateRequest):
     )
 
     def for_orthophoto(self, path: object) -> None:
+        """Raise UsageError for what is for models only."""
         super().for_orthophoto(path)
         self._refuse(("dense",), f"it is for COLMAP models, and {path} is an image")
 
     def for_model(self, path: object) -> None:
+        """Raise UsageError for what is for orthophotos only."""
         super().for_model(path)
         self._refuse(("keep_origin", "cog", "also"), f"it is for orthophotos, and {path} is a model")
 

@@ -46,7 +46,7 @@ class Card:
     sure : the mean confidence of two looks above which a vehicle counts; 0 where both looks' showing it is enough.
     effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
     stride : height and width of its input must be multiples of this [px].
-    body : what the vehicles that it finds are shaped like, one of `projection.exact.BODIES`.
+    body : what the vehicles that it finds are shaped like, one of `core.projection.exact.BODIES`.
     """
 
     name: str
@@ -107,8 +107,8 @@ class Detector:
     ):
         """Load a network once.
 
-        path : an ONNX file; None: the shipped weights. decoder : its layout (`detect.output_forms.DECODERS`), where it is not to be
-        recognised. vehicle_classes : names or numbers of the classes that count, instead of those called small
+        path : an ONNX file; None: the shipped weights. decoder : the form of its outputs (`detect.output_forms.DECODERS`), where
+        it is not to be recognised. vehicle_classes : names or numbers of the classes that count, instead of those called small
         vehicles. threads : work on one image together; 0 for as many as there are cores. Raises InputError, UsageError.
         """
         self.settings = (path, decoder, tuple(vehicle_classes))

@@ -43,7 +43,7 @@ IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 class Photo:
     """One photo: its pixels, its lens, and which way it looks.
 
-    up : (3,) the vertical in camera coordinates, as in `projection.level`. up_sd : one sigma of its tilt [rad].
+    up : (3,) the vertical in camera coordinates, as in `core.projection.level`. up_sd : one sigma of its tilt [rad].
     attitude : where that comes from, for people.
     """
 
@@ -57,6 +57,7 @@ class Photo:
 
     @property
     def picture(self) -> PictureFile:
+        """The photo's pixels, read by windows."""
         return PictureFile(self.name, self.path, self.tags.width, self.tags.height)
 
     @property
@@ -145,6 +146,7 @@ class Measure:
 
     @classmethod
     def log_normal(cls, value: float, sd: float) -> Measure:
+        """A value and its 90 % interval, for one sigma `sd` of its logarithm."""
         return cls(value, value * np.exp(-Z90 * sd), value * np.exp(Z90 * sd))
 
     def __mul__(self, factor: float) -> Measure:

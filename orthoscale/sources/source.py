@@ -16,13 +16,25 @@ class Pictures(Protocol):
     """
 
     @property
-    def path(self) -> Path: ...
+    def path(self) -> Path:
+        """What was opened, as it was given."""
+        ...
+
     @property
-    def unit(self) -> str: ...
+    def unit(self) -> str:
+        """What the scale turns into metres: ``m/px`` or ``m/model-unit``."""
+        ...
+
     @property
-    def notes(self) -> list[str]: ...
+    def notes(self) -> list[str]:
+        """What a user should know of it, a sentence each."""
+        ...
+
     @property
-    def pictures(self) -> Sequence[Picture]: ...
+    def pictures(self) -> Sequence[Picture]:
+        """Those whose pixels are at hand."""
+        ...
+
     @property
     def picture_names(self) -> list[str]:
         """Names of all its pictures, also of those whose pixels are not at hand."""
@@ -36,7 +48,9 @@ class Source(Pictures, Protocol):
     """
 
     @property
-    def metric_already(self) -> str: ...
+    def metric_already(self) -> str:
+        """Why it counts as being in metres; empty where it does not."""
+        ...
 
     @property
     def files(self) -> Sequence[Path]:

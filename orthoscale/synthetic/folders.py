@@ -82,7 +82,7 @@ def write_visloc(
 
 
 def write_csv(scene: Scene, folder: Path, pitches: Sequence[float] = (-90, -70, -55), pictures: bool = True) -> None:
-    """```photos.csv``` beside its photos, with pitch and focal length; and detections.json."""
+    """``photos.csv`` beside its photos, with pitch and focal length; and detections.json."""
     camera = Camera(VISLOC_FOCAL, *FRAME_SIZE)
     found: dict[str, Boxes] = {}
     rows = []

@@ -45,6 +45,7 @@ class Agreement:
 
     @property
     def contradicts(self) -> bool:
+        """Whether the two lie further apart than CONTRADICTION sigmas, which chance makes 1 % do."""
         return self.tension > CONTRADICTION
 
     def sentence(self) -> str:
@@ -83,7 +84,7 @@ def together(agreement: Agreement) -> Scale:
     Weights are the inverse variances of what the two do not share. Vehicles, detector and ground are largely the same,
     so no part of the uncertainty gets smaller than its weighted mean.
     Two that contradict each other have no mean: the surer one gives the value, and the interval reaches over both, as
-    with other evidence (`pooling.evidence`).
+    with other evidence (`core.evidence`).
     """
     a, b = agreement.scales.values()
     for scale in (a, b):

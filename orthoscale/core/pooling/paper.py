@@ -35,6 +35,7 @@ class PaperScale:
 
     @property
     def vehicles_used(self) -> int:
+        """How many vehicles are left within the whiskers."""
         return int(self.used.sum())
 
 

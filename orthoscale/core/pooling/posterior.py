@@ -22,6 +22,7 @@ class Posterior:
 
     @classmethod
     def normal(cls, mean: float, sd: float) -> Posterior:
+        """One normal distribution of the logarithm."""
         return cls(np.ones(1), np.array([mean]), np.array([sd]))
 
     @classmethod

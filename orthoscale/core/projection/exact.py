@@ -32,7 +32,7 @@ class Hull:
     one makes up for insets that a van does not have.
     """
 
-    height: float = 0.8  # what the detector's boxes enclose, see DetectorCard.effective_height [m]
+    height: float = 0.8  # what the detector's boxes enclose, see `detect.detector.Card` [m]
     belt: float = 0.85
     roof: float = 1.5
     front_inset: float = 0.30  # of the length, at the roof
