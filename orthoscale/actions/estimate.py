@@ -63,7 +63,8 @@ def estimate(
     images : folder of a model's frames, when not beside it. mode : how a model is measured, one of `requests.MODES`;
     by default in every way that there is evidence for.
     projection, estimator : other ways than the usual, see `core.measuring.method.Method`.
-    known_distance, ground_control : what is known besides, see `evidence.control`. surroundings : whether parking rows and standard objects count.
+    known_distance, ground_control : what is known besides, see `evidence.control`.
+    surroundings : whether parking rows and standard objects count.
 
     How much is looked at, and with what (`detect.find.Effort`)
     target, exhaustive, seed, workers, scheduler, cache.
