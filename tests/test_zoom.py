@@ -165,7 +165,11 @@ def test_two_sizes_as_likely_are_not_guessed_between_unless_distance_explains_th
     both = Boxes.concatenate([scattered(1, side, 180, 8), scattered(2, side, other, 20)])
     detector = Seen(picture, both, np.ones(len(both)))
     if other == 90:  # frames from two altitudes show that
-        find_vehicles([picture], detector, effort=Effort(workers=1, cache=False))
+        found, choice = find_vehicles([picture], detector, effort=Effort(workers=1, cache=False))
+        assert found.zoom == pytest.approx(detector.card.best_length / choice.vehicle_px)
+        assert min(abs(np.log(choice.vehicle_px / known)) for known in (180, 90)) < 0.15, (
+            "one of the two, nothing between"
+        )
         return
     with pytest.raises(EvidenceDisagrees, match=r"vehicles may be \d+ px long, or \d+ px") as refusal:
         find_vehicles([picture], detector, effort=Effort(workers=1, cache=False))

@@ -109,7 +109,8 @@ class Detector:
 
         path : an ONNX file; None: the shipped weights.
         decoder : the form of its outputs (`detect.output_forms.DECODERS`), where it is not to be recognised.
-        vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles. threads : work on one image together; 0 for as many as there are cores. Raises InputError, UsageError.
+        vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
+        threads : work on one image together; 0 for as many as there are cores. Raises InputError, UsageError.
         """
         self.settings = (path, decoder, tuple(vehicle_classes))
         self.notes: list[str] = []
