@@ -23,7 +23,7 @@ from orthoscale.detect.cache import TileCache, cache_key
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.order import visiting_order
-from orthoscale.detect.promise import FAR, LOOKS, UNPROMISING, hint
+from orthoscale.detect.promise import FAR, FAR_TILES, UNPROMISING, hint
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import CONFIRMING_ZOOM, tiles
 from orthoscale.fleets import load_fleet
@@ -61,13 +61,13 @@ def main() -> None:
         for seed in range(a.seeds):
             evenly = visiting_order(places, np.ones(len(jobs)), seed)
             weight = np.full(len(jobs), UNPROMISING)
-            weight[evenly[:LOOKS]] = np.where(far[evenly[:LOOKS]], 1.0, UNPROMISING)
+            weight[evenly[:FAR_TILES]] = np.where(far[evenly[:FAR_TILES]], 1.0, UNPROMISING)
             scales: list = []
             found = sweep_twice(
                 jobs, visiting_order(places, weight, seed), lambda jobs: iter(()), cache, sampling, a.target
             )
             seen = pixels[[places.index(tile) for _, tile in found.swept.tiles]].sum() * (1 + CONFIRMING_ZOOM**2)
-            cost = seen + pixels[evenly[:LOOKS]].sum() * FAR**2
+            cost = seen + pixels[evenly[:FAR_TILES]].sum() * FAR**2
             last = scales[-1]
             rows.append((len(found.swept.tiles), cost, last.value, last.parts["sampling"], last.vehicles_used))
     n, cost, value, sd, used = np.array(rows).T

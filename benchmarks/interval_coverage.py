@@ -10,11 +10,12 @@ they claim to be. Pooled by orthoscale and, on the same boxes, by the paper's IQ
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
-from simulate import car_park, table
 
 from orthoscale.core.fleet import Fleet
 from orthoscale.core.pooling.paper import pool_iqr
@@ -22,6 +23,10 @@ from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import load_fleet
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+
+from support.simulate import car_park, table  # noqa: E402
 
 FLEETS = ("US", "DE", "JP", "IN", "BR", "CN", "PH", "WORLD")
 SCENES = 500  # a cell

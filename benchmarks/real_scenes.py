@@ -13,10 +13,13 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from simulate import table
 
 import orthoscale
 from orthoscale.actions.requests import ESTIMATORS, PROJECTIONS
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+
+from support.simulate import table  # noqa: E402
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
 SCENES = {  # and the fleet of the country

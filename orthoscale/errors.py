@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-LONGEST = 1500  # [characters] of a message or a hint: names and values from a file may be of any length
+LONGEST_MESSAGE = 1500  # [characters] of a message or a hint: names and values from a file may be of any length
 
 
 def shown(text: object, most: int = 80) -> str:
@@ -29,8 +29,8 @@ class OrthoscaleError(Exception):
     exit_code = 1
 
     def __init__(self, message: str, hint: str = ""):
-        message = shown(message.replace("\n", " "), LONGEST)
-        hint = "\n".join(shown(line, LONGEST) for line in hint.split("\n"))
+        message = shown(message.replace("\n", " "), LONGEST_MESSAGE)
+        hint = "\n".join(shown(line, LONGEST_MESSAGE) for line in hint.split("\n"))
         super().__init__(f"{message}\n{hint}" if hint else message)
         self.message = message
         self.hint = hint

@@ -15,6 +15,7 @@ class RioCommands(Commands):
     """rio knows click's errors only, and would show a traceback of ours."""
 
     def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; errors end it as they do `orthoscale`, in one sentence and with their exit code."""
         try:
             return super().invoke(ctx)
         except OrthoscaleError as error:

@@ -30,3 +30,15 @@ def own_cache(tmp_path_factory):
         del os.environ["ORTHOSCALE_CACHE"]
     else:
         os.environ["ORTHOSCALE_CACHE"] = before
+
+
+@pytest.fixture(scope="session")
+def flight(tmp_path_factory):
+    """The folder of a COLMAP model with its frames, and how its world is turned (3, 3). Tests only read it."""
+    from support.models import make_model, put_frames, save
+
+    folder = tmp_path_factory.mktemp("flight")
+    model, turn = make_model()
+    save(model, folder / "sparse" / "0", "bin")
+    put_frames(model, folder / "images")
+    return folder, turn

@@ -3,10 +3,11 @@
 import numpy as np
 import pycolmap
 import pytest
-from test_colmap import make_model, save
+from support.models import make_model, save
 
 from orthoscale.core.boxes import Boxes, suppress
 from orthoscale.core.detections import Tile
+from orthoscale.core.measuring.drift import Drift
 from orthoscale.core.measuring.geometry import Observation
 from orthoscale.core.measuring.oblique import GROUND, height_share
 from orthoscale.core.pooling.agreement import compare, together
@@ -14,8 +15,10 @@ from orthoscale.core.projection.exact import Hull
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.scale import Scale
 from orthoscale.core.verdicts import verdict
+from orthoscale.detect.find import Effort
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks
+from orthoscale.detect.workers import worker_count
 from orthoscale.fleets import load_fleet
 from orthoscale.photos.measure import Photo
 from orthoscale.photos.tags import Tags
@@ -144,3 +147,21 @@ def test_walls_that_lean_do_so_from_the_bumpers_up():
     plan, heights = Hull(height=0.8, end_lean=0.1).outline()
     front = {round(float(h), 3): float(plan[np.isclose(heights, h), 0].max()) for h in np.unique(heights)}
     assert front == pytest.approx({0.0: 0.5, 0.4: 0.5, 0.8: 0.46})
+
+
+@pytest.mark.parametrize("chance, tilt, drifts", [
+    (0.004, 0.02, True), (0.006, 0.02, False), (0.1, 0.2, False), (1e-6, 0.009, False), (1e-6, 0.011, True),
+])  # fmt: skip
+def test_a_drift_is_reported_from_half_a_per_cent_of_chance_and_one_per_cent_of_the_scale(chance, tilt, drifts):
+    tilted = Drift(np.empty((0, 5)), (1.0, 1.0), tilt, 0.01, 0.0, chance, 0.0, 1.0)
+    bent = Drift(np.empty((0, 5)), (1.0, 1.0), 0.0, 0.01, 0.0, 1.0, tilt, chance)
+    assert tilted.drifts == bent.drifts == bool(tilted.remark) == bool(bent.remark) == drifts
+
+
+@pytest.mark.parametrize("cores, asked, workers, each", [
+    (1, None, 1, 1), (2, None, 2, 1), (8, None, 8, 1), (32, None, 8, 4), (32, 4, 4, 8), (2, 16, 16, 1),
+])  # fmt: skip
+def test_threads_share_the_cores_among_them(monkeypatch, cores, asked, workers, each):
+    for module in ("workers", "find"):
+        monkeypatch.setattr(f"orthoscale.detect.{module}.cores", lambda: cores)
+    assert worker_count(asked) == workers and Effort(workers=asked).threads_each == each

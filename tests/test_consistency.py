@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_colmap import make_model, patched, put_frames, save
-from test_other_programs import LENS, nerfstudio, opensfm
-from test_text_models import bundler, nvm
+from support.models import make_model, patched, put_frames, save
+from support.other_programs import LENS, bundler, nerfstudio, nvm, opensfm
 
 from orthoscale.errors import InputError
 from orthoscale.sources.colmap import ColmapSource

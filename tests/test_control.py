@@ -106,11 +106,15 @@ def test_distances_that_make_no_sense_say_what_is_expected(boxes, text, why):
         orthoscale.estimate(TOWN, detections=boxes, known_distance=[text])
 
 
-@pytest.mark.parametrize("projection", ["exact", "planar", "decoupled", "program", "naive"])
-def test_every_projection_measures_a_model(projection):
+@pytest.mark.parametrize(
+    "projection, off", [("exact", 0.05), ("planar", 0.03), ("decoupled", 0.14), ("program", 0.08), ("naive", 0.03)]
+)
+def test_every_projection_measures_a_model(projection, off):
+    """As far off as on `sheffield` of benchmarks/README.md, no farther; the paper's text makes scales small there."""
     result = orthoscale.estimate(MODEL, fleet="US", detections=FOUND, projection=projection)
-    assert result.scale.value == pytest.approx(14.157, rel=0.35), "the comparison is in benchmarks"
+    assert result.scale.value == pytest.approx(14.157, rel=off)
     assert result.projection == projection
+    assert (result.scale.value < 0.9 * 14.157) == (projection == "decoupled")
 
 
 def test_the_papers_estimator_and_what_it_cannot_take(boxes):

@@ -4,14 +4,14 @@ import csv
 import json
 
 import cv2
-import in_process
 import numpy as np
 import pyproj
 import pytest
 import rasterio
 from PIL import Image
 from rasterio.transform import Affine
-from test_photo import ALTITUDE, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
+from support import in_process
+from support.photos import ALTITUDE, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
 
 from orthoscale.errors import UsageError
 from orthoscale.formats.detections.own import save_detections

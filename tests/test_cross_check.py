@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from test_colmap import make_model, put_frames, save
-from test_looks import UNIT, found_by, vehicles
+from support.flights import UNIT, found_by, vehicles
+from support.models import make_model, put_frames, save
 
 from orthoscale.actions.cross_check import check_against_model, match
 from orthoscale.actions.estimate import estimate

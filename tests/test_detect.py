@@ -3,77 +3,16 @@
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+from support.drawings import CARD, Drawing, RectangleDetector, car_park
 
 from orthoscale.core.boxes import Boxes, matched
-from orthoscale.core.ruler import Ruler
-from orthoscale.detect.decoders import LENGTH_UNIT, STRIDE, WIDTH_UNIT, decode_maps
-from orthoscale.detect.detector import Card, Detector
+from orthoscale.detect.decoders import LENGTH_UNIT, MAP_STRIDE, WIDTH_UNIT, decode_maps
+from orthoscale.detect.detector import Detector
 from orthoscale.detect.tiles import sweep, tiles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import InputError
-
-CARD = Card("drawn rectangles", (12, 70), 38, 0.4, (0.8, 0.8), Ruler())
-
-
-class Drawing:
-    """A picture of white rectangles on grey ground, drawn twice as fine as its pixels."""
-
-    FINER = 2
-
-    def __init__(self, width, height, boxes, name="drawing"):
-        self.name, self.width, self.height = name, width, height
-        canvas = np.full((height * self.FINER, width * self.FINER, 3), 90, np.uint8)
-        for corners in boxes.mapped(self.FINER).corners:
-            cv2.fillPoly(canvas, [np.round(corners - 0.5).astype(np.int32)], (250, 250, 250))
-        self._pixels = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA)
-
-    def read(self, x, y, width, height, out_width, out_height):
-        assert x >= 0 and y >= 0 and x + width <= self.width and y + height <= self.height
-        shrink = out_width < width
-        window = self._pixels[y : y + height, x : x + width]
-        how = cv2.INTER_AREA if shrink else cv2.INTER_CUBIC
-        return cv2.resize(window, (out_width, out_height), interpolation=how)
-
-
-class RectangleDetector:
-    """Finds white rectangles, but like a network only in its range of sizes; makes mistakes of the size it likes."""
-
-    card = CARD
-
-    def __init__(self, mistakes=0, seed=0):
-        self.mistakes, self.rng = mistakes, np.random.default_rng(seed)
-
-    def __call__(self, image, threshold=None):
-        contours, _ = cv2.findContours((image[..., 0] > 170).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        rows = []
-        for contour in contours:
-            (cx, cy), (w, h), degrees = cv2.minAreaRect(contour)
-            rows.append((cx + 0.5, cy + 0.5, w + 1, h + 1, np.radians(degrees)))
-        found = Boxes(np.array(rows).reshape(-1, 5), np.full(len(rows), 0.8))
-        low, high = CARD.usable_length
-        found = found[(found.length > low) & (found.length < high) & (found.width > 3)]
-        n = self.mistakes
-        size = self.rng.normal([36, 16], 4, (n, 2)).clip(8)
-        spots = self.rng.uniform(0, 1, (n, 2)) * image.shape[1::-1]
-        wrong = Boxes(np.column_stack([spots, size, self.rng.uniform(-1.5, 1.5, n)]), np.full(n, 0.5))
-        return Boxes.concatenate([found, wrong])
-
-
-def car_park(length, width, height, count, seed=0):
-    """Boxes of about `length` px that do not overlap, in a picture of `width` x `height` px."""
-    rng = np.random.default_rng(seed)
-    rows = []
-    for _ in range(200 * count):
-        own = length * np.exp(rng.normal(0, 0.08))
-        spot = rng.uniform(0.6 * length, [width - 0.6 * length, height - 0.6 * length])
-        if all(np.hypot(*(spot - r[:2])) > 1.3 * length for r in rows):
-            rows.append(np.array([*spot, own, own / 2.4, rng.uniform(-1.5, 1.5)]))
-        if len(rows) == count:
-            break
-    return Boxes(np.array(rows), np.ones(len(rows)))
 
 
 @pytest.mark.parametrize("size, zoom", [((3000, 2100), 1.0), ((3000, 2100), 0.37), ((500, 300), 2.0), ((90, 40), 1.0)])
@@ -153,8 +92,8 @@ def test_decoding_gives_back_what_was_written():
     boxes = Boxes([[41.3, 22.6, 40, 16, 0.7], [90.2, 70.1, 25, 11, -1.2]], [0.9, 0.6])
     maps = np.full((7, 32, 32), -6, np.float32)
     for (cx, cy, length, width, angle), score in zip(boxes.xylwa, boxes.score, strict=True):
-        x, y = int(cx / STRIDE), int(cy / STRIDE)
-        offset = (cx / STRIDE - 0.5 - x, cy / STRIDE - 0.5 - y)
+        x, y = int(cx / MAP_STRIDE), int(cy / MAP_STRIDE)
+        offset = (cx / MAP_STRIDE - 0.5 - x, cy / MAP_STRIDE - 0.5 - y)
         values = (np.log(length / LENGTH_UNIT), np.log(width / WIDTH_UNIT), np.cos(2 * angle), np.sin(2 * angle))
         maps[:, y, x] = (np.log(score / (1 - score)), *offset, *values)
     found = decode_maps(maps, 0.3)

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import pytest
+from support.networks import CARS, NAMES, TRUTH, mmrotate, network, nms_free, raw
 
 import orthoscale
 from orthoscale.core.boxes import Boxes
@@ -25,62 +26,6 @@ from orthoscale.tables import standards
 
 onnx = pytest.importorskip("onnx")
 helper, numpy_helper = onnx.helper, onnx.numpy_helper
-
-# Centre x, y, width, height [px], angle [rad], confidence, class: a car written long side first, one written short side
-# first, a large vehicle, a doubtful car.
-TRUTH = np.array(
-    [
-        [40.0, 30.0, 36.0, 15.0, 0.4, 0.9, 1],
-        [90.0, 50.0, 14.0, 33.0, 0.2, 0.8, 1],
-        [20.0, 80.0, 90.0, 24.0, 0.0, 0.9, 0],
-        [60.0, 90.0, 35.0, 15.0, 0.1, 0.2, 1],
-    ]
-)
-CARS = [[40, 30, 36, 15, 0.4], [90, 50, 33, 14, 0.2 - np.pi / 2]]
-NAMES = {"names": "{0: 'large vehicle', 1: 'small vehicle', 2: 'ship'}", "task": "obb", "stride": "32"}
-
-
-def network(path, outputs, metadata=None, size=("h", "w"), open_shapes=False, dtype=onnx.TensorProto.FLOAT):
-    """An ONNX file whose outputs, arrays by name, do not depend on its image, but for a zero made of it."""
-    nodes, values, weights = [], [], []
-    nodes.append(helper.make_node("ReduceMax", ["images"], ["brightest"], keepdims=0))
-    for name, array in outputs.items():
-        array = np.asarray(array)
-        kind = onnx.TensorProto.INT64 if array.dtype.kind == "i" else dtype
-        weights.append(numpy_helper.from_array(array.astype(helper.tensor_dtype_to_np_dtype(kind)), f"{name}_known"))
-        nodes += [
-            helper.make_node("Cast", ["brightest"], [f"{name}_cast"], to=kind),
-            helper.make_node("Sub", [f"{name}_cast", f"{name}_cast"], [f"{name}_zero"]),
-            helper.make_node("Add", [f"{name}_known", f"{name}_zero"], [name]),
-        ]
-        shape = [f"{name}{k}" for k in range(array.ndim)] if open_shapes else array.shape
-        values.append(helper.make_tensor_value_info(name, kind, shape))
-    image = helper.make_tensor_value_info("images", dtype, [1, 3, *size])
-    model = helper.make_model(
-        helper.make_graph(nodes, "tiny", [image], values, weights),
-        opset_imports=[helper.make_opsetid("", 17)],
-        ir_version=8,
-    )
-    helper.set_model_props(model, metadata or {})
-    onnx.save(model, path)
-    return path
-
-
-def raw(classes=3):
-    """As [1, 4 + classes + 1, n]; the classes that are not named are a little possible too."""
-    scores = np.full((len(TRUTH), classes), 0.01)
-    scores[np.arange(len(TRUTH)), TRUTH[:, 6].astype(int)] = TRUTH[:, 5]
-    return np.hstack([TRUTH[:, :4], scores, TRUTH[:, 4:5]]).T[None]
-
-
-def nms_free():
-    """As [1, n, 7], with the rows of zeros that fill up the rest."""
-    return np.vstack([TRUTH[:, [0, 1, 2, 3, 5, 6, 4]], np.zeros((3, 7))])[None]
-
-
-def mmrotate(large=5, small=4):
-    """dets [1, n, 6] and labels [1, n], in DOTA's numbers."""
-    return {"dets": TRUTH[None, :, :6], "labels": np.where(TRUTH[:, 6] == 1, small, large)[None]}
 
 
 def found(path, size=(128, 128), **options):
@@ -517,14 +462,14 @@ def flat(path):
     ],
 )
 def test_a_hostile_network_ends_in_one_sentence(tmp_path, monkeypatch, capfd, make, message):
-    monkeypatch.setattr(foreign, "LONGEST", 3.0)
+    monkeypatch.setattr(foreign, "LONGEST_SECONDS", 3.0)
     with pytest.raises(InputError, match=message):
         Detector(make(tmp_path / "a.onnx"))(np.zeros((64, 64, 3), np.uint8))
     assert capfd.readouterr() == ("", "")
 
 
 def test_a_network_that_ended_stays_so_and_leaves_no_process(tmp_path, monkeypatch):
-    monkeypatch.setattr(foreign, "LONGEST", 3.0)
+    monkeypatch.setattr(foreign, "LONGEST_SECONDS", 3.0)
     detector = Detector(endless(tmp_path / "a.onnx"))
     process = detector._network._process
     for _ in range(2):

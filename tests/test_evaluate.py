@@ -4,9 +4,9 @@ import csv
 import json
 import shutil
 
-import in_process
 import numpy as np
 import pytest
+from support import in_process
 
 from orthoscale.errors import InputError
 from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, changed, read_samples

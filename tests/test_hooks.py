@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from test_rescale import dense_workspace
+from support.geometry import dense_workspace
 
 ROOT = Path(__file__).parent.parent
 HOOKS = ROOT / "colmap_hooks"

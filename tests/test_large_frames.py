@@ -8,7 +8,7 @@ import zlib
 import cv2
 import numpy as np
 import pytest
-from test_colmap import make_model, save
+from support.models import make_model, save
 
 from orthoscale.errors import InputError
 from orthoscale.sources import ground_picture, picture_file
@@ -62,12 +62,12 @@ def test_the_ground_under_a_large_frame(tmp_path, smooth, monkeypatch):
     picture = source.ground_pictures[0]
     size = picture.width, picture.height
     whole = picture.read(0, 0, *size, *size)
-    monkeypatch.setattr(ground_picture, "ROWS", 50)
+    monkeypatch.setattr(ground_picture, "ROWS_AT_ONCE", 50)
     monkeypatch.setattr(ground_picture, "LARGE", 0.0)
     window = (37, 21, 203, 150)
     part = picture.read(*window, 203, 150)
     assert (part == whole[21:171, 37:240]).all()
-    monkeypatch.setattr(picture_file, "LARGE", 0.0)
+    monkeypatch.setattr(picture_file, "LARGE_SHARE", 0.0)
     coarse = picture.read(32, 16, 240, 160, 60, 40)
     wanted = cv2.resize(whole[16:176, 32:272], (60, 40), interpolation=cv2.INTER_AREA)
     assert np.abs(coarse.astype(int) - wanted).mean() < 6

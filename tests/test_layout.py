@@ -5,7 +5,6 @@ import math
 
 import cv2
 import ezdxf
-import in_process
 import numpy as np
 import pyogrio
 import pyproj
@@ -14,6 +13,8 @@ import rasterio
 import shapely
 from rasterio.transform import Affine
 from shapely import Polygon, box
+from support import in_process
+from support.lots import lot_file, orthophoto
 
 from orthoscale.errors import InputError, UsageError
 from orthoscale.layout import draw
@@ -21,7 +22,6 @@ from orthoscale.layout.catalogue import load, parking, parse_requests
 from orthoscale.layout.ground import open_ground
 from orthoscale.layout.place import Placed, arrange, centres, holds
 from orthoscale.layout.plan import document, plan, prompt
-from orthoscale.sources.raster import RasterSource
 
 FACILITIES = load()
 
@@ -190,24 +190,6 @@ def test_what_remains_when_the_scale_is_off():
 
 
 # Rasters and files
-
-
-def orthophoto(folder, gsd=0.1, size=(700, 500), report=None):
-    """A noisy picture in local metres, as `orthoscale fix` writes it."""
-    rng = np.random.default_rng(0)
-    cv2.imwrite(str(folder / "plain.png"), rng.integers(90, 150, (size[1], size[0], 3), np.uint8))
-    path = folder / "scaled.tif"
-    with RasterSource.open(folder / "plain.png") as source:
-        source.write(path, gsd)
-    if report:
-        (folder / "scaled.tif.json").write_text(json.dumps(report))
-    return path
-
-
-def lot_file(path, ring, crs=None):
-    text = {"type": "Polygon", "coordinates": [[list(map(float, p)) for p in [*ring, ring[0]]]]}
-    path.write_text(json.dumps(text))
-    return path
 
 
 def test_the_mask_is_exact_to_the_pixel(tmp_path):

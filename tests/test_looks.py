@@ -7,91 +7,18 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from test_colmap import make_model, put_frames, save
+from support.flights import FLEET, HEIGHT, UNIT, found_by
+from support.models import make_model
 
 from orthoscale.actions.estimate import estimate
 from orthoscale.actions.fix import fix
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.detections import Detections
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import compare, together
-from orthoscale.core.projection.exact import Hull
-from orthoscale.core.ruler import Ruler
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
-from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections, save_detections
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.ground_picture import NEAR_NADIR
-from orthoscale.sources.opening import open_source
-
-UNIT = 5.0  # [m]: the cameras of `make_model` fly at 60 m
-HEIGHT, MARGIN = 0.8, 0.5  # of the boxes [m], [px]
-FLEET = load_fleet("DE")
-
-
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory):
-    """The folder of a model with its frames, and how its world is turned."""
-    folder = tmp_path_factory.mktemp("flight")
-    model, turn = make_model()
-    save(model, folder / "sparse" / "0", "bin")
-    put_frames(model, folder / "images")
-    return folder, turn
-
-
-def vehicles(turn, count=45, seed=1):
-    """(count, P, 3) outlines of parked vehicles and (count, 2, 3) rear and front, in the world [units]."""
-    rng = np.random.default_rng(seed)
-    place = np.array([(x, y) for x in np.arange(-9, 9.1, 2.2) for y in np.arange(-8, 8.1, 2.2)])
-    place = place[rng.permutation(len(place))[:count]] + rng.uniform(-0.4, 0.4, (count, 2))
-    size = FLEET.sample(rng, count)[:, :2]
-    size *= FLEET.mean[:2] / size.mean(0) / UNIT  # no luck of a few vehicles in what the way to the scale gives
-    angle = rng.uniform(0, np.pi, count)
-    axes = np.stack([np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([-np.sin(angle), np.cos(angle)], -1)], 1)
-    plan, heights = Hull(height=HEIGHT).outline()
-    flat = place[:, None] + (plan * size[:, None]) @ axes
-    body = np.concatenate([flat, np.broadcast_to(heights[:, None] / UNIT, (count, len(plan), 1))], 2)
-    ends = place[:, None] + np.array([-0.05, 0.05])[:, None] * axes[:, :1]
-    return body @ turn.T, np.pad(ends, ((0, 0), (0, 0), (0, 1))) @ turn.T
-
-
-def enclosing(points, heading, margin):
-    """(5,) the box along `heading` (2,) around `points` (P, 2), larger by `margin`."""
-    u = heading / np.linalg.norm(heading)
-    axes = np.array([u, [-u[1], u[0]]])
-    low, high = (points @ axes.T).min(0), (points @ axes.T).max(0)
-    return [*((low + high) / 2 @ axes), *(high - low + margin), np.arctan2(u[1], u[0])]
-
-
-def found_by(folder, turn, noise=0.3, seed=0):
-    """Detections of a perfect detector whose boxes reach HEIGHT and exceed the vehicle by MARGIN."""
-    rng = np.random.default_rng(seed)
-    source = open_source(folder)
-    bodies, ends = vehicles(turn)
-    frames, plans = {}, {}
-    for name in source.picture_names:
-        boxes = []
-        for body, end in zip(bodies, ends, strict=True):
-            points, heading = source.project(name, body), source.project(name, end)
-            if np.isfinite(points).all() and (points > 3).all() and (points < np.array([637, 477])).all():
-                boxes.append(enclosing(points, heading[1] - heading[0], MARGIN + rng.normal(0, noise, 2)))
-        frames[name] = Boxes(np.array(boxes), np.full(len(boxes), 0.9))
-    for picture in source.ground_pictures:
-        centre, up = source.centre(picture.image), turn[:, 2]
-        boxes = []
-        for body, end in zip(bodies, ends, strict=True):
-            drop = (centre @ up) / ((centre - body) @ up)
-            shadow = centre + (body - centre) * drop[:, None]  # where the warp puts what stands above the ground
-            points, heading = (
-                (source.ground.plane(p) - picture.origin) @ picture.axes.T / picture.unit_per_pixel
-                for p in (shadow, end)
-            )
-            if (points > 0).all() and (points < (picture.width, picture.height)).all():
-                boxes.append(enclosing(points, heading[1] - heading[0], MARGIN + rng.normal(0, noise, 2)))
-        plans[picture.name] = Boxes(np.array(boxes).reshape(-1, 5), np.full(len(boxes), 0.9))
-    ruler = Ruler(margin=(MARGIN, MARGIN), margin_sd=(0.5, 0.5), noise=(noise, noise))
-    plain = Detections(frames, 1.0, ruler, (HEIGHT, HEIGHT), "perfect")
-    return replace(plain, planar=replace(plain, boxes=plans))
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +60,7 @@ def test_a_wrong_card_is_found_out_by_the_views(flight, found, height, margin):
     assert abs(before[0]) > 3 * before[1] and abs(after[0]) < abs(before[0]) / 3
 
 
+@pytest.mark.slow
 def test_looks_that_contradict_write_nothing_unless_forced(flight, found, tmp_path):
     planar = found.planar
     smaller = {n: Boxes(b.xylwa * [1, 1, 0.7, 0.7, 1], b.score) for n, b in planar.boxes.items()}

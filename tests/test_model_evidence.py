@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_colmap import make_model, put_frames, save
-from test_looks import enclosing
+from support.bodies import body
+from support.flights import enclosing
+from support.models import make_model, put_frames, save
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
@@ -15,7 +16,6 @@ from orthoscale.core.measuring.method import Method
 from orthoscale.core.measuring.surroundings import objects_in_model
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import compare, together
-from orthoscale.core.projection.exact import Hull
 from orthoscale.core.ruler import Ruler
 from orthoscale.fleets import load_fleet
 from orthoscale.sources.colmap import ColmapSource
@@ -37,10 +37,10 @@ def block(size, place, heading):
 
 def car(size, place, heading):
     """The same of a vehicle of `size` (2,) [m]."""
-    plan, heights = Hull(height=HEIGHT).outline()
+    plan, heights = body(top=HEIGHT)
     axes = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
-    body = np.column_stack([plan * size @ axes / UNIT + place, heights / UNIT])
-    return body, np.pad(place + np.array([[-0.05], [0.05]]) * axes[0], ((0, 0), (0, 1)))
+    points = np.column_stack([plan * size @ axes / UNIT + place, heights / UNIT])
+    return points, np.pad(place + np.array([[-0.05], [0.05]]) * axes[0], ((0, 0), (0, 1)))
 
 
 def car_park(stall=STALL):
@@ -69,8 +69,8 @@ def boxes_of(model, bodies, noise=0.3):
     for name in source.picture_names:
         width, height = source.image_size(name)
         rows = []
-        for body, ends in bodies:
-            points, heading = source.project(name, body @ turn.T), source.project(name, ends @ turn.T)
+        for points, ends in bodies:
+            points, heading = source.project(name, points @ turn.T), source.project(name, ends @ turn.T)
             if np.isfinite(points).all() and (points > 6).all() and (points < (width - 6, height - 6)).all():
                 rows.append(enclosing(points, heading[1] - heading[0], rng.normal(0, noise, 2)))
         out[name] = Boxes(np.array(rows).reshape(-1, 5), np.full(len(rows), 0.9))

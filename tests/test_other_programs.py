@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from test_colmap import make_model, put_frames, save
-from test_looks import UNIT, found_by
-from test_rescale import ply
+from support.models import make_model, save
+from support.other_programs import LENS, nerfstudio, opensfm, rescaled, same_views
 
 from orthoscale.actions.fix import fix
 from orthoscale.actions.several import models_in
 from orthoscale.errors import InputError, OutputError, UsageError
-from orthoscale.formats.detections.own import save_detections
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.json_model import ExchangeSource
 from orthoscale.sources.opening import open_source
-
-LENS = {"f": 400.0, "k1": 0.05, "k2": -0.02}
 
 
 @pytest.fixture(scope="module")
@@ -28,65 +22,7 @@ def made():
     return make_model("RADIAL", (LENS["f"], 320, 240, LENS["k1"], LENS["k2"]))
 
 
-def opensfm(model, folder: Path, **camera) -> Path:
-    """The model as OpenSfM would write it."""
-    lens = {"projection_type": "perspective", "width": 640, "height": 480, "focal": LENS["f"] / 640}
-    shots, points = {}, {}
-    for image in model.images.values():
-        pose = image.cam_from_world()
-        turn = Rotation.from_matrix(pose.rotation.matrix()).as_rotvec()
-        shots[image.name] = {"camera": "c", "rotation": turn.tolist(), "translation": pose.translation.tolist()}
-    for number, point in model.points3D.items():
-        points[str(number)] = {"coordinates": point.xyz.tolist(), "color": [10, 20, 30]}
-    part = {"cameras": {"c": {**lens, "k1": LENS["k1"], "k2": LENS["k2"], **camera}}, "shots": shots, "points": points}
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "reconstruction.json").write_text(json.dumps([part]))
-    return folder / "reconstruction.json"
-
-
-def nerfstudio(model, folder: Path, **more) -> Path:
-    """The model as ns-process-data would write it."""
-    frames = []
-    for image in model.images.values():
-        pose = image.cam_from_world()
-        matrix = np.eye(4)
-        matrix[:3, :3] = pose.rotation.matrix().T * (1, -1, -1)
-        matrix[:3, 3] = image.projection_center()
-        frames.append({"file_path": f"images/{image.name}", "transform_matrix": matrix.tolist()})
-    folder.mkdir(parents=True, exist_ok=True)
-    ply(folder / "sparse_pc.ply", "ascii", ["x", "y", "z"], np.array([p.xyz for p in model.points3D.values()]))
-    text = {"camera_model": "OPENCV", "w": 640, "h": 480, "fl_x": LENS["f"], "fl_y": LENS["f"], "cx": 320, "cy": 240}
-    text |= {"k1": LENS["k1"], "k2": LENS["k2"], "frames": frames, "ply_file_path": "sparse_pc.ply", **more}
-    (folder / "transforms.json").write_text(json.dumps(text))
-    return folder / "transforms.json"
-
-
 WRITERS = {"opensfm": opensfm, "nerfstudio": nerfstudio}
-
-
-def same_views(colmap, other, folder=""):
-    """Rays, ground and projections of both sources are the same; `other` has the pictures in `folder`."""
-    pixels = np.random.default_rng(0).uniform((20, 20), (620, 460), (200, 2))
-    for name in colmap.picture_names[::4]:
-        theirs = folder + name
-        views, world, ok = colmap.views(name, pixels)
-        views2, world2, ok2 = other.views(theirs, pixels)
-        assert (ok == ok2).all() and ok.mean() > 0.6
-        assert np.allclose(world[ok], world2[ok], atol=0.02)  # another choice of ground points
-        assert np.allclose(views.lens[ok], views2.lens[ok], rtol=1e-6, atol=1e-3)
-        assert np.allclose(colmap.project(name, world[ok]), other.project(theirs, world[ok]), atol=1e-4)
-
-
-def rescaled(model, turn, writer, tmp_path):
-    """The file that `writer` made of `model`, and what `fix` made of it: the scale is right, the input untouched."""
-    path = writer(model, tmp_path / "in")
-    put_frames(model, tmp_path / "in/images")
-    before = {p: p.read_bytes() for p in (tmp_path / "in").rglob("*.*")}
-    save_detections(found_by(path, turn), tmp_path / "boxes.json")
-    result = fix(path.parent, tmp_path / "out", fleet="DE", detections=tmp_path / "boxes.json")
-    assert {p: p.read_bytes() for p in before} == before
-    assert result.scale.value == pytest.approx(UNIT, rel=0.03)
-    return path, result
 
 
 @pytest.mark.parametrize("program", WRITERS)

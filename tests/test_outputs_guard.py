@@ -16,13 +16,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from in_process import run
+from support.in_process import run
 
 from orthoscale.actions.fix import fix
 from orthoscale.errors import Incomplete, InputError, OutputError, UsageError
 from orthoscale.system import outputs as guard
 from orthoscale.system import stopping
-from orthoscale.system.outputs import MARK, Outputs, named, ours, signature
+from orthoscale.system.outputs import FOLDER_MARK, Outputs, named, ours, signature
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 MODEL, BOXES = EXAMPLES / "sheffield" / "sparse", EXAMPLES / "sheffield" / "detections.json"
@@ -72,7 +72,7 @@ def test_a_file_appears_at_the_end(tmp_path):
 def test_a_folder_appears_at_the_end_and_is_replaced_as_a_whole(tmp_path, name):
     for text in ("first", "second"):
         write_folder(tmp_path / name, ("x", f"of {text}"), text, overwrite=True)
-        assert names(tmp_path) == [name] and names(tmp_path / name) == [MARK, f"of {text}", "x"]
+        assert names(tmp_path) == [name] and names(tmp_path / name) == [FOLDER_MARK, f"of {text}", "x"]
         assert ours(tmp_path / name)
 
 
@@ -254,7 +254,7 @@ def test_only_a_folder_that_orthoscale_filled_is_replaced(tmp_path, make):
         (path / "precious").touch()
     if make in ("stranger", "damaged"):
         write_folder(path)
-        (path / ("precious" if make == "stranger" else MARK)).write_text("{")
+        (path / ("precious" if make == "stranger" else FOLDER_MARK)).write_text("{")
     if make in ("copy", "link"):
         write_folder(tmp_path / "b")
         shutil.copytree(tmp_path / "b", path) if make == "copy" else path.symlink_to(tmp_path / "b")
@@ -683,7 +683,7 @@ def test_a_model_is_delivered_though_its_report_fails(tmp_path, monkeypatch, par
     assert done.returncode == 6 and f"{part}" in done.stderr and "no such colour" in done.stderr
     assert "Traceback" not in done.stderr and "orthoscale report" in done.stderr
     there = set(names(tmp_path / "out"))
-    assert {"cameras.bin", "images.bin", "points3D.bin", "sim3.json", MARK} <= there and part not in there
+    assert {"cameras.bin", "images.bin", "points3D.bin", "sim3.json", FOLDER_MARK} <= there and part not in there
     assert ours(tmp_path / "out") and names(tmp_path) == ["out"]
     monkeypatch.undo()
     if part != "report.json":

@@ -4,18 +4,17 @@ import csv
 import json
 from dataclasses import replace
 
-import in_process
 import numpy as np
 import pyogrio
 import pytest
 from PIL import Image
+from support import in_process
+from support.bodies import CAR, VAN, VAN_CORNER, block, body
+from support.photos import ALTITUDE, CALIBRATIONS, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
 
-from orthoscale.core.boxes import Boxes
-from orthoscale.core.detections import Detections
 from orthoscale.core.projection.decoupled import simple_views
 from orthoscale.core.projection.exact import BODIES
 from orthoscale.core.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey
-from orthoscale.core.ruler import Ruler
 from orthoscale.detect.find import Effort
 from orthoscale.detect.workers import cores, worker_count
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
@@ -23,48 +22,10 @@ from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.photos.lens import lens_of, read_calibration
 from orthoscale.photos.looking import Looking, boxes_of
-from orthoscale.photos.measure import LOWEST_ELEVATION, measure, open_photo
+from orthoscale.photos.measure import measure, open_photo
 from orthoscale.photos.survey import measure_together, open_photos
 from orthoscale.photos.tags import Tags, read_tags
-from orthoscale.synthetic import Camera, Perspective, Pose
-
-SIZE = (1000, 750)
-FOCAL, ALTITUDE = 900.0, 60.0
-CARS = {
-    "name": "nearly of one size",
-    "source": "made for this test",
-    "length": [4.5, 0.05],
-    "width": [1.8, 0.02],
-    "height": [1.5, 0.1],
-    "mean_sd": [0.02, 0.01, 0.02],
-}
-
-
-def write_photo(path, xmp="", exif=(), gps=None, size=SIZE):
-    """A grey JPEG with these tags: `xmp` attributes or elements of rdf:Description, `exif` {tag: value}."""
-    image = Image.new("RGB", size, (120, 120, 120))
-    tags = Image.Exif()
-    for tag, value in dict(exif).items():
-        (tags if tag in (0x010F, 0x0110, 0x0112) else tags.get_ifd(0x8769))[tag] = value
-    if gps:
-        lon, lat = gps
-        sides = {1: "NS"[lat < 0], 3: "EW"[lon < 0]}
-        tags.get_ifd(0x8825).update({**sides, 2: dms(abs(lat)), 4: dms(abs(lon))})
-    inner, _, elements = xmp.partition("|")
-    packet = (
-        '<?xpacket begin=""?><x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
-        'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
-        'xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" xmlns:Camera="http://pix4d.com/camera/1.0/" '
-        'xmlns:drone-parrot="http://www.parrot.com/drone-parrot/1.0/" xmlns:sky="https://www.skydio.com/1.0/" '
-        f"{inner}>{elements}</rdf:Description></rdf:RDF></x:xmpmeta><?xpacket end='w'?>"
-    )
-    image.save(path, exif=tags, xmp=packet.encode() if xmp else b"")
-    return path
-
-
-def dms(value):
-    degrees, rest = divmod(value * 3600, 3600)
-    return degrees, rest // 60, rest % 60
+from orthoscale.synthetic import Pose
 
 
 @pytest.mark.parametrize(
@@ -163,15 +124,6 @@ def test_dewarp_data_bends_the_lens_unless_the_camera_has_straightened_it():
     assert lens_of(tags(dewarp=dewarp, dewarped=True)).camera.model.name == "PINHOLE"
 
 
-CALIBRATIONS = {
-    "a.xml": "<calibration><projection>frame</projection><width>4000</width><height>3000</height><f>2300</f>"
-    "<cx>12</cx><cy>-8</cy><k1>-0.02</k1><k2>0.003</k2><p1>0.0004</p1><p2>-0.0002</p2></calibration>",
-    "a.txt": "# Camera list\n1 OPENCV 4000 3000 2300 2300 2012 1492 -0.02 0.003 -0.0002 0.0004\n",
-    "a.json": '{"width": 4000, "height": 3000, "focal_px": 2300, "cx": 2012, "cy": 1492, "k1": -0.02, "k2": 0.003,'
-    ' "p1": -0.0002, "p2": 0.0004}',
-}
-
-
 def test_every_calibration_file_says_the_same_and_follows_the_photos_size(tmp_path):
     rays = []
     for name, text in CALIBRATIONS.items():
@@ -241,42 +193,6 @@ def test_survey_angles_are_gimbal_angles_from_straight_down():
     assert up_from_survey(0, 0.1) == pytest.approx([-np.sin(0.1), 0, -np.cos(0.1)])
 
 
-def view_from(pitch, roll=0.0):
-    centre = np.array([0.0, 0.0, ALTITUDE])
-    return Perspective(Camera(FOCAL, *SIZE), Pose.looking(centre, 0.4, np.radians(-pitch), np.radians(roll)))
-
-
-def boxes_in(view, n=40, seed=0, hull=BODIES["car"]):
-    """Boxes of a hull, sizes as in CARS, with any heading, on the ground that the picture shows."""
-    rng = np.random.default_rng(seed)
-    plan, heights = hull.outline()
-    pixels = rng.uniform([60, 60], np.array(SIZE) - 60, (n, 2))
-    rays = np.column_stack([(pixels - np.array(SIZE) / 2) / FOCAL, np.ones(n)]) @ view.pose.rotation
-    steep = -rays[:, 2] / np.linalg.norm(rays, axis=1) > np.sin(LOWEST_ELEVATION) + 0.05
-    rows = []
-    spread = rng.normal(0, [0.05, 0.02], (n, 2))
-    sizes = np.array([4.5, 1.8]) + np.concatenate([spread[: (n + 1) // 2], -spread[: n // 2]])  # of mean 4.5 x 1.8 m
-    for ray, size in zip(rays[steep], sizes, strict=False):
-        place = view.pose.centre - ray * ALTITUDE / ray[2]
-        angle = rng.uniform(0, np.pi)
-        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        ground = plan * size @ turn + place[:2]
-        outline = view.project(np.column_stack([ground, heights]))
-        along = view.project(place + np.r_[turn[0], 0.0]) - view.project(place)
-        u = along / np.linalg.norm(along)
-        axes = np.stack([u, [-u[1], u[0]]])
-        extent = outline @ axes.T
-        low, high = extent.min(0), extent.max(0)
-        rows.append([*((low + high) / 2 @ axes), *(high - low), np.arctan2(u[1], u[0])])
-    return Boxes(np.array(rows), np.ones(len(rows)))
-
-
-def detections_of(boxes):
-    """A detector without margin and bias, and with an effective height that is known."""
-    ruler = Ruler((0, 0), (0.05, 0.05), (0.002, 0.002), 0.0, (0.3, 0.3))
-    return Detections(boxes, 1.0, ruler, (0.8, 0.8), "made for this test")
-
-
 @pytest.fixture
 def fleet(tmp_path):
     path = tmp_path / "cars.json"
@@ -284,12 +200,15 @@ def fleet(tmp_path):
     return load_fleet(path)
 
 
+SHAPES = {"car": body(CAR, 1.4), "van": body(VAN, 1.4, VAN_CORNER), "cuboid": block(1.4)}
+
+
 @pytest.mark.parametrize("body", BODIES)
 def test_vehicles_have_the_body_of_the_detectors_card(tmp_path, fleet, body):
     """Whatever they are shaped like, the altitude comes out; measured as another body, it does not."""
     view, photo = view_from(-50), open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL, pitch=-50)
-    hull = replace(BODIES[body], height=1.4)
-    found = replace(detections_of({"a.jpg": boxes_in(view, hull=hull)}), effective_height=(1.4, 1.4))
+    shape = SHAPES[body]
+    found = replace(detections_of({"a.jpg": boxes_in(view, shape=shape)}), effective_height=(1.4, 1.4))
     off = {
         name: abs(measure([photo], replace(found, body=name), fleet).altitude.value / ALTITUDE - 1) for name in BODIES
     }

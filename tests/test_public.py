@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from reports import car_park, fixed
+from support.reports import car_park, fixed
 
 import orthoscale
 

@@ -27,9 +27,10 @@ from rasterio.rpc import RPC
 from rasterio.shutil import copy as gdal_copy
 from rasterio.transform import Affine
 
+from orthoscale.core.source import NO_DATA_GREY
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.sources import raster
-from orthoscale.sources.raster import GREY, RasterSource
+from orthoscale.sources.raster import RasterSource
 
 W, H = 300, 200
 UTM = {"crs": "EPSG:32632", "transform": Affine(0.1, 0, 500_000, 0, -0.1, 5_400_000)}
@@ -175,8 +176,8 @@ def test_without_data_is_grey(tmp_path, build):
     for size in ((W, H), (W // 2, H // 2), (2 * W, 2 * H)):
         image = source.read(0, 0, W, H, *size)
         edge = 100 * size[0] // W
-        assert (image[:, : edge - 2] == GREY).all()
-        assert (image[:, edge + 2 :] != GREY).any(-1).mean() > 0.9
+        assert (image[:, : edge - 2] == NO_DATA_GREY).all()
+        assert (image[:, edge + 2 :] != NO_DATA_GREY).any(-1).mean() > 0.9
 
 
 def test_sixteen_bits_are_stretched(tmp_path):
@@ -191,7 +192,7 @@ def test_floats_with_nan(tmp_path):
     pixels = scene(3, "float32", 2)
     pixels[:, :50] = np.nan
     image = RasterSource.open(make(tmp_path / "a.tif", pixels)).read(0, 0, W, H, W, H)
-    assert (image[:50] == GREY).all() and image[50:].std() > 20
+    assert (image[:50] == NO_DATA_GREY).all() and image[50:].std() > 20
 
 
 def test_constant_sixteen_bits(tmp_path):
@@ -201,7 +202,7 @@ def test_constant_sixteen_bits(tmp_path):
 
 def test_nothing_but_nodata(tmp_path):
     source = RasterSource.open(make(tmp_path / "a.tif", np.zeros((3, H, W), "uint16"), nodata=0))
-    assert (source.read(0, 0, W, H, W, H) == GREY).all()
+    assert (source.read(0, 0, W, H, W, H) == NO_DATA_GREY).all()
 
 
 PALETTE = {0: (0, 0, 0, 0), 1: (255, 0, 0, 255), 2: (0, 0, 255, 255)}
@@ -222,7 +223,7 @@ def test_palette(tmp_path, driver):
         path = path.with_suffix(".png")
     source = RasterSource.open(path)
     image = source.read(0, 0, W, H, W, H)
-    assert (image[:100] == GREY).all()
+    assert (image[:100] == NO_DATA_GREY).all()
     assert (image[100:, ::2] == (255, 0, 0)).all() and (image[100:, 1::2] == (0, 0, 255)).all()
     # Colours are averaged, not their numbers.
     assert np.allclose(source.read(0, 100, W, 100, W // 2, 50), (127.5, 0, 127.5), atol=1)
@@ -563,7 +564,7 @@ def test_different_nodata_per_band_becomes_a_mask(tmp_path):
         vrt = re.sub(f'(band="{band}"[^>]*>)', rf"\1<NoDataValue>{band}</NoDataValue>", vrt, count=1)
     (tmp_path / "a.vrt").write_text(vrt)
     source = RasterSource.open(tmp_path / "a.vrt")
-    assert (source.read(0, 0, W, H, W, H)[:50] == GREY).all()
+    assert (source.read(0, 0, W, H, W, H)[:50] == NO_DATA_GREY).all()
     source.write(tmp_path / "b.tif", 0.1)
     with rasterio.open(tmp_path / "b.tif") as d:
         assert not d.dataset_mask()[:50].any() and np.array_equal(d.read(), pixels)
@@ -723,9 +724,9 @@ def test_blocks_that_were_never_written_show_nothing(tmp_path):
         dataset.write(scene()[:, :64, :128] // 2 + 1, window=((0, 64), (64, 192)))
     with RasterSource.open(path) as source:
         seen = source.read(0, 0, W, H, W, H)
-        assert (seen[:, :64] == GREY).all() and (seen[64:] == GREY).all()
+        assert (seen[:, :64] == NO_DATA_GREY).all() and (seen[64:] == NO_DATA_GREY).all()
         assert np.array_equal(seen[:64, 64:192], np.moveaxis(scene()[:, :64, :128] // 2 + 1, 0, -1))
-        assert (source.read(60, 0, 8, 8, 4, 4)[:, :2] == GREY).all()
+        assert (source.read(60, 0, 8, 8, 4, 4)[:, :2] == NO_DATA_GREY).all()
         source.write(tmp_path / "out.tif", 0.1)
 
 

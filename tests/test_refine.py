@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_detect import Drawing, RectangleDetector, car_park
+from support.drawings import Drawing, RectangleDetector, car_park
 
 import orthoscale
 from orthoscale.core.boxes import Boxes, matched

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
+from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
 
 import orthoscale
 from orthoscale.actions.requests import command_line

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import cv2
 import pytest
-from reports import car_park, fixed, fixed_model
+from support.reports import car_park, fixed, fixed_model
 
 from orthoscale.report.files import redraw
 

@@ -8,17 +8,17 @@ from types import SimpleNamespace
 from typing import get_type_hints
 
 import pytest
-from in_process import run
-from reports import EXAMPLE, car_park
+from support.in_process import run
+from support.reports import EXAMPLE, car_park
 
 import orthoscale
 from orthoscale.actions import requests
-from orthoscale.actions.fix import REPORTS
+from orthoscale.actions.fix import REPORT_FILES
 from orthoscale.actions.requests import EstimateRequest, FixRequest, VehicleRequest, flag
 from orthoscale.cli.main import COMMANDS, cli
-from orthoscale.core.measuring.method import PROJECTIONS
+from orthoscale.core.measuring.method import VARIANTS_BY_NAME
 from orthoscale.errors import UsageError
-from orthoscale.report.extras import EXTRAS
+from orthoscale.report.extras import WRITERS
 
 
 @pytest.fixture(scope="module")
@@ -255,8 +255,8 @@ def test_the_command_line_says_nothing_of_its_own(park):
 
 
 def test_choices_are_those_that_there_is_something_for():
-    assert tuple(PROJECTIONS) == requests.PROJECTIONS
-    assert tuple(EXTRAS) == requests.EXTRAS and tuple(REPORTS) == requests.REPORTS
+    assert tuple(VARIANTS_BY_NAME) == requests.PROJECTIONS
+    assert tuple(WRITERS) == requests.EXTRAS and tuple(REPORT_FILES) == requests.REPORTS
 
 
 def test_seed_reaches_the_search_for_the_zoom(monkeypatch):

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from test_detect import Drawing, RectangleDetector, car_park
+from support.drawings import Drawing, RectangleDetector, car_park
 
 from orthoscale.actions.estimate import estimate
 from orthoscale.core.boxes import Boxes, matched

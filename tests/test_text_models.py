@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from test_colmap import make_model, put_frames, save
-from test_other_programs import rescaled, same_views
+from support.models import make_model, put_frames, save
+from support.other_programs import K1, K2, bundler, nvm, rescaled, same_views
 
 from orthoscale.actions.fix import fix
 from orthoscale.errors import InputError, OutputError, UsageError
@@ -17,9 +14,6 @@ from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.scaling import scale_path
 from orthoscale.sources.text_model import TextSource
-
-K1, K2 = 0.05, -0.02
-FLIP = np.diag([1.0, -1.0, -1.0])
 
 
 @pytest.fixture(scope="module")
@@ -30,56 +24,6 @@ def made():
 @pytest.fixture(scope="module")
 def pinhole():
     return make_model("SIMPLE_PINHOLE", (400.0, 320, 240))
-
-
-def track(model, point, first: int, y_up: bool = False) -> str:
-    """Where images saw `point`, from their middle; the first image has the number `first`."""
-    numbers = {image: k for k, image in enumerate(model.images, first)}
-    words = [str(len(point.track.elements))]
-    for element in point.track.elements:
-        x, y = model.image(element.image_id).points2D[element.point2D_idx].xy - (320, 240)
-        words += [
-            str(numbers[element.image_id]),
-            str(element.point2D_idx),
-            repr(float(x)),
-            repr(float(-y if y_up else y)),
-        ]
-    return " ".join(words)
-
-
-def bundler(model, folder: Path, k=(K1, K2), lost: int = 1) -> Path:
-    """The model as Bundler would write it, after `lost` images that it did not register."""
-    names = [f"lost{i}.jpg" for i in range(lost)] + [image.name for image in model.images.values()]
-    lines = ["# Bundle file v0.3", f"{len(names)} {len(model.points3D)}"]
-    lines += ["0 0 0", *["0 0 0"] * 3, "0 0 0"] * lost
-    for image in model.images.values():
-        pose = image.cam_from_world()
-        rows = [*(FLIP @ pose.rotation.matrix()), FLIP @ pose.translation]
-        lines += [
-            f"{float(image.camera.params[0])!r} {k[0]} {k[1]}",
-            *(" ".join(map(repr, row.tolist())) for row in rows),
-        ]
-    for point in model.points3D.values():
-        lines += [" ".join(map(repr, point.xyz.tolist())), "10 20 30", track(model, point, lost, y_up=True)]
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "bundle.out").write_text("\n".join(lines) + "\n")
-    (folder / "list.txt").write_text("".join(f"./{name} 0 400.0\n" for name in names))
-    return folder / "bundle.out"
-
-
-def nvm(model, folder: Path, r: float = 0.0, head: str = "NVM_V3", more: str = "0\n", tracks: bool = True) -> Path:
-    """The model as VisualSFM would write it."""
-    lines = [head, "", str(len(model.images))]
-    for image in model.images.values():
-        x, y, z, w = Rotation.from_matrix(image.cam_from_world().rotation.matrix()).as_quat()
-        values = [image.camera.params[0], w, x, y, z, *image.projection_center(), r]
-        lines.append(f"{image.name} " + " ".join(repr(float(v)) for v in values) + " 0")
-    lines += ["", str(len(model.points3D))]
-    for p in model.points3D.values():
-        lines.append(" ".join(map(repr, p.xyz.tolist())) + " 10 20 30 " + (track(model, p, 0) if tracks else "0"))
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "scene.nvm").write_text("\n".join([*lines, "", more]))
-    return folder / "scene.nvm"
 
 
 def test_views_are_those_of_the_colmap_model(made, pinhole, tmp_path):

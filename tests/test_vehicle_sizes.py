@@ -8,9 +8,8 @@ import re
 import numpy as np
 import pyogrio
 import pytest
-from reports import GSD, car_park, fixed
-from test_looks import FLEET, UNIT, found_by, vehicles
-from test_looks import flight as flight  # a fixture
+from support.flights import FLEET, UNIT, found_by, vehicles
+from support.reports import GSD, car_park, fixed
 
 from orthoscale.actions.result import Result
 from orthoscale.core.measuring.ways import measure_source

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_rescale import dense_workspace
+from support.geometry import dense_workspace
 
 from orthoscale.actions.fix import fix
 from orthoscale.actions.requests import FixRequest
@@ -17,7 +17,7 @@ from orthoscale.actions.several import fix_all, models_in
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.system.outputs import MARK
+from orthoscale.system.outputs import FOLDER_MARK
 
 pycolmap = pytest.importorskip("pycolmap")
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
@@ -73,7 +73,7 @@ def test_a_model_without_evidence_does_not_stop_the_others(work, tmp_path):
     (work / "sparse/1/points3D.bin").write_bytes(b"\0" * 5)
     outcomes = fix_all(models_in(work), tmp_path / "out", FixRequest(**OPTIONS))
     assert [outcome.error is None for outcome in outcomes] == [True, False]
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [MARK, "0", "models.json"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [FOLDER_MARK, "0", "models.json"]
     assert json.loads((tmp_path / "out/models.json").read_text())["1"]["exit_code"] == 5
 
     (tmp_path / "few.json").write_text('{"DJI_0225.jpg": []}')

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.boxes import Boxes, matched
+from ..core.boxes import SAME_VEHICLE, Boxes, matched
 from ..core.calibration import Calibration, MarginFit, fit_margin, scaled_fleet
 from ..core.detections import UNKNOWN_RULER
 from ..core.fleet import Fleet
+from ..core.pooling.posterior import ROBUST_SD
 from ..core.pooling.robust import pool
 from ..core.projection.planar import ground_size
 from ..core.ruler import Ruler
@@ -20,16 +21,14 @@ from ..core.source import Plan
 from ..core.votes import gather
 from ..detect.detector import Detector
 from ..detect.find import Progress
-from ..detect.sweep import SAME_BOX
 from ..detect.tiles import sweep
 from ..detect.zoom import check_zoom
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleets import load_fleet
 
 LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms, as shares of the detector's best; a vehicle must show in all
-FEWEST = 20  # vehicles; a mean length is then known to 2 %
+FEWEST_VEHICLES = 20  # vehicles; a mean length is then known to 2 %
 NO_PRIOR = (6.0, 4.0)  # how far the margin of a detector without a card may be from none, one sigma [detector px]
-ROBUST = 1.48  # a normal distribution's standard deviation per median absolute deviation
 DISAGREEMENT = 0.02  # between --gsd and the georeferencing, from which on it is worth a note
 
 
@@ -74,10 +73,10 @@ def calibrate(
 
     looks = [sweep(source.pictures, z, network, step(k))[source.picture_names[0]] for k, z in enumerate(zooms)]
     looks = same_vehicles(looks)
-    if len(looks[0]) < FEWEST:
+    if len(looks[0]) < FEWEST_VEHICLES:
         raise TooLittleEvidence(
             f"{path}: {len(looks[0])} vehicles detected at all three resampling factors, "
-            f"{FEWEST} are needed for a calibration",
+            f"{FEWEST_VEHICLES} are needed for a calibration",
             "Give an orthophoto with more vehicles, and check its scale (--gsd).",
         )
     ruler, fits, used, factor = measure_ruler(looks, zooms, gsd, prior, network.card.ruler)
@@ -123,7 +122,7 @@ def same_vehicles(looks: Sequence[Boxes]) -> list[Boxes]:
     """The boxes of vehicles that show in all looks, row by row the same vehicle."""
     rows = [np.arange(len(looks[0]))]
     for before, here in zip(looks, looks[1:], strict=False):
-        i, j, _ = matched(before[rows[-1]], here, SAME_BOX)
+        i, j, _ = matched(before[rows[-1]], here, SAME_VEHICLE)
         rows = [*(r[i] for r in rows), j]
     return [look[r] for look, r in zip(looks, rows, strict=True)]
 
@@ -184,7 +183,7 @@ def box_noise(looks: Sequence[Boxes], zooms: np.ndarray) -> tuple[float, float]:
     noise = []
     for (a, za), (b, zb) in zip(zip(looks, zooms, strict=True), list(zip(looks, zooms, strict=True))[1:], strict=False):
         ratio = np.log(b.xylwa[:, 2:4] / a.xylwa[:, 2:4])
-        spread = ROBUST * np.median(np.abs(ratio - np.median(ratio, axis=0)), axis=0)
+        spread = ROBUST_SD * np.median(np.abs(ratio - np.median(ratio, axis=0)), axis=0)
         # Two boxes differ by both their noises, each a share of its own size in pixels.
         size = np.median(a.xylwa[:, 2:4], axis=0)
         noise.append(spread * size / np.hypot(1 / za, 1 / zb))

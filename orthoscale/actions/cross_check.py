@@ -21,10 +21,10 @@ from ..errors import TooLittleEvidence, UsageError
 if TYPE_CHECKING:
     from .result import Result
 
-SAME_VEHICLE = 0.35  # of a vehicle's length: how far apart one may stand in the two
-LIKELY = 0.25  # the two scales differ by less, so that chance alignments need not be tried
-PAIRS = 20_000  # pairs of vehicles that are tried
-MIN_COMMON = 6
+SAME_POSITION = 0.35  # of a vehicle's length: how far apart one may stand in the two
+LIKELY_RATIO = 0.25  # the two scales differ by less, so that chance alignments need not be tried
+PAIRS_TRIED = 20_000  # pairs of vehicles that are tried
+MIN_MATCHED = 6
 BY_CHANCE = 1e-3  # of so many tries, how many may reach as many common vehicles where there are none
 
 
@@ -72,7 +72,7 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     found = match(
         pixels * ortho.scale.value,
         places * model.scale.value,
-        SAME_VEHICLE * float(np.median(model.vehicles["length"][model.scale.used])),
+        SAME_POSITION * float(np.median(model.vehicles["length"][model.scale.used])),
     )
     if found is None:
         raise TooLittleEvidence(
@@ -97,7 +97,7 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
     Both in about the same unit (to LIKELY); `reach` is how far apart a pair may be. Pairs of points in `a` are laid on
     pairs of like distance in `b`; the best of those is refined by least squares (Umeyama 1991). Seeded.
     """
-    if min(len(a), len(b)) < MIN_COMMON:
+    if min(len(a), len(b)) < MIN_MATCHED:
         return None
     i, j = np.triu_indices(len(a), 1)
     k, m = np.where(~np.eye(len(b), dtype=bool))  # either way round
@@ -106,18 +106,18 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
     far = np.flatnonzero(da > np.percentile(da, 30))  # near pairs turn too freely
     random = np.random.default_rng(0)
     order = np.argsort(db)
-    low, high = (np.searchsorted(db[order], da[far] * f) for f in (1 - LIKELY, 1 + LIKELY))
+    low, high = (np.searchsorted(db[order], da[far] * f) for f in (1 - LIKELY_RATIO, 1 + LIKELY_RATIO))
     room = np.maximum(high - low, 0)
     if not room.sum():
         return None
-    pick = random.choice(len(far), PAIRS, p=room / room.sum())
-    partner = order[low[pick] + (random.random(PAIRS) * room[pick]).astype(int)]
+    pick = random.choice(len(far), PAIRS_TRIED, p=room / room.sum())
+    partner = order[low[pick] + (random.random(PAIRS_TRIED) * room[pick]).astype(int)]
     p = far[pick]
     factor = (zb[m[partner]] - zb[k[partner]]) / (za[j[p]] - za[i[p]])
     shift = zb[k[partner]] - factor * za[i[p]]
     tree = cKDTree(b)
     counts = []
-    for part in np.array_split(np.arange(PAIRS), PAIRS // 1000):
+    for part in np.array_split(np.arange(PAIRS_TRIED), PAIRS_TRIED // 1000):
         z = factor[part, None] * za + shift[part, None]
         distance = tree.query(np.stack([z.real, z.imag], -1), distance_upper_bound=reach)[0]
         counts.append((distance < np.inf).sum(1))
@@ -127,12 +127,12 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
         z = f * za + s
         distance, index = tree.query(np.stack([z.real, z.imag], -1), distance_upper_bound=reach)
         near = distance < np.inf
-        if near.sum() < MIN_COMMON:
+        if near.sum() < MIN_MATCHED:
             return None
         x, y = za[near], zb[index[near]]
         f = np.vdot(x - x.mean(), y - y.mean()) / np.vdot(x - x.mean(), x - x.mean())
         s = y.mean() - f * x.mean()
     chance = len(a) * min(len(b) * np.pi * reach**2 / max(float(np.prod(np.ptp(b, axis=0))), 1e-300), 1.0)
-    if PAIRS * pdtrc(int(near.sum()) - 1, chance) > BY_CHANCE:
+    if PAIRS_TRIED * pdtrc(int(near.sum()) - 1, chance) > BY_CHANCE:
         return None
     return float(abs(f)), int(near.sum())

@@ -55,10 +55,10 @@ def estimate(
 
     Where the vehicles' boxes come from
     fleet : code of the country's fleet, or a JSON file; by default the calibration's own, else ``world``.
-    detections : boxes from a file instead of the detector; see `exchange` for the formats.
+    detections : boxes from a file instead of the detector; see `formats.detections` for them.
     detector : an ONNX file instead of the shipped one.
-    decoder : how to read its outputs, where they do not tell (`detect.layout.DECODERS`). vehicle_classes : names or
-    numbers of the classes that count, instead of those called small vehicles.
+    decoder : how to read its outputs, where they do not tell (`detect.output_forms.DECODERS`).
+    vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
     calibration : file of `orthoscale.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : resampling factor (detector pixels per picture pixel), or the expected metres per pixel, instead of
     the search for it. refine : look at every vehicle four times more, turned and at neighbouring zooms.

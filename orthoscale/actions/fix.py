@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ..core.source import Plan, PosedSet, Source
 from ..errors import Incomplete, UsageError
 from ..formats.detections import check_name, save
-from ..report.extras import EXTRAS, chosen
+from ..report.extras import WRITERS, chosen
 from ..report.files import write_report
 from ..sources.opening import open_source
 from ..system.outputs import Outputs
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .requests import FixOptions
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
-REPORTS = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by its level
+REPORT_FILES = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by its level
 
 
 def fix(
@@ -44,7 +44,7 @@ def fix(
     overwrite : replace what orthoscale wrote at `out` before. override : rescale although the input's own
     georeferencing gives a scale. keep_origin : an orthophoto keeps its coordinate reference system, first corner and
     direction; else local metres.
-    cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.EXTRAS`.
+    cog : write a cloud-optimised GeoTIFF. also : more files for other programs, of `orthoscale.report.extras.WRITERS`.
     force : write although the evidence is too uncertain to be useful (verdict ``unusable``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
     report : ``html``, ``json`` (without the page) or ``none``.
@@ -99,8 +99,8 @@ def written(
 def report_paths(out: Path, source: Source, report: str) -> dict[str, Path]:
     """Where `fix` writes the parts of a report: beside the scaled orthophoto `out`, or into the folder `out`."""
     if source.plan is not None:
-        return {kind: _beside(out, f".{kind}") for kind in REPORTS[report]}
-    return {kind: out / ("vehicles.png" if kind == "png" else f"report.{kind}") for kind in REPORTS[report]}
+        return {kind: _beside(out, f".{kind}") for kind in REPORT_FILES[report]}
+    return {kind: out / ("vehicles.png" if kind == "png" else f"report.{kind}") for kind in REPORT_FILES[report]}
 
 
 def _writer(source: Source, out: Path, request: FixRequest) -> _PlanWriter | _PosedWriter:
@@ -132,9 +132,9 @@ class _PlanWriter:
         parts = {kind: outputs.file(place) for kind, place in parts.items()}
         self.places_of_extras = [outputs.file(extra.place(self.out), extra.known(self.out)) for extra in self.extras]
         # What lies beside the file that is replaced would speak for the new one.
-        for kind in set(REPORTS["html"]) - set(parts):
+        for kind in set(REPORT_FILES["html"]) - set(parts):
             outputs.retire(_beside(self.out, f".{kind}"))
-        for extra in EXTRAS.values():
+        for extra in WRITERS.values():
             if extra not in self.extras:
                 outputs.retire(extra.place(self.out), extra.known(self.out))
         return main, parts

@@ -245,6 +245,7 @@ class EstimateRequest(VehicleRequest):
 
     @property
     def of_detector(self) -> Iterable[str]:
+        """Names of the options that say how to detect, which boxes from a file leave without effect."""
         return (*super().of_detector, *OF_LOOKING)
 
     def check_for(self, source: Source) -> None:

@@ -100,15 +100,17 @@ class Result:
 
     @property
     def scale(self) -> Scale:
+        """The scale, its interval and its verdict."""
         return self.measured.scale
 
     @property
     def votes(self) -> Votes:
+        """The vehicles' measurements that were pooled."""
         return self.measured.votes
 
     @property
     def vehicles(self) -> np.ndarray:
-        """(N,) structured array, a row for each vehicle with its metres (`measuring.vehicles.VEHICLE`)."""
+        """(N,) structured array, a row for each vehicle with its metres (`core.measuring.vehicles.VEHICLE`)."""
         return self.measured.vehicles
 
     @property

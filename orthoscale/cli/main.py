@@ -10,7 +10,7 @@ from importlib import import_module
 
 import click
 
-from ..errors import LONGEST, InputError, OrthoscaleError, shown
+from ..errors import LONGEST_MESSAGE, InputError, OrthoscaleError, shown
 from ..system import stopping
 from ..version import __version__
 from .options import EXIT_CODES, say, set_verbosity
@@ -35,9 +35,11 @@ class Commands(click.Group):
     """Commands by name, in the order in which a newcomer meets them."""
 
     def list_commands(self, context: click.Context) -> list[str]:
+        """Names in the order of COMMANDS, which is that of the help; nothing is imported."""
         return list(COMMANDS)
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        """The command `name`, whose module is imported only now; None where there is none."""
         if name not in COMMANDS:
             return None
         return getattr(import_module(f".{COMMANDS[name]}", __package__), name)
@@ -82,11 +84,11 @@ def main() -> None:
         sys.exit(141)
     except OSError as error:  # those of outputs are OutputErrors by now
         place = "" if error.filename is None else f"{error.filename}: "
-        message = shown(f"{place}cannot be read ({error.strerror or error})", LONGEST)
+        message = shown(f"{place}cannot be read ({error.strerror or error})", LONGEST_MESSAGE)
         _complain(message, "Check the file and its permissions.", debug)
         sys.exit(InputError.exit_code)
     except Exception as error:  # a bug of ours: still no traceback in a user's face
-        _complain(shown(error, LONGEST), "", debug)
+        _complain(shown(error, LONGEST_MESSAGE), "", debug)
         if not debug:
             click.echo("This is a bug in orthoscale. Run again with --debug and report what it shows.", err=True)
         sys.exit(1)

@@ -57,6 +57,7 @@ class AnyPath(click.Path):
         super().__init__(path_type=Path, readable=False)
 
     def convert(self, value: Any, param: click.Parameter | None, context: click.Context | None) -> Any:
+        """A Path of what was given; an empty text is a usage error."""
         if not str(value):
             self.fail("an empty name is no path", param, context)
         return Path(value)

@@ -49,10 +49,12 @@ class Boxes:
 
     @classmethod
     def empty(cls) -> Boxes:
+        """No boxes."""
         return cls(np.empty((0, 5)), np.empty(0))
 
     @classmethod
     def concatenate(cls, parts: Sequence[Boxes]) -> Boxes:
+        """All boxes of `parts`, in their order; none of no parts."""
         if not parts:
             return cls.empty()
         xylwa, score, spread = (

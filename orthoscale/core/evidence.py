@@ -31,6 +31,7 @@ class Evidence:
 
     @property
     def posterior(self) -> Posterior:
+        """The same as a normal distribution of the scale's logarithm."""
         return Posterior.normal(float(np.log(self.value)), self.relative_sd)
 
 

@@ -53,6 +53,7 @@ class Scale:
 
     @property
     def relative_sd(self) -> float:
+        """One sigma of the value as a share of it: all parts together, as independent."""
         return float(np.sqrt(sum(sd**2 for sd in self.parts.values())))
 
     @property
@@ -73,6 +74,7 @@ class Scale:
 
     @property
     def vehicles_used(self) -> int:
+        """How many vehicles the value rests on."""
         return int(self.used.sum())
 
     @property

@@ -8,10 +8,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from .projection.view import Views
+from .projection.view import LOWEST_ELEVATION, Views
 
-LOWEST_ELEVATION = 25.0  # [deg] flatter rays meet the ground too far off, and see vehicles from the side
 NEAR_NADIR = 60.0  # [deg] elevation of the viewing ray from which a frame may pass for an orthophoto
+
+NO_DATA_GREY = 114
 
 
 class Picture(Protocol):

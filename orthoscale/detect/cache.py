@@ -18,9 +18,9 @@ from ..core.boxes import Boxes
 from ..core.detections import Tile
 from ..core.source import Picture
 from .detector import Detector
-from .tiles import BORDER, CONFIRMING_ZOOM, OVERLAP, TILE, Looks
+from .tiles import CONFIRMING_ZOOM, OVERLAP, TILE, TILE_BORDER, Looks
 
-KEPT = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
+KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
 CODE = ("boxes.py", "detect/*.py", "sources/raster.py", "sources/picture_file.py")  # what decides over the looks
 NO_MATTER = {"cache.py", "find.py", "order.py", "promise.py", "sweep.py", "workers.py", "zoom.py"}  # what does not
 
@@ -44,7 +44,7 @@ def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> s
         "pictures": [[picture.name, of()] for picture, of in zip(pictures, prints, strict=True) if of],
         "detector": [detector.sha256, repr(detector.card), repr(detector.layout)],
         "zoom": [zoom, CONFIRMING_ZOOM],
-        "tiles": [TILE, OVERLAP, BORDER],
+        "tiles": [TILE, OVERLAP, TILE_BORDER],
         "code": _code_hash(),
     }
     return hashlib.sha256(json.dumps(settings).encode()).hexdigest()
@@ -89,6 +89,7 @@ class TileCache:
         self._close()
 
     def get(self, picture: Picture, tile: Tile) -> Looks | None:
+        """What was seen of `tile` before, or None: never looked at, or the entry is damaged. Raises nothing."""
         if self._file is None:
             return None
         name = _name(picture, tile)
@@ -102,6 +103,7 @@ class TileCache:
         return _looks(row[0])
 
     def put(self, picture: Picture, tile: Tile, looks: Looks) -> None:
+        """Keep what was seen of `tile`. Raises nothing: what cannot be written is looked at again next time."""
         if self._file is None:
             return
         name, content = _name(picture, tile), _content(looks)
@@ -145,7 +147,7 @@ def _open(path: Path) -> sqlite3.Connection:
 
 def _forget_old(folder: Path) -> None:
     for path in folder.glob("*.sqlite"):
-        if time.time() - path.stat().st_mtime > KEPT:
+        if time.time() - path.stat().st_mtime > KEPT_SECONDS:
             path.unlink(missing_ok=True)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..core.boxes import Boxes
 
 # How `training/targets.py` writes boxes; see there.
-STRIDE = 4
+MAP_STRIDE = 4
 LENGTH_UNIT, WIDTH_UNIT = 32.0, 14.0
 
 
@@ -23,8 +23,8 @@ def decode_maps(maps: np.ndarray, threshold: float) -> Boxes:
     heat, dx, dy, log_length, log_width, cos2, sin2 = maps[:, y, x].astype(np.float64)
     xylwa = np.stack(
         [
-            (x + dx + 0.5) * STRIDE,
-            (y + dy + 0.5) * STRIDE,
+            (x + dx + 0.5) * MAP_STRIDE,
+            (y + dy + 0.5) * MAP_STRIDE,
             LENGTH_UNIT * np.exp(np.clip(log_length, -4, 4)),
             WIDTH_UNIT * np.exp(np.clip(log_width, -4, 4)),
             np.arctan2(sin2, cos2) / 2,

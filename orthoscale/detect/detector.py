@@ -15,6 +15,7 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
 from ..core.ruler import Ruler
+from ..core.source import NO_DATA_GREY
 from ..errors import InputError
 from ..formats.reading import checked, parsed
 from ..system.budget import require
@@ -25,12 +26,11 @@ from .output_forms import Layout, Normalisation, Shape, recognise
 SHIPPED = "small_vehicle.onnx"
 # A shared library with operators that onnxruntime lacks; MMDeploy's networks need its libmmdeploy_onnxruntime_ops.
 OPERATORS = "ORTHOSCALE_ONNX_OPS"
-GREY = 114 / 255  # around pictures smaller than the network's input, as a share of white
-OVERLAP = 128  # of neighbouring windows, for networks whose input is smaller than the image [px]
+OVERLAP = 128  # shared by neighbouring tiles or windows [px of the input]; more than the longest usable vehicle
 VEHICLES = "vehicle"
 CARD, CARD_HINT = "a network with an orthoscale card that can be read", "Export it with training.export."
 LONGEST_CARD = 100_000  # characters
-TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # of images
+IMAGE_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # of images
 MOST = 10_000  # boxes of one kind in one look, before those of one vehicle are made one; honest ones are some hundreds
 CUT = 2.0  # boxes closer than this to a window's edge may be cut by it [px]
 CUT_OBJECT = 8.0  # the same for objects, which are larger, and so are the errors of their boxes [px]
@@ -46,7 +46,7 @@ class Card:
     sure : the mean confidence of two looks above which a vehicle counts; 0 where both looks' showing it is enough.
     effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
     stride : height and width of its input must be multiples of this [px].
-    body : what the vehicles that it finds are shaped like, one of `projection.exact.BODIES`.
+    body : what the vehicles that it finds are shaped like, one of `core.projection.exact.BODIES`.
     """
 
     name: str
@@ -107,9 +107,10 @@ class Detector:
     ):
         """Load a network once.
 
-        path : an ONNX file; None: the shipped weights. decoder : its layout (`layout.DECODERS`), where it is not to be
-        recognised. vehicle_classes : names or numbers of the classes that count, instead of those called small
-        vehicles. threads : work on one image together; 0 for as many as there are cores. Raises InputError, UsageError.
+        path : an ONNX file; None: the shipped weights.
+        decoder : the form of its outputs (`detect.output_forms.DECODERS`), where it is not to be recognised.
+        vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
+        threads : work on one image together; 0 for as many as there are cores. Raises InputError, UsageError.
         """
         self.settings = (path, decoder, tuple(vehicle_classes))
         self.notes: list[str] = []
@@ -128,7 +129,7 @@ class Detector:
         if len(inputs) != 1:
             raise InputError(f"{path}: a network with {len(inputs)} inputs, not one image")
         ((_, kind, shape),) = inputs
-        if kind not in TYPES:
+        if kind not in IMAGE_TYPES:
             raise InputError(f"{path}: its input is a {kind}, not an image of single or half precision")
         shapes = {name: _shape(sizes) for name, _, sizes in outputs}
         layout = recognise(path, meta, _shape(shape), shapes, decoder, vehicle_classes)
@@ -137,7 +138,7 @@ class Detector:
             layout = replace(layout, multiple=self.card.stride, normalisation=self.card.normalisation)
         self.layout = layout
         self.sha256 = hashlib.sha256(content).hexdigest()
-        self._type = TYPES[kind]
+        self._type = IMAGE_TYPES[kind]
 
     def __call__(self, image: np.ndarray, threshold: float | None = None) -> Boxes:
         """Boxes in `image`, RGB uint8 (h, w, 3), before non-maximum suppression; coordinates in its pixels."""
@@ -174,7 +175,7 @@ class Detector:
         std = np.array(how.std, np.float32)[:, None, None]
         shift = np.array(how.mean, np.float32)[:, None, None] / std
         padded = np.empty((1, 3, rows, columns), np.float32)
-        padded[:] = GREY * 255 / std
+        padded[:] = NO_DATA_GREY / std
         pixels = image if how.channels == "RGB" else image[..., ::-1]
         np.multiply(pixels.transpose(2, 0, 1), 1 / std, out=padded[0, :, :height, :width])
         if shift.any():

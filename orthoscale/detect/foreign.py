@@ -18,7 +18,7 @@ from ..system.budget import in_words, memory
 from . import foreign_worker
 from .foreign_worker import receive, send
 
-LONGEST = 25.0
+LONGEST_SECONDS = 25.0
 """[s] in which a network must be loaded, or look at one image. A sweep takes some hundred looks."""
 
 MOST_OUTPUT = 2**26
@@ -81,7 +81,7 @@ class Worker:
         with self._turn:
             stdin, stdout = self._process.stdin, self._process.stdout
             assert stdin is not None and stdout is not None  # pipes were asked for
-            clock = threading.Timer(LONGEST, self._too_late)
+            clock = threading.Timer(LONGEST_SECONDS, self._too_late)
             clock.start()
             try:
                 send(stdin, head, body)
@@ -111,7 +111,7 @@ class Worker:
     def _died(self, what: str) -> InputError:
         if self._late:
             return InputError(
-                f"{self._path}: the network takes more than {LONGEST:.0f} s to {what}",
+                f"{self._path}: the network takes more than {LONGEST_SECONDS:.0f} s to {what}",
                 "Take a smaller one, or a faster machine.",
             )
         return self._too_large(what, f" (its process ended with {self._process.returncode})")

@@ -37,6 +37,7 @@ def receive(pipe: IO[bytes]) -> tuple[dict, bytes]:
 
 
 def main() -> None:
+    """Serve requests from standard input until it ends; answers go to standard output, see the module's text."""
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     # What libraries print is nobody's answer.
     silence = os.open(os.devnull, os.O_RDWR)

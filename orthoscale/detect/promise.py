@@ -14,9 +14,9 @@ from .detector import Detector
 from .tiles import look
 
 FAR = 0.25  # zoom of the far look as a share of the sweep's: a sixteenth of its pixels
-SCORE = 0.5  # what the detector must be sure of there; empty ground seldom looks so much like a vehicle from afar
-MANY = 64  # tiles from which a far look pays
-LOOKS = 64  # tiles that are looked at from far away; half a second on two cores
+FAR_SCORE = 0.5  # what the detector must be sure of there; empty ground seldom looks so much like a vehicle from afar
+MANY_TILES = 64  # tiles from which a far look pays
+FAR_TILES = 64  # tiles that are looked at from far away; half a second on two cores
 UNPROMISING = 0.125  # how early tiles without a promise come, against those with one; never 0, for promises err
 
 
@@ -32,11 +32,11 @@ def promise(
     All promising tiles weigh the same, however many vehicles they promise: every vehicle in them has the same chance to
     be seen, be it in a car park or in front of a lonely house.
     """
-    if len(jobs) < MANY:
+    if len(jobs) < MANY_TILES:
         return np.ones(len(jobs))
 
     weight = np.full(len(jobs), UNPROMISING)
-    chosen = np.sort(order[:LOOKS]).tolist()
+    chosen = np.sort(order[:FAR_TILES]).tolist()
     with ThreadPoolExecutor(workers) as pool:
         for k, promised in enumerate(pool.map(lambda number: hint(jobs[number], detect), chosen)):
             weight[chosen[k]] = 1.0 if promised else UNPROMISING
@@ -49,4 +49,4 @@ def hint(job: tuple[Picture, Tile], detect: Detector) -> bool:
     """Whether a far look at one tile shows anything like a vehicle."""
     picture, tile = job
     size = {"out_width": max(1, round(tile.out_width * FAR)), "out_height": max(1, round(tile.out_height * FAR))}
-    return len(look(picture, replace(tile, **size), lambda image: detect(image, threshold=SCORE))) > 0
+    return len(look(picture, replace(tile, **size), lambda image: detect(image, threshold=FAR_SCORE))) > 0

@@ -14,14 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.boxes import Boxes, matched, suppress
+from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Tile
 from ..core.source import Picture
 from .find import Progress
 from .tiles import Detect, place, read, tiles
 
-SAME_BOX = 0.5  # overlap at which two views show the same vehicle
-FEWEST = 3  # views of a vehicle, the first included, from which a median says more than a single box
+FEWEST_VIEWS = 3  # views of a vehicle, the first included, from which a median says more than a single box
 # What is known of a box's spread from all boxes counts like so many views of its own (Smyth 2004, moderated variances):
 # five views alone know a standard deviation only to a third.
 PRIOR_VIEWS = 4
@@ -86,7 +85,7 @@ def agreed(boxes: Boxes, views: Sequence[Boxes]) -> Boxes:
     rows = np.full((1 + len(views), len(boxes), 5), np.nan)
     rows[0] = boxes.xylwa
     for row, view in zip(rows[1:], views, strict=True):
-        i, j, _ = matched(boxes, view, SAME_BOX)
+        i, j, _ = matched(boxes, view, SAME_VEHICLE)
         row[i] = view.xylwa[j]
     count = np.isfinite(rows[..., 0]).sum(0)
     rows[..., 4] = (rows[..., 4] - boxes.angle + np.pi / 2) % np.pi - np.pi / 2  # turns away from the first
@@ -94,7 +93,7 @@ def agreed(boxes: Boxes, views: Sequence[Boxes]) -> Boxes:
     xylwa = np.nanmedian(rows, axis=0)
     xylwa[:, 2:4] = np.exp(xylwa[:, 2:4])
     xylwa[:, 4] += boxes.angle
-    many = count >= FEWEST
+    many = count >= FEWEST_VIEWS
     spread = np.full((len(boxes), 2), np.nan)
     if many.any():
         freedom = (count[many] - 1)[:, None]

@@ -7,16 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.boxes import Boxes, matched, suppress
+from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Swept, Tile
 from ..core.source import Picture
 from .cache import TileCache
 from .tiles import Looks
 from .workers import Visit
 
-SAME_BOX = 0.5  # overlap at which two looks show the same vehicle
 FIRST = 16  # tiles that are looked at before asking whether they are enough
-FEWEST = 4  # tiles of any later batch
+SMALLEST_BATCH = 4  # tiles of any later batch
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def _next_batch(seen: int, excess: float) -> int:
     """How many more tiles, when the spread after `seen` of them is `excess` times the target: it falls with the square
     root of their number. At most as many again, because the guess is rough."""
     wanted = seen * (excess**2 - 1)
-    return int(max(min(wanted, seen), FEWEST))
+    return int(max(min(wanted, seen), SMALLEST_BATCH))
 
 
 def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int, sure: float) -> Found:
@@ -112,7 +111,7 @@ def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], ca
 def _in_both(pairs: Sequence[tuple[Boxes, Boxes]], sure: float) -> tuple[Boxes, Boxes]:
     """Boxes that both looks at some tiles show, `sure` enough together, and the others of the first look."""
     first, second = (suppress(Boxes.concatenate([pair[k] for pair in pairs])) for k in (0, 1))
-    i, j, _ = matched(first, second, SAME_BOX)
+    i, j, _ = matched(first, second, SAME_VEHICLE)
     xylwa = first.xylwa[i].copy()
     xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
     score = (first.score[i] + second.score[j]) / 2

@@ -19,7 +19,7 @@ from .detector import CUT_OBJECT, VEHICLES, Detector
 
 TILE = 1024  # side of the network's input [px]
 OVERLAP = 128  # shared by neighbouring tiles [px of the input]; more than the longest usable vehicle
-BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
+TILE_BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
 TILE_SIZE = 600  # [byte] that a tile takes while it waits for its turn
 # The second look, half an octave coarser: half the pixels, another view of each mistake.
 CONFIRMING_ZOOM = float(1 / np.sqrt(2))
@@ -99,10 +99,13 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect) -> Looks:
 
 
 def read(picture: Picture, tile: Tile) -> np.ndarray:
+    """The tile's pixels at its zoom: RGB uint8 (out_height, out_width, 3)."""
     return picture.read(tile.x, tile.y, tile.width, tile.height, tile.out_width, tile.out_height)
 
 
-def place(boxes: Boxes, tile: Tile, border: float = BORDER) -> Boxes:
+def place(boxes: Boxes, tile: Tile, border: float = TILE_BORDER) -> Boxes:
+    """`boxes` of a tile [px of the input] in pixels of its picture; those that come nearer than `border` [px of the
+    input] to the tile's edge are left out, for they may be cut, and a neighbouring tile shows them whole."""
     whole = boxes[boxes.inside(tile.out_width, tile.out_height, border)]
     return whole.mapped(tile.width / tile.out_width, (tile.x, tile.y))
 

@@ -20,15 +20,19 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..core.alike import all_alike
-from ..core.boxes import Boxes, matched, suppress
+from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Tile
 from ..core.source import Picture
 from ..errors import UsageError
 from .detector import Card
 from .tiles import Detect, look, tiles
 
+# Where these numbers come from: BUDGET's second and DECODED's ratio were measured on two cores. The rest follows from
+# what each comment says, or was chosen by eye when the search was written (commits b828208, ab86001, 039154f), so that
+# vehicles of 8 to 400 px, few of them among many mistakes, and ground without any come out right (tests/test_zoom.py).
+# No script has tuned them, and nobody has measured how much better others would be.
 # Zooms looked at: octaves that bring vehicles of 8 to 400 px into the detector's range, each into that of two or three.
-LEVELS = 2.0 ** np.arange(-4, 2.1, 1.0)
+ZOOM_LEVELS = 2.0 ** np.arange(-4, 2.1, 1.0)
 WINDOW = 768  # side of a sample window [px of the network's input]
 # Network pixels looked at per zoom in the first round, about a second on two cores. Where a zoom is the right one these
 # are 0.16 km2 of ground, whatever it is, so the same budget for all of them is fair.
@@ -37,23 +41,20 @@ DECODED = 8.0  # pixels that are decoded in the time in which one is looked at (
 WIDER = (4, 16)  # times as much in later rounds, but only at zooms where the rounds before promise vehicles
 USUAL = (1 / 8, 1.0)  # where nothing is promised, zooms of drone pictures (1 to 12 cm/px) get one look more
 PROMISING = 0.5  # votes that make a length worth another look; one vehicle that two zooms agree on gives as much
-ENOUGH = 14.0  # votes (of 1 at most each) after which no further round is needed
-CLEAR = (4.0, 0.35)  # so are fewer votes, where the second best length has less than this share of them
-FEWEST = 2.0  # votes below which no zoom is right; five vehicles that two zooms agree on give more
+ENOUGH_VOTES = 14.0  # votes (of 1 at most each) after which no further round is needed
+CLEAR_WINNER = (4.0, 0.35)  # so are fewer votes, where the second best length has less than this share of them
+FEWEST_VOTES = 2.0  # votes below which no zoom is right; five vehicles that two zooms agree on give more
 # Share of the best length's votes from which another length is about as likely. On twelve places and two orthophotos of
 # known scale the second best has 0.04 to 0.19, on rendered towns of panels and graves up to 0.7.
 AMBIGUOUS = 0.4
-NEAR_AND_FAR = (
-    4.0  # factor between lengths up to which they may be the same vehicles', in frames from nearer or farther
-)
-SAME_BOX = 0.5  # overlap at which two zooms see the same vehicle
+NEAR_AND_FAR = 4.0  # factor between lengths that may be the same vehicles', in frames from nearer and farther
 AGREED = (0.3, 0.6)  # share of boxes that two zooms agree on, of mistakes and of vehicles: from none to all of a vote
 LEAST_VOTE = 0.05  # that is left however few are agreed on
 MISTAKE_EVERY = 2e6  # network pixels, in which zooms agree on one by chance, where ground is busy
 VISIBLE = 1.15  # times the least usable length, from which a zoom should confirm what another sees
 KERNEL = 0.12  # width of the vote histogram's kernel in log length, about the spread of a fleet's lengths
-BLOCK = 8192  # votes that are counted at once
-MAX_ZOOM = 4.0
+VOTES_AT_ONCE = 8192  # votes that are counted at once
+MAX_ZOOM = 4.0  # that the search chooses: vehicles of 8 px become 32 px long, what enlarging shows them at best
 HIGHEST_ZOOM = 10.0  # that may be asked for: vehicles are then 4 px long, half of what can be measured
 
 
@@ -117,7 +118,7 @@ def search_zoom(
     clear; where none does, it is soon said that there are none.
     """
     longest = max(max(p.width, p.height) for p in pictures)
-    levels = [_Level(float(z)) for z in LEVELS if longest * z >= 3 * card.usable_length[0]]
+    levels = [_Level(float(z)) for z in ZOOM_LEVELS if longest * z >= 3 * card.usable_length[0]]
     order = np.random.default_rng(seed).permutation(len(pictures))
 
     def look_at(chosen: Sequence[_Level], budget: float) -> _Votes:
@@ -144,7 +145,7 @@ def search_zoom(
         votes = look_at(promised, times * BUDGET)
     return ZoomChoice(
         zoom=1.0 if votes.length is None else float(min(card.best_length / votes.length, MAX_ZOOM)),
-        vehicle_px=votes.length if votes.best >= FEWEST else None,
+        vehicle_px=votes.length if votes.best >= FEWEST_VOTES else None,
         votes=votes.best,
         rival_px=votes.rival_length,
         rival=votes.rival,
@@ -224,7 +225,7 @@ class _Votes:
     @property
     def clear(self) -> bool:
         """Whether looking on would change nothing."""
-        return self.best >= ENOUGH or (self.best >= CLEAR[0] and self.rival < CLEAR[1])
+        return self.best >= ENOUGH_VOTES or (self.best >= CLEAR_WINNER[0] and self.rival < CLEAR_WINNER[1])
 
     def promises(self, usable: np.ndarray) -> bool:
         """Whether a length between these two [px of the picture] has enough votes to look for more of it."""
@@ -258,8 +259,8 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
     grid = np.arange(log_length.min() - 0.1, log_length.max() + 0.1, 0.02)
     standing_each = weight / np.concatenate(chance)
     votes = standing = np.zeros(len(grid))
-    for k in range(0, len(weight), BLOCK):
-        block = slice(k, k + BLOCK)
+    for k in range(0, len(weight), VOTES_AT_ONCE):
+        block = slice(k, k + VOTES_AT_ONCE)
         near = np.exp(-0.5 * ((grid[:, None] - log_length[block]) / KERNEL) ** 2)
         votes, standing = votes + near @ weight[block], standing + near @ standing_each[block]
     best = int(np.argmax(standing))
@@ -317,5 +318,5 @@ def _confirmed(boxes: Boxes, others: Boxes | None) -> tuple[Boxes, Boxes]:
     """The pairs of boxes that two zooms agree on."""
     if others is None:
         return Boxes.empty(), Boxes.empty()
-    i, j, _ = matched(boxes, others, SAME_BOX)
+    i, j, _ = matched(boxes, others, SAME_VEHICLE)
     return boxes[i], others[j]

@@ -117,7 +117,7 @@ def _ablation_table(text: dict[str, Any], method: str) -> list[str]:
     if not mine:
         return []
     lines = ["", f"{method}: MAPE (used ratio) by score above, and at least so many vehicles"]
-    lines.append(f"{'':8s}" + "".join(f"{count:>16d}" for count in score.COUNTS))
+    lines.append(f"{'':8s}" + "".join(f"{count:>16d}" for count in score.VEHICLE_COUNTS))
     for min_score in score.SCORES:
         row = [a for a in mine if a["min_score"] == min_score]
         cells = (f"{_percent(a['mape'])} ({100 * a['used_ratio']:.0f} %)" for a in row)

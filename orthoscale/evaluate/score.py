@@ -15,7 +15,7 @@ from .methods import METHODS, Estimate
 from .readers import Sample, changed
 
 SCORES = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
-COUNTS = (1, 3, 5, 8, 12, 20)
+VEHICLE_COUNTS = (1, 3, 5, 8, 12, 20)
 PITCH_ERRORS = (-5.0, -2.0, -1.0, 0.0, 1.0, 2.0, 5.0)  # [deg]
 FOCAL_ERRORS = (-0.05, -0.02, 0.0, 0.02, 0.05)
 Step = Callable[[int, int], None] | None
@@ -91,7 +91,7 @@ def ablation(
     for k, min_score in enumerate(SCORES):
         rows = score(samples, found, fleet, methods, min_score)
         for method in methods:
-            for count in COUNTS:
+            for count in VEHICLE_COUNTS:
                 line = summary(rows, method, count)
                 wanted = ("used", "used_ratio", "mape", "bias")
                 lines.append(

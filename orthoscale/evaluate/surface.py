@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..sources.raster import open_dataset, reading
 
 RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
-LOWEST = 0.10  # share of the heights there, the lowest, whose mean is the ground: roofs and crowns are above
+LOWEST_SHARE = 0.10  # share of the heights there, the lowest, whose mean is the ground: roofs and crowns are above
 
 
 class Surface:
@@ -68,4 +68,4 @@ class Surface:
         known = known[np.isfinite(known) & (known > -1000)]
         if not len(known):
             return None
-        return float(known[: max(1, round(LOWEST * len(known)))].mean())
+        return float(known[: max(1, round(LOWEST_SHARE * len(known)))].mean())

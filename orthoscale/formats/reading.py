@@ -21,6 +21,8 @@ LARGE = 256 * MIB  # a list of vehicles: two million boxes
 HUGE = 1024 * MIB  # a model with its points
 DEEPEST = 64  # levels of nesting; the formats read here have ten at most
 
+EXPORT_ANEW = "The file is damaged or was cut off: copy it again, or export it anew."
+
 T = TypeVar("T")
 
 # How texts begin that Python and numpy give to errors in values.

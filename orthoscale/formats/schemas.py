@@ -38,7 +38,7 @@ InputPx = Annotated[float, Meta(gt=0, le=10_000)]  # a vehicle in a network's in
 
 
 class RulerEntry(Struct, forbid_unknown_fields=True):
-    """`pooling.ruler.Ruler`."""
+    """`core.ruler.Ruler`."""
 
     margin: tuple[PxOfDetector, PxOfDetector] = Ruler.margin
     margin_sd: tuple[PxSd, PxSd] = Ruler.margin_sd
@@ -51,6 +51,7 @@ class RulerEntry(Struct, forbid_unknown_fields=True):
 
     @property
     def ruler(self) -> Ruler:
+        """The same as a value of the core."""
         return Ruler(**{name: getattr(self, name) for name in self.__struct_fields__})
 
 
@@ -60,7 +61,7 @@ def _check_body(name: str) -> None:
 
 
 class NormalisationEntry(Struct):
-    """`detect.layout.Normalisation`."""
+    """`detect.output_forms.Normalisation`."""
 
     mean: tuple[Finite, Finite, Finite]
     std: tuple[Positive, Positive, Positive]
@@ -91,10 +92,14 @@ class CardEntry(Struct, forbid_unknown_fields=True):
 
 
 class Task(Struct):
+    """One step of MMDeploy's pipeline; among its transforms is the normalisation."""
+
     transforms: list[dict[str, Any]] = []
 
 
 class Tasks(Struct):
+    """The steps, in their order."""
+
     tasks: list[Task]
 
 
@@ -111,7 +116,7 @@ Spread = Annotated[float, Meta(ge=0, le=10)] | None
 
 
 class BoxEntry(Struct):
-    """One oriented box [px, rad]; `spread` as in `boxes.Boxes`, null where unknown."""
+    """One oriented box [px, rad]; `spread` as in `core.boxes.Boxes`, null where unknown."""
 
     cx: Px
     cy: Px
@@ -127,7 +132,7 @@ BoxesByPicture = dict[str, list[BoxEntry]]
 
 
 class NoteEntry(Struct, kw_only=True):
-    """What is needed to measure with boxes, and what beside the vehicles was found (`detections.Detections`)."""
+    """What is needed to measure with boxes, and what beside the vehicles was found (`core.detections.Detections`)."""
 
     zoom: Annotated[float, Meta(gt=1e-4, le=1e3)]
     effective_height: tuple[Height, Height]
@@ -158,6 +163,8 @@ class ReferenceLla(Struct):
 
 
 class CocoImage(Struct):
+    """An entry of ``images``; its size [px] may be missing, written as 0."""
+
     id: int | str
     file_name: Text
     width: Annotated[float, Meta(ge=0, le=1e7)] = 0
@@ -165,11 +172,15 @@ class CocoImage(Struct):
 
 
 class CocoCategory(Struct):
+    """An entry of ``categories``: what annotations are of."""
+
     id: int | str
     name: Text
 
 
 class CocoAnnotation(Struct):
+    """A box: a ``segmentation`` of four corners (x, y, x, y ...) [px], or a ``bbox`` with an angle."""
+
     image_id: int | str
     category_id: int | str | None = None
     segmentation: list[list[Px]] | dict[str, Any] | None = None
@@ -179,10 +190,14 @@ class CocoAnnotation(Struct):
 
 
 class CocoInfo(Struct):
+    """``info``, in which orthoscale keeps what COCO has no field for."""
+
     orthoscale: NoteEntry | None = None
 
 
 class Coco(Struct):
+    """COCO's detection format, https://cocodataset.org/#format-data."""
+
     annotations: list[CocoAnnotation]
     images: list[CocoImage] = []
     categories: list[CocoCategory] = []
@@ -190,28 +205,40 @@ class Coco(Struct):
 
 
 class GeoGeometry(Struct):
+    """GeoJSON's geometry (RFC 7946); coordinates are checked where they are read."""
+
     type: Name
     coordinates: Any = None
 
 
 class GeoFeature(Struct):
+    """One vehicle: its outline and its properties."""
+
     geometry: GeoGeometry | None
     properties: dict[str, Any] | None = None
 
 
 class GeoCrsName(Struct):
+    """The reference system's name, an EPSG code as a URN."""
+
     name: Text
 
 
 class GeoCrs(Struct):
+    """The member ``crs`` of GeoJSON 2008, which RFC 7946 dropped and GIS programs still write."""
+
     properties: GeoCrsName
 
 
 class GeoNote(Struct):
+    """Orthoscale's own member: whether coordinates are pixels."""
+
     coordinates: str | None = None
 
 
 class GeoCollection(Struct):
+    """A FeatureCollection of vehicles."""
+
     features: list[GeoFeature]
     crs: GeoCrs | None = None
     orthoscale: GeoNote | None = None
@@ -238,6 +265,8 @@ def _check_sizes(entry: FleetEntry | MixturePart) -> None:
 
 
 class MixturePart(Struct, rename={"class_": "class"}):
+    """One class of a mixture: mean and one sigma of its sizes [m], and its share of the fleet as a weight."""
+
     class_: Name
     length: Sizes
     width: Sizes
@@ -247,7 +276,7 @@ class MixturePart(Struct, rename={"class_": "class"}):
 
 
 class FleetEntry(Struct):
-    """An entry of ``data/fleets.json``, and a user's file; see `fleet.Fleet`."""
+    """An entry of ``data/fleets.json``, and a user's file; see `core.fleet.Fleet`."""
 
     name: Text
     source: Text
@@ -275,6 +304,8 @@ class FleetEntry(Struct):
 
 
 class Segment(Struct, rename={"class_": "class"}):
+    """A market segment: its sizes [m] over `models` models on sale."""
+
     class_: Name
     length: Sizes
     width: Sizes
@@ -291,7 +322,7 @@ class FleetTable(Struct):
 
 
 class CalibrationEntry(Struct):
-    """`calibration.Calibration`."""
+    """`core.calibration.Calibration`."""
 
     kind: Literal["orthoscale calibration 1"]
     detector: Text
@@ -305,6 +336,8 @@ class CalibrationEntry(Struct):
 
 
 class Standard(Struct):
+    """The standard size of one kind of object [m], and who says so."""
+
     name: Text
     length: Sizes
     width: Sizes
@@ -318,6 +351,8 @@ class ObjectTable(Struct):
 
 
 class Stall(Struct):
+    """The width of a country's parking stalls and what it strays by, one sigma [m]."""
+
     width: Metres
     width_sd: Sigma
 
@@ -360,10 +395,14 @@ class FacilityEntry(Struct):
 
 
 class Catalogue(Struct):
+    """A user's facilities by their code."""
+
     facilities: dict[str, FacilityEntry]
 
 
 class Bay(Struct):
+    """A parking bay of one country and the aisle before it [m]."""
+
     length: Extent
     width: Extent
     aisle: Extent
@@ -426,17 +465,23 @@ class Explained(Struct):
 
 
 class ReportInput(Struct):
+    """What was measured, and the hash of its content."""
+
     path: Annotated[str, Meta(min_length=1, max_length=10_000)]
     sha256: Name
 
 
 class ReportBox(Struct):
+    """One box that showed a vehicle: centre, length, width [px], angle [rad]."""
+
     picture: Text
     xylwa_px: tuple[Px, Px, PxLength, PxLength, Finite]
     score: Share
 
 
 class ReportVehicle(Struct):
+    """A vehicle's size and place [m], whether it counted, and why not."""
+
     length: Finite
     width: Finite
     place_m: tuple[Finite, Finite]
@@ -446,12 +491,16 @@ class ReportVehicle(Struct):
 
 
 class ReportSize(Struct):
+    """A fleet's mean, spread between vehicles and what the mean may be off by, one sigma each [m]."""
+
     mean: Metres
     sd: Sigma
     mean_sd: Sigma
 
 
 class ReportClass(Struct):
+    """One class of the fleet that was measured with: weight, mean and one sigma of length and width [m]."""
+
     name: Text
     weight: Weight
     mean: tuple[Metres, Metres]
@@ -459,12 +508,16 @@ class ReportClass(Struct):
 
 
 class ReportFleet(Struct):
+    """The sizes [m] that a scale rests on."""
+
     length: ReportSize
     width: ReportSize
     classes: list[ReportClass]
 
 
 class ReportEvidence(Struct):
+    """What else but vehicles told a scale, with its relative one sigma."""
+
     kind: Text
     scale: Positive
     relative_sd: Finite
@@ -504,7 +557,7 @@ Row = tuple[Finite, Finite, Finite, Finite]
 
 
 class Sim3Entry(Struct):
-    """`rescale.sim3.Sim3`."""
+    """`formats.geometry.sim3.Sim3`."""
 
     scale: Finite
     rotation_wxyz: Row
@@ -531,6 +584,8 @@ class Intrinsics(Struct, kw_only=True):
 
 
 class Frame(Intrinsics, kw_only=True):
+    """A picture of ``transforms.json``: camera to world (4, 4), OpenGL's axes (y up, z backwards)."""
+
     file_path: Text
     transform_matrix: tuple[Row, Row, Row, Row]
 
@@ -544,6 +599,8 @@ class Transforms(Intrinsics, kw_only=True):
 
 
 class OpensfmCamera(Struct):
+    """A camera of OpenSfM: size [px], focal lengths and centre as shares of the longer side."""
+
     width: Size
     height: Size
     projection_type: Name = "perspective"
@@ -561,16 +618,22 @@ class OpensfmCamera(Struct):
 
 
 class Placed(Struct):
+    """Something with a place; world to camera, as OpenSfM writes it."""
+
     translation: Vector
 
 
 class Shot(Placed):
+    """A picture: rotation from the world to the camera as an axis times its angle [rad]."""
+
     rotation: Vector
     camera: Text
     gps_dop: Finite | UnsetType = UNSET
 
 
 class Point(Struct):
+    """A point of the cloud [units of the model], its colour 0 to 255."""
+
     coordinates: Vector
     color: Vector = (128.0, 128.0, 128.0)
 
@@ -586,10 +649,14 @@ class OpensfmPart(Struct):
 
 
 class GltfAsset(Struct):
+    """Metadata, in whose ``extras`` a scene in metres is marked."""
+
     extras: dict[str, Any] | None = None
 
 
 class GltfScene(Struct):
+    """Indices of the nodes at the top."""
+
     nodes: list[Count] = []
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import InputError, UsageError, shown
 from ..formats.reading import checked, read_plain, reason
 
-HINT = 'Expected {"facilities": {CODE: {"name", "length", "width", "ends", "sides", "source"}}} in metres.'
+CATALOGUE_HINT = 'Expected {"facilities": {CODE: {"name", "length", "width", "ends", "sides", "source"}}} in metres.'
 ARC_STEP = 6.0  # [deg] between the points of a drawn arc
 
 
@@ -119,15 +119,17 @@ def load(path: Path | None = None) -> dict[str, Facility]:
         return {code: _facility(code, entry, built_in) for code, entry in built_in.items()}
     from ..formats.schemas import Catalogue
 
-    own = read_plain(path, "a catalogue", HINT)
-    checked(own, Catalogue, str(path), "a catalogue", HINT)
+    own = read_plain(path, "a catalogue", CATALOGUE_HINT)
+    checked(own, Catalogue, str(path), "a catalogue", CATALOGUE_HINT)
     entries = {**built_in, **own["facilities"]}
     facilities = {}
     for code, entry in entries.items():
         try:
             facilities[code.lower()] = _facility(code.lower(), entry, entries)
         except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{path}: not a catalogue (facilities.{shown(code)}: {reason(error)})", HINT) from error
+            raise InputError(
+                f"{path}: not a catalogue (facilities.{shown(code)}: {reason(error)})", CATALOGUE_HINT
+            ) from error
     return facilities
 
 

@@ -14,7 +14,7 @@ from .ground import Ground
 from .place import Placed
 
 LINE_M = 0.05  # width of painted lines [m]: 5 cm in the rules of basketball, tennis and others
-MARGIN = 0.06  # of the lot, around it
+DRAWING_MARGIN = 0.06  # of the lot, around it
 OVERLAY = 1600  # longest side of the overlay [px]
 LOT, RUN_OFF = (255, 220, 40), (255, 255, 255)  # RGB
 FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -33,7 +33,7 @@ class Window:
 def window_of(ground: Ground, lot: BaseGeometry) -> Window:
     """The lot with a margin, inside of the picture."""
     x0, y0, x1, y1 = ground.mapped(lot, ground.to_pixels).bounds
-    margin = MARGIN * max(x1 - x0, y1 - y0)
+    margin = DRAWING_MARGIN * max(x1 - x0, y1 - y0)
     left, top = max(0, int(x0 - margin)), max(0, int(y0 - margin))
     right, bottom = min(ground.source.width, int(x1 + margin) + 1), min(ground.source.height, int(y1 + margin) + 1)
     return Window(left, top, right - left, bottom - top)

@@ -17,7 +17,7 @@ from ..formats.vector import write_layer
 from . import draw
 from .plan import Layout, document, prompt
 
-TILE = 256
+TILE_PX = 256
 
 
 def write(layout: Layout, folder: Path) -> None:
@@ -116,8 +116,8 @@ def _write_grid(layout: Layout, path: Path, bands: np.ndarray, window: draw.Wind
         crs=ground.crs,
         transform=ground.transform,
         tiled=True,
-        blockxsize=TILE,
-        blockysize=TILE,
+        blockxsize=TILE_PX,
+        blockysize=TILE_PX,
         compress="deflate",
         sparse_ok=True,
         bigtiff="IF_SAFER",

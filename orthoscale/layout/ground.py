@@ -20,7 +20,7 @@ from ..formats.reading import LARGE, check_regular, read, read_plain
 from ..sources.raster import RasterSource
 
 AREA_HINT = "Give the polygon of the area as GeoJSON, GeoPackage ..."
-FARTHEST = 1e9  # of a polygon's coordinates, whatever their unit
+FARTHEST_M = 1e9  # of a polygon's coordinates, whatever their unit
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def _polygons(path: Path) -> tuple[BaseGeometry, str | None]:
         meta, _, shapes, _ = pyogrio.raw.read(path)
         parts = [shapely.make_valid(shapely.force_2d(shapely.from_wkb(s))) for s in shapes if s is not None]
         area = shapely.union_all([p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon"])
-        sound = not area.is_empty and bool((np.abs(shapely.get_coordinates(area)) < FARTHEST).all())
+        sound = not area.is_empty and bool((np.abs(shapely.get_coordinates(area)) < FARTHEST_M).all())
     except Exception as error:  # GDAL's and GEOS's errors share no base
         raise InputError(f"{path}: no vector file that GDAL can read ({shown(str(error))})", AREA_HINT) from error
     if not sound:

@@ -25,7 +25,7 @@ STEP, COARSE_STEP = 5.0, 15.0  # [deg] between directions that are tried, to pla
 SLACK = 1e-3  # [m] by which a rectangle may touch what it must not cross
 PRECISION = 0.05  # [m] to which it is told how much is missing
 WORTH_TELLING = 0.5  # share of a side that must be left for "so many metres shorter" to be an option
-CORNERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
+UNIT_CORNERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
 ATTEMPTS = 12  # the first four towards one corner each, the others with a corner drawn for each facility
 
 
@@ -122,7 +122,7 @@ def arrange(
         placed, failed, full = list(kept), [], set(hopeless)
         free = _without(space, kept, clearance)
         for facility in by_area:
-            corner = CORNERS[attempt] if attempt < len(CORNERS) else rng.choice(CORNERS)
+            corner = UNIT_CORNERS[attempt] if attempt < len(UNIT_CORNERS) else rng.choice(UNIT_CORNERS)
             found = None if facility.code in full else _best_place(free, facility, directions, corner)
             if found is None:
                 full.add(facility.code)
@@ -132,7 +132,7 @@ def arrange(
             free = _without(free, [found], clearance)
         if best is None or _merit(placed) > _merit(best[0]):
             best = placed, failed
-        if attempt + 1 >= len(CORNERS) and {f.code for f in best[1]} <= hopeless:
+        if attempt + 1 >= len(UNIT_CORNERS) and {f.code for f in best[1]} <= hopeless:
             break
     assert best is not None
     placed, failed = best

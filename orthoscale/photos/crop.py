@@ -26,7 +26,7 @@ from ..sources.raster import RasterSource
 
 MOST_WINDOWS = 100_000
 QUALITY = 95  # of the JPEGs
-COLUMNS = ("file", "longitude", "latitude", "column_px", "row_px", "width_px", "height_px", "width_m", "height_m")
+CROP_COLUMNS = ("file", "longitude", "latitude", "column_px", "row_px", "width_px", "height_px", "width_m", "height_m")
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def write_crops(
     write_jpeg(folder / "query.jpg", photo.read(x, y, width, height, *crops.out), QUALITY)
     with (folder / "manifest.csv").open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
-        table.writerow(COLUMNS)
+        table.writerow(CROP_COLUMNS)
         for k, ((x, y, width, height), (lon, lat)) in enumerate(zip(crops.windows.tolist(), centres, strict=True)):
             name = f"gallery/{k:0{digits}d}.jpg"
             write_jpeg(folder / name, source.read(x, y, width, height, *crops.out), QUALITY)

@@ -23,10 +23,10 @@ SENSOR_ASPECT = 4 / 3
 # Relative one-sigma of the focal length, by where it comes from: a calibration holds to some tenths of a per cent
 # between flights; what people type and makers engrave to one or two. Assumptions, but for the rounding to whole
 # millimetres of a 35 mm equivalent, which is 0.29 mm.
-CALIBRATED_SD, MAKERS_SD, TOLD_SD, NOMINAL_SD, CROP_SD, ZOOM_SD = 0.003, 0.01, 0.01, 0.02, 0.03, 0.1
+CALIBRATED_SD, MAKERS_SD, FOCAL_TOLD_SD, NOMINAL_SD, CROP_SD, ZOOM_SD = 0.003, 0.01, 0.01, 0.02, 0.03, 0.1
 ROUNDING_MM = 0.29
-HINT = "Give Metashape's XML, COLMAP's cameras.txt, or JSON."
-LARGEST = 1e7  # of a camera's size and parameters; pixels
+LENS_HINT = "Give Metashape's XML, COLMAP's cameras.txt, or JSON."
+LARGEST_VALUE = 1e7  # of a camera's size and parameters; pixels
 IMPLAUSIBLE = 0.25  # a maker's calibrated focal length further than this from the 35 mm equivalent has another unit
 
 
@@ -55,7 +55,7 @@ def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = 
     if focal_px is not None:
         if not (math.isfinite(focal_px) and focal_px > 0):
             raise UsageError(f"--focal-px must be a positive number, not {focal_px}")
-        return Lens(brown(size, focal_px, focal_px), TOLD_SD, "given")
+        return Lens(brown(size, focal_px, focal_px), FOCAL_TOLD_SD, "given")
     share = tags.width / tags.full_width  # of the full image's pixels, where the photo was made smaller
     nominal = _nominal(tags)
     if tags.dewarp is not None:
@@ -127,15 +127,15 @@ def read_calibration(path: Path) -> pycolmap.Camera:
     if suffix == ".json":
         return _from_json(path)
     if suffix not in readers:
-        raise InputError(f"{path}: not a calibration file", HINT)
+        raise InputError(f"{path}: not a calibration file", LENS_HINT)
     text = read_text(path, "Give a calibration file.", SMALL)
     try:
         camera = readers[suffix](text)
         largest = max(camera.width, camera.height, *map(abs, camera.params))
-        if not (largest < LARGEST and camera.mean_focal_length() > 0 and min(camera.width, camera.height) > 0):
+        if not (largest < LARGEST_VALUE and camera.mean_focal_length() > 0 and min(camera.width, camera.height) > 0):
             raise ValueError("a focal length or size that is not a positive number")
     except (KeyError, ValueError, TypeError, OverflowError, ElementTree.ParseError) as error:
-        raise InputError(f"{path}: no calibration in it ({reason(error)})", HINT) from error
+        raise InputError(f"{path}: no calibration in it ({reason(error)})", LENS_HINT) from error
     return camera
 
 
@@ -162,7 +162,7 @@ def _from_metashape(text: str) -> pycolmap.Camera:
 def _from_json(path: Path) -> pycolmap.Camera:
     from ..formats.schemas import LensEntry
 
-    lens = read(path, LensEntry, "a calibration of a lens", HINT)
+    lens = read(path, LensEntry, "a calibration of a lens", LENS_HINT)
     fx = lens.fx or lens.focal_px or 0.0  # one of the two is there
     middle = (lens.width / 2 if lens.cx is None else lens.cx, lens.height / 2 if lens.cy is None else lens.cy)
     return brown((lens.width, lens.height), fx, lens.fy or fx, middle, (lens.k1, lens.k2, lens.p1, lens.p2, lens.k3))

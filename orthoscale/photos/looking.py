@@ -39,14 +39,17 @@ class Album:
 
     @property
     def path(self) -> Path:
+        """The photo, or the folder of the first one: what a message is about."""
         return self.photos[0].path if len(self.photos) == 1 else self.photos[0].path.parent
 
     @property
     def pictures(self) -> list[PictureFile]:
+        """The photos' pixels, in their order; each is read by windows."""
         return [photo.picture for photo in self.photos]
 
     @property
     def picture_names(self) -> list[str]:
+        """Their names, by which detections are kept."""
         return [photo.name for photo in self.photos]
 
 

@@ -27,7 +27,7 @@ from ..core.pooling.posterior import Z90
 from ..core.pooling.robust import MIN_VEHICLES
 from ..core.projection.exact import BODIES, ground_size
 from ..core.projection.level import level_axes, level_views, up_from_gimbal
-from ..core.projection.view import Views
+from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.scale import PER_PIXEL, Scale
 from ..core.verdicts import UNUSABLE, VERDICTS, verdict
 from ..core.votes import Votes
@@ -38,7 +38,6 @@ from ..sources.undistort import undistort
 from .lens import Lens, brown, lens_of
 from .tags import Tags, read_tags
 
-LOWEST_ELEVATION = np.radians(25.0)  # flatter rays meet the ground too far off, and see vehicles from the side
 # One sigma of pitch and roll [rad]: a gimbal's own word (it trembles by some tenths of a degree, and its zero is off by
 # as much), what a person tells, and a nadir that nobody told. Assumptions.
 GIMBAL_SD, TOLD_SD, ASSUMED_SD = np.radians([0.5, 1.0, 3.0])
@@ -50,7 +49,7 @@ IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 class Photo:
     """One photo: its pixels, its lens, and which way it looks.
 
-    up : (3,) the vertical in camera coordinates, as in `projection.level`. up_sd : one sigma of its tilt [rad].
+    up : (3,) the vertical in camera coordinates, as in `core.projection.level`. up_sd : one sigma of its tilt [rad].
     attitude : where that comes from, for people.
     """
 
@@ -64,6 +63,7 @@ class Photo:
 
     @property
     def picture(self) -> PictureFile:
+        """The photo's pixels, read by windows."""
         return PictureFile(self.name, self.path, self.tags.width, self.tags.height)
 
     @property
@@ -74,7 +74,7 @@ class Photo:
     def views(self, pixels: np.ndarray, altitude: float) -> tuple[Views, np.ndarray]:
         """How level ground `altitude` below is seen at pixels (N, 2); and (N,) bool whether it is, steeply enough."""
         plane, lens, ok = undistort(self.lens.camera, pixels)
-        views, seen = level_views(plane, lens, self.up, altitude, LOWEST_ELEVATION)
+        views, seen = level_views(plane, lens, self.up, altitude, np.radians(LOWEST_ELEVATION))
         return views, ok & seen
 
     def turned(self, axis: np.ndarray, angle: float) -> Photo:
@@ -152,6 +152,7 @@ class Measure:
 
     @classmethod
     def log_normal(cls, value: float, sd: float) -> Measure:
+        """A value and its 90 % interval, for one sigma `sd` of its logarithm."""
         return cls(value, value * np.exp(-Z90 * sd), value * np.exp(Z90 * sd))
 
     def __mul__(self, factor: float) -> Measure:

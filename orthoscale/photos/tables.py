@@ -16,7 +16,7 @@ from ..errors import UsageError
 from ..system.outputs import has_header
 from .measure import Measure, Photo, PhotoScale
 
-FORMATS = (".csv", ".json", ".gpkg")
+TABLE_SUFFIXES = (".csv", ".json", ".gpkg")
 MEASURES = ("scale_m_per_px", "altitude_m", "gsd_m", "footprint_width_m", "footprint_height_m")
 
 
@@ -89,7 +89,7 @@ def document(
     return text | {"rows": [row(outcome) for outcome in outcomes]}
 
 
-def check_ending(path: Path, formats: Sequence[str] = FORMATS) -> None:
+def check_ending(path: Path, formats: Sequence[str] = TABLE_SUFFIXES) -> None:
     """Raises UsageError for a name that says no format."""
     if path.suffix.lower() not in formats:
         raise UsageError(f"{path.name} is none of {', '.join(formats)}", "The file's ending sets its format.")

@@ -9,7 +9,7 @@ from typing import Any
 from .measure import Measure, PhotoScale
 from .tables import Outcome
 
-LONGEST = 40  # photos that are listed
+LISTED = 40  # photos that are listed
 
 
 def summary(
@@ -29,12 +29,12 @@ def summary(
     if len(outcomes) > 1:
         lines.append(f"measured   {text['measured']} of {text['photos']} photos ({100 * text['used_ratio']:.0f} %)")
         width = max(len(o.name) for o in outcomes)
-        for o in outcomes[:LONGEST]:
+        for o in outcomes[:LISTED]:
             got = o.measured
             line = o.problem if got is None else _short(got)
             lines.append(f"  {o.name:{width}s}  {line}")
-        if len(outcomes) > LONGEST:
-            lines.append(f"  and {len(outcomes) - LONGEST} more: --out TABLE.csv has them all")
+        if len(outcomes) > LISTED:
+            lines.append(f"  and {len(outcomes) - LISTED} more: --out TABLE.csv has them all")
     photos = [o.photo for o in outcomes if o.photo is not None]
     lines.append(f"fleet      {text['fleet']} ({text['fleet_name']})")
     lines += _told("focal", [f"{p.lens.focal_px:.1f} px, {p.lens.source}" for p in photos])

@@ -15,7 +15,7 @@ from ..core.pooling.posterior import Z90
 from .judgement import signed
 from .places import Frame, Region
 
-WIDTH = 360  # of every chart; the page shows it at 300 to 480 px, so that 12 stays a readable size of letters
+CHART_WIDTH = 360  # of every chart; the page shows it at 300 to 480 px, so that 12 stays a readable size of letters
 LETTER = 6.8  # width of one, about
 BARS = 18  # of a histogram, about
 BADGE = (40.0, 30.0)  # smallest size of a region's box, for its figures
@@ -49,7 +49,7 @@ def histogram(used: np.ndarray, rejected: np.ndarray, fleet: Sequence[tuple[floa
     density = (weight * np.exp(-0.5 * ((x[:, None] - mean) / sd) ** 2) / sd).sum(1) / np.sqrt(2 * np.pi)
     curve = density * len(used) * step
     top = max(float((counts[0] + counts[1]).max()), float(curve.max()), 1.0)
-    left, right, base, height = 8.0, WIDTH - 8.0, 138.0, 112.0
+    left, right, base, height = 8.0, CHART_WIDTH - 8.0, 138.0, 112.0
 
     def px(value: float) -> float:
         return left + (value - edges[0]) / (edges[-1] - edges[0]) * (right - left)
@@ -73,7 +73,7 @@ def histogram(used: np.ndarray, rejected: np.ndarray, fleet: Sequence[tuple[floa
     for value in np.arange(np.ceil(edges[0] / tick), edges[-1] / tick + 1e-9) * tick:
         parts.append(_line(px(value), base, px(value), base + 4))
         parts.append(_text(min(max(px(value), left + 8), right - 8), base + 17, f"{value:.3g}"))
-    parts.append(_text(WIDTH / 2, base + 33, f"{what} in metres"))
+    parts.append(_text(CHART_WIDTH / 2, base + 33, f"{what} in metres"))
     if beyond[0]:
         parts.append(_text(left, base + 33, f"← {beyond[0]}", anchor="start", class_="out"))
     if beyond[1]:
@@ -87,7 +87,7 @@ def estimates(rows: Sequence[Row], band: tuple[float, float], label: str) -> Mar
     """Values under one another on one axis in per cent of the answer, whose 90 % interval is the grey `band`."""
     ends = [*band, *(v for row in rows for v in (row.value, *(row.interval or ())))]
     reach = min(max(1.1 * max(map(abs, ends)), 0.02), 0.6)
-    left, right, step, top = 18.0 + LETTER * max(len(row.name) for row in rows), WIDTH - 58.0, 25.0, 6.0
+    left, right, step, top = 18.0 + LETTER * max(len(row.name) for row in rows), CHART_WIDTH - 58.0, 25.0, 6.0
     bottom = top + step * len(rows)
 
     def px(value: float) -> float:
@@ -103,7 +103,7 @@ def estimates(rows: Sequence[Row], band: tuple[float, float], label: str) -> Mar
             parts.append(_tag("line", x1=px(row.interval[0]), y1=y, x2=px(row.interval[1]), y2=y, class_="interval"))
         parts.append(_tag("circle", cx=px(row.value), cy=y, r=5 if row.strong else 4, class_="used"))
         if row.value:
-            parts.append(_text(WIDTH, y + 4, signed(row.value), anchor="end", class_=kind))
+            parts.append(_text(CHART_WIDTH, y + 4, signed(row.value), anchor="end", class_=kind))
     parts.append(_line(left, bottom, right, bottom))
     for value in _ticks(reach):
         parts.append(_line(px(value), bottom, px(value), bottom + 4))
@@ -120,14 +120,14 @@ def place_map(vehicles: np.ndarray, regions: Sequence[Region], label: str) -> Ma
     low, high = np.minimum(vehicles.min(0), edges.min(0)), np.maximum(vehicles.max(0), edges.max(0))
     border = 0.02 * max(float((high - low).max()), 1e-9)
     low, high = low - border, high + border
-    zoom = min((WIDTH - BADGE[0]) / (high[0] - low[0]), 320 / (high[1] - low[1]))
-    shift = (WIDTH - zoom * (high[0] - low[0])) / 2
+    zoom = min((CHART_WIDTH - BADGE[0]) / (high[0] - low[0]), 320 / (high[1] - low[1]))
+    shift = (CHART_WIDTH - zoom * (high[0] - low[0])) / 2
 
     def px(x: float, y: float) -> tuple[float, float]:
         return shift + (x - low[0]) * zoom, BADGE[1] / 2 + (high[1] - y) * zoom
 
     height = zoom * (high[1] - low[1]) + BADGE[1]
-    parts = [_tag("rect", x=0, y=0, width=WIDTH, height=height, rx=4, class_="paper")]
+    parts = [_tag("rect", x=0, y=0, width=CHART_WIDTH, height=height, rx=4, class_="paper")]
     for region in regions:
         x, y = px(region.x, region.y)
         wide, tall = max(region.width * zoom, BADGE[0]), max(region.height * zoom, BADGE[1])
@@ -149,7 +149,7 @@ def place_map(vehicles: np.ndarray, regions: Sequence[Region], label: str) -> Ma
 def frames(rows: Sequence[Frame], label: str) -> Markup:
     """One mark for each frame, in their order, with its 90 % interval; odd ones stand out."""
     reach = min(max(1.05 * max(abs(row.deviation) for row in rows), 0.04), 0.5)
-    left, right, top, height = 46.0, WIDTH - 4.0, 6.0, 120.0
+    left, right, top, height = 46.0, CHART_WIDTH - 4.0, 6.0, 120.0
 
     def py(value: float) -> float:
         return top + height / 2 - min(max(value, -reach), reach) / reach * height / 2
@@ -187,7 +187,8 @@ def _tick(value: float) -> str:
 
 
 def _svg(height: float, parts: Sequence[Markup], label: str) -> Markup:
-    head = Markup('<svg viewBox="0 0 {} {:.0f}" role="img" aria-label="{}" class="chart">').format(WIDTH, height, label)
+    head = Markup('<svg viewBox="0 0 {} {:.0f}" role="img" aria-label="{}" class="chart">')
+    head = head.format(CHART_WIDTH, height, label)
     return head + Markup("").join(parts) + Markup("</svg>")
 
 

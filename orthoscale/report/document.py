@@ -244,6 +244,7 @@ def completed(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def write_json(report: Mapping[str, Any], path: Path) -> None:
+    """Write the report as UTF-8 to `path`, which the caller makes appear whole. Raises OSError."""
     path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 

@@ -12,8 +12,8 @@ from ..core.pooling.posterior import Z90
 from .lettering import BLACK, WHITE, text_width, write_on
 
 FULL = 0.1  # relative deviation with full colour
-SMALLER, NEUTRAL, LARGER = np.array([70, 110, 220]), np.array([245, 245, 245]), np.array([220, 90, 60])  # RGB
-SMALLEST = 8  # letters that can be read [px]
+SMALLER_RGB, NEUTRAL_RGB, LARGER_RGB = np.array([70, 110, 220]), np.array([245, 245, 245]), np.array([220, 90, 60])
+SMALLEST_LETTERS = 8  # letters that can be read [px]
 
 
 def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) -> np.ndarray:
@@ -33,7 +33,7 @@ def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) ->
     for cell in drift["cells"]:
         x, y, count, deviation, sd = (cell[name] for name in ("x_px", "y_px", "vehicles", "deviation", "sd"))
         share = float(np.clip(deviation / FULL, -1, 1))
-        colour = NEUTRAL + abs(share) * ((LARGER if share > 0 else SMALLER) - NEUTRAL)
+        colour = NEUTRAL_RGB + abs(share) * ((LARGER_RGB if share > 0 else SMALLER_RGB) - NEUTRAL_RGB)
         low = np.round((np.array([x, y]) - half) * zoom).astype(int) + (0, title)
         high = np.round((np.array([x, y]) + half) * zoom).astype(int) + (0, title)
         cv2.rectangle(panel, low.tolist(), high.tolist(), colour.tolist(), -1)
@@ -41,7 +41,7 @@ def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) ->
         middle, across = (low + high) / 2, int(high[0] - low[0])
         figures = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", f"{int(count)} vehicles"
         size = min(16, int(0.9 * across / max(text_width(line, 100) / 100 for line in figures)))
-        if size >= SMALLEST:
+        if size >= SMALLEST_LETTERS:
             for row, line in zip((-0.6, 0.6), figures, strict=True):
                 write_on(panel, (middle[0], middle[1] + 1.2 * size * row), line, size, BLACK, WHITE, "mm")
     return panel

@@ -24,7 +24,7 @@ WITHOUT_COUNTRY = ("WORLD", "auto")
 COUNTRY_SHARE = (
     0.5  # a country's mean is known about twice as well as the world's (fleet table: 2 to 3 % against 5.6 %)
 )
-NOTABLE = 0.05  # share of the variance below which a part is not worth a remedy
+NOTABLE_SHARE = 0.05  # share of the variance below which a part is not worth a remedy
 
 
 def explain(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -55,13 +55,13 @@ def explain(report: Mapping[str, Any]) -> dict[str, Any]:
     def remedy(do: str, removed: float) -> None:
         remedies.append({"do": do, "leaves": float(np.sqrt(max(variance - removed, 0)))})
 
-    if share.get("sampling", 0) > NOTABLE:
+    if share.get("sampling", 0) > NOTABLE_SHARE:
         remedy(f"measure four times as many vehicles ({4 * used} instead of {used})", 0.75 * parts["sampling"] ** 2)
-    if share.get("fleet", 0) > NOTABLE and fleet in WITHOUT_COUNTRY:
+    if share.get("fleet", 0) > NOTABLE_SHARE and fleet in WITHOUT_COUNTRY:
         remedy("name the country (--fleet)", (1 - COUNTRY_SHARE**2) * parts["fleet"] ** 2)
-    if share.get("margin", 0) > NOTABLE:
+    if share.get("margin", 0) > NOTABLE_SHARE:
         remedy("use a detector with half the box bias", 0.75 * parts["margin"] ** 2)
-    if share.get("geometry", 0) > NOTABLE:
+    if share.get("geometry", 0) > NOTABLE_SHARE:
         remedy("use steeper views, or more ground points under the vehicles", 0.75 * parts["geometry"] ** 2)
     remedies.sort(key=lambda r: r["leaves"])
     best = [r["do"] for r in remedies if r["leaves"] <= total / 2]

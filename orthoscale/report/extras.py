@@ -97,7 +97,7 @@ def _is_of_tiles(out: Path, path: Path) -> bool:
     return has_header(path, TILE_COLUMNS)
 
 
-EXTRAS = {
+WRITERS = {
     "tfw": Extra(lambda out: out.with_suffix(".tfw"), write_world_file, _says_the_same),
     "scale": Extra(lambda out: out.with_name(f"{out.name}.scale.txt"), write_scale_file),
     "gpkg": Extra(lambda out: out.with_name(f"{out.name}.gpkg"), write_geopackage),
@@ -107,4 +107,5 @@ EXTRAS = {
 
 
 def chosen(kinds: Sequence[str]) -> list[Extra]:
-    return [EXTRAS[kind] for kind in dict.fromkeys(kinds)]
+    """Those of WRITERS that `kinds` names, each once, in the order in which they were asked for."""
+    return [WRITERS[kind] for kind in dict.fromkeys(kinds)]

@@ -12,9 +12,9 @@ from rasterio.warp import transform_geom
 from ..actions.result import Result
 from ..core.source import Placement, Plan
 from ..errors import OutputError, UsageError
+from ..formats.detections.geo import LAYER
 from ..formats.vector import write_layer
 
-LAYER = "vehicles"
 # Used green, others red, as in the picture; what a QGIS layer loads as its default style from the table layer_styles.
 STYLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <qgis styleCategories="Symbology">

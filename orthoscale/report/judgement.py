@@ -22,8 +22,8 @@ FIT = {  # verdict: what the scale is fit for
 }
 SAMPLING = 0.02  # one sigma from which more vehicles would help
 ROUGH = 0.06  # relative difference from which no tick is given, however little is known
-REJECTED = 0.5  # share of the vehicles from which one wonders what the detector found
-MODES = 0.03  # relative difference between the planar and the oblique measurement that is put down to noise
+MANY_REJECTED = 0.5  # share of the vehicles from which one wonders what the detector found
+MODES_NOISE = 0.03  # relative difference between the planar and the oblique measurement that is put down to noise
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def checks(report: Mapping[str, Any]) -> list[Check]:
 def _vehicles(report: Mapping[str, Any]) -> Check:
     used, rejected = report["vehicles_used"], sum(report["vehicles_rejected"].values())
     sampling = report["uncertainty"].get("sampling", 0.0)
-    few, many = sampling > SAMPLING, rejected > REJECTED * (used + rejected)
+    few, many = sampling > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
     what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
     detail = f"{used} used, {rejected} rejected; sampling error {percent(sampling)}"
     return Check("look" if few or many else "ok", what, detail)
@@ -133,7 +133,7 @@ def _modes(report: Mapping[str, Any]) -> Check | None:
         return None
     difference = modes["oblique"]["scale"] / modes["planar"]["scale"] - 1
     agreement = report.get("agreement")
-    ok = abs(difference) <= MODES if agreement is None else not agreement["contradicts"]
+    ok = abs(difference) <= MODES_NOISE if agreement is None else not agreement["contradicts"]
     what = "Planar and oblique agree" if ok else "Planar and oblique disagree"
     sigmas = "" if agreement is None else f" ({agreement['sigmas']:.1f} sigma)"
     return Check("ok" if ok else "look", what, f"oblique frames give {signed(difference)}{sigmas}")
@@ -166,8 +166,10 @@ def metres_of(report: Mapping[str, Any], length: float = 10.0) -> str:
 
 
 def percent(value: float) -> str:
+    """A share with one decimal: 0.0123 is ``1.2 %``."""
     return f"{100 * value:.1f} %"
 
 
 def signed(value: float) -> str:
+    """As `percent`, with its sign; a true minus, as it is printed."""
     return f"{100 * value:+.1f} %".replace("-", "−")

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 JPEG_QUALITY = 82
-MODES = ("planar", "oblique")
+MODE_ORDER = ("planar", "oblique")
 TRENDS = ("percent_per_10_degrees", "percent_per_pixel_doubling")  # of a vehicle's size, before and after calibration
 NAMES = {  # of the report's checks, for people
     "length": "lengths only",
     "width": "widths only",
     "length_minus_width": "length − width",
 }
-FARTHEST = 0.5  # checks further off than this are left to the document: they would squeeze the others into one point
+FARTHEST_CHECK = 0.5  # relative; checks further off are left to the document: they would squeeze the others
 
 
 def page(report: Mapping[str, Any], scene: Scene) -> str:
@@ -120,7 +120,7 @@ def _estimates(report: Mapping[str, Any]) -> Markup:
     low, high = (relative(v, report) for v in report["interval90"])
     rows = [charts.Row("the answer", 0.0, (low, high), strong=True)]
     for name, value in report["checks"].items():
-        if not name.endswith("_sigmas") and name not in MODES:
+        if not name.endswith("_sigmas") and name not in MODE_ORDER:
             rows.append(charts.Row(NAMES.get(name, name.replace("_", " ")), relative(value, report)))
     rows += [_row(name, mode, report) for name, mode in _modes(report).items()]
     for other in report["evidence"]:
@@ -128,13 +128,13 @@ def _estimates(report: Mapping[str, Any]) -> Markup:
         rows.append(charts.Row(other["kind"], at := relative(other["scale"], report), (at - half, at + half)))
     if report["claim"]:
         rows.append(charts.Row("its georeferencing", relative(report["claim"]["claimed"], report)))
-    rows = [row for row in rows if abs(row.value) < FARTHEST]
+    rows = [row for row in rows if abs(row.value) < FARTHEST_CHECK]
     label = "; ".join(f"{row.name} {signed(row.value)}" for row in rows[1:])
     return charts.estimates(rows, (low, high), f"Other estimates of the scale, relative to the answer: {label}")
 
 
 def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:
-    return {name: mode for name in MODES if (mode := report["modes"].get(name))}
+    return {name: mode for name in MODE_ORDER if (mode := report["modes"].get(name))}
 
 
 def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:

@@ -14,20 +14,20 @@ from .drift_map import drift_panel
 from .lettering import BLACK, WHITE, write_on
 from .scene import CHIP, Outline, Panel, Scene
 
-USED, REJECTED = (0, 214, 255), (255, 106, 0)  # RGB; told apart by people who do not tell green from red
-WIDTH = 1100  # of the sheet [px]
-COLUMNS = 6  # of the contact sheet
+USED_RGB, REJECTED_RGB = (0, 214, 255), (255, 106, 0)  # RGB; told apart by people who do not tell green from red
+SHEET_WIDTH = 1100  # of the sheet [px]
+SHEET_COLUMNS = 6  # of the contact sheet
 
 
 def draw(report: Mapping[str, Any], scene: Scene, path: Path) -> None:
     """Write a PNG: the answer, the scene with used (blue) and rejected (orange) vehicles, and a contact sheet."""
-    panels = [_title(report), *(_drawn(panel, WIDTH / panel.image.shape[1]) for panel in scene.overviews)]
+    panels = [_title(report), *(_drawn(panel, SHEET_WIDTH / panel.image.shape[1]) for panel in scene.overviews)]
     if scene.used:
         panels.append(_contact_sheet(scene.used))
     if "cells" in (report.get("drift") or {}):
         ((width, height),) = report["pictures"].values()
-        panels.append(drift_panel(report["drift"], width, height, WIDTH))
-    sheet = np.concatenate([_padded(panel, WIDTH) for panel in panels])
+        panels.append(drift_panel(report["drift"], width, height, SHEET_WIDTH))
+    sheet = np.concatenate([_padded(panel, SHEET_WIDTH) for panel in panels])
     write_png(path, sheet)
 
 
@@ -39,7 +39,7 @@ def _title(report: Mapping[str, Any]) -> np.ndarray:
         f"{used} vehicles used (blue), {rejected} rejected (orange), fleet {report['fleet']}; "
         f"{Path(report['input']['path']).name}",
     ]
-    panel = np.full((62, WIDTH, 3), 255, np.uint8)
+    panel = np.full((62, SHEET_WIDTH, 3), 255, np.uint8)
     for k, line in enumerate(lines):
         write_on(panel, (10, 26 + 27 * k), line, 21 - 4 * k)
     return panel
@@ -63,13 +63,13 @@ def _drawn(panel: Panel, zoom: float) -> np.ndarray:
 def _outlined(image: np.ndarray, outline: Outline, zoom: float) -> None:
     # Sixteenths of a pixel (shift=4); OpenCV's pixel centres are integers, ours end in .5.
     points = np.round((outline.points * zoom - 0.5) * 16).astype(np.int32)
-    colour = USED if outline.used else REJECTED
+    colour = USED_RGB if outline.used else REJECTED_RGB
     cv2.polylines(image, [points], True, colour, 2, cv2.LINE_AA, shift=4)
 
 
 def _contact_sheet(panels: Sequence[Panel]) -> np.ndarray:
     """Vehicles with their boxes and sizes in metres, from the shortest to the longest."""
-    cell = WIDTH // COLUMNS
+    cell = SHEET_WIDTH // SHEET_COLUMNS
     zoom = (cell - 4) / CHIP
     chips = []
     for panel in panels:
@@ -78,8 +78,9 @@ def _contact_sheet(panels: Sequence[Panel]) -> np.ndarray:
         chip[2 : 2 + image.shape[0], 2 : 2 + image.shape[1]] = image
         write_on(chip, (8, cell - 10), panel.title.replace("×", "x"), 15, WHITE, BLACK)
         chips.append(chip)
-    chips += [np.full((cell, cell, 3), 255, np.uint8)] * (-len(chips) % COLUMNS)
-    return np.concatenate([np.concatenate(chips[k : k + COLUMNS], 1) for k in range(0, len(chips), COLUMNS)])
+    chips += [np.full((cell, cell, 3), 255, np.uint8)] * (-len(chips) % SHEET_COLUMNS)
+    starts = range(0, len(chips), SHEET_COLUMNS)
+    return np.concatenate([np.concatenate(chips[k : k + SHEET_COLUMNS], 1) for k in starts])
 
 
 def _padded(panel: np.ndarray, width: int) -> np.ndarray:

@@ -12,10 +12,10 @@ import click
 from ..actions.result import Result
 from ..core.claims import own_claim
 from ..core.pooling.posterior import Z90
-from ..errors import LONGEST, shown
+from ..errors import LONGEST_MESSAGE, shown
 from .judgement import percent
 
-STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
+VERDICT_STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
 
 
 def show(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> None:
@@ -36,7 +36,7 @@ def show(result: Result, written: Mapping[str, Path] = MappingProxyType({})) -> 
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for k, (label, value) in enumerate(rows(result, written)):
-        table.add_row(Text(label, "dim"), Text(value, STYLES[result.scale.verdict] if k == 0 else ""))
+        table.add_row(Text(label, "dim"), Text(value, VERDICT_STYLES[result.scale.verdict] if k == 0 else ""))
     console.print(table)
 
 
@@ -76,7 +76,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     ]
     table += [("note", remark) for remark in result.remarks]
     table += [(label, str(path)) for label, path in written.items()]
-    return [(label, shown(value, LONGEST)) for label, value in table]
+    return [(label, shown(value, LONGEST_MESSAGE)) for label, value in table]
 
 
 def _fleets(fleets: Mapping[str, float]) -> list[tuple[str, str]]:

@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.projection.view import Views
-from ..core.source import LOWEST_ELEVATION
+from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..errors import InputError, OutputError, UsageError
 from ..formats.geometry.dense import GEOMETRY, find_dense, scale_dense, sparse_folders
 from ..formats.geometry.files import reason_left
 from ..formats.geometry.sim3 import MATRIX, Sim3
 from ..formats.points import coordinates, number
-from ..system.outputs import MARK as FOLDER_MARK
+from ..system.outputs import FOLDER_MARK
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
 from .consistency import check_consistency, focal_notes
@@ -37,9 +36,10 @@ IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
 # Geometry beside a model is in the model's old units: a copy would pass for one in metres.
 UNSCALED = GEOMETRY | {".npz", ".npy", ".bin"}
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
-SAME_PLACE = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
-MARK = "sim3.txt"  # by which a model is known to be in metres
-OURS = {MARK, MATRIX, FOLDER_MARK, "sim3.json", "report.json", "report.html", "vehicles.png"}
+SAME_CAMERA = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
+FEW_POINTS = 500  # of three views or more, below which those of two are taken as well; chosen by eye, not tuned
+SCALED_MARK = "sim3.txt"  # by which a model is known to be in metres
+OURS = {SCALED_MARK, MATRIX, FOLDER_MARK, "sim3.json", "report.json", "report.html", "vehicles.png"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ class ColmapSource:
     def ground(self) -> Ground:
         """The ground under the cameras; raises TooLittleEvidence or InputError where there is none."""
         points = np.array([p.xyz for p in self._model.points3D.values() if p.track.length() != 2])
-        if len(points) < 500:  # points that only two images see are the worst, but better than none
+        if len(points) < FEW_POINTS:  # points that only two images see are the worst, but better than none
             points = self.sparse[0]
         return Ground.fit(points, np.array([image.projection_center() for image in self._images.values()]))
 
@@ -139,7 +139,7 @@ class ColmapSource:
     @property
     def metric_already(self) -> str:
         """Why this model counts as metric, empty if it does not: orthoscale's own file lies in its folder."""
-        return f"orthoscale wrote it: {MARK} lies in it" if (self.folder / MARK).is_file() else ""
+        return f"orthoscale wrote it: {SCALED_MARK} lies in it" if (self.folder / SCALED_MARK).is_file() else ""
 
     @cached_property
     def sparse(self) -> tuple[np.ndarray, np.ndarray]:
@@ -268,7 +268,7 @@ class ColmapSource:
             other = read_model(sparse, open_model(sparse).format)
             images = [other.image(i) for i in other.reg_image_ids()]
             apart = [np.linalg.norm(i.projection_center() - here[i.name]) for i in images if i.name in here]
-            if not apart or max(apart) > SAME_PLACE * self.camera_height:
+            if not apart or max(apart) > SAME_CAMERA * self.camera_height:
                 raise InputError(
                     f"{sparse} is not the undistorted model of {self.folder}: its cameras stand elsewhere",
                     "It may be from another run or in metres already: run image_undistorter again.",

@@ -46,7 +46,7 @@ CAMERA_MODELS = {
 }
 MODEL_IDS = {name: model for model, (name, _, _) in CAMERA_MODELS.items()}
 SENSOR_TYPES = {"CAMERA": 0, "IMU": 1}
-COPY_AGAIN = "The file is damaged: copy the model again, or write it anew with `colmap model_converter`."
+WRITE_ANEW = "The file is damaged: copy the model again, or write it anew with `colmap model_converter`."
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ class _Tables:
     paths: dict[str, Path] = field(default_factory=dict)
 
 
-def _damaged(where: str, what: str, hint: str = COPY_AGAIN) -> InputError:
+def _damaged(where: str, what: str, hint: str = WRITE_ANEW) -> InputError:
     return InputError(f"{where}: {what}", hint)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SAMPLE = 50_000  # observations that are looked at, spread over the images
 LEAST_EACH = 30  # of them in every image that has so many
-LEAST = 8  # observations from which an image can be judged
+LEAST_OBSERVATIONS = 8  # observations from which an image can be judged
 # COLMAP's mapper drops observations that are more than 4 px off (filter_max_reproj_error), OpenSfM those over 0.006 of
 # the longer side (bundle_outlier_fixed_threshold). An image is off when half of what it saw is twice as far away; in a
 # picture of many pixels, when it is besides so much worse than the others.
@@ -35,7 +35,9 @@ ONE_PLACE = 0.01
 ONE_LINE = 0.01  # of the line's length: how far its cameras may stand beside it
 FOCAL_FRAMES = 12  # whose EXIF is read
 FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
-HINT = "Cameras, images and points are not of one model, or a file is damaged: copy all of it again from its origin."
+MIXED_UP_HINT = (
+    "Cameras, images and points are not of one model, or a file is damaged: copy all of it again from its origin."
+)
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ def _check_projections(
 
     order = np.argsort(seen.image, kind="stable")
     each = np.split(error[order], np.searchsorted(seen.image[order], np.arange(1, len(images))))
-    judged = np.array([len(errors) >= LEAST for errors in each])
+    judged = np.array([len(errors) >= LEAST_OBSERVATIONS for errors in each])
     if not judged.any():
         return
     middle = np.array([np.median(errors) if ok else 0.0 for errors, ok in zip(each, judged, strict=True)])
@@ -110,11 +112,11 @@ def _check_projections(
         raise InputError(
             f"{where}: camera {camera} has its points {100 * share:+.1f} % farther from the middle of its pictures "
             "than they were seen: its focal length, or the scale of cameras and points, is wrong",
-            HINT,
+            MIXED_UP_HINT,
         )
     far = float(np.mean(error > OFF_FAR * limit[seen.image]))
     if far > OFF_MOST:
-        raise InputError(f"{where}: {100 * far:.0f} % of its points are not where its images saw them", HINT)
+        raise InputError(f"{where}: {100 * far:.0f} % of its points are not where its images saw them", MIXED_UP_HINT)
 
 
 def _projected(
@@ -170,7 +172,7 @@ def _off(
         what = f"image {first}" + (f" and {mine.sum() - 1} more of {len(names)}" if mine.sum() > 1 else "")
     apart = float(np.median(middle[mine]))
     how = f"{apart:.3g} px from" if np.isfinite(apart) else "nowhere near"
-    return InputError(f"{where}: the points of {what} are projected {how} where they were seen", HINT)
+    return InputError(f"{where}: the points of {what} are projected {how} where they were seen", MIXED_UP_HINT)
 
 
 def _check_places(where: object, centres: np.ndarray, distance: float) -> list[str]:

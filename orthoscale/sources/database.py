@@ -6,7 +6,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-LEVELS = 3  # folders above a model in which its database may lie
+FOLDERS_ABOVE = 3  # folders above a model in which its database may lie
 
 
 def pose_priors(folder: Path) -> str:
@@ -14,7 +14,7 @@ def pose_priors(folder: Path) -> str:
 
     Priors are positions that came with the images (GPS); they are in metres or degrees already, not in model units.
     """
-    for place in [folder, *folder.resolve().parents[:LEVELS]]:
+    for place in [folder, *folder.resolve().parents[:FOLDERS_ABOVE]]:
         path = place / "database.db"
         if not path.is_file():
             continue

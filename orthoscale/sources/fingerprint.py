@@ -9,7 +9,7 @@ from pathlib import Path
 from ..errors import InputError
 
 WHOLE = 4 * 2**20  # [byte] files up to this size are read whole
-PLACES, PIECE = 64, 16 * 2**10  # number and size [byte] of the pieces that are read of larger ones
+PIECES, PIECE_BYTES = 64, 16 * 2**10  # number and size [byte] of the pieces that are read of larger ones
 
 
 def fingerprint(paths: Iterable[Path]) -> str:
@@ -27,9 +27,9 @@ def fingerprint(paths: Iterable[Path]) -> str:
                     digest.update(file.read())
                     continue
                 digest.update(f"{path.stat().st_mtime_ns};".encode())
-                for k in range(PLACES):
-                    file.seek(k * (size - PIECE) // (PLACES - 1))
-                    digest.update(file.read(PIECE))
+                for k in range(PIECES):
+                    file.seek(k * (size - PIECE_BYTES) // (PIECES - 1))
+                    digest.update(file.read(PIECE_BYTES))
         except OSError as error:
             raise InputError(f"{path} cannot be read ({error.strerror})", "Was it moved meanwhile?") from error
     return digest.hexdigest()

@@ -16,16 +16,20 @@ from scipy.sparse.linalg import splu
 
 from ..errors import InputError, TooLittleEvidence
 
-MIN_POINTS = 50
+# Where these numbers come from. SETTLES and SPREAD follow from ABOVE and BELOW (tests/test_constants.py computes them).
+# The rest was chosen by eye when the sheet was written, on synthetic flights (tests/test_ground.py) and two real models
+# (sheffield, brighton); no script has tuned them.
+MIN_POINTS = 50  # below which no ground is looked for
 MIN_SHARE = 0.08  # of the points on the ground; clouds without any ground still have 2 to 5 % near some surface
 MAX_POINTS = 200_000  # more do not make the ground any better known, only slower
-MAX_NODES = 40_000
+MAX_NODES = 40_000  # of the sheet's grid, a second's work
 # Stiffness of the sheet (the length that it smooths away) and widest band of points it listens to, both in camera
 # heights: from a stiff sheet that finds the ground to a supple one that follows it.
 SCHEDULE = ((1, 0.06), (0.6, 0.05), (0.35, 0.04), (0.25, 0.03), (0.17, 0.03), *[(0.12, 0.03)] * 3)
 # The sheet listens less far up, where vehicles and shrubs are, than down: in standard deviations of ground points.
 ABOVE, BELOW = 2.0, 3.0
-# Then it settles lower than the middle of normally distributed points, and sees less of them below: by so much.
+# So it settles lower than the middle of normally distributed points: by SETTLES of their standard deviation, which is
+# SPREAD times the median distance of the points below the sheet.
 SETTLES, SPREAD = 0.24, 1.69
 STEEPEST = np.radians(25)  # vehicles neither park nor drive on steeper ground
 

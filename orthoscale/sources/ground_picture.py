@@ -13,18 +13,17 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..core.source import NEAR_NADIR, PosedSet
+from ..core.source import NEAR_NADIR, NO_DATA_GREY, PosedSet
 from ..errors import InputError
 from ..system import budget
-from .picture_file import LARGE, PictureFile, covering, memory, resized, shrunk
+from .picture_file import LARGE_SHARE, PictureFile, covering, memory, resized, shrunk
 
 GROUND = "ground/"  # before the name of a frame: its picture of the ground
 SHOWN_BELOW = 8.0  # [deg] that are shown beyond, so that a vehicle at the limit is whole
 SAMPLES = (32, 24)  # of a frame across and down, to find what it sees of the ground
 CELL = 8  # [px] of the warp; between, it is linear
-GREY = 114  # what has no data
 MIN_SIDE = 64  # [px] below which a picture shows nothing
-ROWS = 512  # that are warped at once
+ROWS_AT_ONCE = 512  # that are warped at once
 
 
 @dataclass(eq=False)
@@ -52,7 +51,7 @@ class GroundPicture:
         if self.frame is None:
             raise InputError(f"{self.image}: its frame is not at hand", "Give the folder of the frames with --images.")
         size = 3 * self.width * self.height
-        if self.frame.large or size > LARGE * budget.memory():
+        if self.frame.large or size > LARGE_SHARE * budget.memory():
             # Only the window, and no finer than wanted: the whole would take as much memory as the frame again.
             shrink = min(width // max(out_width, 1), height // max(out_height, 1))
             part, factor = _warped(self, x, y, width, height, shrink)
@@ -132,7 +131,8 @@ def _warped(picture: GroundPicture, x: int, y: int, width: int, height: int, shr
     assert picture.frame is not None, "asked before"
     with picture.frame.pixels(shrink) as (frame, factor):
         left, top, right, low = covering(x, y, width, height, factor)
-        bands = [_band(picture, frame, factor, left, right, k, min(k + ROWS, low)) for k in range(top, low, ROWS)]
+        starts = range(top, low, ROWS_AT_ONCE)
+        bands = [_band(picture, frame, factor, left, right, k, min(k + ROWS_AT_ONCE, low)) for k in starts]
     return np.concatenate(bands), factor
 
 
@@ -154,6 +154,6 @@ def _band(
 
     maps = [smooth(values) for values in (pixels / factor - 0.5).T]  # OpenCV's pixel centres are integers, ours end .5
     flat = smooth(np.linalg.norm(offset, axis=1)) > 1 / np.tan(np.radians(NEAR_NADIR - SHOWN_BELOW))
-    warped = cv2.remap(frame, maps[0], maps[1], cv2.INTER_CUBIC, borderValue=(GREY,) * 3)
-    warped[flat] = GREY
+    warped = cv2.remap(frame, maps[0], maps[1], cv2.INTER_CUBIC, borderValue=(NO_DATA_GREY,) * 3)
+    warped[flat] = NO_DATA_GREY
     return cv2.cvtColor(warped, cv2.COLOR_BGR2RGB)

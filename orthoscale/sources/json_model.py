@@ -32,7 +32,13 @@ from .one_file import OneFileSource
 if TYPE_CHECKING:
     import pycolmap
 
-PLACES = ("reconstruction.json", "opensfm/reconstruction.json", "transforms.json", "bundle.out", "bundle/bundle.out")
+MODEL_FILES = (
+    "reconstruction.json",
+    "opensfm/reconstruction.json",
+    "transforms.json",
+    "bundle.out",
+    "bundle/bundle.out",
+)
 READ_AT, READ_BYTES = 1000, 4096  # of a long file of tracks: at so many places, so much
 GPS_DOP = 1000.0  # from which OpenSfM means that there was no GPS
 # OpenSfM's projection types: COLMAP's model and its parameters, from focal lengths and centre [px] and distortion.
@@ -58,7 +64,7 @@ def find_exchange(path: Path) -> Path | None:
         return path
     if not path.is_dir():
         return None
-    places = [*(path / place for place in PLACES), *sorted(path.glob("*.nvm"))]
+    places = [*(path / place for place in MODEL_FILES), *sorted(path.glob("*.nvm"))]
     found = next((place for place in places if place.is_file()), None)
     if found is not None:
         try:

@@ -21,7 +21,7 @@ from .fingerprint import fingerprint
 
 # Shares of the memory budget: what decoded pictures may take together as long as they are small, and from which size
 # on one is large: decoded no finer than needed, one at a time, and kept alone.
-KEPT, LARGE = 1 / 8, 1 / 16
+KEPT_SHARE, LARGE_SHARE = 1 / 8, 1 / 16
 STRIP = 256  # rows that are decoded at once
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 REDUCED = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
@@ -51,7 +51,7 @@ class PictureFile:
     @property
     def large(self) -> bool:
         """Whether it is decoded no finer than needed, and alone."""
-        return 3 * self.width * self.height > LARGE * budget.memory()
+        return 3 * self.width * self.height > LARGE_SHARE * budget.memory()
 
     @contextmanager
     def pixels(self, shrink: int = 1) -> Iterator[tuple[np.ndarray, int]]:
@@ -79,7 +79,7 @@ class PictureFile:
                 return pixels
             # OpenCV decodes other formats whole before it reduces them, and holds them twice.
             whole = factor if _is_jpeg(self.path) else 1
-            budget.require(budget.LEAST + 6 * self.width * self.height / whole**2, f"{self.path}")
+            budget.require(budget.LEAST_BYTES + 6 * self.width * self.height / whole**2, f"{self.path}")
         pixels = _decode(self.path, factor)
         size = pixels.shape[1], pixels.shape[0]
         if max(abs(size[0] - self.width / factor), abs(size[1] - self.height / factor)) >= 1:
@@ -137,7 +137,7 @@ class Memory:
     @contextmanager
     def holding(self, key: Hashable, size: int, make: Callable[[], np.ndarray]) -> Iterator[np.ndarray]:
         """What `key` stands for: kept, or made by `make` [`size` bytes]; while a large one is held no other is made."""
-        if size <= LARGE * budget.memory():
+        if size <= LARGE_SHARE * budget.memory():
             yield self._get(key, size, make)
         else:
             with self._alone:
@@ -157,7 +157,7 @@ class Memory:
         return made
 
     def _make_room(self, size: int) -> None:
-        while self._kept and sum(kept.nbytes for kept in self._kept.values()) + size > KEPT * budget.memory():
+        while self._kept and sum(kept.nbytes for kept in self._kept.values()) + size > KEPT_SHARE * budget.memory():
             self._kept.popitem(last=False)
 
 
@@ -199,7 +199,7 @@ def _in_strips(path: Path) -> np.ndarray | None:
             with rasterio.open(path, driver=driver) as file:
                 if set(file.dtypes) != {"uint8"} or file.colorinterp[0] == ColorInterp.palette:
                     return None
-                budget.require(budget.LEAST + 3 * file.width * file.height, f"{path}")
+                budget.require(budget.LEAST_BYTES + 3 * file.width * file.height, f"{path}")
                 pixels = np.empty((file.height, file.width, 3), np.uint8)
                 bands = [3, 2, 1] if file.count >= 3 else [1, 1, 1]
                 for top in range(0, file.height, STRIP):

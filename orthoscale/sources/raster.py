@@ -29,7 +29,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from ..core.scale import PER_PIXEL
-from ..core.source import Picture
+from ..core.source import NO_DATA_GREY, Picture
 from ..errors import InputError, OutputError, UsageError
 from ..formats.points import coordinates
 from ..system.budget import in_words, memory, require
@@ -38,9 +38,6 @@ from ..system.scratch import Scratch
 from .fingerprint import fingerprint
 from .georeference import Place, claim_of, kept_place, local_place
 from .tiff_blocks import blocks_of
-
-GREY = 114
-"""What stands where a raster has no data."""
 
 SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
@@ -254,9 +251,9 @@ class RasterSource:
             if self._masked:
                 how = Resampling.average if resampling == Resampling.average else Resampling.nearest
                 known = self._blocks.dataset_mask(window=window, out_shape=out, resampling=how)
-                rgb = np.where((known >= 128)[..., None], rgb, np.uint8(GREY))
+                rgb = np.where((known >= 128)[..., None], rgb, np.uint8(NO_DATA_GREY))
             if self._written is not None:
-                rgb = np.where(self._written_at(window, out)[..., None], rgb, np.uint8(GREY))
+                rgb = np.where(self._written_at(window, out)[..., None], rgb, np.uint8(NO_DATA_GREY))
         return np.ascontiguousarray(np.broadcast_to(rgb, (*out, 3)))
 
     def decoded_px(self, width: int, height: int, out_width: int, out_height: int) -> float:
@@ -282,7 +279,7 @@ class RasterSource:
             return pixels
         low, high = self._stretch
         scaled = (pixels.astype(np.float32) - low) * (255 / (high - low))
-        scaled = np.nan_to_num(scaled, nan=GREY, posinf=255, neginf=0)
+        scaled = np.nan_to_num(scaled, nan=NO_DATA_GREY, posinf=255, neginf=0)
         return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
 
     @property
@@ -400,7 +397,7 @@ class RasterSource:
         if self._dataset.colorinterp[0].name != "palette":
             return None
         entries = self._dataset.colormap(1)
-        table = np.full((max(entries) + 1, 3), GREY, np.uint8)
+        table = np.full((max(entries) + 1, 3), NO_DATA_GREY, np.uint8)
         for index, (*rgb, alpha) in entries.items():
             if alpha >= 128:
                 table[index] = rgb

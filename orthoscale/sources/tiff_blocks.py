@@ -12,8 +12,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-OFFSETS, COUNTS = (273, 324), (279, 325)  # StripOffsets, TileOffsets; StripByteCounts, TileByteCounts
-TYPES = {3: "u2", 4: "u4", 16: "u8"}  # SHORT, LONG, LONG8
+STRIP_OFFSETS, STRIP_COUNTS = (273, 324), (279, 325)  # StripOffsets, TileOffsets; StripByteCounts, TileByteCounts
+TAG_TYPES = {3: "u2", 4: "u4", 16: "u8"}  # SHORT, LONG, LONG8
 MOST_TAGS = 4096  # of a directory; more is damage
 
 
@@ -40,7 +40,7 @@ def blocks_of(path: Path) -> Blocks | None:
         big = magic == 43
         at = struct.unpack_from(f"{order}{'Q' if big else 'I'}", start, 8 if big else 4)[0]
         lists = _lists(file, at, order, big)
-    offset, count = (next((lists[tag] for tag in tags if tag in lists), None) for tags in (OFFSETS, COUNTS))
+    offset, count = (next((lists[tag] for tag in tags if tag in lists), None) for tags in (STRIP_OFFSETS, STRIP_COUNTS))
     return Blocks(np.empty(0, np.uint64) if offset is None else offset, count)
 
 
@@ -55,12 +55,12 @@ def _lists(file: BinaryIO, at: int, order: str, big: bool) -> dict[int, np.ndarr
     table = file.read(size * min(struct.unpack(order + head, number)[0], MOST_TAGS))
     for k in range(0, len(table) - size + 1, size):
         tag, kind, count = struct.unpack_from(order + entry, table, k)
-        if tag not in OFFSETS + COUNTS:
+        if tag not in STRIP_OFFSETS + STRIP_COUNTS:
             continue
-        if kind not in TYPES:
+        if kind not in TAG_TYPES:
             lists[tag] = np.empty(0, np.uint64)
             continue
-        dtype = np.dtype(order + TYPES[kind])
+        dtype = np.dtype(order + TAG_TYPES[kind])
         value = table[k + size - word : k + size]
         if count * dtype.itemsize > word:
             file.seek(min(struct.unpack(order + ("Q" if big else "I"), value)[0], 2**62))

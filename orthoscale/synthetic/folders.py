@@ -14,16 +14,16 @@ from rasterio.transform import from_origin
 from ..core.boxes import Boxes
 from ..core.detections import Detections
 from ..core.ruler import Ruler
+from ..evaluate.readers import DENSEUAV_FOCAL
 from ..formats.detections.own import save_detections
 from ..formats.pictures import write_jpeg
 from .render import Look, render, vehicle_boxes
 from .scene import Scene
 from .view import Camera, Perspective, Pose
 
-SIZE = (720, 540)
-DENSEUAV_FOCAL = 8.8 / 14.667 * float(np.hypot(*SIZE))
-VISLOC_FOCAL = 900.0
-LON_LAT = (9.0, 48.0)
+FRAME_SIZE = (720, 540)  # of DenseUAV's frames, width and height, at half the resolution of its cameras' [px]
+VISLOC_FOCAL = 900.0  # [px] of the frames that are laid out as UAV-VisLoc's
+LON_LAT = (9.0, 48.0)  # [deg] where the scenes lie: central Europe, in UTM zone 32
 GROUND_M, ROOFS_M = 120.0, 14.0
 EFFECTIVE_HEIGHT_M = 0.8
 
@@ -32,7 +32,7 @@ def write_denseuav(
     scene: Scene, folder: Path, altitudes: Sequence[float] = (80, 90, 100), places: int = 3, pictures: bool = True
 ) -> None:
     """``query_drone/000001/H80.JPG`` ...: every place from every altitude, straight down; and detections.json."""
-    camera = Camera(DENSEUAV_FOCAL, *SIZE)
+    camera = Camera(DENSEUAV_FOCAL * float(np.hypot(*FRAME_SIZE)), *FRAME_SIZE)
     found: dict[str, Boxes] = {}
     rng = np.random.default_rng(1)
     for place in range(places):
@@ -59,7 +59,7 @@ def write_visloc(
         base = folder / region
         base.mkdir(parents=True, exist_ok=True)
         rng = np.random.default_rng([k, 2])
-        camera = Camera(VISLOC_FOCAL, *SIZE)
+        camera = Camera(VISLOC_FOCAL, *FRAME_SIZE)
         lines = ["# label longitude latitude height yaw pitch roll"]
         for number in range(1, photos + 1):
             name = f"{region}/drone/{region}_{number:04d}.JPG"
@@ -73,7 +73,7 @@ def write_visloc(
             angles = " ".join(f"{v:.6f}" for v in (yaw, pitch, roll))
             lines.append(f"{Path(name).name} {lon:.9f} {lat:.9f} {GROUND_M + height:.4f} {angles}")
         (base / "reference.txt").write_text("\n".join(lines) + "\n")
-        width, high = SIZE
+        width, high = FRAME_SIZE
         (base / "camera.xml").write_text(
             f"<calibration><projection>frame</projection><width>{width}</width><height>{high}</height>"
             f"<f>{VISLOC_FOCAL}</f><cx>0</cx><cy>0</cy><k1>0</k1><k2>0</k2><k3>0</k3><p1>0</p1><p2>0</p2></calibration>\n"
@@ -84,7 +84,7 @@ def write_visloc(
 
 def write_csv(scene: Scene, folder: Path, pitches: Sequence[float] = (-90, -70, -55), pictures: bool = True) -> None:
     """``photos.csv`` beside its photos, with pitch and focal length; and detections.json."""
-    camera = Camera(VISLOC_FOCAL, *SIZE)
+    camera = Camera(VISLOC_FOCAL, *FRAME_SIZE)
     found: dict[str, Boxes] = {}
     rows = []
     for k, pitch in enumerate(pitches):

@@ -14,7 +14,7 @@ import numpy as np
 
 from . import things
 from .mesh import Mesh, Surface, disc, join, patch, pavement, rectangle, rounded
-from .things import MARK, Thing, pick, tinted
+from .things import MARKING, Thing, pick, tinted
 from .vehicle import Vehicle, choose
 
 STYLES = ("city", "suburb", "village", "industrial", "carpark", "park")
@@ -243,13 +243,13 @@ class _Plan:
         if marked:
             dash, gap = pick(rng, [(3.0, 4.5), (2.0, 4.0), (4.0, 8.0)])
             for s in np.arange(*whole, dash + gap):
-                lay((s, s + dash), (-0.07, 0.07), 7, MARK)
+                lay((s, s + dash), (-0.07, 0.07), 7, MARKING)
             if rng.random() < 0.4:
                 for side in (-1, 1):
-                    lay(whole, (side * (lane - 0.1), side * (lane - 0.22)), 4, MARK)
+                    lay(whole, (side * (lane - 0.1), side * (lane - 0.22)), 4, MARKING)
             for s in rng.uniform(*whole, rng.poisson(reach / 45)):  # zebra crossings
                 for stripe in np.arange(-half + 0.4, half - 0.5, 1.0):
-                    lay((s - 1.6, s + 1.6), (stripe, stripe + 0.5), 7, MARK)
+                    lay((s - 1.6, s + 1.6), (stripe, stripe + 0.5), 7, MARKING)
         pitch = rng.uniform(5.6, 7.0)
         for side in (-1, 1):
             if parking == "parallel":
@@ -257,14 +257,14 @@ class _Plan:
                     self._slot(*place(s, side * (half - 1.05)), pitch - 0.7)
                     if marked and width > 8 and rng.random() < 0.7:
                         s += pitch / 2
-                        lay((s - 0.05, s + 0.05), (side * lane, side * half), 4, MARK)
+                        lay((s - 0.05, s + 0.05), (side * lane, side * half), 4, MARKING)
             elif parking == "perpendicular" and rng.random() < 0.7:
                 bays = side * half, side * (half + 5.2)
                 lay(whole, bays, 2, self.road if rng.random() < 0.6 else self.stones)
                 for s in np.arange(*whole, 2.6):
                     self._slot(*place(s, side * (half + 2.6), np.pi / 2))
                     if marked:
-                        lay((s + 1.25, s + 1.35), bays, 4, MARK)
+                        lay((s + 1.25, s + 1.35), bays, 4, MARKING)
             for s in rng.uniform(*whole, rng.poisson(2 * reach / 45)):  # traffic
                 self._slot(*place(s, side * min(width / 4, 1.9)), 6.0)
             if rng.random() < 0.5:  # an avenue
@@ -341,7 +341,7 @@ class _Plan:
         swapped = (x[1] - x[0] < y[1] - y[0]) if rng.random() < 0.7 else bool(rng.random() < 0.5)
         (a0, a1), (b0, b1) = (y, x) if swapped else (x, y)
         bay, marked = rng.uniform(2.35, 2.8), surface[0] != "gravel" and rng.random() < 0.85
-        paint: Surface = MARK if rng.random() < 0.85 else ("plain", (0.55, 0.42, 0.06))
+        paint: Surface = MARKING if rng.random() < 0.85 else ("plain", (0.55, 0.42, 0.06))
 
         def line(along: Span, across: Span) -> None:
             if marked:

@@ -7,7 +7,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-SIZE = 512
+TEXTURE_SIZE = 512
 """Texels along each side of a texture."""
 
 TEXEL_M = {
@@ -45,7 +45,7 @@ BLOTCH_TEXEL_M = 0.35
 """Metres per texel of `blotch`, the slow change of tone that keeps the other textures from showing their repeats."""
 
 
-def fractal(rng: np.random.Generator, slope: float, size: int = SIZE, coarsest: float = 0.0) -> np.ndarray:
+def fractal(rng: np.random.Generator, slope: float, size: int = TEXTURE_SIZE, coarsest: float = 0.0) -> np.ndarray:
     """(size, size) tileable noise with amplitude ~ frequency**-slope, mean 0, standard deviation 1.
 
     coarsest : frequencies below this many cycles per picture are flattened, so that repeats do not show.
@@ -62,9 +62,9 @@ def _grid(u_m: float, v_m: float, texel: float, shift: float = 0.0) -> tuple[np.
 
     shift : by how much of a cell every other row is moved.
     """
-    nu, nv = (2 * max(1, round(SIZE * texel / m / 2)) for m in (u_m, v_m))
-    t = np.arange(SIZE) / SIZE
-    u, v = t[None] * nu + np.zeros((SIZE, 1)), t[:, None] * nv + np.zeros((1, SIZE))
+    nu, nv = (2 * max(1, round(TEXTURE_SIZE * texel / m / 2)) for m in (u_m, v_m))
+    t = np.arange(TEXTURE_SIZE) / TEXTURE_SIZE
+    u, v = t[None] * nu + np.zeros((TEXTURE_SIZE, 1)), t[:, None] * nv + np.zeros((1, TEXTURE_SIZE))
     row = v.astype(int)
     u = u + shift * (row % 2)
     return u.astype(int) % nu, row, u % 1, v % 1
@@ -82,7 +82,7 @@ def _lines(place: np.ndarray, width: float) -> np.ndarray:
 def _paint_material(name: str, rng: np.random.Generator) -> np.ndarray:
     """(SIZE, SIZE) or (SIZE, SIZE, 3) of the named material, before its mean is set to 1."""
     texel = TEXEL_M[name]
-    white = rng.standard_normal((SIZE, SIZE)).astype(np.float32)
+    white = rng.standard_normal((TEXTURE_SIZE, TEXTURE_SIZE)).astype(np.float32)
     fine, middle, slow = (fractal(rng, s, coarsest=c) for s, c in ((0.6, 8), (1.1, 6), (1.6, 4)))
     if name == "plain":
         return 1 + 0.02 * fine
@@ -111,16 +111,16 @@ def _paint_material(name: str, rng: np.random.Generator) -> np.ndarray:
         tracks = np.exp(-((middle / 0.15) ** 2))
         return 1 + 0.06 * white + 0.12 * fine + 0.1 * slow - 0.06 * tracks
     if name == "sand":
-        ripples = np.sin(np.arange(SIZE)[:, None] * 2 * np.pi * 64 / SIZE + 2.5 * slow)
+        ripples = np.sin(np.arange(TEXTURE_SIZE)[:, None] * 2 * np.pi * 64 / TEXTURE_SIZE + 2.5 * slow)
         return 1 + 0.03 * white + 0.05 * fine + 0.05 * ripples * (0.5 + 0.5 * np.tanh(middle))
     if name in ("gravel", "roof_gravel", "rubble"):
         grain = {"gravel": 0.16, "roof_gravel": 0.12, "rubble": 0.3}[name]
         return 1 + grain * (0.5 * white + cv2.GaussianBlur(white, (0, 0), 1.2) * 2) + 0.06 * slow
     if name == "field":
-        rows = np.sin(np.arange(SIZE)[None] * 2 * np.pi * 34 / SIZE + 0.5 * slow)
+        rows = np.sin(np.arange(TEXTURE_SIZE)[None] * 2 * np.pi * 34 / TEXTURE_SIZE + 0.5 * slow)
         return (1 + 0.12 * rows + 0.1 * fine + 0.06 * white)[..., None] * (1 + 0.1 * middle[..., None] * [1, 0.3, 0.2])
     if name == "water":
-        waves = np.sin(np.arange(SIZE)[None] * 2 * np.pi * 40 / SIZE + 3 * slow)
+        waves = np.sin(np.arange(TEXTURE_SIZE)[None] * 2 * np.pi * 40 / TEXTURE_SIZE + 3 * slow)
         return 1 + 0.04 * waves + 0.06 * fine + 0.08 * slow
     if name == "tiles":
         column, row, u, v = _grid(0.26, 0.36, texel)
@@ -163,7 +163,8 @@ def _paint_material(name: str, rng: np.random.Generator) -> np.ndarray:
 def _levels(name: str) -> tuple[np.ndarray, ...]:
     """The texture as float32 (s, s, 3) with mean 1, and its area-shrunk half sizes down to 1 texel."""
     picture = np.asarray(_paint_material(name, np.random.default_rng(MATERIALS.index(name))), np.float32)
-    picture = np.broadcast_to(picture[..., None] if picture.ndim == 2 else picture, (SIZE, SIZE, 3)).clip(0.05, None)
+    picture = picture[..., None] if picture.ndim == 2 else picture
+    picture = np.broadcast_to(picture, (TEXTURE_SIZE, TEXTURE_SIZE, 3)).clip(0.05, None)
     levels = [(picture / picture.mean()).astype(np.float32)]
     while len(levels[-1]) > 1:
         half = len(levels[-1]) // 2
@@ -193,7 +194,7 @@ def _atlas(octave: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
     for name in MATERIALS:
         level = int(np.clip(round(octave - float(np.log2(TEXEL_M[name]))), 0, len(_levels(name)) - 1))
         chosen.append(_levels(name)[level].reshape(-1, 3))
-        side.append(SIZE >> level)
+        side.append(TEXTURE_SIZE >> level)
         per_metre.append(1 / (TEXEL_M[name] * 2**level))
     offset = np.cumsum([0, *[len(c) for c in chosen[:-1]]])
     return np.concatenate(chosen), offset.astype(np.int64), np.array(side), np.array(per_metre, np.float32)

@@ -290,6 +290,7 @@ def _person(rng: np.random.Generator) -> Thing:
 
 
 def pool(rng: np.random.Generator) -> Thing:
+    """A swimming pool with its paved edge, from a garden's 3 x 2 m to 6.5 x 3.5 m."""
     length, width = rng.uniform([3, 2], [6.5, 3.5])
     edge = patch(rounded(length + 0.8, width + 0.8, 0.6, 0.6), 0.003, "plaster", (0.5, 0.48, 0.45))
     water = patch(rounded(length, width, 0.5, 0.5), 0.005, "water", (0.08, 0.35, 0.45), 0.5)
@@ -320,14 +321,14 @@ def _tone(rng: np.random.Generator) -> np.ndarray:
     return tone.mean() + rng.uniform(0.2, 1) * (tone - tone.mean())
 
 
-SMALL: tuple[Callable[[np.random.Generator], Thing], ...] = (
+SMALL_THINGS: tuple[Callable[[np.random.Generator], Thing], ...] = (
     _bench, _bin, _tarpaulin, _shed, _motorbikes, _person, _stack, _parasol, _trailer,
 )  # fmt: skip
 
 
 def small_thing(rng: np.random.Generator) -> Thing:
     """A bench, bin, tarpaulin, shed, motorbikes, person, stack of planks, parasol or trailer."""
-    return pick(rng, list(SMALL))(rng)
+    return pick(rng, list(SMALL_THINGS))(rng)
 
 
 def play_equipment(rng: np.random.Generator) -> Thing:
@@ -354,9 +355,9 @@ def court(rng: np.random.Generator, room: tuple[float, float]) -> Thing:
             lines += [(0, side * (y - 1.37), length, t), (side * 6.4, 0, t, width - 2.74), (side * 3.2, 0, 6.4, t)]
         elif kind == "basketball":
             lines += [(side * (x - 5.8), 0, t, 4.9)] + [(side * (x - 2.9), q * 2.45, 5.8, t) for q in (-1, 1)]
-    parts += [patch(rectangle(along, across) + [a, b], 0.004, *MARK) for a, b, along, across in lines]
+    parts += [patch(rectangle(along, across) + [a, b], 0.004, *MARKING) for a, b, along, across in lines]
     return Thing(join(parts), length, width)
 
 
-MARK: Surface = ("plain", (0.62, 0.62, 0.6))
+MARKING: Surface = ("plain", (0.62, 0.62, 0.6))
 """White road paint."""

@@ -103,10 +103,12 @@ class Perspective:
 
     @property
     def width(self) -> int:
+        """Of the picture [px]."""
         return self.camera.width
 
     @property
     def height(self) -> int:
+        """Of the picture [px]."""
         return self.camera.height
 
     def enlarged(self, factor: int) -> Perspective:

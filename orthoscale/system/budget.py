@@ -9,7 +9,7 @@ from ..errors import InputError, UsageError
 DEFAULT = 2**30
 """[byte] The budget where nobody says otherwise."""
 
-LEAST = 2**29
+LEAST_BYTES = 2**29
 """[byte] Less does not hold the shipped network and one tile on each thread."""
 
 _UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
@@ -25,8 +25,8 @@ def allow(amount: int | str) -> None:
     """Set the budget, in bytes or as text: ``"1500M"``, ``"2G"``. Raises UsageError for less than half a gigabyte."""
     global _budget
     size = _bytes(amount) if isinstance(amount, str) else amount
-    if size < LEAST:
-        raise UsageError(f"--memory {amount} is too little", f"Give {in_words(LEAST)} or more.")
+    if size < LEAST_BYTES:
+        raise UsageError(f"--memory {amount} is too little", f"Give {in_words(LEAST_BYTES)} or more.")
     _budget = size
 
 

@@ -35,7 +35,7 @@ try:
 except ImportError:  # not POSIX
     fcntl = None
 
-MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files that it wrote
+FOLDER_MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files that it wrote
 ELSEWHERE = "Choose another place, or delete it yourself."
 DISK = (OSError, sqlite3.Error)  # what a disk that is full, gone or read-only raises
 LOCK, NEW, FORMER = "lock", "new", "former"  # in the scratch folder of an output
@@ -391,7 +391,7 @@ def _why_not_our_folder(folder: Path) -> str:
 def _listed(folder: Path) -> set[str] | None:
     """The files that the mark of `folder` lists; None where there is no mark for a folder of this name."""
     try:
-        mark = json.loads((folder / MARK).read_text(encoding="utf-8"))
+        mark = json.loads((folder / FOLDER_MARK).read_text(encoding="utf-8"))
         return set(mark["files"]) if mark["written_by"] == signature(folder.absolute()) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
@@ -403,16 +403,16 @@ def _files_in(folder: Path) -> Iterator[str]:
         here = Path(root)
         links = [name for name in folders if (here / name).is_symlink()]
         for name in (*files, *links):
-            if here != folder or name != MARK:
+            if here != folder or name != FOLDER_MARK:
                 yield (here / name).relative_to(folder).as_posix()
-        folders[:] = [name for name in folders if not (here / name / MARK).is_file() or _why_not_ours(here / name)]
+        folders[:] = [f for f in folders if not (here / f / FOLDER_MARK).is_file() or _why_not_ours(here / f)]
 
 
 def _sign_folder(folder: Path) -> None:
     text = {"written_by": signature(folder), "version": __version__, "files": []}
-    (folder / MARK).unlink(missing_ok=True)
+    (folder / FOLDER_MARK).unlink(missing_ok=True)
     text["files"] = sorted(_files_in(folder))
-    (folder / MARK).write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+    (folder / FOLDER_MARK).write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
 
 
 def _signed(path: Path) -> bool:

@@ -14,7 +14,7 @@ if sys.platform != "win32":  # which deletes no file that is open; that does as 
     import fcntl
 
 PREFIX = "orthoscale-scratch-"
-LOCK = "in-use"
+IN_USE = "in-use"
 
 
 class Scratch:
@@ -24,7 +24,7 @@ class Scratch:
     def __init__(self) -> None:
         _remove_leftovers(Path(tempfile.gettempdir()))
         self.folder = Path(tempfile.mkdtemp(prefix=PREFIX))
-        lock = (self.folder / LOCK).open("wb")
+        lock = (self.folder / IN_USE).open("wb")
         _locked(lock)
         self._end = weakref.finalize(self, _remove, self.folder, lock)
 
@@ -53,7 +53,7 @@ def _remove_leftovers(parent: Path) -> None:
         try:
             if hasattr(os, "getuid") and folder.lstat().st_uid != os.getuid():
                 continue
-            lock = (folder / LOCK).open("rb")
+            lock = (folder / IN_USE).open("rb")
         except OSError:  # gone meanwhile, or just being made
             continue
         if _locked(lock):

@@ -21,7 +21,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests"))  # the makers of the suite are called as it calls them
+sys.path.insert(0, str(ROOT / "tests"))  # the makers of inputs of the suite are in tests/support
 
 from . import campaign, commands, runner  # noqa: E402
 from .runner import Outcome  # noqa: E402

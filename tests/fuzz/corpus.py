@@ -16,26 +16,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
-import in_process
 import numpy as np
 import rasterio
 import rasterio.shutil
-import test_detectors_of_others as detectors
-import test_layout
-import test_looks
-import test_other_programs as others
-import test_photo
-import test_rescale
-import test_text_models
 from rasterio.control import GroundControlPoint
 from rasterio.transform import from_origin
-from test_colmap import make_model, put_frames, save
+from support import flights, geometry, in_process, lots, networks, photos
+from support import other_programs as others
+from support.models import make_model, put_frames, save
 
 from orthoscale.core.calibration import Calibration
 from orthoscale.core.detections import Detections
 from orthoscale.core.ruler import Ruler
 from orthoscale.formats.calibration import save_calibration
-from orthoscale.formats.detections import own
+from orthoscale.formats.detections import own as own_format
 from orthoscale.formats.detections.files import save as save_detections
 from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.sources.opening import open_source
@@ -51,7 +45,7 @@ PINHOLE = ("SIMPLE_PINHOLE", (400.0, 320, 240))
 
 def build(folder: Path) -> Path:
     """Make every kind in the new `folder`; returns it."""
-    assert test_looks.UNIT == MODEL_SCALE
+    assert flights.UNIT == MODEL_SCALE
     folder.mkdir(parents=True)
     for kind, make in KINDS.items():
         (folder / kind).mkdir()
@@ -97,7 +91,7 @@ def _another(form: str) -> Callable[[Path], None]:
 
 def _other(write: Callable) -> Callable[[Path], None]:
     def make(folder: Path) -> None:
-        lens = PINHOLE if write is test_text_models.nvm else ("RADIAL", (400.0, 320, 240, 0.05, -0.02))
+        lens = PINHOLE if write is others.nvm else ("RADIAL", (400.0, 320, 240, 0.05, -0.02))
         model, turn = make_model(*lens)
         path = write(model, folder)
         put_frames(model, folder if path.suffix in (".out", ".nvm") else folder / "images")
@@ -107,7 +101,7 @@ def _other(write: Callable) -> Callable[[Path], None]:
 
 
 def _found(folder: Path, turn: np.ndarray, path: Path | None = None) -> None:
-    own.save_detections(test_looks.found_by(path or folder, turn), folder / "boxes.json")
+    own_format.save_detections(flights.found_by(path or folder, turn), folder / "boxes.json")
 
 
 # Orthophotos and what is found in them
@@ -202,12 +196,12 @@ def _cache(folder: Path) -> None:
 def _settings(folder: Path) -> None:
     """Fleet, calibration, similarity, catalogue, known points, a report; with the orthophoto that they are for."""
     _ortho(folder)
-    (folder / "fleet.json").write_text(json.dumps(test_photo.CARS))
-    parts = [{"class": c, "weight": 0.5, **test_photo.CARS} for c in ("small", "large")]
-    (folder / "mixture.json").write_text(json.dumps({**test_photo.CARS, "mixture": parts}))
+    (folder / "fleet.json").write_text(json.dumps(photos.CARS))
+    parts = [{"class": c, "weight": 0.5, **photos.CARS} for c in ("small", "large")]
+    (folder / "mixture.json").write_text(json.dumps({**photos.CARS, "mixture": parts}))
     shares = {"mini": 0.1, "small hatch": 0.5, "compact hatch": 0.4}
-    (folder / "shares.json").write_text(json.dumps({**test_photo.CARS, "shares": shares}))
-    known = Calibration("tiny", "ab" * 32, Ruler(), dict(test_photo.CARS), {"ortho": "x.tif"})
+    (folder / "shares.json").write_text(json.dumps({**photos.CARS, "shares": shares}))
+    known = Calibration("tiny", "ab" * 32, Ruler(), dict(photos.CARS), {"ortho": "x.tif"})
     save_calibration(known, folder / "calibration.json")
     Sim3(MODEL_SCALE).save(folder)
     own = {"name": "boules court", "length": 15, "width": 4, "ends": 1, "sides": 1, "source": "FIPJP"}
@@ -217,9 +211,9 @@ def _settings(folder: Path) -> None:
     (folder / "control.txt").write_text("40,40 4 -4\n360,40 36 -4\n40,360 4 -36\n360,360 36 -36\n")
     said = in_process.run("estimate", folder / "ortho.tif", "--detections", folder / "boxes.json", "--json")
     (folder / "report.json").write_text(said.stdout)
-    test_layout.orthophoto(folder, report={"scale": 0.1, "interval90": [0.098, 0.102], "unit": "m/px"})
-    test_layout.lot_file(folder / "lot.geojson", [(5, 5), (60, 5), (60, 40), (5, 40)])
-    test_layout.lot_file(folder / "trees.geojson", [(50, 30), (55, 30), (55, 35), (50, 35)])
+    lots.orthophoto(folder, report={"scale": 0.1, "interval90": [0.098, 0.102], "unit": "m/px"})
+    lots.lot_file(folder / "lot.geojson", [(5, 5), (60, 5), (60, 40), (5, 40)])
+    lots.lot_file(folder / "trees.geojson", [(50, 30), (55, 30), (55, 35), (50, 35)])
 
 
 def _photos(folder: Path) -> None:
@@ -229,16 +223,15 @@ def _photos(folder: Path) -> None:
         'drone-dji:GimbalPitchDegree="-60" drone-dji:GimbalRollDegree="0" drone-dji:GimbalYawDegree="30" '
         'drone-dji:RelativeAltitude="59.0"'
     )
-    size = test_photo.SIZE
-    exif = {0xA405: round(test_photo.FOCAL * np.hypot(36, 24) / np.hypot(*size))}
+    size = photos.SIZE
+    exif = {0xA405: round(photos.FOCAL * np.hypot(36, 24) / np.hypot(*size))}
     for k, name in enumerate(("a.jpg", "b.jpg", "c.jpg")):
-        test_photo.write_photo(folder / "flight" / name, xmp, exif, gps=(8.0 + 0.001 * k, 47.0))
-    boxes = test_photo.boxes_in(test_photo.view_from(-60))
-    own.save_detections(
-        test_photo.detections_of({"a.jpg": boxes, "b.jpg": boxes, "c.jpg": boxes[:4]}), folder / "boxes.json"
-    )
-    (folder / "cars.json").write_text(json.dumps(test_photo.CARS))
-    for name, text in test_photo.CALIBRATIONS.items():
+        photos.write_photo(folder / "flight" / name, xmp, exif, gps=(8.0 + 0.001 * k, 47.0))
+    boxes = photos.boxes_in(photos.view_from(-60))
+    found = photos.detections_of({"a.jpg": boxes, "b.jpg": boxes, "c.jpg": boxes[:4]})
+    own_format.save_detections(found, folder / "boxes.json")
+    (folder / "cars.json").write_text(json.dumps(photos.CARS))
+    for name, text in photos.CALIBRATIONS.items():
         (folder / f"lens{Path(name).suffix}").write_text(text.replace("4000", "1000").replace("3000", "750"))
     _satellite(folder / "satellite.tif")
 
@@ -260,19 +253,17 @@ def _geometry(folder: Path) -> None:
     Sim3(MODEL_SCALE).save(folder)
     xyz = np.random.default_rng(0).normal(0, 3, (40, 3))
     for form in ("ascii", "binary_little_endian", "binary_big_endian"):
-        test_rescale.ply(folder / f"{form}.ply", form, ["x", "y", "z"], xyz, faces=True)
+        geometry.ply(folder / f"{form}.ply", form, ["x", "y", "z"], xyz, faces=True)
     splat = ["x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-    test_rescale.ply(
-        folder / "splat.ply", "binary_little_endian", splat, np.random.default_rng(1).normal(0, 1, (40, 11))
-    )
+    geometry.ply(folder / "splat.ply", "binary_little_endian", splat, np.random.default_rng(1).normal(0, 1, (40, 11)))
     (folder / "mesh.obj").write_text("mtllib a.mtl\nv 1 2 3\nv -4 0.5 6 1 0 0\nv 0 0 1\nvn 0 0 1\nf 1//1 2//1 3//1\n")
     (folder / "a.mtl").write_text("newmtl a\nmap_Kd a.png\n")
     (folder / "a.png").write_bytes(cv2.imencode(".png", np.zeros((2, 2, 3), np.uint8))[1].tobytes())
-    test_rescale.glb(folder / "scene.glb", test_rescale.gltf())
+    geometry.glb(folder / "scene.glb", geometry.gltf())
     (folder / "part.bin").write_bytes(struct.pack("<12f", *range(12)))
     buffers = {"buffers": [{"uri": "part.bin", "byteLength": 48}], "images": [{"uri": "a.png"}]}
-    (folder / "scene.gltf").write_text(json.dumps(test_rescale.gltf(**buffers)))
-    test_rescale.dense_workspace(folder / "dense")
+    (folder / "scene.gltf").write_text(json.dumps(geometry.gltf(**buffers)))
+    geometry.dense_workspace(folder / "dense")
     shutil.rmtree(folder / "dense/sparse")
     save(make_model(*PINHOLE)[0], folder / "dense/sparse", "bin")
 
@@ -283,11 +274,11 @@ def _networks(folder: Path) -> None:
     for name in RASTERS[1:]:
         (folder / name).unlink()
     for name, outputs, metadata in (
-        ("ultralytics", {"output0": detectors.raw()}, detectors.NAMES),
-        ("nms-free", {"output0": detectors.nms_free()}, {**detectors.NAMES, "end2end": "True"}),
-        ("mmrotate", detectors.mmrotate(), {}),
+        ("ultralytics", {"output0": networks.raw()}, networks.NAMES),
+        ("nms-free", {"output0": networks.nms_free()}, {**networks.NAMES, "end2end": "True"}),
+        ("mmrotate", networks.mmrotate(), {}),
     ):
-        detectors.network(folder / f"{name}.onnx", outputs, metadata)
+        networks.network(folder / f"{name}.onnx", outputs, metadata)
     card_network(folder / "card.onnx", json.dumps(CARD))
 
 
@@ -302,8 +293,8 @@ KINDS: dict[str, Callable[[Path], None]] = {
     "other-txt": _another("txt"),
     "opensfm": _other(others.opensfm),
     "nerfstudio": _other(others.nerfstudio),
-    "bundler": _other(test_text_models.bundler),
-    "nvm": _other(test_text_models.nvm),
+    "bundler": _other(others.bundler),
+    "nvm": _other(others.nvm),
     "ortho": _ortho,
     "strange": _strange,
     "large": _large,

@@ -13,7 +13,7 @@ from ..fleet import Fleet
 from ..pooling.paper import pool_paper
 from ..pooling.robust import pool
 from ..projection import decoupled
-from ..projection.exact import Hull
+from ..projection.exact import FLAT, Hull
 from ..projection.exact import ground_size as exact_size
 from ..projection.view import Views
 from ..ruler import Ruler
@@ -21,9 +21,8 @@ from ..scale import Scale
 from ..votes import Votes
 from .surroundings import Standards
 
-FLAT = 0.01  # [m] height of a vehicle painted on the ground
 # How `requests.PROJECTIONS` are done, which the paper names so. For frames; an orthophoto's is always planar.
-PROJECTIONS = {
+VARIANTS_BY_NAME = {
     "exact": None,
     "planar": None,  # on the true ground, but without a height
     "decoupled": decoupled.TEXT,
@@ -54,7 +53,7 @@ class Method:
 
         `height` (2,) is up to where boxes enclose a vehicle, along its length and its width [m].
         """
-        variant = PROJECTIONS[self.projection or "exact"]
+        variant = VARIANTS_BY_NAME[self.projection or "exact"]
         if variant is not None:
             length, width, tall = (float(v) for v in fleet.mean)
             return decoupled.ground_size(boxes, views, (length, width, tall), variant)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc
 
+from ..pooling.posterior import ROBUST_SD
 from ..scale import Scale
 from ..votes import Votes
 from .drift import CHANCE, NOTABLE
@@ -113,7 +114,7 @@ def by_frame(
     known = np.isfinite(stray)
     if not known.any():
         return {}, []
-    spread = 1.4826 * float(np.median(np.abs(stray[known] - np.median(stray[known]))))
+    spread = ROBUST_SD * float(np.median(np.abs(stray[known] - np.median(stray[known]))))
     frames, odd = {}, []
     for name in np.unique(picture[known]):
         mine = stray[known & (picture == name)]

@@ -20,11 +20,11 @@ PITCHES = (1.15, 1.75)  # of a vehicle's width: 2.2 m for the widest cars to 2.8
 REACH = 6  # stalls over which distances are compared; parking jitter does not grow with them, an error of pitch does
 NEIGHBOURS = 256  # within that reach at most; twice as many as fit, if no two boxes show one vehicle
 MIN_ROW = 3  # vehicles side by side make a row
-MIN_VEHICLES = 8  # in rows, below which no pitch is read
+MIN_IN_ROWS = 8  # in rows, below which no pitch is read
 # Mean of cos(2 pi distance / pitch) from which distances count as multiples of the pitch: 0.9 for vehicles that stand
 # within 0.12 m of their stall's middle, 0 for vehicles anywhere.
 RHYTHM = 0.7
-BLOCK = 4096  # vehicles or distances that are worked on at a time, in some 10 MB
+AT_ONCE = 4096  # vehicles or distances that are worked on at a time, in some 10 MB
 # How far the stalls of one place, all alike, stray from their country's standard, one sigma [m]: the sourced rows name
 # 2.3 to 2.8 m for Japan, 2.4 to 2.7 for China, 2.59 to 2.74 for the USA. More where the standard was only recalled, as
 # half of those were that the world's row is made of.
@@ -38,7 +38,7 @@ def parking_pitch(
     size: np.ndarray,
     stalls: Mapping[str, Mapping[str, Any]],
     country: str,
-    min_vehicles: int = MIN_VEHICLES,
+    min_vehicles: int = MIN_IN_ROWS,
 ) -> Evidence | None:
     """The scale by the pitch of parking rows; None where no rows show one, or `country` has no standard.
 
@@ -84,10 +84,10 @@ def _rhythm_of_rows(row: np.ndarray, distance: np.ndarray, candidates: np.ndarra
 
     rows, number = np.unique(row, return_inverse=True)
     sums = np.zeros((len(rows), len(candidates)))
-    for k in range(0, len(row), BLOCK):
-        here = number[k : k + BLOCK]
+    for k in range(0, len(row), AT_ONCE):
+        here = number[k : k + AT_ONCE]
         member = csr_array((np.ones(len(here)), (here, np.arange(len(here)))), shape=(len(rows), len(here)))
-        sums += member @ np.cos(2 * np.pi * distance[k : k + BLOCK, None] / candidates)
+        sums += member @ np.cos(2 * np.pi * distance[k : k + AT_ONCE, None] / candidates)
     return sums
 
 
@@ -102,8 +102,8 @@ def _rows(place: np.ndarray, along: np.ndarray, length: float, width: float) -> 
     tree = cKDTree(place[single])
     reach = REACH * PITCHES[1] * width
     parts = []
-    for k in range(0, len(single), BLOCK):
-        i = single[k : k + BLOCK]
+    for k in range(0, len(single), AT_ONCE):
+        i = single[k : k + AT_ONCE]
         near, j = tree.query(place[i], np.arange(1, NEIGHBOURS + 2), distance_upper_bound=reach)  # itself is the first
         pair, _ = np.nonzero(np.isfinite(near))
         parts.append(_side_by_side(i[pair], single[j[np.isfinite(near)]], place, along, length))

@@ -27,7 +27,7 @@ from .measurement import Findings
 from .oblique import GROUND, height_share
 from .surroundings import Standards, rows_in_model
 
-ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
+SWEEP_ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
 ROOM = 1.15  # a box, enlarged so, must lie within what the frame saw, or it may be cut
 BORDER = 2.0  # [px of the frame]
 TOO_FLAT = "cut by the frame's edge, or too low an elevation angle"
@@ -57,7 +57,7 @@ class SweepGeometry:
     projection: str = "exact"
     called: str = CALLED
     repeated: bool = True
-    rounds: int = ROUNDS
+    rounds: int = SWEEP_ROUNDS
     settled: float = 0.0
 
     @classmethod

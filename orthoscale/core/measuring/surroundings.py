@@ -10,7 +10,7 @@ import numpy as np
 
 from ..boxes import Boxes
 from ..evidence import Evidence
-from ..projection.exact import Hull, ground_axes, ground_size
+from ..projection.exact import FLAT, Hull, ground_axes, ground_size
 from ..projection.view import Views
 from ..source import PosedSet
 from ..votes import Votes, gather
@@ -20,8 +20,7 @@ from .parking import parking_pitch
 # Relative uncertainty of a reconstruction's ground (one sigma), as a share of the camera's height: sparse points on
 # bare ground scatter by about this much on the two real scenes. Whatever is measured on the ground errs with it.
 GROUND_SD = 0.01
-FLAT = 0.01  # [m] height of what is painted on the ground
-WHOLE = 3.0  # [px] from a frame's border: nearer, a box may be cut
+CLEAR_OF_BORDER = 3.0  # [px] from a frame's border: nearer, a box may be cut
 
 
 @dataclass(frozen=True)
@@ -97,8 +96,8 @@ def objects_in_model(
         parts, views, places = [], [], []
         for name, kinds in objects.items():
             boxes = kinds.get(kind, Boxes.empty())
-            last = np.subtract(source.image_size(name), WHOLE)
-            boxes = boxes[np.flatnonzero(((boxes.corners >= WHOLE) & (boxes.corners <= last)).all((1, 2)))]
+            last = np.subtract(source.image_size(name), CLEAR_OF_BORDER)
+            boxes = boxes[np.flatnonzero(((boxes.corners >= CLEAR_OF_BORDER) & (boxes.corners <= last)).all((1, 2)))]
             if not len(boxes):
                 continue
             view, place, ok = source.views(name, boxes.centre)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
-from .posterior import Z90
+from .posterior import ROBUST_SD, Z90
 
 CONTRADICTION = 2.6  # sigmas from which two measurements of one scale contradict each other; chance makes 1 %
 OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two looks at the same vehicles may differ
@@ -45,6 +45,7 @@ class Agreement:
 
     @property
     def contradicts(self) -> bool:
+        """Whether the two lie further apart than CONTRADICTION sigmas, which chance makes 1 % do."""
         return self.tension > CONTRADICTION
 
     def sentence(self) -> str:
@@ -72,7 +73,7 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreem
     if ratio is None or len(ratio) < MIN_COMMON:
         return Agreement(scales, *apart, *apart)
     each = ratio @ (np.add(a.weights, b.weights) / 2)
-    spread = 1.4826 * np.median(np.abs(each - np.median(each)))
+    spread = ROBUST_SD * np.median(np.abs(each - np.median(each)))
     own += 1.57 * spread**2 / len(each)  # of a median
     return Agreement(scales, float(np.median(each)), float(np.sqrt(own)), *apart, len(each))
 
@@ -83,7 +84,7 @@ def together(agreement: Agreement) -> Scale:
     Weights are the inverse variances of what the two do not share. Vehicles, detector and ground are largely the same,
     so no part of the uncertainty gets smaller than its weighted mean.
     Two that contradict each other have no mean: the surer one gives the value, and the interval reaches over both, as
-    with other evidence (`pooling.evidence`).
+    with other evidence (`core.evidence`).
     """
     a, b = agreement.scales.values()
     for scale in (a, b):

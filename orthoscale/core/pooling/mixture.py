@@ -44,8 +44,8 @@ LEAST_KEPT = 0.02  # share of the information that is left however much the clas
 # spread. More of them make neither a fleet nor a share of larger vehicles more likely than another: what they would
 # tell apart is finer than what is known.
 SHAPE_VEHICLES = 50
-ROUNDS = 120
-SETTLED = 1e-4
+EM_ROUNDS = 120
+EM_SETTLED = 1e-4
 UNKNOWNS = 5
 
 
@@ -147,7 +147,7 @@ def fit(
     unknown = np.zeros((len(v), UNKNOWNS))
     unknown[:, :2] = _start(gap, spread + systematic, national, v)
     i00, i01, i11 = inverse[..., 0, 0], inverse[..., 0, 1], inverse[..., 1, 1]
-    for _ in range(ROUNDS):
+    for _ in range(EM_ROUNDS):
         moved = np.einsum("kiu,vu->vki", turn, unknown)
         r0, r1 = (moved[..., k, None] - gap[..., k] for k in (0, 1))  # (V, K + 1, N)
         density = height * np.exp(-0.5 * (i00 * r0**2 + 2 * i01 * r0 * r1 + i11 * r1**2))
@@ -166,7 +166,7 @@ def fit(
         ordinary = p[:, :-1].sum(2) + PRIOR_SHARES * national
         share = ordinary / ordinary.sum(1, keepdims=True)
         unknown = unknown + step
-        if np.abs(step[:, :4]).max() < SETTLED:
+        if np.abs(step[:, :4]).max() < EM_SETTLED:
             break
 
     log_scale = unknown[:, :2]

@@ -13,9 +13,9 @@ from ..scale import Scale
 from ..verdicts import verdict
 from ..votes import Votes
 from .posterior import Z90
+from .robust import MIN_VEHICLES
 
 MIN_SCORE = 0.5
-MIN_VEHICLES = 5
 WHISKER = 1.5  # interquartile ranges beyond the quartiles within which a value counts
 
 
@@ -35,6 +35,7 @@ class PaperScale:
 
     @property
     def vehicles_used(self) -> int:
+        """How many vehicles are left within the whiskers."""
         return int(self.used.sum())
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-Z90 = 1.6449  # two-sided 90 % of a normal distribution
+Z90 = 1.6449  # two-sided 90 % of a normal distribution, in standard deviations
+ROBUST_SD = 1.4826  # a normal distribution's standard deviation per median absolute deviation
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,7 @@ class Posterior:
 
     @classmethod
     def normal(cls, mean: float, sd: float) -> Posterior:
+        """One normal distribution of the logarithm."""
         return cls(np.ones(1), np.array([mean]), np.array([sd]))
 
     @classmethod

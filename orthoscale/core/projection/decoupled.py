@@ -1,4 +1,4 @@
-"""The paper's decoupled stereoscopic projection (arXiv 2603.07535, equations as in DESIGN.md), and what it leaves out.
+"""The paper's decoupled stereoscopic projection (arXiv 2603.07535), and what it leaves out.
 
 It looks at a vehicle across the viewing ray. There its ground extent along the ray's azimuth (radial) is foreshortened
 and its height adds to it; its extent across (tangential) is seen in full. So length and width, apart from each other,

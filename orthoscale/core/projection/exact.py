@@ -18,6 +18,7 @@ from .view import Views
 ITERATIONS = 8  # each leaves about a tenth of the error of the one before
 # Bumpers reach out furthest about here (49 CFR 581 hits them at 16 to 20 inches, 0.41 to 0.51 m), doors a bit higher.
 BEND = 0.4  # [m] walls stand straight up to here; above it they lean in by `Hull.end_lean` and `Hull.side_lean`
+FLAT = 0.01  # [m] height of a hull that is but an outline painted on the ground
 CHUNK = 1_000  # boxes solved at once; small enough for the processor's cache
 
 
@@ -31,7 +32,7 @@ class Hull:
     one makes up for insets that a van does not have.
     """
 
-    height: float = 0.8  # what the detector's boxes enclose, see DetectorCard.effective_height [m]
+    height: float = 0.8  # what the detector's boxes enclose, see `detect.detector.Card` [m]
     belt: float = 0.85
     roof: float = 1.5
     front_inset: float = 0.30  # of the length, at the roof

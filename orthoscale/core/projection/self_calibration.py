@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from ..boxes import Boxes
-from .exact import Hull, ground_size
+from ..pooling.posterior import ROBUST_SD
+from .exact import FLAT, Hull, ground_size
 from .view import Views
 
 Trends = dict[str, dict[str, list[float]]]  # see `trends`
@@ -27,8 +28,7 @@ STEPS = 16
 HEIGHT, MARGIN, UNDERCUT, LEAN, CORNER = range(5)  # columns of `OwnRuler.value`
 STRIDE = (0.3, 3.0, 0.3, 0.08, 0.08)  # of one step, at most: far from the answer the slopes are another body's
 DIFFERENCES = (0.05, 0.25, 0.05, 0.05, 0.05)  # that give the slopes: [m], [detector px], [m], [1/m], share of the width
-SETTLED, SAME_SLOPES = 0.03, 0.1  # shares of STRIDE at which the steps end, and slopes are not measured again
-FLAT = 0.01  # [m] height of an outline without a body
+RULER_SETTLED, SAME_SLOPES = 0.03, 0.1  # shares of STRIDE at which the steps end, and slopes are not measured again
 HIGHEST = 2.2  # of the effective height [m]: the roof of a van
 # A card knows no undercut: its effective height is that of a body with upright sides, which grows as much in a view of
 # USUAL_LEAN (cotangent of the elevation, along the side in question). UNDERCUT_SD is the prior's one sigma.
@@ -266,7 +266,7 @@ def _settled(
         value = np.clip(value, LOWEST, LARGEST)
         change = (np.abs(value - ruler.value) / STRIDE).max()
         ruler = replace(shipped, value=value, covariance=covariance, views=int(good.sum()))
-        if change < SETTLED:
+        if change < RULER_SETTLED:
             break
     return ruler
 
@@ -297,7 +297,7 @@ def _gain(plain: np.ndarray, shaped: np.ndarray, vehicle: np.ndarray) -> float:
     gains = []
     for before, after in ((np.log(plain), np.log(shaped)), (plain / typical, shaped / typical)):
         old, new = (np.abs(values - mean(values)) for values in (before, after))
-        noise = np.maximum(1.4826 * np.median(new, axis=0), 1e-9)
+        noise = np.maximum(ROBUST_SD * np.median(new, axis=0), 1e-9)
         loss = [np.where(r < HUBER, r**2, HUBER * (2 * r - HUBER)).sum() for r in (old / noise, new / noise)]
         gains.append(float(loss[0] - loss[1]))
     return min(gains)
@@ -359,7 +359,7 @@ def _within(
     weight, slope, design = np.ones(len(y)), prior, 1.0
     for _ in range(20):
         residual = y - x @ slope
-        variance = max(1.4826 * float(np.median(np.abs(residual))) / np.sqrt(freedom), 1e-12) ** 2
+        variance = max(ROBUST_SD * float(np.median(np.abs(residual))) / np.sqrt(freedom), 1e-12) ** 2
         weight = 1 / np.maximum(1, np.abs(residual) / (HUBER * np.sqrt(variance)))
         pulled = x * weight[:, None]
         alone = pulled.T @ x / variance

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+LOWEST_ELEVATION = 25.0  # [deg] flatter rays meet the ground too far off, and see vehicles from the side
+
 
 @dataclass(frozen=True)
 class Views:
@@ -29,6 +31,7 @@ class Views:
 
     @classmethod
     def concatenate(cls, parts: Sequence[Views]) -> Views:
+        """All views of `parts`, in their order. Raises ValueError for no parts."""
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("ground", "normal", "lens")))
 
     def __getitem__(self, index: np.ndarray | slice) -> Views:

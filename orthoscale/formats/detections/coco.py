@@ -20,7 +20,7 @@ from .own import spread_note
 if TYPE_CHECKING:
     from ..schemas import CocoAnnotation
 
-HINT = "Oriented boxes are needed: a segmentation with four corners, or a bbox with an angle."
+COCO_HINT = "Oriented boxes are needed: a segmentation with four corners, or a bbox with an angle."
 
 
 def is_coco(text: Any) -> bool:
@@ -34,7 +34,7 @@ def read(text: Any, origin: str) -> tuple[list[Item], dict[str, tuple[int, int]]
     """The boxes of a document, and the size (width, height) of pictures where it tells. Raises InputError."""
     from ..schemas import Coco
 
-    whole = checked(text if isinstance(text, dict) else {"annotations": text}, Coco, origin, "COCO's JSON", HINT)
+    whole = checked(text if isinstance(text, dict) else {"annotations": text}, Coco, origin, "COCO's JSON", COCO_HINT)
     pictures = {image.id: image.file_name for image in whole.images}
     sizes = {image.file_name: (int(image.width), int(image.height)) for image in whole.images}
     labels = {category.id: category.name for category in whole.categories}
@@ -51,7 +51,7 @@ def read(text: Any, origin: str) -> tuple[list[Item], dict[str, tuple[int, int]]
             label = None if category is None else labels.get(category)
             items.append(Item(_polygon(annotation), annotation.score, label, picture, annotation.spread))
         except ValueError as error:
-            raise InputError(f"{origin}: annotation {number} cannot be used ({reason(error)})", HINT) from error
+            raise InputError(f"{origin}: annotation {number} cannot be used ({reason(error)})", COCO_HINT) from error
     return items, sizes
 
 

@@ -18,11 +18,11 @@ import numpy as np
 from ...core.boxes import Boxes
 from ...errors import InputError, OutputError, shown
 from ..reading import check_regular, checked, parsed
-from .items import CLASS, LABEL, PICTURE, SCORE, Item, first
+from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
 from .own import spread_note
 
 LAYER = "vehicles"
-SPREAD = ("length_spread", "width_spread")  # columns of a GeoPackage, which has no lists
+SPREAD_FIELDS = ("length_spread", "width_spread")  # columns of a GeoPackage, which has no lists
 PIXELS = "pixels"
 
 
@@ -172,7 +172,7 @@ def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None
                 path,
                 geometry=np.asarray(shapely.to_wkb(polygons), object),
                 field_data=[*columns, *spreads.T],
-                fields=np.array([*fields, *SPREAD], object),
+                fields=np.array([*fields, *SPREAD_FIELDS], object),
                 geometry_type="Polygon",
                 crs=None if place is None else place.crs,
                 layer=LAYER,
@@ -241,13 +241,13 @@ def _ring(kind: str | None, rings: Any, what: str) -> np.ndarray:
 
 def _item(polygon: np.ndarray, properties: Mapping[str, Any]) -> Item:
     label, picture = first(properties, CLASS), first(properties, PICTURE)
-    told = first(properties, SCORE)
+    told = first(properties, SCORE_NAMES)
     score = 1.0 if told is None else _number(told)
     spread = properties.get("spread")  # a list, which GDAL and QGIS turn into text
     if isinstance(spread, str):
         spread = spread.strip("[] ").split(",")
     if not isinstance(spread, (list, np.ndarray)) or len(spread) != 2:
-        spread = [properties.get(name) for name in SPREAD]
+        spread = [properties.get(name) for name in SPREAD_FIELDS]
     length, width = (_number(v) for v in spread)
     name = None if picture is None else str(picture)
     return Item(polygon, score, None if label is None else str(label), name, (length, width))

@@ -14,10 +14,10 @@ from ...core.boxes import Boxes
 from ...detect.classes import is_vehicle
 from ...errors import InputError, shown
 
-FARTHEST = 1e7  # [px]
+FARTHEST_PX = 1e7  # [px]
 # What programs call these properties of a box; the first that is there counts.
 PICTURE = ("picture", "image", "file_name", "filename")
-SCORE = ("score", "confidence", "conf", "probability")
+SCORE_NAMES = ("score", "confidence", "conf", "probability")
 CLASS = ("class", "label", "category", "class_name", "name", "kind")
 LABEL = "small-vehicle"  # what our own boxes are called in the files of others, DOTA's word
 
@@ -50,10 +50,10 @@ def rectangles(polygons: Sequence[np.ndarray]) -> np.ndarray:
     four = np.array([len(p) == 4 for p in opened], bool)
     if four.any():
         corners = np.stack([p for p in opened if len(p) == 4])
-        out[four] = np.where((np.abs(corners) < FARTHEST).all((1, 2))[:, None], _of_corners(corners), np.nan)
+        out[four] = np.where((np.abs(corners) < FARTHEST_PX).all((1, 2))[:, None], _of_corners(corners), np.nan)
     for k in np.flatnonzero(np.isnan(out).any(1)):
         p = opened[k]
-        if (np.abs(p) < FARTHEST).all():  # OpenCV takes single precision only
+        if (np.abs(p) < FARTHEST_PX).all():  # OpenCV takes single precision only
             centre = p.mean(0)
             (x, y), (w, h), degrees = cv2.minAreaRect((p - centre).astype(np.float32))
             out[k] = x + centre[0], y + centre[1], w, h, np.radians(degrees)

@@ -17,10 +17,10 @@ import numpy as np
 from ...core.boxes import Boxes
 from ...errors import InputError, shown
 from ..reading import read_text
-from .items import CLASS, PICTURE, SCORE, Item, first
+from .items import CLASS, PICTURE, SCORE_NAMES, Item, first
 
 NUMBERS = ("cx", "cy", "length", "width")
-HINT = "Columns: cx, cy, length, width, angle (rad) or angle_deg; where wanted score, picture, class."
+TABLE_HINT = "Columns: cx, cy, length, width, angle (rad) or angle_deg; where wanted score, picture, class."
 
 
 def read(path: Path) -> list[Item]:
@@ -33,10 +33,10 @@ def read(path: Path) -> list[Item]:
         missing = [name for name in NUMBERS if name not in names]
         missing += ["angle"] if not {"angle", "angle_deg"} & set(names) else []
         if missing:
-            raise InputError(f"{path}: no column {' and '.join(missing)}", HINT)
+            raise InputError(f"{path}: no column {' and '.join(missing)}", TABLE_HINT)
         rows = [_row(row, f"{path}, line {table.line_num}") for row in table]
     except csv.Error as error:
-        raise InputError(f"{path}: not a CSV table (line {table.line_num})", HINT) from error
+        raise InputError(f"{path}: not a CSV table (line {table.line_num})", TABLE_HINT) from error
     corners = Boxes(np.array([row[0] for row in rows], float).reshape(-1, 5), np.ones(len(rows))).corners
     return [Item(c, score, label, picture) for c, (_, score, label, picture) in zip(corners, rows, strict=True)]
 
@@ -54,9 +54,9 @@ def _row(row: Mapping[str | None, str | None], origin: str) -> tuple[list[float]
         try:
             return float(word or "")
         except ValueError:
-            raise InputError(f"{origin}: {name} is {shown(word or '')!r}, not a number", HINT) from None
+            raise InputError(f"{origin}: {name} is {shown(word or '')!r}, not a number", TABLE_HINT) from None
 
     angle = number("angle") if "angle" in row else math.radians(number("angle_deg"))
-    score = next((name for name in SCORE if name in row), "score")
+    score = next((name for name in SCORE_NAMES if name in row), "score")
     label, picture = first(row, CLASS), first(row, PICTURE)
     return [*map(number, NUMBERS), angle], number(score, "1"), label or None, picture or None

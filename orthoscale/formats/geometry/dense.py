@@ -15,7 +15,7 @@ from ..reading import files_below
 # consistency graphs, fused.ply.vis and undistorted images have no lengths.
 GEOMETRY = {".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".las", ".laz", ".xyz", ".pcd", ".splat", ".spz"}
 DEPTH_KINDS = (".geometric.bin", ".photometric.bin")
-COPY_AGAIN = "The file is damaged or was cut off: copy it again, or compute it anew."
+COMPUTE_ANEW = "The file is damaged or was cut off: copy it again, or compute it anew."
 
 
 def scale_depth_map(source: Path, target: Path, scale: float) -> None:
@@ -26,11 +26,12 @@ def scale_depth_map(source: Path, target: Path, scale: float) -> None:
         width, height, channels = map(int, shape)
         head = len(data[:64]) - len(rest)
     except ValueError:
-        raise InputError(f"{source}: not a depth map of COLMAP", COPY_AGAIN) from None
+        raise InputError(f"{source}: not a depth map of COLMAP", COMPUTE_ANEW) from None
     needed = head + 4 * width * height * channels
     if channels != 1 or min(width, height) < 1 or len(data) != needed:
         raise InputError(
-            f"{source}: {len(data)} bytes, but a depth map of {width} x {height} x {channels} has {needed}", COPY_AGAIN
+            f"{source}: {len(data)} bytes, but a depth map of {width} x {height} x {channels} has {needed}",
+            COMPUTE_ANEW,
         )
     depths = np.frombuffer(data, "<f4", offset=head).astype(float) * scale
     target.write_bytes(data[:head] + depths.astype("<f4").tobytes())

@@ -13,13 +13,12 @@ from typing import Any
 from urllib.parse import unquote
 
 from ...errors import InputError
-from ..reading import HUGE, MIB, checked, parsed, read_plain
+from ..reading import EXPORT_ANEW, HUGE, MIB, checked, parsed, read_plain
 from .beside import beside
 from .mark import MARK, mark, refuse_marked
 
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
-WHAT = "a glTF scene"
-COPY_AGAIN = "The file is damaged or was cut off: copy it again, or export it anew."
+A_SCENE = "a glTF scene"
 
 
 def scale_glb(source: Path, target: Path, scale: float) -> None:
@@ -28,15 +27,15 @@ def scale_glb(source: Path, target: Path, scale: float) -> None:
     with source.open("rb") as file:
         head = file.read(20)
         if len(head) < 20:
-            raise InputError(f"{source}: {size} bytes are no glTF file", COPY_AGAIN)
+            raise InputError(f"{source}: {size} bytes are no glTF file", EXPORT_ANEW)
         magic, version, announced, length, kind = struct.unpack("<4sIIII", head)
         if magic != MAGIC or version != VERSION or kind != JSON_CHUNK:
             raise InputError(f"{source}: not a binary glTF 2.0 file", "Export it as glTF 2.0.")
         if announced != size or 20 + length > size:
-            raise InputError(f"{source}: {size} bytes, but its header says {announced}", COPY_AGAIN)
+            raise InputError(f"{source}: {size} bytes, but its header says {announced}", EXPORT_ANEW)
         if length > HUGE:
-            raise InputError(f"{source}: its JSON is larger than the {HUGE // MIB} MiB that it may have", COPY_AGAIN)
-        text = parsed(file.read(length), str(source), WHAT, COPY_AGAIN)
+            raise InputError(f"{source}: its JSON is larger than the {HUGE // MIB} MiB that it may have", EXPORT_ANEW)
+        text = parsed(file.read(length), str(source), A_SCENE, EXPORT_ANEW)
         new = json.dumps(_scaled(source, text, scale), separators=(",", ":")).encode()
         new += b" " * (-len(new) % 4)
         with target.open("wb") as out:
@@ -46,7 +45,7 @@ def scale_glb(source: Path, target: Path, scale: float) -> None:
 
 def scale_gltf(source: Path, target: Path, scale: float) -> list[Path]:
     """The same for a .gltf text file; returns the buffers and images beside it that it refers to."""
-    text = read_plain(source, WHAT, COPY_AGAIN, HUGE)
+    text = read_plain(source, A_SCENE, EXPORT_ANEW, HUGE)
     target.write_text(json.dumps(_scaled(source, text, scale), indent=1), encoding="utf-8")
     told = [part.get("uri") or "" for part in (*text.get("buffers", []), *text.get("images", []))]
     # Names are percent-encoded (glTF 2.0, 2.8); not all exporters do so.
@@ -59,7 +58,7 @@ def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
     from ..schemas import Gltf
 
     hint = "Export the mesh as a glTF 2.0 scene."
-    checked(text, Gltf, str(path), WHAT, hint)
+    checked(text, Gltf, str(path), A_SCENE, hint)
     asset, nodes, scenes = text["asset"], text["nodes"], text["scenes"]
     if MARK in (asset.get("extras") or {}):
         refuse_marked(path)

@@ -15,9 +15,10 @@ from typing import BinaryIO
 import numpy as np
 
 from ...errors import InputError
+from ..reading import EXPORT_ANEW
 from .mark import MARK, mark, refuse_marked
 
-TYPES = {
+PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
     **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
     **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
@@ -27,7 +28,6 @@ LONGEST_HEADER = 1 << 16  # [bytes]
 ROWS = 1 << 17  # vertices in memory at once
 MOST_POINTS = 500_000  # that a model is given; the ground is found from fewer
 LENGTHS = ("x", "y", "z", "radius")
-COPY_AGAIN = "The file is damaged or was cut off: copy it again, or export it anew."
 
 
 @dataclass
@@ -89,7 +89,7 @@ def _require(path: Path, file: BinaryIO, form: str, elements: list[_Element]) ->
     """Raise InputError where less follows than the header announces."""
     missing = sum(element.least(form) for element in elements) - (path.stat().st_size - file.tell()) - 1
     if missing > 0:  # the last line of text may have no end
-        raise InputError(f"{path}: {missing} bytes or more are missing at its end", COPY_AGAIN)
+        raise InputError(f"{path}: {missing} bytes or more are missing at its end", EXPORT_ANEW)
 
 
 def _copy(file: BinaryIO, out: BinaryIO, size: int) -> None:
@@ -119,7 +119,7 @@ def read_points(path: Path) -> np.ndarray:
                     words = [row.split() for row in rows]
                     parts.append(np.array([[row[k] for k in columns] for row in words], float).reshape(-1, 3))
                 except (ValueError, IndexError) as error:
-                    raise InputError(f"{path}: a vertex is missing or malformed", COPY_AGAIN) from error
+                    raise InputError(f"{path}: a vertex is missing or malformed", EXPORT_ANEW) from error
         else:
             row = vertex.row(ORDER[form])
             for start in range(0, vertex.count, ROWS):
@@ -128,7 +128,7 @@ def read_points(path: Path) -> np.ndarray:
                 parts.append(np.column_stack([table[axis].astype(float) for axis in "xyz"]))
     points = np.concatenate([np.empty((0, 3)), *parts])
     if not np.isfinite(points).all():
-        raise InputError(f"{path}: a vertex is not finite", COPY_AGAIN)
+        raise InputError(f"{path}: a vertex is not finite", EXPORT_ANEW)
     return points
 
 
@@ -151,14 +151,14 @@ def _header(path: Path, file: BinaryIO) -> tuple[list[str], str, list[_Element]]
             elif words[:1] == ["element"]:
                 elements.append(_Element(words[1], int(words[2]), []))
             elif words[:1] == ["property"]:
-                kind = "" if words[1] == "list" else TYPES[words[1]]
+                kind = "" if words[1] == "list" else PLY_TYPES[words[1]]
                 if words[-1] in (name for name, _ in elements[-1].properties):
                     raise ValueError(f"{words[-1][:40]} appears twice")
                 elements[-1].properties.append((words[-1], kind))
         if form not in ORDER or any(e.count < 0 for e in elements):
             raise ValueError("no known format, or a negative count")
     except (ValueError, IndexError, KeyError) as error:
-        raise InputError(f"{path}, line {len(lines) + 1}: not a PLY header ({error})", COPY_AGAIN) from error
+        raise InputError(f"{path}, line {len(lines) + 1}: not a PLY header ({error})", EXPORT_ANEW) from error
     return lines, form, elements
 
 
@@ -176,7 +176,7 @@ def _binary(
         many = min(ROWS, count - start)
         vertices = np.frombuffer(file.read(many * row.itemsize), row).copy()
         if len(vertices) != many:
-            raise InputError(f"{path}: ends within vertex {start + len(vertices)} of {count}", COPY_AGAIN)
+            raise InputError(f"{path}: ends within vertex {start + len(vertices)} of {count}", EXPORT_ANEW)
         for name in lengths:
             vertices[name] = vertices[name].astype(float) * scale
         for name in logs:
@@ -206,5 +206,5 @@ def _ascii(
             for j in add:
                 words[j] = f"{float(words[j]) + np.log(scale):.9g}".encode()
         except (ValueError, IndexError) as error:
-            raise InputError(f"{path}: vertex {k} of {vertex.count} is missing or malformed", COPY_AGAIN) from error
+            raise InputError(f"{path}: vertex {k} of {vertex.count} is missing or malformed", EXPORT_ANEW) from error
         out.write(b" ".join(words) + b"\n")

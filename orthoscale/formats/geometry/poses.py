@@ -13,20 +13,20 @@ from ..reading import HUGE, checked, read_plain
 from .beside import beside
 from .mark import MARK, mark, refuse_marked
 
-HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
+POSES_HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
 
 
 def read_poses(path: Path) -> dict[str, Any] | list[dict[str, Any]]:
     """The plain values of a transforms.json, a mapping, or of a reconstruction.json, a list. Raises InputError."""
     from ..schemas import OpensfmPart, Transforms
 
-    text = read_plain(path, "a JSON of cameras", HINT, HUGE)
+    text = read_plain(path, "a JSON of cameras", POSES_HINT, HUGE)
     if isinstance(text, list):
-        checked(text, list[OpensfmPart], str(path), "an OpenSfM reconstruction", HINT)
+        checked(text, list[OpensfmPart], str(path), "an OpenSfM reconstruction", POSES_HINT)
         if not text:
-            raise InputError(f"{path}: not an OpenSfM reconstruction (it holds none)", HINT)
+            raise InputError(f"{path}: not an OpenSfM reconstruction (it holds none)", POSES_HINT)
     else:
-        checked(text, Transforms, str(path), "a transforms.json", HINT)
+        checked(text, Transforms, str(path), "a transforms.json", POSES_HINT)
     return text
 
 

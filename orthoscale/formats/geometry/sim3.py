@@ -12,7 +12,7 @@ from ...errors import InputError, UsageError
 from ..reading import SMALL, read, read_text
 
 MATRIX = "sim3_4x4.txt"
-HINT = "Give the sim3.json (or sim3.txt) that `orthoscale fix` wrote."
+SIM3_HINT = "Give the sim3.json (or sim3.txt) that `orthoscale fix` wrote."
 
 
 @dataclass(frozen=True)
@@ -51,15 +51,15 @@ class Sim3:
         if path.suffix == ".json":
             from ..schemas import Sim3Entry
 
-            entry = read(path, Sim3Entry, "a similarity", HINT)
+            entry = read(path, Sim3Entry, "a similarity", SIM3_HINT)
             scale, rest = entry.scale, [*entry.rotation_wxyz, *entry.translation]
         else:
             try:
-                scale, *rest = map(float, read_text(path, HINT, SMALL).split())
+                scale, *rest = map(float, read_text(path, SIM3_HINT, SMALL).split())
             except ValueError as error:
-                raise InputError(f"{path}: not a similarity (expected eight numbers)", HINT) from error
+                raise InputError(f"{path}: not a similarity (expected eight numbers)", SIM3_HINT) from error
         if len(rest) != 7:
-            raise InputError(f"{path}: not a similarity ({len(rest) + 1} numbers, 8 are needed)", HINT)
+            raise InputError(f"{path}: not a similarity ({len(rest) + 1} numbers, 8 are needed)", SIM3_HINT)
         if rest != [1, 0, 0, 0, 0, 0, 0]:
-            raise UsageError(f"{path} turns or shifts the model as well; only its scale can be applied", HINT)
+            raise UsageError(f"{path} turns or shifts the model as well; only its scale can be applied", SIM3_HINT)
         return cls(scale)

@@ -11,7 +11,7 @@ import numpy as np
 import orthoscale
 from orthoscale.fleets import load_fleet
 
-EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "sheffield"
 GSD = 0.1  # m/px
 WIDTH, HEIGHT = 1000, 700  # px
 MARGIN = (1.0, 0.5)  # px that the boxes are longer and wider than the vehicles

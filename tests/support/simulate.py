@@ -10,12 +10,16 @@ import numpy as np
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
 from orthoscale.core.projection.decoupled import simple_views
-from orthoscale.core.projection.exact import Hull
+from orthoscale.core.projection.exact import BODIES, Hull
+from orthoscale.core.projection.self_calibration import OwnRuler, own_ruler
 from orthoscale.core.projection.view import Views
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import Votes
+from orthoscale.synthetic.vehicle import Vehicle
 
 SMALLEST = 5.0  # px: narrower boxes are not detected
+PITCHES = (-90, -75, -60, -45, -30)
+UNIT = 0.07  # metres; that of the views. Nothing depends on it, and no model is told
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,54 @@ def _extents(points: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndar
     cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
     turned = np.stack([points[..., 0] * cos + points[..., 1] * sin, points[..., 1] * cos - points[..., 0] * sin], -1)
     return turned.min(1), turned.max(1)
+
+
+MESHES = {  # of the synthetic scenes: shape, length, width, height [m]
+    "sedan": (4.6, 1.8, 1.45),
+    "hatch": (4.0, 1.75, 1.48),
+    "suv": (4.6, 1.88, 1.68),
+    "van": (5.3, 1.98, 1.98),
+    "pickup": (5.4, 1.9, 1.8),
+}
+
+
+def car_mesh(shape: str, reach: float = np.inf) -> Body:
+    """A mesh with wheels, bumpers and slanting panes, without its mirrors, as far up as `reach` [m]."""
+    length, width, height = MESHES[shape]
+    mesh = Vehicle(0, 0, 0, length, width, height, shape).mesh(np.random.default_rng(0))
+    a, b = mesh.corners.reshape(-1, 3), np.roll(mesh.corners, -1, axis=1).reshape(-1, 3)
+    crosses = (a[:, 2] - reach) * (b[:, 2] - reach) < 0 if np.isfinite(reach) else np.zeros(len(a), bool)
+    a_cut, b_cut = a[crosses], b[crosses]
+    t = (reach - a_cut[:, 2:]) / (b_cut[:, 2:] - a_cut[:, 2:]) if crosses.any() else np.empty((0, 1))
+    points = np.unique(np.concatenate([a[a[:, 2] <= reach], a_cut + t * (b_cut - a_cut)]).round(4), axis=0)
+    points = points[np.abs(points[:, 1]) <= width / 2 + 1e-3]
+    return Body(shape, (length, width), points[:, :2] / (length, width), points[:, 2])
+
+
+def cut(body: Body, height: float) -> Body:
+    """What a detector encloses that reaches up to `height` [m]: walls between the body's slabs are straight."""
+    slabs = np.unique(body.heights)
+    plans = [body.plan[body.heights == h] for h in slabs]
+    below = [k for k, h in enumerate(slabs) if h < height]
+    last = below[-1]
+    if last + 1 == len(slabs):
+        return body
+    t = (height - slabs[last]) / (slabs[last + 1] - slabs[last])
+    top = plans[last] + t * (plans[last + 1] - plans[last])
+    levels = [slabs[k] for k in below] + [height]
+    return Body(body.name, body.size, np.concatenate([*plans[: last + 1], top]), np.repeat(levels, len(top)))
+
+
+def found_ruler(flights: list[Seen], body: str) -> OwnRuler:
+    """Height, lean and corner for which a vehicle gets one size at all pitches, found as in a reconstruction: without
+    metres, here from groups of boxes of one vehicle. What they are shaped like is taken to be one of BODIES."""
+    boxes, views = (
+        Boxes.concatenate([s.boxes for s in flights]),
+        Views.concatenate([s.views(unit=UNIT) for s in flights]),
+    )
+    groups = np.array_split(np.random.default_rng(0).permutation(len(boxes)), len(boxes) // 20)
+    card = OwnRuler.shipped((0.8, 0.8), (0.0, 0.0), (0.6, 0.6), (1e-3, 1e-3), BODIES[body])
+    return own_ruler(boxes, views, 1.0, groups, UNIT, card)
 
 
 def car_park(

@@ -1,0 +1,131 @@
+"""A COLMAP model as OpenSfM, nerfstudio, Bundler and VisualSFM would write it, and what must hold of it then."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from orthoscale.actions.fix import fix
+from orthoscale.formats.detections.own import save_detections
+
+from .flights import UNIT, found_by
+from .geometry import ply
+from .models import put_frames
+
+LENS = {"f": 400.0, "k1": 0.05, "k2": -0.02}
+
+
+def opensfm(model, folder: Path, **camera) -> Path:
+    """The model as OpenSfM would write it."""
+    lens = {"projection_type": "perspective", "width": 640, "height": 480, "focal": LENS["f"] / 640}
+    shots, points = {}, {}
+    for image in model.images.values():
+        pose = image.cam_from_world()
+        turn = Rotation.from_matrix(pose.rotation.matrix()).as_rotvec()
+        shots[image.name] = {"camera": "c", "rotation": turn.tolist(), "translation": pose.translation.tolist()}
+    for number, point in model.points3D.items():
+        points[str(number)] = {"coordinates": point.xyz.tolist(), "color": [10, 20, 30]}
+    part = {"cameras": {"c": {**lens, "k1": LENS["k1"], "k2": LENS["k2"], **camera}}, "shots": shots, "points": points}
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "reconstruction.json").write_text(json.dumps([part]))
+    return folder / "reconstruction.json"
+
+
+def nerfstudio(model, folder: Path, **more) -> Path:
+    """The model as ns-process-data would write it."""
+    frames = []
+    for image in model.images.values():
+        pose = image.cam_from_world()
+        matrix = np.eye(4)
+        matrix[:3, :3] = pose.rotation.matrix().T * (1, -1, -1)
+        matrix[:3, 3] = image.projection_center()
+        frames.append({"file_path": f"images/{image.name}", "transform_matrix": matrix.tolist()})
+    folder.mkdir(parents=True, exist_ok=True)
+    ply(folder / "sparse_pc.ply", "ascii", ["x", "y", "z"], np.array([p.xyz for p in model.points3D.values()]))
+    text = {"camera_model": "OPENCV", "w": 640, "h": 480, "fl_x": LENS["f"], "fl_y": LENS["f"], "cx": 320, "cy": 240}
+    text |= {"k1": LENS["k1"], "k2": LENS["k2"], "frames": frames, "ply_file_path": "sparse_pc.ply", **more}
+    (folder / "transforms.json").write_text(json.dumps(text))
+    return folder / "transforms.json"
+
+
+def same_views(colmap, other, folder=""):
+    """Rays, ground and projections of both sources are the same; `other` has the pictures in `folder`."""
+    pixels = np.random.default_rng(0).uniform((20, 20), (620, 460), (200, 2))
+    for name in colmap.picture_names[::4]:
+        theirs = folder + name
+        views, world, ok = colmap.views(name, pixels)
+        views2, world2, ok2 = other.views(theirs, pixels)
+        assert (ok == ok2).all() and ok.mean() > 0.6
+        assert np.allclose(world[ok], world2[ok], atol=0.02)  # another choice of ground points
+        assert np.allclose(views.lens[ok], views2.lens[ok], rtol=1e-6, atol=1e-3)
+        assert np.allclose(colmap.project(name, world[ok]), other.project(theirs, world[ok]), atol=1e-4)
+
+
+def rescaled(model, turn, writer, tmp_path):
+    """The file that `writer` made of `model`, and what `fix` made of it: the scale is right, the input untouched."""
+    path = writer(model, tmp_path / "in")
+    put_frames(model, tmp_path / "in/images")
+    before = {p: p.read_bytes() for p in (tmp_path / "in").rglob("*.*")}
+    save_detections(found_by(path, turn), tmp_path / "boxes.json")
+    result = fix(path.parent, tmp_path / "out", fleet="DE", detections=tmp_path / "boxes.json")
+    assert {p: p.read_bytes() for p in before} == before
+    assert result.scale.value == pytest.approx(UNIT, rel=0.03)
+    return path, result
+
+
+K1, K2 = 0.05, -0.02
+FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+def track(model, point, first: int, y_up: bool = False) -> str:
+    """Where images saw `point`, from their middle; the first image has the number `first`."""
+    numbers = {image: k for k, image in enumerate(model.images, first)}
+    words = [str(len(point.track.elements))]
+    for element in point.track.elements:
+        x, y = model.image(element.image_id).points2D[element.point2D_idx].xy - (320, 240)
+        words += [
+            str(numbers[element.image_id]),
+            str(element.point2D_idx),
+            repr(float(x)),
+            repr(float(-y if y_up else y)),
+        ]
+    return " ".join(words)
+
+
+def bundler(model, folder: Path, k=(K1, K2), lost: int = 1) -> Path:
+    """The model as Bundler would write it, after `lost` images that it did not register."""
+    names = [f"lost{i}.jpg" for i in range(lost)] + [image.name for image in model.images.values()]
+    lines = ["# Bundle file v0.3", f"{len(names)} {len(model.points3D)}"]
+    lines += ["0 0 0", *["0 0 0"] * 3, "0 0 0"] * lost
+    for image in model.images.values():
+        pose = image.cam_from_world()
+        rows = [*(FLIP @ pose.rotation.matrix()), FLIP @ pose.translation]
+        lines += [
+            f"{float(image.camera.params[0])!r} {k[0]} {k[1]}",
+            *(" ".join(map(repr, row.tolist())) for row in rows),
+        ]
+    for point in model.points3D.values():
+        lines += [" ".join(map(repr, point.xyz.tolist())), "10 20 30", track(model, point, lost, y_up=True)]
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "bundle.out").write_text("\n".join(lines) + "\n")
+    (folder / "list.txt").write_text("".join(f"./{name} 0 400.0\n" for name in names))
+    return folder / "bundle.out"
+
+
+def nvm(model, folder: Path, r: float = 0.0, head: str = "NVM_V3", more: str = "0\n", tracks: bool = True) -> Path:
+    """The model as VisualSFM would write it."""
+    lines = [head, "", str(len(model.images))]
+    for image in model.images.values():
+        x, y, z, w = Rotation.from_matrix(image.cam_from_world().rotation.matrix()).as_quat()
+        values = [image.camera.params[0], w, x, y, z, *image.projection_center(), r]
+        lines.append(f"{image.name} " + " ".join(repr(float(v)) for v in values) + " 0")
+    lines += ["", str(len(model.points3D))]
+    for p in model.points3D.values():
+        lines.append(" ".join(map(repr, p.xyz.tolist())) + " 10 20 30 " + (track(model, p, 0) if tracks else "0"))
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "scene.nvm").write_text("\n".join([*lines, "", more]))
+    return folder / "scene.nvm"

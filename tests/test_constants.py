@@ -1,0 +1,78 @@
+"""Numbers of the program: each defined once, by the module that owns it, and those that can be computed are."""
+
+from __future__ import annotations
+
+import ast
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.stats import norm
+
+import orthoscale
+from orthoscale.core.pooling.posterior import ROBUST_SD, Z90
+from orthoscale.sources.ground import ABOVE, BELOW, SETTLES, SPREAD
+
+PACKAGE = Path(orthoscale.__file__).parent
+MODULES = {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text()) for path in PACKAGE.rglob("*.py")}
+
+
+def constants(tree):
+    """Names in upper case that a module assigns at its top level."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign):
+            targets = node.targets
+        elif isinstance(node, ast.AnnAssign) and node.value is not None:
+            targets = [node.target]
+        else:
+            continue
+        for target in targets:
+            names = target.elts if isinstance(target, ast.Tuple) else [target]
+            yield from (name.id for name in names if isinstance(name, ast.Name) and name.id.isupper())
+
+
+def test_every_constant_is_defined_in_one_module():
+    homes = defaultdict(set)
+    for module, tree in MODULES.items():
+        for name in constants(tree):
+            homes[name].add(module)
+    assert len(homes) > 300, "the package is not read"
+    assert not {name: sorted(modules) for name, modules in homes.items() if len(modules) > 1}
+
+
+def test_the_normal_distributions_numbers_have_one_owner():
+    """1.4826 and 1.645, in whatever precision, are written nowhere but in core/pooling/posterior.py."""
+    found = {
+        f"{module}:{node.lineno}": node.value
+        for module, tree in MODULES.items()
+        if module != "core/pooling/posterior.py"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, float)
+        and (1.48 <= node.value <= 1.483 or 1.64 <= node.value <= 1.65)
+    }  # fmt: skip
+    assert not found
+
+
+def test_the_normal_distributions_numbers_are_right():
+    assert pytest.approx(norm.ppf(0.95), abs=1e-4) == Z90
+    assert pytest.approx(1 / norm.ppf(0.75), abs=1e-4) == ROBUST_SD
+
+
+def test_where_the_ground_sheet_settles_follows_from_how_it_listens():
+    """Points normally distributed about the ground, the sheet's squared biweight with its two widths: where the pull
+    of the points above equals that of those below, and what the median of those below is then worth."""
+    z = np.linspace(-6, 6, 240_001)
+    density = norm.pdf(z)
+
+    def pull(lower):
+        residual = z + lower
+        width = np.where(residual > 0, ABOVE, BELOW)
+        weight = np.clip(1 - (residual / width) ** 2, 0, None) ** 2
+        return float((density * weight * residual).sum())
+
+    lower = brentq(pull, 0.0, 1.0)
+    assert lower == pytest.approx(SETTLES, abs=0.01)
+    median_below = -lower - norm.ppf(norm.cdf(-lower) / 2)
+    assert 1 / median_below == pytest.approx(SPREAD, abs=0.01)
