@@ -19,6 +19,7 @@ def flight():
     return fly(np.random.default_rng(1), Fleet.load("DE"), 1.1, 3.0, vehicles=40, frames=20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height, margin", [(0.5, 0.0), (1.4, 4.0)])
 def test_height_and_margin_come_back_and_the_scale_is_unbiased(height, margin):
     ruler, error = find(fly(np.random.default_rng(0), Fleet.load("DE"), height, margin))
@@ -29,6 +30,7 @@ def test_height_and_margin_come_back_and_the_scale_is_unbiased(height, margin):
     assert abs(error.mean()) < 0.01 and np.abs(error).max() < 0.015
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("undercut, height", [(0.15, 0.8), (0.3, 0.9)])
 def test_a_body_that_recedes_below_does_not_bias_the_scale(undercut, height):
     """Without an undercut, a straight line through the flat views takes 8 % off all widths."""

@@ -60,6 +60,7 @@ def test_a_wrong_card_is_found_out_by_the_views(flight, found, height, margin):
     assert abs(before[0]) > 3 * before[1] and abs(after[0]) < abs(before[0]) / 3
 
 
+@pytest.mark.slow
 def test_looks_that_contradict_write_nothing_unless_forced(flight, found, tmp_path):
     planar = found.planar
     smaller = {n: Boxes(b.xylwa * [1, 1, 0.7, 0.7, 1], b.score) for n, b in planar.boxes.items()}

@@ -60,6 +60,7 @@ def hold_their_word(scales):
     assert (0.5 if few else 0.75) < np.sqrt(np.mean(error**2)) < (1.5 if few else 1.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", ["US", "DE", "JP", "WORLD"])
 @pytest.mark.parametrize("vans, false", [(0, 0), (0.25, 0.1)])
 def test_nine_intervals_of_ten_hold_the_truth(code, vans, false):
@@ -126,6 +127,7 @@ def test_what_is_not_known_of_the_drawing_counts_where_the_fleet_is_not_the_usua
     assert added["NP"] > 3 * max(added["DE"], 1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", ["DE", "JP"])
 def test_intervals_hold_the_truth_for_a_detector_that_draws_to_the_usual(code):
     ruler = replace(RULER, shrink=(0.4, 0.2), shrink_sd=(0.1, 0.1))
