@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import orthoscale
 from orthoscale.cli.explain import explain
 from orthoscale.detect.detector import Card
 from orthoscale.detect.output_forms import _pipeline_normalisation
@@ -326,7 +327,7 @@ def test_the_tables_that_are_shipped_fit_their_own_schemas():
     from orthoscale.formats import schemas
     from orthoscale.formats.reading import read
 
-    data = Path(schemas.__file__).parent / "data"
+    data = Path(orthoscale.__file__).parent / "data"
     tables = {"fleets": schemas.FleetTable, "objects": schemas.ObjectTable, "stalls": schemas.StallTable}
     for name, schema in {**tables, "facilities": schemas.FacilityTable}.items():
         read(data / f"{name}.json", schema, "a table")

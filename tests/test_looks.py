@@ -10,6 +10,7 @@ import pytest
 from support.flights import FLEET, HEIGHT, UNIT, found_by
 from support.models import make_model
 
+from orthoscale.actions import find as find_module
 from orthoscale.actions.estimate import estimate
 from orthoscale.actions.fix import fix
 from orthoscale.core.boxes import Boxes
@@ -166,3 +167,33 @@ def test_vehicles_measured_both_ways_are_compared_themselves(flight, found):
     assert wrong.contradicts and wrong.common == 20
     few = compare({"oblique": a, "planar": replace(b, value=1.06 * a.value)}, noise[:3])
     assert few.common == 0 and few.difference == pytest.approx(np.log(1.06))
+
+
+# How the pictures of the ground are looked at
+
+
+@pytest.mark.parametrize(
+    "given, own, frames, zooms, number",
+    [
+        (None, 5, 9, [None], 5),  # enough by their own zoom
+        (None, 4, 9, [None, 0.5], 9),
+        (None, "none", 9, [None, 0.5], 9),
+        (None, 4, 3, [None, 0.5], 4),  # no better: what they gave themselves
+        (0.7, 4, 9, [0.7], 4),  # told
+    ],
+)
+def test_the_frames_zoom_is_tried_where_the_grounds_own_shows_too_little(
+    monkeypatch, given, own, frames, zooms, number
+):
+    asked = []
+
+    def find(pictures, detector, zoom, progress, effort):
+        asked.append(zoom)
+        seen = frames if zoom == 0.5 else own
+        if seen == "none":
+            raise TooLittleEvidence("no vehicles found at any zoom")
+        return seen, "choice"
+
+    monkeypatch.setattr(find_module, "find_vehicles", find)
+    found, _ = find_module._planar([], None, given, None, None, lambda seen: seen >= 5, lambda: 0.5)
+    assert (asked, found) == (zooms, number)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orthoscale.core.pooling import robust
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
@@ -213,3 +214,24 @@ def test_what_only_one_frame_of_many_shows_does_not_count():
     scale = pool(votes, fleet, Ruler(), "m/model-unit")
     assert scale.vehicles_used == 20 and scale.rejected == {"seen in one frame only": 60}
     assert scale.value == pytest.approx(0.12, rel=0.05)
+
+
+def test_a_fleet_that_no_box_fits_is_impossible_and_not_the_end(monkeypatch):
+    """As if it were not among the candidates."""
+    first, second = (replace(Fleet.load(code), candidates=(), prior=()) for code in ("DE", "JP"))
+    size = first.sample(np.random.default_rng(0), 60)[:, :2] / 0.1
+    pixel, place = np.ones(60), np.random.default_rng(1).uniform(0, 9000, (60, 2))
+    votes = gather(size, pixel, place, np.ones(60), repeated=False)
+    ruler = Ruler(margin_sd=(0.1, 0.1), bias_sd=(0.01, 0.01), noise=(0.3, 0.3))
+    several = replace(Fleet.load("world"), candidates=(second, first), prior=(0.5, 0.5))
+    alone = pool(votes, replace(several, candidates=(first,), prior=(1.0,)), ruler, "m/px")
+    real = robust.fit
+
+    def fit(log_size, noise, classes, *rest, **more):
+        if classes == second.told_apart:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return real(log_size, noise, classes, *rest, **more)
+
+    monkeypatch.setattr(robust, "fit", fit)
+    both = pool(votes, several, ruler, "m/px")
+    assert both.value == alone.value and both.fleets == {"DE": 1.0}

@@ -127,5 +127,5 @@ def test_refined_boxes_reach_the_pooling():
 
 
 def test_boxes_from_a_file_cannot_be_looked_at_again(tmp_path):
-    with pytest.raises(UsageError, match="--refine looks again"):
+    with pytest.raises(UsageError, match="--refine does nothing here"):
         orthoscale.estimate(tmp_path / "a.png", detections=tmp_path / "a.json", refine=True)

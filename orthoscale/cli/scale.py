@@ -56,6 +56,10 @@ def estimate(
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
+    if overwrite and save_detections is None:
+        raise UsageError(
+            "--overwrite does nothing here: without --save-detections nothing is written", "Leave --overwrite away."
+        )
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
     with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:

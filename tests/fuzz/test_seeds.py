@@ -43,6 +43,19 @@ def test_what_once_failed(name, corpus, worker, tmp_path):
     assert not outcome.problems, f"exit {outcome.code}, {outcome.peak} GiB\n{outcome.said}"
 
 
+# Attempts of the campaign that once failed, each with a fault that no seed above shows.
+ONCE = (
+    ("rasters damaged", 153),  # a PNG's text chunk, told as an error while tags were read
+    ("rasters damaged", 174),  # a TIFF's tag without a type, likewise
+)
+
+
+@pytest.mark.parametrize("name, seed", ONCE)
+def test_attempts_that_once_failed(name, seed, corpus, worker, tmp_path):
+    outcome = worker.apply(campaign.attempt, ((corpus, tmp_path, name, seed, False),))
+    assert not outcome.problems, outcome.said
+
+
 def judged(attempt, folder: Path):
     (folder / "in").mkdir(parents=True)
     (folder / "in/a.txt").write_text("a")
