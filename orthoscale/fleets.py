@@ -40,7 +40,7 @@ def load_fleet(name: str | Path) -> Fleet:
         if str(name).upper() == WORLD:
             share = (AVERAGE_SHARE, *[(1 - AVERAGE_SHARE) / len(countries)] * len(countries))
             return replace(average, candidates=(average, *countries), prior=share)
-        name, share = "found by the vehicles' shapes", (1 / (1 + len(countries)),) * (1 + len(countries))
+        name, share = "inferred from the vehicles' shapes", (1 / (1 + len(countries)),) * (1 + len(countries))
         return replace(average, code=AUTO, name=name, candidates=(average, *countries), prior=share)
     known = {code.lower(): code for code in fleet_codes()}
     if str(name).lower() in known:

@@ -24,7 +24,7 @@ class RioCommands(Commands):
 
 @click.group(cls=RioCommands, short_help="Recover the scale of an orthophoto from its vehicles.")
 def orthoscale() -> None:
-    """Give an orthophoto its ground sampling distance: vehicles are the ruler.
+    """Recover the ground sampling distance of an orthophoto from its vehicles.
 
     \b
     rio orthoscale check ortho.tif --fleet DE

@@ -103,7 +103,7 @@ def test_thousands_of_copies_are_one_vehicle_and_heaps_are_refused():
     one = np.array([[50, 50, 40, 17, 0.3]])
     assert len(distinct(Boxes(np.repeat(one, 24_000, axis=0), np.linspace(0, 1, 24_000)))) == 1
     heap = one + np.random.default_rng(0).normal(0, 2, (5000, 5)) * [1, 1, 0.2, 0.1, 0.01]
-    with pytest.raises(ValueError, match="lie upon one another"):
+    with pytest.raises(ValueError, match="overlap almost entirely"):
         distinct(Boxes(heap, np.ones(5000)))
 
 

@@ -194,10 +194,10 @@ def test_what_cannot_be_calibrated(place, tmp_path):
         calibrate(place / "place.png", gsd=-1)
     with pytest.raises((InputError, TooLittleEvidence)):
         calibrate(place / "place.png", gsd=0.3, detector=place / "net.onnx", fleet="DE")
-    with pytest.raises(UsageError, match="would look for vehicles"):
+    with pytest.raises(UsageError, match="would search for vehicles"):
         calibrate(place / "place.png", gsd=20, detector=place / "net.onnx")
     cv2.imwrite(str(tmp_path / "empty.png"), np.full((200, 200, 3), 60, np.uint8))
-    with pytest.raises(TooLittleEvidence, match="0 vehicles seen at all three zooms"):
+    with pytest.raises(TooLittleEvidence, match="0 vehicles detected at all three resampling factors"):
         calibrate(tmp_path / "empty.png", gsd=0.1, detector=place / "net.onnx", fleet="DE")
 
 

@@ -195,7 +195,7 @@ def test_other_programs(tmp_path, writer):
     path = writer(model, tmp_path)
     put_frames(model, tmp_path / "images")
     if writer is opensfm:
-        assert any("does not say where its images saw" in note for note in open_source(path).notes)
+        assert any("holds no observations of its points" in note for note in open_source(path).notes)
         tracks(model, tmp_path / "tracks.csv")
     assert open_source(path).notes == []
     if writer is opensfm:
@@ -231,7 +231,7 @@ def test_a_long_file_of_tracks_is_read_in_places(tmp_path, monkeypatch):
 
 def test_what_has_no_tracks_says_so(tmp_path):
     model = make_model("RADIAL", (LENS["f"], 320, 240, LENS["k1"], LENS["k2"]))[0]
-    assert "does not say where" in open_source(nerfstudio(model, tmp_path), need_images=False).notes[0]
+    assert "holds no observations of its points" in open_source(nerfstudio(model, tmp_path), need_images=False).notes[0]
 
 
 def test_a_focal_length_far_from_that_of_exif_is_said(tmp_path):

@@ -131,7 +131,7 @@ def test_a_gallery_with_its_manifest(tmp_path):
             assert int(image[75, 100, 1]) * 10 == pytest.approx(down, abs=25)
             assert across == pytest.approx(int(row["column_px"]) + int(row["width_px"]) / 2, abs=1.5)
     shown = run(photo, "--gsd", 0.05, *area, "--overwrite")
-    assert shown.returncode == 0 and "as told" in shown.stdout and "50.0 x 37.5 m" in shown.stdout
+    assert shown.returncode == 0 and "(given)" in shown.stdout and "50.0 x 37.5 m" in shown.stdout
 
 
 @pytest.mark.parametrize(

@@ -177,7 +177,7 @@ def test_which_names_are_vehicles(name, counts):
 
 def test_nameless_classes_need_a_number(tmp_path):
     path = network(tmp_path / "a.onnx", {"output0": raw()}, {"task": "obb"})
-    with pytest.raises(UsageError, match="does not say what its classes are called"):
+    with pytest.raises(UsageError, match="it has no names of its classes"):
         Detector(path)
     assert len(found(path, vehicle_classes=["1"])[1]) == 2
     path = network(tmp_path / "b.onnx", mmrotate(large=3, small=18))
@@ -508,7 +508,7 @@ def flat(path):
 @pytest.mark.parametrize(
     "make, message",
     [
-        (endless, "takes more than 3 s to look at 64 x 64 px"),
+        (endless, "takes more than 3 s to process 64 x 64 px"),
         (huge, "within 1 GB of memory"),
         (long, r"fails on an image of 64 x 64 px \(its outputs hold 96000000 bytes\)"),
         (text, "an output holds no numbers"),

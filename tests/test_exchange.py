@@ -421,7 +421,7 @@ def test_files_that_are_not_there(plain, tmp_path):
 
 def test_names_that_a_format_cannot_hold(tmp_path, plain):
     found = Detections({"ortho.tif": BOXES}, 1.0, RULER, (0.7, 0.5), "test")
-    with pytest.raises(UsageError, match="no format of detections ends like this"):
+    with pytest.raises(UsageError, match="not an ending of a detections format"):
         save(found, tmp_path / "boxes.xml", plain)
     with pytest.raises(UsageError, match="has a space"):
         save(Detections({"my ortho.tif": BOXES}, 1.0, RULER, (0.7, 0.5), "test"), tmp_path / "d.txt", plain)

@@ -432,9 +432,9 @@ def test_one_photo_is_answered_in_full(flight):
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith("altitude") and "90 %" in lines[0]
-    assert "the drone says 59 m over its take-off point" in done.stdout and "from XMP" in done.stdout
+    assert "the drone reports 59 m above its take-off point" in done.stdout and "from XMP" in done.stdout
     assumed = run(folder / "a.jpg", *rules, "--pitch", "-60", "--focal-px", FOCAL)
-    assert "as told" in assumed.stdout
+    assert ", given" in assumed.stdout
 
 
 def test_an_unknown_pitch_is_said(tmp_path, flight):
@@ -508,3 +508,16 @@ def test_altitude_of_a_real_flight(data):
     got = json.loads(done.stdout)["together"]
     assert got["altitude_m"] == pytest.approx(40, rel=0.12)
     assert got["altitude_m_low"] < 40 < got["altitude_m_high"]
+
+
+@pytest.mark.parametrize(
+    "make, model, camera",
+    [
+        ("Canon", "Canon IXUS 127", "Canon IXUS 127"),
+        ("DJI", "FC3411", "DJI FC3411"),
+        ("", "FC3411", "FC3411"),
+        ("", "", ""),
+    ],
+)
+def test_a_camera_names_its_maker_once(make, model, camera):
+    assert Tags(4, 3, 4, make, model).camera == camera

@@ -156,7 +156,7 @@ def test_without_its_input_the_page_has_charts_only_and_says_so(tmp_path, fate, 
         car_park(tmp_path, seed=2)
     assert why in redraw(tmp_path / "scaled.tif.json", tmp_path / "again.html")
     text = (tmp_path / "again.html").read_text()
-    assert "pictures are not at hand" in text and text.count("<svg") >= 5
+    assert "pictures are not available" in text and text.count("<svg") >= 5
 
 
 def test_names_from_outside_stay_text(tmp_path):
@@ -311,7 +311,7 @@ def test_planar_and_oblique_are_drawn_where_they_are(report):
     text = page({**report, "modes": modes}, Scene())
     assert (
         "Planar and oblique agree" in text
-        and "9.95 cm/px, 9.50 to 10.40 with 90 %, 40 vehicles" in text
+        and "9.95 cm/px, 9.50 to 10.40 (90 %), 40 vehicles" in text
         and ">oblique</text>" in text
     )
     assert "lanar" not in plain
@@ -327,7 +327,7 @@ def test_unknown_parts_of_the_uncertainty_and_far_checks_are_borne(report):
     ]
     text = page(changed, Scene())
     assert (
-        "Least known: known distance" in text
+        "Largest uncertainty: known distance" in text
         and ">ground control</text>" in text
         and "length − width</text>" not in text
     )

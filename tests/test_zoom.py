@@ -164,16 +164,15 @@ def test_two_sizes_as_likely_are_not_guessed_between_unless_distance_explains_th
     picture = Windows(side)
     both = Boxes.concatenate([scattered(1, side, 180, 8), scattered(2, side, other, 20)])
     detector = Seen(picture, both, np.ones(len(both)))
-    if other == 90:  # frames from two altitudes show that
-        find_vehicles([picture], detector, effort=Effort(workers=1, cache=False))
-        return
     with pytest.raises(EvidenceDisagrees, match=r"vehicles may be \d+ px long, or \d+ px") as refusal:
         find_vehicles([picture], detector, effort=Effort(workers=1, cache=False))
     assert "--zoom 0.2" in refusal.value.hint and "--gsd-hint" in refusal.value.hint
+    if other == 90:  # frames from two altitudes show that
+        assert search_zoom([picture, picture], detector, detector.card).as_likely is None
 
 
 @pytest.mark.parametrize("wish", [{"zoom": 1e6}, {"gsd_hint": 50}])
 def test_zooms_at_which_no_vehicle_could_be_seen_are_refused(tmp_path, wish):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((200, 200, 3), np.uint8))
-    with pytest.raises(UsageError, match="would look for vehicles .* px long"):
+    with pytest.raises(UsageError, match="would search for vehicles .* px long"):
         orthoscale.estimate(tmp_path / "a.png", **wish)

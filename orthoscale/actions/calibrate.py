@@ -68,13 +68,16 @@ def calibrate(
     check_zoom(float(zooms.max()), network.card)
 
     def step(k: int) -> Callable[[int, int], None] | None:
-        return (lambda done, total: progress(f"Look {k + 1} of {len(zooms)}", done, total)) if progress else None
+        return (
+            (lambda done, total: progress(f"Detection pass {k + 1} of {len(zooms)}", done, total)) if progress else None
+        )
 
     looks = [sweep(source.pictures, z, network, step(k))[source.picture_names[0]] for k, z in enumerate(zooms)]
     looks = same_vehicles(looks)
     if len(looks[0]) < FEWEST:
         raise TooLittleEvidence(
-            f"{path}: {len(looks[0])} vehicles seen at all three zooms, {FEWEST} are needed for a calibration",
+            f"{path}: {len(looks[0])} vehicles detected at all three resampling factors, "
+            f"{FEWEST} are needed for a calibration",
             "Give an orthophoto with more vehicles, and check its scale (--gsd).",
         )
     ruler, fits, used, factor = measure_ruler(looks, zooms, gsd, prior, network.card.ruler)
@@ -106,7 +109,7 @@ def _known_gsd(source: Plan, gsd: float | None) -> tuple[float, list[str]]:
     claimed = source.claimed.gsd_m if source.claimed.usable else None
     if gsd is None and claimed is None:
         raise UsageError(
-            f"{source.path}: its scale is not known ({source.claimed.why})", "Say it: --gsd METRES_PER_PIXEL."
+            f"{source.path}: its scale is not known ({source.claimed.why})", "Give it: --gsd METRES_PER_PIXEL."
         )
     if gsd is None:
         assert claimed is not None

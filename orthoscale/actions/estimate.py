@@ -101,9 +101,9 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         answer = measure_source(source, found, fleet, method, request.mode)
     except TooLittleEvidence as error:
         raise TooLittleEvidence(
-            f"{source.path}: {error.message} (looked at zoom {found.zoom:.2f}, {_typical_length(found)})",
-            "Try the fleet of the country (--fleet), another zoom (--gsd-hint METRES_PER_PIXEL, --zoom FACTOR), "
-            "or a scene with more vehicles.",
+            f"{source.path}: {error.message} (resampling factor {found.zoom:.2f}, {_typical_length(found)})",
+            "Try the fleet of the country (--fleet), another resampling factor (--gsd-hint METRES_PER_PIXEL or "
+            "--zoom FACTOR), or a scene with more vehicles.",
         ) from error
     seconds = time.perf_counter() - started
     log.info("%.6g %s by %d vehicles in %.1f s", answer.scale.value, source.unit, answer.scale.vehicles_used, seconds)

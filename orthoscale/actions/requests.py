@@ -23,29 +23,31 @@ if TYPE_CHECKING:
 MODES = ("both", "oblique", "planar")
 PROJECTIONS = ("exact", "planar", "decoupled", "program", "naive")
 ESTIMATORS = ("robust", "iqr")
+GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options in --help, in this order
 EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
 
 
 @dataclass(frozen=True)
 class Option:
-    """kind : of a value: Path, str, float, int or bool. help : for people. choices : what it may be, if not anything.
+    """kind : of a value: Path, str, float, int or bool. help : for people. group : its heading in --help, of GROUPS.
 
-    flag : its name on the command line, if not the field's. metavar : how its help calls a value.
-    positive : whether a number must be above 0.
+    choices : the allowed values; empty if any. flag : its name on the command line, if not the field's.
+    metavar : how its help calls a value. positive : whether a number must be above 0.
     """
 
     kind: type
     help: str
+    group: str
     choices: tuple[str, ...] = ()
     flag: str = ""
     metavar: str | None = None
     positive: bool = False
 
 
-def option(default: Any, kind: type, help: str, **more: Any) -> Any:
+def option(default: Any, kind: type, group: str, help: str, **more: Any) -> Any:
     """A field of a request."""
-    return field(default=default, metadata={"option": Option(kind, help, **more)})
+    return field(default=default, metadata={"option": Option(kind, help, group, **more)})
 
 
 def flag(of: Field) -> str:
@@ -78,28 +80,42 @@ class VehicleRequest:
     fleet: str | Path | None = option(
         None,
         str,
-        "Country by name or code (US, DE, Japan ...), 'auto' to find it by the vehicles' shapes, 'world', or a "
-        "fleet.json; by default the calibration's own, else that of the country where the input says it is, else "
-        "world.",
+        "Input",
+        "Country of the vehicles, by code or name (US, DE, Japan ...); 'auto' to infer it from their shapes; 'world'; "
+        "or a fleet.json. Default: the calibration's own, else the country where the input lies, else world.",
     )
     detections: str | Path | None = option(
-        None, Path, "Boxes from this file (.json, .txt, .geojson, .gpkg) or folder; no detector needed."
+        None,
+        Path,
+        "Input",
+        "Take boxes from this file (.json, .txt, .csv, .geojson, .gpkg) or folder; no detector runs.",
     )
-    detector: str | Path | None = option(None, Path, "Another detector, an .onnx file.")
-    decoder: str | None = option(None, str, "Its output layout, where the file does not tell it.", metavar="NAME")
+    detector: str | Path | None = option(
+        None, Path, "Detector", "Another detector (.onnx) instead of the built-in one."
+    )
+    decoder: str | None = option(
+        None, str, "Detector", "Output form of --detector, if its file does not tell.", metavar="NAME"
+    )
     vehicle_classes: Sequence[str] = option(
         (),
         str,
-        "Class that counts, by name or number, instead of those called small vehicles; repeatable.",
+        "Detector",
+        "Class to measure, by name or number, instead of the usual names of small vehicles; repeatable.",
         flag="--vehicle-class",
         metavar="NAME",
     )
-    calibration: str | Path | None = option(None, Path, "The detector's ruler as `orthoscale calibrate` measured it.")
+    calibration: str | Path | None = option(
+        None, Path, "Detector", "The detector's ruler, measured by `orthoscale calibrate`."
+    )
     zoom: float | None = option(
-        None, float, "Resampling factor: detector pixels per picture pixel, instead of the search.", positive=True
+        None,
+        float,
+        "Detector",
+        "Resampling factor, detector pixels per picture pixel, instead of the scale search.",
+        positive=True,
     )
     gsd_hint: float | None = option(
-        None, float, "Rough metres per pixel, instead of the search.", metavar="M", positive=True
+        None, float, "Detector", "Rough GSD in m/px, instead of the scale search.", metavar="M", positive=True
     )
 
     def __post_init__(self) -> None:
@@ -108,9 +124,9 @@ class VehicleRequest:
             if (about := each.metadata.get("option")) is not None:
                 object.__setattr__(self, each.name, _checked(each, about, getattr(self, each.name)))
         if self.zoom is not None and self.gsd_hint is not None:
-            raise UsageError("--zoom and --gsd-hint say the same thing twice", "Give one of them.")
+            raise UsageError("--zoom and --gsd-hint set the same thing twice", "Give one of them.")
         if self.detections is not None:
-            self._refuse(self.of_detector, "--detections takes the boxes from a file: nothing is looked for")
+            self._refuse(self.of_detector, "--detections takes the boxes from a file: no detector runs")
 
     @property
     def of_detector(self) -> Iterable[str]:
@@ -121,7 +137,7 @@ class VehicleRequest:
         """Raise UsageError where one of the options `names` says something."""
         for each in fields(self):
             if each.name in names and getattr(self, each.name) != each.default:
-                raise UsageError(f"{flag(each)} does nothing here: {why}", f"Leave {flag(each)} away.")
+                raise UsageError(f"{flag(each)} does nothing here: {why}", f"Remove {flag(each)}.")
 
     @classmethod
     def of(cls, keywords: Mapping[str, Any]) -> Self:
@@ -151,47 +167,67 @@ class VehicleRequest:
 class EstimateRequest(VehicleRequest):
     """What `estimate` may be asked for; see its fields' help. Raises UsageError when made of what makes no sense."""
 
-    images: str | Path | None = option(None, Path, "Folder of the model's frames.")
-    refine: bool = option(False, bool, "Look at every vehicle four times more: sharper boxes, for small inputs.")
+    images: str | Path | None = option(None, Path, "Input", "Folder with the model's frames.")
+    refine: bool = option(
+        False,
+        bool,
+        "Detector",
+        "Detect every vehicle four more times and take the median box; for inputs with few vehicles.",
+    )
     mode: str | None = option(
         None,
         str,
+        "Advanced",
         "Measure a model in its frames (oblique), in frames warped onto the ground (planar), or both (the default, "
-        "where it can be done).",
+        "where possible).",
         choices=MODES,
     )
     target: float = option(
         0.005,
         float,
-        "Stop looking at an orthophoto when its sampling uncertainty (one sigma) is at most this.",
+        "Advanced",
+        "Stop the sweep of an orthophoto at this sampling uncertainty (relative, 1 sigma).",
         positive=True,
     )
-    exhaustive: bool = option(False, bool, "Look at all of an orthophoto.")
-    seed: int = option(0, int, "Of the order in which places are looked at.")
-    workers: int | None = option(None, int, "Threads; by default one per core, eight at most.", positive=True)
-    scheduler: str | None = option(None, str, "Look on a Dask cluster, such as tcp://host:8786.", metavar="URL")
-    cache: bool = option(True, bool, "Do not read or write the cache of what the detector saw.", flag="--no-cache")
+    exhaustive: bool = option(False, bool, "Advanced", "Sweep all of an orthophoto.")
+    seed: int = option(0, int, "Advanced", "Seed of the order in which tiles are visited.")
+    workers: int | None = option(
+        None, int, "Advanced", "Number of threads; by default one per core, at most 8.", positive=True
+    )
+    scheduler: str | None = option(
+        None, str, "Advanced", "Detect on a Dask cluster, such as tcp://host:8786.", metavar="URL"
+    )
+    cache: bool = option(True, bool, "Advanced", "Do not read or write the cache of detections.", flag="--no-cache")
     projection: str | None = option(
         None,
         str,
-        "From boxes in frames to the ground; exact if not given. The others are for comparison.",
+        "Advanced",
+        "From boxes in frames to the ground; exact by default, the others for comparison.",
         choices=PROJECTIONS,
     )
-    estimator: str = option("robust", str, "From vehicles to the scale; iqr is the paper's.", choices=ESTIMATORS)
+    estimator: str = option(
+        "robust", str, "Advanced", "From vehicles to the scale; iqr is the paper's, for comparison.", choices=ESTIMATORS
+    )
     known_distance: Sequence[str] = option(
         (),
         str,
-        "Two points, the metres between them, their sigma: '120,80 560,80 23.77'. Points are X,Y in an orthophoto; "
-        "X,Y,Z, id:NUMBER or FRAME@X,Y in a model. May be given again.",
+        "Evidence",
+        "Two points, the metres between them and, if known, the sigma: '120,80 560,80 23.77'. A point is X,Y in an "
+        "orthophoto; X,Y,Z, id:NUMBER or FRAME@X,Y in a model. Repeatable.",
         metavar="'A B M [SD]'",
     )
     ground_control: str | Path | None = option(
-        None, Path, "Lines of POINT EAST NORTH [UP] in metres; points as for --known-distance.", metavar="FILE"
+        None,
+        Path,
+        "Evidence",
+        "Text file with lines POINT EAST NORTH [UP] in metres; points as for --known-distance.",
+        metavar="FILE",
     )
     surroundings: bool = option(
         True,
         bool,
-        "Whether parking rows and objects of standard size count, where the boxes show them.",
+        "Evidence",
+        "Use parking rows and objects of standard size as evidence, where detected.",
         flag="--surroundings/--no-surroundings",
     )
 
@@ -200,11 +236,11 @@ class EstimateRequest(VehicleRequest):
         if self.mode == "planar":
             self._refuse(("projection", "refine"), "--mode planar measures no boxes in frames")
         if self.exhaustive:
-            self._refuse(("target",), "--exhaustive looks at everything")
+            self._refuse(("target",), "--exhaustive visits every tile")
         if self.estimator == "iqr" and (self.known_distance or self.ground_control is not None):
             raise UsageError(
-                "the estimator 'iqr' is the paper's, and knows vehicles only",
-                "Leave known distances and ground control away, or take --estimator robust.",
+                "the estimator 'iqr' is the paper's, for vehicles only",
+                "Remove known distances and ground control, or use --estimator robust.",
             )
 
     @property
@@ -219,11 +255,11 @@ class EstimateRequest(VehicleRequest):
         self._refuse(("mode", "images"), f"it is for COLMAP models, and {path} is an image")
         if self.projection not in (None, "planar"):
             raise UsageError(
-                f"--projection {self.projection} needs a camera; an orthophoto has none", "Leave --projection away."
+                f"--projection {self.projection} needs a camera; an orthophoto has none", "Remove --projection."
             )
 
     def _for_posed(self, path: Path) -> None:
-        self._refuse(("target", "exhaustive"), f"all frames of a model are looked at, and {path} is one")
+        self._refuse(("target", "exhaustive"), f"all frames of a model are measured, and {path} is a model")
 
 
 OF_LOOKING = ("refine", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
@@ -233,20 +269,24 @@ OF_LOOKING = ("refine", "target", "exhaustive", "seed", "workers", "scheduler", 
 class FixRequest(EstimateRequest):
     """What `fix` may be asked for: all that `estimate` may, and what to write."""
 
-    overwrite: bool = option(False, bool, "Replace what is at --out.")
-    override: bool = option(False, bool, "Rescale although INPUT says that it is in metres.")
-    keep_origin: bool = option(False, bool, "Keep an orthophoto's CRS, first corner and direction.")
-    cog: bool = option(False, bool, "Write a cloud-optimised GeoTIFF.")
+    overwrite: bool = option(False, bool, "Output", "Replace what orthoscale wrote at --out before.")
+    override: bool = option(False, bool, "Output", "Rescale although INPUT claims to be in metres.")
+    keep_origin: bool = option(False, bool, "Output", "Keep the CRS, upper left corner and rotation of an orthophoto.")
+    cog: bool = option(False, bool, "Output", "Write a cloud-optimised GeoTIFF.")
     also: Sequence[str] = option(
         (),
         str,
-        "More files beside OUT: world file, plain scale, vehicles (GeoPackage, GeoJSON), statistics per tile.",
+        "Output",
+        "Write more files beside OUT: world file, scale as text, vehicles (GeoPackage, GeoJSON), statistics per tile; "
+        "repeatable.",
         choices=EXTRAS,
     )
-    force: bool = option(False, bool, "Write although the scale is unusable: too uncertain, or its evidence disagrees.")
-    dense: bool = option(False, bool, "The model's dense workspace too: depth maps, cloud, meshes.")
+    force: bool = option(
+        False, bool, "Output", "Write although the scale is unusable: too uncertain, or contradicted by evidence."
+    )
+    dense: bool = option(False, bool, "Output", "Scale the model's dense workspace too: depth maps, cloud, meshes.")
     report: str = option(
-        "html", str, "html: a page for people, a picture and JSON; json: without the page.", choices=REPORTS
+        "html", str, "Output", "html: page, picture and JSON; json: without the page.", choices=REPORTS
     )
 
     def _for_plan(self, path: Path) -> None:

@@ -132,15 +132,15 @@ class Result:
         if self.scale.conflict or self.scale.tension > CONFLICT:
             return EvidenceDisagrees(
                 f"{self.source.path}: {self.scale.remarks[0]}",
-                "Look at the boxes (--save-detections), check what was given, name the country's fleet, or write all "
-                "the same with `orthoscale fix --force`.",
+                "Inspect the boxes (--save-detections), check the given evidence, name the country's fleet, or write "
+                "anyway with `orthoscale fix --force`.",
             )
         agreement = self.measured.agreement
         if agreement is not None and agreement.contradicts:
             return EvidenceDisagrees(
                 f"{self.source.path}: {agreement.sentence()}",
-                "Look at the boxes (--save-detections) and the poses, choose one way with --mode, or write all the "
-                "same with `orthoscale fix --force`.",
+                "Inspect the boxes (--save-detections) and the poses, choose one mode with --mode, or write "
+                "anyway with `orthoscale fix --force`.",
             )
         return None
 
@@ -153,6 +153,5 @@ class Result:
             raise TooLittleEvidence(
                 f"{self.source.path}: the scale is only known to lie between {low:.4g} and {high:.4g} "
                 f"{self.scale.unit}",
-                "Name the country's fleet (--fleet), give a scene with more vehicles, or write all the same with "
-                "--force.",
+                "Name the country's fleet (--fleet), give a scene with more vehicles, or write anyway with --force.",
             )

@@ -7,27 +7,28 @@ from pathlib import Path
 
 import click
 
-from .options import EXIT_CODES, PATH, overwrite_option, say
+from .options import EXIT_CODES, PATH, command, debug_option, json_option, option, overwrite_option, say
 
 
-@click.command(
+@command(
     epilog="\b\nExamples:\n  orthoscale apply scaled/sim3.json splat.ply mesh.glb --out metric/\n"
     "  orthoscale apply scaled/sim3.json nerf/transforms.json --out nerf_metric/\n"
     "  orthoscale apply scaled/sim3.json work/dense --out metric/\n\n" + EXIT_CODES
 )
 @click.argument("sim3", metavar="SIM3", type=PATH)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=PATH)
-@click.option("--out", required=True, type=PATH, help="Folder to write; names stay as they are.")
+@option("--out", required=True, type=PATH, group="Output", help="Folder to write; file names stay as they are.")
 @overwrite_option
-@click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@json_option("what was written")
+@debug_option
 def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_json: bool, debug: bool) -> None:
-    """Write FILEs, in the units of the model that SIM3 belongs to, again in metres.
+    """Bring other files of a scaled model to metres.
 
-    SIM3 is the sim3.json that `orthoscale fix` wrote. FILE is a PLY (cloud, mesh or Gaussian splat), OBJ, GLB or glTF,
-    nerfstudio's transforms.json, OpenSfM's reconstruction.json, or the folder of a sparse model or dense workspace;
-    with Open3D also STL, OFF, PCD, XYZ, PTS. What has no length (colours, normals, rotations, intrinsics) stays.
-    All files appear in --out, or none. FILEs are never touched.
+    FILEs are in the units of the model that SIM3 belongs to, and are written again in metres. SIM3 is the sim3.json
+    that `orthoscale fix` wrote. FILE is a PLY (cloud, mesh or Gaussian splat), OBJ, GLB or glTF, nerfstudio's
+    transforms.json, OpenSfM's reconstruction.json, or the folder of a sparse model or dense workspace; with Open3D
+    also STL, OFF, PCD, XYZ, PTS. What has no length (colours, normals, rotations, intrinsics) stays. All files
+    appear in --out, or none. FILEs are never touched.
     """
     from ..actions import apply as applying
     from ..formats.geometry.sim3 import Sim3

@@ -9,32 +9,49 @@ from typing import Any
 import click
 
 from ..actions.requests import VehicleRequest
-from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, say
+from .options import (
+    EXIT_CODES,
+    PATH,
+    command,
+    debug_option,
+    json_option,
+    option,
+    options_of,
+    overwrite_option,
+    progress_bars,
+    say,
+)
 
 # The scale is known, and the boxes are looked for at three zooms: what says otherwise is not asked for.
 NOT_HERE = ("fleet", "detections", "calibration", "zoom", "gsd_hint")
 
 
-@click.command(
+@command(
     epilog="\b\nExamples:\n  orthoscale calibrate survey.tif --fleet DE --out ruler.json\n"
     "  orthoscale calibrate ortho.jpg --gsd 0.0967 --fleet PH --detector yolo11n-obb.onnx --out yolo.json\n"
     "  orthoscale fix other.tif --calibration ruler.json --fleet DE --out scaled.tif\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="ORTHO", type=PATH)
-@click.option("--gsd", type=float, metavar="M", help="Metres per pixel; by default what the georeferencing says.")
-@click.option("--fleet", default="world", show_default=True, help="Country code (US, DE, JP ...) or fleet.json.")
-@click.option("--local-fleet", is_flag=True, help="Also fit the sizes of the vehicles that stand here.")
+@option("--gsd", type=float, metavar="M", group="Input", help="True GSD in m/px; by default the georeferencing's.")
+@option(
+    "--fleet",
+    default="world",
+    show_default=True,
+    group="Input",
+    help="Country of the vehicles, by code or name (US, DE, Japan ...), or a fleet.json.",
+)
+@option("--local-fleet", is_flag=True, group="Evidence", help="Also fit the mean size of the vehicles here.")
 @options_of(VehicleRequest, leave=NOT_HERE)
-@click.option("--out", type=PATH, help="Calibration file (.json) to write.")
+@option("--out", type=PATH, group="Output", help="Calibration file (.json) to write.")
 @overwrite_option
-@click.option("--json", "as_json", is_flag=True, help="Print the calibration as JSON on standard output.")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@json_option("the calibration")
+@debug_option
 def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, debug: bool, **options: Any) -> None:
-    """Measure how much a detector's boxes exceed vehicles, on an orthophoto whose scale is known.
+    """Measure a detector's ruler on an orthophoto of known scale.
 
-    The file is for `fix --calibration` and `estimate --calibration` with the same detector. It helps most for detectors
-    of others, whose boxes nobody has measured. With --local-fleet it also holds the sizes of the vehicles that stand
-    here, for other pictures of the same place.
+    The ruler says how far the detector's boxes exceed vehicles (margin) and how they scatter. Pass the file to `fix` or
+    `estimate` with --calibration and the same detector. It helps most for detectors of others. With --local-fleet the
+    file also holds the mean size of the vehicles here, for other pictures of the same place.
     """
     from ..actions.calibrate import calibrate as measure
     from ..formats.calibration import calibration_values, save_calibration

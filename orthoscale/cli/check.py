@@ -13,9 +13,11 @@ from ..actions.requests import EstimateRequest
 from ..errors import EvidenceDisagrees, UsageError
 from .options import (
     PATH,
+    command,
     debug_option,
     input_argument,
     json_option,
+    option,
     options_of,
     overwrite_option,
     progress_bars,
@@ -24,7 +26,7 @@ from .options import (
 )
 
 
-@click.command(
+@command(
     epilog="\b\nExamples:\n  orthoscale check ortho.tif --fleet DE\n  orthoscale check ortho.tif --fleet US --json\n"
     "  orthoscale check ortho.tif --model sparse/0 --images frames/ --fleet US\n\n"
     "\b\nExit codes: 0 agrees, or too close to call; 2 usage, or INPUT claims no scale;\n"
@@ -33,14 +35,15 @@ from .options import (
 @input_argument
 @options_of(EstimateRequest)
 @save_option
-@click.option(
+@option(
     "--model",
     type=PATH,
-    help="The reconstruction that an orthophoto was made from: check with it.",
+    group="Input",
+    help="Compare with the reconstruction that the orthophoto was made from.",
 )
-@click.option("--model-detections", type=PATH, help="Boxes of its frames from this file.")
+@option("--model-detections", type=PATH, group="Input", help="Take the boxes in the frames of --model from this file.")
 @overwrite_option
-@json_option
+@json_option()
 @debug_option
 def check(
     path: Path,
@@ -52,13 +55,13 @@ def check(
     model_detections: Path | None,
     **options: Any,
 ) -> None:
-    """Compare the scale that INPUT claims with the scale of the vehicles in it. Nothing is written.
+    """Compare the scale that INPUT claims with that of its vehicles.
 
-    With --model the orthophoto is compared with its source frames instead (--images are theirs): the same vehicles,
-    found in both, tie the one to the other, claim or no claim.
+    Nothing is written. The claim is converted to metres on the ellipsoid at the image's centre, so feet, degrees
+    and stretched projections such as EPSG:3857 are handled.
 
-    The claim is measured on the ellipsoid at the image's centre: feet, degrees and stretched projections such as
-    EPSG:3857 come out in true metres.
+    With --model the orthophoto is compared with the reconstruction it was made from (--images: its frames), by the
+    vehicles that both show.
     """
     from ..actions.check import checked
     from ..formats.detections import check_name, save
@@ -68,7 +71,7 @@ def check(
     request = EstimateRequest.of(options)
     if model is not None:
         if save_detections is not None:
-            raise UsageError("--save-detections keeps the boxes of one input", "Leave it away, or leave --model away.")
+            raise UsageError("--save-detections keeps the boxes of one input", "Remove it, or remove --model.")
         _against_model(path, as_json, model, model_detections, request)
         return
     if model_detections is not None:

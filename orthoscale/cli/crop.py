@@ -9,30 +9,49 @@ from typing import Any
 import click
 
 from ..actions.requests import VehicleRequest
-from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, say
+from .options import (
+    EXIT_CODES,
+    PATH,
+    command,
+    debug_option,
+    json_option,
+    option,
+    options_of,
+    overwrite_option,
+    progress_bars,
+    say,
+)
 from .photo_options import lens_options
 
 
-@click.command(
+@command(
     epilog="\b\nExamples:\n"
-    "  orthoscale crop DJI_0021.JPG --satellite sat.tif --at 8.5417,47.3769 --radius 400 --out crops/\n"
-    "  orthoscale crop DJI_0021.JPG --satellite sat.tif --square --size 384 --out crops/\n"
-    "  orthoscale crop frame.jpg --satellite sat.tif --gsd 0.08 --at 8.5417,47.3769 --out crops/\n\n" + EXIT_CODES
+    "  orthoscale crop DJI_21.JPG --satellite sat.tif --at 8.54,47.38 --radius 400 --out crops/\n"
+    "  orthoscale crop DJI_21.JPG --satellite sat.tif --square --size 384 --out crops/\n"
+    "  orthoscale crop frame.jpg --satellite sat.tif --gsd 0.08 --at 8.54,47.38 --out crops/\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="PHOTO", type=PATH)
-@click.option("--satellite", required=True, type=PATH, help="Georeferenced satellite picture.")
-@click.option("--out", required=True, type=PATH, help="Folder to write.")
-@click.option("--at", metavar="LON,LAT", help="Middle of the search area; the whole picture by default.")
-@click.option("--radius", type=float, metavar="M", help="Half of the search area's side; one crop at --at by default.")
-@click.option("--square", is_flag=True, help="Squares of the photo's shorter side, instead of the full frame.")
-@click.option("--stride", type=float, default=0.5, show_default=True, help="Shift between crops, as a share of one.")
-@click.option("--size", type=click.IntRange(16, 8192), metavar="PX", help="Longer side of the crops; the photo's own.")
-@click.option("--gsd", type=float, metavar="M", help="Metres per pixel of the photo; then nothing is measured.")
+@option("--satellite", required=True, type=PATH, group="Input", help="Georeferenced satellite picture.")
+@option("--at", metavar="LON,LAT", group="Input", help="Centre of the search area; the whole picture by default.")
+@option("--radius", type=float, metavar="M", group="Input", help="Half side of the search area; without it one crop.")
+@option("--gsd", type=float, metavar="M", group="Input", help="GSD of the photo in m/px; then nothing is measured.")
+@option("--out", required=True, type=PATH, group="Output", help="Folder to write.")
+@option("--square", is_flag=True, group="Output", help="Square crops, as large as the photo's shorter side.")
+@option(
+    "--stride", type=float, default=0.5, show_default=True, group="Output", help="Shift between crops, in crop sizes."
+)
+@option(
+    "--size",
+    type=click.IntRange(16, 8192),
+    metavar="PX",
+    group="Output",
+    help="Longer side of the crops; by default the photo's.",
+)
 @options_of(VehicleRequest)
 @lens_options
 @overwrite_option
-@click.option("--json", "as_json", is_flag=True, help="Print what was cut as JSON on standard output.")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@json_option("the list of crops")
+@debug_option
 def crop(
     path: Path,
     satellite: Path,
@@ -52,12 +71,12 @@ def crop(
     roll: float | None,
     **looking: Any,
 ) -> None:
-    """Cut satellite crops that show as much ground as PHOTO does.
+    """Cut satellite crops with the footprint of a photo.
 
-    The photo's footprint comes from its vehicles, as by `orthoscale photo` (or from --gsd). Windows of footprint / GSD
-    of the satellite picture are cut over the search area, each shifted by half of its size, and resampled to the
-    photo's size. OUT gets query.jpg, gallery/, manifest.csv (a line per crop: file, longitude, latitude, pixels) and
-    crop.json: a gallery for any retrieval network.
+    The footprint comes from the photo's vehicles, as in `orthoscale photo`, or from --gsd. Windows of that size are
+    cut over the search area, each shifted by --stride, and resampled to the photo's size. OUT gets query.jpg,
+    gallery/, manifest.csv (a line per crop: file, longitude, latitude, pixels) and crop.json: a gallery for any
+    retrieval network.
     """
     from ..errors import UsageError
     from ..photos import crop as cropping
@@ -68,7 +87,7 @@ def crop(
     lens = {"focal_px": focal_px, "lens_file": lens_file, "pitch": pitch, "roll": roll}
     how = Looking.of(looking)
     if gsd is not None and (how.settings() or any(value is not None for value in lens.values())):
-        raise UsageError("--gsd says how large a pixel is: nothing is measured", "Leave the other options away.")
+        raise UsageError("--gsd says how large a pixel is: nothing is measured", "Remove the other options.")
     place = _place(at)
     with Outputs(overwrite, (path, satellite, lens_file, looking)) as outputs, progress_bars() as progress:
         folder = outputs.folder(out)
@@ -82,7 +101,7 @@ def crop(
         click.echo(json.dumps(text))
         return
     low, high = shown.told.get("gsd_interval90", (None, None))
-    known = f" (90 %: {100 * low:.4g} to {100 * high:.4g})" if low else ", as told"
+    known = f" (90 %: {100 * low:.4g} to {100 * high:.4g})" if low else " (given)"
     metres = f"{crops.size[0]:.1f} x {crops.size[1]:.1f} m"
     pixels = f"{crops.windows[0, 2]} x {crops.windows[0, 3]} px"
     lines = [

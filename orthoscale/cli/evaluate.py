@@ -9,27 +9,51 @@ from typing import Any
 import click
 
 from ..actions.requests import VehicleRequest
-from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, save_option, say
+from .options import (
+    EXIT_CODES,
+    PATH,
+    command,
+    debug_option,
+    json_option,
+    option,
+    options_of,
+    overwrite_option,
+    progress_bars,
+    save_option,
+    say,
+)
 
 
-@click.command(
+@command(
     epilog="\b\nExamples:\n  orthoscale evaluate DenseUAV/test/query_drone --fleet CN\n"
     "  orthoscale evaluate UAVVisLoc_plus/ --fleet CN --ablations --sensitivity --out visloc.json\n"
     "  orthoscale evaluate photos.csv --fleet DE --detections boxes.json --out errors.csv\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="DATASET", type=PATH)
-@click.option("--form", type=click.Choice(["denseuav", "visloc", "csv"]), help="Of the data set; guessed by default.")
-@click.option("--focal-px", type=float, metavar="PX", help="Focal length, instead of the data set's.")
-@click.option("--lens", "lens_file", type=PATH, help="Calibration of the camera, instead of the data set's.")
+@option(
+    "--form",
+    type=click.Choice(["denseuav", "visloc", "csv"]),
+    group="Input",
+    help="Form of the data set; by default recognised.",
+)
+@option("--focal-px", type=float, metavar="PX", group="Input", help="Focal length, instead of the data set's.")
+@option("--lens", "lens_file", type=PATH, group="Input", help="Camera calibration, instead of the data set's.")
 @options_of(VehicleRequest)
 @save_option
-@click.option("--max-pitch", type=float, metavar="DEG", help="Leave out photos that look flatter (the paper: -60).")
-@click.option("--ablations", is_flag=True, help="Also over score threshold and least number of vehicles.")
-@click.option("--sensitivity", is_flag=True, help="Also with wrong pitch and wrong focal length.")
-@click.option("--out", "outputs", multiple=True, type=PATH, help=".json for all of it, .csv for the photos.")
+@option("--max-pitch", type=float, metavar="DEG", group="Input", help="Skip photos with a flatter view (paper: -60).")
+@option("--ablations", is_flag=True, group="Advanced", help="Also vary the score threshold and the number of vehicles.")
+@option("--sensitivity", is_flag=True, group="Advanced", help="Also with wrong pitch and wrong focal length.")
+@option(
+    "--out",
+    "outputs",
+    multiple=True,
+    type=PATH,
+    group="Output",
+    help="File to write: .json (everything) or .csv (a line per photo); repeatable.",
+)
 @overwrite_option
-@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON on standard output.")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@json_option("everything")
+@debug_option
 def evaluate(
     path: Path,
     form: str | None,
@@ -45,12 +69,13 @@ def evaluate(
     debug: bool,
     **looking: Any,
 ) -> None:
-    """Compare altitudes by vehicles with true ones: the paper's tables on data of your own.
+    """Compare altitudes by vehicles with true ones, on a data set.
 
-    DATASET is a folder of photos named by their altitude (DenseUAV: 000001/H80.JPG), a folder of regions with drone/,
-    reference.txt, camera.xml and a *_dsm.tif (UAV-VisLoc+), or a CSV with the columns image, altitude_m and, where
-    wanted, region, focal_px, pitch_deg, roll_deg. Three methods side by side: `exact` is this program's, `paper` the
-    paper's formula, `program` what its authors' program computes.
+    Prints the paper's tables for your data. DATASET is a folder of photos named by their altitude (DenseUAV:
+    000001/H80.JPG), a folder of regions with drone/, reference.txt, camera.xml and a *_dsm.tif (UAV-VisLoc+), or a
+    CSV with the columns image, altitude_m and, where wanted, region, focal_px, pitch_deg, roll_deg. Three methods
+    side by side: `exact` is this program's, `paper` the paper's formula, `program` what its authors' program
+    computes.
     """
     from ..evaluate import report
     from ..formats.detections import check_name

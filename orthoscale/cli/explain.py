@@ -7,18 +7,18 @@ from pathlib import Path
 
 import click
 
-from .options import PATH
+from .options import PATH, command, debug_option, json_option
 
 
-@click.command(
+@command(
     epilog="\b\nExamples:\n  orthoscale explain scaled.tif.json\n"
     "  orthoscale estimate ortho.tif --fleet DE --json > report.json; orthoscale explain report.json"
 )
 @click.argument("report", metavar="REPORT", type=PATH)
-@click.option("--json", "as_json", is_flag=True, help="Print the explanation as JSON.")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@json_option("the explanation")
+@debug_option
 def explain(report: Path, as_json: bool, debug: bool) -> None:
-    """Say where the uncertainty of a scale comes from, and what would halve it.
+    """Explain the uncertainty of a scale, and what would halve it.
 
     REPORT is the report.json (or OUT.json) that `fix` wrote, or what `estimate --json` printed.
     """

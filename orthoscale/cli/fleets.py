@@ -1,4 +1,4 @@
-"""`orthoscale fleets`: what the rulers are made of."""
+"""`orthoscale fleets`: the vehicle sizes of each country."""
 
 from __future__ import annotations
 
@@ -7,23 +7,28 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from .options import command, debug_option, json_option
+
 if TYPE_CHECKING:
     from ..core.fleet import Fleet
 
 EXAMPLES = """\b
 Examples:
   orthoscale fleets             all of them, with the shares of their segments
-  orthoscale fleets JP IN       two of them in full: classes, sizes, sources
+  orthoscale fleets JP India    two of them in full: classes, sizes, sources
   orthoscale fleets --json      for machines
 """
 
 
-@click.command(epilog=EXAMPLES)
+@command(epilog=EXAMPLES)
 @click.argument("codes", nargs=-1)
-@click.option("--json", "as_json", is_flag=True, help="Print the fleets as JSON.")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@json_option("the fleets")
+@debug_option
 def fleets(codes: tuple[str, ...], as_json: bool, debug: bool) -> None:
-    """List the built-in fleets: sizes, how well they are known, the mix of segments, and their sources."""
+    """List the vehicle fleets, with sizes and sources.
+
+    CODES are codes or names of countries: these fleets in full. Without them all are listed, in short.
+    """
     from ..fleets import fleet_codes, load_fleet
 
     table = [load_fleet(code) for code in codes or fleet_codes()]

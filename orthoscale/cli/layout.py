@@ -7,10 +7,20 @@ from pathlib import Path
 
 import click
 
-from .options import EXIT_CODES, PATH, memory_option, overwrite_option, say
+from .options import (
+    EXIT_CODES,
+    PATH,
+    command,
+    debug_option,
+    json_option,
+    memory_option,
+    option,
+    overwrite_option,
+    say,
+)
 
 
-@click.command(
+@command(
     epilog="\b\nExamples:\n"
     "  orthoscale layout scaled.tif --lot lot.geojson --facility basketball --facility tennis:2 --out layout/\n"
     "  orthoscale layout scaled.tif --lot lot.gpkg --facility parking-DE:24 --avoid trees.geojson --out layout/\n"
@@ -18,21 +28,40 @@ from .options import EXIT_CODES, PATH, memory_option, overwrite_option, say
     "  orthoscale layout --list\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="SCALED.tif", required=False, type=PATH)
-@click.option("--lot", type=PATH, help="Polygon to build on: GeoJSON, GeoPackage, Shapefile ...")
-@click.option(
-    "--facility", "facilities", multiple=True, metavar="CODE", help="CODE, CODE:COUNT or CODE@X,Y,BEARING; repeat it."
+@option("--lot", type=PATH, group="Input", help="Polygon to build on: GeoJSON, GeoPackage, Shapefile ...")
+@option("--lot-pixels", is_flag=True, group="Input", help="Coordinates are columns and rows of the picture.")
+@option(
+    "--facility",
+    "facilities",
+    multiple=True,
+    metavar="CODE",
+    group="Input",
+    help="CODE, CODE:COUNT or CODE@X,Y,BEARING; repeatable.",
 )
-@click.option("--out", type=PATH, help="Folder to write.")
-@click.option("--avoid", type=PATH, help="Polygons to keep free: trees, buildings, water.")
-@click.option("--clearance", type=float, default=1.0, show_default=True, metavar="M", help="Between neighbours.")
-@click.option("--catalogue", type=PATH, help="Facilities of your own (JSON).")
-@click.option("--lot-pixels", is_flag=True, help="Coordinates are columns and rows of the picture.")
-@click.option("--scale-error", type=float, metavar="PERCENT", help="Half of the scale's 90 % interval, if no report.")
-@click.option("--list", "list_them", is_flag=True, help="List the facilities with their sources, and stop.")
+@option("--avoid", type=PATH, group="Input", help="Polygons to keep free: trees, buildings, water.")
+@option("--catalogue", type=PATH, group="Input", help="More facilities, from a JSON file.")
+@option(
+    "--clearance",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="M",
+    group="Input",
+    help="Distance between neighbours.",
+)
+@option(
+    "--scale-error",
+    type=float,
+    metavar="PERCENT",
+    group="Input",
+    help="Half of the scale's 90 % interval, if there is no report.",
+)
+@option("--out", type=PATH, group="Output", help="Folder to write.")
+@option("--list", "list_them", is_flag=True, group="Output", help="List the facilities with their sources, and stop.")
 @overwrite_option
 @memory_option
-@click.option("--json", "as_json", is_flag=True, help="Print the layout as JSON on standard output.")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@json_option("the layout")
+@debug_option
 def layout(
     path: Path | None,
     lot: Path | None,
@@ -48,11 +77,12 @@ def layout(
     as_json: bool,
     debug: bool,
 ) -> None:
-    """Place standard facilities in a lot on SCALED.tif, an orthophoto in metres.
+    """Place courts, pitches and parking on an orthophoto in metres.
 
-    They lie inside the lot, clear of each other, courts and pitches north to south where that fits. What does not fit
-    is told, and by how much. OUT gets the layout as GeoPackage, GeoJSON, DXF and JSON; a mask and a line drawing on the
-    orthophoto's own grid, as the conditioning image of a generative renderer, with a prompt; and a picture.
+    Facilities lie inside the lot and clear of each other, courts and pitches north to south where possible. What
+    does not fit is reported with the missing metres. OUT gets the layout as GeoPackage, GeoJSON, DXF and JSON; a
+    mask and a line drawing on the orthophoto's own grid, as the conditioning image of a generative renderer, with a
+    prompt; and a picture.
     """
     from ..errors import UsageError
     from ..layout import export

@@ -49,10 +49,10 @@ class Commands(click.Group):
     epilog="Start with: orthoscale estimate ORTHO.tif --fleet DE\n\n" + EXIT_CODES,
 )
 @click.version_option(__version__, prog_name="orthoscale")
-@click.option("-v", "--verbose", count=True, help="Tell the steps of the work; twice: everything.")
-@click.option("-q", "--quiet", is_flag=True, help="No warnings.")
+@click.option("-v", "--verbose", count=True, help="Log the steps; -vv: log everything.")
+@click.option("-q", "--quiet", is_flag=True, help="Log no warnings.")
 def cli(verbose: int, quiet: bool) -> None:
-    """Give metres back to an orthophoto or a COLMAP model: vehicles are the ruler."""
+    """Metres for orthophotos and COLMAP models, from the vehicles in them."""
     set_verbosity(verbose, quiet)
 
 

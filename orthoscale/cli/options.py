@@ -7,18 +7,46 @@ import sys
 from collections.abc import Callable, Collection
 from contextlib import contextmanager
 from dataclasses import Field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ..actions.requests import Option, flag
+from ..actions.requests import GROUPS, Option, flag
 from ..errors import shown
 
 EXIT_CODES = """\b
 Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
-4 evidence disagrees (nothing written without --force);
+4 evidence disagrees (`fix` writes nothing without --force);
 5 input unreadable or damaged; 6 output could not be written."""
+
+
+class GroupedOption(click.Option):
+    """An option that knows under which heading of the help it stands, one of `GROUPS`."""
+
+    def __init__(self, *arguments: Any, group: str, **more: Any) -> None:
+        assert group in GROUPS, group
+        super().__init__(*arguments, **more)
+        self.group = group
+
+
+class GroupedCommand(click.Command):
+    """A command whose help lists its options under headings."""
+
+    def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        groups: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}
+        for each in self.get_params(context):
+            if isinstance(each, click.Option) and (record := each.get_help_record(context)) is not None:
+                groups[getattr(each, "group", GROUPS[-1])].append(record)
+        for group, records in groups.items():
+            if records:
+                with formatter.section(group):
+                    formatter.write_dl(records)
+
+
+command = partial(click.command, cls=GroupedCommand)
+option = partial(click.option, cls=GroupedOption)
 
 
 class AnyPath(click.Path):
@@ -42,25 +70,28 @@ def say(text: str, err: bool = False) -> None:
     click.echo("\n".join(shown(line, 20_000) for line in text.split("\n")), err=err)
 
 
-overwrite_option = click.option("--overwrite", is_flag=True, help="Replace what orthoscale wrote there before.")
+overwrite_option = option(
+    "--overwrite", is_flag=True, group="Output", help="Replace what orthoscale wrote there before."
+)
 
-save_option = click.option(
+save_option = option(
     "--save-detections",
     type=PATH,
-    help="Keep the boxes found: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
+    group="Output",
+    help="Save the boxes: .json, .coco.json, .txt (DOTA), .geojson or .gpkg.",
 )
 
 
 def options_of(request: type, leave: Collection[str] = ()) -> Callable[[Callable], Callable]:
     """The options of a command that makes a `request`: one for each of its fields, but for those to `leave`."""
 
-    def decorated(command: Callable) -> Callable:
+    def decorated(function: Callable) -> Callable:
         of = [each for each in fields(request) if each.name not in leave]
         if any(each.name == "detector" for each in of):
-            command = memory_option(command)
+            function = memory_option(function)
         for each in reversed(of):
-            command = _option(each)(command)
-        return command
+            function = _option(each)(function)
+        return function
 
     return decorated
 
@@ -72,20 +103,21 @@ def _allow_memory(context: click.Context, option: click.Parameter, value: str | 
         allow(value)
 
 
-memory_option = click.option(
+memory_option = option(
     "--memory",
     metavar="SIZE",
+    group="Advanced",
     envvar="ORTHOSCALE_MEMORY",
     callback=_allow_memory,
     expose_value=False,
-    help="Memory that pictures, boxes and other detectors may take, such as 2G; by default 1G.",
+    help="Memory for pictures, boxes and other detectors, such as 2G; by default 1G.",
 )
 
 
 def _option(of: Field) -> Callable[[Callable], Callable]:
     about: Option = of.metadata["option"]
     several = isinstance(of.default, tuple)
-    more: dict[str, Any] = {"help": about.help, "default": of.default}
+    more: dict[str, Any] = {"help": about.help, "group": about.group, "default": of.default}
     if about.kind is bool:
         more |= {"is_flag": True} if "/" not in flag(of) else {}
         if of.default is True and "/" not in flag(of):
@@ -93,7 +125,7 @@ def _option(of: Field) -> Callable[[Callable], Callable]:
     else:
         more |= {"type": _type(about), "metavar": about.metavar, "multiple": several}
         more["show_default"] = not several and of.default not in (None, 0)
-    return click.option(flag(of), of.name, **more)
+    return option(flag(of), of.name, **more)
 
 
 def _type(about: Option) -> Any:
@@ -103,8 +135,13 @@ def _type(about: Option) -> Any:
 
 
 input_argument = click.argument("path", metavar="INPUT", type=PATH)
-json_option = click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on standard output.")
-debug_option = click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+
+
+def json_option(what: str = "the report") -> Callable[[Callable], Callable]:
+    return option("--json", "as_json", is_flag=True, group="Output", help=f"Print {what} as JSON on standard output.")
+
+
+debug_option = option("--debug", is_flag=True, group="Advanced", help="Show the traceback of an error.")
 
 
 def set_verbosity(louder: int, quiet: bool) -> None:

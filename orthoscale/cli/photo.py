@@ -10,7 +10,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..actions.requests import VehicleRequest
-from .options import EXIT_CODES, PATH, options_of, overwrite_option, progress_bars, save_option, say
+from .options import (
+    EXIT_CODES,
+    PATH,
+    command,
+    debug_option,
+    json_option,
+    option,
+    options_of,
+    overwrite_option,
+    progress_bars,
+    save_option,
+    say,
+)
 from .photo_options import lens_options
 
 if TYPE_CHECKING:
@@ -19,21 +31,28 @@ if TYPE_CHECKING:
     from ..system.outputs import Outputs
 
 
-@click.command(
+@command(
     epilog="\b\nExamples:\n  orthoscale photo DJI_0021.JPG --fleet DE\n"
     "  orthoscale photo flight/ --fleet US --out flight.csv --out flight.gpkg\n"
     "  orthoscale photo frame.png --focal-px 1080 --pitch -60 --json\n"
-    "  orthoscale photo flight/ --together       one altitude from all photos of a level flight\n\n" + EXIT_CODES
+    "  orthoscale photo flight/ --together       one altitude from all photos\n\n" + EXIT_CODES
 )
 @click.argument("paths", metavar="IMAGE...", nargs=-1, required=True, type=PATH)
 @options_of(VehicleRequest)
 @lens_options
-@click.option("--together", is_flag=True, help="Also one scale of all photos: one lens, one altitude.")
+@option("--together", is_flag=True, group="Evidence", help="Also one altitude for all photos, as of a level flight.")
 @save_option
-@click.option("--out", "outputs", multiple=True, type=PATH, help="Table to write: .csv, .json or .gpkg.")
+@option(
+    "--out",
+    "outputs",
+    multiple=True,
+    type=PATH,
+    group="Output",
+    help="Table to write: .csv, .json or .gpkg; repeatable.",
+)
 @overwrite_option
-@click.option("--json", "as_json", is_flag=True, help="Print the table as JSON on standard output.")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@json_option("the table")
+@debug_option
 def photo(
     paths: tuple[Path, ...],
     focal_px: float | None,
@@ -48,12 +67,12 @@ def photo(
     debug: bool,
     **looking: Any,
 ) -> None:
-    """Measure single photos from a drone: IMAGE is a photo or a folder of them.
+    """Measure drone photos: altitude, GSD and footprint.
 
-    The focal length comes from EXIF or XMP (or --focal-px, --lens), pitch and roll from XMP (or --pitch, --roll;
-    nadir where nothing tells them). For every photo with at least 5 vehicles: the scale of its nadir view, its altitude
-    over the ground where the vehicles stand, the average ground sampling distance, the footprint, each with a 90 %
-    interval. The ground is taken to be level.
+    IMAGE is a photo or a folder of photos. The focal length comes from EXIF or XMP (or --focal-px, --lens), pitch and
+    roll from XMP (or --pitch, --roll; nadir if unknown). Every photo with at least 5 vehicles gets the scale of its
+    nadir view, its altitude above the ground where the vehicles stand, the mean ground sampling distance and the
+    footprint, each with a 90 % interval. The ground is assumed level.
     """
     from ..photos import survey, tables
     from ..photos.looking import Looking

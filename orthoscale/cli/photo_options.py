@@ -1,35 +1,39 @@
-"""Options that say how single photos are seen and measured; shared by `photo`, `crop` and `evaluate`."""
+"""Options for the camera of single photos; shared by `photo` and `crop`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-import click
+from .options import PATH, option
 
-from .options import PATH
+LENS = (
+    option("--focal-px", type=float, metavar="PX", group="Input", help="Focal length, instead of EXIF's and XMP's."),
+    option(
+        "--lens",
+        "lens_file",
+        type=PATH,
+        group="Input",
+        help="Camera calibration: Metashape's XML, COLMAP's cameras.txt with one camera, or JSON.",
+    ),
+    option(
+        "--pitch",
+        type=float,
+        metavar="DEG",
+        group="Input",
+        help="Pitch of the optical axis, -90 for nadir, instead of XMP's.",
+    ),
+    option(
+        "--roll",
+        type=float,
+        metavar="DEG",
+        group="Input",
+        help="Roll about the optical axis, right side down, instead of XMP's.",
+    ),
+)
 
 
-def lens_options(command: Callable) -> Callable:
-    """--focal-px, --lens, --pitch, --roll: what the photo's own tags say otherwise."""
-    for option in reversed(
-        [
-            click.option("--focal-px", type=float, metavar="PX", help="Focal length, instead of EXIF's and XMP's."),
-            click.option(
-                "--lens",
-                "lens_file",
-                type=PATH,
-                help="Calibration of the camera: Metashape's XML, COLMAP's cameras.txt with one camera, or JSON.",
-            ),
-            click.option(
-                "--pitch", type=float, metavar="DEG", help="Of the optical axis: -90 straight down, instead of XMP's."
-            ),
-            click.option(
-                "--roll",
-                type=float,
-                metavar="DEG",
-                help="About the optical axis, right side down, instead of XMP's.",
-            ),
-        ]
-    ):
-        command = option(command)
-    return command
+def lens_options(function: Callable) -> Callable:
+    """--focal-px, --lens, --pitch, --roll, in place of the photo's own tags."""
+    for each in reversed(LENS):
+        function = each(function)
+    return function

@@ -6,25 +6,26 @@ from pathlib import Path
 
 import click
 
-from .options import EXIT_CODES, PATH, memory_option, overwrite_option, say
+from .options import EXIT_CODES, PATH, command, debug_option, memory_option, option, overwrite_option, say
 
 
-@click.command(
+@command(
     epilog="\b\nExamples:\n  orthoscale report scaled.tif.json\n"
     "  orthoscale estimate ortho.tif --fleet DE --json > estimate.json && orthoscale report estimate.json\n\n"
     + EXIT_CODES
 )
 @click.argument("path", metavar="REPORT.json", type=PATH)
-@click.option("--out", type=PATH, help="Page (or .png: the picture) to write  [default: REPORT.html]")
-@click.option("--images", type=PATH, help="Folder of the model's frames.")
+@option("--images", type=PATH, group="Input", help="Folder with the model's frames.")
+@option("--out", type=PATH, group="Output", help="Page (.html) or picture (.png) to write  [default: REPORT.html]")
 @overwrite_option
 @memory_option
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@debug_option
 def report(path: Path, out: Path | None, images: Path | None, overwrite: bool, debug: bool) -> None:
-    """Draw the page of a report for people: one HTML file that needs nothing else.
+    """Make the page or the picture of a report, from its JSON.
 
-    REPORT.json is what `fix` wrote, or what `estimate --json` printed. The pictures come from the input it names, as
-    long as that is there and unchanged; without them there are the charts only.
+    REPORT.json is what `fix` wrote, or what `estimate --json` printed. The page is one HTML file that needs nothing
+    else. Its pictures come from the input that the report names, if that is there and unchanged; without it the page
+    has charts only.
     """
     from ..report.files import redraw
 

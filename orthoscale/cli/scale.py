@@ -16,9 +16,11 @@ from ..errors import Incomplete, UsageError
 from .options import (
     EXIT_CODES,
     PATH,
+    command,
     debug_option,
     input_argument,
     json_option,
+    option,
     options_of,
     overwrite_option,
     progress_bars,
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
     from ..actions.several import Outcome
 
 
-@click.command(
+@command(
     epilog="\b\nExamples:\n  orthoscale estimate ortho.tif --fleet DE\n"
     "  orthoscale estimate sparse/0 --images frames/ --fleet US --json\n\n" + EXIT_CODES
 )
@@ -38,12 +40,16 @@ if TYPE_CHECKING:
 @options_of(EstimateRequest)
 @save_option
 @overwrite_option
-@json_option
+@json_option()
 @debug_option
 def estimate(
     path: Path, as_json: bool, debug: bool, save_detections: Path | None, overwrite: bool, **options: Any
 ) -> None:
-    """Print the scale of INPUT, an orthophoto or the folder of a COLMAP model, and write nothing."""
+    """Print the scale of an orthophoto or a reconstruction.
+
+    INPUT is an orthophoto (any raster that GDAL reads), the folder of a COLMAP model, or a model of OpenSfM, ODM,
+    nerfstudio, Bundler or VisualSFM. Nothing is written.
+    """
     from ..actions import estimate as pipeline
     from ..actions import several as workspace
     from ..formats.detections import check_name, save
@@ -71,7 +77,7 @@ def estimate(
         raise disagreement
 
 
-@click.command(
+@command(
     epilog="\b\nExamples:\n  orthoscale fix ortho.tif --out scaled.tif --fleet PH\n"
     "  orthoscale fix utm.tif --out scaled.tif --override --keep-origin --also gpkg --also tfw\n"
     "  orthoscale fix model/ --out scaled/ --fleet US\n"
@@ -79,16 +85,17 @@ def estimate(
 )
 @input_argument
 @options_of(FixRequest)
-@click.option("--out", required=True, type=PATH, help="GeoTIFF or folder to write.")
+@option("--out", required=True, type=PATH, group="Output", help="GeoTIFF (orthophoto) or folder (model) to write.")
 @save_option
-@json_option
+@json_option()
 @debug_option
 def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
-    """Write a copy of INPUT in metres: an orthophoto with its GSD, or a COLMAP model rescaled.
+    """Write a copy of an orthophoto or a reconstruction in metres.
 
-    An orthophoto's pixels are copied as they are; OUT.html, OUT.json and OUT.png come with it. A model is scaled about
-    its own origin; sim3.txt, sim3.json, report.html, report.json and vehicles.png come with it. Of a workspace with
-    several models (sparse/0, sparse/1 ...) each gets its own scale and folder in OUT. INPUT is never touched.
+    INPUT as for `estimate`; it is never touched. An orthophoto's pixels are copied unchanged; OUT.html, OUT.json
+    and OUT.png come with it. A model is scaled about its own origin; sim3.txt, sim3_4x4.txt, sim3.json,
+    report.html, report.json and vehicles.png come with it. In a workspace with several models (sparse/0, sparse/1
+    ...) each gets its own scale and its own folder in OUT.
     """
     from ..actions import fix as writing
     from ..actions import several as workspace

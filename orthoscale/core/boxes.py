@@ -285,6 +285,6 @@ def distinct(boxes: Boxes) -> Boxes:
     _, first = np.unique(ordered.xylwa.round(6), axis=0, return_index=True)  # copies, of which there may be thousands
     ordered = ordered[np.sort(first)]
     if _Neighbours(ordered.xylwa).count() > HEAPED * len(ordered):
-        raise ValueError(f"{len(ordered)} boxes lie upon one another")
+        raise ValueError(f"{len(ordered)} boxes overlap almost entirely")
     left = suppress(ordered, SAME_VEHICLE)
     return boxes if len(left) == len(boxes) else left

@@ -26,7 +26,7 @@ def remark_on_shape(difference: float) -> str:
     """`difference` is log scale by lengths less that by widths."""
     larger, smaller = ("lengths", "widths") if difference > 0 else ("widths", "lengths")
     percent = 100 * abs(np.expm1(difference))
-    return f"{larger} give a larger scale than {smaller} by {percent:.0f} %: another fleet, or boxes that do not fit"
+    return f"{larger} give a larger scale than {smaller} by {percent:.0f} %: wrong fleet, or boxes that do not fit"
 
 
 def reasons(

@@ -202,7 +202,7 @@ class Detector:
     def _not_too_many(self, boxes: Boxes) -> Boxes:
         if len(boxes) <= MOST:
             return boxes
-        note = f"{self.card.name} sees more than {MOST} vehicles or things in one tile; the surest {MOST} of each count"
+        note = f"{self.card.name} sees more than {MOST} vehicles or objects in one tile; the best {MOST} of each count"
         if note not in self.notes:
             self.notes.append(note)
         return boxes[np.sort(np.argsort(-boxes.score, kind="stable")[:MOST])]

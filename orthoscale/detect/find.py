@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.alike import all_alike
+from ..core.boxes import Boxes
 from ..core.detections import Detections
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from .cache import TileCache, cache_key
@@ -73,7 +75,7 @@ def find_vehicles(
     detector = detector or Detector(threads=effort.threads_each)
     choice = None
     if zoom is None:
-        choice = _searched(pictures, detector, step("Looking for the right zoom"), count, effort.seed)
+        choice = _searched(pictures, detector, step("Scale search"), count, effort.seed)
         zoom = choice.zoom
     card = detector.card
 
@@ -95,7 +97,7 @@ def find_vehicles(
     if anytime:
         places = [tile for _, tile in jobs]
         evenly = visiting_order(places, np.ones(len(jobs)), effort.seed)
-        weight = promise(jobs, evenly, detector, count, step("Looking where vehicles are"))
+        weight = promise(jobs, evenly, detector, count, step("Coarse pass"))
         order = visiting_order(places, weight, effort.seed)
     with ExitStack() as open_things:
         key = cache_key(pictures, detector, zoom) if effort.cache else None
@@ -111,7 +113,22 @@ def find_vehicles(
             step("Finding vehicles"),
             card.sure,
         )
-    return detections(found), choice
+    return _without_equal_things(detections(found)), choice
+
+
+def _without_equal_things(found: Detections) -> Detections:
+    """`found`, where boxes of things too much alike for vehicles are doubtful, and a note says how many."""
+    boxes, doubtful, count = dict(found.boxes), dict(found.doubtful), 0
+    for name, seen in found.boxes.items():
+        alike = all_alike(seen)
+        if alike.any():
+            boxes[name] = seen[~alike]
+            doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), seen[alike]])
+            count += int(alike.sum())
+    if not count:
+        return found
+    note = f"{count} boxes do not count: things of one size that stand together, as solar panels or graves do"
+    return replace(found, boxes=boxes, doubtful=doubtful, notes=(*found.notes, note))
 
 
 def _searched(
@@ -125,16 +142,15 @@ def _searched(
     choice = search_zoom(pictures, detector, detector.card, progress, seed, workers)
     if choice.vehicle_px is None:
         raise TooLittleEvidence(
-            f"no vehicles found at any zoom from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "
-            f"({sum(row[1] for row in choice.table)} doubtful boxes, {sum(row[2] for row in choice.table)} of them "
-            "seen at two zooms)",
-            "If there are vehicles, say how large: --gsd-hint METRES_PER_PIXEL or --zoom FACTOR.",
+            f"no vehicles found at any resampling factor from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "
+            f"({sum(row[1] for row in choice.table)} boxes of low confidence, "
+            f"{sum(row[2] for row in choice.table)} of them at two factors)",
+            "If there are vehicles, give their size: --gsd-hint METRES_PER_PIXEL or --zoom FACTOR.",
         )
     if other := choice.as_likely:
         raise EvidenceDisagrees(
-            f"vehicles may be {choice.vehicle_px:.0f} px long, or {other:.0f} px: what is seen of both sizes "
-            "is about as convincing",
-            f"Say which: --zoom {choice.zoom:.2g}, --zoom {detector.card.best_length / other:.2g}, or roughly how "
+            f"vehicles may be {choice.vehicle_px:.0f} px long, or {other:.0f} px: both are about equally likely",
+            f"Choose: --zoom {choice.zoom:.2g}, --zoom {detector.card.best_length / other:.2g}, or roughly how "
             "large a pixel is (--gsd-hint METRES_PER_PIXEL).",
         )
     return choice

@@ -69,7 +69,7 @@ class Worker:
             "shape": image.shape,
             "most": MOST_OUTPUT,
         }
-        answer, body = self._ask(f"look at {image.shape[-1]} x {image.shape[-2]} px", head, image)
+        answer, body = self._ask(f"process {image.shape[-1]} x {image.shape[-2]} px", head, image)
         arrays, at = [], 0
         for kind, shape in answer["arrays"]:
             count = int(np.prod(shape, dtype=np.int64))

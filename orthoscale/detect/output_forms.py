@@ -97,7 +97,7 @@ def recognise(
     if not _fits(found, outputs):
         raise InputError(
             f"{path}: outputs {_words(outputs)} are not those that the decoder {found!r} reads",
-            "See docs/detectors.md for what each decoder expects, or leave --decoder away.",
+            "See docs/detectors.md for what each decoder expects, or remove --decoder.",
         )
     if len(input_shape) != 4 or input_shape[1] not in (3, None) or input_shape[0] not in (1, None):
         raise InputError(f"{path}: its input has shape {list(input_shape)}, not [1, 3, height, width]")
@@ -163,12 +163,12 @@ def _ultralytics(
     (shape,) = outputs.values()
     if names is None and "names" in metadata and not wanted:
         raise InputError(
-            f"{path}: the names of its classes cannot be read", "Say which are small vehicles: --vehicle-class 10"
+            f"{path}: the names of its classes cannot be read", "Name the class of small vehicles: --vehicle-class 10"
         )
     if names is None and not wanted:
         raise UsageError(
-            f"{path}: it does not say what its classes are called",
-            "Say which are small vehicles, by number: --vehicle-class 10",
+            f"{path}: it has no names of its classes",
+            "Give the class of small vehicles by number: --vehicle-class 10",
         )
     if names is None:
         count = shape[1] - 5 if decoder == "ultralytics" and shape[1] else 1000

@@ -60,7 +60,7 @@ def refined(
         for done, ((picture, _, number), boxes) in enumerate(zip(jobs, looks, strict=True), 1):
             seen.setdefault((picture.name, number), []).append(boxes)
             if progress:
-                progress("Looking again", done, len(jobs))
+                progress("Refining boxes", done, len(jobs))
     return {
         name: agreed(boxes, [suppress(Boxes.concatenate(seen.get((name, k), []))) for k in range(len(VIEWS))])
         for name, boxes in found.items()

@@ -31,9 +31,9 @@ def samples_of(
         return samples, notes
     steep = [s for s in samples if s.photo.pitch <= np.radians(max_pitch)]
     if not steep:
-        raise InputError(f"{path}: no photo looks down at {max_pitch:g} degrees or steeper", "Change --max-pitch.")
+        raise InputError(f"{path}: no photo has a pitch of {max_pitch:g} degrees or steeper", "Change --max-pitch.")
     if len(steep) < len(samples):
-        notes = [*notes, f"{len(samples) - len(steep)} photos look flatter than {max_pitch:g} degrees, left out"]
+        notes = [*notes, f"{len(samples) - len(steep)} photos with a flatter pitch than {max_pitch:g} degrees left out"]
     return steep, notes
 
 
@@ -57,7 +57,7 @@ def document(
     if not any(line["used"] for lines in regions.values() for line in lines):
         raise TooLittleEvidence(
             f"none of {len(samples)} photos shows {MIN_VEHICLES} vehicles with a score above {MIN_SCORE:g}",
-            "Look at the boxes (--save-detections), or try another zoom (--gsd-hint METRES_PER_PIXEL).",
+            "Inspect the boxes (--save-detections), or try another resampling factor (--gsd-hint METRES_PER_PIXEL).",
         )
     text = {
         "photos": len(samples),

@@ -83,7 +83,7 @@ def parse_requests(texts: Sequence[str], catalogue: Path | None = None) -> list[
     for text in texts:
         match = re.fullmatch(r"([A-Za-z0-9_-]+)(?::(\d+))?(?:@([^@]+))?", text.strip())
         if not match:
-            raise UsageError(f"--facility {text!r} is not understood", "Say CODE, CODE:COUNT or CODE@X,Y,BEARING.")
+            raise UsageError(f"--facility {text!r} is not understood", "Give CODE, CODE:COUNT or CODE@X,Y,BEARING.")
         code, count, place = match[1], int(match[2] or 1), match[3]
         if not 1 <= count <= 1000:
             raise UsageError(f"--facility {text!r}: a count of {count}", "Give a count from 1 to 1000.")
@@ -108,7 +108,7 @@ def _place(place: str, text: str) -> tuple[tuple[float, float], float]:
         if not all(map(math.isfinite, (x, y, bearing))):
             raise ValueError
     except ValueError:
-        raise UsageError(f"--facility {text!r}: no place in {place!r}", "Say CODE@X,Y or CODE@X,Y,BEARING.") from None
+        raise UsageError(f"--facility {text!r}: no place in {place!r}", "Give CODE@X,Y or CODE@X,Y,BEARING.") from None
     return (x, y), bearing
 
 
@@ -138,7 +138,7 @@ def parking(code: str, bays: int) -> Facility:
     if bay is None:
         raise UsageError(
             f"no parking bays are known for {country or code!r}",
-            f"Say parking-COUNTRY:BAYS, with one of {', '.join(_table()['parking'])}.",
+            f"Give parking-COUNTRY:BAYS, with one of {', '.join(_table()['parking'])}.",
         )
     per_row = math.ceil(bays / 2)
     length, width = per_row * bay["width"], 2 * bay["length"] + bay["aisle"]

@@ -130,7 +130,9 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
             return (low, high), ()
     except InputError:  # none, or another program's file of that name
         pass
-    return None, (f"how well the scale is known is not: there is no {report.name} (or say --scale-error PERCENT)",)
+    return None, (
+        f"the uncertainty of the scale is not known: there is no {report.name} (or give --scale-error PERCENT)",
+    )
 
 
 def _polygons(path: Path) -> tuple[BaseGeometry, str | None]:
@@ -187,7 +189,7 @@ def read_area(path: Path, ground: Ground, pixels: bool = False) -> tuple[BaseGeo
         raise InputError(
             f"{path}: lies outside of {ground.source.name}",
             f"The picture goes from ({x0:.10g}, {y0:.10g}) to ({x1:.10g}, {y1:.10g}) in its own coordinates; "
-            "for columns and rows say --lot-pixels.",
+            "for columns and rows add --lot-pixels.",
         )
     if inside.area < 0.999 * area.area:
         notes.append(f"{path.name}: {100 * (1 - inside.area / area.area):.0f} % lies outside of the picture, left out")

@@ -24,9 +24,9 @@ def summary(layout: Layout, out: Path | None) -> str:
             line += f", {place.from_north:.0f} degrees off north-south"
         if ground.interval is not None:
             low, high = ((bound - 1) * f.length for bound in ground.interval)
-            line += f"; its length {low:+.2f} to {high:+.2f} m on the ground"
+            line += f"; true length {low:+.2f} to {high:+.2f} m"
             if layout.holds_low is not None and not layout.holds_low[k]:
-                line += ", too large for its place at the low end"
+                line += ", at the low end of the scale it no longer fits"
         lines.append(line)
     for sentence in dict.fromkeys(m.sentence() for m in layout.missing):
         times = sum(m.sentence() == sentence for m in layout.missing)
@@ -38,7 +38,7 @@ def summary(layout: Layout, out: Path | None) -> str:
     lines.append(scale)
     lines += [f"note       {note}" for note in layout.notes]
     if out is not None:
-        lines.append(f"written    {out}: look at overlay.png")
+        lines.append(f"written    {out}: see overlay.png")
     return "\n".join(lines)
 
 

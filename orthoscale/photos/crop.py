@@ -102,7 +102,7 @@ def plan_crops(
     if not 0 < stride <= 1:
         raise UsageError(f"--stride must lie between 0 and 1, not {stride:g}")
     if radius is not None and at is None:
-        raise UsageError("--radius needs the middle of the search area", "Say --at LON,LAT.")
+        raise UsageError("--radius needs the middle of the search area", "Give --at LON,LAT.")
     if not (math.isfinite(gsd) and gsd > 0) or (radius is not None and not radius > 0):
         raise UsageError("a GSD or radius that is not a positive number of metres")
     width, height = photo_size
@@ -132,7 +132,7 @@ def plan_crops(
     starts = [_starts(low[k], high[k], int(window[k]), int(whole[k]), stride) for k in (0, 1)]
     count = len(starts[0]) * len(starts[1])
     if count > MOST_WINDOWS:
-        raise UsageError(f"{count} windows are too many", "Say where to search: --at LON,LAT --radius METRES.")
+        raise UsageError(f"{count} windows are too many", "Limit the search area: --at LON,LAT --radius METRES.")
     x, y = (a.ravel() for a in np.meshgrid(*starts))
     windows = np.column_stack([x, y, np.full(count, window[0]), np.full(count, window[1])])
     longer = max(query[2:])

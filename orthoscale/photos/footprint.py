@@ -42,7 +42,7 @@ def footprint_of(
         got = measure([photo], found, ruler)
     except TooLittleEvidence as error:
         raise TooLittleEvidence(
-            f"{path}: {error.message}", "Say how many metres a pixel of the photo is (--gsd), if you know."
+            f"{path}: {error.message}", "Give the metres per pixel of the photo (--gsd), if known."
         ) from error
     told = {
         "photo": str(path),

@@ -55,7 +55,7 @@ def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = 
     if focal_px is not None:
         if not (math.isfinite(focal_px) and focal_px > 0):
             raise UsageError(f"--focal-px must be a positive number, not {focal_px}")
-        return Lens(brown(size, focal_px, focal_px), TOLD_SD, "as told")
+        return Lens(brown(size, focal_px, focal_px), TOLD_SD, "given")
     share = tags.width / tags.full_width  # of the full image's pixels, where the photo was made smaller
     nominal = _nominal(tags)
     if tags.dewarp is not None:
@@ -69,7 +69,7 @@ def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = 
             return Lens(brown(size, focal, focal), MAKERS_SD, "from the maker's CalibratedFocalLength")
     if nominal is None:
         raise InputError(
-            f"its EXIF and XMP tell no focal length ({tags.make or 'unknown maker'} {tags.model})".rstrip(),
+            f"no focal length in its EXIF or XMP ({tags.camera or 'unknown camera'})",
             "Give it in pixels (--focal-px), or a calibration file (--lens).",
         )
     return nominal
@@ -90,10 +90,10 @@ def _nominal(tags: Tags) -> Lens | None:
     if wide / high > WIDEST_SENSOR:
         diagonal = math.hypot(wide, wide / SENSOR_ASPECT)
         sd.append(CROP_SD)
-        source += ", the picture taken for the full width of a 4:3 sensor"
+        source += ", the picture assumed to have the full width of a 4:3 sensor"
     if tags.digital_zoom > 1:
         sd.append(ZOOM_SD)
-        source += f", digital zoom {tags.digital_zoom:g} taken to be in it"
+        source += f", digital zoom {tags.digital_zoom:g} assumed to be in it"
     focal = tags.focal_35mm / DIAGONAL_35MM * diagonal
     return Lens(brown(size, focal, focal), math.hypot(*sd), source)
 

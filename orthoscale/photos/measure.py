@@ -109,7 +109,7 @@ def open_photo(
     if pitch is not None:
         if not -90 <= pitch < 0:
             raise UsageError(f"--pitch must lie between -90 (straight down) and 0 (the horizon), not {pitch:g}")
-        angles, sd, attitude = (pitch, roll or 0.0), TOLD_SD, f"pitch {pitch:g}, as told"
+        angles, sd, attitude = (pitch, roll or 0.0), TOLD_SD, f"pitch {pitch:g}, given"
     elif tags.pitch is not None:
         angles = (tags.pitch, tags.roll or 0.0 if roll is None else roll)
         sd, attitude = GIMBAL_SD, f"pitch {tags.pitch:g}, roll {angles[1]:g}, from XMP"

@@ -110,7 +110,7 @@ def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tup
             problems[name] = error.message
     if not photos:
         name = next(iter(problems))
-        raise InputError(f"none of {len(problems)} photos can be used; {problems[name]}", "Look at the first one.")
+        raise InputError(f"none of {len(problems)} photos can be used; {problems[name]}", "Check the first one.")
     return photos, problems
 
 

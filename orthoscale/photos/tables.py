@@ -55,7 +55,7 @@ def row(outcome: Outcome) -> dict[str, Any]:
         "longitude": tags.lon_lat[0] if tags and tags.lon_lat else None,
         "latitude": tags.lon_lat[1] if tags and tags.lon_lat else None,
         "taken": tags.taken if tags else "",
-        "camera": f"{tags.make} {tags.model}".strip() if tags else "",
+        "camera": tags.camera if tags else "",
         "notes": "; ".join(tags.notes) if tags else "",
     }
 
@@ -92,7 +92,7 @@ def document(
 def check_ending(path: Path, formats: Sequence[str] = FORMATS) -> None:
     """Raises UsageError for a name that says no format."""
     if path.suffix.lower() not in formats:
-        raise UsageError(f"{path.name} is none of {', '.join(formats)}", "Its ending says how it is written.")
+        raise UsageError(f"{path.name} is none of {', '.join(formats)}", "The file's ending sets its format.")
 
 
 def known(path: Path) -> Callable[[Path], bool] | None:

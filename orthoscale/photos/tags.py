@@ -63,6 +63,12 @@ class Tags:
     yaw: float | None = None
     notes: tuple[str, ...] = field(default=())
 
+    @property
+    def camera(self) -> str:
+        """Maker and model, the maker once; '' where the photo tells neither."""
+        named = self.model.lower().startswith(self.make.lower())
+        return self.model if named else f"{self.make} {self.model}".strip()
+
 
 def read_tags(path: Path) -> Tags:
     """The tags of the photo at `path`; its pixels are not decoded. Raises InputError for what is no image."""

@@ -56,11 +56,11 @@ def _in_full(got: PhotoScale) -> list[str]:
         f"GSD        {_interval(got.gsd * 100, 'cm/px')}",
         f"scale      {_interval(scale * 100, 'cm/px')}, of the nadir view",
         f"footprint  {_interval(width, 'm')} wide, {_interval(height, 'm')} high",
-        f"uncertain  {parts}   (one sigma)",
+        f"uncertain  {parts}   (1 sigma)",
     ]
     if told := got.photo.tags.relative_altitude:
         off = 100 * (got.altitude.value / told - 1)
-        lines.append(f"check      the drone says {told:g} m over its take-off point: {off:+.1f} %")
+        lines.append(f"check      the drone reports {told:g} m above its take-off point: {off:+.1f} %")
     return lines
 
 

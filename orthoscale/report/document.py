@@ -256,7 +256,7 @@ def read_json(path: Path) -> dict[str, Any]:
     found = report.get("format") if isinstance(report, dict) else None
     if found != FORMAT:
         told = f"format {shown(str(found))!r}" if found else "no format"
-        raise InputError(f"{path}: not a report that this version draws ({told}, expected {FORMAT!r})", hint)
+        raise InputError(f"{path}: a report of another version ({told}, expected {FORMAT!r})", hint)
     checked(report, Report, str(path), "a report", hint)
     return report
 

@@ -25,10 +25,10 @@ def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) ->
     title = 56
     panel = np.full((round(height * zoom) + title, round(width * zoom), 3), 255, np.uint8)
     drifts = drift.get("drifts")
-    judged = "not judged" if drifts is None else "the scale drifts" if drifts else "no drift beyond chance"
+    judged = "not judged" if drifts is None else "the scale drifts" if drifts else "no significant drift"
     change = f"{100 * drift['tilt']:.1f} % from side to side, +- {100 * Z90 * drift['tilt_sd']:.1f} (90 %)"
     write_on(panel, (10, 22), f"Scale by place: {judged}; {change}", 17)
-    write_on(panel, (10, 45), "Each cell: per cent against the whole +- 90 %, and its number of vehicles", 14)
+    write_on(panel, (10, 45), "Each cell: per cent from the overall scale, +- 90 %, and its number of vehicles", 14)
     half = np.array(drift["cell_px"]) / 2
     for cell in drift["cells"]:
         x, y, count, deviation, sd = (cell[name] for name in ("x_px", "y_px", "vehicles", "deviation", "sd"))

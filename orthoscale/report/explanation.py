@@ -11,14 +11,14 @@ from ..errors import InputError
 from ..formats.reading import reason
 
 MEANINGS = {
-    "sampling": "vehicles differ, and only so many were measured",
-    "fleet": "how large the vehicles of that place are on average is not known better",
+    "sampling": "the sizes of vehicles scatter, and their number is limited",
+    "fleet": "the mean size of the vehicles at that place is uncertain",
     "margin": "box bias: how much boxes over- or undershoot vehicles varies from scene to scene",
-    "geometry": "the ground's height under the vehicles and how much of their height the boxes take in",
+    "geometry": "the height of the ground under the vehicles, and up to what height boxes enclose them",
     "conflict": "measurements that contradict each other",
     "known distance": "the known distance itself",
     "ground control": "the control points themselves",
-    "parking pitch": "how wide stalls are built at one place",
+    "parking pitch": "the width of parking stalls at one place",
 }
 WITHOUT_COUNTRY = ("WORLD", "auto")
 COUNTRY_SHARE = (
@@ -60,7 +60,7 @@ def explain(report: Mapping[str, Any]) -> dict[str, Any]:
     if share.get("fleet", 0) > NOTABLE and fleet in WITHOUT_COUNTRY:
         remedy("name the country (--fleet)", (1 - COUNTRY_SHARE**2) * parts["fleet"] ** 2)
     if share.get("margin", 0) > NOTABLE:
-        remedy("use a detector whose boxes stray half as much between scenes", 0.75 * parts["margin"] ** 2)
+        remedy("use a detector with half the box bias", 0.75 * parts["margin"] ** 2)
     if share.get("geometry", 0) > NOTABLE:
         remedy("use steeper views, or more ground points under the vehicles", 0.75 * parts["geometry"] ** 2)
     remedies.sort(key=lambda r: r["leaves"])
@@ -69,7 +69,10 @@ def explain(report: Mapping[str, Any]) -> dict[str, Any]:
     halve = f"A known distance good to {100 * needed:.1f} % would halve it ({across}: --known-distance)"
     halve += f"; so would this alone: {'; '.join(best)}." if best else "; nothing below would do so alone."
     if "conflict" in parts:
-        remedies, halve = [], "First find out which measurement is wrong: no more of them helps while two contradict."
+        remedies, halve = (
+            [],
+            "First find out which measurement is wrong: more of them do not help while two contradict each other.",
+        )
     return {
         "scale": scale,
         "unit": unit,

@@ -14,11 +14,11 @@ from .document import of_plan
 from .explanation import explain
 from .places import frames, trend
 
-FIT = {  # verdict: what it is called, what the scale is fit for
-    "good": ("known well", "Suitable for metric layouts and checks."),
-    "fair": ("known fairly", "Suitable where this tolerance is acceptable."),
-    "poor": ("known poorly", "Suitable for a rough idea only."),
-    "unusable": ("not known", "Not suitable for use."),
+FIT = {  # verdict: what the scale is fit for
+    "good": "Suitable for metric layouts and checks.",
+    "fair": "Suitable where this tolerance is acceptable.",
+    "poor": "Suitable for a rough idea only.",
+    "unusable": "Not suitable for use.",
 }
 SAMPLING = 0.02  # one sigma from which more vehicles would help
 ROUGH = 0.06  # relative difference from which no tick is given, however little is known
@@ -97,10 +97,10 @@ def _places(report: Mapping[str, Any]) -> Check | None:
     if found.drifts is None:
         return Check("none", "Places compared", figures)
     if found.drifts:
-        return Check("look", "The scale drifts", figures + ", more than chance makes")
+        return Check("look", "The scale drifts", figures + ", significant")
     if found.change > max(half_width(report), ROUGH):
         return Check("none", "Drift neither found nor excluded", figures)
-    return Check("ok", "No drift", figures + ", which may be chance")
+    return Check("ok", "No drift", figures + ", not significant")
 
 
 def _frames(report: Mapping[str, Any]) -> Check | None:
@@ -109,7 +109,7 @@ def _frames(report: Mapping[str, Any]) -> Check | None:
         return None
     odd = sorted((frame for frame in found if frame.odd), key=lambda frame: -abs(frame.deviation))
     if not odd:
-        return Check("ok", "Frames agree", f"{len(found)} frames measure the same vehicles alike")
+        return Check("ok", "Frames agree", f"{len(found)} frames agree about the same vehicles")
     what = f"{len(odd)} of {len(found)} frames {'stands' if len(odd) == 1 else 'stand'} out"
     named = ", ".join(f"{frame.name} ({signed(exp(frame.deviation) - 1)})" for frame in odd[:3])
     return Check("look", what, named + ", …" * (len(odd) > 3))
@@ -148,7 +148,7 @@ def _evidence(report: Mapping[str, Any]) -> Check | None:
     if conflict:
         return Check("look", "Other evidence contradicts", f"{kinds} ({conflict:.1f} sigma)")
     if max(abs(relative(e["scale"], report)) for e in others) > max(half_width(report), ROUGH):
-        return Check("none", "Other evidence is apart, within its uncertainty", kinds)
+        return Check("none", "Other evidence differs within its uncertainty", kinds)
     return Check("ok", "Other evidence agrees", kinds)
 
 
@@ -156,7 +156,7 @@ def _largest(report: Mapping[str, Any]) -> Check:
     explained = explain(report)
     part = explained["parts"][0]
     share = f"{100 * part['relative_sd']:.1f} of {percent(explained['relative_sd'])} (1 sigma)"
-    return Check("none", f"Least known: {part['name']}", f"{share}: {part['meaning']}")
+    return Check("none", f"Largest uncertainty: {part['name']}", f"{share}: {part['meaning']}")
 
 
 def metres_of(report: Mapping[str, Any], length: float = 10.0) -> str:

@@ -39,7 +39,6 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
     """The HTML of a report. `scene` has its pictures; without any, the page does without."""
     report = completed(report)
     (value, low, high), unit = judgement.quantity(report, report["scale"], *report["interval90"])
-    known, fit = judgement.FIT[report["verdict"]]
     return _template().render(
         report=report,
         name=Path(report["input"]["path"]).name,
@@ -48,8 +47,7 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
         high=high,
         unit=unit,
         half_width=percent(judgement.half_width(report)),
-        known=known,
-        fit=fit,
+        fit=judgement.FIT[report["verdict"]],
         metres=judgement.metres_of(report),
         checks=judgement.checks(report),
         overviews=[_picture(panel) for panel in scene.overviews],
@@ -136,7 +134,7 @@ def _estimates(report: Mapping[str, Any]) -> Markup:
         rows.append(charts.Row("its georeferencing", relative(report["claim"]["claimed"], report)))
     rows = [row for row in rows if abs(row.value) < FARTHEST]
     label = "; ".join(f"{row.name} {signed(row.value)}" for row in rows[1:])
-    return charts.estimates(rows, (low, high), f"Scale by other ways, against the answer: {label}")
+    return charts.estimates(rows, (low, high), f"Other estimates of the scale, relative to the answer: {label}")
 
 
 def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:
@@ -146,7 +144,7 @@ def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:
 def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:
     """One way of measuring, in words."""
     values, unit = judgement.quantity(report, mode["scale"], *mode.get("interval90", ()))
-    interval = f", {values[1]} to {values[2]} with 90 %" if len(values) == 3 else ""
+    interval = f", {values[1]} to {values[2]} (90 %)" if len(values) == 3 else ""
     vehicles = f", {mode['vehicles_used']} vehicles" if "vehicles_used" in mode else ""
     return f"{values[0]} {unit}{interval}{vehicles}"
 
@@ -191,12 +189,12 @@ def _places(report: Mapping[str, Any]) -> Markup | None:
     if len(found) < 2:
         return None
     vehicles = np.array([v["place_m"] for v in report["vehicles"] if v["used"]], float)
-    return charts.place_map(vehicles, found, "Vehicles from above, and the scale of each region against that of all")
+    return charts.place_map(vehicles, found, "Vehicles from above, and the scale of each region relative to the whole")
 
 
 def _frames(report: Mapping[str, Any]) -> Markup | None:
     found = places.frames(report)
-    return charts.frames(found, "Scale of each frame against the answer") if found else None
+    return charts.frames(found, "Scale of each frame relative to the answer") if found else None
 
 
 def _row(name: str, values: Mapping[str, Any], report: Mapping[str, Any]) -> charts.Row:

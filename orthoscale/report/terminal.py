@@ -50,7 +50,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     scale = result.scale
     checks = (f"{name.replace('_', ' ')} {100 * (v / scale.value - 1):+.1f} %" for name, v in scale.checks.items())
     parts = (f"{name} {percent(sd)}" for name, sd in scale.parts.items() if sd > 0)
-    seen = f", seen {int(result.votes.views[scale.used].sum())} times" if result.votes.views.max() > 1 else ""
+    seen = f", in {int(result.votes.views[scale.used].sum())} views" if result.votes.views.max() > 1 else ""
     rejected = {**scale.rejected, **result.rejected_boxes}
     table = [
         *result.answer(),
@@ -69,8 +69,8 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
         table.append(("claim", claim.sentence()))
     swept = result.detections.swept
     if swept is not None and len(swept.tiles) < swept.total:
-        looked = f"{len(swept.tiles)} of {swept.total} tiles, which was enough (--exhaustive for all)"
-        table.append(("looked at", looked))
+        looked = f"{len(swept.tiles)} of {swept.total} tiles visited, enough for --target (--exhaustive for all)"
+        table.append(("tiles", looked))
     table += [
         ("also", f"{e.value:.5g} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)") for e in scale.evidence
     ]

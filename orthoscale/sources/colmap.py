@@ -259,7 +259,7 @@ class ColmapSource:
         if folder is None:
             raise UsageError(
                 f"{self.folder} has no dense workspace (dense/ with stereo/ or fused.ply in it, beside the model)",
-                "Leave --dense away, or bring it to metres later with `orthoscale apply`.",
+                "Remove --dense, or bring it to metres later with `orthoscale apply`.",
             )
         here = {name: image.projection_center() for name, image in self._images.items()}
         for sparse in sparse_folders(folder):

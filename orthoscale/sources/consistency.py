@@ -73,7 +73,7 @@ def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Obser
         stand = np.array([images[name].projection_center() for name in seen.names])[seen.image]
         distance = np.median(np.linalg.norm(seen.points - stand, axis=1))
     else:
-        notes = [f"{where} does not say where its images saw its points: nothing shows whether they fit its cameras"]
+        notes = [f"{where} holds no observations of its points: whether they fit its cameras cannot be checked"]
         points = np.array([point.xyz for point in model.points3D.values()])
         distance = np.median(np.linalg.norm(points - centres.mean(0), axis=1))
     return notes + _check_places(where, centres, float(distance))

@@ -28,7 +28,7 @@ def open_source(path: str | Path, images: str | Path | None = None, need_images:
 
         return ColmapSource.open(path, images=images, need_images=need_images)
     if images is not None:
-        raise UsageError("--images is for COLMAP models", f"{path} is a file: leave --images away.")
+        raise UsageError("--images is for COLMAP models", f"{path} is a file: remove --images.")
     from .raster import RasterSource
 
     return RasterSource.open(path)

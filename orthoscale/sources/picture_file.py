@@ -94,7 +94,7 @@ class PictureFile:
         elif abs(size[0] * self.height - size[1] * self.width) <= max(self.width, self.height, *size):
             why = "It seems to have been resized: give the images at the size COLMAP read, or undistort again."
         else:
-            why = "Give the folder of the very images that COLMAP read (undistorted ones for an undistorted model)."
+            why = "Give the folder of the images that COLMAP read (undistorted ones for an undistorted model)."
         raise InputError(
             f"{self.path}: image is {size[0]} x {size[1]} px, but its camera {self.width} x {self.height} px", why
         )

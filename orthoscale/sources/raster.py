@@ -71,7 +71,7 @@ _SERVED = frozenset(
 # Formats that can be decoded from the top only.
 _IN_ORDER = frozenset(["AVIF", "BIGGIF", "GIF", "HEIF", "JPEG", "JPEGXL", "PNG", "WEBP"])
 
-_EXPORT_AGAIN = "Export or download it again; a transfer that broke off looks like this."
+_EXPORT_AGAIN = "Export or download it again; its transfer may have been cut off."
 _STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written
 _CLASSIC = 2**32 - 2**24  # [byte] a classic TIFF longer than this may not have room for another directory
 _LONGEST_VRT = 2**28  # [byte] of its text that is looked through
@@ -375,7 +375,7 @@ class RasterSource:
         count = (offset > 0).astype(np.uint64) if lists.count is None else lists.count[:wanted]
         lost = np.flatnonzero((offset == 0) != (count == 0))
         if len(lost):
-            raise InputError(f"{self.path} is damaged: it does not say where block {lost[0]} is", _EXPORT_AGAIN)
+            raise InputError(f"{self.path} is damaged: block {lost[0]} has no address", _EXPORT_AGAIN)
         end, length = int((offset + count).max(initial=0)), self.path.stat().st_size
         if end > length or int(offset.max(initial=0)) > length:
             raise InputError(

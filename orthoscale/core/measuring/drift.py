@@ -62,7 +62,8 @@ class Drift:
             found.append(f"is bent by {100 * self.bend:.1f} % (p = {self.p_bend:.1g})")
         if not found:
             return ""
-        return f"the scale {' and '.join(found)}: a tilted or bent orthophoto, or other vehicles there than here"
+        why = "the orthophoto may be tilted or bent, or its vehicles differ from place to place"
+        return f"the scale {' and '.join(found)}: {why}"
 
 
 def drift(vehicles: np.ndarray, width: float, height: float) -> Drift | None:

@@ -35,7 +35,7 @@ from .surroundings import GROUND_SD, Standards, objects_in_model, rows_in_model,
 ROUNDS = 6  # of projection and pooling; the scale enters its own projection only through the vehicles' height
 SETTLED = 1e-4  # relative change of the scale at which the rounds end
 HEIGHT_SD = 0.25  # how far a detector's effective height strays from its card between scenes (one sigma) [m]
-NO_GROUND = "no ground under the box, or seen too flatly"
+NO_GROUND = "no ground under the box, or too low an elevation angle"
 CALLED = "boxes on the ground"
 
 

@@ -30,7 +30,7 @@ from .surroundings import Standards, rows_in_model
 ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
 ROOM = 1.15  # a box, enlarged so, must lie within what the frame saw, or it may be cut
 BORDER = 2.0  # [px of the frame]
-TOO_FLAT = "cut by the frame's edge, or seen too flatly"
+TOO_FLAT = "cut by the frame's edge, or too low an elevation angle"
 CALLED = "boxes near the nadir"
 
 

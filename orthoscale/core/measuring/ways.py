@@ -57,7 +57,7 @@ def measure_posed(
     if mode in (PLANAR, BOTH) and found.planar is None:
         raise UsageError(
             f"--mode {mode}: these detections hold no boxes of a planar sweep",
-            "Leave --detections away, or use a file that --save-detections wrote for --mode both.",
+            "Remove --detections, or use a file that --save-detections wrote for --mode both.",
         )
     ways: dict[str, Callable[[], Measurement]] = {
         OBLIQUE: lambda: measure(FramesGeometry.of(source, found, fleet, method), fleet, method)

@@ -91,6 +91,6 @@ def pool_paper(votes: Votes, fleet: Fleet, unit: str) -> Scale:
         verdict=verdict(sd, odd_shape=False, conflict=False),
         used=found.used,
         reasons=reasons,
-        remarks=("the paper's estimator: its interval has no part for the fleet, the boxes' margin and the geometry",),
+        remarks=("the paper's estimator: its interval leaves out the uncertainty of fleet, margin and geometry",),
         fleets={fleet.code: 1.0},
     )

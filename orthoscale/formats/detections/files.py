@@ -35,14 +35,14 @@ def check_name(path: Path) -> None:
     """Raises UsageError for a file name that says no format, or one that cannot be written here."""
     if path.suffix.lower() not in FORMATS:
         known = ", ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
-        raise UsageError(f"{path.name}: no format of detections ends like this", f"Known: {known}.")
+        raise UsageError(f"{path.name}: not an ending of a detections format", f"Known: {known}.")
 
 
 def save(found: Detections, path: Path, source: Pictures) -> None:
     """Write `found` to `path` in the format that its name says. Raises UsageError.
 
     `load` gives back what was saved, to the digits written, from all but DOTA's text. That holds the vehicles' corners,
-    scores and pictures, and nothing else: no zoom, ruler, spreads, doubtful boxes, objects or plans.
+    scores and pictures, and nothing else: no zoom, ruler, spreads, boxes of low confidence, objects or plans.
     """
     check_name(path)
     suffix = path.suffix.lower()
@@ -102,7 +102,7 @@ def _of_vehicles(items: Sequence[Item], vehicle_classes: Sequence[str], path: Pa
     if not vehicle_classes and len(numbers) > 1:
         raise InputError(
             f"{path}: its classes have numbers and no names ({shown(', '.join(numbers), 200)})",
-            f"Say which are small vehicles: --vehicle-class {numbers[0]}, for instance.",
+            f"Name the class of small vehicles: --vehicle-class {numbers[0]}, for instance.",
         )
     return list(items) if vehicle_classes else [replace(item, label=None) for item in items]
 
@@ -134,7 +134,7 @@ def _check_sizes(sizes: Mapping[str, tuple[int, int]], source: Pictures, path: P
         if sizes.get(name, size) not in (size, (0, 0)):
             raise InputError(
                 f"{path}: its {name} has {sizes[name][0]} x {sizes[name][1]} px, the source's {size[0]} x {size[1]}",
-                "Give detections made on this very picture; boxes of another size measure another scale.",
+                "Give detections made on this picture at this size; boxes of another size measure another scale.",
             )
 
 
@@ -166,7 +166,7 @@ def _checked(found: Detections, source: Pictures, path: Path) -> Detections:
             raise InputError(
                 f"{path}: {int(outside.sum())} of {len(boxes)} boxes lie outside of {name} ({size[0]} x {size[1]} px), "
                 f"the first at x {x:.6g}, y {y:.6g}",
-                "Give detections made on this very picture, in its pixels or its coordinates.",
+                "Give detections made on this picture, in its pixels or its coordinates.",
             )
     try:
         single = {name: distinct(boxes) for name, boxes in found.boxes.items()}

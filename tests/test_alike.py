@@ -1,0 +1,59 @@
+"""Things of one size that stand together do not count for vehicles; vehicles do, however tidily they are parked."""
+
+import numpy as np
+import pytest
+
+from orthoscale.core.alike import all_alike
+from orthoscale.core.boxes import Boxes
+from orthoscale.detect import zoom
+from orthoscale.detect.zoom import ZoomChoice
+
+
+def rows(rng, columns, lines, length, scatter, at=(0.0, 0.0), gap=1.3):
+    """Boxes side by side in lines, `gap` widths apart, with a width of 0.4 of the length."""
+    x, y = np.meshgrid(np.arange(columns) * gap * 0.4 * length, np.arange(lines) * 1.15 * length)
+    n = x.size
+    sides = length * np.exp(rng.normal(0, scatter, (n, 2))) * [1, 0.4]
+    return Boxes(np.column_stack([x.ravel() + at[0], y.ravel() + at[1], sides, np.full(n, np.pi / 2)]), np.ones(n))
+
+
+@pytest.mark.parametrize("scatter", [0.012, 0.02])
+@pytest.mark.parametrize("columns, lines", [(40, 1), (12, 10)])
+def test_panels_do_not_count(scatter, columns, lines):
+    assert all_alike(rows(np.random.default_rng(0), columns, lines, 23.0, scatter, gap=1.05)).all()
+
+
+@pytest.mark.parametrize("columns, lines", [(8, 1), (40, 1), (50, 20)])
+def test_parked_vehicles_count(columns, lines):
+    """Fleets scatter by 0.07 to 0.10, shrunk by a third by the detector, with its own noise on top."""
+    taken = [all_alike(rows(np.random.default_rng(k), columns, lines, 16.0, 0.06)).any() for k in range(200)]
+    assert np.mean(taken) <= 0.01
+
+
+def test_a_few_vehicles_that_happen_to_be_alike_count():
+    rng = np.random.default_rng(1)
+    taken = [all_alike(rows(rng, 4, 1, 50.0, 0.03)).any() for _ in range(300)]
+    assert np.mean(taken) < 0.02
+
+
+def test_only_the_equal_things_are_left_out_among_vehicles():
+    rng = np.random.default_rng(2)
+    panels, cars = rows(rng, 20, 8, 22.0, 0.02), rows(rng, 20, 2, 55.0, 0.06, at=(0, 900))
+    alike = all_alike(Boxes.concatenate([panels, cars]))
+    assert alike[: len(panels)].all() and not alike[len(panels) :].any()
+    assert not all_alike(Boxes.empty()).any() and not all_alike(cars[:1]).any()
+
+
+def test_equal_things_do_not_vote_for_a_size_and_neither_do_stragglers_among_them():
+    rng = np.random.default_rng(3)
+    panels, cars = rows(rng, 20, 8, 22.0, 0.02), rows(rng, 10, 2, 55.0, 0.06, at=(0, 900))
+    straggler = Boxes(np.array([[5000.0, 5000, 22.3, 9, 0]]), np.ones(1))
+    left = zoom._unlike(Boxes.concatenate([panels, straggler, cars]))
+    assert sorted(left.length) == pytest.approx(sorted(cars.length))
+
+
+@pytest.mark.parametrize("rival, one, other", [(0.3, True, None), (0.6, True, 31.0), (0.6, False, None)])
+def test_two_sizes_about_as_likely_are_asked_about_where_there_is_one_scale(rival, one, other):
+    """In frames from nearer and farther, vehicles have several sizes."""
+    assert ZoomChoice(1.0, 55.0, 100.0, 31.0, rival, [], one).as_likely == other
+    assert ZoomChoice(1.0, 55.0, 100.0, 9.0, 0.6, [], False).as_likely == 9.0

@@ -1,0 +1,109 @@
+"""What people read: the help of every command, and the links of every page."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from orthoscale.actions.requests import GROUPS
+from orthoscale.cli.main import COMMANDS, cli
+
+ROOT = Path(__file__).parent.parent
+PAGES = [
+    path
+    for pattern in ("*.md", "docs/*.md", "*/README.md", "orthoscale/detect/weights/README.md")
+    for path in sorted(ROOT.glob(pattern))
+]
+PICTURE_OR_LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+
+
+def help_of(*words: str) -> str:
+    done = CliRunner().invoke(cli, [*words, "--help"], terminal_width=80)
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_the_summary_of_every_command_fits_a_line_of_80_columns():
+    lines = help_of().splitlines()
+    for name in COMMANDS:
+        (line,) = [line for line in lines if line.split()[:1] == [name]]
+        assert len(line) <= 80 and line.endswith(".") and not line.endswith("..."), line
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_stands_under_one_heading(name):
+    headings = Counter()
+    heading = None
+    for line in help_of(name).splitlines():
+        if line.endswith(":") and line[:-1] in GROUPS:
+            heading = line[:-1]
+        elif not line:
+            heading = None
+        elif heading and (found := re.match(r"  (?:-\w, )?(--[\w-]+)", line)):
+            headings[found[1]] += 1
+    command = cli.get_command(click.Context(cli), name)
+    options = [each for each in command.params if isinstance(each, click.Option)]
+    assert all(each.group in GROUPS for each in options)
+    assert headings == {**{each.opts[0]: 1 for each in options}, "--help": 1}
+
+
+def anchors(page: Path) -> set[str]:
+    """Of the headings of a page, as GitHub makes them."""
+    titles = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_to_files_and_headings_that_are_there(page):
+    for target in PICTURE_OR_LINK.findall(page.read_text()):
+        if target.startswith(("http://", "https://")):
+            continue
+        name, _, anchor = target.partition("#")
+        file = (page.parent / name).resolve() if name else page
+        assert file.exists(), f"{page.name} links to {target}"
+        assert not anchor or anchor in anchors(file), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_files_that_a_page_names_are_there(page):
+    """Those of the repository, named from its root: `orthoscale/detect/decoders.py`."""
+    folders = "orthoscale|tests|docs|examples|benchmarks|colmap_hooks"
+    for name in re.findall(rf"`((?:{folders})/[\w./-]+)`", page.read_text()):
+        assert (ROOT / name).exists(), f"{page.name} names {name}"
+
+
+def test_names_in_the_glossary_are_in_the_code():
+    rows = re.findall(r"^\|.*\|([^|]*)\|$", (ROOT / "docs" / "glossary.md").read_text(), re.MULTILINE)
+    code = "\n".join(path.read_text() for path in sorted((ROOT / "orthoscale").rglob("*.py")))
+    names = [name for cell in rows for name in re.findall(r"`([^`]+)`", cell)]
+    assert len(names) > 20
+    for name in names:
+        last = name.removeprefix("orthoscale ").removeprefix("--").rsplit(".")[-1].split("/")[-1]
+        assert re.search(rf"\b{re.escape(last)}\b", code), f"the glossary's {name} is in no module"
+
+
+def test_the_page_of_a_package_index_needs_no_other_file():
+    told = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    text = (ROOT / told["readme"]).read_text()
+    assert [target for target in PICTURE_OR_LINK.findall(text) if not target.startswith("https://")] == []
+
+
+def test_the_long_options_that_pages_name_exist():
+    known = {
+        each
+        for name in COMMANDS
+        for option in cli.get_command(click.Context(cli), name).params
+        for each in (*option.opts, *option.secondary_opts)
+    }
+    pages = [page for page in PAGES if page.parent in (ROOT / "docs", ROOT) or page.parent.name == "colmap_hooks"]
+    commands = re.compile(r"^ *orthoscale (.*?)(?:  +#.*)?$", re.MULTILINE)
+    for page in pages:
+        for line in commands.findall(page.read_text()):
+            unknown = set(re.findall(r"--[a-z][\w-]+", line)) - known - {"--version", "--help"}
+            assert not unknown, f"{page.name}: orthoscale {line}"
