@@ -14,7 +14,7 @@ import logging
 from typing import TYPE_CHECKING, Any
 
 from .system import libz
-from .version import __version__
+from .version import __version__ as __version__
 
 __all__ = [
     "Boxes",
@@ -24,7 +24,6 @@ __all__ = [
     "OrthoscaleError",
     "Result",
     "Scale",
-    "__version__",
     "apply",
     "calibrate",
     "check",

@@ -19,7 +19,7 @@ from orthoscale.core.detections import UNKNOWN_RULER, Detections
 from orthoscale.core.ruler import Ruler
 from orthoscale.errors import InputError, UsageError
 from orthoscale.formats.detections import load, save
-from orthoscale.formats.detections.items import rectangle
+from orthoscale.formats.detections.items import rectangles
 from orthoscale.formats.detections.own import about
 from orthoscale.sources.opening import open_source
 
@@ -174,9 +174,9 @@ def test_dota_text_keeps_boxes_and_scores(tmp_path):
 
 
 def test_four_corners_give_the_mean_of_opposite_sides():
-    assert Boxes(rectangle(BOXES.corners[0])[None], np.ones(1)).xylwa[0] == pytest.approx(BOXES.xylwa[0])
+    assert Boxes(rectangles([BOXES.corners[0]])[0][None], np.ones(1)).xylwa[0] == pytest.approx(BOXES.xylwa[0])
     drawn = np.array([[0, 0], [40, 1], [41, 17], [1, 16]])  # by hand, a little skew
-    x, y, length, width, angle = rectangle(drawn)
+    x, y, length, width, angle = rectangles([drawn])[0]
     assert (x, y) == (20.5, 8.5)
     assert (length, width) == (pytest.approx(40.01, abs=0.01), pytest.approx(16.03, abs=0.01))
     assert cv2.minAreaRect(drawn.astype(np.float32))[1][0] * cv2.minAreaRect(drawn.astype(np.float32))[1][1] > 1.03 * (
@@ -188,14 +188,14 @@ def test_four_corners_give_the_mean_of_opposite_sides():
 def test_the_order_of_corners_does_not_matter(order):
     for box in BOXES.xylwa:
         corners = Boxes(box[None], np.ones(1)).corners[0][list(order)] + 40_000
-        again = Boxes(rectangle(corners)[None] - [40_000, 40_000, 0, 0, 0], np.ones(1))
+        again = Boxes(rectangles([corners]) - [40_000, 40_000, 0, 0, 0], np.ones(1))
         assert overlap(box[None], again.xylwa)[0] > 0.999
 
 
 def test_other_polygons_give_the_smallest_rectangle_around_them():
     angles = np.linspace(0, 2 * np.pi, 200, endpoint=False)
     ellipse = np.column_stack([20 * np.cos(angles), 8 * np.sin(angles)]) @ [[0.8, 0.6], [-0.6, 0.8]] + 50
-    assert sorted(rectangle(ellipse)[2:4]) == pytest.approx([16, 40], abs=0.1)
+    assert sorted(rectangles([ellipse])[0][2:4]) == pytest.approx([16, 40], abs=0.1)
 
 
 # Files as others write them

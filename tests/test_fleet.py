@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orthoscale.core import fleet as fleet_module
+import orthoscale
 from orthoscale.countries import country_at
 from orthoscale.errors import InputError, UsageError
 from orthoscale.fleets import fleet_codes, load_fleet
@@ -32,7 +32,7 @@ def test_samples_have_the_fleets_moments(code):
 
 
 def test_classes_follow_from_the_shares_of_segments():
-    document = json.loads((Path(fleet_module.__file__).parent / "data" / "fleets.json").read_text())
+    document = json.loads((Path(orthoscale.__file__).parent / "data" / "fleets.json").read_text())
     known = {"mini", "small", "compact", "mid", "large", "SUV", "pickup", "van"}
     mixed = [load_fleet(code) for code, entry in document["fleets"].items() if "shares" in entry]
     assert len(mixed) >= 30

@@ -15,7 +15,7 @@ FIX = """
 import sys
 import numpy as np
 orthoscale.fix({example!r} + "/sparse", sys.argv[1], fleet="US", detections={example!r} + "/detections.json")
-from orthoscale.formats.png import write_png
+from orthoscale.formats.pictures import write_png
 from pathlib import Path
 write_png(Path(sys.argv[1]) / "noise.png", np.random.default_rng(0).integers(0, 255, (300, 200, 3), np.uint8))
 import rasterio

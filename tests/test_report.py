@@ -13,7 +13,7 @@ from reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
 
 import orthoscale
 from orthoscale.actions.requests import command_line
-from orthoscale.errors import InputError, UsageError
+from orthoscale.errors import Incomplete, InputError, UsageError
 from orthoscale.report import judgement, places
 from orthoscale.report.document import OPTIONAL, read_json
 from orthoscale.report.files import redraw
@@ -262,11 +262,13 @@ def test_the_page_does_without_every_part_that_may_be_missing(report, model):
     assert "</html>" in page(bare, Scene.of(bare, None))
 
 
-def test_a_page_that_fails_does_not_cost_the_copy(tmp_path, monkeypatch, caplog):
+def test_a_page_that_fails_does_not_cost_the_copy(tmp_path, monkeypatch):
     car_park(tmp_path)
     monkeypatch.setattr("orthoscale.report.files.page", lambda *_: 1 / 0)
-    assert "could not be drawn" in fixed(tmp_path).read_text()
-    assert (tmp_path / "scaled.tif").exists() and "could not be drawn" in caplog.text
+    with pytest.raises(Incomplete, match="scaled.tif.html could not be written"):
+        fixed(tmp_path)
+    assert (tmp_path / "scaled.tif.json").exists() and not (tmp_path / "scaled.tif.html").exists()
+    assert (tmp_path / "scaled.tif").exists()
 
 
 def test_agreement_of_the_modes_is_told_as_it_was_judged(report):

@@ -17,8 +17,9 @@ from ..core.fleet import Fleet
 from ..core.measuring.measure import measure
 from ..core.measuring.method import Method
 from ..core.measuring.plan import PlanGeometry
+from ..core.measuring.planar_sweep import SweepGeometry
 from ..core.measuring.ways import measure_source
-from ..core.source import Plan, Source
+from ..core.source import Plan, PosedSet, Source
 from ..detect.detector import Detector
 from ..detect.find import Effort, Progress
 from ..detect.refine import refined
@@ -120,7 +121,16 @@ def _looked_for(
     network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads)
     zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
-        found, choice = find_in(source, request.mode, network, zoom, progress, effort, _sampling(source.plan, fleet))
+        found, choice = find_in(
+            source,
+            request.mode,
+            network,
+            zoom,
+            progress,
+            effort,
+            _sampling(source.plan, fleet),
+            _enough(source.posed, fleet),
+        )
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
@@ -155,6 +165,21 @@ def _sampling(plan: Plan | None, fleet: Fleet) -> Callable[[Detections], float] 
             return np.inf
 
     return sampling
+
+
+def _enough(posed: PosedSet | None, fleet: Fleet) -> Callable[[Detections], bool] | None:
+    """Whether vehicles in a model's pictures of the ground are enough for a scale."""
+    if posed is None:
+        return None
+    one = replace(fleet, candidates=(), prior=())
+
+    def enough(found: Detections) -> bool:
+        try:
+            return bool(measure(SweepGeometry.of(posed, found), one).scale.vehicles_used)
+        except TooLittleEvidence:
+            return False
+
+    return enough
 
 
 def _typical_length(found: Detections) -> str:

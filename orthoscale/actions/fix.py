@@ -119,6 +119,7 @@ class _PlanWriter:
         self.plan, self.out, self.request = plan, out, request
         self.extras = chosen(request.also)
         self.places_of_extras: list[Path] = []
+        plan.check_name(out)
         for extra in self.extras:
             extra.check(self.plan)
 

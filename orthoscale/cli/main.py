@@ -82,10 +82,11 @@ def main() -> None:
         sys.exit(141)
     except OSError as error:  # those of outputs are OutputErrors by now
         place = "" if error.filename is None else f"{error.filename}: "
-        _complain(f"{place}cannot be read ({error.strerror or error})", "Check the file and its permissions.", debug)
+        message = shown(f"{place}cannot be read ({error.strerror or error})", LONGEST)
+        _complain(message, "Check the file and its permissions.", debug)
         sys.exit(InputError.exit_code)
     except Exception as error:  # a bug of ours: still no traceback in a user's face
-        _complain(str(error), "", debug)
+        _complain(shown(error, LONGEST), "", debug)
         if not debug:
             click.echo("This is a bug in orthoscale. Run again with --debug and report what it shows.", err=True)
         sys.exit(1)
@@ -94,6 +95,6 @@ def main() -> None:
 def _complain(message: str, hint: str, debug: bool) -> None:
     if debug:
         traceback.print_exc()
-    click.echo(f"error: {shown(message, LONGEST)}", err=True)
+    say(f"error: {message}", err=True)
     if hint:
-        click.echo(shown(hint, LONGEST), err=True)
+        say(hint, err=True)

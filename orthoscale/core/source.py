@@ -134,6 +134,10 @@ class Plan(Source, Picture, Protocol):
         """The georeferencing that a copy of this scale gets: local metres, or the input's own place and direction."""
         ...
 
+    def check_name(self, out: Path) -> None:
+        """Raise UsageError for a name of a file that `write` would refuse."""
+        ...
+
     def write(self, path: Path, metres_per_pixel: float, keep_origin: bool = False, cog: bool = False) -> None:
         """Write a GeoTIFF of the same pixels in metres; what is worth knowing of that goes to `notes`."""
         ...

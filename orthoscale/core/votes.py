@@ -62,16 +62,21 @@ def gather(
     labels = np.arange(len(size))
     if repeated and len(size):
         labels = _same_place(place, SAME_PLACE * float(np.median(size[:, 1])))
-    members = [np.flatnonzero(labels == k) for k in range(labels.max(initial=-1) + 1)]
+    views = np.bincount(labels)
+    members = np.split(np.argsort(labels, kind="stable"), np.cumsum(views)[:-1]) if len(size) else []
+    alone = views == 1
 
     def over(values: np.ndarray, summary=np.median) -> np.ndarray:
-        shape = (0, *values.shape[1:])
-        return np.array([summary(values[m], axis=0) for m in members]) if members else np.empty(shape)
+        out = np.empty((len(members), *values.shape[1:]))
+        out[alone] = values[[members[k][0] for k in np.flatnonzero(alone)]]  # most are, in an orthophoto
+        for k in np.flatnonzero(~alone):
+            out[k] = summary(values[members[k]], axis=0)
+        return out
 
     return Votes(
         size=np.exp(over(np.log(size))),
         pixel=over(pixel),
-        views=np.array([len(m) for m in members], int),
+        views=views,
         place=over(place),
         score=over(score, np.max),
         members=members,

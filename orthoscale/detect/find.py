@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,7 @@ from .detector import Detector
 from .order import visiting_order
 from .promise import promise
 from .sweep import Found, sweep_twice
-from .tiles import tiles
+from .tiles import check_number, tiles
 from .workers import cores, visitor, worker_count
 from .zoom import ZoomChoice, search_zoom
 
@@ -75,7 +76,7 @@ def find_vehicles(
     detector = detector or Detector(threads=effort.threads_each)
     choice = None
     if zoom is None:
-        choice = _searched(pictures, detector, step("Scale search"), count, effort.seed)
+        choice = find_zoom(pictures, detector, progress, effort)
         zoom = choice.zoom
     card = detector.card
 
@@ -91,6 +92,7 @@ def find_vehicles(
             body=card.body,
         )
 
+    check_number(pictures, zoom)
     jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
     anytime = sampling is not None and not effort.exhaustive
     order = np.arange(len(jobs))
@@ -131,15 +133,13 @@ def _without_equal_things(found: Detections) -> Detections:
     return replace(found, boxes=boxes, doubtful=doubtful, notes=(*found.notes, note))
 
 
-def _searched(
-    pictures: Sequence[Picture],
-    detector: Detector,
-    progress: Callable[[int, int], None] | None,
-    workers: int,
-    seed: int,
+def find_zoom(
+    pictures: Sequence[Picture], detector: Detector, progress: Progress | None = None, effort: Effort | None = None
 ) -> ZoomChoice:
     """The zoom to sweep at. Raises TooLittleEvidence where none shows vehicles, EvidenceDisagrees where two do."""
-    choice = search_zoom(pictures, detector, detector.card, progress, seed, workers)
+    effort = effort or Effort()
+    step = None if progress is None else partial(progress, "Scale search")
+    choice = search_zoom(pictures, detector, detector.card, step, effort.seed, worker_count(effort.workers))
     if choice.vehicle_px is None:
         raise TooLittleEvidence(
             f"no vehicles found at any resampling factor from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -13,11 +14,13 @@ import numpy as np
 from ..core.boxes import Boxes, suppress
 from ..core.detections import Tile
 from ..core.source import Picture
+from ..system.budget import require
 from .detector import CUT_OBJECT, VEHICLES, Detector
 
 TILE = 1024  # side of the network's input [px]
 OVERLAP = 128  # shared by neighbouring tiles [px of the input]; more than the longest usable vehicle
 BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
+TILE_SIZE = 600  # [byte] that a tile takes while it waits for its turn
 # The second look, half an octave coarser: half the pixels, another view of each mistake.
 CONFIRMING_ZOOM = float(1 / np.sqrt(2))
 
@@ -46,15 +49,28 @@ def tiles(picture: Picture, zoom: float, tile: int = TILE, overlap: int = OVERLA
     ]
 
 
+def check_number(pictures: Iterable[Picture], zoom: float) -> None:
+    """Raise InputError where `tiles` of all `pictures` would take more than the memory budget."""
+    for picture in pictures:
+        sides = (_division(side, zoom, TILE, OVERLAP)[1] for side in (picture.width, picture.height))
+        require(
+            math.prod(sides) * TILE_SIZE, f"{picture.name}, {picture.width} x {picture.height} px, at zoom {zoom:.2g}"
+        )
+
+
 def _spans(size: int, zoom: float, tile: int, overlap: int) -> Iterator[tuple[int, int]]:
     """(start, length) pairs [px of the picture] that cover 0..size evenly, neighbours sharing at least `overlap`."""
+    span, count = _division(size, zoom, tile, overlap)
+    for k in range(count):
+        yield round(k * (size - span) / max(count - 1, 1)), span
+
+
+def _division(size: int, zoom: float, tile: int, overlap: int) -> tuple[int, int]:
+    """How long the spans are [px of the picture], and how many."""
     span, shared = min(size, max(1, int(tile / zoom))), int(np.ceil(overlap / zoom))
     if span >= size:
-        yield 0, size
-        return
-    count = int(np.ceil((size - shared) / max(span - shared, 1)))
-    for k in range(count):
-        yield round(k * (size - span) / (count - 1)), span
+        return size, 1
+    return span, int(np.ceil((size - shared) / max(span - shared, 1)))
 
 
 def look(picture: Picture, tile: Tile, detect: Detect) -> Boxes:

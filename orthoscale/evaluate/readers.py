@@ -18,7 +18,7 @@ import numpy as np
 
 from ..core.projection.level import up_from_survey
 from ..errors import InputError
-from ..formats.reading import check_regular, read_text
+from ..formats.reading import check_regular, files_below, read_text
 from ..photos.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
 from ..photos.tags import read_tags
 from .surface import Surface
@@ -68,7 +68,7 @@ def _looks_like(path: Path) -> str:
 
 
 def _photos_in(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+    return files_below(folder, IMAGE_SUFFIXES)
 
 
 # DenseUAV

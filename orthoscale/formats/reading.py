@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 import stat
+from collections.abc import Container
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -64,6 +65,18 @@ def check_regular(path: Path, hint: str = "") -> None:
     if not stat.S_ISREG(mode):
         kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
         raise InputError(f"{path}: cannot be read (it is {kind}, not a file)", hint)
+
+
+def files_below(folder: Path, suffixes: Container[str] | None = None) -> list[Path]:
+    """The files in `folder` and the folders below it, links to folders aside, in order; those whose suffix (in lower
+    case) is one of `suffixes`. Of a folder of any size no more is kept than these."""
+    found = []
+    for place, _, names in os.walk(folder):
+        for name in names:
+            path = Path(place, name)
+            if (suffixes is None or path.suffix.lower() in suffixes) and path.is_file():
+                found.append(path)
+    return sorted(found)
 
 
 def is_there(path: Path) -> bool:

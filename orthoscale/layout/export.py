@@ -12,7 +12,7 @@ import rasterio
 import shapely
 from rasterio.windows import Window as RasterWindow
 
-from ..formats.png import write_png
+from ..formats.pictures import write_png
 from ..formats.vector import write_layer
 from . import draw
 from .plan import Layout, document, prompt

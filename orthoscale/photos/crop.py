@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pyproj
 import rasterio
 
 from ..core.source import Picture
-from ..errors import OutputError, UsageError
+from ..errors import UsageError
+from ..formats.pictures import write_jpeg
 from ..sources.raster import RasterSource
 
 MOST_WINDOWS = 100_000
@@ -167,13 +167,13 @@ def write_crops(
     digits = max(4, len(str(len(crops.windows))))
     (folder / "gallery").mkdir()
     x, y, width, height = crops.query
-    _write_jpeg(folder / "query.jpg", photo.read(x, y, width, height, *crops.out))
+    write_jpeg(folder / "query.jpg", photo.read(x, y, width, height, *crops.out), QUALITY)
     with (folder / "manifest.csv").open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(COLUMNS)
         for k, ((x, y, width, height), (lon, lat)) in enumerate(zip(crops.windows.tolist(), centres, strict=True)):
             name = f"gallery/{k:0{digits}d}.jpg"
-            _write_jpeg(folder / name, source.read(x, y, width, height, *crops.out))
+            write_jpeg(folder / name, source.read(x, y, width, height, *crops.out), QUALITY)
             metres = [f"{v:.3f}" for v in crops.size]
             table.writerow([name, f"{lon:.8f}", f"{lat:.8f}", x, y, width, height, *metres])
             if progress:
@@ -192,10 +192,3 @@ def document(crops: Crops, told: dict[str, Any]) -> dict[str, Any]:
         "query_px": list(crops.query),
         "crops": len(crops.windows),
     }
-
-
-def _write_jpeg(path: Path, image: np.ndarray) -> None:
-    ok, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    if not ok:
-        raise OutputError(f"{path}: the picture could not be encoded")
-    path.write_bytes(data.tobytes())

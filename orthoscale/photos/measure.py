@@ -32,6 +32,7 @@ from ..core.scale import PER_PIXEL, Scale
 from ..core.verdicts import UNUSABLE, VERDICTS, verdict
 from ..core.votes import Votes
 from ..errors import InputError, TooLittleEvidence, UsageError
+from ..formats.reading import files_below
 from ..sources.picture_file import PictureFile
 from ..sources.undistort import undistort
 from .lens import Lens, brown, lens_of
@@ -127,7 +128,7 @@ def find_photos(paths: Sequence[Path]) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for path in paths:
         if path.is_dir():
-            inside = sorted(p for p in path.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+            inside = files_below(path, IMAGE_SUFFIXES)
             if not inside:
                 raise InputError(f"{path}: no photo in this folder", "Photos are JPEG, PNG or TIFF files.")
             named = {p.relative_to(path).as_posix(): p for p in inside}

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
+from ..formats.reading import check_regular
 
 RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF FocalPlaneResolutionUnit: inch, cm, mm, micrometre
@@ -75,6 +76,7 @@ def read_tags(path: Path) -> Tags:
     from PIL import Image, UnidentifiedImageError
     from PIL.ExifTags import IFD
 
+    check_regular(path, "Give photos as JPEG, TIFF or PNG.")
     try:
         with _of_any_size(), warnings.catch_warnings(record=True) as complaints, Image.open(path) as image:
             warnings.simplefilter("always")

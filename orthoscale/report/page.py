@@ -8,12 +8,11 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 
 from ..actions.requests import command_line
 from ..core.pooling.posterior import Z90
-from ..errors import OutputError
+from ..formats.pictures import jpeg
 from . import charts, judgement, places
 from .document import completed
 from .explanation import explain
@@ -99,10 +98,7 @@ def _picture(panel: Panel) -> dict[str, Any]:
 
 
 def _jpeg(image: np.ndarray) -> str:
-    ok, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    if not ok:
-        raise OutputError("a picture of the report could not be encoded")
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg(image, JPEG_QUALITY)).decode()
 
 
 def _histogram(report: Mapping[str, Any], axis: str) -> dict[str, Any]:

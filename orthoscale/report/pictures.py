@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ..formats.png import write_png
+from ..formats.pictures import write_png
 from .drift_map import drift_panel
 from .lettering import BLACK, WHITE, write_on
 from .scene import CHIP, Outline, Panel, Scene

@@ -135,10 +135,21 @@ class RasterSource:
         with reading(path, "is not an image that GDAL can open", "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file."):
             dataset = open_dataset(path)
         try:
-            return cls(path, dataset)
+            with reading(path, "is damaged", _EXPORT_AGAIN):
+                return cls(path, dataset)
         except BaseException:
             dataset.close()
             raise
+
+    @staticmethod
+    def check_name(out: Path) -> None:
+        """Raise UsageError for a name that `write` would refuse."""
+        if out.suffix.lower() not in (".tif", ".tiff"):
+            raise UsageError(f"{out.name} would be a GeoTIFF", "Let its name end in .tif.")
+        try:
+            str(out).encode()
+        except UnicodeEncodeError as error:
+            raise UsageError(f"{out}: GDAL takes names in UTF-8 only", "Choose another name.") from error
 
     @property
     def pictures(self) -> list[Picture]:
@@ -449,8 +460,7 @@ class RasterSource:
         path = Path(path)
         if not (math.isfinite(metres_per_pixel) and metres_per_pixel > 0):
             raise UsageError(f"a scale of {metres_per_pixel} m/px makes no sense", "It must be a positive number.")
-        if path.suffix.lower() not in (".tif", ".tiff"):
-            raise UsageError(f"{path.name} would be a GeoTIFF", "Let its name end in .tif.")
+        self.check_name(path)
         if path.exists() and path.samefile(self.path):
             raise UsageError(f"{path} is the input itself", "Choose another name for the output.")
         place = self.place(metres_per_pixel, keep_origin)
@@ -711,7 +721,7 @@ def reading(path: Path, what: str, hint: str) -> Iterator[None]:
     try:
         with rasterio.Env(**_options()), _no_warnings():
             yield
-    except (RasterioError, CPLE_BaseError, OSError) as error:
+    except (RasterioError, CPLE_BaseError, OSError, UnicodeEncodeError) as error:  # its names must be UTF-8
         raise InputError(f"{path} {what} ({_reason(error)})", hint) from error
 
 

@@ -6,7 +6,6 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pyproj
 import rasterio
@@ -16,6 +15,7 @@ from ..core.boxes import Boxes
 from ..core.detections import Detections
 from ..core.ruler import Ruler
 from ..formats.detections.own import save_detections
+from ..formats.pictures import write_jpeg
 from .render import Look, render, vehicle_boxes
 from .scene import Scene
 from .view import Camera, Perspective, Pose
@@ -117,8 +117,7 @@ def _photo(scene: Scene, camera: Camera, pose: Pose, path: Path, seed: int, pict
     image = np.full((camera.height, camera.width, 3), 120, np.uint8)
     if pictures:
         image, _ = render(scene, view, seed, Look())
-    if not cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 93]):
-        raise OSError(f"{path}: could not be written")
+    write_jpeg(path, image, 93)
     near = tuple(v for v in scene.vehicles if view.in_front(np.array([v.x, v.y, 0.0])))
     boxes = vehicle_boxes(near, view, EFFECTIVE_HEIGHT_M)
     return boxes[boxes.inside(camera.width, camera.height)]

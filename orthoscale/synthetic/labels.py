@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from ..core.boxes import Boxes
+from ..formats.pictures import write_jpeg
 from .render import ortho_view, render, vehicle_boxes
 from .scene import Fleet, Scene, make_scene
 from .vehicle import Vehicle
@@ -89,8 +90,7 @@ def write_labels(folder: Path, count: int = 240, seed: int = 0, fleet: Fleet | N
         view = ortho_view(scene, gsd) if view is None else view
         image, owner = render(scene, view, int(rng.integers(1 << 40)))
         name = f"synthetic_{seed}_{i:05d}.jpg"
-        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(70, 96))]
-        cv2.imwrite(str(folder / "images" / name), cv2.cvtColor(image, cv2.COLOR_RGB2BGR), quality)
+        write_jpeg(folder / "images" / name, image, int(rng.integers(70, 96)))
         entries.append(
             {
                 "file": name,

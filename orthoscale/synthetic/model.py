@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from ..core.boxes import Boxes
+from ..errors import UsageError
+from ..formats.pictures import write_jpeg, write_png
 from ..sources.colmap_library import pycolmap
 from .labels import visible_share
 from .render import Look, ortho_view, render, surface, vehicle_boxes
@@ -151,9 +152,12 @@ def write_ortho(scene: Scene, path: Path, gsd_m: float, seed: int = 0, look: Loo
 
 
 def _save(path: Path, image: np.ndarray) -> None:
-    options = [cv2.IMWRITE_JPEG_QUALITY, 93] if path.suffix.lower() in (".jpg", ".jpeg") else []
-    if not cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options):
-        raise OSError(f"{path}: could not be written")
+    if path.suffix.lower() in (".jpg", ".jpeg"):
+        write_jpeg(path, image, 93)
+    elif path.suffix.lower() == ".png":
+        write_png(path, image)
+    else:
+        raise UsageError(f"{path.name}: a picture's name ends in .jpg or .png", "Choose another name.")
 
 
 def _vehicles_truth(scene: Scene) -> list[dict]:

@@ -61,7 +61,7 @@ def main() -> int:
         "--workers", type=int, default=min(5, 1 + (os.cpu_count() or 1)), help="one more than cores, since some wait"
     )
     parser.add_argument("--failures", type=Path, default=FAILURES, help="file for what failed (%(default)s)")
-    parser.add_argument("--log", type=Path, help="file for all outcomes")
+    parser.add_argument("--log", type=Path, help="file to which all outcomes are added")
     options = parser.parse_args()
     runner.one_thread()
     begin = time.monotonic()
@@ -77,6 +77,9 @@ def main() -> int:
         with context.Pool(1 if options.only else options.workers, runner.preload) as pool:
             for outcome in pool.imap_unordered(campaign.attempt, todo):
                 outcomes.append(outcome)
+                if options.log:  # at once: a run that is stopped has told what it saw
+                    with options.log.open("a") as log:
+                        log.write(json.dumps(asdict(outcome)) + "\n")
                 if outcome.problems or options.only:
                     _tell(outcome)
                 elif len(outcomes) % 500 == 0:
@@ -91,8 +94,6 @@ def main() -> int:
         print(table(outcomes, [name for name in commands.CLASSES if any(o.name == name for o in outcomes)]))
         options.failures.parent.mkdir(exist_ok=True)
         options.failures.write_text("".join(json.dumps(asdict(o)) + "\n" for o in failed))
-        if options.log:
-            options.log.write_text("".join(json.dumps(asdict(o)) + "\n" for o in outcomes))
         cpu = sum(o.cpu for o in outcomes)
         print(f"\n{len(outcomes)} inputs in {time.monotonic() - begin:.0f} s ({cpu:.0f} s of the processor), "
               f"{len(failed)} with problems" + (f", listed in {options.failures}" if failed else ""))  # fmt: skip

@@ -27,6 +27,7 @@ from pathlib import Path
 import orthoscale
 
 TIME_LIMIT = 30.0  # [s]
+WAITING = 3  # by the clock: others may need the processor too, and who waits for a pipe needs none
 GIB = 2**30
 MEMORY_LIMIT = 1.0  # [GiB]
 STOP_AT = 3.0  # [GiB] where a child is stopped, for the sake of the machine
@@ -46,7 +47,7 @@ class Attempt:
     file written. kill : (signal, delay [s]) sent to a process of its own; when_writing : the
     delay counts from its first output. twins : how many run at once, of which one
     may succeed. beside : a success may add files to `in/`.
-    patience : [s] after which it hangs.
+    patience : [s] of the processor after which it hangs, or WAITING times that by the clock.
     """
 
     argv: tuple[str | bytes, ...]
@@ -116,7 +117,7 @@ def run(name: str, seed: int, folder: Path, attempt: Attempt) -> Outcome:
         problems.add("hang")
     if peak > attempt.memory:
         problems.add("memory")
-    problems |= marks(before, contents(folder), any(r.code == 0 for r in runs), attempt.beside)
+    problems |= marks(before, contents(folder), any(_delivered(r) for r in runs), attempt.beside)
     if "left behind" in problems and attempt.kill and attempt.kill[0] == signal.SIGKILL:
         problems.discard("left behind")
         _forked(folder, attempt)  # the next one tidies up
@@ -187,6 +188,11 @@ class _Run:
     hung: bool
     out: str
     err: str
+
+
+def _delivered(run: _Run) -> bool:
+    """Whether there is an output: also where a report or a picture beside it failed, which is said."""
+    return run.code == 0 or (run.code == 6 and "is written and verified, but" in run.err)
 
 
 def _crashed(run: _Run, attempt: Attempt) -> bool:
@@ -292,7 +298,8 @@ def _wait(running: list[tuple[int, _Pipe, _Pipe]], patience: float) -> list[_Run
             err.drain()
             done, status, usage = os.wait4(pid, os.WNOHANG)
             most[pid] = max(most[pid], _resident(pid))
-            hung = not done and time.monotonic() - begin > patience
+            clock = time.monotonic() - begin
+            hung = not done and (clock > WAITING * patience or (clock > patience and _spent(pid) > patience))
             if not done and (hung or most[pid] > STOP_AT):
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(pid, signal.SIGKILL)
@@ -316,6 +323,15 @@ def _resident(pid: int) -> float:
     except (OSError, IndexError, ValueError):
         pass
     return total * resource.getpagesize() / GIB
+
+
+def _spent(pid: int) -> float:
+    """[s] of the processor that the child has used."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")  # its own, and of those it waited for
 
 
 def _killed(folder: Path, attempt: Attempt) -> list[_Run]:

@@ -302,6 +302,25 @@ def _pipe(bench: Bench) -> Attempt:
     return ends(ESTIMATE, 5)
 
 
+@seed("pipe as photo")
+def _pipe_as_photo(bench: Bench) -> Attempt:
+    inside = bench.take("ortho", "boxes.json")
+    os.mkfifo(inside / "odd.tif")
+    return ends(("photo", "in/odd.tif", "--focal-px", "900", *BOXES), 5)
+
+
+@seed("memory: photos in a folder without end")
+def _all_there_is(bench: Bench) -> Attempt:
+    (bench.take("ortho", "boxes.json") / "odd.png").symlink_to("/proc")
+    return ends(("evaluate", "in/odd.png", *BOXES), 5)
+
+
+@seed("raster: a name that is no UTF-8, and no picture")
+def _no_name(bench: Bench) -> Attempt:
+    Path(os.fsdecode(os.fsencode(bench.take("ortho", "boxes.json")) + b"/\xed\xa0\x80.ply")).write_text("ply\n")
+    return ends(("estimate", b"in/\xed\xa0\x80.ply", "--fleet", "DE", "--zoom", "1"), 5)
+
+
 @seed("zeros without end as boxes")
 def _zeros(bench: Bench) -> Attempt:
     (bench.take("ortho", "ortho.tif") / "boxes.json").symlink_to("/dev/zero")

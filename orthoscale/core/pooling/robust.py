@@ -82,8 +82,16 @@ def pool(
     candidates = fleet.candidates or (fleet,)
     count = len(size)
     some = np.linspace(0, count - 1, min(count, ENOUGH)).astype(int) if len(candidates) > 1 else np.arange(count)
-    each = [_of_fleet(np.log(size[some]), noise[some], candidate, known, ruler.drawing) for candidate in candidates]
-    probability = _probabilities(np.array([v.log_evidence for v in each]), fleet.prior or (1.0,))
+    fits: dict[int, _Vehicles] = {}
+    for k, candidate in enumerate(candidates):
+        try:
+            fits[k] = _of_fleet(np.log(size[some]), noise[some], candidate, known, ruler.drawing)
+        except TooLittleEvidence:  # it cannot be this one
+            if k + 1 == len(candidates) and not fits:
+                raise
+    each, candidates = list(fits.values()), tuple(candidates[k] for k in fits)
+    prior = tuple((fleet.prior or (1.0,))[k] for k in fits)
+    probability = _probabilities(np.array([v.log_evidence for v in each]), prior)
     likeliest = int(np.argmax(probability))
     if len(some) < count:
         each[likeliest] = _of_fleet(np.log(size), noise, candidates[likeliest], known, ruler.drawing)

@@ -39,29 +39,39 @@ class Item:
     relative: bool = False
 
 
-def rectangle(polygon: np.ndarray) -> np.ndarray:
-    """(5,) centre x, y, length, width, angle of the rectangle that a polygon (K, 2) stands for.
+def rectangles(polygons: Sequence[np.ndarray]) -> np.ndarray:
+    """(N, 5) centre x, y, length, width, angle of the rectangles that polygons (K, 2 each) stand for.
 
     Four corners in order: the mean of opposite sides, because the rectangle around hand-drawn corners is always too
     large. Anything else: the smallest rectangle around it; NaN where a vertex lies nowhere.
     """
-    p = np.asarray(polygon, float)
-    if not (np.abs(p) < FARTHEST).all():  # OpenCV takes single precision only
-        return np.full(5, np.nan)
-    if len(p) > 1 and np.array_equal(p[0], p[-1]):
-        p = p[:-1]
-    centre = p.mean(0)
-    if len(p) == 4:
-        sides = np.roll(p, -1, axis=0) - p  # opposite ones are antiparallel
-        first, second = (sides[0] - sides[2]) / 2, (sides[1] - sides[3]) / 2
-        lengths = np.linalg.norm(sides, axis=1)
-        extent = (lengths[0] + lengths[2]) / 2, (lengths[1] + lengths[3]) / 2
-        area = abs(first[0] * second[1] - first[1] * second[0])
-        if area > 0.8 * extent[0] * extent[1]:  # else the corners are not in order, or those of something else
-            axis = first if extent[0] >= extent[1] else second
-            return np.array([*centre, max(extent), min(extent), np.arctan2(axis[1], axis[0])])
-    (x, y), (w, h), degrees = cv2.minAreaRect((p - centre).astype(np.float32))
-    return np.array([x + centre[0], y + centre[1], w, h, np.radians(degrees)])
+    out = np.full((len(polygons), 5), np.nan)
+    opened = [p[:-1] if len(p) > 1 and (p[0] == p[-1]).all() else p for p in (np.asarray(p, float) for p in polygons)]
+    four = np.array([len(p) == 4 for p in opened], bool)
+    if four.any():
+        corners = np.stack([p for p in opened if len(p) == 4])
+        out[four] = np.where((np.abs(corners) < FARTHEST).all((1, 2))[:, None], _of_corners(corners), np.nan)
+    for k in np.flatnonzero(np.isnan(out).any(1)):
+        p = opened[k]
+        if (np.abs(p) < FARTHEST).all():  # OpenCV takes single precision only
+            centre = p.mean(0)
+            (x, y), (w, h), degrees = cv2.minAreaRect((p - centre).astype(np.float32))
+            out[k] = x + centre[0], y + centre[1], w, h, np.radians(degrees)
+    return out
+
+
+def _of_corners(p: np.ndarray) -> np.ndarray:
+    """(N, 5) rectangles of four corners (N, 4, 2); NaN where they are not in order, or those of something else."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        sides = np.roll(p, -1, axis=1) - p  # opposite ones are antiparallel
+        first, second = (sides[:, 0] - sides[:, 2]) / 2, (sides[:, 1] - sides[:, 3]) / 2
+        lengths = np.linalg.norm(sides, axis=2)
+        extent = (lengths[:, :2] + lengths[:, 2:]) / 2
+        area = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+        axis = np.where((extent[:, 0] >= extent[:, 1])[:, None], first, second)
+        angle = np.arctan2(axis[:, 1], axis[:, 0])
+        found = np.column_stack([p.mean(1), extent.max(1), extent.min(1), angle])
+        return np.where((area > 0.8 * extent[:, 0] * extent[:, 1])[:, None], found, np.nan)
 
 
 def boxes_by_picture(
@@ -93,12 +103,12 @@ def boxes_by_picture(
     for item in counted:
         name = _resolved(item.picture, pictures, names, origin)
         polygon = item.polygon * sizes.get(name, (1, 1)) if item.relative else item.polygon
-        rows.setdefault(name, []).append(rectangle(polygon))
+        rows.setdefault(name, []).append(polygon)
         rest.setdefault(name, []).append((item.score, *item.spread))
     found = {}
     for name in rows:
         score, spread = np.split(np.array(rest[name], float), [1], axis=1)
-        found[name] = Boxes(np.array(rows[name]), score, spread)
+        found[name] = Boxes(rectangles(rows[name]), score, spread)
     return found
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -33,9 +34,11 @@ def read(path: Path) -> list[Item]:
         missing += ["angle"] if not {"angle", "angle_deg"} & set(names) else []
         if missing:
             raise InputError(f"{path}: no column {' and '.join(missing)}", HINT)
-        return [_item(row, f"{path}, line {table.line_num}") for row in table]
+        rows = [_row(row, f"{path}, line {table.line_num}") for row in table]
     except csv.Error as error:
         raise InputError(f"{path}: not a CSV table (line {table.line_num})", HINT) from error
+    corners = Boxes(np.array([row[0] for row in rows], float).reshape(-1, 5), np.ones(len(rows))).corners
+    return [Item(c, score, label, picture) for c, (_, score, label, picture) in zip(corners, rows, strict=True)]
 
 
 def _delimiter(text: str) -> str:
@@ -43,7 +46,9 @@ def _delimiter(text: str) -> str:
     return max(",;\t", key=head.count)
 
 
-def _item(row: Mapping[str | None, str | None], origin: str) -> Item:
+def _row(row: Mapping[str | None, str | None], origin: str) -> tuple[list[float], float, str | None, str | None]:
+    """A line's box, score, class and picture."""
+
     def number(name: str, default: str | None = None) -> float:
         word = row.get(name) or default
         try:
@@ -51,9 +56,7 @@ def _item(row: Mapping[str | None, str | None], origin: str) -> Item:
         except ValueError:
             raise InputError(f"{origin}: {name} is {shown(word or '')!r}, not a number", HINT) from None
 
-    angle = number("angle") if "angle" in row else np.radians(number("angle_deg"))
-    box = [*(number(name) for name in NUMBERS), float(angle)]
+    angle = number("angle") if "angle" in row else math.radians(number("angle_deg"))
     score = next((name for name in SCORE if name in row), "score")
     label, picture = first(row, CLASS), first(row, PICTURE)
-    corners = Boxes(np.array([box]), np.ones(1)).corners[0]
-    return Item(corners, number(score, "1"), label or None, picture or None)
+    return [*map(number, NUMBERS), angle], number(score, "1"), label or None, picture or None

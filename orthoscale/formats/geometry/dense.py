@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
+from ..reading import files_below
 
 # Files of COLMAP's dense workspace whose coordinates are in model units. Settings (stereo/*.cfg, *.sh), normal maps,
 # consistency graphs, fused.ply.vis and undistorted images have no lengths.
@@ -69,7 +70,7 @@ def scale_dense(
     says why it cannot. Raises what these raise, and InputError for a damaged depth map.
     """
     left, scaled = [], 0
-    for path in sorted(p for p in source.rglob("*") if p.is_file()):
+    for path in files_below(source):
         place = path.relative_to(source)
         if place.parts[0] == "sparse" and len(place.parts) > 1:
             continue

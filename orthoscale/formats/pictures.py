@@ -1,0 +1,31 @@
+"""Writing pictures, by Pillow: if pycolmap came first, OpenCV may be bound to libraries that are not its own."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+
+def write_png(path: Path, image: np.ndarray) -> None:
+    """Write `image`, uint8 (H, W) grey or (H, W, 3) RGB, to `path`. Raises OSError."""
+    path.write_bytes(_encoded(image, "PNG"))
+
+
+def write_jpeg(path: Path, image: np.ndarray, quality: int) -> None:
+    """Write `image`, uint8 (H, W, 3) RGB, to `path`; quality 1 to 95. Raises OSError."""
+    path.write_bytes(jpeg(image, quality))
+
+
+def jpeg(image: np.ndarray, quality: int) -> bytes:
+    """`image`, uint8 (H, W, 3) RGB, as a JPEG file has it; quality 1 to 95."""
+    return _encoded(image, "JPEG", quality=quality)
+
+
+def _encoded(image: np.ndarray, form: str, **options: int) -> bytes:
+    from PIL import Image
+
+    data = io.BytesIO()
+    Image.fromarray(image).save(data, form, **options)
+    return data.getvalue()
