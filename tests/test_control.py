@@ -122,7 +122,7 @@ def test_the_papers_estimator_and_what_it_cannot_take(boxes):
     assert result.scale.value == pytest.approx(GSD, rel=0.03) and set(result.scale.parts) == {"sampling"}
     assert "paper's estimator" in result.scale.remarks[0]
     for options, why in (
-        ({"estimator": "iqr", "known_distance": ["0,0 9,9 1"]}, "knows vehicles only"),
+        ({"estimator": "iqr", "known_distance": ["0,0 9,9 1"]}, "for vehicles only"),
         ({"projection": "exact"}, "an orthophoto has none"),
         ({"projection": "mercator"}, "--projection mercator is none of"),
         ({"estimator": "mode"}, "--estimator mode is none of"),

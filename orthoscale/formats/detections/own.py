@@ -58,7 +58,7 @@ def about(found: Detections) -> dict[str, Any]:
 
 def note(found: Detections) -> dict[str, Any]:
     """What a file of another format keeps beside the vehicles' boxes, so that `noted` gives back all: `about`, the
-    doubtful boxes, the objects, and what `planar` holds, as plain values."""
+    boxes of low confidence, the objects, and what `planar` holds, as plain values."""
     objects = {name: rows for name in found.objects if (rows := _object_rows(found, name))}
     return {**about(found), **_rest(found), **({"objects": objects} if objects else {})}
 
