@@ -218,12 +218,12 @@ def test_what_only_one_frame_of_many_shows_does_not_count():
 
 def test_a_fleet_that_no_box_fits_is_impossible_and_not_the_end(monkeypatch):
     """As if it were not among the candidates."""
-    first, second = (replace(Fleet.load(code), candidates=(), prior=()) for code in ("DE", "JP"))
+    first, second = (replace(load_fleet(code), candidates=(), prior=()) for code in ("DE", "JP"))
     size = first.sample(np.random.default_rng(0), 60)[:, :2] / 0.1
     pixel, place = np.ones(60), np.random.default_rng(1).uniform(0, 9000, (60, 2))
     votes = gather(size, pixel, place, np.ones(60), repeated=False)
     ruler = Ruler(margin_sd=(0.1, 0.1), bias_sd=(0.01, 0.01), noise=(0.3, 0.3))
-    several = replace(Fleet.load("world"), candidates=(second, first), prior=(0.5, 0.5))
+    several = replace(load_fleet("world"), candidates=(second, first), prior=(0.5, 0.5))
     alone = pool(votes, replace(several, candidates=(first,), prior=(1.0,)), ruler, "m/px")
     real = robust.fit
 
