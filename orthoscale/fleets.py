@@ -14,7 +14,7 @@ from .core.fleet import Fleet
 from .errors import InputError, UsageError, shown
 from .formats.reading import checked, read_plain
 
-HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
+FLEET_HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
 AUTO = "auto"
 WORLD = "WORLD"
 # A place of which nothing is known has a country all the same. Half of the prior goes to the world's average, whose
@@ -53,8 +53,8 @@ def read_fleet(path: Path) -> Fleet:
     """A fleet from a JSON file of one entry, as in ``data/fleets.json``. Raises InputError."""
     from .formats.schemas import FleetEntry
 
-    entry = read_plain(path, "a fleet", HINT)
-    checked(entry, FleetEntry, str(path), "a fleet", HINT)
+    entry = read_plain(path, "a fleet", FLEET_HINT)
+    checked(entry, FleetEntry, str(path), "a fleet", FLEET_HINT)
     segments = _document()["segments"]
     unknown = [name for name in entry.get("shares", ()) if name not in segments]
     if unknown:

@@ -18,12 +18,23 @@ DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
 
 def public(body, prefix=""):
-    """Name and node of public functions and classes, and of the public members of those classes."""
+    """Name and node of public functions and classes, and of the public members of those classes, but for properties of
+    protocols that the class's docstring explains."""
     for node in body:
         if isinstance(node, DEFINITIONS) and not node.name.startswith("_"):
             yield prefix + node.name, node
             if isinstance(node, ast.ClassDef):
-                yield from public(node.body, f"{prefix}{node.name}.")
+                told = re.findall(r"\w+", ast.get_docstring(node) or "")
+                members = [m for m in node.body if not (is_declared(m) and m.name in told)]
+                yield from public(members, f"{prefix}{node.name}.")
+
+
+def is_declared(node):
+    """Whether a protocol declares this property: it has no body."""
+    if not (isinstance(node, ast.FunctionDef) and isinstance(node.body[0], ast.Expr)):
+        return False
+    value = node.body[0].value
+    return isinstance(value, ast.Constant) and value.value is Ellipsis
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(PACKAGE).as_posix())

@@ -35,6 +35,7 @@ class GroupedCommand(click.Command):
     """A command whose help lists its options under headings."""
 
     def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options under the headings of their groups, in the order of GROUPS."""
         groups: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}
         for each in self.get_params(context):
             if isinstance(each, click.Option) and (record := each.get_help_record(context)) is not None:
@@ -139,6 +140,7 @@ input_argument = click.argument("path", metavar="INPUT", type=PATH)
 
 
 def json_option(what: str = "the report") -> Callable[[Callable], Callable]:
+    """The option that makes a command print `what` as JSON."""
     return option("--json", "as_json", is_flag=True, group="Output", help=f"Print {what} as JSON on standard output.")
 
 

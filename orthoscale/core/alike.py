@@ -12,13 +12,13 @@ import numpy as np
 
 from .boxes import Boxes
 
-REACH = 1.6  # of the shorter box's length: centres nearer than this stand together; bays end to end are 1.2 apart
+TOGETHER = 1.6  # of the shorter box's length: centres nearer than this stand together; bays end to end are 1.2 apart
 TURN = np.radians(8.0)  # boxes of one group point the same way to this
 # Least scatter (one sigma of the log) of the box lengths of vehicles that stand together. Measured with version 5 in
 # groups of ten and more on six places of known scale (manila, chongqing, four of the USA): 0.041 to 0.082 from 20
 # vehicles on. Rendered panels, graves and skylights have 0.014 to 0.032.
 LEAST_SCATTER = 0.04
-CHANCE = 1e-3  # that a group of vehicles is taken for equal things
+MISTAKEN = 1e-3  # that a group of vehicles is taken for equal things
 
 
 def all_alike(boxes: Boxes) -> np.ndarray:
@@ -33,7 +33,7 @@ def all_alike(boxes: Boxes) -> np.ndarray:
     squares = np.bincount(group, (log_length - mean[group]) ** 2)
     freedom = np.maximum(count - 1, 1)
     # The probability that vehicles scatter as little, by the sum of squares over their least variance.
-    too_little = (count > 2) & (chdtr(freedom, squares / LEAST_SCATTER**2) < CHANCE)
+    too_little = (count > 2) & (chdtr(freedom, squares / LEAST_SCATTER**2) < MISTAKEN)
     return too_little[group]
 
 
@@ -51,10 +51,10 @@ def _standing_together(boxes: Boxes) -> np.ndarray:
     found = [np.empty((0, 2), int)]
     for k in np.unique(octave):
         index = np.flatnonzero((octave == k) | (octave == k + 1))
-        found.append(index[cKDTree(boxes.centre[index]).query_pairs(REACH * 2.0 ** (k + 1), output_type="ndarray")])
+        found.append(index[cKDTree(boxes.centre[index]).query_pairs(TOGETHER * 2.0 ** (k + 1), output_type="ndarray")])
     i, j = np.concatenate(found).T
     apart = np.linalg.norm(boxes.centre[i] - boxes.centre[j], axis=1)
     turned = np.abs((boxes.angle[i] - boxes.angle[j] + np.pi / 2) % np.pi - np.pi / 2)
-    near = (apart < REACH * np.minimum(boxes.length[i], boxes.length[j])) & (turned < TURN)
+    near = (apart < TOGETHER * np.minimum(boxes.length[i], boxes.length[j])) & (turned < TURN)
     links = coo_array((np.ones(int(near.sum())), (i[near], j[near])), shape=(n, n))
     return connected_components(links, directed=False)[1]

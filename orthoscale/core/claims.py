@@ -46,6 +46,7 @@ class Comparison:
 
     @property
     def sigmas(self) -> float:
+        """How many one sigmas of the two scales they lie apart."""
         return abs(math.log(self.ratio)) / self.sd
 
     @property

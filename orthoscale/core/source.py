@@ -11,8 +11,7 @@ import numpy as np
 from .projection.view import LOWEST_ELEVATION, Views
 
 NEAR_NADIR = 60.0  # [deg] elevation of the viewing ray from which a frame may pass for an orthophoto
-
-NO_DATA_GREY = 114
+NO_DATA_GREY = 114  # of pixels without data in what `Picture.read` gives
 
 
 class Picture(Protocol):
@@ -60,8 +59,9 @@ class Pictures(Protocol):
 
 
 class Claim(Protocol):
-    """What a source says of its own scale: metres per pixel or None, whether to believe it, and why.
+    """What a source says of its own scale.
 
+    gsd_m : metres per pixel, None without any. usable : whether to believe it. why : the reason, for people.
     crs, transform : the georeferencing behind it, None without any.
     """
 
@@ -114,8 +114,11 @@ class Source(Pictures, Protocol):
 
 
 class Placement(Protocol):
-    """Where a plan lies: its coordinate reference system, the affine transform of its pixels into that, and in words
-    what became of the input's own."""
+    """Where a plan lies.
+
+    crs : its coordinate reference system. transform : the affine transform of its pixels into that.
+    said : what became of the input's own georeferencing, in words.
+    """
 
     @property
     def crs(self) -> Any: ...
@@ -126,7 +129,10 @@ class Placement(Protocol):
 
 
 class Plan(Source, Picture, Protocol):
-    """One picture of the ground from straight above, its own only `Picture`: an orthophoto. Its unit is the pixel."""
+    """One picture of the ground from straight above, its own only `Picture`: an orthophoto. Its unit is the pixel.
+
+    claimed : what its georeferencing says of its scale.
+    """
 
     @property
     def claimed(self) -> Claim: ...
@@ -188,7 +194,10 @@ class GroundView(Picture, Protocol):
 
 
 class PosedSet(Source, Protocol):
-    """Pictures whose poses are known, up to a scale: a reconstruction. Lengths are in model units."""
+    """Pictures whose poses are known, up to a scale: a reconstruction. Lengths are in model units.
+
+    ground : under its cameras.
+    """
 
     @property
     def ground(self) -> Ground: ...

@@ -17,8 +17,8 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..core.detections import Tile
 from ..core.source import Picture
-from .detector import Detector
-from .tiles import CONFIRMING_ZOOM, OVERLAP, TILE, TILE_BORDER, Looks
+from .detector import OVERLAP, Detector
+from .tiles import CONFIRMING_ZOOM, TILE, TILE_BORDER, Looks
 
 KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
 CODE = ("boxes.py", "detect/*.py", "sources/raster.py", "sources/picture_file.py")  # what decides over the looks

@@ -31,7 +31,9 @@ VEHICLES = "vehicle"
 CARD, CARD_HINT = "a network with an orthoscale card that can be read", "Export it with training.export."
 LONGEST_CARD = 100_000  # characters
 IMAGE_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # of images
-MOST = 10_000  # boxes of one kind in one look, before those of one vehicle are made one; honest ones are some hundreds
+MOST_BOXES = (
+    10_000  # boxes of one kind in one look, before those of one vehicle are made one; honest ones are some hundreds
+)
 CUT = 2.0  # boxes closer than this to a window's edge may be cut by it [px]
 CUT_OBJECT = 8.0  # the same for objects, which are larger, and so are the errors of their boxes [px]
 
@@ -201,12 +203,12 @@ class Detector:
             ) from error
 
     def _not_too_many(self, boxes: Boxes) -> Boxes:
-        if len(boxes) <= MOST:
+        if len(boxes) <= MOST_BOXES:
             return boxes
-        note = f"{self.card.name} sees more than {MOST} vehicles or objects in one tile; the best {MOST} of each count"
+        note = f"{self.card.name} sees more than {MOST_BOXES} vehicles or objects in one tile; the best {MOST_BOXES} of each count"
         if note not in self.notes:
             self.notes.append(note)
-        return boxes[np.sort(np.argsort(-boxes.score, kind="stable")[:MOST])]
+        return boxes[np.sort(np.argsort(-boxes.score, kind="stable")[:MOST_BOXES])]
 
 
 class _Shipped:

@@ -15,10 +15,9 @@ from ..core.boxes import Boxes, suppress
 from ..core.detections import Tile
 from ..core.source import Picture
 from ..system.budget import require
-from .detector import CUT_OBJECT, VEHICLES, Detector
+from .detector import CUT_OBJECT, OVERLAP, VEHICLES, Detector
 
 TILE = 1024  # side of the network's input [px]
-OVERLAP = 128  # shared by neighbouring tiles [px of the input]; more than the longest usable vehicle
 TILE_BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
 TILE_SIZE = 600  # [byte] that a tile takes while it waits for its turn
 # The second look, half an octave coarser: half the pixels, another view of each mistake.

@@ -229,18 +229,22 @@ class PhotoGeometry:
 
     @property
     def pixel(self) -> np.ndarray:
+        """(M,) ground size of one detector pixel at each box [px of the nadir view]."""
         return self.views.unit_per_pixel / self.found.zoom
 
     @property
     def place(self) -> np.ndarray:
+        """(M, 3) where the boxes stand on level ground [px of the nadir view]."""
         return self.views.ground
 
     @property
     def lost(self) -> dict[str, int]:
+        """None: boxes that cannot be measured were left out before."""
         return {}
 
     @property
     def typical_length(self) -> float:
+        """Median length of the boxes on the ground [px of the nadir view]."""
         return float(np.median(self.boxes.length * self.views.unit_per_pixel))
 
     def observe(self, metres_per_unit: float) -> Observation:

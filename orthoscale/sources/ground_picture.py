@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..system import budget
 from .picture_file import LARGE_SHARE, PictureFile, covering, memory, resized, shrunk
 
-GROUND = "ground/"  # before the name of a frame: its picture of the ground
+GROUND_FOLDER = "ground/"  # before the name of a frame: its picture of the ground
 SHOWN_BELOW = 8.0  # [deg] that are shown beyond, so that a vehicle at the limit is whole
 SAMPLES = (32, 24)  # of a frame across and down, to find what it sees of the ground
 CELL = 8  # [px] of the warp; between, it is linear
@@ -30,7 +30,7 @@ ROWS_AT_ONCE = 512  # that are warped at once
 class GroundPicture:
     """A `Picture` of the ground under one frame; x and y run along the ground, `unit_per_pixel` model units a pixel.
 
-    image : the frame's name; its own is GROUND + that. size : (2,) width and height of the frame [px].
+    image : the frame's name; its own is GROUND_FOLDER + that. size : (2,) width and height of the frame [px].
     origin : (2,) plane coordinates of the outer corner of the first pixel. axes : (2, 2) unit vectors of x and y in
     plane coordinates (see `Ground.plane`). frame : its file, None where that is not at hand.
     """
@@ -111,7 +111,7 @@ def ground_pictures(source: PosedSet, frames: Sequence[PictureFile]) -> list[Gro
         width, height = np.ceil((places.max(0) - low) / pitch).astype(int).tolist()
         if min(width, height) >= MIN_SIDE:
             picture = GroundPicture(
-                GROUND + name, name, size, width, height, pitch, low @ axes, axes, files.get(name), source
+                GROUND_FOLDER + name, name, size, width, height, pitch, low @ axes, axes, files.get(name), source
             )
             pictures.append(picture)
     return pictures

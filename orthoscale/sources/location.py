@@ -11,7 +11,7 @@ from ..core.source import Claim, Source
 from ..errors import InputError
 
 REFERENCE = "reference_lla.json"  # OpenSfM's and OpenDroneMap's, beside the reconstruction
-MOST = 5  # pictures that are asked; a flight is in one country
+PICTURES_ASKED = 5  # pictures that are asked; a flight is in one country
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def location_of(source: Source) -> Location | None:
     folder = source.path if source.path.is_dir() else source.path.parent
     if (place := _of_reference(folder / REFERENCE)) is not None:
         return place
-    return location_in([Path(picture.path) for picture in source.pictures[:MOST] if hasattr(picture, "path")])
+    return location_in([Path(picture.path) for picture in source.pictures[:PICTURES_ASKED] if hasattr(picture, "path")])
 
 
 def location_in(pictures: Iterable[Path]) -> Location | None:

@@ -36,7 +36,7 @@ ROUNDS = 6  # of projection and pooling; the scale enters its own projection onl
 SETTLED = 1e-4  # relative change of the scale at which the rounds end
 HEIGHT_SD = 0.25  # how far a detector's effective height strays from its card between scenes (one sigma) [m]
 NO_GROUND = "no ground under the box, or too low an elevation angle"
-CALLED = "boxes on the ground"
+CALLED_IN_FRAMES = "boxes on the ground"
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class FramesGeometry:
     place: np.ndarray
     lost: Mapping[str, int]
     projection: str = "exact"
-    called: str = CALLED
+    called: str = CALLED_IN_FRAMES
     repeated: bool = True
     rounds: int = ROUNDS
     settled: float = SETTLED
@@ -78,7 +78,7 @@ class FramesGeometry:
             places.append(place[ok])
             lost[NO_GROUND] = lost.get(NO_GROUND, 0) + int((~ok).sum())
         if len(names) < MIN_VEHICLES:
-            raise TooLittleEvidence(f"{len(names)} {CALLED}, {MIN_VEHICLES} are needed")
+            raise TooLittleEvidence(f"{len(names)} {CALLED_IN_FRAMES}, {MIN_VEHICLES} are needed")
         boxes, place, view = Boxes.concatenate(parts), np.concatenate(places), Views.concatenate(views)
         seen = (source, found, fleet, boxes, np.array(names), view, place, lost)
         if method.projection in (None, "exact"):
@@ -87,14 +87,17 @@ class FramesGeometry:
 
     @property
     def unit(self) -> str:
+        """The source's own."""
         return self.source.unit
 
     @cached_property
     def pixel(self) -> np.ndarray:
+        """(M,) ground size of one detector pixel at each box [source units]."""
         return self.views.unit_per_pixel / self.found.zoom
 
     @property
     def typical_length(self) -> float:
+        """Median length of the boxes on the ground [source units]."""
         return float(np.median(self.boxes.length * self.views.unit_per_pixel))
 
     @cached_property
@@ -156,7 +159,7 @@ class ExactGeometry(FramesGeometry):
         per_pixel = np.median(self.pixel[solved, None] / size[solved], axis=0)
         margin_sd = by_margin / per_pixel
         left = replace(known, margin=(0.0, 0.0), margin_sd=(float(margin_sd[0]), float(margin_sd[1])))  # it is off
-        return Observation(size, left, np.sqrt(by_height**2 + np.square(by_shape).sum(0)), GROUND)
+        return Observation(size, left, np.sqrt(by_height**2 + np.square(by_shape).sum(0)), GROUND_ERROR)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """With the ruler for which vehicles have one size from all their views."""
@@ -183,7 +186,7 @@ class OtherGeometry(FramesGeometry):
         size = self.method.sizes(self.boxes, self.views, metres_per_unit, self.card.height, self.fleet)
         ok = np.isfinite(size).all(1)
         own = height_share(size[ok], lean(self.boxes, self.views)[ok], metres_per_unit)
-        return Observation(size, self.found.ruler, own, GROUND)
+        return Observation(size, self.found.ruler, own, GROUND_ERROR)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """There is nothing to refine."""
@@ -195,7 +198,7 @@ class OtherGeometry(FramesGeometry):
         return self._findings(seen, bare, bare, self.card, vehicles, scale)
 
 
-GROUND = {"ground": np.full(2, GROUND_SD)}  # what all sizes share of a reconstruction's uncertainty
+GROUND_ERROR = {"ground": np.full(2, GROUND_SD)}  # what all sizes share of a reconstruction's uncertainty
 
 
 def height_share(size: np.ndarray, leaning: np.ndarray, metres_per_unit: float) -> np.ndarray:

@@ -61,14 +61,17 @@ class PlanGeometry:
 
     @property
     def pixel(self) -> np.ndarray:
+        """(M,) picture pixels of one detector pixel, the same everywhere."""
         return np.full(len(self.boxes), 1 / self.zoom)
 
     @property
     def place(self) -> np.ndarray:
+        """(M, 2) where the boxes stand [px of the picture]."""
         return self.boxes.centre
 
     @property
     def typical_length(self) -> float:
+        """Median length of the boxes [px of the picture]."""
         return float(np.median(self.boxes.length))
 
     def observe(self, metres_per_unit: float) -> Observation:

@@ -24,14 +24,14 @@ from ..votes import Votes
 from .geometry import Geometry, Observation
 from .measure import doubts
 from .measurement import Findings
-from .oblique import GROUND, height_share
+from .oblique import GROUND_ERROR, height_share
 from .surroundings import Standards, rows_in_model
 
 SWEEP_ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
 ROOM = 1.15  # a box, enlarged so, must lie within what the frame saw, or it may be cut
 BORDER = 2.0  # [px of the frame]
 TOO_FLAT = "cut by the frame's edge, or too low an elevation angle"
-CALLED = "boxes near the nadir"
+CALLED_ABOVE = "boxes near the nadir"
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class SweepGeometry:
     camera: np.ndarray
     lost: Mapping[str, int]
     projection: str = "exact"
-    called: str = CALLED
+    called: str = CALLED_ABOVE
     repeated: bool = True
     rounds: int = SWEEP_ROUNDS
     settled: float = 0.0
@@ -79,7 +79,7 @@ class SweepGeometry:
             places.append(picture.ground(boxes.centre[whole]))
             alongs.append(picture.ground(boxes.centre[whole] + _heading(boxes[whole])) - places[-1])
         if len(names) < MIN_VEHICLES:
-            raise TooLittleEvidence(f"{len(names)} {CALLED}, {MIN_VEHICLES} are needed")
+            raise TooLittleEvidence(f"{len(names)} {CALLED_ABOVE}, {MIN_VEHICLES} are needed")
         boxes, along = Boxes.concatenate(parts), np.concatenate(alongs)
         unit_per_pixel = next(iter(pictures.values())).unit_per_pixel
         return cls(
@@ -98,6 +98,7 @@ class SweepGeometry:
 
     @property
     def typical_length(self) -> float:
+        """Median length of the boxes on the ground [source units]."""
         return float(np.median(self.flat[:, 0]))
 
     def observe(self, metres_per_unit: float) -> Observation:
@@ -105,7 +106,7 @@ class SweepGeometry:
         top = np.array(self.found.effective_height) / metres_per_unit / self.camera
         size = self.camera * footprint(self.flat / self.camera, self.offset, top)
         own = height_share(size, np.abs(self.offset), metres_per_unit)
-        return Observation(size, self.found.ruler, own, GROUND)
+        return Observation(size, self.found.ruler, own, GROUND_ERROR)
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str

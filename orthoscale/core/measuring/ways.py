@@ -25,7 +25,7 @@ from .plan import PlanGeometry
 from .planar_sweep import SweepGeometry
 
 OBLIQUE, PLANAR, BOTH = "oblique", "planar", "both"
-SAME_PLACE = 0.8  # of a vehicle's width: how far apart the two ways may see one vehicle
+SEEN_BOTH_WAYS = 0.8  # of a vehicle's width: how far apart the two ways may see one vehicle
 
 
 def measure_source(
@@ -101,7 +101,7 @@ def _common(a: Measurement, b: Measurement) -> np.ndarray:
     """(K, 2) log of the sizes that `a` gives over those that `b` gives, for the vehicles that count in both."""
     used_a, used_b = (np.flatnonzero(m.scale.used) for m in (a, b))
     tree = cKDTree(a.votes.place[used_a])
-    reach = SAME_PLACE * float(np.median(a.size[used_a, 1]))
+    reach = SEEN_BOTH_WAYS * float(np.median(a.size[used_a, 1]))
     distance, nearest = tree.query(b.votes.place[used_b], distance_upper_bound=reach)
     same = np.isfinite(distance)
     return np.log(a.size[used_a[nearest[same]]]) - np.log(b.size[used_b[same]])

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FIELDS = ("cx", "cy", "length", "width", "angle")
 WHAT = "a detections file"
-HINT = 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.'
+BOXES_HINT = 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.'
 
 
 def save_detections(found: Detections, path: Path) -> None:
@@ -30,7 +30,7 @@ def save_detections(found: Detections, path: Path) -> None:
 
 def load_detections(path: Path) -> Detections:
     """Read what `save_detections` wrote, or a plain ``{name: [box, ...]}``. Raises InputError."""
-    return of_document(read_plain(path, WHAT, HINT, LARGE), path)
+    return of_document(read_plain(path, WHAT, BOXES_HINT, LARGE), path)
 
 
 def of_document(text: Any, path: Path) -> Detections:
@@ -39,9 +39,9 @@ def of_document(text: Any, path: Path) -> Detections:
 
     name = f"boxes of {path.name}"
     if not (isinstance(text, dict) and "pictures" in text):
-        pictures = checked(text, BoxesByPicture, str(path), WHAT, HINT)
+        pictures = checked(text, BoxesByPicture, str(path), WHAT, BOXES_HINT)
         return replace(noted(_vehicles(pictures), None, name, str(path)), objects=_objects(pictures))
-    return _whole(checked(text, DetectionsEntry, str(path), WHAT, HINT), name)
+    return _whole(checked(text, DetectionsEntry, str(path), WHAT, BOXES_HINT), name)
 
 
 def about(found: Detections) -> dict[str, Any]:
