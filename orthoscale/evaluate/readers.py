@@ -8,6 +8,7 @@ CSV: ``image,altitude_m`` and, where wanted, ``region,focal_px,pitch_deg,roll_de
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -18,7 +19,7 @@ import numpy as np
 
 from ..core.projection.level import up_from_survey
 from ..errors import InputError
-from ..formats.reading import check_regular, files_below, read_text
+from ..formats.reading import files_below, read_text
 from ..photos.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
 from ..photos.tags import read_tags
 from .surface import Surface
@@ -176,23 +177,19 @@ def read_csv(path: Path, lens_file: Path | None, focal_px: float | None) -> tupl
     """A table of photos. Focal length and angles come from it, or else from the photos' own tags."""
     if path.is_dir():
         raise InputError(f"{path} is a folder", "Give the CSV file.")
-    check_regular(path, "Give the CSV file.")
     samples = []
+    table = csv.DictReader(io.StringIO(read_text(path, "Give the CSV file."), newline=""))
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file)
-            missing = {"image", "altitude_m"} - set(table.fieldnames or ())
-            if missing:
-                raise InputError(
-                    f"{path}: no column {' and '.join(sorted(missing))}",
-                    "Columns: image, altitude_m; where wanted region, focal_px, pitch_deg, roll_deg.",
-                )
-            for row in table:
-                samples.append(_row(row, path, table.line_num, lens_file, focal_px))
-    except (UnicodeDecodeError, csv.Error) as error:
+        missing = {"image", "altitude_m"} - set(table.fieldnames or ())
+        if missing:
+            raise InputError(
+                f"{path}: no column {' and '.join(sorted(missing))}",
+                "Columns: image, altitude_m; where wanted region, focal_px, pitch_deg, roll_deg.",
+            )
+        for row in table:
+            samples.append(_row(row, path, table.line_num, lens_file, focal_px))
+    except csv.Error as error:
         raise InputError(f"{path}: not a CSV table", "Save it as comma-separated UTF-8 text.") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})", "Check the file.") from error
     return samples, []
 
 

@@ -309,6 +309,13 @@ def _pipe_as_photo(bench: Bench) -> Attempt:
     return ends(("photo", "in/odd.tif", "--focal-px", "900", *BOXES), 5)
 
 
+@seed("memory: a table of 3 GiB in one line")
+def _long_table(bench: Bench) -> Attempt:
+    with (bench.take("ortho", "boxes.json") / "odd.csv").open("wb") as file:
+        file.truncate(3 * 2**30)
+    return ends(("evaluate", "in/odd.csv", *BOXES), 5)
+
+
 @seed("memory: photos in a folder without end")
 def _all_there_is(bench: Bench) -> Attempt:
     (bench.take("ortho", "boxes.json") / "odd.png").symlink_to("/proc")
