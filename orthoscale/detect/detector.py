@@ -205,7 +205,7 @@ class Detector:
     def _not_too_many(self, boxes: Boxes) -> Boxes:
         if len(boxes) <= MOST_BOXES:
             return boxes
-        note = f"{self.card.name} detects more than {MOST_BOXES} objects of one kind in a tile; the best {MOST_BOXES} count"
+        note = f"{self.card.name} detects over {MOST_BOXES} objects of a kind in one tile; the best {MOST_BOXES} count"
         if note not in self.notes:
             self.notes.append(note)
         return boxes[np.sort(np.argsort(-boxes.score, kind="stable")[:MOST_BOXES])]

@@ -57,7 +57,7 @@ def signature(path: str | Path) -> str:
     return "orthoscale output " + hashlib.blake2b(name, digest_size=8).hexdigest()
 
 
-LONGEST_HEADER = 10_000  # [characters] of a table's first line
+LONGEST_CSV_HEADER = 10_000  # [characters] of a table's first line
 
 
 def ours(path: Path) -> bool:
@@ -87,7 +87,7 @@ def named(*values: object) -> list[Path]:
 def has_header(path: Path, columns: Iterable[str]) -> bool:
     """Whether `path` is a table with just these columns: how a CSV, which has no room for a signature, is known."""
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        return next(csv.reader([file.readline(LONGEST_HEADER)]), []) == list(columns)
+        return next(csv.reader([file.readline(LONGEST_CSV_HEADER)]), []) == list(columns)
 
 
 class Outputs:
