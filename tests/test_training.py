@@ -566,7 +566,7 @@ def test_training_goes_on_from_what_was_exported(torch, tmp_path, monkeypatch):
     export.main()
     again = VehicleNet()
     crops, other = torch.rand(2, 3, 64, 64), torch.rand(1, 3, 96, 64)
-    again.load_state_dict(unfolded(exported, crops))
+    again.load_state_dict(unfolded(exported, again, crops))
     with torch.no_grad():
         for image in (crops, other):
             assert torch.allclose(again.eval()(image), network(image), atol=1e-4)
