@@ -17,9 +17,7 @@ from .geometry import LENGTH_RANGE, MAX_ENLARGEMENT, transform_boxes, warp
 from .paste import paste
 from .targets import CROP, encode
 
-# Assumed length in scenes without any vehicle [px]; only sets how far such ground is enlarged or shrunk.
-NOMINAL_LENGTH = 45.0
-# The same as LENGTH_RANGE for ground without vehicles [px]: a search for the scale looks at twice the right one, too.
+# LENGTH_RANGE for ground without vehicles [px]: a search for the scale looks at twice the right one, too.
 BARE_RANGE = (11.0, 150.0)
 PASTED = 0.5  # share of the crops without vehicles that get some
 GLINTING = 0.5  # share of the crops without vehicles that get glints
@@ -36,24 +34,18 @@ def crops(images: list[LabelledImage], weights: dict[str, float], seed: int) -> 
     p = np.array([weights.get(name, 0.1) for name in names])
     p /= p.sum()
     donors = [image for image in images if len(image.vehicles)]
-    lengths = {name: np.concatenate([image.vehicles[:, 2] for image in by_scene[name]]) for name in names}
-    usual = {name: float(np.median(length)) if len(length) else NOMINAL_LENGTH for name, length in lengths.items()}
     while True:
-        name = names[rng.choice(len(names), p=p)]
-        members = by_scene[name]
-        yield crop(members[rng.integers(len(members))], rng, donors, usual[name])
+        members = by_scene[names[rng.choice(len(names), p=p)]]
+        yield crop(members[rng.integers(len(members))], rng, donors)
 
 
 def crop(
-    image: LabelledImage,
-    rng: np.random.Generator,
-    donors: list[LabelledImage] | None = None,
-    usual: float = NOMINAL_LENGTH,
+    image: LabelledImage, rng: np.random.Generator, donors: list[LabelledImage] | None = None
 ) -> tuple[np.ndarray, ...]:
-    """One random crop of `image` with its targets; vehicles of `donors` may be pasted into one without vehicles, in
-    which vehicles would be about `usual` px long."""
+    """One random crop of `image` with its targets; vehicles of `donors` may be pasted into one without vehicles."""
     vehicles = image.vehicles
-    scale = np.exp(rng.uniform(*np.log(LENGTH_RANGE if len(vehicles) else BARE_RANGE))) / (image.median_length or usual)
+    lengths = LENGTH_RANGE if len(vehicles) else BARE_RANGE
+    scale = np.exp(rng.uniform(*np.log(lengths))) / (image.median_length or image.usual_length)
     if scale > MAX_ENLARGEMENT:
         scale = MAX_ENLARGEMENT * rng.uniform(0.6, 1.0)
     if len(vehicles) and rng.random() < 0.7:

@@ -17,6 +17,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from orthoscale.sources.picture_file import stored_size
+
+# Assumed where a picture has no vehicle [px]; only sets how far such ground is enlarged or shrunk.
+NOMINAL_LENGTH = 45.0
+
 
 @dataclass
 class LabelledImage:
@@ -30,6 +35,7 @@ class LabelledImage:
     licence: str
     boxes: np.ndarray  # (N, 5) centre x, centre y, length, width [px], angle [rad]
     kinds: np.ndarray  # (N,) str
+    usual_length: float = NOMINAL_LENGTH  # of vehicles in such pictures [px]
     _levels: list[np.ndarray] = field(default_factory=list, repr=False)
 
     @classmethod
@@ -80,7 +86,8 @@ def read_labels(label_file: Path, tighten: bool = True, complete: bool = True) -
     that learns them as they are measures a vehicle by the scene that it resembles. `tighten=False`: the boxes as drawn.
     What the labels lack and a person has judged since (labels/judged.json) is added; `complete=False`: it is not.
 
-    A folder of pictures is one scene, named as the folder is; its boxes are in labels/FOLDER.json (see `chips`).
+    The boxes of a folder of pictures are in labels/FOLDER.json (see `propose`); all whose names differ only in digits
+    are one scene.
     """
     margins = json.loads(MARGINS.read_text())["margin_px"] if tighten else {}
     if label_file.is_dir():
@@ -109,11 +116,16 @@ def _of_folder(folder: Path, margin: float | list[float]) -> list[LabelledImage]
     labels = json.loads((LABELS / f"{folder.name}.json").read_text())
     return [
         LabelledImage(
-            folder / file, folder.name, *labels["size"], labels["source"], labels["licence"],
-            _freed(_stacked(kinds), margin), _kinds(kinds),
+            folder / file, group_of(file), *stored_size(folder / file), labels["source"], labels["licence"],
+            _freed(_stacked(kinds), margin), _kinds(kinds), labels["usual_length"],
         )
         for file, kinds in labels["images"].items()
     ]  # fmt: skip
+
+
+def group_of(picture: str) -> str:
+    """The name without its digits and its ending."""
+    return Path(picture).stem.rstrip("0123456789")
 
 
 def _stacked(rows: dict[str, list[list[float]]]) -> np.ndarray:

@@ -40,8 +40,7 @@ from orthoscale.detections import Detections
 from orthoscale.fleet import Fleet
 from orthoscale.sources.picture_file import PictureFile, stored_size
 
-from .augment import NOMINAL_LENGTH
-from .data import read_labels
+from .data import NOMINAL_LENGTH, read_labels
 
 CHECKED = Path(__file__).parent / "labels" / "checked.json"
 BY_HAND = Path(__file__).parent / "labels" / "by_hand.json"

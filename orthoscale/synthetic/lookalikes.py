@@ -9,8 +9,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from orthoscale.synthetic.mesh import Mesh, Surface, at_height, disc, dome, faces, gable, join, patch, prism, rectangle
-from orthoscale.synthetic.mesh import rounded
+from orthoscale.synthetic.mesh import (
+    Mesh,
+    Surface,
+    at_height,
+    disc,
+    dome,
+    faces,
+    gable,
+    join,
+    patch,
+    prism,
+    rectangle,
+    rounded,
+)
 from orthoscale.synthetic.things import GLASS, Thing, boat, container, grey, pick, tinted
 
 Maker = Callable[[np.random.Generator], Thing]
@@ -171,7 +183,8 @@ def tanks(rng: np.random.Generator) -> Maker:
         if lies:
             ring = np.linspace(0.1, 0.9, 6) * np.pi
             bands = [
-                at_height(rounded(size[0], size[1] * np.sin(t), 0.15, 0.15), size[1] / 2 * (1 - np.cos(t))) for t in ring
+                at_height(rounded(size[0], size[1] * np.sin(t), 0.15, 0.15), size[1] / 2 * (1 - np.cos(t)))
+                for t in ring
             ]
             shells = [faces(np.stack([lo, np.roll(lo, -1, 0), np.roll(hi, -1, 0), hi], 1), "plain", colour, 0.3)
                       for lo, hi in zip(bands[:-1], bands[1:], strict=True)]  # fmt: skip
@@ -212,7 +225,9 @@ def outlines(rng: np.random.Generator) -> Maker:
     def one(rng: np.random.Generator) -> Thing:
         if filled:
             return Thing(patch(rectangle(length, width), 0.004, "plain", paint), length, width)
-        sides = [(0, s * width / 2, length, line) for s in (-1, 1)] + [(s * length / 2, 0, line, width) for s in (-1, 1)]
+        sides = [(0, s * width / 2, length, line) for s in (-1, 1)] + [
+            (s * length / 2, 0, line, width) for s in (-1, 1)
+        ]
         parts = [patch(rectangle(a, b) + [x, y], 0.004, "plain", paint) for x, y, a, b in sides]
         return Thing(join(parts), length, width)
 
