@@ -23,7 +23,8 @@ from orthoscale.synthetic.mesh import (
     rectangle,
     rounded,
 )
-from orthoscale.synthetic.things import GLASS, Thing, boat, container, grey, pick, tinted
+from orthoscale.synthetic.things import Thing, boat, container, grey, pick, tinted
+from orthoscale.synthetic.vehicle import GLASS
 
 Maker = Callable[[np.random.Generator], Thing]
 
