@@ -115,6 +115,13 @@ def test_ignored_small_and_cut_boxes_are_neither_vehicle_nor_background():
     assert background[50, 50] == 1
 
 
+def test_a_vehicle_weighs_as_the_ground_that_it_covers():
+    boxes = np.array([[62, 62, 32, 14, 0.3], [150, 62, 16, 7, 0.0], [150, 182, 64, 28, 1.0]], float)
+    weight = encode(boxes, np.ones(3, bool))[3]
+    assert [weight[y // 4, x // 4] for x, y in ((62, 62), (150, 62), (150, 182))] == pytest.approx([1.0, 0.25, 4.0])
+    assert weight.sum() == pytest.approx((1 + 0.25 + 4) * (1 + 8 * 0.3))
+
+
 # Augmentation
 
 

@@ -110,15 +110,17 @@ def enlarge(x: Tensor) -> Tensor:
 
 def loss(maps: Tensor, heat: Tensor, background: Tensor, values: Tensor, value_weight: Tensor) -> dict[str, Tensor]:
     """Penalty-reduced focal loss on the heat (Zhou et al. 2019, Objects as Points, eq. 1; alpha 2, beta 4) and weighted
-    L1 on the values; sizes count four times, because a ruler needs them most. Parts by name; their sum is the loss."""
+    L1 on the values; sizes count four times, because a ruler needs them most. Vehicles count by their weight in both.
+    Parts by name; their sum is the loss."""
     logits = maps[:, 0]
     p = torch.sigmoid(logits)
     peak = heat > 0.999
-    hit = F.logsigmoid(logits) * (1 - p) ** 2 * peak
+    weight = value_weight * peak
+    hit = F.logsigmoid(logits) * (1 - p) ** 2 * weight
     miss = F.logsigmoid(-logits) * p**2 * (1 - heat) ** 4 * ~peak * background
     error = (maps[:, 1:] - values).abs() * value_weight[:, None] / value_weight.sum().clamp(min=1)
     return {
-        "heat": -(hit + miss).sum() / peak.sum().clamp(min=1),
+        "heat": -hit.sum() / weight.sum().clamp(min=1) - miss.sum() / peak.sum().clamp(min=1),
         "offset": 0.5 * error[:, :2].sum(),
         "size": 4.0 * error[:, 2:4].sum(),
         "angle": error[:, 4:].sum(),
