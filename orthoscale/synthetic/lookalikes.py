@@ -164,7 +164,7 @@ def bales(rng: np.random.Generator) -> Maker:
     """Bales of straw, round, square, or wrapped in white, green or black."""
     size = pick(rng, [(1.3, 1.3), (2.4, 1.2), (1.5, 1.2), (2.2, 0.9)])
     tone = np.array(pick(rng, [(0.42, 0.33, 0.14), (0.75, 0.75, 0.75), (0.25, 0.4, 0.2), (0.03, 0.03, 0.03)]))
-    plan = rounded(*size, 0.3, 0.3) if rng.random() < 0.6 else rectangle(*size)
+    plan = rounded(size[0], size[1], 0.3, 0.3) if rng.random() < 0.6 else rectangle(*size)
 
     def bale(rng: np.random.Generator) -> Thing:
         colour = tone * rng.uniform(0.85, 1.15)
