@@ -13,8 +13,10 @@ from orthoscale.fleet import Fleet
 from training import augment, by_hand, data, missing, propose
 from training.data import MARGINS, read_labels, split
 from training.evaluate import (
+    Comparison,
     Labelled,
     Scene,
+    at_equal_recall,
     average_precision,
     checked_scenes,
     compare,
@@ -26,6 +28,7 @@ from training.evaluate import (
     measured_scenes,
     picture_files,
     reference_scene,
+    rendered_scene,
     table,
 )
 from training.paste import paste
@@ -724,6 +727,21 @@ def test_training_stops_and_goes_on(torch, tmp_path, monkeypatch):
     assert further["optimiser"]["state"][0]["step"] == 4
     with pytest.raises(ValueError, match="atlantis"):
         run("--steps", 2, "--hold-out", "atlantis")
+
+
+def test_false_boxes_are_counted_at_equal_recall():
+    boxes = Boxes(np.tile([50.0, 50, 40, 18, 0], (5, 1)), np.array([0.9, 0.8, 0.7, 0.6, 0.5]))
+    line = at_equal_recall([Comparison(boxes, np.array([0, -1, 1, -1, -1]), np.tile([50.0, 50, 40, 18, 0], (2, 1)))])
+    # The second of two vehicles is found at 0.7, below one false box; precision is 1 at the first and 2/3 at it.
+    assert "2 vehicles, average precision 0.833" in line and "0.70: 1 (score 0.70)" in line
+
+
+def test_rendered_vehicles_out_of_sight_are_nobodys_to_find(tmp_path):
+    cv2.imwrite(str(tmp_path / "town.png"), np.zeros((60, 80, 3), np.uint8))
+    rows = [{"cx": 20, "cy": 30, "length": 15, "width": 7, "angle": 0, "visible": v} for v in (1.0, 0.4)]
+    (tmp_path / "town.truth.json").write_text(json.dumps({"boxes": rows}))
+    (picture,) = rendered_scene([tmp_path / "town.png"]).pictures
+    assert (len(picture.vehicles), len(picture.ignored), picture.picture.width) == (1, 1, 80)
 
 
 def test_pictures_of_a_folder_are_listed_with_their_sizes(tmp_path):
