@@ -19,6 +19,7 @@ from orthoscale.synthetic import (
     Perspective,
     Pose,
     flight,
+    lookalikes,
     make_scene,
     render,
     render_frame,
@@ -56,8 +57,8 @@ def in_box(points: np.ndarray, box: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("style", STYLES)
 def test_nothing_stands_on_a_vehicle(style):
-    scene = make_scene(11, None, 70, 40, style)
-    assert len(scene.vehicles) == 40
+    scene = make_scene(11, None, 70, 30, style)
+    assert len(scene.vehicles) == 30
     rows = np.array([[v.x, v.y, v.length, v.width, v.heading] for v in scene.vehicles])
     i, j = np.triu_indices(len(rows), 1)
     assert overlap(rows[i], rows[j]).max() == 0
@@ -114,6 +115,18 @@ def test_equal_seeds_give_equal_pictures(scene):
     assert (render_ortho(again, 0.2, 3)[0] == render_ortho(scene, 0.2, 3)[0]).all()
     assert (render_ortho(scene, 0.2, 4)[0] != render_ortho(scene, 0.2, 3)[0]).any()
     assert make_scene(6, NormalFleet(), 60, 30, "carpark").vehicles != scene.vehicles
+
+
+def test_panels_lie_side_by_side_within_their_roof():
+    for seed in range(12):
+        mesh = lookalikes.panels(np.random.default_rng(seed), 30, 18)
+        glass = mesh.corners[len(mesh) // 2 :, :4]
+        assert np.abs(glass[..., 0]).max() <= 15 and np.abs(glass[..., 1]).max() <= 9
+        sides = np.linalg.norm(np.diff(glass, axis=1), axis=2)
+        assert sides.max() < 2.35 and sides.min() > 0.85  # as modules are made
+        rows = np.c_[glass.mean(1)[:, :2], np.ptp(glass[..., :2], axis=1), np.zeros(len(glass))]
+        i, j = np.triu_indices(min(len(rows), 60), 1)
+        assert overlap(rows[i], rows[j]).max() == 0
 
 
 def test_sizes_come_from_the_fleet():

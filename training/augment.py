@@ -17,8 +17,8 @@ from .geometry import LENGTH_RANGE, MAX_ENLARGEMENT, transform_boxes, warp
 from .paste import paste
 from .targets import CROP, encode
 
-# Assumed length where an image has no vehicle [px]; only sets how far such ground is enlarged or shrunk.
-NOMINAL_LENGTH = 45.0
+# LENGTH_RANGE for ground without vehicles [px]: a search for the scale looks at twice the right one, too.
+BARE_RANGE = (11.0, 150.0)
 PASTED = 0.5  # share of the crops without vehicles that get some
 GLINTING = 0.5  # share of the crops without vehicles that get glints
 SHADED = 0.35  # share of the crops with shadows cast on them
@@ -44,8 +44,8 @@ def crop(
 ) -> tuple[np.ndarray, ...]:
     """One random crop of `image` with its targets; vehicles of `donors` may be pasted into one without vehicles."""
     vehicles = image.vehicles
-    nominal = image.median_length or NOMINAL_LENGTH
-    scale = np.exp(rng.uniform(*np.log(LENGTH_RANGE))) / nominal
+    lengths = LENGTH_RANGE if len(vehicles) else BARE_RANGE
+    scale = np.exp(rng.uniform(*np.log(lengths))) / (image.median_length or image.usual_length)
     if scale > MAX_ENLARGEMENT:
         scale = MAX_ENLARGEMENT * rng.uniform(0.6, 1.0)
     if len(vehicles) and rng.random() < 0.7:

@@ -17,6 +17,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from orthoscale.sources.picture_file import stored_size
+
+# Assumed where a picture has no vehicle [px]; only sets how far such ground is enlarged or shrunk.
+NOMINAL_LENGTH = 45.0
+
 
 @dataclass
 class LabelledImage:
@@ -30,7 +35,15 @@ class LabelledImage:
     licence: str
     boxes: np.ndarray  # (N, 5) centre x, centre y, length, width [px], angle [rad]
     kinds: np.ndarray  # (N,) str
+    usual_length: float = NOMINAL_LENGTH  # of vehicles in such pictures [px]
     _levels: list[np.ndarray] = field(default_factory=list, repr=False)
+
+    @classmethod
+    def unlabelled(cls, path: Path, scene: str) -> LabelledImage:
+        """A picture of which nothing is known; it is read at once."""
+        image = cls(path, scene, 0, 0, "", "", np.empty((0, 5)), np.empty(0, object))
+        image.height, image.width = image.level(0).shape[:2]
+        return image
 
     @property
     def is_vehicle(self) -> np.ndarray:
@@ -60,8 +73,9 @@ class LabelledImage:
         return self._levels[octave]
 
 
-MARGINS = Path(__file__).parent / "labels" / "margins.json"
-JUDGED = Path(__file__).parent / "labels" / "judged.json"
+LABELS = Path(__file__).parent / "labels"
+MARGINS = LABELS / "margins.json"
+JUDGED = LABELS / "judged.json"
 LARGEST_SHARE = 0.25  # of the width that a margin may take away, so that tiny boxes stay boxes
 
 
@@ -71,8 +85,13 @@ def read_labels(label_file: Path, tighten: bool = True, complete: bool = True) -
     People and detectors draw boxes around a vehicle with some air, and each scene's labels have their own. A network
     that learns them as they are measures a vehicle by the scene that it resembles. `tighten=False`: the boxes as drawn.
     What the labels lack and a person has judged since (labels/judged.json) is added; `complete=False`: it is not.
+
+    The boxes of a folder of pictures are in labels/FOLDER.json (see `propose`); all whose names differ only in digits
+    are one scene.
     """
     margins = json.loads(MARGINS.read_text())["margin_px"] if tighten else {}
+    if label_file.is_dir():
+        return _of_folder(label_file, margins.get(label_file.name, 0.0))
     judged = json.loads(JUDGED.read_text())["images"] if complete else {}
     folder = label_file.parent / "images"
     images = []
@@ -92,6 +111,33 @@ def read_labels(label_file: Path, tighten: bool = True, complete: bool = True) -
     return images
 
 
+def _of_folder(folder: Path, margin: float | list[float]) -> list[LabelledImage]:
+    """The pictures of a folder that labels/FOLDER.json names, with its boxes."""
+    labels = json.loads((LABELS / f"{folder.name}.json").read_text())
+    return [
+        LabelledImage(
+            folder / file, group_of(file), *stored_size(folder / file), labels["source"], labels["licence"],
+            _freed(_stacked(kinds), margin), _kinds(kinds), labels["usual_length"],
+        )
+        for file, kinds in labels["images"].items()
+    ]  # fmt: skip
+
+
+def group_of(picture: str) -> str:
+    """The name without its digits and its ending."""
+    return Path(picture).stem.rstrip("0123456789")
+
+
+def _stacked(rows: dict[str, list[list[float]]]) -> np.ndarray:
+    """(N, 5) the boxes of all kinds, in order."""
+    return np.array([row for of_kind in rows.values() for row in of_kind], float).reshape(-1, 5)
+
+
+def _kinds(rows: dict[str, list[list[float]]]) -> np.ndarray:
+    """(N,) the kind of each."""
+    return np.array([kind for kind, of_kind in rows.items() for _ in of_kind], dtype=object)
+
+
 def _freed(boxes: np.ndarray, margin: float | list[float]) -> np.ndarray:
     """Boxes (N, 5) without their margin of length and width [px]."""
     size = boxes[:, 2:4] - np.minimum(margin, LARGEST_SHARE * boxes[:, 3:4])
@@ -102,9 +148,7 @@ def _with_judged(
     boxes: np.ndarray, kinds: np.ndarray, judged: dict[str, list[list[float]]], margin: float | list[float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Labels and what was judged since; a candidate whose centre lies in a judged box is settled by that."""
-    added = np.array([row for rows in judged.values() for row in rows], float).reshape(-1, 5)
-    added = _freed(added, margin)
-    added_kinds = np.array([kind for kind, rows in judged.items() for _ in rows], dtype=object)
+    added, added_kinds = _freed(_stacked(judged), margin), _kinds(judged)
     away = boxes[:, None, :2] - added[None, :, :2]
     settled = (np.hypot(away[..., 0], away[..., 1]) < added[:, 3] / 2).any(1) & (kinds == "candidate")
     kept = added_kinds != "background"

@@ -10,6 +10,11 @@ for the network alone), at the zoom that brings the median labelled vehicle of i
 A box that overlaps a label by half or more (intersection over union) is a hit. Where the labels do not speak (other
 kinds, vehicles cut by the picture's edge) boxes count neither way.
 
+Detectors of different training give different scores to what they are equally sure of; the last line counts false boxes
+at equal recall, over all scenes with complete labels. ``--rendered`` are orthophotos of `orthoscale.synthetic`, with
+exact truth; ``--aside 1.6`` looks at 1.6 times the right zoom, as a search for the scale does, where hardly any box is
+a vehicle.
+
 Only scenes that the detector has not seen say how it does; in `warsaw` and `bogota` not every vehicle is labelled, so
 that precision is too low there. `--checked` are pictures never trained on in which a person has looked for every
 vehicle (`labels/checked.json`); their boxes were proposed by detector version 2, so their sizes are no measure of
@@ -41,14 +46,15 @@ from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections
 from orthoscale.sources.picture_file import PictureFile, stored_size
 
-from .augment import NOMINAL_LENGTH
-from .data import read_labels
+from .data import NOMINAL_LENGTH, read_labels
 
 CHECKED = Path(__file__).parent / "labels" / "checked.json"
 BY_HAND = Path(__file__).parent / "labels" / "by_hand.json"
 IOU = 0.5
 LOWEST_SCORE = 0.05  # boxes below are not asked for; the precision-recall curve ends there
 ROBUST = 1.48  # a normal distribution's standard deviation per median absolute deviation
+VISIBLE = 0.6  # share of a rendered vehicle from which it is to be found
+RECALLS = (0.7, 0.8, 0.85, 0.9, 0.95)  # at which false boxes are counted
 # A box counts as a vehicle of the fleet, when margins are fitted, within this factor of the expected length and width.
 PLAUSIBLE = 1.5
 
@@ -234,6 +240,17 @@ def measured_scenes(data: Path) -> list[Scene]:
     ]
 
 
+def rendered_scene(pictures: Sequence[Path]) -> Scene:
+    """Orthophotos of one pixel size with the ``.truth.json`` that `orthoscale.synthetic` writes beside each."""
+    labelled = []
+    for path in pictures:
+        rows = json.loads(path.with_suffix(".truth.json").read_text())["boxes"]
+        boxes = np.array([[b[k] for k in ("cx", "cy", "length", "width", "angle")] for b in rows]).reshape(-1, 5)
+        seen = np.array([b["visible"] > VISIBLE for b in rows], bool)
+        labelled.append(Labelled(picture_files(path)[0], boxes[seen], boxes[~seen]))
+    return Scene("rendered", labelled)
+
+
 def reference_scene(text: str) -> Scene:
     """A scene from ``NAME=IMAGES_FOLDER_OR_IMAGE:BOXES.json``, boxes as `load_detections` reads them."""
     name, _, rest = text.partition("=")
@@ -267,11 +284,16 @@ def twice_seen(pictures: Sequence[PictureFile], zoom: float, detect: Callable[[n
 
 
 def evaluate(
-    scene: Scene, detect: Callable[[np.ndarray], Boxes], best_length: float, score: float, looks: int = 2
+    scene: Scene,
+    detect: Callable[[np.ndarray], Boxes],
+    best_length: float,
+    score: float,
+    looks: int = 2,
+    aside: float = 1.0,
 ) -> tuple[Result, list[Comparison]]:
-    """Sweep a scene's pictures and compare. `detect` gives boxes of all scores, `score` is that of the figures (of the
-    mean of both looks, where there are two)."""
-    zoom = best_length / scene.length
+    """Sweep a scene's pictures, at `aside` times the right zoom, and compare. `detect` gives boxes of all scores,
+    `score` is that of the figures (of the mean of both looks, where there are two)."""
+    zoom = aside * best_length / scene.length
     pictures = [p.picture for p in scene.pictures]
     found = sweep(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, detect)
     comparisons = []
@@ -301,6 +323,21 @@ def table(results: Iterable[Result]) -> str:
             f"    {_figure(r.average_precision):>5s}   {length}   {width}   {_figure(r.angle, '.1f'):>4s}"
         )
     return "\n".join(lines)
+
+
+def at_equal_recall(comparisons: Sequence[Comparison]) -> str:
+    """A line that says how many false boxes all pictures have at the scores at which RECALLS are reached."""
+    score = np.concatenate([c.boxes.score for c in comparisons])
+    is_hit = np.concatenate([c.hit >= 0 for c in comparisons])
+    vehicles = sum(len(c.vehicles) for c in comparisons)
+    order = np.argsort(-score, kind="stable")
+    hits, false = np.cumsum(is_hit[order]), np.cumsum(~is_hit[order])
+    parts = []
+    for recall in RECALLS:
+        k = int(np.searchsorted(hits, np.ceil(recall * vehicles)))
+        parts.append(f"{recall:.2f}: {false[k]} (score {score[order][k]:.2f})" if k < len(hits) else f"{recall:.2f}: -")
+    precision = average_precision(score, is_hit, vehicles)
+    return f"{vehicles} vehicles, average precision {precision:.3f}; false boxes at recall {', '.join(parts)}"
 
 
 def _figure(value: float | None, form: str = ".3f") -> str:
@@ -416,11 +453,16 @@ def main() -> None:
     parser.add_argument("--score", type=float, help="of the figures; by default the card's for so many looks")
     parser.add_argument("--reference", action="append", default=[], metavar="NAME=IMAGES:BOXES.json")
     parser.add_argument("--margin", action="append", default=[], metavar="PICTURES:GSD:FLEET")
+    parser.add_argument("--rendered", type=Path, nargs="+", default=[], metavar="PICTURE", help="with .truth.json")
+    parser.add_argument("--aside", type=float, default=1.0, help="times the right zoom (%(default)s)")
     parser.add_argument("--json", type=Path, help="write all figures here")
     parser.add_argument("--picture", type=Path, help="draw one picture of each scene into this image")
     options = parser.parse_args()
-    if not (options.labels or options.checked or options.by_hand or options.reference or options.margin):
-        parser.error("nothing to compare with: give --labels, --checked, --by-hand, --reference or --margin")
+    sources = options.labels, options.checked, options.by_hand, options.rendered, options.reference, options.margin
+    if not any(sources):
+        parser.error(
+            "nothing to compare with: give --labels, --checked, --by-hand, --rendered, --reference or --margin"
+        )
 
     from orthoscale.detect.detector import Detector
 
@@ -431,16 +473,20 @@ def main() -> None:
     scenes = labelled_scenes(options.labels, list(filter(None, options.scenes.split(",")))) if options.labels else []
     scenes += checked_scenes(options.checked) if options.checked else []
     scenes += measured_scenes(options.by_hand) if options.by_hand else []
+    scenes += [rendered_scene(options.rendered)] if options.rendered else []
     scenes += [reference_scene(text) for text in options.reference]
-    results, pictures = [], []
+    results, pictures, complete = [], [], []
     for scene in scenes:
-        result, comparisons = evaluate(scene, detect, card.best_length, score, options.looks)
+        result, comparisons = evaluate(scene, detect, card.best_length, score, options.looks, options.aside)
         results.append(result)
+        complete += comparisons if scene.complete else []
         if options.picture:
             pictures.append(draw(comparisons, scene, score))
     report: dict = {"detector": detector.path.name, "sha256": detector.sha256, "score": score, "looks": options.looks}
     if results:
         print(table(results))
+        if any(len(c.vehicles) for c in complete):
+            print(at_equal_recall(complete))
         report["scenes"] = [asdict(result) for result in results]
     if options.margin:
         known = [known_boxes(text, detect, card.best_length, options.score or card.score) for text in options.margin]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import torch
 
-from .network import VehicleNet
+from .network import NETWORKS
 
 
 def add_card(onnx_file: Path, card: dict, out: Path) -> None:
@@ -39,10 +39,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
 
-    network = VehicleNet()
-    network.load_state_dict(torch.load(options.run / "checkpoint.pt", map_location="cpu")["average"])
+    state = torch.load(options.run / "checkpoint.pt", map_location="cpu")
+    network = NETWORKS[state["kind"]]()
+    network.load_state_dict(state["average"])
     network.eval()
-    with tempfile.TemporaryDirectory() as scratch:
+    with tempfile.TemporaryDirectory() as scratch, torch.no_grad():
         plain = Path(scratch) / "network.onnx"
         # The older exporter (dynamo=False) needs no onnxscript and folds batch normalisation into the convolutions.
         torch.onnx.export(

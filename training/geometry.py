@@ -9,7 +9,7 @@ from .data import LabelledImage
 from .targets import CROP
 
 LENGTH_RANGE = (11.0, 75.0)  # vehicle length in a crop [px]
-MAX_ENLARGEMENT = 1.7  # beyond this an enlarged image shows no more detail than blur
+MAX_ENLARGEMENT = 2.6  # as coarse orthophotos are enlarged for the detector, whatever blur that shows
 
 
 def warp(

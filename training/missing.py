@@ -62,6 +62,19 @@ def cell(image: LabelledImage, box: np.ndarray, text: str) -> np.ndarray:
     return pixels
 
 
+def write_sheets(cells: dict[str, list[np.ndarray]], out: Path) -> None:
+    """Contact sheets ``out/NAME_00.png`` and so on of the cells, RGB (CELL, CELL, 3), under each name."""
+    page = COLUMNS * ROWS
+    for name, sheet in cells.items():
+        for first in range(0, len(sheet), page):
+            part = sheet[first : first + page]
+            part += [np.zeros((CELL, CELL, 3), np.uint8)] * (-len(part) % COLUMNS)
+            rows = [np.hstack(part[k : k + COLUMNS]) for k in range(0, len(part), COLUMNS)]
+            file = out / f"{name}_{first // page:02d}.png"
+            cv2.imwrite(str(file), cv2.cvtColor(np.vstack(rows), cv2.COLOR_RGB2BGR))
+        print(f"{name}: {len(sheet)} proposals")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--detector", type=Path, required=True)
@@ -84,15 +97,7 @@ def main() -> None:
         sheet = cells.setdefault(image.scene, [])
         sheet += [cell(image, row[:5], f"{len(sheet) + n} .{row[5] * 100:02.0f}") for n, row in enumerate(rows)]
     (options.out / "proposals.json").write_text(json.dumps(found))
-    page = COLUMNS * ROWS
-    for scene, sheet in cells.items():
-        for first in range(0, len(sheet), page):
-            part = sheet[first : first + page]
-            part += [np.zeros((CELL, CELL, 3), np.uint8)] * (-len(part) % COLUMNS)
-            rows_of_cells = [np.hstack(part[k : k + COLUMNS]) for k in range(0, len(part), COLUMNS)]
-            name = options.out / f"{scene}_{first // page:02d}.png"
-            cv2.imwrite(str(name), cv2.cvtColor(np.vstack(rows_of_cells), cv2.COLOR_RGB2BGR))
-        print(f"{scene}: {len(sheet)} proposals")
+    write_sheets(cells, options.out)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,12 @@ EDGE = 4.0  # [px] a vehicle whose centre is closer to the border is cut too muc
 
 
 def encode(boxes: np.ndarray, is_vehicle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Boxes (N, 5) to (heat, weight of the background, values (6, n, n), weight of the values), float32 (n, n)."""
+    """Boxes (N, 5) to (heat, weight of the background, values (6, n, n), weight of the vehicles), float32 (n, n).
+
+    A vehicle weighs as the ground that it covers. Where each weighs the same, most of what is learnt is from crops that
+    show many small ones (three in four were below 27 px), and a network that is not sure of a size says theirs: new to
+    a place, it drew vehicles of 17 px right and those of 38 px, at which it is used, 8 to 20 % too short.
+    """
     n = CROP // STRIDE
     heat = np.zeros((n, n), np.float32)
     background = np.ones((n, n), np.float32)
@@ -37,13 +42,14 @@ def encode(boxes: np.ndarray, is_vehicle: np.ndarray) -> tuple[np.ndarray, np.nd
         if not (0 <= ix < n and 0 <= iy < n):
             continue
         _splat(heat, ix, iy, length / STRIDE, width / STRIDE, angle)
+        weight = length * width / (LENGTH_UNIT * WIDTH_UNIT)
         box_values = (np.log(length / LENGTH_UNIT), np.log(width / WIDTH_UNIT), np.cos(2 * angle), np.sin(2 * angle))
         for y in range(max(0, iy - 1), min(n, iy + 2)):
             for x in range(max(0, ix - 1), min(n, ix + 2)):
                 centre = x == ix and y == iy
                 if centre or value_weight[y, x] == 0:
                     values[:, y, x] = (gx - x, gy - y, *box_values)
-                    value_weight[y, x] = 1.0 if centre else 0.3
+                    value_weight[y, x] = weight if centre else 0.3 * weight
     return heat, background, values, value_weight
 
 

@@ -1,7 +1,8 @@
 """Train the detector; stop and start it again as you like.
 
     python -m training.train --labels ../shared/data/vehicles/labels.json --run runs/v1 --hold-out ohio
-    python -m training.train ... --run runs/v1 --resume         # go on where the checkpoint stands
+    python -m training.train ... --network lite0 --run runs/finder      # on layers that ImageNet taught
+    python -m training.train ... --run runs/v1 --resume                 # go on where the checkpoint stands
 
 The learning rate follows the share of `--steps` done (warm-up, then a half cosine), so an interrupted run that is
 resumed ends where an uninterrupted one would. The shipped weights are the exponential moving average.
@@ -22,13 +23,15 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from .augment import crops
 from .data import read_labels, split
-from .network import VehicleNet, loss
+from .network import NETWORKS, Finder, loss
 from .unfold import unfolded
 
 # Share of the crops by scene: many small images of one car park count less, vehicle-free ground counts.
 SCENE_WEIGHTS = {
     "munich": 0.18, "minsk": 0.16, "bogota": 0.18, "warsaw": 0.3, "ohio": 0.08,
-    "park": 0.14, "dunes": 0.06, "synthetic": 0.75,
+    "park": 0.14, "dunes": 0.06, "synthetic": 0.5, "lookalikes": 0.4,
+    "parkinglot": 0.12, "intersection": 0.08, "freeway": 0.06, "overpass": 0.06, "mobilehomepark": 0.05,
+    "denseresidential": 0.06, "buildings": 0.06, "harbor": 0.05, "storagetanks": 0.05, "tenniscourt": 0.04,
 }  # fmt: skip
 PEAK_RATE = 1.5e-3
 WARM_UP = 300  # steps
@@ -51,12 +54,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--labels", type=Path, action="append", required=True, help="label file; may be repeated")
     parser.add_argument("--run", type=Path, required=True, help="folder for checkpoint.pt and log.jsonl")
+    parser.add_argument("--network", choices=NETWORKS, default="small", help="(%(default)s)")
     parser.add_argument("--hold-out", default="", help="scenes not trained on, comma separated")
     parser.add_argument("--steps", type=int, default=7000)
     parser.add_argument("--batch", type=int, default=16)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="one where others use the cores too")
     parser.add_argument("--rate", type=float, default=PEAK_RATE, help="peak of the learning rate (%(default)s)")
+    parser.add_argument(
+        "--backbone-rate", type=float, default=0.25, help="share of it for what ImageNet taught (%(default)s)"
+    )
     parser.add_argument("--seed", type=int, default=0)
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--resume", action="store_true")
@@ -76,14 +83,22 @@ def main() -> None:
 
     options.run.mkdir(parents=True, exist_ok=True)
     checkpoint_file = options.run / "checkpoint.pt"
-    network = VehicleNet().to(device, memory_format=torch.channels_last)
-    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=1e-4)
+    network = NETWORKS[options.network]()
+    if isinstance(network, Finder) and not (options.start or options.resume):
+        network.backbone.load_imagenet()
+    network.to(device, memory_format=torch.channels_last)
+    learnt = {name: value for name, value in network.named_parameters() if value.requires_grad}
+    taught = [value for name, value in learnt.items() if name.startswith("backbone.")]
+    new = [value for name, value in learnt.items() if not name.startswith("backbone.")]
+    groups = [{"params": new, "share": 1.0}, {"params": taught, "share": options.backbone_rate}]
+    optimiser = torch.optim.AdamW([group for group in groups if group["params"]], weight_decay=1e-4)
     average = {name: value.clone() for name, value in network.state_dict().items()}
     step = 0
     if options.start:
         if options.start.suffix == ".onnx":
             sample = islice(crops(training, SCENE_WEIGHTS, options.seed), options.batch)
-            average = unfolded(options.start, torch.stack([torch.from_numpy(image) for image, *_ in sample]))
+            seen = torch.stack([torch.from_numpy(image) for image, *_ in sample])
+            average = unfolded(options.start, network, seen)
         else:
             average = torch.load(options.start, map_location=device)["average"]
         network.load_state_dict(average)
@@ -94,8 +109,13 @@ def main() -> None:
         optimiser.load_state_dict(state["optimiser"])
         average, step = state["average"], state["step"]
 
+    network.train()
+
     def save() -> None:
-        state = {"network": network.state_dict(), "average": average, "optimiser": optimiser.state_dict(), "step": step}
+        state = {
+            "kind": options.network, "step": step, "network": network.state_dict(), "average": average,
+            "optimiser": optimiser.state_dict(),
+        }  # fmt: skip
         partial = checkpoint_file.with_suffix(".partial")
         torch.save(state, partial)
         partial.replace(checkpoint_file)
@@ -110,7 +130,7 @@ def main() -> None:
         if step >= options.steps:
             break
         for group in optimiser.param_groups:
-            group["lr"] = learning_rate(step, options.steps, options.rate)
+            group["lr"] = group["share"] * learning_rate(step, options.steps, options.rate)
         image, *targets = (part.to(device, non_blocking=True) for part in batch)
         # Numbers of 16 bits where they do no harm: 1.7 times the crops per second of a core that has AVX-512 BF16.
         with torch.autocast(device, torch.bfloat16):
@@ -118,7 +138,7 @@ def main() -> None:
         parts = loss(maps.float(), *targets)
         optimiser.zero_grad()
         sum(parts.values()).backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+        torch.nn.utils.clip_grad_norm_(learnt.values(), 5.0)
         optimiser.step()
         step += 1
         keep = min(0.999, (1 + step) / (10 + step))

@@ -11,21 +11,20 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from .network import VehicleNet
 
-
-def unfolded(onnx_file: Path, crops: Tensor) -> dict[str, Tensor]:
-    """State of a `VehicleNet` that does what `onnx_file` (of `training.export`) does.
+def unfolded(onnx_file: Path, network: nn.Module, crops: Tensor) -> dict[str, Tensor]:
+    """State in which `network` (one of `training.network`, changed here) does what `onnx_file` (of `training.export`)
+    does.
 
     crops : (n, 3, h, w) RGB in 0..1, as trained with; one batch is enough, since training soon has its own statistics.
     Raises ValueError where the file is of a network with other layers.
     """
-    network = VehicleNet().eval()
+    network.eval()
     layers = list(_by_use(network, crops[:1]).items())
     folded = _convolutions(onnx_file)
     sizes = [tuple(conv.weight.shape) for conv, _ in layers]
     if [tuple(weight.shape) for weight, _ in folded] != sizes:
-        raise ValueError(f"{onnx_file}: not an export of today's VehicleNet; its layers have other sizes")
+        raise ValueError(f"{onnx_file}: not an export of today's {type(network).__name__}; its layers have other sizes")
     with torch.no_grad():
         for (conv, norm), (weight, bias) in zip(layers, folded, strict=True):
             conv.weight.copy_(weight)

@@ -45,8 +45,8 @@ def main(arguments: list[str] | None = None) -> None:
     for command in (ortho, model, *sets):
         command.add_argument("--extent", type=float, default=100.0, help="side of the scene in metres (%(default)s)")
         command.add_argument("--vehicles", type=int, default=60)
-        command.add_argument("--style", choices=STYLES)
     for command in (ortho, model, labels, *sets):
+        command.add_argument("--style", choices=STYLES)
         command.add_argument("out", type=Path)
         command.add_argument("--seed", type=int, default=0)
         command.add_argument(
@@ -74,7 +74,7 @@ def _write(a: argparse.Namespace, folder_writers: Mapping[str, Callable[..., Non
         else:
             folder = outputs.folder(a.out)
         if a.command == "labels":
-            write_labels(folder, a.count, a.seed, fleet)
+            write_labels(folder, a.count, a.seed, fleet, style=a.style)
             return
         scene = make_scene(a.seed, fleet, a.extent, a.vehicles, a.style)
         if a.command == "ortho":

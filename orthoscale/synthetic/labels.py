@@ -78,23 +78,26 @@ def random_view(rng: np.random.Generator, size: int) -> tuple[View | None, float
             return view, extent, gsd
 
 
-def write_labels(folder: Path, count: int = 240, seed: int = 0, fleet: Fleet | None = None, size: int = 768) -> Path:
-    """Write `count` pictures to ``folder/images`` and ``folder/labels.json``; returns the latter's path."""
+def write_labels(
+    folder: Path, count: int = 240, seed: int = 0, fleet: Fleet | None = None, size: int = 768, style: str | None = None
+) -> Path:
+    """Write `count` pictures, of scenes of one `style` or any, to ``folder/images``, and ``folder/labels.json``, whose
+    path is returned."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
     path, entries = folder / "labels.json", []
     for i in range(count):
         rng = np.random.default_rng([seed, i])
         view, extent, gsd = random_view(rng, size)
         density = float(rng.choice([0.0, rng.uniform(0.001, 0.004), rng.uniform(0.004, 0.011)], p=[0.08, 0.32, 0.6]))
-        scene = make_scene(int(rng.integers(1 << 40)), fleet, extent, int(np.ceil(density * extent**2)))
+        scene = make_scene(int(rng.integers(1 << 40)), fleet, extent, int(np.ceil(density * extent**2)), style)
         view = ortho_view(scene, gsd) if view is None else view
         image, owner = render(scene, view, int(rng.integers(1 << 40)))
-        name = f"synthetic_{seed}_{i:05d}.jpg"
+        name = f"{style or 'synthetic'}_{seed}_{i:05d}.jpg"
         write_jpeg(folder / "images" / name, image, int(rng.integers(70, 96)))
         entries.append(
             {
                 "file": name,
-                "set": "synthetic",
+                "set": style or "synthetic",
                 "width": view.width,
                 "height": view.height,
                 "source": "orthoscale.synthetic",

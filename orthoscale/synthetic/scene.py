@@ -12,12 +12,14 @@ from typing import Protocol
 
 import numpy as np
 
-from . import things
+from . import lookalikes, things
 from .mesh import Mesh, Surface, disc, join, patch, pavement, rectangle, rounded
 from .things import MARKING, Thing, pick, tinted
 from .vehicle import Vehicle, choose
 
-STYLES = ("city", "suburb", "village", "industrial", "carpark", "park")
+STYLES = ("city", "suburb", "village", "industrial", "carpark", "park", "lookalikes")
+OFTEN = (0.25, 0.2, 0.17, 0.15, 0.15, 0.08, 0.0)
+"""How often a scene of unnamed style has each; `lookalikes`, full of what is taken for vehicles, must be asked for."""
 
 USES = {
     # What parcels are used for, with weights.
@@ -27,6 +29,7 @@ USES = {
     "industrial": {"hall": 4, "yard": 3, "lot": 2, "waste": 1, "green": 0.7},
     "carpark": {"lot": 5, "hall": 1.5, "green": 1.5, "court": 0.5},
     "park": {"green": 5, "water": 1.2, "court": 1.2, "playground": 1, "lot": 1.4, "field": 1},
+    "lookalikes": {"panels": 4, "rows": 4, "marina": 1, "garages": 1.2, "solar_park": 1, "lot": 1.5, "yard": 0.5},
 }
 STREET_SPACING_M = {"city": (40, 75), "suburb": (45, 75), "village": (35, 70)}
 LARGEST_PARCEL_M = {"city": 34, "suburb": 26, "village": 24}
@@ -100,7 +103,7 @@ def make_scene(
     """
     rng = np.random.default_rng(seed)
     if style is None:
-        style = pick(rng, list(STYLES), [0.25, 0.2, 0.17, 0.15, 0.15, 0.08])
+        style = pick(rng, list(STYLES), list(OFTEN))
     plan = _Plan(rng, style, extent_m)
     plan.lay_out()
     vehicles = plan.park(NormalFleet() if fleet is None else fleet, n_vehicles)
@@ -434,6 +437,65 @@ class _Plan:
         for _ in range(self.rng.integers(4, 10)):
             self._put(things.play_equipment(self.rng), *self._somewhere(x, y, 2.5), self.rng.uniform(0, 7))
         self._furnish(x, y, trees=0.01, small=0.01)
+
+    # Parcels full of what is taken for vehicles.
+
+    def _panels(self, x: Span, y: Span) -> None:
+        """A building whose flat roof is full of solar panels or machines."""
+        rng, w, h = self.rng, x[1] - x[0], y[1] - y[0]
+        self._lay(x, y, 1, pick(rng, [self.concrete, self.asphalt, self.stones]))
+        margin = rng.uniform(1.0, 4.0)
+        size = w - 2 * margin, h - 2 * margin
+        if min(size) > 4:
+            roof = lookalikes.crowded_roof(rng, max(size), min(size))
+            self._put(roof, sum(x) / 2, sum(y) / 2, np.pi / 2 if h > w else 0.0)
+        self._furnish(x, y, trees=0.002, small=0.004)
+
+    def _solar_park(self, x: Span, y: Span) -> None:
+        self._lay(x, y, 1, pick(self.rng, self.greens + self.earths))
+        w, h = x[1] - x[0] - 2, y[1] - y[0] - 2
+        self._put(Thing(lookalikes.panels(self.rng, w, h), w, h), sum(x) / 2, sum(y) / 2)
+
+    def _garages(self, x: Span, y: Span) -> None:
+        """Rows of garages with lanes between."""
+        rng, deep, lane = self.rng, self.rng.uniform(5.2, 6.5), self.rng.uniform(5.5, 8)
+        self._lay(x, y, 1, pick(rng, [self.concrete, self.asphalt, self.earths[2]]))
+        for b in np.arange(y[0] + deep / 2 + 0.5, y[1] - deep / 2, deep + lane):
+            self._put(lookalikes.garages(rng, x[1] - x[0] - 2, deep), sum(x) / 2, b)
+            for a in rng.uniform(x[0] + 3, x[1] - 3, 2):
+                self._slot(a, b + deep / 2 + lane / 2, 0.0)
+
+    def _rows(self, x: Span, y: Span) -> None:
+        """Things that are alike, in rows: graves, tents, bales, tanks, bins, containers, boats, painted outlines."""
+        rng = self.rng
+        self._lay(x, y, 1, pick(rng, [*self.greens, *self.earths, self.concrete, self.asphalt]))
+        self._row_things(pick(rng, list(lookalikes.ROWS))(rng), x, y)
+
+    def _marina(self, x: Span, y: Span) -> None:
+        """Boats side by side along piers."""
+        rng, middle = self.rng, (sum(x) / 2, sum(y) / 2)
+        tone = pick(rng, [(0.02, 0.04, 0.035), (0.05, 0.07, 0.04), (0.02, 0.04, 0.07)])
+        self._lay(x, y, 1, ("water", tone))
+        berth = rng.uniform(2.6, 4.2)
+        for b in np.arange(y[0] + 9, y[1] - 8, rng.uniform(20, 26)):
+            self._put(Thing(patch(rectangle(x[1] - x[0], 1.6), 0.3, "planks", (0.3, 0.24, 0.17)), x[1] - x[0], 1.6),
+                      middle[0], b)  # fmt: skip
+            for a in np.arange(x[0] + berth, x[1] - berth, berth):
+                for side in (-1, 1):
+                    if rng.random() < 0.75:
+                        self._put(things.boat(rng), a, b + side * 5.2, side * np.pi / 2 + rng.normal(0, 0.05))
+
+    def _row_things(self, make: lookalikes.Maker, x: Span, y: Span) -> None:
+        """Things of one maker on a lattice over a parcel, some left out, all or none of them out of line."""
+        rng, w, h = self.rng, x[1] - x[0] - 2, y[1] - y[0] - 2
+        first, turned = make(rng), rng.random() < 0.5
+        gaps, stray, share = rng.uniform([0.1, 0.3], [2.5, 4.0]), pick(rng, [0.0, 0.04, 0.2]), rng.uniform(0.5, 1)
+        room = (h, w) if turned else (w, h)
+        for a, b in lookalikes.lattice(*room, first.length, first.width, *gaps):
+            if rng.random() < share:
+                p, q = (b, a) if turned else (a, b)
+                heading = (np.pi / 2 if turned else 0.0) + rng.normal(0, stray)
+                self._put(make(rng), sum(x) / 2 + p, sum(y) / 2 + q, heading)
 
     # What parcels have in common.
 
