@@ -56,6 +56,7 @@ class Vehicle:
 
     x, y : centre of the footprint [m]. heading : of its front, counter-clockwise from +x [rad].
     length, width, height : [m], without mirrors, as fleets count them.
+    shoulder : how far bumpers and doors stand out from the decks [m]. corner : factor on the plan's corner radii.
     """
 
     x: float
@@ -66,6 +67,8 @@ class Vehicle:
     height: float
     shape: str = "hatch"
     paint: tuple[float, float, float] = PAINTS[0][1]
+    shoulder: float = SHOULDER
+    corner: float = 1.0
 
     @property
     def belt(self) -> float:
@@ -91,7 +94,8 @@ class Vehicle:
     def _outline(self, inset: float = 0.0) -> np.ndarray:
         """(12, 2) [m] the footprint with rounded corners, in the vehicle's own coordinates (x ahead)."""
         front, rear = (0.12, 0.08) if self.shape == "van" else (0.28, 0.22)
-        return rounded(self.length - 2 * inset, self.width - 2 * inset, front * self.width, rear * self.width)
+        front, rear = (share * self.corner * self.width for share in (front, rear))
+        return rounded(self.length - 2 * inset, self.width - 2 * inset, front, rear)
 
     def _stations(self) -> np.ndarray:
         """(4,) x of the rear window's foot and head, the windscreen's head and foot [m]."""
@@ -114,7 +118,7 @@ class Vehicle:
             """Height of the bonnet and boot: level to the windscreen, then falling to the nose."""
             return belt * (1 - (1 - nose) * np.clip((x - screen_foot) / (length / 2 - screen_foot), 0, 1) ** 2)
 
-        full, shoulder = self._outline(), self._outline(SHOULDER)
+        full, shoulder = self._outline(), self._outline(self.shoulder)
         waist = at_height(full, 0.7 * deck(full[:, 0]))
         rim = at_height(shoulder, deck(shoulder[:, 0]))
         parts = [
