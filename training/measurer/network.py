@@ -107,23 +107,18 @@ class Mirrored(nn.Module):
         both = torch.cat([crops, crops.flip(3)], 0)
         edges, scale, turn, _, seen, kind = self.network(torch.cat([both, both.flip(2)], 0))
         sigma = SIGMA_PER_SCALE * scale.exp().clamp(min=SMALLEST_SIGMA)
-        all_edges, all_sigma, all_turn, all_seen = [], [], [], []
-        for k in range(4):
-            order = [1, 0] if k % 2 else [0, 1]
-            order += [3, 2] if k // 2 else [2, 3]
-            sign = torch.tensor([-1.0, -1.0] * (k % 2) + [1.0, 1.0] * (1 - k % 2) + [-1.0, -1.0] * (k // 2)
-                                + [1.0, 1.0] * (1 - k // 2))  # fmt: skip
+        views = []
+        for k, (x, y) in enumerate([(False, False), (True, False), (False, True), (True, True)]):
+            order = [1, 0] * x + [0, 1] * (not x) + [3, 2] * y + [2, 3] * (not y)
+            sign = torch.tensor([-1.0 if x else 1.0] * 2 + [-1.0 if y else 1.0] * 2)
             part = slice(k * n, (k + 1) * n)
-            all_edges.append(edges[part][:, order] * sign)
-            all_sigma.append(sigma[part][:, order])
-            all_seen.append(torch.sigmoid(seen[part][:, order]))
-            all_turn.append(turn[part][:, 0] * (-1.0 if k in (1, 2) else 1.0))
-        stacked = torch.stack(all_edges)
-        middle = stacked.mean(0)
-        spread = ((stacked - middle) ** 2).mean(0)
-        sigma = (torch.stack(all_sigma).mean(0) ** 2 + spread).sqrt()
-        kinds = torch.softmax(kind, 1).reshape(4, n, len(KINDS)).mean(0)
-        return middle, sigma, torch.stack(all_turn).mean(0), torch.stack(all_seen).mean(0), kinds
+            views.append(
+                (edges[part][:, order] * sign, sigma[part][:, order], turn[part][:, 0] * (1.0 if x == y else -1.0),
+                 torch.sigmoid(seen[part][:, order]), torch.softmax(kind[part], 1))
+            )  # fmt: skip
+        edges, sigma, turn, seen, kind = (torch.stack(each) for each in zip(*views, strict=True))
+        spread = ((edges - edges.mean(0)) ** 2).mean(0)
+        return edges.mean(0), (sigma.mean(0) ** 2 + spread).sqrt(), turn.mean(0), seen.mean(0), kind.mean(0)
 
 
 class Habits(nn.Module):
@@ -152,18 +147,19 @@ def loss(outputs: tuple[Tensor, ...], habits: Habits, batch: dict[str, Tensor]) 
     scale = torch.sqrt(scale.exp().clamp(min=SMALLEST_SIGMA) ** 2 + stray**2)
     inside = (batch["edges"].abs() < torch.tensor([WIDTH / 2, WIDTH / 2, HEIGHT / 2, HEIGHT / 2])).float()
     weight = vehicle[:, None] * inside * (0.2 + 0.8 * batch["seen"])
-    # Half a quarter turn's labels of near-square boxes mean nothing; real angles stray by a degree or two.
+    # Real labels' angles stray by a degree or two.
     turn_scale = torch.sqrt(turn_scale[:, 0].exp() ** 2 + (0.03 * (batch["scene"] >= 0)) ** 2 + 0.003**2)
     known = batch["kind"] >= 0
     # A real vehicle's kind is not told, only that it is one.
     is_none = F.log_softmax(kind, 1)[:, -1]
     told = F.cross_entropy(kind[known], batch["kind"][known], reduction="sum")
     some = -torch.log1p(-is_none[~known].exp().clamp(max=1 - 1e-6)).sum()
+    in_sight = F.binary_cross_entropy_with_logits(seen, batch["seen"], reduction="none")
+    vehicles = vehicle.sum().clamp(min=1)
     return {
         "edges": (weight * _student(error, scale)).sum() / weight.sum().clamp(min=1),
-        "turn": 0.3 * (vehicle * _student(turn[:, 0] - batch["turn"], turn_scale)).sum() / vehicle.sum().clamp(min=1),
-        "seen": 0.2
-        * (vehicle[:, None] * F.binary_cross_entropy_with_logits(seen, batch["seen"], reduction="none")).mean(),
+        "turn": 0.3 * (vehicle * _student(turn[:, 0] - batch["turn"], turn_scale)).sum() / vehicles,
+        "seen": 0.2 * (vehicle[:, None] * in_sight).mean(),
         "kind": 0.3 * (told + some) / len(kind),
     }
 

@@ -17,7 +17,9 @@ import numpy as np
 
 from orthoscale.detect.measurer import KINDS
 from orthoscale.synthetic import Camera, NormalFleet, Perspective, Pose, Scene, Vehicle, make_scene, vehicle_boxes
+from orthoscale.synthetic.mesh import Mesh
 from orthoscale.synthetic.render import light, ortho_view
+from orthoscale.synthetic.vehicle import GLASS
 from orthoscale.synthetic.view import View
 
 GSD = 0.035  # metres per pixel of the bank
@@ -26,6 +28,8 @@ SAMPLES = 2  # per pixel, each way
 BRIGHTEST = 1.2  # linear light that 255 stands for
 LEANING = 0.5  # share of the views that are not straight down
 MOST_LEAN = 25.0  # [deg]
+LOW_SUN = 0.35  # share of the scenes whose sun stands at 10 to 30 degrees
+BRIGHT_GLASS = 0.5  # share of the vehicles whose windows are not nearly black
 FOCAL = 6.0  # of leaning views, in picture widths: nearly parallel rays
 FLEET = NormalFleet((4.45, 1.79, 1.58), (0.52, 0.10, 0.18))
 LORRY_HEIGHT = 2.5  # effective height of lorries in leaning views [m], as in `orthoscale.synthetic.labels`
@@ -61,7 +65,17 @@ class Rendered:
 
 def varied(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
     """The vehicle with bumpers that stand out more or less, and blunter or rounder in plan."""
-    return replace(vehicle, shoulder=float(rng.uniform(0.05, 0.2)), corner=float(rng.uniform(0.6, 1.3)))
+    roundest = 1.3 if vehicle.shape in ("van", "pickup") else 1.75
+    return replace(vehicle, shoulder=float(rng.uniform(0.05, 0.2)), corner=float(rng.uniform(0.6, roundest)))
+
+
+def glaze(mesh: Mesh, rng: np.random.Generator) -> None:
+    """Give half of the vehicles of a mesh brighter windows, as the sky in them or the seats behind them make them."""
+    glass = np.isclose(mesh.colour, GLASS).all(1) & (mesh.owner >= 0)
+    for vehicle in np.unique(mesh.owner[glass]):
+        if rng.random() < BRIGHT_GLASS:
+            tint = np.array([0.9, 1.0, 1.05]) * rng.uniform(0.9, 1.1, 3)
+            mesh.colour[glass & (mesh.owner == vehicle)] = np.exp(rng.uniform(np.log(0.02), np.log(0.3))) * tint
 
 
 def random_view(scene: Scene, rng: np.random.Generator) -> View:
@@ -108,8 +122,14 @@ def rendered(seed: int) -> Rendered:
     style = str(rng.choice(["carpark", "city", "suburb", "village", "industrial"], p=[0.35, 0.2, 0.2, 0.1, 0.15]))
     scene = make_scene(int(rng.integers(1 << 40)), FLEET, EXTENT, int(rng.integers(25, 70)), style)
     scene = replace(scene, vehicles=tuple(varied(v, rng) for v in scene.vehicles))
+    if rng.random() < LOW_SUN:
+        azimuth, height = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(10, 30))
+        sun = np.array([np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)])
+        # What stands upright and the camera's exposure make up for the little light that level ground gets.
+        scene = replace(scene, sun=sun, sunlight=scene.sunlight * 1.5, skylight=scene.skylight * rng.uniform(0.6, 1.1))
     if rng.random() < 0.12:  # no cast shadows: an overcast day
         scene = replace(scene, sunlight=scene.sunlight * 0.05, skylight=scene.skylight * 2.4)
+    glaze(scene.mesh, rng)
     view = random_view(scene, rng)
     linear, owner = light(scene, view.enlarged(SAMPLES))
     linear = cv2.resize(linear, (view.width, view.height), interpolation=cv2.INTER_AREA)
