@@ -26,7 +26,7 @@ from .crops import Examples, batch
 from .network import Habits, MeasureNet, loss
 from .real import NONE, SCENES
 
-BATCH = 64
+BATCH = 32
 HABITS_RATE = 10.0  # times the network's
 
 
