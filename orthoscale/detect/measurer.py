@@ -11,14 +11,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from ..boxes import Boxes
 
+if TYPE_CHECKING:
+    from ..sources.picture import Picture
+
 WIDTH, HEIGHT = 96, 48  # of the crop that the network sees [px]
 REACH = 1.7  # length of the crop in lengths of the proposed box
+AROUND = 0.85  # of the window that is read, from the box's centre either way, in lengths of the crop
 BATCH = 32  # crops a run
 LOOKS = 2
 NO_DATA = (114, 114, 114)  # beyond the picture's edge
@@ -107,13 +112,32 @@ class Measurer:
         ]
         return [np.concatenate(part).astype(float) for part in zip(*parts, strict=True)]
 
-    def __call__(self, picture: np.ndarray, boxes: Boxes, looks: int = LOOKS) -> Measured:
-        """Measure the vehicles that `boxes` propose in a picture (H, W, 3) uint8 RGB."""
+    def __call__(self, picture: Picture, boxes: Boxes, looks: int = LOOKS) -> Measured:
+        """Measure the vehicles that `boxes` propose in a picture, of which a window around each is read."""
+        return self._look([_window(picture, box) for box in boxes.xylwa], boxes, looks)
+
+    def in_pixels(self, pixels: np.ndarray, boxes: Boxes, looks: int = LOOKS) -> Measured:
+        """Measure the vehicles that `boxes` propose in pixels (H, W, 3), uint8 RGB."""
+        return self._look([(pixels, np.zeros(2))] * len(boxes), boxes, looks)
+
+    def _look(self, windows: Sequence[tuple[np.ndarray, np.ndarray]], boxes: Boxes, looks: int) -> Measured:
+        """windows : pixels around each vehicle, and where their first corner lies in the picture."""
         if not len(boxes):
             return Measured(boxes, np.empty((0, 4)), np.empty((0, 4)), np.empty((0, len(KINDS))))
-        proposed = boxes.xylwa
+        corner = np.array([[*at, 0, 0, 0] for _, at in windows], float)
+        proposed = boxes.xylwa - corner
         for _ in range(looks):
             steps = np.array([pixels_per_crop_pixel(box) for box in proposed])
-            edges, sigma, turn, seen, kind = self._run([crop(picture, box) for box in proposed])
+            crops = [crop(pixels, box) for (pixels, _), box in zip(windows, proposed, strict=True)]
+            edges, sigma, turn, seen, kind = self._run(crops)
             proposed = np.array([placed(*each) for each in zip(proposed, edges, turn, strict=True)])
-        return Measured(Boxes(proposed, boxes.score), sigma * steps[:, None], seen, kind)
+        return Measured(Boxes(proposed + corner, boxes.score), sigma * steps[:, None], seen, kind)
+
+
+def _window(picture: Picture, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels that the looks at `box` (5,) may need, and where their first corner lies."""
+    half = AROUND * WIDTH * pixels_per_crop_pixel(box)
+    limit = np.array([picture.width, picture.height])
+    low = np.clip(np.floor(box[:2] - half), 0, limit - 1).astype(int)
+    size = np.clip(np.ceil(box[:2] + half), low + 1, limit).astype(int) - low
+    return picture.read(*low.tolist(), *size.tolist(), *size.tolist()), low.astype(float)

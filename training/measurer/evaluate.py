@@ -6,15 +6,14 @@ r"""How good the measurer is, beside the detector's own boxes.
     python -m training.measurer.evaluate --measurer M.onnx places --known NAME=PICTURES:BOXES.json:GSD:FLEET [...]
 
 `rendered`: vehicles with exact edges that were not learnt from, as many cameras took them, proposed badly; by size.
-`changes`: the same real vehicles in a picture that was resampled, blurred, sharpened, ...: by how much their sizes move.
-`hand`: against the edges that were read by eye (labels/by_hand.json). `places`: vehicles of known scale in metres, beside
-the fleet's mean. BOXES.json holds the detector's boxes, which propose where to look.
+`changes`: the same real vehicles in a picture that was resampled, blurred, sharpened, ...: by how much their sizes
+move. `hand`: against the edges that were read by eye (labels/by_hand.json). `places`: vehicles of known scale in
+metres, beside the fleet's mean. BOXES.json holds the detector's boxes, which propose where to look.
 """
 
 from __future__ import annotations
 
 import argparse
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -66,7 +65,7 @@ def rendered(measurer: Measurer, bank: Path, count: int, seed: int) -> str:
             continue
         pixels, box = photograph(levels[n], pictures[n].boxes[k], rng, True)
         proposed = proposal(box, rng)
-        told = measurer(pixels, Boxes(proposed[None], np.ones(1)))
+        told = measurer.in_pixels(pixels, Boxes(proposed[None], np.ones(1)))
         error = np.log(told.boxes.xylwa[0, 2:4] / box[2:4])
         first = np.log(proposed[2:4] / box[2:4])
         sigma = told.size_sigma[0] / told.boxes.xylwa[0, 2:4]
@@ -84,8 +83,8 @@ def rendered(measurer: Measurer, bank: Path, count: int, seed: int) -> str:
         follow = [np.polyfit(s[:, 3 + j], s[:, 1 + j].clip(-0.3, 0.3), 1)[0] for j in (0, 1)]
         lines.append(
             f"{low:4d} to {high:4d} {here.sum():5d} {len(s) / here.sum():6.2f}  | {100 * bias[0]:+10.2f} % "
-            f"{100 * spread[0]:5.2f} % {z[0]:6.2f}    | {100 * bias[1]:+8.2f} % {100 * spread[1]:5.2f} % {z[1]:6.2f}   | "
-            f"{follow[0]:+.3f} {follow[1]:+.3f}"
+            f"{100 * spread[0]:5.2f} % {z[0]:6.2f}    | {100 * bias[1]:+8.2f} % "
+            f"{100 * spread[1]:5.2f} % {z[1]:6.2f}   | {follow[0]:+.3f} {follow[1]:+.3f}"
         )
     kinds_array = np.array(kinds)
     lines.append(f"kind right: {(kinds_array[:, 0] == kinds_array[:, 1]).mean():.2f}")
@@ -194,7 +193,7 @@ def changes(measurer: Measurer, detector: Detector | None, scenes: list[Scene], 
     count = 0
     for scene in scenes:
         for pixels, box in windows(scene, most):
-            first = measurer(pixels, Boxes(box[None], np.ones(1)))
+            first = measurer.in_pixels(pixels, Boxes(box[None], np.ones(1)))
             if not trusted(first, 0.08)[0]:
                 continue
             count += 1
@@ -202,7 +201,7 @@ def changes(measurer: Measurer, detector: Detector | None, scenes: list[Scene], 
             for name, change in CHANGES.items():
                 after = change(pixels)
                 there, grown = _moved(name, pixels, after, box)
-                again = measurer(after, Boxes(there[None], np.ones(1)))
+                again = measurer.in_pixels(after, Boxes(there[None], np.ones(1)))
                 told[name].append(np.log(again.boxes.xylwa[0, 2:4] / grown / first.boxes.xylwa[0, 2:4]))
                 if detector and seen is not None and (other := detected(detector, after, there)) is not None:
                     boxes[name].append(np.log(other[2:4] / grown / seen[2:4]))
@@ -220,7 +219,9 @@ def changes(measurer: Measurer, detector: Detector | None, scenes: list[Scene], 
 
 def hand(measurer: Measurer, detector: Detector, data: Path) -> str:
     lines = ["log ratio to what was read [%]: median, spread; the median's own uncertainty is about spread / sqrt(n)"]
-    lines.append(f"{'':12s}   n found trusted | {'measurer: length':>18s} {'width':>16s} | {'detector: length':>18s} width")
+    lines.append(
+        f"{'':12s}   n found trusted | {'measurer: length':>18s} {'width':>16s} | {'detector: length':>18s} width"
+    )
     for scene in measured_scenes(data):
         rows = []
         for p in scene.pictures:
@@ -229,7 +230,7 @@ def hand(measurer: Measurer, detector: Detector, data: Path) -> str:
                 pixels, box = _window(p, read, 2.2)
                 seen = detected(detector, pixels, box)
                 start = box if seen is None else seen
-                told = measurer(pixels, Boxes(start[None], np.ones(1)))
+                told = measurer.in_pixels(pixels, Boxes(start[None], np.ones(1)))
                 rows.append([
                     *np.log(told.boxes.xylwa[0, 2:4] / box[2:4]), *np.log(start[2:4] / box[2:4]),
                     seen is not None, trusted(told)[0], *(told.size_sigma[0] / box[2:4]),
@@ -258,7 +259,7 @@ def places(measurer: Measurer, detector: Detector, known: list[tuple[Scene, floa
         fleet = Fleet.load(code).mean[:2]
         boxes, told, ok = [], [], []
         for pixels, box in windows(scene, most):
-            measured = measurer(pixels, Boxes(box[None], np.ones(1)))
+            measured = measurer.in_pixels(pixels, Boxes(box[None], np.ones(1)))
             boxes.append((box[2:4] - margin * fleet[0] / gsd / detector.card.best_length) * gsd)
             told.append(measured.boxes.xylwa[0, 2:4] * gsd)
             ok.append(trusted(measured)[0])

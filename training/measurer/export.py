@@ -2,8 +2,8 @@
 
     python -m training.measurer.export --run runs/m1 --out measurer.onnx
 
-Input ``crops`` float32 (n, 3, 48, 96), RGB 0..255; outputs ``edges`` and ``sigma`` (n, 4) [crop px], ``turn`` (n,) [rad],
-``seen`` (n, 4) and ``kind`` (n, 5) as shares. `orthoscale.detect.measurer` reads it.
+Input ``crops`` float32 (n, 3, 48, 96), RGB 0..255; outputs ``edges`` and ``sigma`` (n, 4) [crop px], ``turn`` (n,)
+[rad], ``seen`` (n, 4) and ``kind`` (n, 5) as shares. `orthoscale.detect.measurer` reads it.
 """
 
 from __future__ import annotations
