@@ -29,6 +29,7 @@ from training.evaluate import Labelled, Scene, measured_scenes, middle, referenc
 from .chain import photograph, pyramid, sharpen
 from .crops import HELD_OUT, proposal
 from .rendered import Rendered
+from .rendered import rendered as rendering
 
 SHIPPED = Path("orthoscale/detect/weights/small_vehicle.onnx")
 WIDTH_HABIT = 1.027  # readers saw widths that much too small (labels/margins.json)
@@ -89,6 +90,29 @@ def rendered(measurer: Measurer, bank: Path, count: int, seed: int) -> str:
     kinds_array = np.array(kinds)
     lines.append(f"kind right: {(kinds_array[:, 0] == kinds_array[:, 1]).mean():.2f}")
     return "\n".join(lines)
+
+
+def shadows(measurer: Measurer, scenes: int, seed: int) -> str:
+    """The same vehicles under the same cameras with and without cast shadows."""
+    moved = []
+    for number in range(scenes):
+        pair = [rendering(50_000 + 100 * seed + number, overcast) for overcast in (True, False)]
+        levels = [pyramid(p.light) for p in pair]
+        for k in np.flatnonzero(pair[0].seen.all(1) & (pair[0].kind != KINDS.index("larger"))):
+            sizes = []
+            for n in (0, 1):
+                rng = np.random.default_rng([seed, number, k])
+                pixels, box = photograph(levels[n], pair[n].boxes[k], rng, True)
+                told = measurer.in_pixels(pixels, Boxes(proposal(box, rng)[None], np.ones(1)))
+                sizes.append(np.append(np.log(told.boxes.xylwa[0, 2:4] / box[2:4]), trusted(told)[0]))
+            if sizes[0][2] and sizes[1][2]:
+                moved.append([*(sizes[1][:2] - sizes[0][:2]), *sizes[1][:2]])
+    m, s = middle(np.array(moved))
+    return (
+        f"{len(moved)} rendered vehicles: with shadows the length changes by {100 * m[0]:+.2f} % (spread "
+        f"{100 * s[0]:.2f}), the width by {100 * m[1]:+.2f} % ({100 * s[1]:.2f}); bias with shadows "
+        f"{100 * m[2]:+.2f} and {100 * m[3]:+.2f} %"
+    )
 
 
 # Real vehicles.
@@ -175,6 +199,8 @@ CHANGES: dict[str, Change] = {
     "mirror": lambda x: np.ascontiguousarray(x[:, ::-1]),
 }
 
+PROPOSED = (0.85, 1.15)  # times the detector's box
+
 
 def _moved(name: str, before: np.ndarray, after: np.ndarray, box: np.ndarray) -> tuple[np.ndarray, float]:
     """The box (5,) in the changed window, and how much larger it is drawn there."""
@@ -188,8 +214,9 @@ def _moved(name: str, before: np.ndarray, after: np.ndarray, box: np.ndarray) ->
 
 
 def changes(measurer: Measurer, detector: Detector | None, scenes: list[Scene], most: int) -> str:
-    told: dict[str, list[np.ndarray]] = {name: [] for name in CHANGES}
-    boxes: dict[str, list[np.ndarray]] = {name: [] for name in CHANGES}
+    larger = {f"proposed {factor} times": np.array([1, 1, factor, factor, 1]) for factor in PROPOSED}
+    told: dict[str, list[np.ndarray]] = {name: [] for name in (*CHANGES, *larger)}
+    boxes: dict[str, list[np.ndarray]] = {name: [] for name in told}
     count = 0
     for scene in scenes:
         for pixels, box in windows(scene, most):
@@ -198,6 +225,9 @@ def changes(measurer: Measurer, detector: Detector | None, scenes: list[Scene], 
                 continue
             count += 1
             seen = detected(detector, pixels, box) if detector else None
+            for name, factor in larger.items():
+                again = measurer.in_pixels(pixels, Boxes((box * factor)[None], np.ones(1)))
+                told[name].append(np.log(again.boxes.xylwa[0, 2:4] / first.boxes.xylwa[0, 2:4]))
             for name, change in CHANGES.items():
                 after = change(pixels)
                 there, grown = _moved(name, pixels, after, box)
@@ -207,7 +237,7 @@ def changes(measurer: Measurer, detector: Detector | None, scenes: list[Scene], 
                     boxes[name].append(np.log(other[2:4] / grown / seen[2:4]))
     lines = [f"{count} vehicles of {', '.join(s.name for s in scenes)}: median change, spread [%]"]
     lines.append(f"{'':24s}{'measurer: length':>20s}{'width':>16s}{'detector: length':>22s}{'width':>16s}")
-    for name in CHANGES:
+    for name in told:
         parts = []
         for values in (told[name], boxes[name]):
             if values:
@@ -282,6 +312,9 @@ def main() -> None:
     a.add_argument("bank", type=Path)
     a.add_argument("--count", type=int, default=600)
     a.add_argument("--seed", type=int, default=0)
+    s = commands.add_parser("shadows")
+    s.add_argument("--scenes", type=int, default=5)
+    s.add_argument("--seed", type=int, default=0)
     b = commands.add_parser("changes")
     b.add_argument("--found", action="append", required=True, metavar="NAME=PICTURES:BOXES.json")
     b.add_argument("--alone", action="store_true", help="the measurer without the detector")
@@ -296,6 +329,9 @@ def main() -> None:
     measurer = Measurer(options.measurer)
     if options.command == "rendered":
         print(rendered(measurer, options.bank, options.count, options.seed))
+        return
+    if options.command == "shadows":
+        print(shadows(measurer, options.scenes, options.seed))
         return
     detector = Detector(options.detector, threads=1)
     if options.command == "changes":

@@ -29,6 +29,7 @@ BRIGHTEST = 1.2  # linear light that 255 stands for
 LEANING = 0.5  # share of the views that are not straight down
 MOST_LEAN = 25.0  # [deg]
 LOW_SUN = 0.35  # share of the scenes whose sun stands at 10 to 30 degrees
+OVERCAST = 0.12  # share of the scenes without cast shadows
 BRIGHT_GLASS = 0.5  # share of the vehicles whose windows are not nearly black
 FOCAL = 6.0  # of leaning views, in picture widths: nearly parallel rays
 FLEET = NormalFleet((4.45, 1.79, 1.58), (0.52, 0.10, 0.18))
@@ -116,8 +117,8 @@ def edges_seen(boxes: np.ndarray, owner: np.ndarray, owners: np.ndarray) -> np.n
     return seen
 
 
-def rendered(seed: int) -> Rendered:
-    """One scene; equal seeds give equal ones."""
+def rendered(seed: int, overcast: bool | None = None) -> Rendered:
+    """One scene; equal seeds give equal ones. overcast : without cast shadows, or with them; None leaves it to chance."""
     rng = np.random.default_rng([seed, 16])
     style = str(rng.choice(["carpark", "city", "suburb", "village", "industrial"], p=[0.35, 0.2, 0.2, 0.1, 0.15]))
     scene = make_scene(int(rng.integers(1 << 40)), FLEET, EXTENT, int(rng.integers(25, 70)), style)
@@ -127,7 +128,8 @@ def rendered(seed: int) -> Rendered:
         sun = np.array([np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)])
         # What stands upright and the camera's exposure make up for the little light that level ground gets.
         scene = replace(scene, sun=sun, sunlight=scene.sunlight * 1.5, skylight=scene.skylight * rng.uniform(0.6, 1.1))
-    if rng.random() < 0.12:  # no cast shadows: an overcast day
+    by_chance = rng.random() < OVERCAST
+    if by_chance if overcast is None else overcast:
         scene = replace(scene, sunlight=scene.sunlight * 0.05, skylight=scene.skylight * 2.4)
     glaze(scene.mesh, rng)
     view = random_view(scene, rng)
