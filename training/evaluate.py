@@ -217,12 +217,12 @@ def checked_scenes(data: Path) -> list[Scene]:
     ]
 
 
-def measured_scenes(data: Path) -> list[Scene]:
+def measured_scenes(data: Path, file: Path = BY_HAND) -> list[Scene]:
     """The vehicles of labels/by_hand.json whose pictures lie under `data`; there are others beside them."""
     scenes: dict[str, dict[Path, list[list[float]]]] = {}
-    for vehicle in json.loads(BY_HAND.read_text())["vehicles"]:
-        if (file := data / vehicle["picture"]).exists():
-            scenes.setdefault(vehicle["scene"], {}).setdefault(file, []).append(vehicle["read"])
+    for vehicle in json.loads(file.read_text())["vehicles"]:
+        if (picture := data / vehicle["picture"]).exists():
+            scenes.setdefault(vehicle["scene"], {}).setdefault(picture, []).append(vehicle["read"])
     return [
         Scene(
             scene,

@@ -24,7 +24,7 @@ from orthoscale.boxes import Boxes, matched
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import KINDS, Measured, Measurer
 from orthoscale.fleet import Fleet
-from training.evaluate import Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
+from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
 
 from .chain import photograph, pyramid, sharpen
 from .crops import HELD_OUT, proposal
@@ -247,12 +247,12 @@ def changes(measurer: Measurer, detector: Detector | None, scenes: list[Scene], 
     return "\n".join(lines)
 
 
-def hand(measurer: Measurer, detector: Detector, data: Path) -> str:
+def hand(measurer: Measurer, detector: Detector, data: Path, file: Path) -> str:
     lines = ["log ratio to what was read [%]: median, spread; the median's own uncertainty is about spread / sqrt(n)"]
     lines.append(
         f"{'':12s}   n found trusted | {'measurer: length':>18s} {'width':>16s} | {'detector: length':>18s} width"
     )
-    for scene in measured_scenes(data):
+    for scene in measured_scenes(data, file):
         rows = []
         for p in scene.pictures:
             for read in p.vehicles:
@@ -320,6 +320,7 @@ def main() -> None:
     b.add_argument("--alone", action="store_true", help="the measurer without the detector")
     c = commands.add_parser("hand")
     c.add_argument("--data", type=Path, required=True)
+    c.add_argument("--of", type=Path, default=BY_HAND, help="what was read (%(default)s)")
     d = commands.add_parser("places")
     d.add_argument("--known", action="append", required=True, metavar="NAME=PICTURES:BOXES.json:GSD:FLEET")
     for command in (b, d):
@@ -338,7 +339,7 @@ def main() -> None:
         scenes = [reference_scene(text) for text in options.found]
         print(changes(measurer, None if options.alone else detector, scenes, options.most))
     elif options.command == "hand":
-        print(hand(measurer, detector, options.data))
+        print(hand(measurer, detector, options.data, options.of))
     else:
         known = []
         for text in options.known:

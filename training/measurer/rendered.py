@@ -118,7 +118,7 @@ def edges_seen(boxes: np.ndarray, owner: np.ndarray, owners: np.ndarray) -> np.n
 
 
 def rendered(seed: int, overcast: bool | None = None) -> Rendered:
-    """One scene; equal seeds give equal ones. overcast : without cast shadows, or with them; None leaves it to chance."""
+    """One scene; equal seeds give equal ones. overcast : without cast shadows, or with them; None: by chance."""
     rng = np.random.default_rng([seed, 16])
     style = str(rng.choice(["carpark", "city", "suburb", "village", "industrial"], p=[0.35, 0.2, 0.2, 0.1, 0.15]))
     scene = make_scene(int(rng.integers(1 << 40)), FLEET, EXTENT, int(rng.integers(25, 70)), style)
