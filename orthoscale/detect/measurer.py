@@ -2,7 +2,7 @@
 
 It sees a crop along the vehicle's axis, `REACH` times as long as its box and half as wide, at `WIDTH` x `HEIGHT` px
 whatever the picture's resolution. The exported network averages over the crop's mirrors, so that it does not matter
-which way a vehicle points or in which hand a picture is; the second of two looks is cut along what the first found, so
+which way a vehicle points or in which hand a picture is; each of `LOOKS` looks is cut along what the last one found, so
 that the answer does not follow the box that was proposed.
 """
 
@@ -25,7 +25,8 @@ WIDTH, HEIGHT = 96, 48  # of the crop that the network sees [px]
 REACH = 1.7  # length of the crop in lengths of the proposed box
 AROUND = 0.85  # of the window that is read, from the box's centre either way, in lengths of the crop
 BATCH = 32  # crops a run
-LOOKS = 2
+# Each look leaves a quarter to a half of what the answer had of the proposed box; after four it has nothing.
+LOOKS = 4
 NO_DATA = (114, 114, 114)  # beyond the picture's edge
 KINDS = ("car", "pickup", "van", "larger", "none")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoscale.synthetic.mesh import Mesh, at_height, disc, faces, join, loft, patch, prism, rectangle, rounded
+from orthoscale.synthetic.mesh import Colour, Mesh, at_height, disc, faces, join, loft, patch, prism, rectangle, rounded
 
 GLASS = (0.012, 0.016, 0.02)
 RUBBER = (0.012, 0.012, 0.012)
@@ -57,6 +57,7 @@ class Vehicle:
     x, y : centre of the footprint [m]. heading : of its front, counter-clockwise from +x [rad].
     length, width, height : [m], without mirrors, as fleets count them.
     shoulder : how far bumpers and doors stand out from the decks [m]. corner : factor on the plan's corner radii.
+    bumpers : albedo of what stands out at the rear and at the front, where it is not painted.
     """
 
     x: float
@@ -69,6 +70,7 @@ class Vehicle:
     paint: tuple[float, float, float] = PAINTS[0][1]
     shoulder: float = SHOULDER
     corner: float = 1.0
+    bumpers: tuple[Colour | None, Colour | None] = (None, None)
 
     @property
     def belt(self) -> float:
@@ -129,7 +131,13 @@ class Vehicle:
         parts += self._cabin(rng, paint, rear_foot, screen_foot)
         parts += self._trim(rng, deck, paint, screen_foot)
         parts += self._wheels()
-        parts.append(loft(waist, rim, "paint", rng.uniform(*SHOULDER_SHADE) * paint, 0.5))
+        shade = np.tile(rng.uniform(*SHOULDER_SHADE) * paint, (len(full), 1))
+        facing = np.roll(full, -1, 0) - full  # an edge that runs across faces one of the ends
+        across = np.abs(facing[:, 1]) > np.abs(facing[:, 0])
+        for end, bumper in zip((full[:, 0] < 0, full[:, 0] > 0), self.bumpers, strict=True):
+            if bumper is not None:
+                shade[across & end] = bumper
+        parts.append(loft(waist, rim, "paint", shade, 0.5))
         return join(parts).placed(self.x, self.y, self.heading)
 
     def _wheels(self) -> list[Mesh]:

@@ -29,6 +29,8 @@ BRIGHTEST = 1.2  # linear light that 255 stands for
 LEANING = 0.5  # share of the views that are not straight down
 MOST_LEAN = 25.0  # [deg]
 LOW_SUN = 0.35  # share of the scenes whose sun stands at 10 to 30 degrees
+UNPAINTED = (0.2, 0.12)  # share of the rear and the front bumpers of cars
+MORE_PICKUPS = 0.35
 OVERCAST = 0.12  # share of the scenes without cast shadows
 BRIGHT_GLASS = 0.5  # share of the vehicles whose windows are not nearly black
 FOCAL = 6.0  # of leaning views, in picture widths: nearly parallel rays
@@ -65,9 +67,22 @@ class Rendered:
 
 
 def varied(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
-    """The vehicle with bumpers that stand out more or less, and blunter or rounder in plan."""
+    """The vehicle with bumpers that stand out more or less, some of them unpainted, and blunter or rounder in plan; of
+    the high ones more are pickups than the fleet has."""
+    if vehicle.shape in ("suv", "van") and vehicle.length > 4.6 and rng.random() < MORE_PICKUPS:
+        vehicle = replace(vehicle, shape="pickup")
+    pickup = vehicle.shape == "pickup"
     roundest = 1.3 if vehicle.shape in ("van", "pickup") else 1.75
-    return replace(vehicle, shoulder=float(rng.uniform(0.05, 0.2)), corner=float(rng.uniform(0.6, roundest)))
+    plain = [
+        tuple(np.full(3, rng.choice([0.02, 0.06, 0.25, 0.5]))) if rng.random() < share else None
+        for share in ((0.8, 0.4) if pickup else UNPAINTED)
+    ]
+    return replace(
+        vehicle,
+        shoulder=float(rng.uniform(0.05, 0.25 if pickup else 0.2)),
+        corner=float(rng.uniform(0.6, roundest)),
+        bumpers=(plain[0], plain[1]),
+    )
 
 
 def glaze(mesh: Mesh, rng: np.random.Generator) -> None:
