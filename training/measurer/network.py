@@ -123,7 +123,7 @@ class Mirrored(nn.Module):
 
 class Habits(nn.Module):
     """What the labels of each real scene have of their own, learnt beside the network and thrown away: by how much
-    boxes are longer and wider [px of the picture], and how far edges stray [px]."""
+    vehicles are longer and wider than their boxes [px of the picture], and how far edges stray [px]."""
 
     def __init__(self, scenes: int) -> None:
         super().__init__()
