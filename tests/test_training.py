@@ -463,7 +463,7 @@ def test_margins_are_what_labels_exceed_the_readings_by(tmp_path, monkeypatch, c
 
     run("sheets", "--labels", labels, "--count", 12, "--out", folder)
     cells = json.loads((folder / "cells.json").read_text())
-    assert len(cells) == 36 and len(list(folder.glob("sheet_*.png"))) == 6
+    assert len(cells) == 36 and len(list(folder.glob("sheet_*.png"))) == 36 // by_hand.PER_SHEET
     readers = [tmp_path / "first.json", tmp_path / "second.json"]
     for sign, file in zip((-1, 1), readers, strict=True):  # one sees vehicles too small, the other too large
         readings = {}
@@ -474,7 +474,7 @@ def test_margins_are_what_labels_exceed_the_readings_by(tmp_path, monkeypatch, c
         readings[0] = None  # could not be read
         file.write_text(json.dumps(readings))
     run("draw", folder, readers[0])
-    assert len(list(folder.glob("drawn_*.png"))) == 6
+    assert len(list(folder.glob("drawn_*.png"))) == 36 // by_hand.PER_SHEET
     run("keep", folder, *readers, "--data", tmp_path / "labels", "--to", kept)
     vehicles = json.loads(kept.read_text())["vehicles"]
     assert len(vehicles) == 35 and {v["readers"] for v in vehicles} == {2}
@@ -487,6 +487,22 @@ def test_margins_are_what_labels_exceed_the_readings_by(tmp_path, monkeypatch, c
     measured = {scene.name: scene for scene in measured_scenes(tmp_path / "labels")}
     assert set(measured) == set(loose) and not measured["park"].complete
     assert sum(len(p.vehicles) for scene in measured.values() for p in scene.pictures) == 35
+
+
+def test_sheets_of_a_place_need_only_a_detectors_boxes(tmp_path, monkeypatch):
+    boxes = field_of_boxes(np.random.default_rng(8))
+    cv2.imwrite(str(tmp_path / "place.png"), draw_boxes(boxes))
+    names = ("cx", "cy", "length", "width", "angle", "score")
+    found = [dict(zip(names, map(float, [*box, 0.9]), strict=True)) for box in boxes]
+    (tmp_path / "boxes.json").write_text(json.dumps({"place.png": found}))
+    arguments = ["sheets", "--found", f"place={tmp_path / 'place.png'}:{tmp_path / 'boxes.json'}", "--count", "5"]
+    monkeypatch.setattr("sys.argv", ["by_hand", *arguments, "--out", str(tmp_path / "sheets")])
+    by_hand.main()
+    cells = by_hand.read_sheets(tmp_path / "sheets")
+    assert [cell.scene for cell in cells] == ["place"] * 5
+    for cell in cells:
+        assert np.abs(boxes - cell.label).max(1).min() < 1e-6
+    assert (tmp_path / "sheets" / "READING.txt").exists()
 
 
 # The network (with torch)

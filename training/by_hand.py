@@ -2,13 +2,20 @@ r"""Vehicles measured by hand, and by how much the labels of each scene are long
 
     python -m training.by_hand sheets --labels ../shared/data/vehicles/labels.json \\
         --labels runs/synthetic/labels.json --checked ../shared/data --out runs/by_hand
+    python -m training.by_hand sheets --found manila=../shared/data/orthophotos/manila.tif:BOXES.json --smallest 8 \\
+        --out runs/by_hand/manila                                   # places that nobody has labelled
     python -m training.by_hand draw runs/by_hand READINGS.json      # what was read, drawn onto the sheets
     python -m training.by_hand keep runs/by_hand READINGS.json [READINGS.json ...] --data ../shared/data
     python -m training.by_hand margins                              # of all that was kept, in labels/by_hand.json
 
 `sheets` draws vehicles of all scenes in random order, enlarged, turned about level, without any box, each at its own
 scale and place, so that one cell's answer tells nothing about the next. A reader says where each ends, sees the answers
-drawn, corrects them, and leaves out what cannot be told.
+drawn, corrects them, and leaves out what cannot be told. `--found` needs only a detector's boxes (a detections file, or
+a plain ``{picture: [{cx, cy, length, width, angle, score}]}``), which say where to look and nothing else.
+
+READINGS.json is ``{"CELL": [left, right, top, bottom, tilt] or null, ...}``: where the vehicle ends in its cell [px of
+the cell, as its rulers count], once the vehicle is turned level about its centre by `tilt` [deg, clockwise on screen],
+and null for what cannot be told within 3 %. `READING` says how to read, and is written beside the sheets.
 
 The margin of a scene's labels is what they exceed the readings by, lengths and widths for themselves, in pixels of the
 scene's pictures: the median of label - reading. No metres and no fleet enter. Two things show the reader's own habit:
@@ -30,15 +37,35 @@ import numpy as np
 from orthoscale.core.boxes import Boxes
 
 from .data import read_labels
-from .evaluate import BY_HAND, checked_scenes, middle
+from .evaluate import BY_HAND, checked_scenes, middle, reference_scene
 
-CELL = (640, 360)  # width, height [px of the sheet]
-COLUMNS, ROWS = 2, 3
+CELL = (400, 230)  # width, height [px of the sheet]; a sheet of twelve is as large as models see without shrinking it
+COLUMNS, ROWS = 3, 4
 PER_SHEET = COLUMNS * ROWS
-LENGTHS = (280.0, 400.0)  # of a vehicle's label in its cell [px]
-SHIFT = 45.0  # of the label's centre from the cell's, at most, either way [px]
+LENGTHS = (230.0, 310.0)  # of a vehicle's label in its cell [px]
+SHIFT = 16.0  # of the label's centre from the cell's, at most, either way [px]
 TURN = 4.0  # of the label from level, at most, either way [deg]
-SMALLEST = 24.0  # vehicles shorter than this are not measured [px of the picture]
+SMALLEST = 24.0  # vehicles shorter than this are not measured, unless asked for [px of the picture]
+TICK, LINE = 10, 50  # between marks of a cell's rulers, and between its numbered lines [px]
+READING = """How to read the sheets of this folder (sheet_00.png, sheet_01.png, ...).
+
+Each cell shows one vehicle, about level, enlarged, near its middle. The rulers at the left and upper edge
+count the cell's own pixels: a mark each 10, a faint line each 50, numbered each 100. "cell N" is at the lower right.
+
+Answer with one JSON file, {"N": [left, right, top, bottom, tilt], ...}, a line for every cell:
+- left, right: x where the vehicle's two ends (bumpers) are; top, bottom: y where its two sides are; to 1 px.
+  The end is the middle of the transition between vehicle and ground, not the outer rim of its blur or halo.
+- Bumper to bumper, with flanks and wheels in sight. Not: mirrors, shadow, a tow bar, luggage, blur, sharpening's halo.
+  A shadow's side: the vehicle ends where the paint (or the dark gap below the sill) ends, not where the shadow does.
+- tilt: how far the vehicle is turned from level, in degrees, clockwise on screen positive (right end lower).
+  left, right, top and bottom are those of the vehicle after it was turned level about its own centre.
+- null instead of the list for what cannot be told within 3 % of the length: hidden, cut, too blurred, no vehicle.
+  An edge that merges with a neighbour or a shadow makes the cell null.
+Read each cell for itself; vehicles differ in size, and each cell has another scale. Look at a cell enlarged if you can
+(crop the PNG and magnify it 2 to 3 times) before you answer. Then draw your answers and correct them:
+
+    python -m training.by_hand draw FOLDER ANSWERS.json        # writes drawn_00.png, ... beside the sheets
+"""
 JUDGED = "judged"  # the vehicles of labels/judged.json, of whatever scene: one detector drew them all
 
 
@@ -53,15 +80,17 @@ class Cell:
     label: np.ndarray
 
 
-def choose(pictures: Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]], count: int, seed: int) -> list[Cell]:
-    """`count` vehicles of each scene in random order, from as many pictures as possible.
+def choose(
+    pictures: Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]], count: int, seed: int, smallest: float = SMALLEST
+) -> list[Cell]:
+    """`count` vehicles of each scene, at least `smallest` px long, in random order, from as many pictures as possible.
 
     pictures : scene, file, vehicles (N, 5) and (width, height) [px] of each.
     """
     rng = np.random.default_rng(seed)
     scenes: dict[str, list[tuple[int, float, Path, np.ndarray]]] = {}
     for scene, file, boxes, (width, height) in pictures:
-        whole = boxes[Boxes(boxes, np.ones(len(boxes))).inside(width, height, 8.0) & (boxes[:, 2] > SMALLEST)]
+        whole = boxes[Boxes(boxes, np.ones(len(boxes))).inside(width, height, 8.0) & (boxes[:, 2] > smallest)]
         # A picture's second vehicle comes after every picture's first.
         scenes.setdefault(scene, []).extend(
             (n, rng.random(), file, box) for n, box in enumerate(rng.permutation(whole))
@@ -90,16 +119,16 @@ def draw_cell(cell: Cell) -> np.ndarray:
     pixels = cv2.warpAffine(image, centres, CELL, flags=cv2.INTER_CUBIC).astype(np.float32)
     low, high = np.percentile(pixels, (1, 99))
     canvas = np.clip((pixels - low) / max(high - low, 1) * 235 + 10, 0, 255).astype(np.uint8)
-    faint = canvas.copy()
+    lines = canvas.copy()
     for axis, size in enumerate(CELL):
-        for at in range(0, size, 20):
-            major = at % 100 == 0
-            ends = ((at, 0), (at, CELL[1])) if axis == 0 else ((0, at), (CELL[0], at))
-            cv2.line(faint, *ends, (255, 255, 255) if major else (170, 170, 170), 1)
-            if major and at:
-                place = (at + 2, 11) if axis == 0 else (2, at - 2)
-                cv2.putText(canvas, str(at), place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 255), 1, cv2.LINE_AA)
-    return cv2.addWeighted(canvas, 0.82, faint, 0.18, 0)
+        for at in range(0, size, TICK):
+            end = CELL[1 - axis] if at % LINE == 0 else 4
+            onto = lines if at % LINE == 0 else canvas
+            cv2.line(onto, *(((at, 0), (at, end)) if axis == 0 else ((0, at), (end, at))), (255, 255, 255), 1)
+            if at % (2 * LINE) == 0 and at:
+                place = (at + 2, 14) if axis == 0 else (6, at - 2)
+                cv2.putText(canvas, str(at), place, cv2.FONT_HERSHEY_SIMPLEX, 0.36, (0, 255, 255), 1, cv2.LINE_AA)
+    return cv2.addWeighted(canvas, 0.8, lines, 0.2, 0)
 
 
 def read_box(reading: Sequence[float]) -> np.ndarray:
@@ -142,6 +171,9 @@ def _pictures(options: argparse.Namespace) -> Iterable[tuple[str, Path, np.ndarr
     for scene in checked_scenes(options.checked) if options.checked else []:
         for p in scene.pictures:
             yield scene.name, p.picture.path, p.vehicles, (p.picture.width, p.picture.height)
+    for scene in map(reference_scene, options.found):
+        for p in scene.pictures:
+            yield scene.name, p.picture.path, p.vehicles, (p.picture.width, p.picture.height)
 
 
 def write_sheets(folder: Path, cells: Sequence[Cell]) -> None:
@@ -151,6 +183,7 @@ def write_sheets(folder: Path, cells: Sequence[Cell]) -> None:
         for c in cells
     ]
     (folder / "cells.json").write_text(json.dumps(entries))
+    (folder / "READING.txt").write_text(READING)
     _join(folder, "sheet", dict(enumerate(map(draw_cell, cells))))
 
 
@@ -206,8 +239,8 @@ def _join(folder: Path, name: str, cells: dict[int, np.ndarray]) -> None:
             y, x = row * CELL[1], column * CELL[0]
             canvas[y : y + CELL[1], x : x + CELL[0]] = cells[number]
             cv2.rectangle(canvas, (x, y), (x + CELL[0] - 1, y + CELL[1] - 1), (0, 0, 0), 2)
-            at = (x + CELL[0] - 90, y + CELL[1] - 8)
-            cv2.putText(canvas, f"cell {number}", at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, (0, 255, 255), 1, cv2.LINE_AA)
+            at = (x + CELL[0] - 62, y + CELL[1] - 6)
+            cv2.putText(canvas, f"cell {number}", at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 255, 255), 1, cv2.LINE_AA)
         cv2.imwrite(str(folder / f"{name}_{sheet:02d}.png"), canvas)
 
 
@@ -217,6 +250,8 @@ def main() -> None:
     sheets = commands.add_parser("sheets", help="draw vehicles to be measured")
     sheets.add_argument("--labels", type=Path, action="append", default=[], help="label file; may be repeated")
     sheets.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json")
+    sheets.add_argument("--found", action="append", default=[], metavar="NAME=IMAGES:BOXES.json")
+    sheets.add_argument("--smallest", type=float, default=SMALLEST, help="vehicle length [px] (%(default)s)")
     sheets.add_argument("--count", type=int, default=24, help="vehicles of each scene (%(default)s)")
     sheets.add_argument("--seed", type=int, default=0)
     sheets.add_argument("--out", type=Path, required=True)
@@ -231,7 +266,7 @@ def main() -> None:
     tell.add_argument("--of", type=Path, default=BY_HAND, help="(%(default)s)")
     options = parser.parse_args()
     if options.command == "sheets":
-        write_sheets(options.out, choose(_pictures(options), options.count, options.seed))
+        write_sheets(options.out, choose(_pictures(options), options.count, options.seed, options.smallest))
     elif options.command == "draw":
         draw_answers(options.folder, {k: v for file in options.readings for k, v in read_answers(file).items()})
     elif options.command == "keep":

@@ -224,16 +224,17 @@ def checked_scenes(data: Path) -> list[Scene]:
     ]
 
 
-def measured_scenes(data: Path) -> list[Scene]:
-    """The vehicles of labels/by_hand.json whose pictures lie under `data`; there are others beside them."""
+def measured_scenes(data: Path, file: Path | None = None) -> list[Scene]:
+    """The vehicles of labels/by_hand.json, or of another such file, whose pictures lie under `data`; there are others
+    beside them."""
     scenes: dict[str, dict[Path, list[list[float]]]] = {}
-    for vehicle in json.loads(BY_HAND.read_text())["vehicles"]:
-        if (file := data / vehicle["picture"]).exists():
-            scenes.setdefault(vehicle["scene"], {}).setdefault(file, []).append(vehicle["read"])
+    for vehicle in json.loads((file or BY_HAND).read_text())["vehicles"]:
+        if (picture := data / vehicle["picture"]).exists():
+            scenes.setdefault(vehicle["scene"], {}).setdefault(picture, []).append(vehicle["read"])
     return [
         Scene(
             scene,
-            [Labelled(picture_files(file)[0], np.array(boxes), np.empty((0, 5))) for file, boxes in pictures.items()],
+            [Labelled(picture_files(path)[0], np.array(boxes), np.empty((0, 5))) for path, boxes in pictures.items()],
             complete=False,
         )
         for scene, pictures in scenes.items()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .mesh import Mesh, at_height, disc, faces, join, loft, patch, prism, rectangle, rounded
+from .mesh import Colour, Mesh, at_height, disc, faces, join, loft, patch, prism, rectangle, rounded
 
 GLASS = (0.012, 0.016, 0.02)
 RUBBER = (0.012, 0.012, 0.012)
@@ -56,6 +56,8 @@ class Vehicle:
 
     x, y : centre of the footprint [m]. heading : of its front, counter-clockwise from +x [rad].
     length, width, height : [m], without mirrors, as fleets count them.
+    shoulder : how far bumpers and doors stand out from the decks [m]. corner : factor on the plan's corner radii.
+    bumpers : albedo of what stands out at the rear and at the front, where it is not painted.
     """
 
     x: float
@@ -66,6 +68,9 @@ class Vehicle:
     height: float
     shape: str = "hatch"
     paint: tuple[float, float, float] = PAINTS[0][1]
+    shoulder: float = SHOULDER
+    corner: float = 1.0
+    bumpers: tuple[Colour | None, Colour | None] = (None, None)
 
     @property
     def belt(self) -> float:
@@ -91,7 +96,8 @@ class Vehicle:
     def _outline(self, inset: float = 0.0) -> np.ndarray:
         """(12, 2) [m] the footprint with rounded corners, in the vehicle's own coordinates (x ahead)."""
         front, rear = (0.12, 0.08) if self.shape == "van" else (0.28, 0.22)
-        return rounded(self.length - 2 * inset, self.width - 2 * inset, front * self.width, rear * self.width)
+        front, rear = (share * self.corner * self.width for share in (front, rear))
+        return rounded(self.length - 2 * inset, self.width - 2 * inset, front, rear)
 
     def _stations(self) -> np.ndarray:
         """(4,) x of the rear window's foot and head, the windscreen's head and foot [m]."""
@@ -114,7 +120,7 @@ class Vehicle:
             """Height of the bonnet and boot: level to the windscreen, then falling to the nose."""
             return belt * (1 - (1 - nose) * np.clip((x - screen_foot) / (length / 2 - screen_foot), 0, 1) ** 2)
 
-        full, shoulder = self._outline(), self._outline(SHOULDER)
+        full, shoulder = self._outline(), self._outline(self.shoulder)
         waist = at_height(full, 0.7 * deck(full[:, 0]))
         rim = at_height(shoulder, deck(shoulder[:, 0]))
         parts = [
@@ -125,7 +131,13 @@ class Vehicle:
         parts += self._cabin(rng, paint, rear_foot, screen_foot)
         parts += self._trim(rng, deck, paint, screen_foot)
         parts += self._wheels()
-        parts.append(loft(waist, rim, "paint", rng.uniform(*SHOULDER_SHADE) * paint, 0.5))
+        shade = np.tile(rng.uniform(*SHOULDER_SHADE) * paint, (len(full), 1))
+        facing = np.roll(full, -1, 0) - full  # an edge that runs across faces one of the ends
+        across = np.abs(facing[:, 1]) > np.abs(facing[:, 0])
+        for end, bumper in zip((full[:, 0] < 0, full[:, 0] > 0), self.bumpers, strict=True):
+            if bumper is not None:
+                shade[across & end] = bumper
+        parts.append(loft(waist, rim, "paint", shade, 0.5))
         return join(parts).placed(self.x, self.y, self.heading)
 
     def _wheels(self) -> list[Mesh]:

@@ -1,0 +1,144 @@
+"""The measurer: a second network that looks at each found vehicle once more and says where its four edges are.
+
+It sees a crop along the vehicle's axis, `REACH` times as long as its box and half as wide, at `WIDTH` x `HEIGHT` px
+whatever the picture's resolution. The exported network averages over the crop's mirrors, so that it does not matter
+which way a vehicle points or in which hand a picture is; each of `LOOKS` looks is cut along what the last one found, so
+that the answer does not follow the box that was proposed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from ..core.boxes import Boxes
+
+if TYPE_CHECKING:
+    from ..sources.picture import Picture
+
+WIDTH, HEIGHT = 96, 48  # of the crop that the network sees [px]
+REACH = 1.7  # length of the crop in lengths of the proposed box
+AROUND = 0.85  # of the window that is read, from the box's centre either way, in lengths of the crop
+BATCH = 32  # crops a run
+# Each look leaves a quarter to a half of what the answer had of the proposed box; after four it has nothing.
+LOOKS = 4
+NO_DATA = (114, 114, 114)  # beyond the picture's edge
+KINDS = ("car", "pickup", "van", "larger", "none")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the measurer says of N vehicles.
+
+    boxes : their boxes, edge to edge; the score is the proposed box's.
+    sigma : (N, 4) one standard deviation of where each edge lies [px of the picture]: at the end against the box's
+        direction, at the end in it, left and right of who looks along it (image coordinates: left is -y at angle 0).
+    seen : (N, 4) 0..1, how surely each edge is in sight, not under a tree or beyond the picture's edge.
+    kind : (N, 5) shares of `KINDS`.
+    """
+
+    boxes: Boxes
+    sigma: np.ndarray
+    seen: np.ndarray
+    kind: np.ndarray
+
+    @property
+    def size_sigma(self) -> np.ndarray:
+        """(N, 2) one standard deviation of length and width [px], the two edges of each taken as independent."""
+        variance = self.sigma**2
+        return np.sqrt(np.stack([variance[:, :2].sum(1), variance[:, 2:].sum(1)], 1))
+
+
+def pixels_per_crop_pixel(box: np.ndarray) -> float:
+    """Picture pixels across one pixel of the crop of a box (5,)."""
+    return REACH * max(box[2], 2 * box[3]) / WIDTH
+
+
+def crop(picture: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """(HEIGHT, WIDTH, 3) uint8, the picture (H, W, 3) along `box` (5,), whose centre is the crop's.
+
+    Enlarged by a cubic; reduced by averaging over `n` x `n` samples a pixel, as many as it has picture pixels each way.
+    """
+    step = pixels_per_crop_pixel(box)
+    n = int(np.clip(np.ceil(step), 1, 16))
+    fine = step / n  # picture pixels per sample
+    along = fine * np.array([np.cos(box[4]), np.sin(box[4])])
+    linear = np.array([[along[0], -along[1]], [along[1], along[0]]])  # from samples to the picture
+    middle = np.array([n * WIDTH / 2, n * HEIGHT / 2])
+    # OpenCV puts a pixel's centre at its integer index, boxes half a pixel further.
+    shift = box[:2] - linear @ middle + linear @ (0.5, 0.5) - 0.5
+    samples = cv2.warpAffine(
+        picture, np.c_[linear, shift], (n * WIDTH, n * HEIGHT),
+        flags=(cv2.INTER_CUBIC if n == 1 else cv2.INTER_LINEAR) | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_CONSTANT, borderValue=NO_DATA,
+    )  # fmt: skip
+    return samples if n == 1 else cv2.resize(samples, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+
+
+def placed(box: np.ndarray, edges: np.ndarray, turn: float) -> np.ndarray:
+    """(5,) box in the picture from the edges (4,) in crop pixels from its centre [-x, +x, -y, +y] and its turn against
+    the proposed `box` [rad]."""
+    step = pixels_per_crop_pixel(box)
+    centre = step * np.array([edges[0] + edges[1], edges[2] + edges[3]]) / 2
+    cos, sin = np.cos(box[4]), np.sin(box[4])
+    x, y = cos * centre[0] - sin * centre[1], sin * centre[0] + cos * centre[1]
+    size = np.maximum(step * np.array([edges[1] - edges[0], edges[3] - edges[2]]), 1e-3)
+    return np.array([box[0] + x, box[1] + y, *size, box[4] + turn])
+
+
+class Measurer:
+    """The network in an ONNX file; `training.measurer` makes them.
+
+    threads : of one run.
+    """
+
+    def __init__(self, file: str | Path, threads: int = 1) -> None:
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        self._session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+
+    def _run(self, crops: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Edges (N, 4) and their sigmas (N, 4) [crop px], turn (N,) [rad], seen (N, 4), kind (N, 5)."""
+        parts = [
+            self._session.run(None, {"crops": np.stack(crops[k : k + BATCH]).transpose(0, 3, 1, 2).astype(np.float32)})
+            for k in range(0, len(crops), BATCH)
+        ]
+        return [np.concatenate(part).astype(float) for part in zip(*parts, strict=True)]
+
+    def __call__(self, picture: Picture, boxes: Boxes, looks: int = LOOKS) -> Measured:
+        """Measure the vehicles that `boxes` propose in a picture, of which a window around each is read."""
+        return self._look([_window(picture, box) for box in boxes.xylwa], boxes, looks)
+
+    def in_pixels(self, pixels: np.ndarray, boxes: Boxes, looks: int = LOOKS) -> Measured:
+        """Measure the vehicles that `boxes` propose in pixels (H, W, 3), uint8 RGB."""
+        return self._look([(pixels, np.zeros(2))] * len(boxes), boxes, looks)
+
+    def _look(self, windows: Sequence[tuple[np.ndarray, np.ndarray]], boxes: Boxes, looks: int) -> Measured:
+        """windows : pixels around each vehicle, and where their first corner lies in the picture."""
+        if not len(boxes):
+            return Measured(boxes, np.empty((0, 4)), np.empty((0, 4)), np.empty((0, len(KINDS))))
+        corner = np.array([[*at, 0, 0, 0] for _, at in windows], float)
+        proposed = boxes.xylwa - corner
+        for _ in range(looks):
+            steps = np.array([pixels_per_crop_pixel(box) for box in proposed])
+            crops = [crop(pixels, box) for (pixels, _), box in zip(windows, proposed, strict=True)]
+            edges, sigma, turn, seen, kind = self._run(crops)
+            proposed = np.array([placed(*each) for each in zip(proposed, edges, turn, strict=True)])
+        return Measured(Boxes(proposed + corner, boxes.score), sigma * steps[:, None], seen, kind)
+
+
+def _window(picture: Picture, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels that the looks at `box` (5,) may need, and where their first corner lies."""
+    half = AROUND * WIDTH * pixels_per_crop_pixel(box)
+    limit = np.array([picture.width, picture.height])
+    low = np.clip(np.floor(box[:2] - half), 0, limit - 1).astype(int)
+    size = np.clip(np.ceil(box[:2] + half), low + 1, limit).astype(int) - low
+    return picture.read(*low.tolist(), *size.tolist(), *size.tolist()), low.astype(float)

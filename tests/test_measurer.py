@@ -1,0 +1,154 @@
+"""The measurer's geometry is exact: crops, the windows that it learns from, and the way back into the picture."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from orthoscale.core.boxes import Boxes
+from orthoscale.detect.measurer import HEIGHT, WIDTH, Measurer, crop, pixels_per_crop_pixel, placed
+
+DARK = 60  # ground of drawn pictures; filters undershoot, and must not be cut off at black
+FINE = 8  # samples per pixel that drawn pictures are averaged from
+
+
+class Pixels:
+    """An array as a `Picture`."""
+
+    name = "pixels"
+
+    def __init__(self, pixels: np.ndarray) -> None:
+        self.pixels, self.height, self.width = pixels, *pixels.shape[:2]
+
+    def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
+        assert (width, height) == (out_width, out_height)
+        return self.pixels[y : y + height, x : x + width]
+
+
+def drawn(box: np.ndarray, width: int, height: int) -> np.ndarray:
+    """A light box (5,) on DARK, (H, W, 3) uint8; each pixel has the share that the box covers."""
+    y, x = (np.indices((height * FINE, width * FINE)) + 0.5) / FINE
+    cos, sin = np.cos(box[4]), np.sin(box[4])
+    u, v = cos * (x - box[0]) + sin * (y - box[1]), cos * (y - box[1]) - sin * (x - box[0])
+    inside = ((np.abs(u) < box[2] / 2) & (np.abs(v) < box[3] / 2)).astype(np.float32)
+    share = cv2.resize(inside, (width, height), interpolation=cv2.INTER_AREA)
+    return np.repeat((DARK + share * 120 + 0.5).astype(np.uint8)[..., None], 3, 2)
+
+
+def extents(pixels: np.ndarray) -> np.ndarray:
+    """-x, +x, -y, +y of a light box on DARK from the middle of the pixels: its light along each axis, in all as much
+    as that of an evenly lit stretch, about the light's centre."""
+    light = pixels[..., 0].astype(float) - DARK
+    found = []
+    for axis in (0, 1):
+        middle = light.shape[axis] // 2
+        profile = np.take(light, range(middle - 3, middle + 3), axis).mean(axis)
+        at = np.arange(len(profile)) + 0.5 - len(profile) / 2
+        centre, length = (profile * at).sum() / profile.sum(), profile.sum() / np.median(profile[np.abs(at) < 5])
+        found += [centre - length / 2, centre + length / 2]
+    return np.array(found)
+
+
+@pytest.mark.parametrize("length", [11.0, 30.0, 57.0, 130.0])
+@pytest.mark.parametrize("angle", [0.0, 0.6, 2.1, -1.57])
+def test_a_crop_shows_the_box_where_the_box_is(length: float, angle: float) -> None:
+    box = np.array([151.3, 148.8, length, 0.45 * length, angle])
+    step = pixels_per_crop_pixel(box)
+    shown = extents(crop(drawn(box, 300, 300), box))
+    expected = np.array([-length, length, -0.45 * length, 0.45 * length]) / 2 / step
+    assert shown == pytest.approx(expected, abs=0.12 / step)  # what is drawn is good to a sixteenth of a pixel
+
+
+def test_edges_lead_back_to_the_box_that_they_are_the_edges_of() -> None:
+    crops = pytest.importorskip("training.measurer.crops")
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        box = np.array([*rng.uniform(0, 100, 2), rng.uniform(10, 90), rng.uniform(5, 40), rng.uniform(-3, 3)])
+        proposed = crops.proposal(box, rng)
+        back = placed(proposed, *crops.edges_in_crop(box, proposed))
+        assert back[:4] == pytest.approx(box[:4])
+        assert np.sin(back[4] - box[4]) == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("scale", [0.09, 0.23, 0.5, 0.8, 1.3])
+@pytest.mark.parametrize("fine", [1, 2])
+def test_a_window_has_its_vehicle_where_its_box_says(scale: float, fine: int) -> None:
+    chain = pytest.importorskip("training.measurer.chain")
+    rng = np.random.default_rng(1)
+    box = np.array([230.4, 220.7, 120.0, 54.0, 0.4])
+    for _ in range(3):
+        pixels, there = chain.window(chain.pyramid(drawn(box, 461, 455)), box, scale, rng, fine)
+        if fine == 2:
+            pixels = cv2.resize(pixels, (pixels.shape[1] // 2, pixels.shape[0] // 2), interpolation=cv2.INTER_AREA)
+        assert there[2:4] == pytest.approx(scale * box[2:4])
+        step = pixels_per_crop_pixel(there)
+        shown = extents(crop(pixels, there)) * step
+        half = there[[2, 2, 3, 3]] / 2 * [-1, 1, -1, 1]
+        assert shown == pytest.approx(half, abs=0.1)
+
+
+def test_resampling_moves_the_box_with_the_picture() -> None:
+    chain = pytest.importorskip("training.measurer.chain")
+    rng = np.random.default_rng(2)
+    box = np.array([60.2, 58.9, 40.0, 18.0, 0.9])
+    picture = drawn(box, 120, 120).astype(np.float32) / 255
+    for factor in (0.55, 0.8, 1.3, 1.9):
+        for _ in range(4):
+            after, true = chain.resample(picture, factor, rng)
+            there = box * [true, true, true, true, 1]
+            shown = extents(crop((after * 255).clip(0, 255).astype(np.uint8), there)) * pixels_per_crop_pixel(there)
+            assert shown == pytest.approx(there[[2, 2, 3, 3]] / 2 * [-1, 1, -1, 1], abs=0.2)
+
+
+@pytest.fixture(scope="module")
+def untrained(tmp_path_factory: pytest.TempPathFactory) -> Measurer:
+    torch = pytest.importorskip("torch")
+    pytest.importorskip("onnx")
+    network = pytest.importorskip("training.measurer.network")
+    torch.manual_seed(0)
+    net = network.MeasureNet()
+    with torch.no_grad():  # an untrained network answers the same to everything
+        for parameter in net.parameters():
+            parameter.mul_(1.5)
+    net(torch.rand(16, 3, HEIGHT, WIDTH) * 255)
+    from training.measurer.export import write
+
+    return Measurer(write(net, tmp_path_factory.mktemp("measurer") / "m.onnx"))
+
+
+def test_mirrors_and_quarter_turns_of_a_picture_give_the_same_vehicle(untrained: Measurer) -> None:
+    rng = np.random.default_rng(3)
+    picture = cv2.GaussianBlur(rng.integers(0, 255, (160, 200, 3)).astype(np.uint8), (0, 0), 2.0)
+    box = np.array([90.0, 70.5, 48.0, 21.0, 0.0])  # along the axis, so that its turns need no other interpolation
+    one = untrained.in_pixels(picture, Boxes(box[None], np.ones(1)), looks=1)
+    x, y, length, width, angle = box
+    turned = {
+        "mirror": (picture[:, ::-1], [200 - x, y, length, width, np.pi - angle]),
+        "half turn": (picture[::-1, ::-1], [200 - x, 160 - y, length, width, angle + np.pi]),
+        "quarter turn": (np.rot90(picture), [y, 200 - x, length, width, angle - np.pi / 2]),
+    }
+    for name, (pixels, there) in turned.items():
+        other = untrained.in_pixels(np.ascontiguousarray(pixels), Boxes(np.array([there]), np.ones(1)), looks=1)
+        assert other.boxes.xylwa[0, 2:4] == pytest.approx(one.boxes.xylwa[0, 2:4], abs=0.02), name
+        assert sorted(other.sigma[0]) == pytest.approx(sorted(one.sigma[0]), rel=0.02), name
+
+
+def test_contrast_and_brightness_do_not_move_edges(untrained: Measurer) -> None:
+    rng = np.random.default_rng(4)
+    picture = cv2.GaussianBlur(rng.integers(0, 255, (160, 200, 3)).astype(np.uint8), (0, 0), 2.0)
+    boxes = Boxes(np.array([[90.0, 70.5, 48.0, 21.0, 0.3]]), np.ones(1))
+    one, other = (untrained.in_pixels(p, boxes, looks=1) for p in (picture // 2, picture // 2 + 90))
+    assert other.boxes.xylwa == pytest.approx(one.boxes.xylwa, abs=0.05)
+
+
+def test_nothing_proposed_nothing_measured(untrained: Measurer) -> None:
+    assert len(untrained.in_pixels(np.zeros((50, 50, 3), np.uint8), Boxes.empty()).boxes) == 0
+
+
+def test_a_window_of_a_picture_shows_what_the_whole_picture_does(untrained: Measurer) -> None:
+    rng = np.random.default_rng(5)
+    picture = cv2.GaussianBlur(rng.integers(0, 255, (260, 300, 3)).astype(np.uint8), (0, 0), 2.0)
+    boxes = Boxes(np.array([[120.0, 130.5, 48.0, 21.0, 0.3], [20.0, 240.0, 44.0, 20.0, 1.2]]), np.ones(2))
+    whole = untrained.in_pixels(picture, boxes)
+    assert untrained(Pixels(picture), boxes).boxes.xylwa == pytest.approx(whole.boxes.xylwa, abs=0.05)

@@ -1,0 +1,185 @@
+"""What happens to light on its way to a file: optics, sensor, resampling, haze, tone, sharpening, noise, JPEG.
+
+A window around one vehicle is drawn from a fine picture at any size and turn and goes through the steps in that order,
+each by chance. Steps work on the picture's own grid, which lies anyhow to the vehicle, before any crop is cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from training.augment import leaves
+from training.geometry import transform_boxes
+
+from .rendered import BRIGHTEST
+
+LENGTHS = (8.0, 120.0)  # of a vehicle in the finished picture [px]
+RESAMPLED = (0.5, 2.0)  # finished pixels per sensor pixel
+SHARPEST = 126.0  # a vehicle's length on the sensor, at most [px]: as many as the rendered pictures have
+REACH = 2.9  # side of a window in vehicle lengths: a crop 1.35 times too large lies inside at any turn
+CUT = 0.06  # share of the windows that end within the vehicle's surroundings: the picture's edge
+
+
+def pyramid(picture: np.ndarray, levels: int = 5) -> list[np.ndarray]:
+    """The picture (H, W, 3) uint8 and its halves, quarters, ... by area."""
+    out = [picture]
+    while len(out) < levels and min(out[-1].shape[:2]) >= 32:
+        size = out[-1].shape[1] // 2, out[-1].shape[0] // 2
+        out.append(cv2.resize(out[-1], size, interpolation=cv2.INTER_AREA))
+    return out
+
+
+def window(
+    levels: Sequence[np.ndarray], box: np.ndarray, scale: float, rng: np.random.Generator, fine: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels around `box` (5,) at `scale` and any turn, (fine n, fine n, 3) uint8, and the box on the grid of n."""
+    n = int(np.ceil(REACH * max(box[2], 2 * box[3]) * scale)) + 6
+    turn = rng.uniform(0, 2 * np.pi)
+    linear = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    shift = n / 2 + rng.uniform(-0.5, 0.5, 2) - linear @ box[:2]
+    octave = int(np.clip(np.floor(np.log2(1 / (fine * scale))), 0, len(levels) - 1))
+    # OpenCV puts a pixel's centre at its integer index. Halving sizes by area may drop a last odd row.
+    step = np.array([levels[0].shape[k] / levels[octave].shape[k] for k in (1, 0)])
+    a = fine * linear * step
+    t = fine * shift + a @ (0.5, 0.5) - 0.5
+    pixels = cv2.warpAffine(
+        levels[octave], np.c_[a, t], (fine * n, fine * n), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
+    )
+    return pixels, transform_boxes(box[None], linear, shift)[0]
+
+
+def optics(x: np.ndarray, fine: int, rng: np.random.Generator, sharp: float = 0.25) -> np.ndarray:
+    """Blur of lens, focus or flight; `x` has `fine` samples per pixel each way. sharp : share that stays as it is."""
+    kind = rng.choice(4, p=[sharp, *(np.array([0.5, 0.2, 0.3]) * (1 - sharp))])
+    if kind == 1:
+        sigma = fine * rng.uniform(0.2, 1.0) * np.exp(rng.normal(0, 0.1, 2))
+        return cv2.GaussianBlur(x, (0, 0), sigmaX=sigma[0], sigmaY=sigma[1])
+    reach = 2 * fine + 1
+    y, x0 = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    if kind == 2:  # out of focus: a disc
+        kernel = np.clip(fine * rng.uniform(0.4, 1.3) + 0.5 - np.hypot(y, x0), 0, 1)
+    elif kind == 3:  # motion: a line
+        length, angle = fine * rng.uniform(0.5, 3.0), rng.uniform(0, np.pi)
+        along, across = x0 * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x0 * np.sin(angle)
+        kernel = np.clip((length + 1) / 2 - np.abs(along), 0, 1) * np.clip(1 - np.abs(across), 0, 1)
+    else:
+        return x
+    return cv2.filter2D(x, -1, (kernel / kernel.sum()).astype(np.float32), borderType=cv2.BORDER_REFLECT_101)
+
+
+def resample(x: np.ndarray, factor: float, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """At about `factor` times the size, with one of the filters in use; and the factor in fact."""
+    size = max(8, round(x.shape[0] * factor))
+    ways = [cv2.INTER_AREA, cv2.INTER_LINEAR, cv2.INTER_CUBIC, cv2.INTER_LANCZOS4]
+    way = ways[rng.choice(4, p=[0.4, 0.2, 0.25, 0.15] if factor < 1 else [0.05, 0.4, 0.35, 0.2])]
+    return cv2.resize(x, (size, size), interpolation=way), size / x.shape[0]
+
+
+def jpeg(x: np.ndarray, quality: int) -> np.ndarray:
+    """`x` (H, W, 3) 0..1 after compression."""
+    coded = cv2.imencode(".jpg", _bytes(x[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return cv2.imdecode(coded, cv2.IMREAD_COLOR)[..., ::-1].astype(np.float32) / 255
+
+
+def sharpen(x: np.ndarray, amount: float, radius: float) -> np.ndarray:
+    """Unsharp masking, with its halos."""
+    return x + amount * (x - cv2.GaussianBlur(x, (0, 0), radius))
+
+
+@lru_cache(maxsize=1)
+def _grain() -> np.ndarray:
+    """Noise to cut from, (1024, 1024, 3) float32: light and, half as much, colour."""
+    rng = np.random.default_rng(0)
+    return rng.standard_normal((1024, 1024, 1), np.float32) + 0.5 * rng.standard_normal((1024, 1024, 3), np.float32)
+
+
+@lru_cache(maxsize=1)
+def _leaves() -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    return [leaves(rng) for _ in range(100)]
+
+
+def noise(x: np.ndarray, sd: float, rng: np.random.Generator) -> np.ndarray:
+    height, width = x.shape[:2]
+    top, left = rng.integers(0, 1024 - height), rng.integers(0, 1024 - width)
+    return x + np.float32(sd) * _grain()[top : top + height, left : left + width]
+
+
+def tone(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Gamma, brightness, contrast, saturation, balance; grey by chance."""
+    x = cv2.pow(np.clip(x, 0, 1), float(np.exp(rng.normal(0, 0.25))))
+    grey = cv2.cvtColor(x, cv2.COLOR_RGB2GRAY)[..., None]
+    x = grey + np.float32(rng.uniform(0.5, 1.7) if rng.random() > 0.1 else 0.0) * (x - grey)
+    gain, shift = rng.uniform(0.6, 1.5), 0.45 + rng.normal(0, 0.08)
+    gain = (gain * np.exp(rng.normal(0, 0.05, 3))).astype(np.float32)
+    return x * gain + (np.float32(shift) - np.float32(0.45) * gain)
+
+
+def develop(light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Linear light to a display's numbers, 0..1: exposure, veil, a shoulder of random softness, gamma."""
+    veil = rng.uniform(0.02, 0.5) if rng.random() < 0.25 else 0.0
+    sky = np.float32(veil * rng.uniform(0.3, 0.8)) * np.array([0.92, 0.98, 1.06], np.float32)
+    x = light * np.float32(np.exp(rng.normal(0.45, 0.45)) * (1 - veil)) + sky
+    white, soft = np.float32(rng.uniform(1.0, 4.0)), np.float32(rng.uniform(0.0, 1.0))
+    x = x * (1 + x / white**2) / (1 + x * soft)  # Reinhard's curve, or part of it
+    return cv2.pow(np.clip(x, 0, 1), float(rng.uniform(0.42, 0.6)))
+
+
+def finish(x: np.ndarray, rng: np.random.Generator, strength: float) -> np.ndarray:
+    """What is done to a picture after it was taken. strength : factor on the chances of all but JPEG."""
+    if rng.random() < 0.6 * strength:
+        x = tone(x, rng)
+    if rng.random() < 0.35 * strength:
+        x = sharpen(x, rng.uniform(0.3, 2.5), rng.uniform(0.6, 2.0))
+    if rng.random() < 0.4 * strength:
+        x = noise(x, rng.uniform(0.002, 0.03), rng)
+    x = np.clip(x, 0, 1)
+    return jpeg(x, int(rng.integers(40, 96))) if rng.random() < 0.65 else x
+
+
+def photograph(
+    levels: Sequence[np.ndarray], box: np.ndarray, rng: np.random.Generator, linear: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """A finished window (n, n, 3) uint8 RGB around `box` (5,), and the box in it.
+
+    levels : `pyramid` of a rendered picture (`linear`), or of a real one, which was taken once already and is only
+    changed a little more.
+    """
+    length = np.exp(rng.uniform(*np.log(LENGTHS)))
+    factor = np.exp(rng.uniform(*np.log(RESAMPLED))) if rng.random() < (0.45 if linear else 0.3) else 1.0
+    if not linear:
+        length = min(length, box[2] * rng.uniform(0.8, 1.0) * min(1.0, factor))
+    on_sensor = np.clip(length / factor, LENGTHS[0] * 0.75, SHARPEST if linear else 1.2 * box[2])
+    fine = 2 if on_sensor < (0.5 if linear else 0.7) * box[2] else 1
+    x, box = window(levels, box, on_sensor / box[2], rng, fine)
+    x = x.astype(np.float32) / 255
+    if rng.random() < (0.15 if linear else 0.1):
+        cover = cv2.resize(_leaves()[rng.integers(100)], x.shape[:2], interpolation=cv2.INTER_LINEAR)
+        x = x * (1 + (np.float32(rng.uniform(0.4, 0.85)) - 1) * cover[..., None])
+    if linear:
+        x = optics(np.float32(BRIGHTEST) * x * x, fine, rng)
+    elif fine == 2 and rng.random() < 0.5:
+        x = optics(x, fine, rng)
+    if fine == 2:
+        x = cv2.resize(x, (x.shape[1] // 2, x.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    if linear:
+        x = develop(x, rng)
+        if rng.random() < 0.5:
+            x = noise(x, rng.uniform(0.001, 0.02), rng)
+        if rng.random() < 0.25:
+            x = sharpen(x, rng.uniform(0.2, 1.2), rng.uniform(0.5, 1.2))
+        x = np.clip(x, 0, 1)
+        if factor != 1 and rng.random() < 0.4:
+            x = jpeg(x, int(rng.integers(60, 96)))
+    if factor != 1:
+        x, factor = resample(x, factor, rng)
+        box = box * [factor, factor, factor, factor, 1]
+    return _bytes(finish(x, rng, 1.0 if linear else 0.6)), box
+
+
+def _bytes(x: np.ndarray) -> np.ndarray:
+    return cv2.convertScaleAbs(x, alpha=255.0)

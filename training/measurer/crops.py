@@ -1,0 +1,171 @@
+"""Training examples of the measurer: crops along a wrong box, and where the edges are in them.
+
+Rendered vehicles have exact edges. Real ones have boxes of people and detectors, whose sizes stray and whose scenes
+have a margin of their own; what to make of them is left to the likelihood (`network.loss`), which is told the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from orthoscale.detect.measurer import HEIGHT, WIDTH, crop, pixels_per_crop_pixel
+
+from . import real
+from .chain import photograph, pyramid
+from .real import NONE, SCENES
+from .rendered import Rendered
+
+RENDERED = -1  # the scene of exact edges
+SHARES = {"rendered": 0.62, "real": 0.26, "ground": 0.12}
+GROUND = 0.06  # share of the rendered examples that show no vehicle
+HELD_OUT = 10  # rendered pictures, for `evaluate`
+
+
+@dataclass(frozen=True)
+class Example:
+    """One crop and what is known of it.
+
+    pixels : (HEIGHT, WIDTH, 3) uint8. edges : (4,) -x, +x, -y, +y [crop px from the crop's centre]. turn : of the
+    vehicle against the crop [rad]. seen : (4,) bool. kind : index into KINDS, or real.UNKNOWN. scene : index into
+    SCENES, or RENDERED. step : crop pixels per pixel of the labelled picture.
+    """
+
+    pixels: np.ndarray
+    edges: np.ndarray
+    turn: float
+    seen: np.ndarray
+    kind: int
+    scene: int
+    step: float
+
+
+def proposal(box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(5,) a box as a detector might propose it for the vehicle in `box`: off its place, turn and size; either way
+    round. A third of them are as good as a first look makes them."""
+    fair = 1.0 if rng.random() < 0.65 else 0.2
+    size = np.exp(fair * rng.uniform(np.log(0.75), np.log(1.35)) + fair * rng.normal(0, [0.03, 0.07])) * box[2:4]
+    along, across = fair * rng.uniform(-0.1, 0.1) * box[2], fair * rng.uniform(-0.2, 0.2) * box[3]
+    cos, sin = np.cos(box[4]), np.sin(box[4])
+    turn = np.deg2rad(fair * rng.uniform(-6, 6)) + np.pi * rng.integers(2)
+    return np.array([box[0] + cos * along - sin * across, box[1] + sin * along + cos * across, *size, box[4] + turn])
+
+
+def edges_in_crop(box: np.ndarray, proposed: np.ndarray) -> tuple[np.ndarray, float]:
+    """Edges (4,) of `box` in the crop of `proposed` [crop px] and its turn against it [rad], within a quarter turn:
+    the inverse of `orthoscale.detect.measurer.placed`."""
+    step = pixels_per_crop_pixel(proposed)
+    cos, sin = np.cos(proposed[4]), np.sin(proposed[4])
+    x, y = np.array([[cos, sin], [-sin, cos]]) @ (box[:2] - proposed[:2]) / step
+    length, width = box[2:4] / step / 2
+    turn = (box[4] - proposed[4] + np.pi / 2) % np.pi - np.pi / 2
+    return np.array([x - length, x + length, y - width, y + width]), turn
+
+
+CROPS = 3  # cut from each window
+
+
+def examples(
+    levels: list[np.ndarray], box: np.ndarray, seen: np.ndarray, kind: int, scene: int, rng: np.random.Generator
+) -> Iterator[Example]:
+    """Random crops of one vehicle as one camera took it. levels : `pyramid` of the picture; box : (5,) in it, its
+    direction the front's. seen : (4,) rear, front, left, right."""
+    length = box[2]
+    pixels, box = photograph(levels, box, rng, scene == RENDERED)
+    if rng.random() < 0.06:  # the picture ends here
+        pixels, seen = _cut(pixels, box, seen, rng)
+    for _ in range(CROPS):
+        proposed = proposal(box, rng)
+        edges, turn = edges_in_crop(box, proposed)
+        backwards = np.cos(proposed[4] - box[4]) < 0
+        order = seen[[1, 0, 3, 2]] if backwards else seen
+        cut = crop(pixels, proposed)
+        if rng.random() < 0.5:
+            cut, edges, turn = cut[::-1], np.array([*edges[:2], -edges[3], -edges[2]]), -turn
+            order = order[[0, 1, 3, 2]]
+        inside = np.abs(edges) < [WIDTH / 2, WIDTH / 2, HEIGHT / 2, HEIGHT / 2]
+        step = box[2] / length / pixels_per_crop_pixel(proposed)
+        yield Example(np.ascontiguousarray(cut), edges, turn, order & inside, kind, scene, step)
+
+
+def _cut(
+    pixels: np.ndarray, box: np.ndarray, seen: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """The window without what lies beyond a line through it; edges beyond are not seen."""
+    quarter = int(rng.integers(4))
+    way = np.array([np.cos(quarter * np.pi / 2), np.sin(quarter * np.pi / 2)])
+    at = box[:2] @ way + rng.uniform(0.15, 0.7) * box[2]
+    ahead = np.array([np.cos(box[4]), np.sin(box[4])])
+    aside = np.array([-ahead[1], ahead[0]])
+    ends = box[:2] + np.stack([-ahead * box[2], ahead * box[2], -aside * box[3], aside * box[3]]) / 2
+    seen = seen & (ends @ way < at)
+    x, y = np.meshgrid(np.arange(pixels.shape[1]) + 0.5, np.arange(pixels.shape[0]) + 0.5)
+    pixels = np.where((x * way[0] + y * way[1] < at)[..., None], pixels, 114).astype(np.uint8)
+    return pixels, seen
+
+
+class Examples:
+    """Endless random examples.
+
+    bank : folder of rendered pictures (`rendered`) and real vehicles (`real`); the first `held_out` rendered pictures
+    are never taken.
+    """
+
+    def __init__(self, bank: Path, seed: int, held_out: int = HELD_OUT) -> None:
+        self._rng = np.random.default_rng([seed, 616])
+        pictures = [Rendered.load(file) for file in sorted(bank.glob("scene_*.npz"))[held_out:]]
+        self._rendered = [(pyramid(p.light), p) for p in pictures if len(p.boxes)]
+        self._real, self._ground = {}, []
+        for file in sorted(bank.glob("real_*.npz")):
+            found = real.load(file)
+            scene = file.stem.removeprefix("real_")
+            if scene in SCENES:
+                self._real[SCENES.index(scene)] = [p for p in found if p.kind != NONE]
+            self._ground += [p for p in found if p.kind == NONE]
+
+    def __iter__(self) -> Iterator[Example]:
+        rng = self._rng
+        shares = np.array(list(SHARES.values())) * [1, bool(self._real), bool(self._ground)]
+        while True:
+            source = rng.choice(3, p=shares / shares.sum())
+            if source == 0:
+                yield from self._of_rendered(rng)
+            else:
+                scene = int(rng.choice(list(self._real))) if source == 1 else 0
+                patches = self._real[scene] if source == 1 else self._ground
+                patch = patches[rng.integers(len(patches))]
+                whole = np.full(4, patch.whole and patch.kind != NONE)
+                yield from examples(pyramid(patch.pixels), patch.box, whole, patch.kind, scene, rng)
+
+    def _of_rendered(self, rng: np.random.Generator) -> Iterator[Example]:
+        levels, picture = self._rendered[rng.integers(len(self._rendered))]
+        k = rng.integers(len(picture.boxes))
+        box, seen, kind = picture.boxes[k], picture.seen[k], int(picture.kind[k])
+        if rng.random() < GROUND:
+            box, seen, kind = _elsewhere(levels, picture.boxes, box[2], rng), np.zeros(4, bool), NONE
+        return examples(levels, box, seen, kind, RENDERED, rng)
+
+
+def _elsewhere(levels: list[np.ndarray], boxes: np.ndarray, length: float, rng: np.random.Generator) -> np.ndarray:
+    """(5,) a box where there is no vehicle."""
+    height, width = levels[0].shape[:2]
+    while True:
+        place = rng.uniform(0, 1, 2) * (width, height)
+        if (np.hypot(*(boxes[:, :2] - place).T) > 0.6 * boxes[:, 2] + 0.3 * length).all():
+            return np.array([*place, length * rng.uniform(0.8, 1.2), 0.42 * length, rng.uniform(0, 2 * np.pi)])
+
+
+def batch(examples: list[Example]) -> dict[str, np.ndarray]:
+    """Arrays as `network.loss` takes them."""
+    return {
+        "pixels": np.stack([e.pixels for e in examples]).transpose(0, 3, 1, 2),
+        "edges": np.array([e.edges for e in examples], np.float32),
+        "turn": np.array([e.turn for e in examples], np.float32),
+        "seen": np.array([e.seen for e in examples], np.float32),
+        "kind": np.array([e.kind for e in examples]),
+        "scene": np.array([e.scene for e in examples]),
+        "step": np.array([e.step for e in examples], np.float32),
+    }

@@ -1,0 +1,352 @@
+r"""How good the measurer is, beside the detector's own boxes.
+
+    python -m training.measurer.evaluate --measurer M.onnx rendered runs/bank
+    python -m training.measurer.evaluate --measurer M.onnx changes --found NAME=PICTURES:BOXES.json [--found ...]
+    python -m training.measurer.evaluate --measurer M.onnx hand --data ../shared/data
+    python -m training.measurer.evaluate --measurer M.onnx places --known NAME=PICTURES:BOXES.json:GSD:FLEET [...]
+
+`rendered`: vehicles with exact edges that were not learnt from, as many cameras took them, proposed badly; by size.
+`changes`: the same real vehicles in a picture that was resampled, blurred, sharpened, ...: by how much their sizes
+move. `hand`: against the edges that were read by eye (labels/by_hand.json). `places`: vehicles of known scale in
+metres, beside the fleet's mean. BOXES.json holds the detector's boxes, which propose where to look.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from orthoscale.core.boxes import Boxes, matched
+from orthoscale.detect.detector import Detector
+from orthoscale.detect.measurer import KINDS, Measured, Measurer
+from orthoscale.fleets import load_fleet
+from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
+
+from .chain import photograph, pyramid, sharpen
+from .crops import HELD_OUT, proposal
+from .rendered import Rendered
+from .rendered import rendered as rendering
+
+SHIPPED = Path("orthoscale/detect/weights/small_vehicle.onnx")
+WIDTH_HABIT = 1.027  # readers saw widths that much too small (labels/margins.json)
+SIZES = (8, 15, 25, 40, 60, 90, 121)  # vehicle lengths between which results are told apart [px]
+AROUND = 1.6  # of a window from a vehicle's centre, either way, in its lengths
+NONE = KINDS.index("none")
+
+
+def trusted(measured: Measured, limit: float = 0.12) -> np.ndarray:
+    """(N,) bool: a vehicle, no larger one, all edges seen, told to `limit` of its length and width."""
+    size = measured.boxes.xylwa[:, 2:4]
+    return (
+        (measured.kind[:, NONE] < 0.5)
+        & (measured.kind[:, KINDS.index("larger")] < 0.5)
+        & (measured.seen > 0.5).all(1)
+        & (measured.size_sigma / size < limit).all(1)
+    )
+
+
+# Rendered.
+
+
+def rendered(measurer: Measurer, bank: Path, count: int, seed: int) -> str:
+    rng = np.random.default_rng(seed)
+    pictures = [Rendered.load(file) for file in sorted(bank.glob("scene_*.npz"))[:HELD_OUT]]
+    rows, kinds = [], []
+    levels = [pyramid(p.light) for p in pictures]
+    while len(rows) < count:
+        n = rng.integers(len(pictures))
+        if not len(pictures[n].boxes):
+            continue
+        k = rng.integers(len(pictures[n].boxes))
+        if not pictures[n].seen[k].all() or pictures[n].kind[k] == KINDS.index("larger"):
+            continue
+        pixels, box = photograph(levels[n], pictures[n].boxes[k], rng, True)
+        proposed = proposal(box, rng)
+        told = measurer.in_pixels(pixels, Boxes(proposed[None], np.ones(1)))
+        error = np.log(told.boxes.xylwa[0, 2:4] / box[2:4])
+        first = np.log(proposed[2:4] / box[2:4])
+        sigma = told.size_sigma[0] / told.boxes.xylwa[0, 2:4]
+        rows.append([box[2], *error, *first, *sigma, float(trusted(told)[0])])
+        kinds.append((pictures[n].kind[k], told.kind[0].argmax()))
+    t = np.array(rows)
+    lines = ["length [px]   n trusted | length: bias spread  z-spread | width: bias spread z-spread | follows proposal"]
+    for low, high in [*zip(SIZES[:-1], SIZES[1:], strict=True), (SIZES[0], SIZES[-1])]:
+        here = (t[:, 0] >= low) & (t[:, 0] < high)
+        s = t[here & (t[:, 7] > 0)]
+        if len(s) < 5:
+            continue
+        bias, spread = middle(s[:, 1:3])
+        _, z = middle(s[:, 1:3] / s[:, 5:7])
+        follow = [np.polyfit(s[:, 3 + j], s[:, 1 + j].clip(-0.3, 0.3), 1)[0] for j in (0, 1)]
+        lines.append(
+            f"{low:4d} to {high:4d} {here.sum():5d} {len(s) / here.sum():6.2f}  | {100 * bias[0]:+10.2f} % "
+            f"{100 * spread[0]:5.2f} % {z[0]:6.2f}    | {100 * bias[1]:+8.2f} % "
+            f"{100 * spread[1]:5.2f} % {z[1]:6.2f}   | {follow[0]:+.3f} {follow[1]:+.3f}"
+        )
+    kinds_array = np.array(kinds)
+    lines.append(f"kind right: {(kinds_array[:, 0] == kinds_array[:, 1]).mean():.2f}")
+    return "\n".join(lines)
+
+
+def shadows(measurer: Measurer, scenes: int, seed: int) -> str:
+    """The same vehicles under the same cameras with and without cast shadows."""
+    moved = []
+    for number in range(scenes):
+        pair = [rendering(50_000 + 100 * seed + number, overcast) for overcast in (True, False)]
+        levels = [pyramid(p.light) for p in pair]
+        for k in np.flatnonzero(pair[0].seen.all(1) & (pair[0].kind != KINDS.index("larger"))):
+            sizes = []
+            for n in (0, 1):
+                rng = np.random.default_rng([seed, number, k])
+                pixels, box = photograph(levels[n], pair[n].boxes[k], rng, True)
+                told = measurer.in_pixels(pixels, Boxes(proposal(box, rng)[None], np.ones(1)))
+                sizes.append(np.append(np.log(told.boxes.xylwa[0, 2:4] / box[2:4]), trusted(told)[0]))
+            if sizes[0][2] and sizes[1][2]:
+                moved.append([*(sizes[1][:2] - sizes[0][:2]), *sizes[1][:2]])
+    m, s = middle(np.array(moved))
+    return (
+        f"{len(moved)} rendered vehicles: with shadows the length changes by {100 * m[0]:+.2f} % (spread "
+        f"{100 * s[0]:.2f}), the width by {100 * m[1]:+.2f} % ({100 * s[1]:.2f}); bias with shadows "
+        f"{100 * m[2]:+.2f} and {100 * m[3]:+.2f} %"
+    )
+
+
+# Real vehicles.
+
+
+def windows(scene: Scene, most: int, seed: int = 0) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pixels (H, W, 3) around at most `most` vehicles of a scene, RGB, and the vehicle's box (5,) in them."""
+    rng = np.random.default_rng(seed)
+    all_ = [(p, box) for p in scene.pictures for box in p.vehicles]
+    for k in rng.permutation(len(all_))[:most]:
+        labelled, box = all_[k]
+        yield _window(labelled, box)
+
+
+def _window(labelled: Labelled, box: np.ndarray, reach: float = AROUND) -> tuple[np.ndarray, np.ndarray]:
+    p = labelled.picture
+    half = reach * max(box[2], 2 * box[3])
+    x0, y0 = np.maximum(np.floor(box[:2] - half), 0).astype(int)
+    x1, y1 = np.minimum(np.ceil(box[:2] + half), (p.width, p.height)).astype(int)
+    pixels = p.read(int(x0), int(y0), int(x1 - x0), int(y1 - y0), int(x1 - x0), int(y1 - y0))
+    return pixels, box - [x0, y0, 0, 0, 0]
+
+
+class _Pixels:
+    """An array as a `Picture`."""
+
+    def __init__(self, pixels: np.ndarray) -> None:
+        self.name, self.pixels = "window", pixels
+        self.height, self.width = pixels.shape[:2]
+
+    def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
+        from orthoscale.sources.picture_file import resized
+
+        return resized(self.pixels[y : y + height, x : x + width], out_width, out_height)
+
+
+def detected(detector: Detector, pixels: np.ndarray, box: np.ndarray) -> np.ndarray | None:
+    """The detector's box of the vehicle in `box` (5,), both looks at its best zoom; None if it does not find it."""
+    zoom = detector.card.best_length / box[2]
+    found = twice_seen([_Pixels(pixels)], zoom, lambda image: detector(image, threshold=0.2))["window"]  # type: ignore[list-item]
+    i, _, _ = matched(found, Boxes(box[None], np.ones(1)), 0.4)
+    return found.xylwa[i[0]] if len(i) else None
+
+
+Change = Callable[[np.ndarray], np.ndarray]
+
+
+def _jpeg(quality: int) -> Change:
+    def change(x: np.ndarray) -> np.ndarray:
+        coded = cv2.imencode(".jpg", x[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        return np.ascontiguousarray(cv2.imdecode(coded, cv2.IMREAD_COLOR)[..., ::-1])
+
+    return change
+
+
+def _floating(change: Change) -> Change:
+    def whole(x: np.ndarray) -> np.ndarray:
+        return (change(x.astype(np.float32) / 255) * 255 + 0.5).clip(0, 255).astype(np.uint8)
+
+    return whole
+
+
+def _resample(factor: float, way: int) -> Change:
+    return lambda x: cv2.resize(x, (round(x.shape[1] * factor), round(x.shape[0] * factor)), interpolation=way)
+
+
+CHANGES: dict[str, Change] = {
+    "resampled 0.7 (area)": _resample(0.7, cv2.INTER_AREA),
+    "resampled 0.85 (area)": _resample(0.85, cv2.INTER_AREA),
+    "resampled 1.2 (cubic)": _resample(1.2, cv2.INTER_CUBIC),
+    "resampled 1.5 (cubic)": _resample(1.5, cv2.INTER_CUBIC),
+    "resampled 1.5 (linear)": _resample(1.5, cv2.INTER_LINEAR),
+    "blur 0.7 px": _floating(lambda x: cv2.GaussianBlur(x, (0, 0), 0.7)),
+    "blur 1.2 px": _floating(lambda x: cv2.GaussianBlur(x, (0, 0), 1.2)),
+    "sharpened 1": _floating(lambda x: sharpen(x, 1.0, 1.0)),
+    "sharpened 2": _floating(lambda x: sharpen(x, 2.0, 1.5)),
+    "haze 0.4": _floating(lambda x: x + 0.4 * (np.float32(0.75) - x)),
+    "JPEG 60": _jpeg(60),
+    "JPEG 40": _jpeg(40),
+    "darker": _floating(lambda x: 0.75 * x**1.4),
+    "brighter": _floating(lambda x: np.clip(1.25 * x**0.75, 0, 1)),
+    "grey": lambda x: np.repeat(cv2.cvtColor(x, cv2.COLOR_RGB2GRAY)[..., None], 3, 2),
+    "quarter turn": lambda x: np.ascontiguousarray(np.rot90(x)),
+    "mirror": lambda x: np.ascontiguousarray(x[:, ::-1]),
+}
+
+PROPOSED = (0.85, 1.15)  # times the detector's box
+
+
+def _moved(name: str, before: np.ndarray, after: np.ndarray, box: np.ndarray) -> tuple[np.ndarray, float]:
+    """The box (5,) in the changed window, and how much larger it is drawn there."""
+    if name == "quarter turn":
+        return np.array([box[1], before.shape[1] - box[0], *box[2:4], box[4] - np.pi / 2]), 1.0
+    if name == "mirror":
+        return np.array([before.shape[1] - box[0], *box[1:4], np.pi - box[4]]), 1.0
+    factor = np.array([after.shape[1] / before.shape[1], after.shape[0] / before.shape[0]])
+    grown = float(np.sqrt(factor.prod()))
+    return np.array([*(box[:2] * factor), *(box[2:4] * grown), box[4]]), grown
+
+
+def changes(measurer: Measurer, detector: Detector | None, scenes: list[Scene], most: int) -> str:
+    larger = {f"proposed {factor} times": np.array([1, 1, factor, factor, 1]) for factor in PROPOSED}
+    told: dict[str, list[np.ndarray]] = {name: [] for name in (*CHANGES, *larger)}
+    boxes: dict[str, list[np.ndarray]] = {name: [] for name in told}
+    count = 0
+    for scene in scenes:
+        for pixels, box in windows(scene, most):
+            first = measurer.in_pixels(pixels, Boxes(box[None], np.ones(1)))
+            if not trusted(first, 0.08)[0]:
+                continue
+            count += 1
+            seen = detected(detector, pixels, box) if detector else None
+            for name, factor in larger.items():
+                again = measurer.in_pixels(pixels, Boxes((box * factor)[None], np.ones(1)))
+                told[name].append(np.log(again.boxes.xylwa[0, 2:4] / first.boxes.xylwa[0, 2:4]))
+            for name, change in CHANGES.items():
+                after = change(pixels)
+                there, grown = _moved(name, pixels, after, box)
+                again = measurer.in_pixels(after, Boxes(there[None], np.ones(1)))
+                told[name].append(np.log(again.boxes.xylwa[0, 2:4] / grown / first.boxes.xylwa[0, 2:4]))
+                if detector and seen is not None and (other := detected(detector, after, there)) is not None:
+                    boxes[name].append(np.log(other[2:4] / grown / seen[2:4]))
+    lines = [f"{count} vehicles of {', '.join(s.name for s in scenes)}: median change, spread [%]"]
+    lines.append(f"{'':24s}{'measurer: length':>20s}{'width':>16s}{'detector: length':>22s}{'width':>16s}")
+    for name in told:
+        parts = []
+        for values in (told[name], boxes[name]):
+            if values:
+                m, s = middle(np.array(values))
+                parts += [f"{100 * m[j]:+8.2f} {100 * s[j]:5.2f}" for j in (0, 1)]
+        lines.append(f"{name:24s}" + "  ".join(f"{p:>16s}" for p in parts))
+    return "\n".join(lines)
+
+
+def hand(measurer: Measurer, detector: Detector, data: Path, file: Path) -> str:
+    lines = ["log ratio to what was read [%]: median, spread; the median's own uncertainty is about spread / sqrt(n)"]
+    lines.append(
+        f"{'':12s}   n found trusted | {'measurer: length':>18s} {'width':>16s} | {'detector: length':>18s} width"
+    )
+    for scene in measured_scenes(data, file):
+        rows = []
+        for p in scene.pictures:
+            for read in p.vehicles:
+                read = np.array([*read[:3], read[3] * WIDTH_HABIT, read[4]])
+                pixels, box = _window(p, read, 2.2)
+                seen = detected(detector, pixels, box)
+                start = box if seen is None else seen
+                told = measurer.in_pixels(pixels, Boxes(start[None], np.ones(1)))
+                rows.append([
+                    *np.log(told.boxes.xylwa[0, 2:4] / box[2:4]), *np.log(start[2:4] / box[2:4]),
+                    seen is not None, trusted(told)[0], *(told.size_sigma[0] / box[2:4]),
+                ])  # fmt: skip
+        t = np.array(rows, float)
+        ok = t[:, 5] > 0
+        found = t[:, 4] > 0
+        if ok.sum() < 3:
+            continue
+        m, s = middle(t[ok, :2])
+        dm, ds = middle(t[found, 2:4])
+        lines.append(
+            f"{scene.name:12s} {len(t):3d} {found.sum():4d} {ok.sum():5d}   | {100 * m[0]:+8.2f} {100 * s[0]:6.2f}    "
+            f"{100 * m[1]:+8.2f} {100 * s[1]:6.2f} | {100 * dm[0]:+8.2f} {100 * ds[0]:6.2f}   "
+            f"{100 * dm[1]:+8.2f} {100 * ds[1]:6.2f}"
+        )
+    return "\n".join(lines)
+
+
+def places(measurer: Measurer, detector: Detector, known: list[tuple[Scene, float, str]], most: int) -> str:
+    """Medians in metres, and the scale error that they imply: log(fleet's mean / median), 0 where they agree."""
+    lines = ["median length x width [m]; implied error of the scale by length, by width [%], if the fleet is right"]
+    lines.append(f"{'':20s}   n trusted | detector's boxes{'':12s}| measurer{'':20s}| fleet")
+    margin = np.array(detector.card.ruler.margin)
+    for scene, gsd, code in known:
+        fleet = load_fleet(code).mean[:2]
+        boxes, told, ok = [], [], []
+        for pixels, box in windows(scene, most):
+            measured = measurer.in_pixels(pixels, Boxes(box[None], np.ones(1)))
+            boxes.append((box[2:4] - margin * fleet[0] / gsd / detector.card.best_length) * gsd)
+            told.append(measured.boxes.xylwa[0, 2:4] * gsd)
+            ok.append(trusted(measured)[0])
+        ok = np.array(ok)
+        b, t = (np.median(np.array(v)[ok], axis=0) for v in (boxes, told))
+        eb, et = 100 * np.log(b / fleet), 100 * np.log(t / fleet)
+        lines.append(
+            f"{scene.name:20s} {len(ok):3d} {ok.sum():5d}   | {b[0]:.2f} x {b[1]:.2f}  {eb[0]:+5.1f} {eb[1]:+5.1f}   | "
+            f"{t[0]:.2f} x {t[1]:.2f}  {et[0]:+5.1f} {et[1]:+5.1f}   | {code} {fleet[0]:.2f} x {fleet[1]:.2f}"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--measurer", type=Path, required=True)
+    parser.add_argument("--detector", type=Path, default=SHIPPED, help="(%(default)s)")
+    commands = parser.add_subparsers(dest="command", required=True)
+    a = commands.add_parser("rendered")
+    a.add_argument("bank", type=Path)
+    a.add_argument("--count", type=int, default=600)
+    a.add_argument("--seed", type=int, default=0)
+    s = commands.add_parser("shadows")
+    s.add_argument("--scenes", type=int, default=5)
+    s.add_argument("--seed", type=int, default=0)
+    b = commands.add_parser("changes")
+    b.add_argument("--found", action="append", required=True, metavar="NAME=PICTURES:BOXES.json")
+    b.add_argument("--alone", action="store_true", help="the measurer without the detector")
+    c = commands.add_parser("hand")
+    c.add_argument("--data", type=Path, required=True)
+    c.add_argument("--of", type=Path, default=BY_HAND, help="what was read (%(default)s)")
+    d = commands.add_parser("places")
+    d.add_argument("--known", action="append", required=True, metavar="NAME=PICTURES:BOXES.json:GSD:FLEET")
+    for command in (b, d):
+        command.add_argument("--most", type=int, default=30, help="vehicles of each scene (%(default)s)")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    measurer = Measurer(options.measurer)
+    if options.command == "rendered":
+        print(rendered(measurer, options.bank, options.count, options.seed))
+        return
+    if options.command == "shadows":
+        print(shadows(measurer, options.scenes, options.seed))
+        return
+    detector = Detector(options.detector, threads=1)
+    if options.command == "changes":
+        scenes = [reference_scene(text) for text in options.found]
+        print(changes(measurer, None if options.alone else detector, scenes, options.most))
+    elif options.command == "hand":
+        print(hand(measurer, detector, options.data, options.of))
+    else:
+        known = []
+        for text in options.known:
+            scene, gsd, fleet = text.rsplit(":", 2)
+            known.append((reference_scene(scene), float(gsd), fleet))
+        print(places(measurer, detector, known, options.most))
+
+
+if __name__ == "__main__":
+    main()

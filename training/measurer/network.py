@@ -1,0 +1,169 @@
+"""The measurer's network, and the likelihood that it learns by.
+
+Residual stages shrink the crop to 1/16 and a feature pyramid brings it back to 1/2. Each edge is a distribution over
+positions along its axis: features, gathered across the axis with a learnt weight, give one logit a position, and the
+distribution's mean is the edge (soft argmax), finer than a pixel. How uncertain it is follows from the crop as a whole
+and from the distribution's own width.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from orthoscale.detect.measurer import HEIGHT, KINDS, WIDTH
+from training.network import Residual, conv, enlarge, stage
+
+FEATURES = 24  # of the map at half the crop's size
+GATHERED = 3  # weightings by which features are gathered across an axis, the plain mean being one more
+SMALLEST_SIGMA = 0.05  # [crop px]
+DEGREES_OF_FREEDOM = 4.0  # of Student's t, so that a few gross errors do not rule
+# A Student's t of 4 degrees of freedom has 0.74 of its scale as the median size of an error, a normal one 0.674 of its
+# standard deviation: one standard deviation as users take it is 1.1 of the scale.
+SIGMA_PER_SCALE = 1.1
+TURN_SCALE = 0.1  # [rad] of the turn's output
+
+
+class Profile(nn.Module):
+    """Features (n, c, positions, across) to logits of both edges (n, 2, positions)."""
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self.weight = nn.Conv2d(inputs, GATHERED, 1)
+        gathered = inputs * (GATHERED + 1)
+        self.mix = nn.Sequential(
+            nn.Conv1d(gathered, 48, 5, padding=2), nn.ReLU(True), nn.Conv1d(48, 32, 5, padding=2), nn.ReLU(True),
+            nn.Conv1d(32, 2, 3, padding=1),
+        )  # fmt: skip
+
+    def forward(self, x: Tensor) -> Tensor:
+        weight = torch.softmax(self.weight(x), 3)
+        parts = [x.mean(3)] + [(x * weight[:, k : k + 1]).sum(3) for k in range(GATHERED)]
+        return self.mix(torch.cat(parts, 1))
+
+
+class MeasureNet(nn.Module):
+    """Crops (n, 3, HEIGHT, WIDTH), 0..255, to edges (n, 4), the logarithms of their scales (n, 4) [crop px], the turn
+    (n, 1), its scale's logarithm (n, 1), logits of seen (n, 4) and kind (n, KINDS)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem = nn.Sequential(conv(3, 16, 2), Residual(16, 16))
+        self.stage4 = stage(16, 40, 24, 2)
+        self.stage8 = stage(40, 80, 48, 2)
+        self.stage16 = stage(80, 128, 64, 2)
+        self.lateral16, self.lateral8 = nn.Conv2d(128, 64, 1), nn.Conv2d(80, 64, 1)
+        self.merge8, self.reduce8 = conv(64, 64), nn.Conv2d(64, 40, 1)
+        self.lateral4, self.merge4 = nn.Conv2d(40, 40, 1), conv(40, 40)
+        self.reduce4, self.lateral2 = nn.Conv2d(40, FEATURES, 1), nn.Conv2d(16, FEATURES, 1)
+        self.merge2 = conv(FEATURES, FEATURES)
+        self.along, self.across = Profile(FEATURES), Profile(FEATURES)
+        cells = (HEIGHT // 16) * (WIDTH // 16)
+        self.whole = nn.Sequential(nn.Linear(128 * cells, 64), nn.ReLU(True))
+        self.rest = nn.Linear(64 + 4, 4 + 1 + 1 + 4 + len(KINDS))
+        for name, size in (("x", WIDTH), ("y", HEIGHT)):
+            places = torch.arange(size // 2) * 2.0 + 1.0 - size / 2
+            self.register_buffer(name, places, persistent=False)
+
+    def forward(self, crops: Tensor) -> tuple[Tensor, ...]:
+        # Light, haze and contrast are nothing that an edge's place depends on.
+        mean = crops.mean((1, 2, 3), keepdim=True)
+        sd = ((crops - mean) ** 2).mean((1, 2, 3), keepdim=True).sqrt()
+        s2 = self.stem((crops - mean) / (sd + 4.0))
+        s4 = self.stage4(s2)
+        s8 = self.stage8(s4)
+        s16 = self.stage16(s8)
+        f = self.merge8(self.lateral8(s8) + enlarge(self.lateral16(s16)))
+        f = self.merge4(self.lateral4(s4) + enlarge(self.reduce8(f)))
+        f = self.merge2(self.lateral2(s2) + enlarge(self.reduce4(f)))
+        ends, end_widths = _mean_and_width(self.along(f.transpose(2, 3)).float(), self.x)
+        sides, side_widths = _mean_and_width(self.across(f).float(), self.y)
+        whole = self.whole(s16.flatten(1)).float()
+        widths = torch.cat([end_widths, side_widths], 1).log()
+        rest = self.rest(torch.cat([whole, widths], 1))
+        scale, turn, turn_scale, seen, kind = rest.split([4, 1, 1, 4, len(KINDS)], 1)
+        return torch.cat([ends, sides], 1), scale + widths, TURN_SCALE * turn, turn_scale - 2.5, seen, kind
+
+
+def _mean_and_width(logits: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and standard deviation (n, 2) of distributions over `places` (p,) with the given logits (n, 2, p)."""
+    share = torch.softmax(logits, 2)
+    mean = (share * places).sum(2)
+    variance = (share * (places - mean[..., None]) ** 2).sum(2)
+    return mean, (variance + 0.25).sqrt()
+
+
+class Mirrored(nn.Module):
+    """The network's answers averaged over the crop's four mirrors, ready to be used: edges and sigmas [crop px], turn
+    [rad], seen and kind as shares. Where the mirrors disagree, sigma grows by their spread."""
+
+    def __init__(self, network: MeasureNet) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, crops: Tensor) -> tuple[Tensor, ...]:
+        n = crops.shape[0]
+        both = torch.cat([crops, crops.flip(3)], 0)
+        edges, scale, turn, _, seen, kind = self.network(torch.cat([both, both.flip(2)], 0))
+        sigma = SIGMA_PER_SCALE * scale.exp().clamp(min=SMALLEST_SIGMA)
+        views = []
+        for k, (x, y) in enumerate([(False, False), (True, False), (False, True), (True, True)]):
+            order = [1, 0] * x + [0, 1] * (not x) + [3, 2] * y + [2, 3] * (not y)
+            sign = torch.tensor([-1.0 if x else 1.0] * 2 + [-1.0 if y else 1.0] * 2)
+            part = slice(k * n, (k + 1) * n)
+            views.append(
+                (edges[part][:, order] * sign, sigma[part][:, order], turn[part][:, 0] * (1.0 if x == y else -1.0),
+                 torch.sigmoid(seen[part][:, order]), torch.softmax(kind[part], 1))
+            )  # fmt: skip
+        edges, sigma, turn, seen, kind = (torch.stack(each) for each in zip(*views, strict=True))
+        spread = ((edges - edges.mean(0)) ** 2).mean(0)
+        return edges.mean(0), (sigma.mean(0) ** 2 + spread).sqrt(), turn.mean(0), seen.mean(0), kind.mean(0)
+
+
+class Habits(nn.Module):
+    """What the labels of each real scene have of their own, learnt beside the network and thrown away: by how much
+    vehicles are longer and wider than their boxes [px of the picture], and how far edges stray [px]."""
+
+    def __init__(self, scenes: int) -> None:
+        super().__init__()
+        self.margin = nn.Parameter(torch.zeros(scenes, 2))
+        self.stray = nn.Parameter(torch.full((scenes, 2), 0.3))  # logarithm
+
+    def forward(self, scene: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
+        """Outward shift and stray of edges (n, 4) [crop px] of examples of `scene` (n,), none where it is negative."""
+        real = (scene >= 0).float()[:, None] * step[:, None]
+        margin, stray = (p[scene.clamp(min=0)].repeat_interleave(2, 1) for p in (self.margin / 2, self.stray.exp()))
+        return margin * real * torch.tensor([-1.0, 1.0, -1.0, 1.0]), stray * real
+
+
+def loss(outputs: tuple[Tensor, ...], habits: Habits, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Parts by name; their sum is the loss. Edges and turn: negative logarithms of Student's t of the stated scale,
+    an edge that is not seen counts a fifth; seen and kind: cross entropy."""
+    edges, scale, turn, turn_scale, seen, kind = outputs
+    vehicle = (batch["kind"] != KINDS.index("none")).float()
+    outward, stray = habits(batch["scene"], batch["step"])
+    error = edges - (batch["edges"] + outward)
+    scale = torch.sqrt(scale.exp().clamp(min=SMALLEST_SIGMA) ** 2 + stray**2)
+    inside = (batch["edges"].abs() < torch.tensor([WIDTH / 2, WIDTH / 2, HEIGHT / 2, HEIGHT / 2])).float()
+    weight = vehicle[:, None] * inside * (0.2 + 0.8 * batch["seen"])
+    # Real labels' angles stray by a degree or two.
+    turn_scale = torch.sqrt(turn_scale[:, 0].exp() ** 2 + (0.03 * (batch["scene"] >= 0)) ** 2 + 0.003**2)
+    known = batch["kind"] >= 0
+    # A real vehicle's kind is not told, only that it is one.
+    is_none = F.log_softmax(kind, 1)[:, -1]
+    told = F.cross_entropy(kind[known], batch["kind"][known], reduction="sum")
+    some = -torch.log1p(-is_none[~known].exp().clamp(max=1 - 1e-6)).sum()
+    in_sight = F.binary_cross_entropy_with_logits(seen, batch["seen"], reduction="none")
+    vehicles = vehicle.sum().clamp(min=1)
+    return {
+        "edges": (weight * _student(error, scale)).sum() / weight.sum().clamp(min=1),
+        "turn": 0.3 * (vehicle * _student(turn[:, 0] - batch["turn"], turn_scale)).sum() / vehicles,
+        "seen": 0.2 * (vehicle[:, None] * in_sight).mean(),
+        "kind": 0.3 * (told + some) / len(kind),
+    }
+
+
+def _student(error: Tensor, scale: Tensor) -> Tensor:
+    nu = DEGREES_OF_FREEDOM
+    return scale.log() + (nu + 1) / 2 * torch.log1p((error / scale) ** 2 / nu)

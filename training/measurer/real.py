@@ -1,0 +1,107 @@
+r"""Real vehicles, and places without any, cut from labelled pictures with their surroundings.
+
+    python -m training.measurer.real runs/bank --labels ../shared/data/vehicles/labels.json
+
+One file a scene. Boxes are as `training.data` reads them; boxes that were judged to be no vehicle (labels/judged.json)
+and random places clear of all boxes are kept as such.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from orthoscale.detect.measurer import KINDS
+from training.data import JUDGED, LabelledImage, read_labels
+
+SCENES = ("munich", "minsk", "bogota", "warsaw")  # with vehicles; the others' are held out
+EMPTY = ("park", "dunes")
+SMALLEST = 12.0  # vehicles shorter than this are not learnt from [px]
+REACH = 1.6  # of a patch from a vehicle's centre, either way, in its lengths
+GROUND = 6  # random places without a vehicle from each picture, EMPTY_GROUND from those of scenes without any
+EMPTY_GROUND = 25
+GROUND_LENGTHS = (16.0, 90.0)  # of the vehicle that is not there [px]
+NONE, UNKNOWN = KINDS.index("none"), -1
+
+
+@dataclass(frozen=True)
+class Patch:
+    """pixels : (H, W, 3) uint8 RGB. box : (5,) in it. whole : bool, not cut by the picture's edge. kind : NONE or
+    UNKNOWN, some vehicle."""
+
+    pixels: np.ndarray
+    box: np.ndarray
+    whole: bool
+    kind: int
+
+
+def patches(image: LabelledImage, rng: np.random.Generator) -> list[Patch]:
+    """All vehicles of a labelled picture, and places without any."""
+    pixels = cv2.imread(str(image.path), cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise FileNotFoundError(f"{image.path}: not an image that OpenCV can read")
+    pixels = pixels[..., ::-1]
+    wanted = [(box, UNKNOWN) for box in image.vehicles if box[2] > SMALLEST]
+    judged = json.loads(JUDGED.read_text())["images"].get(image.path.name, {})
+    wanted += [(np.array(box), NONE) for box in judged.get("background", []) if box[2] > SMALLEST]
+    for _ in range(GROUND if len(image.boxes) else EMPTY_GROUND):
+        length = image.median_length or np.exp(rng.uniform(*np.log(GROUND_LENGTHS)))
+        length *= rng.uniform(0.7, 1.4)
+        place = rng.uniform(0, 1, 2) * (image.width, image.height)
+        if (np.hypot(*(image.boxes[:, :2] - place).T) > 0.6 * image.boxes[:, 2] + 0.3 * length).all():
+            wanted.append((np.array([*place, length, 0.42 * length, rng.uniform(0, 2 * np.pi)]), NONE))
+    cut = []
+    for box, kind in wanted:
+        reach = REACH * max(box[2], 2 * box[3]) + 4
+        x0, y0 = np.maximum(np.floor(box[:2] - reach), 0).astype(int)
+        x1, y1 = np.minimum(np.ceil(box[:2] + reach), (pixels.shape[1], pixels.shape[0])).astype(int)
+        if min(x1 - x0, y1 - y0) < 8:
+            continue
+        half = (box[2] + box[3]) / 2
+        whole = bool(half < box[0] < image.width - half and half < box[1] < image.height - half)
+        cut.append(Patch(pixels[y0:y1, x0:x1], box - [x0, y0, 0, 0, 0], whole, kind))
+    return cut
+
+
+def save(file: Path, found: list[Patch]) -> None:
+    np.savez(
+        file,
+        pixels=np.concatenate([p.pixels.reshape(-1) for p in found]),
+        shapes=np.array([p.pixels.shape for p in found]),
+        boxes=np.array([p.box for p in found]),
+        whole=np.array([p.whole for p in found]),
+        kind=np.array([p.kind for p in found]),
+    )
+
+
+def load(file: Path) -> list[Patch]:
+    with np.load(file) as stored:
+        shapes = stored["shapes"]
+        parts = np.split(stored["pixels"], np.cumsum(shapes.prod(1))[:-1])
+        rows = zip(parts, shapes, stored["boxes"], stored["whole"], stored["kind"], strict=True)
+        return [Patch(part.reshape(shape), box, bool(whole), int(kind)) for part, shape, box, whole, kind in rows]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path, help="folder")
+    parser.add_argument("--labels", type=Path, action="append", required=True, help="label file; may be repeated")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(16)
+    scenes: dict[str, list[Patch]] = {}
+    for image in (i for file in options.labels for i in read_labels(file)):
+        if image.scene in SCENES + EMPTY:
+            scenes.setdefault(image.scene, []).extend(patches(image, rng))
+    for scene, found in scenes.items():
+        save(options.out / f"real_{scene}.npz", found)
+        print(f"{scene}: {sum(p.kind == UNKNOWN for p in found)} vehicles, {sum(p.kind == NONE for p in found)} others")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,183 @@
+r"""Pictures in linear light with exact vehicles, from which the measurer's training crops are cut.
+
+    python -m training.measurer.rendered runs/bank --count 150 --seed 1
+
+A scene is rendered once, finely and without any camera; each crop then gets a camera of its own (`chain`). Half of the
+views lean by up to 25 degrees, so that flanks show; their boxes follow `orthoscale.synthetic.vehicle_boxes`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from orthoscale.detect.measurer import KINDS
+from orthoscale.synthetic import Camera, NormalFleet, Perspective, Pose, Scene, Vehicle, make_scene, vehicle_boxes
+from orthoscale.synthetic.mesh import Mesh
+from orthoscale.synthetic.render import light, ortho_view
+from orthoscale.synthetic.vehicle import GLASS
+from orthoscale.synthetic.view import View
+
+GSD = 0.035  # metres per pixel of the bank
+EXTENT = 46.0  # side of a scene [m]
+SAMPLES = 2  # per pixel, each way
+BRIGHTEST = 1.2  # linear light that 255 stands for
+LEANING = 0.5  # share of the views that are not straight down
+MOST_LEAN = 25.0  # [deg]
+LOW_SUN = 0.35  # share of the scenes whose sun stands at 10 to 30 degrees
+UNPAINTED = (0.2, 0.12)  # share of the rear and the front bumpers of cars
+MORE_PICKUPS = 0.35
+OVERCAST = 0.12  # share of the scenes without cast shadows
+BRIGHT_GLASS = 0.5  # share of the vehicles whose windows are not nearly black
+FOCAL = 6.0  # of leaning views, in picture widths: nearly parallel rays
+FLEET = NormalFleet((4.45, 1.79, 1.58), (0.52, 0.10, 0.18))
+LORRY_HEIGHT = 2.5  # effective height of lorries in leaning views [m], as in `orthoscale.synthetic.labels`
+STRIP = 0.35  # depth of the strip inside an edge that tells whether the edge is seen [m]
+SEEN = 0.6  # share of that strip which must be the vehicle's
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """One picture.
+
+    light : (H, W, 3) uint8, 255 sqrt(linear / BRIGHTEST), red green blue.
+    boxes : (N, 5) centre x, centre y, length, width [px], direction of the front, clockwise on screen [rad].
+    kind : (N,) index into KINDS. seen : (N, 4) bool, rear, front, left, right edge (left of who looks ahead).
+    """
+
+    light: np.ndarray
+    boxes: np.ndarray
+    kind: np.ndarray
+    seen: np.ndarray
+
+    def save(self, file: Path) -> None:
+        partial = file.with_suffix(".partial")
+        with partial.open("wb") as out:
+            np.savez(out, light=self.light, boxes=self.boxes, kind=self.kind, seen=self.seen)
+        partial.replace(file)
+
+    @classmethod
+    def load(cls, file: Path) -> Rendered:
+        with np.load(file) as stored:
+            return cls(*(stored[name] for name in ("light", "boxes", "kind", "seen")))
+
+
+def varied(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
+    """The vehicle with bumpers that stand out more or less, some of them unpainted, and blunter or rounder in plan; of
+    the high ones more are pickups than the fleet has."""
+    if vehicle.shape in ("suv", "van") and vehicle.length > 4.6 and rng.random() < MORE_PICKUPS:
+        vehicle = replace(vehicle, shape="pickup")
+    pickup = vehicle.shape == "pickup"
+    roundest = 1.3 if vehicle.shape in ("van", "pickup") else 1.75
+    plain = [
+        tuple(np.full(3, rng.choice([0.02, 0.06, 0.25, 0.5]))) if rng.random() < share else None
+        for share in ((0.8, 0.4) if pickup else UNPAINTED)
+    ]
+    return replace(
+        vehicle,
+        shoulder=float(rng.uniform(0.05, 0.25 if pickup else 0.2)),
+        corner=float(rng.uniform(0.6, roundest)),
+        bumpers=(plain[0], plain[1]),
+    )
+
+
+def glaze(mesh: Mesh, rng: np.random.Generator) -> None:
+    """Give half of the vehicles of a mesh brighter windows, as the sky in them or the seats behind them make them."""
+    glass = np.isclose(mesh.colour, GLASS).all(1) & (mesh.owner >= 0)
+    for vehicle in np.unique(mesh.owner[glass]):
+        if rng.random() < BRIGHT_GLASS:
+            tint = np.array([0.9, 1.0, 1.05]) * rng.uniform(0.9, 1.1, 3)
+            mesh.colour[glass & (mesh.owner == vehicle)] = np.exp(rng.uniform(np.log(0.02), np.log(0.3))) * tint
+
+
+def random_view(scene: Scene, rng: np.random.Generator) -> View:
+    """Straight down, or leaning, at GSD metres per pixel."""
+    if rng.random() > LEANING:
+        return ortho_view(scene, GSD)
+    size = round(scene.extent_m / GSD)
+    lean, yaw = np.deg2rad(MOST_LEAN * np.sqrt(rng.random())), rng.uniform(0, 2 * np.pi)
+    slant = GSD * FOCAL * size
+    centre = slant * np.array([-np.sin(lean) * np.cos(yaw), -np.sin(lean) * np.sin(yaw), np.cos(lean)])
+    return Perspective(Camera(FOCAL * size, size, size), Pose.looking(centre, yaw, np.pi / 2 - lean))
+
+
+def directed_boxes(vehicles: tuple[Vehicle, ...], view: View, height: float = 0.8) -> np.ndarray:
+    """(N, 5) boxes of `vehicle_boxes` with their angle that of the front."""
+    boxes = vehicle_boxes(vehicles, view, height).xylwa
+    ends = np.array([[[v.x, v.y, 0.4], [v.x + np.cos(v.heading), v.y + np.sin(v.heading), 0.4]] for v in vehicles])
+    ahead = np.diff(view.project(ends.reshape(-1, 2, 3)), axis=1)[:, 0]
+    turned = (np.c_[np.cos(boxes[:, 4]), np.sin(boxes[:, 4])] * ahead).sum(1) < 0
+    return np.c_[boxes[:, :4], boxes[:, 4] + np.pi * turned]
+
+
+def edges_seen(boxes: np.ndarray, owner: np.ndarray, owners: np.ndarray) -> np.ndarray:
+    """(N, 4) bool, see `Rendered.seen`. owner : (H, W) the vehicle that each pixel shows, owners : (N,) the boxes'."""
+    seen = np.zeros((len(boxes), 4), bool)
+    along, depth = np.meshgrid(np.linspace(-0.35, 0.35, 15), np.linspace(0.15, 1, 6) * STRIP / GSD)
+    for k, (x, y, length, width, angle) in enumerate(boxes):
+        for edge, (half, across, way) in enumerate(
+            [(length / 2, width, np.pi), (length / 2, width, 0.0), (width / 2, length, -np.pi / 2),
+             (width / 2, length, np.pi / 2)]
+        ):  # fmt: skip
+            out = np.array([np.cos(angle + way), np.sin(angle + way)])
+            at = np.array([x, y]) + (half - depth)[..., None] * out + (along * across)[..., None] * [-out[1], out[0]]
+            column, row = np.floor(at).astype(int).reshape(-1, 2).T
+            inside = (column >= 0) & (row >= 0) & (column < owner.shape[1]) & (row < owner.shape[0])
+            hit = owner[row.clip(0, owner.shape[0] - 1), column.clip(0, owner.shape[1] - 1)] == owners[k]
+            seen[k, edge] = (hit & inside).mean() > SEEN
+    return seen
+
+
+def rendered(seed: int, overcast: bool | None = None) -> Rendered:
+    """One scene; equal seeds give equal ones. overcast : without cast shadows, or with them; None: by chance."""
+    rng = np.random.default_rng([seed, 16])
+    style = str(rng.choice(["carpark", "city", "suburb", "village", "industrial"], p=[0.35, 0.2, 0.2, 0.1, 0.15]))
+    scene = make_scene(int(rng.integers(1 << 40)), FLEET, EXTENT, int(rng.integers(25, 70)), style)
+    scene = replace(scene, vehicles=tuple(varied(v, rng) for v in scene.vehicles))
+    if rng.random() < LOW_SUN:
+        azimuth, height = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(10, 30))
+        sun = np.array([np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)])
+        # What stands upright and the camera's exposure make up for the little light that level ground gets.
+        scene = replace(scene, sun=sun, sunlight=scene.sunlight * 1.5, skylight=scene.skylight * rng.uniform(0.6, 1.1))
+    by_chance = rng.random() < OVERCAST
+    if by_chance if overcast is None else overcast:
+        scene = replace(scene, sunlight=scene.sunlight * 0.05, skylight=scene.skylight * 2.4)
+    glaze(scene.mesh, rng)
+    view = random_view(scene, rng)
+    linear, owner = light(scene, view.enlarged(SAMPLES))
+    linear = cv2.resize(linear, (view.width, view.height), interpolation=cv2.INTER_AREA)
+    owner = owner[1::SAMPLES, 1::SAMPLES]
+    boxes, kinds = np.empty((0, 5)), []
+    if scene.vehicles:
+        boxes = directed_boxes(scene.vehicles, view)
+        kinds = [KINDS.index(v.shape) if v.shape in KINDS else 0 for v in scene.vehicles]
+    seen = edges_seen(boxes, owner, np.arange(len(boxes)))
+    lorries = tuple(Vehicle(x, y, a, length, width, 3.0) for x, y, length, width, a in scene.lorries)
+    if lorries:
+        boxes = np.r_[boxes, directed_boxes(lorries, view, LORRY_HEIGHT)]
+        kinds += [KINDS.index("larger")] * len(lorries)
+        seen = np.r_[seen, np.ones((len(lorries), 4), bool)]
+    near = ((boxes[:, :2] > 0) & (boxes[:, :2] < (view.width, view.height))).all(1)
+    coded = (255 * np.sqrt(np.clip(linear / BRIGHTEST, 0, 1)) + rng.random(linear.shape)).clip(0, 255).astype(np.uint8)
+    return Rendered(coded, boxes[near], np.array(kinds, int)[near], seen[near])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path, help="folder; scenes that it has already are left as they are")
+    parser.add_argument("--count", type=int, default=150)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    for number in range(options.count):
+        file = options.out / f"scene_{options.seed:03d}_{number:04d}.npz"
+        if not file.exists():
+            rendered(1000 * options.seed + number).save(file)
+
+
+if __name__ == "__main__":
+    main()
