@@ -1,9 +1,9 @@
 """The whole program on every real scene of known scale, with three fleets: ``python benchmarks/places.py [BOXES]``.
 
 The scenes are read from ``../shared/data`` or ``ORTHOSCALE_DATA``. With the folder BOXES, the detector runs once on
-each and its boxes are kept there. ``places/``, `boruszyn` and `weedon` had no part in anything that was fitted or chosen
-up to detector version 5; the other four had (README). Coverage comes with its own 90 % interval (Clopper and Pearson
-1934).
+each and its boxes are kept there. ``places/``, `boruszyn` and `weedon` had no part in anything that was fitted or
+chosen up to detector version 5; the other four had (README). Coverage comes with its own 90 % interval
+(Clopper and Pearson 1934).
 """
 
 from __future__ import annotations

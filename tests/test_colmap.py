@@ -286,7 +286,9 @@ def test_missing_frames(plain, model_bin, tmp_path):
     assert "1 of 12 frames" in source.notes[0] and "03.png" in source.notes[0]
 
 
-@pytest.mark.parametrize(("size", "hint"), [((480, 640), "rotated"), ((320, 240), "resized"), ((500, 480), "very")])
+@pytest.mark.parametrize(
+    ("size", "hint"), [((480, 640), "rotated"), ((320, 240), "resized"), ((500, 480), "that COLMAP read")]
+)
 def test_frames_of_another_size(plain, model_bin, tmp_path, size, hint):
     put_frames(plain, tmp_path / "images", size)
     with pytest.raises(InputError, match=hint):

@@ -13,11 +13,12 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections, Tile
 from orthoscale.core.measuring.measure import measure
 from orthoscale.core.measuring.method import Method
+from orthoscale.core.measuring.plan import PlanGeometry
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect import foreign
 from orthoscale.detect.cache import TileCache
 from orthoscale.detect.classes import is_vehicle, vehicle_numbers
-from orthoscale.detect.detector import MOST, Detector
+from orthoscale.detect.detector import MOST_BOXES, Detector
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks, look_twice
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
@@ -376,7 +377,7 @@ def test_a_court_in_two_tiles_counts_once_and_becomes_evidence():
     ruler = Ruler(margin=(0, 0))
     detections = Detections(found.boxes, 1.0, ruler, (0.7, 0.5), "test", objects=found.objects)
     source = type("Ortho", (), {"picture_names": ["court.png"], "unit": "m/px"})()
-    scale = measure(source, detections, load_fleet("DE"), Method(standards=standards())).scale
+    scale = measure(PlanGeometry.of(source, detections), load_fleet("DE"), Method(standards=standards())).scale
     (evidence,) = [e for e in scale.evidence if e.kind == "tennis-court"]
     assert evidence.value == pytest.approx(0.1, rel=0.002)
 
@@ -488,9 +489,9 @@ def test_more_boxes_than_a_tile_can_hold_are_capped_with_a_word(tmp_path):
     boxes[:, 5] = np.linspace(0.6, 0.9, 30_000)
     dets = {"dets": boxes[None, :, :6], "labels": np.full((1, 30_000), 4)}
     detector, cars = found(network(tmp_path / "a.onnx", dets))
-    assert len(cars) == MOST and cars.score.min() > 0.79
+    assert len(cars) == MOST_BOXES and cars.score.min() > 0.79
     (note,) = detector.notes
-    assert f"more than {MOST}" in note
+    assert f"over {MOST_BOXES}" in note
 
 
 def test_threads_share_somebodys_network(tmp_path):

@@ -155,7 +155,7 @@ def test_boxes_as_the_papers_authors_keep_them(folders, tmp_path):
 def test_oblique_photos_can_be_left_out(folders):
     done = run(folders / "table" / "photos.csv", *rules(folders, "table"), "--max-pitch", -60, "--json")
     text = json.loads(done.stdout)
-    assert text["photos"] == 2 and "1 photos look flatter than -60 degrees" in text["notes"][0]
+    assert text["photos"] == 2 and "1 photos with a flatter pitch than -60 degrees" in text["notes"][0]
 
 
 def test_a_wrong_pitch_is_towards_the_horizon(folders):

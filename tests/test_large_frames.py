@@ -27,7 +27,7 @@ def smooth():
 def all_large(monkeypatch):
     """Whatever is decoded counts as large."""
     for module in (picture_file, ground_picture):
-        monkeypatch.setattr(module, "LARGE", 0.0)
+        monkeypatch.setattr(module, "LARGE_SHARE", 0.0)
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
@@ -63,7 +63,7 @@ def test_the_ground_under_a_large_frame(tmp_path, smooth, monkeypatch):
     size = picture.width, picture.height
     whole = picture.read(0, 0, *size, *size)
     monkeypatch.setattr(ground_picture, "ROWS_AT_ONCE", 50)
-    monkeypatch.setattr(ground_picture, "LARGE", 0.0)
+    monkeypatch.setattr(ground_picture, "LARGE_SHARE", 0.0)
     window = (37, 21, 203, 150)
     part = picture.read(*window, 203, 150)
     assert (part == whole[21:171, 37:240]).all()

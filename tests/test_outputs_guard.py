@@ -680,7 +680,7 @@ def test_others_files_in_the_places_of_parts_stay(ortho, name):
 
 @pytest.mark.parametrize("part", ["vehicles.png", "report.html", "report.json"])
 def test_a_model_is_delivered_though_its_report_fails(tmp_path, monkeypatch, part):
-    where = {"vehicles.png": "draw", "report.html": "page", "report.json": "document"}[part]
+    where = {"vehicles.png": "draw", "report.html": "page", "report.json": "write_json"}[part]
 
     def fail(*_):
         raise ValueError("no such colour")

@@ -714,7 +714,7 @@ def test_a_tiff_that_lost_where_its_blocks_are_is_damaged(tmp_path, options, whi
     """GDAL shows such blocks as empty, and ends in a segmentation fault when it is asked to copy them."""
     path = make(tmp_path / "a.tif", scene(high=200), height=H, compress="deflate", **options)
     damaged_list(path, which, how)
-    with pytest.raises(InputError, match="is damaged: it|is truncated"):
+    with pytest.raises(InputError, match="is damaged|is truncated"):
         RasterSource.open(path)
 
 

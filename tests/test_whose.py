@@ -9,12 +9,10 @@ from PIL import Image
 from rasterio.transform import from_origin
 from test_photo import write_photo
 
-from orthoscale.actions.whose import fleet_of
+from orthoscale.actions.whose import fleet_at, named_fleet
 from orthoscale.sources.georeference import LOCAL_CRS
 from orthoscale.sources.location import Location, location_in, location_of
 from orthoscale.sources.opening import open_source
-
-IN_MANILA = Location(121.0, 14.6, "its georeferencing")
 
 
 def orthophoto(path, crs, west, north, pixel):
@@ -30,7 +28,7 @@ def orthophoto(path, crs, west, north, pixel):
      ("EPSG:4326", -97.74, 30.27, 1e-6, "US"), ("EPSG:3857", 950_700, 6_004_600, 0.15, "CH")],
 )  # fmt: skip
 def test_georeferencing_names_the_country(tmp_path, crs, west, north, pixel, country):
-    fleet, notes = fleet_of(None, None, location_of(orthophoto(tmp_path / "a.tif", crs, west, north, pixel)))
+    fleet, notes = fleet_at(location_of(orthophoto(tmp_path / "a.tif", crs, west, north, pixel)))
     assert fleet.code == country and "its georeferencing is in" in notes[0] and "--fleet" in notes[0]
 
 
@@ -38,7 +36,7 @@ def test_georeferencing_names_the_country(tmp_path, crs, west, north, pixel, cou
 def test_georeferencing_that_is_not_to_be_believed_names_none(tmp_path, crs, west, north):
     """Not OpenDroneMap's placeholder in Spain's zone, nor local metres."""
     assert location_of(orthophoto(tmp_path / "a.tif", crs, west, north, 0.1)) is None
-    assert fleet_of(None, None, None)[0].code == "WORLD"
+    assert fleet_at(None)[0].code == "WORLD"
 
 
 def test_the_place_of_a_picture_is_its_gps_position(tmp_path):
@@ -47,9 +45,9 @@ def test_the_place_of_a_picture_is_its_gps_position(tmp_path):
     (tmp_path / "c.jpg").write_text("no picture")
     found = location_in([plain, tmp_path / "c.jpg", placed])
     assert (found.longitude, found.latitude) == pytest.approx((139.7, 35.7), abs=1e-4)
-    assert fleet_of(None, None, found)[0].code == "JP" and "b.jpg" in found.told_by
+    assert fleet_at(found)[0].code == "JP" and "b.jpg" in found.told_by
     assert location_in([plain]) is None
-    assert fleet_of(None, None, location_of(open_source(placed)))[0].code == "JP"
+    assert fleet_at(location_of(open_source(placed)))[0].code == "JP"
 
 
 def test_a_reconstruction_lies_where_opensfm_says(tmp_path):
@@ -58,11 +56,10 @@ def test_a_reconstruction_lies_where_opensfm_says(tmp_path):
     for text, country in (({"longitude": 24.7, "latitude": 59.4, "altitude": 0}, "EE"), ({"longitude": 400}, None)):
         (tmp_path / "reference_lla.json").write_text(json.dumps(text))
         found = location_of(source)
-        assert (found and fleet_of(None, None, found)[0].code) == country
+        assert (found and fleet_at(found)[0].code) == country
 
 
 def test_a_name_wins_and_the_sea_has_no_country():
-    named, notes = fleet_of("DE", None, IN_MANILA)
-    assert named.code == "DE" and notes == ()
-    at_sea, notes = fleet_of(None, None, Location(-30.0, 30.0, "the GPS position in x.jpg"))
+    assert named_fleet("DE", None).code == "DE" and named_fleet(None, None) is None
+    at_sea, notes = fleet_at(Location(-30.0, 30.0, "the GPS position in x.jpg"))
     assert at_sea.code == "WORLD" and notes == ("the GPS position in x.jpg is in no country: fleet world",)

@@ -35,7 +35,7 @@ from .control import read_control, read_distance
 from .find import find_in
 from .requests import EstimateRequest
 from .result import Result
-from .whose import fleet_of
+from .whose import fleet_at, named_fleet
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -83,9 +83,11 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     started = time.perf_counter()
     log.info("measuring %s", path)
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
+    fleet, why = named_fleet(request.fleet, known), tuple[str, ...]()
     from_file = request.detections is not None
     source = open_source(path, request.images, not from_file) if isinstance(path, (str, Path)) else path
-    fleet, choice_of_fleet = fleet_of(request.fleet, known, None if request.fleet else location_of(source))
+    if fleet is None:
+        fleet, why = fleet_at(location_of(source))
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
     method = Method(request.projection, request.estimator, tuple(given), standards() if request.surroundings else None)
@@ -94,7 +96,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         found = load_detections(Path(request.detections), source, request.vehicle_classes)
     else:
         found, choice = _looked_for(source, request, fleet, progress)
-    found = replace(found, notes=(*choice_of_fleet, *found.notes))
+    found = replace(found, notes=(*why, *found.notes))
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if known is not None:
         found = known.applied(found, Path(str(request.calibration)))

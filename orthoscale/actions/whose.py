@@ -14,16 +14,15 @@ if TYPE_CHECKING:
     from ..sources.location import Location
 
 
-def fleet_of(
-    name: str | Path | None, known: Calibration | None, location: Location | None
-) -> tuple[Fleet, tuple[str, ...]]:
-    """The fleet that was named; else the calibration's own; else that of the country at `location`; else the world's.
-    With it, what the user should know of the choice. Raises UsageError, InputError."""
-    own = local_fleet(known)
-    if name is None and own is not None:
-        return own, ()
-    if name is not None or location is None:
-        return load_fleet(name or "world"), ()
+def named_fleet(name: str | Path | None, known: Calibration | None) -> Fleet | None:
+    """The fleet that was named, else the calibration's own; None without either. Raises UsageError, InputError."""
+    return local_fleet(known) if name is None else load_fleet(name)
+
+
+def fleet_at(location: Location | None) -> tuple[Fleet, tuple[str, ...]]:
+    """The fleet of the country at `location`, else the world's; with what the user should know of the choice."""
+    if location is None:
+        return load_fleet("world"), ()
     code = country_at(location.longitude, location.latitude)
     if code is None:
         return load_fleet("world"), (f"{location.told_by} is in no country: fleet world",)

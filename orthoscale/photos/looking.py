@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..actions.requests import VehicleRequest
-from ..actions.whose import fleet_of
+from ..actions.whose import fleet_at, named_fleet
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..detect.find import Progress
@@ -24,9 +24,10 @@ class Looking(VehicleRequest):
     """How to look for vehicles in photos."""
 
     def ruler_fleet(self, photos: Sequence[Path]) -> tuple[Fleet, tuple[str, ...]]:
-        """The fleet that `photos` are measured by, and what to say of it; see `whose.fleet_of`."""
+        """The fleet that `photos` are measured by, and what to say of it; see `actions.whose`."""
         known = None if self.calibration is None else load_calibration(Path(self.calibration))
-        return fleet_of(self.fleet, known, None if self.fleet else location_in(photos))
+        fleet = named_fleet(self.fleet, known)
+        return fleet_at(location_in(photos)) if fleet is None else (fleet, ())
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import pycolmap
-
 from ..system import stopping
 
-stopping.listen_again()
+with stopping.unheard_by_libraries():
+    import pycolmap
 
 __all__ = ["pycolmap"]

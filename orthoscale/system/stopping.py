@@ -72,12 +72,20 @@ def check() -> None:
         raise KeyboardInterrupt
 
 
-def listen_again() -> None:
-    """Take back handlers that a library set behind Python's back; what Python knows of them is right."""
-    if threading.current_thread() is threading.main_thread():
+@contextmanager
+def unheard_by_libraries() -> Iterator[None]:
+    """A library is imported in the block that sets handlers behind Python's back: signals wait until ours are back."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
         for number in SIGNALS:
-            if (handler := signal.getsignal(number)) is not None:
+            if (handler := signal.getsignal(number)) is not None:  # what Python knows of it is right
                 signal.signal(number, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _handle(handler: Any) -> dict[signal.Signals, Any]:
