@@ -11,7 +11,10 @@ def main() -> None:
     """The command line."""
     from .cli import main as command_line
 
-    command_line()
+    try:
+        command_line()
+    finally:
+        stopping.over()
 
 
 if __name__ == "__main__":

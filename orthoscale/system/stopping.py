@@ -72,6 +72,12 @@ def check() -> None:
         raise KeyboardInterrupt
 
 
+def over() -> None:
+    """What is done is done: from here on a signal does not end the process otherwise than it ends."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+
+
 @contextmanager
 def unheard_by_libraries() -> Iterator[None]:
     """A library is imported in the block that sets handlers behind Python's back: signals wait until ours are back."""
