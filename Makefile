@@ -3,8 +3,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 
-# Processes that share the tests, a module at a time; 0 runs them in this one, `make test JOBS=auto` on every core.
-JOBS ?= 0
+# Processes that share the tests, a module at a time: one for each core; `make test JOBS=0` runs them in this one.
+JOBS ?= auto
 PYTEST := $(BIN)/python -m pytest -rs -n $(JOBS) --dist loadscope
 
 .PHONY: coverage demo test fast fuzz lint types wheel

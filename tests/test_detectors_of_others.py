@@ -376,7 +376,11 @@ def test_a_court_in_two_tiles_counts_once_and_becomes_evidence():
     assert box == pytest.approx([900, 300, 237.7, 109.7, 0.2])
     ruler = Ruler(margin=(0, 0))
     detections = Detections(found.boxes, 1.0, ruler, (0.7, 0.5), "test", objects=found.objects)
-    source = type("Ortho", (), {"name": "court.png", "width": 2000, "height": 1000, "picture_names": ["court.png"], "unit": "m/px"})()
+    source = type(
+        "Ortho",
+        (),
+        {"name": "court.png", "width": 2000, "height": 1000, "picture_names": ["court.png"], "unit": "m/px"},
+    )()
     scale = measure(PlanGeometry.of(source, detections), load_fleet("DE"), Method(standards=standards())).scale
     (evidence,) = [e for e in scale.evidence if e.kind == "tennis-court"]
     assert evidence.value == pytest.approx(0.1, rel=0.002)

@@ -192,7 +192,9 @@ class _Run:
 
 def _delivered(run: _Run) -> bool:
     """Whether there is an output: also where a report or a picture beside it failed, which is said."""
-    return run.code == 0 or (run.code == 6 and "is written and verified, but" in run.err)
+    return run.code == 0 or (
+        run.code == 6 and ("is written and verified, but" in run.err or "already written" in run.err)
+    )
 
 
 def _crashed(run: _Run, attempt: Attempt) -> bool:
