@@ -191,7 +191,8 @@ class _Run:
 
 
 def _delivered(run: _Run) -> bool:
-    """Whether there is an output: also where a report or a picture beside it failed, which is said."""
+    """Whether there is an output: also where a report or a picture beside it failed, or a signal came after it was in
+    its place, which are said."""
     return run.code == 0 or (
         run.code == 6 and ("is written and verified, but" in run.err or "already written" in run.err)
     )
