@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from orthoscale.core.boxes import Boxes
-from orthoscale.detect.measurer import HEIGHT, WIDTH, Measurer, crop, pixels_per_crop_pixel, placed
+from orthoscale.detect.measurer import CROP_HEIGHT, CROP_WIDTH, Measurer, crop, pixels_per_crop_pixel, placed
 
 DARK = 60  # ground of drawn pictures; filters undershoot, and must not be cut off at black
 FINE = 8  # samples per pixel that drawn pictures are averaged from
@@ -111,7 +111,7 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Measurer:
     with torch.no_grad():  # an untrained network answers the same to everything
         for parameter in net.parameters():
             parameter.mul_(1.5)
-    net(torch.rand(16, 3, HEIGHT, WIDTH) * 255)
+    net(torch.rand(16, 3, CROP_HEIGHT, CROP_WIDTH) * 255)
     from training.measurer.export import write
 
     return Measurer(write(net, tmp_path_factory.mktemp("measurer") / "m.onnx"))

@@ -446,7 +446,15 @@ def test_what_only_looks_like_left_over_is_left_alone(tmp_path, kind):
 # Signals
 
 
-def test_a_signal_waits_while_files_change_places_and_is_not_forgotten():
+@pytest.fixture
+def ctrl_c_is_heard():
+    """A shell's background job, as this process may be, ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_a_signal_waits_while_files_change_places_and_is_not_forgotten(ctrl_c_is_heard):
     with pytest.raises(KeyboardInterrupt), stopping.listening():
         with stopping.held():
             os.kill(os.getpid(), signal.SIGTERM)

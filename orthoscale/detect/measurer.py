@@ -1,8 +1,8 @@
 """The measurer: a second network that looks at each found vehicle once more and says where its four edges are.
 
-It sees a crop along the vehicle's axis, `REACH` times as long as its box and half as wide, at `WIDTH` x `HEIGHT` px
+It sees a crop along the vehicle's axis, `CROP_LENGTHS` times as long as its box and half as wide, at `CROP_WIDTH` x `CROP_HEIGHT` px
 whatever the picture's resolution. The exported network averages over the crop's mirrors, so that it does not matter
-which way a vehicle points or in which hand a picture is; each of `LOOKS` looks is cut along what the last one found, so
+which way a vehicle points or in which hand a picture is; each of `PASSES_EACH` looks is cut along what the last one found, so
 that the answer does not follow the box that was proposed.
 """
 
@@ -21,12 +21,12 @@ from ..core.boxes import Boxes
 if TYPE_CHECKING:
     from ..sources.picture import Picture
 
-WIDTH, HEIGHT = 96, 48  # of the crop that the network sees [px]
-REACH = 1.7  # length of the crop in lengths of the proposed box
+CROP_WIDTH, CROP_HEIGHT = 96, 48  # of the crop that the network sees [px]
+CROP_LENGTHS = 1.7  # length of the crop in lengths of the proposed box
 AROUND = 0.85  # of the window that is read, from the box's centre either way, in lengths of the crop
 BATCH = 32  # crops a run
 # Each look leaves a quarter to a half of what the answer had of the proposed box; after four it has nothing.
-LOOKS = 4
+PASSES_EACH = 4
 NO_DATA = (114, 114, 114)  # beyond the picture's edge
 KINDS = ("car", "pickup", "van", "larger", "none")
 
@@ -56,11 +56,11 @@ class Measured:
 
 def pixels_per_crop_pixel(box: np.ndarray) -> float:
     """Picture pixels across one pixel of the crop of a box (5,)."""
-    return REACH * max(box[2], 2 * box[3]) / WIDTH
+    return CROP_LENGTHS * max(box[2], 2 * box[3]) / CROP_WIDTH
 
 
 def crop(picture: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """(HEIGHT, WIDTH, 3) uint8, the picture (H, W, 3) along `box` (5,), whose centre is the crop's.
+    """(CROP_HEIGHT, CROP_WIDTH, 3) uint8, the picture (H, W, 3) along `box` (5,), whose centre is the crop's.
 
     Enlarged by a cubic; reduced by averaging over `n` x `n` samples a pixel, as many as it has picture pixels each way.
     """
@@ -69,15 +69,15 @@ def crop(picture: np.ndarray, box: np.ndarray) -> np.ndarray:
     fine = step / n  # picture pixels per sample
     along = fine * np.array([np.cos(box[4]), np.sin(box[4])])
     linear = np.array([[along[0], -along[1]], [along[1], along[0]]])  # from samples to the picture
-    middle = np.array([n * WIDTH / 2, n * HEIGHT / 2])
+    middle = np.array([n * CROP_WIDTH / 2, n * CROP_HEIGHT / 2])
     # OpenCV puts a pixel's centre at its integer index, boxes half a pixel further.
     shift = box[:2] - linear @ middle + linear @ (0.5, 0.5) - 0.5
     samples = cv2.warpAffine(
-        picture, np.c_[linear, shift], (n * WIDTH, n * HEIGHT),
+        picture, np.c_[linear, shift], (n * CROP_WIDTH, n * CROP_HEIGHT),
         flags=(cv2.INTER_CUBIC if n == 1 else cv2.INTER_LINEAR) | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_CONSTANT, borderValue=NO_DATA,
     )  # fmt: skip
-    return samples if n == 1 else cv2.resize(samples, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+    return samples if n == 1 else cv2.resize(samples, (CROP_WIDTH, CROP_HEIGHT), interpolation=cv2.INTER_AREA)
 
 
 def placed(box: np.ndarray, edges: np.ndarray, turn: float) -> np.ndarray:
@@ -113,11 +113,11 @@ class Measurer:
         ]
         return [np.concatenate(part).astype(float) for part in zip(*parts, strict=True)]
 
-    def __call__(self, picture: Picture, boxes: Boxes, looks: int = LOOKS) -> Measured:
+    def __call__(self, picture: Picture, boxes: Boxes, looks: int = PASSES_EACH) -> Measured:
         """Measure the vehicles that `boxes` propose in a picture, of which a window around each is read."""
         return self._look([_window(picture, box) for box in boxes.xylwa], boxes, looks)
 
-    def in_pixels(self, pixels: np.ndarray, boxes: Boxes, looks: int = LOOKS) -> Measured:
+    def in_pixels(self, pixels: np.ndarray, boxes: Boxes, looks: int = PASSES_EACH) -> Measured:
         """Measure the vehicles that `boxes` propose in pixels (H, W, 3), uint8 RGB."""
         return self._look([(pixels, np.zeros(2))] * len(boxes), boxes, looks)
 
@@ -137,7 +137,7 @@ class Measurer:
 
 def _window(picture: Picture, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The pixels that the looks at `box` (5,) may need, and where their first corner lies."""
-    half = AROUND * WIDTH * pixels_per_crop_pixel(box)
+    half = AROUND * CROP_WIDTH * pixels_per_crop_pixel(box)
     limit = np.array([picture.width, picture.height])
     low = np.clip(np.floor(box[:2] - half), 0, limit - 1).astype(int)
     size = np.clip(np.ceil(box[:2] + half), low + 1, limit).astype(int) - low

@@ -210,10 +210,12 @@ def bins(rng: np.random.Generator) -> Maker:
 
 
 def stacked_containers(_: np.random.Generator) -> Maker:
+    """Containers of any colour, side by side."""
     return container
 
 
 def boats(_: np.random.Generator) -> Maker:
+    """Boats of any size at their moorings."""
     return boat
 
 
@@ -247,6 +249,6 @@ def bushes(rng: np.random.Generator) -> Maker:
     return bush
 
 
-ROWS: tuple[Callable[[np.random.Generator], Maker], ...] = (
+IN_ROWS: tuple[Callable[[np.random.Generator], Maker], ...] = (
     graves, tents, bales, tanks, bins, stacked_containers, boats, outlines, bushes,
 )  # fmt: skip

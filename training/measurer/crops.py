@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoscale.detect.measurer import HEIGHT, WIDTH, crop, pixels_per_crop_pixel
+from orthoscale.detect.measurer import CROP_HEIGHT, CROP_WIDTH, crop, pixels_per_crop_pixel
 
 from . import real
 from .chain import photograph, pyramid
@@ -29,7 +29,7 @@ HELD_OUT = 10  # rendered pictures, for `evaluate`
 class Example:
     """One crop and what is known of it.
 
-    pixels : (HEIGHT, WIDTH, 3) uint8. edges : (4,) -x, +x, -y, +y [crop px from the crop's centre]. turn : of the
+    pixels : (CROP_HEIGHT, CROP_WIDTH, 3) uint8. edges : (4,) -x, +x, -y, +y [crop px from the crop's centre]. turn : of the
     vehicle against the crop [rad]. seen : (4,) bool. kind : index into KINDS, or real.UNKNOWN. scene : index into
     SCENES, or RENDERED. step : crop pixels per pixel of the labelled picture.
     """
@@ -86,7 +86,7 @@ def examples(
         if rng.random() < 0.5:
             cut, edges, turn = cut[::-1], np.array([*edges[:2], -edges[3], -edges[2]]), -turn
             order = order[[0, 1, 3, 2]]
-        inside = np.abs(edges) < [WIDTH / 2, WIDTH / 2, HEIGHT / 2, HEIGHT / 2]
+        inside = np.abs(edges) < [CROP_WIDTH / 2, CROP_WIDTH / 2, CROP_HEIGHT / 2, CROP_HEIGHT / 2]
         step = box[2] / length / pixels_per_crop_pixel(proposed)
         yield Example(np.ascontiguousarray(cut), edges, turn, order & inside, kind, scene, step)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import torch
 
-from orthoscale.detect.measurer import HEIGHT, WIDTH
+from orthoscale.detect.measurer import CROP_HEIGHT, CROP_WIDTH
 
 from .network import MeasureNet, Mirrored
 
@@ -23,7 +23,7 @@ OUTPUTS = ("edges", "sigma", "turn", "seen", "kind")
 def write(network: MeasureNet, out: Path) -> Path:
     """Write the network with its mirrors to `out`; returns it."""
     torch.onnx.export(
-        Mirrored(network).eval(), (torch.zeros(2, 3, HEIGHT, WIDTH),), str(out), input_names=["crops"],
+        Mirrored(network).eval(), (torch.zeros(2, 3, CROP_HEIGHT, CROP_WIDTH),), str(out), input_names=["crops"],
         output_names=list(OUTPUTS), dynamic_axes={name: {0: "n"} for name in ("crops", *OUTPUTS)}, opset_version=17,
         dynamo=False,
     )  # fmt: skip

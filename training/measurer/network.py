@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from orthoscale.detect.measurer import HEIGHT, KINDS, WIDTH
+from orthoscale.detect.measurer import CROP_HEIGHT, CROP_WIDTH, KINDS
 from training.network import Residual, conv, enlarge, stage
 
 FEATURES = 24  # of the map at half the crop's size
@@ -44,7 +44,7 @@ class Profile(nn.Module):
 
 
 class MeasureNet(nn.Module):
-    """Crops (n, 3, HEIGHT, WIDTH), 0..255, to edges (n, 4), the logarithms of their scales (n, 4) [crop px], the turn
+    """Crops (n, 3, CROP_HEIGHT, CROP_WIDTH), 0..255, to edges (n, 4), the logarithms of their scales (n, 4) [crop px], the turn
     (n, 1), its scale's logarithm (n, 1), logits of seen (n, 4) and kind (n, KINDS)."""
 
     def __init__(self) -> None:
@@ -59,10 +59,10 @@ class MeasureNet(nn.Module):
         self.reduce4, self.lateral2 = nn.Conv2d(40, FEATURES, 1), nn.Conv2d(16, FEATURES, 1)
         self.merge2 = conv(FEATURES, FEATURES)
         self.along, self.across = Profile(FEATURES), Profile(FEATURES)
-        cells = (HEIGHT // 16) * (WIDTH // 16)
+        cells = (CROP_HEIGHT // 16) * (CROP_WIDTH // 16)
         self.whole = nn.Sequential(nn.Linear(128 * cells, 64), nn.ReLU(True))
         self.rest = nn.Linear(64 + 4, 4 + 1 + 1 + 4 + len(KINDS))
-        for name, size in (("x", WIDTH), ("y", HEIGHT)):
+        for name, size in (("x", CROP_WIDTH), ("y", CROP_HEIGHT)):
             places = torch.arange(size // 2) * 2.0 + 1.0 - size / 2
             self.register_buffer(name, places, persistent=False)
 
@@ -145,7 +145,9 @@ def loss(outputs: tuple[Tensor, ...], habits: Habits, batch: dict[str, Tensor]) 
     outward, stray = habits(batch["scene"], batch["step"])
     error = edges - (batch["edges"] + outward)
     scale = torch.sqrt(scale.exp().clamp(min=SMALLEST_SIGMA) ** 2 + stray**2)
-    inside = (batch["edges"].abs() < torch.tensor([WIDTH / 2, WIDTH / 2, HEIGHT / 2, HEIGHT / 2])).float()
+    inside = (
+        batch["edges"].abs() < torch.tensor([CROP_WIDTH / 2, CROP_WIDTH / 2, CROP_HEIGHT / 2, CROP_HEIGHT / 2])
+    ).float()
     weight = vehicle[:, None] * inside * (0.2 + 0.8 * batch["seen"])
     # Real labels' angles stray by a degree or two.
     turn_scale = torch.sqrt(turn_scale[:, 0].exp() ** 2 + (0.03 * (batch["scene"] >= 0)) ** 2 + 0.003**2)

@@ -22,7 +22,7 @@ from training.data import JUDGED, LabelledImage, read_labels
 SCENES = ("munich", "minsk", "bogota", "warsaw")  # with vehicles; the others' are held out
 EMPTY = ("park", "dunes")
 SMALLEST = 12.0  # vehicles shorter than this are not learnt from [px]
-REACH = 1.6  # of a patch from a vehicle's centre, either way, in its lengths
+CROP_LENGTHS = 1.6  # of a patch from a vehicle's centre, either way, in its lengths
 GROUND = 6  # random places without a vehicle from each picture, EMPTY_GROUND from those of scenes without any
 EMPTY_GROUND = 25
 GROUND_LENGTHS = (16.0, 90.0)  # of the vehicle that is not there [px]
@@ -57,7 +57,7 @@ def patches(image: LabelledImage, rng: np.random.Generator) -> list[Patch]:
             wanted.append((np.array([*place, length, 0.42 * length, rng.uniform(0, 2 * np.pi)]), NONE))
     cut = []
     for box, kind in wanted:
-        reach = REACH * max(box[2], 2 * box[3]) + 4
+        reach = CROP_LENGTHS * max(box[2], 2 * box[3]) + 4
         x0, y0 = np.maximum(np.floor(box[:2] - reach), 0).astype(int)
         x1, y1 = np.minimum(np.ceil(box[:2] + reach), (pixels.shape[1], pixels.shape[0])).astype(int)
         if min(x1 - x0, y1 - y0) < 8:
