@@ -1,9 +1,9 @@
 """The measurer: a second network that looks at each found vehicle once more and says where its four edges are.
 
-It sees a crop along the vehicle's axis, `CROP_LENGTHS` times as long as its box and half as wide, at `CROP_WIDTH` x `CROP_HEIGHT` px
-whatever the picture's resolution. The exported network averages over the crop's mirrors, so that it does not matter
-which way a vehicle points or in which hand a picture is; each of `PASSES_EACH` looks is cut along what the last one found, so
-that the answer does not follow the box that was proposed.
+It sees a crop along the vehicle's axis, `CROP_LENGTHS` times as long as its box and half as wide, at `CROP_WIDTH` x
+`CROP_HEIGHT` px whatever the picture's resolution. The exported network averages over the crop's mirrors, so that it
+does not matter which way a vehicle points or in which hand a picture is; each of `PASSES_EACH` passes is cut along what
+the last one found, so that the answer does not follow the box that was proposed.
 """
 
 from __future__ import annotations

@@ -469,7 +469,7 @@ class _Plan:
         """Things that are alike, in rows: graves, tents, bales, tanks, bins, containers, boats, painted outlines."""
         rng = self.rng
         self._lay(x, y, 1, pick(rng, [*self.greens, *self.earths, self.concrete, self.asphalt]))
-        self._row_things(pick(rng, list(lookalikes.ROWS))(rng), x, y)
+        self._row_things(pick(rng, list(lookalikes.IN_ROWS))(rng), x, y)
 
     def _marina(self, x: Span, y: Span) -> None:
         """Boats side by side along piers."""

@@ -29,7 +29,8 @@ HELD_OUT = 10  # rendered pictures, for `evaluate`
 class Example:
     """One crop and what is known of it.
 
-    pixels : (CROP_HEIGHT, CROP_WIDTH, 3) uint8. edges : (4,) -x, +x, -y, +y [crop px from the crop's centre]. turn : of the
+    pixels : (CROP_HEIGHT, CROP_WIDTH, 3) uint8.
+    edges : (4,) -x, +x, -y, +y [crop px from the crop's centre]. turn : of the
     vehicle against the crop [rad]. seen : (4,) bool. kind : index into KINDS, or real.UNKNOWN. scene : index into
     SCENES, or RENDERED. step : crop pixels per pixel of the labelled picture.
     """
