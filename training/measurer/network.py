@@ -44,9 +44,8 @@ class Profile(nn.Module):
 
 
 class MeasureNet(nn.Module):
-    """Crops (n, 3, CROP_HEIGHT, CROP_WIDTH), 0..255, to edges (n, 4), the logarithms of their scales (n, 4) [crop px], the
-    turn
-    (n, 1), its scale's logarithm (n, 1), logits of seen (n, 4) and kind (n, KINDS)."""
+    """Crops (n, 3, CROP_HEIGHT, CROP_WIDTH), 0..255, to edges (n, 4), the logarithms of their scales (n, 4) [crop px],
+    the turn (n, 1), its scale's logarithm (n, 1), logits of seen (n, 4) and kind (n, KINDS)."""
 
     def __init__(self) -> None:
         super().__init__()
