@@ -48,7 +48,7 @@ def test_equal_things_do_not_vote_for_a_size_and_neither_do_stragglers_among_the
     rng = np.random.default_rng(3)
     panels, cars = rows(rng, 20, 8, 22.0, 0.02), rows(rng, 10, 2, 55.0, 0.06, at=(0, 900))
     straggler = Boxes(np.array([[5000.0, 5000, 22.3, 9, 0]]), np.ones(1))
-    left = zoom._unlike(Boxes.concatenate([panels, straggler, cars]))
+    left = zoom._unlike(Boxes.concatenate([panels, straggler, cars]), 1.0)
     assert sorted(left.length) == pytest.approx(sorted(cars.length))
 
 

@@ -51,6 +51,7 @@ NEAR_AND_FAR = 4.0  # factor between lengths that may be the same vehicles', in 
 AGREED = (0.3, 0.6)  # share of boxes that two zooms agree on, of mistakes and of vehicles: from none to all of a vote
 LEAST_VOTE = 0.05  # that is left however few are agreed on
 MISTAKE_EVERY = 2e6  # network pixels, in which zooms agree on one by chance, where ground is busy
+WELL_SEEN = 20.0  # [px of the network] below which it says the usual size of whatever it sees: cars look all alike
 VISIBLE = 1.15  # times the least usable length, from which a zoom should confirm what another sees
 KERNEL = 0.12  # width of the vote histogram's kernel in log length, about the spread of a fleet's lengths
 VOTES_AT_ONCE = 8192  # votes that are counted at once
@@ -239,7 +240,7 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
     lower: _Level | None = None
     there: dict[int, Boxes] = {}
     for level in levels:
-        here = {key: _unlike(boxes) for key, boxes in level.boxes().items()}
+        here = {key: _unlike(boxes, level.zoom) for key, boxes in level.boxes().items()}
         confirmed = [_confirmed(boxes, there.get(key)) for key, boxes in here.items()]
         pairs = Boxes.concatenate([boxes for boxes, _ in confirmed])
         if lower:
@@ -271,10 +272,10 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
     return _Votes(length, float(votes[best]), rival_length if rival else None, rival, table, grid, votes)
 
 
-def _unlike(boxes: Boxes) -> Boxes:
-    """`boxes` without those of things too much alike for vehicles, which do not vote; nor do boxes of about their
-    length that are fewer, since they are probably more of the same."""
-    alike = all_alike(boxes)
+def _unlike(boxes: Boxes, zoom: float) -> Boxes:
+    """`boxes` found at `zoom`, without those of things too much alike for vehicles, which do not vote; nor do boxes of
+    about their length that are fewer, since they are probably more of the same."""
+    alike = all_alike(boxes) & (boxes.length * zoom >= WELL_SEEN)
     if not alike.any():
         return boxes
     length = np.log(boxes.length)
