@@ -46,6 +46,16 @@ class Crops(IterableDataset):
         yield from crops(self.images, SCENE_WEIGHTS, self.seed + (worker.id if worker else 0))
 
 
+@torch.no_grad()
+def follow(average: dict[str, torch.Tensor], network: torch.nn.Module, keep: float) -> None:
+    """Move the exponential moving `average` of weights towards those of `network`; `keep` is the share that stays."""
+    for name, value in network.state_dict().items():
+        if value.dtype.is_floating_point:
+            average[name].mul_(keep).add_(value, alpha=1 - keep)
+        else:
+            average[name].copy_(value)
+
+
 def learning_rate(step: int, steps: int, peak: float = PEAK_RATE) -> float:
     return peak * min(1.0, (step + 1) / WARM_UP) * (0.5 * (1 + math.cos(math.pi * step / steps)) + 0.01)
 
@@ -142,12 +152,7 @@ def main() -> None:
         optimiser.step()
         step += 1
         keep = min(0.999, (1 + step) / (10 + step))
-        with torch.no_grad():
-            for name, value in network.state_dict().items():
-                if value.dtype.is_floating_point:
-                    average[name].mul_(keep).add_(value, alpha=1 - keep)
-                else:
-                    average[name].copy_(value)
+        follow(average, network, keep)
         for name, value in parts.items():
             totals[name] = totals.get(name, 0.0) + value.item()
         if step % 100 == 0:

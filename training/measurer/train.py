@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 import torch
 
-from training.train import learning_rate
+from training.train import follow, learning_rate
 
 from .crops import Examples, batch
 from .network import Habits, MeasureNet, loss
@@ -90,12 +90,8 @@ def main() -> None:
         optimiser.step()
         step += 1
         keep = min(0.998, (1 + step) / (10 + step))
+        follow(average, network, keep)
         with torch.no_grad():
-            for name, value in network.state_dict().items():
-                if value.dtype.is_floating_point:
-                    average[name].mul_(keep).add_(value, alpha=1 - keep)
-                else:
-                    average[name].copy_(value)
             vehicle = arrays["kind"] != NONE
             exact = vehicle & (arrays["scene"] < 0)
             error = (outputs[0].float() - arrays["edges"]).abs()[exact]
