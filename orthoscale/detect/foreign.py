@@ -94,6 +94,7 @@ class Worker:
                 raise
             finally:
                 clock.cancel()
+                clock.join()  # until it has ended its thread holds this object, and with it the process
         if "error" in answer:
             if (
                 answer["kind"] == "MemoryError"
