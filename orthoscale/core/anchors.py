@@ -1,0 +1,82 @@
+"""Things of standard size in a picture: what one is, and what it says of the scale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Standard:
+    """A size that a rule sets.
+
+    name : of the rule, for people. metres : of the anchor's reference length. relative_sd : one sigma by which things
+    built to it differ from it. prior : how likely this standard is among those of its kind, before anything is known.
+    countries : ISO codes where it holds, empty for everywhere. source : of the figure.
+    """
+
+    name: str
+    metres: float
+    relative_sd: float
+    source: str
+    prior: float = 1.0
+    countries: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """One thing of standard size that was found in a picture.
+
+    kind : "tennis court" ... picture : its name, empty until the search is over.
+    place : (2,) its middle [px]. lines : (N, 2, 2) the fitted model's lines from end to end [px], to be drawn.
+    pixels : its reference length, one number however the model is turned [px].
+    relative_sd : one sigma of that, from the fit and from how pictures distort; not the standard's own.
+    residual : (M,) how far the measured line points lie from the model, across the lines [px].
+    standards : those that it can be. false : probability that it is none of them at all.
+    count : how many repetitions it rests on (dashes of a lane, bays of a row); 1 for a single thing.
+    Pixel coordinates: x right, y down, (0, 0) is the upper left corner of the upper left pixel.
+    """
+
+    kind: str
+    place: np.ndarray
+    lines: np.ndarray
+    pixels: float
+    relative_sd: float
+    residual: np.ndarray
+    standards: tuple[Standard, ...]
+    false: float
+    count: int = 1
+    picture: str = field(default="", kw_only=True)
+
+    def metres_per_pixel(self) -> np.ndarray:
+        """(S,) what it says of the scale if it is each of its standards."""
+        return np.array([standard.metres / self.pixels for standard in self.standards])
+
+
+class AnchorFinder(Protocol):
+    """Finds one kind of anchor.
+
+    kind : as its anchors'. extent : the largest that one is [m]; windows overlap by so much.
+    finest, coarsest : between which ground sampling distances [m/px] it can work: a finer picture is shrunk to
+    `finest` first, a coarser one than `coarsest` is not searched.
+    """
+
+    @property
+    def kind(self) -> str: ...
+    @property
+    def extent(self) -> float: ...
+    @property
+    def finest(self) -> float: ...
+    @property
+    def coarsest(self) -> float: ...
+
+    def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
+        """The anchors in `image`, RGB uint8 (H, W, 3), of roughly `gsd` m/px with a relative one-sigma of `gsd_sd`
+        (sizes within two sigma are searched). `country` is an ISO code of two letters, empty where it is not known.
+
+        Coordinates are those of `image`. Never raises for a picture, however odd.
+        """
+        ...
