@@ -11,11 +11,11 @@ import click
 
 from ..actions.requests import EstimateRequest
 from ..errors import EvidenceDisagrees, UsageError
+from .many import Many, inputs, run
 from .options import (
     PATH,
     command,
     debug_option,
-    input_argument,
     json_option,
     option,
     options_of,
@@ -28,11 +28,12 @@ from .options import (
 
 @command(
     epilog="\b\nExamples:\n  orthoscale check ortho.tif --fleet DE\n  orthoscale check ortho.tif --fleet US --json\n"
+    "  orthoscale check archive/ --summary claims.csv --jobs 2\n"
     "  orthoscale check ortho.tif --model sparse/0 --images frames/ --fleet US\n\n"
     "\b\nExit codes: 0 agrees, or too close to call; 2 usage, or INPUT claims no scale;\n"
     "3 too little evidence; 4 disagrees by more than three sigma; 5 input unreadable or damaged."
 )
-@input_argument
+@inputs
 @options_of(EstimateRequest)
 @save_option
 @option(
@@ -47,6 +48,7 @@ from .options import (
 @debug_option
 def check(
     path: Path,
+    many: Many | None,
     as_json: bool,
     debug: bool,
     save_detections: Path | None,
@@ -69,6 +71,11 @@ def check(
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
+    if many is not None:
+        for name, value in (("--save-detections", save_detections), ("--model", model)):
+            if value is not None:
+                raise UsageError(f"{name} is for one input, and these are several", f"Remove {name}.")
+        run("check", many, request, as_json, overwrite)
     if model is not None:
         if save_detections is not None:
             raise UsageError("--save-detections keeps the boxes of one input", "Remove it, or remove --model.")
