@@ -57,6 +57,8 @@ COLUMNS = {
 }
 
 Row = dict[str, Any]
+Job = dict[str, Any]
+"""action, input, out (None unless it is `fix`), settings: those of the request."""
 
 
 def run_many(
@@ -76,18 +78,11 @@ def run_many(
     Raises UsageError for what cannot be meant for many inputs.
     """
     request.check_for_many()
-    places: list[Path | None] = [None] * len(inputs)
+    todo = jobs_of(action, inputs, request, out, jobs)
     if out is not None:
-        places = [*outputs_of(inputs, out)]
         _make_folder(out)
-    threads = request.workers or (max(1, cores() // jobs) if request.detections is None else None)
-    settings = _absolute(request.without(("scheduler", "workers")).settings() | ({"workers": threads} if threads else {}))
-    todo = [
-        {"action": action, "input": str(path), "out": place and os.path.abspath(place), "settings": settings}
-        for path, place in zip(inputs, places, strict=True)
-    ]
     rows: list[Row] = [{}] * len(todo)
-    work = _on_cluster(todo, request.scheduler) if request.scheduler is not None else _in_processes(todo, jobs)
+    work = on_cluster(todo, request.scheduler) if request.scheduler is not None else _in_processes(todo, jobs)
     for k, row in work:
         rows[k] = row
         if row["output"] is not None:
@@ -99,12 +94,30 @@ def run_many(
     return rows
 
 
+def jobs_of(
+    action: str, inputs: Sequence[Path], request: EstimateRequest, out: Path | None = None, jobs: int = 1
+) -> list[Job]:
+    """A job for each of `inputs`, as `run_many` takes these; all paths but those of the inputs are absolute."""
+    places = [None] * len(inputs) if out is None else [os.path.abspath(each) for each in outputs_of(inputs, out)]
+    settings = request.without(("scheduler", "workers")).settings()
+    if request.detections is None:
+        settings["workers"] = request.workers or max(1, cores() // jobs)
+    settings = {
+        name: os.path.abspath(value) if isinstance(value, str) and os.path.isfile(value) else value
+        for name, value in settings.items()
+    }
+    return [
+        {"action": action, "input": str(path), "out": place, "settings": settings}
+        for path, place in zip(inputs, places, strict=True)
+    ]
+
+
 def worst(rows: Sequence[Row]) -> int:
     """The exit code of the worst: a bug, then the highest of the others."""
     return max((row["exit_code"] for row in rows), key=lambda code: (code == BUG, code), default=0)
 
 
-def one(job: dict[str, Any]) -> Row:
+def one(job: Job) -> Row:
     """Do one job, and say what became of it; raises nothing but what stops the process."""
     row: Row = {**dict.fromkeys(COLUMNS), "input": job["input"], "exit_code": 0}
     path = Path(os.path.abspath(job["input"]))
@@ -170,24 +183,16 @@ def _make_folder(out: Path) -> None:
     out.mkdir(exist_ok=True)
 
 
-def _absolute(settings: dict[str, Any]) -> dict[str, Any]:
-    """The same for processes that are elsewhere: files by their whole paths."""
-    return {
-        name: os.path.abspath(value) if isinstance(value, str) and os.path.isfile(value) else value
-        for name, value in settings.items()
-    }
-
-
 # --- Who does them ---------------------------------------------------------------------------------------------------
 
 
-def _in_processes(todo: Sequence[dict], jobs: int) -> Iterator[tuple[int, Row]]:
+def _in_processes(todo: Sequence[Job], jobs: int) -> Iterator[tuple[int, Row]]:
     free: SimpleQueue[_Child] = SimpleQueue()
     children = [_Child() for _ in range(min(jobs, len(todo)))]
     for child in children:
         free.put(child)
 
-    def give(job: dict) -> Row:
+    def give(job: Job) -> Row:
         child = free.get()
         try:
             return child.do(job)
@@ -212,7 +217,7 @@ class _Child:
         self._process: subprocess.Popen | None = None
         self._over = False
 
-    def do(self, job: dict) -> Row:
+    def do(self, job: Job) -> Row:
         if self._process is None or self._process.poll() is not None:
             if self._over:
                 return _died(job, "was stopped")
@@ -241,12 +246,16 @@ class _Child:
                 pipe.close()  # type: ignore[union-attr]
 
 
-def _died(job: dict, how: str) -> Row:
+def _died(job: Job, how: str) -> Row:
     error = {"error": f"its process {how}", "hint": "Run it alone; if memory ran out, allow less by --memory."}
     return {**dict.fromkeys(COLUMNS), "input": job["input"], "exit_code": BUG, **error}
 
 
-def _on_cluster(todo: Sequence[dict], address: str) -> Iterator[tuple[int, Row]]:
+def on_cluster(todo: Sequence[Job], address: str) -> Iterator[tuple[int, Row]]:
+    """The jobs `todo` on the Dask cluster at `address`: number and row of each, as soon as it is done.
+
+    Raises UsageError where nobody answers.
+    """
     from distributed import as_completed as as_done
 
     with cluster(address) as client:
@@ -257,7 +266,9 @@ def _on_cluster(todo: Sequence[dict], address: str) -> Iterator[tuple[int, Row]]
                 k = futures[future]
                 # A job of a worker that is lost goes to another one; the cluster gives up only when it kills them all.
                 lost = future.exception()
-                row = future.result() if lost is None else _died(todo[k], f"was lost with the cluster's workers ({lost})")
+                row = (
+                    future.result() if lost is None else _died(todo[k], f"was lost with the cluster's workers ({lost})")
+                )
                 yield k, {**row, "input": todo[k]["input"]}
         finally:
             client.cancel([future for future in futures if not future.done()])

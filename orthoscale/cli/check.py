@@ -11,11 +11,12 @@ import click
 
 from ..actions.requests import EstimateRequest
 from ..errors import EvidenceDisagrees, UsageError
-from .many import Many, inputs, run
+from .many import Many, inputs, rehearse, run
 from .options import (
     PATH,
     command,
     debug_option,
+    dry_run_option,
     json_option,
     option,
     options_of,
@@ -45,11 +46,13 @@ from .options import (
 @option("--model-detections", type=PATH, group="Input", help="Take the boxes in the frames of --model from this file.")
 @overwrite_option
 @json_option()
+@dry_run_option
 @debug_option
 def check(
     path: Path,
     many: Many | None,
     as_json: bool,
+    dry_run: bool,
     debug: bool,
     save_detections: Path | None,
     overwrite: bool,
@@ -75,7 +78,9 @@ def check(
         for name, value in (("--save-detections", save_detections), ("--model", model)):
             if value is not None:
                 raise UsageError(f"{name} is for one input, and these are several", f"Remove {name}.")
-        run("check", many, request, as_json, overwrite)
+        run("check", many, request, as_json, overwrite, dry_run=dry_run)
+    if dry_run:
+        rehearse([path], request)
     if model is not None:
         if save_detections is not None:
             raise UsageError("--save-detections keeps the boxes of one input", "Remove it, or remove --model.")

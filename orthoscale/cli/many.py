@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from ..errors import UsageError
+from ..errors import OrthoscaleError, UsageError
 from .options import PATH, option, progress_bars, say
 
 if TYPE_CHECKING:
@@ -56,19 +56,46 @@ def inputs(function: Callable) -> Callable:
     return decorated
 
 
+def rehearse(paths: Sequence[Path], request: EstimateRequest, outs: Sequence[Path | None] | None = None) -> NoReturn:
+    """Say what would be done with each of `paths`, copies written at `outs`; end with the exit code of the worst."""
+    from ..actions.rehearsal import rehearsal
+
+    codes = []
+    for path, out in zip(paths, outs or [None] * len(paths), strict=True):
+        try:
+            rows = rehearsal(path, request, out)
+            codes.append(0)
+        except OrthoscaleError as error:
+            if len(paths) == 1:
+                raise
+            rows = [("input", str(path)), ("error", f"{error.message} (exit code {error.exit_code})")]
+            codes.append(error.exit_code)
+        say("\n".join(f"{label:10s} {text}" for label, text in rows))
+    sys.exit(max(codes))
+
+
 def run(
-    action: str, many: Many, request: EstimateRequest, as_json: bool, overwrite: bool, out: Path | None = None
-) -> None:
+    action: str,
+    many: Many,
+    request: EstimateRequest,
+    as_json: bool,
+    overwrite: bool,
+    out: Path | None = None,
+    dry_run: bool = False,
+) -> NoReturn:
     """Do `action` for all inputs, print a line for each, write the summary and end with the exit code of the worst.
 
     Raises UsageError, InputError for what makes no sense for all of them, before anything is done.
     """
     from ..actions.batch import run_many, worst
-    from ..actions.inputs import inputs_of
-    from ..report.summary import FORMAT, check_summary, is_summary, write_summary
+    from ..actions.inputs import inputs_of, outputs_of
+    from ..report.summary import SUMMARY_FORMAT, check_summary, is_summary, write_summary
     from ..system.outputs import Outputs
 
     found = inputs_of(many.words)
+    if dry_run:
+        request.check_for_many()
+        rehearse(found, request, None if out is None else outputs_of(found, out))
     with Outputs(overwrite, found) as outputs, progress_bars() as progress:
         if many.summary is not None:
             check_summary(many.summary)
@@ -86,7 +113,7 @@ def run(
         if many.summary is not None:
             write_summary(rows, place, many.summary)
     if as_json:
-        click.echo(json.dumps({"format": FORMAT, "inputs": rows}))
+        click.echo(json.dumps({"format": SUMMARY_FORMAT, "inputs": rows}))
     failed = [row for row in rows if row["exit_code"]]
     if failed:
         say(f"{len(failed)} of {len(rows)} failed:", err=True)

@@ -13,12 +13,13 @@ import click
 
 from ..actions.requests import EstimateRequest, FixRequest
 from ..errors import Incomplete, UsageError
-from .many import Many, inputs, run
+from .many import Many, inputs, rehearse, run
 from .options import (
     EXIT_CODES,
     PATH,
     command,
     debug_option,
+    dry_run_option,
     json_option,
     option,
     options_of,
@@ -42,11 +43,13 @@ if TYPE_CHECKING:
 @save_option
 @overwrite_option
 @json_option()
+@dry_run_option
 @debug_option
 def estimate(
     path: Path,
     many: Many | None,
     as_json: bool,
+    dry_run: bool,
     debug: bool,
     save_detections: Path | None,
     overwrite: bool,
@@ -71,7 +74,9 @@ def estimate(
         )
     if many is not None:
         _refuse_boxes_of_many(save_detections)
-        run("estimate", many, request, as_json, overwrite)
+        run("estimate", many, request, as_json, overwrite, dry_run=dry_run)
+    if dry_run:
+        rehearse([path], request)
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
     with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
@@ -105,12 +110,14 @@ def estimate(
 @option("--out", required=True, type=PATH, group="Output", help="GeoTIFF (orthophoto) or folder (model) to write.")
 @save_option
 @json_option()
+@dry_run_option
 @debug_option
 def fix(
     path: Path,
     many: Many | None,
     out: Path,
     as_json: bool,
+    dry_run: bool,
     debug: bool,
     save_detections: Path | None,
     **options: Any,
@@ -128,7 +135,9 @@ def fix(
     request = FixRequest.of(options)
     if many is not None:
         _refuse_boxes_of_many(save_detections)
-        run("fix", many, request, as_json, request.overwrite, out)
+        run("fix", many, request, as_json, request.overwrite, out, dry_run)
+    if dry_run:
+        rehearse([path], request, [out])
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
     missing = None

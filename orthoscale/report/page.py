@@ -67,7 +67,7 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
 
 @cache
 def template(name: str) -> Template:
-    """The template of the file `name` beside this module; what it is given is escaped, what it is not given an error."""
+    """The template `name` beside this module: what it is given is escaped, and what it misses is an error."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     loader = PackageLoader("orthoscale.report", ".")

@@ -17,14 +17,14 @@ from ..formats.vector import write_layer
 from ..system.outputs import has_header
 from .page import template
 
-FORMAT = "orthoscale summary 1"
-LAYER = "orthoscale"
+SUMMARY_FORMAT = "orthoscale summary 1"
+SUMMARY_LAYER = "orthoscale"
 
 
 def check_summary(path: Path) -> None:
     """Raise UsageError where the ending of `path` is none of a summary."""
-    if path.suffix.lower() not in WRITERS:
-        raise UsageError(f"{path}: a summary ends in {', '.join(WRITERS)}", "Choose one of them.")
+    if path.suffix.lower() not in SUMMARY_WRITERS:
+        raise UsageError(f"{path}: a summary ends in {', '.join(SUMMARY_WRITERS)}", "Choose one of them.")
 
 
 def is_summary(path: Path) -> bool:
@@ -35,7 +35,7 @@ def is_summary(path: Path) -> bool:
 def write_summary(rows: Sequence[Row], path: Path, place: Path) -> None:
     """Write `rows` (`actions.batch.COLUMNS`) to `path`, in the format of its ending; links lead from `place`, where the
     file is to be. Raises OSError."""
-    WRITERS[path.suffix.lower()](rows, path, place)
+    SUMMARY_WRITERS[path.suffix.lower()](rows, path, place)
 
 
 def _write_csv(rows: Sequence[Row], path: Path, place: Path) -> None:
@@ -46,7 +46,7 @@ def _write_csv(rows: Sequence[Row], path: Path, place: Path) -> None:
 
 
 def _write_json(rows: Sequence[Row], path: Path, place: Path) -> None:
-    path.write_text(json.dumps({"format": FORMAT, "inputs": rows}, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps({"format": SUMMARY_FORMAT, "inputs": rows}, indent=1) + "\n", encoding="utf-8")
 
 
 def _write_points(rows: Sequence[Row], path: Path, place: Path) -> None:
@@ -57,7 +57,7 @@ def _write_points(rows: Sequence[Row], path: Path, place: Path) -> None:
         None if row["longitude"] is None else shapely.Point(row["longitude"], row["latitude"])  # x, y
         for row in rows
     ]
-    write_layer(path, LAYER, points, rows, "Point", "EPSG:4326")
+    write_layer(path, SUMMARY_LAYER, points, rows, "Point", "EPSG:4326")
 
 
 def _write_page(rows: Sequence[Row], path: Path, place: Path) -> None:
@@ -85,7 +85,7 @@ def _page_of(row: Mapping[str, Any], place: Path) -> str:
     return quote(os.path.relpath(page, place.absolute().parent)) if page.is_file() else ""
 
 
-WRITERS: dict[str, Callable[[Sequence[Row], Path, Path], None]] = {
+SUMMARY_WRITERS: dict[str, Callable[[Sequence[Row], Path, Path], None]] = {
     ".csv": _write_csv,
     ".json": _write_json,
     ".gpkg": _write_points,
