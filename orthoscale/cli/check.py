@@ -21,6 +21,7 @@ from .options import (
     options_of,
     overwrite_option,
     progress_bars,
+    refuse_idle_overwrite,
     save_option,
     say,
 )
@@ -68,6 +69,7 @@ def check(
     from ..sources.opening import open_source
     from ..system.outputs import Outputs
 
+    refuse_idle_overwrite(overwrite, save_detections)
     request = EstimateRequest.of(options)
     if model is not None:
         if save_detections is not None:

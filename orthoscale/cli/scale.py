@@ -24,6 +24,7 @@ from .options import (
     options_of,
     overwrite_option,
     progress_bars,
+    refuse_idle_overwrite,
     save_option,
     say,
 )
@@ -56,10 +57,7 @@ def estimate(
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
-    if overwrite and save_detections is None:
-        raise UsageError(
-            "--overwrite does nothing here: without --save-detections nothing is written", "Leave --overwrite away."
-        )
+    refuse_idle_overwrite(overwrite, save_detections)
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
     with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
