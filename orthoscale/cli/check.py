@@ -90,16 +90,7 @@ def check(
     result, found = outcome.result, outcome.comparisons
     low, high = result.scale.interval90
     if as_json:
-        report = {
-            "comparisons": [c.document() for c in found],
-            "scale": result.scale.value,
-            "unit": result.scale.unit,
-            "interval90": [low, high],
-            "vehicles_used": result.scale.vehicles_used,
-            "fleet": result.scale.fleet,
-            "remarks": [{"severity": remark.severity, "text": remark.text} for remark in result.remarks],
-        }
-        click.echo(json.dumps(report))
+        click.echo(json.dumps(outcome.to_dict()))
     else:
         click.echo(
             f"vehicles   {result.scale.value:.5g} {result.scale.unit}, 90 % {low:.5g} to {high:.5g}, "

@@ -89,7 +89,7 @@ def photo(
         keep = None if save_detections is None else _keeper(files, save_detections)
         made = survey.surveyed(paths, how, together, progress, keep, **lens)
         outcomes, pooled = made.outcomes, made.together
-        text = tables.document(outcomes, made.fleet, made.found.detector, pooled, made.why)
+        text = made.to_dict()
         for partial in partials:
             tables.write(outcomes, text, partial)
     if as_json:

@@ -98,7 +98,8 @@ def plan_crops(
     at : longitude and latitude of the search area's middle; the whole picture by default. radius : half of its side
     [m]; one window at `at` by default. square : of the photo's shorter side, for networks that want squares.
     stride : by which share of its size each window is shifted, by default CROP_STRIDE. out_px : longer side of the
-    crops, the photo's own by default. Raises UsageError for a place or a footprint that the satellite picture does not hold.
+    crops, the photo's own by default.
+    Raises UsageError for a place or a footprint that the satellite picture does not hold.
     """
     if stride is not None and not 0 < stride <= 1:
         raise UsageError(f"--stride must lie between 0 and 1, not {stride:g}")

@@ -28,7 +28,7 @@ from ..core.pooling.robust import MIN_VEHICLES
 from ..core.projection.exact import BODIES, ground_size
 from ..core.projection.level import level_axes, level_views, up_from_gimbal
 from ..core.projection.view import LOWEST_ELEVATION, Views
-from ..core.scale import PER_PIXEL, Scale
+from ..core.scale import PER_PIXEL, Scale, decimals
 from ..core.votes import Votes
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..formats.reading import files_below
@@ -153,6 +153,10 @@ class Measure:
     def log_normal(cls, value: float, sd: float) -> Measure:
         """A value and its 90 % interval, for one sigma `sd` of its logarithm."""
         return cls(value, value * np.exp(-Z90 * sd), value * np.exp(Z90 * sd))
+
+    def __str__(self) -> str:
+        places = decimals((self.high - self.low) / 2)
+        return f"{self.value:.{places}f} ({self.low:.{places}f} to {self.high:.{places}f})"
 
     def __mul__(self, factor: float) -> Measure:
         return Measure(self.value * factor, self.low * factor, self.high * factor)
