@@ -137,7 +137,8 @@ def _looked_for(
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
         workers = worker_count(effort.workers)
-        found = replace(found, boxes=refined(source.pictures, found.boxes, found.zoom, network, workers, progress))
+        ruler = (found.zoom, found.ruler.noise)
+        found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
     return replace(found, notes=(*found.notes, *network.notes)), choice
 
 

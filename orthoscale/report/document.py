@@ -142,6 +142,7 @@ def document(
                 "place_unit": [float(v) for v in votes.place[k]],
                 "views": int(votes.views[k]),
                 "score": round(float(votes.score[k]), 3),
+                "kind": vehicles["kind"][k],
                 "used": bool(scale.used[k]),
                 "reason": scale.reasons[k],
                 "boxes": [
