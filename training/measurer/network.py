@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from orthoscale.detect.measurer import CROP_HEIGHT, CROP_WIDTH, ANSWERS
+from orthoscale.detect.measurer import ANSWERS, CROP_HEIGHT, CROP_WIDTH
 from training.network import Residual, conv, enlarge, stage
 
 FEATURES = 24  # of the map at half the crop's size
