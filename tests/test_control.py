@@ -120,7 +120,7 @@ def test_every_projection_measures_a_model(projection, off):
 def test_the_papers_estimator_and_what_it_cannot_take(boxes):
     result = orthoscale.estimate(TOWN, fleet="DE", detections=boxes, estimator="iqr")
     assert result.scale.value == pytest.approx(GSD, rel=0.03) and set(result.scale.parts) == {"sampling"}
-    assert "paper's estimator" in result.scale.remarks[0]
+    assert "paper's estimator" in result.scale.remarks[0].text
     for options, why in (
         ({"estimator": "iqr", "known_distance": ["0,0 9,9 1"]}, "for vehicles only"),
         ({"projection": "exact"}, "an orthophoto has none"),

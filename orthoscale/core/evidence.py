@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .pooling.posterior import Z90, Posterior
+from .remarks import REFUSAL, Remark
 
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
@@ -46,7 +47,7 @@ class Combined:
     posterior: Posterior
     parts: dict[str, float]
     conflict: float
-    remarks: list[str]
+    remarks: list[Remark]
     summary: tuple[float, float, float]
 
 
@@ -56,16 +57,17 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
     In a conflict the surest measurement gives the value, and the interval reaches over those of all.
     """
     sources = [("vehicles", vehicles), *((e.says, e.posterior) for e in evidence)]
-    conflict, remarks = 0.0, []
+    conflict, remarks = 0.0, list[Remark]()
     for k, (name, one) in enumerate(sources):
         for other_name, other in sources[k + 1 :]:
             sigmas = abs(one.centre - other.centre) / np.hypot(one.spread, other.spread)
             if sigmas > CONFLICT_LIMIT:
                 conflict = max(conflict, float(sigmas))
-                remarks.append(
+                text = (
                     f"conflict: {name}: {np.exp(one.centre):.5g}, {other_name}: {np.exp(other.centre):.5g}, "
                     f"{sigmas:.1f} sigmas apart"
                 )
+                remarks.append(Remark(REFUSAL, text, "Check the given evidence and the boxes (--save-detections)"))
     if conflict:
         surest = min((p for _, p in sources), key=lambda p: p.spread)
         low = min(p.quantile(0.05) for _, p in sources)

@@ -454,6 +454,21 @@ class Measured(Struct):
     interval90: tuple[Positive, Positive]
 
 
+class ReportRemark(Struct):
+    """`core.remarks.Remark`."""
+
+    severity: Literal["refusal", "caution", "support", "info"]
+    text: Text
+
+
+class ReportJudgement(Struct):
+    """`core.remarks.Judgement`."""
+
+    severity: Literal["refusal", "caution", "support", "info"]
+    what: Text
+    detail: Text
+
+
 class Explained(Struct):
     """What of a report `report.explanation` needs."""
 
@@ -463,7 +478,7 @@ class Explained(Struct):
     vehicles_used: Count
     fleet: Name
     verdict: Name = ""
-    remarks: list[str] = []
+    remarks: list[ReportRemark] = []
 
 
 class ReportInput(Struct):
@@ -529,14 +544,15 @@ class ReportEvidence(Struct):
 class Report(Explained, kw_only=True):
     """A report from which a page is drawn; findings of one kind of source, ``drift`` among them, are left open."""
 
-    format: Literal["orthoscale report 1"]
+    format: Literal["orthoscale report 2"]
     interval90: tuple[Positive, Positive]
     verdict: Name
+    fit: Text
+    judgements: list[ReportJudgement] = []
     vehicles_rejected: dict[str, Count]
     boxes_rejected: dict[str, Count]
     fleet_sizes: ReportFleet
     checks: dict[str, Finite]
-    notes: list[str]
     input: ReportInput
     settings: dict[str, Any]
     pictures: dict[str, tuple[Count, Count]]

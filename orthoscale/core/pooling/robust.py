@@ -113,7 +113,7 @@ def pool(
         widened = posterior.widened(best.tension / CHECK_LIMIT)
         parts["margin"] = float(np.sqrt(parts["margin"] ** 2 + widened.spread**2 - posterior.spread**2))
         posterior = widened
-        remarks.append(remark_on_shape(difference))
+        remarks.append(remark_on_shape(difference, best.tension))
     vehicles = posterior
     used = np.zeros(len(votes), bool)
     used[measurable] = best.inlier
