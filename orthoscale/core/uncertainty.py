@@ -16,7 +16,7 @@ MEANINGS = {
     "conflict": "measurements that contradict each other",
     "known distance": "the known distance itself",
     "ground control": "the control points themselves",
-    "parking pitch": "the width of parking stalls at one place",
+    "parking bay": "the width of parking bays at one place",
 }
 WITHOUT_COUNTRY = ("WORLD", "auto")
 # A country's mean is known about twice as well as the world's (fleet table: 2 to 3 % against 5.6 %).

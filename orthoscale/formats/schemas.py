@@ -112,11 +112,11 @@ class Pipeline(Struct):
 # Detections
 
 
-Spread = Annotated[float, Meta(ge=0, le=10)] | None
+BoxSigma = Annotated[float, Meta(ge=0, le=10)] | None
 
 
 class BoxEntry(Struct):
-    """One oriented box [px, rad]; `spread` as in `core.boxes.Boxes`, null where unknown."""
+    """One oriented box [px, rad]; `sigma` and `kinds` as in `core.boxes.Boxes`, null where unknown."""
 
     cx: Px
     cy: Px
@@ -125,7 +125,8 @@ class BoxEntry(Struct):
     angle: Annotated[float, Meta(ge=-1e3, le=1e3)]
     score: Share = 1.0
     kind: Name = "vehicle"
-    spread: tuple[Spread, Spread] = (None, None)
+    sigma: tuple[BoxSigma, BoxSigma] = (None, None)
+    kinds: tuple[Share, Share, Share, Share] | None = None
 
 
 BoxesByPicture = dict[str, list[BoxEntry]]
@@ -186,7 +187,8 @@ class CocoAnnotation(Struct):
     segmentation: list[list[Px]] | dict[str, Any] | None = None
     bbox: list[Px] | None = None
     score: Share = 1.0
-    spread: tuple[Spread, Spread] = (None, None)
+    sigma: tuple[BoxSigma, BoxSigma] = (None, None)
+    kinds: tuple[Share, Share, Share, Share] | None = None
 
 
 class CocoInfo(Struct):

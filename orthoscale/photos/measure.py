@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.anchors import AnchorVote
 from ..core.boxes import Boxes
 from ..core.detections import Detections
-from ..core.evidence import Evidence
 from ..core.fleet import Fleet
 from ..core.measuring.geometry import Geometry, Observation
 from ..core.measuring.measure import measure as measure_boxes
@@ -268,7 +268,7 @@ class PhotoGeometry:
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
-    ) -> Sequence[Evidence]:
+    ) -> Sequence[AnchorVote]:
         """Photos are not searched for them."""
         return ()
 

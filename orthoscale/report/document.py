@@ -159,6 +159,7 @@ def _vehicles(measured: Measurement, plan: np.ndarray) -> list[dict[str, Any]]:
             "score": round(float(row["score"]), 3),
             "used": bool(row["used"]),
             "reason": scale.reasons[k],
+            "kind": row["kind"],
             "boxes": [
                 {
                     "picture": str(measured.picture[m]),
