@@ -99,7 +99,7 @@ def open_photo(
 ) -> Photo:
     """The photo at `path`. What is told (angles in degrees) goes before what its tags say; nadir where nothing is.
 
-    Raises InputError for what is no photo or has no focal length, UsageError for an impossible pitch.
+    Raises InputError for what is no photo or has no focal length, UsageError for an impossible pitch or a roll alone.
     """
     tags = read_tags(path)
     try:
@@ -113,8 +113,10 @@ def open_photo(
     elif tags.pitch is not None:
         angles = (tags.pitch, tags.roll or 0.0 if roll is None else roll)
         sd, attitude = GIMBAL_SD, f"pitch {tags.pitch:g}, roll {angles[1]:g}, from XMP"
+    elif roll:
+        raise UsageError("a roll says nothing of a photo that looks straight down", "Give its pitch too (--pitch).")
     else:
-        angles, sd, attitude = (-90.0, roll or 0.0), ASSUMED_SD, "nadir, assumed: the photo does not tell its pitch"
+        angles, sd, attitude = (-90.0, 0.0), ASSUMED_SD, "nadir, assumed: the photo does not tell its pitch"
     up = up_from_gimbal(*np.radians(angles))
     return Photo(name or path.name, path, tags, lens, up, float(sd), attitude)
 
