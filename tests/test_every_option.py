@@ -116,7 +116,7 @@ CASES = {
     ("layout", "lot"): (("--lot", "SMALLER"), OTHER),
     ("layout", "lot_pixels"): (("--lot-pixels",), OTHER),
     ("layout", "facilities"): (("--facility", "tennis"), OTHER),
-    ("layout", "avoid"): (("--avoid", "SMALLER"), OTHER),
+    ("layout", "avoid"): (("--avoid", "SMALLER", "--json"), OTHER, (*LAYOUT, "--json")),
     ("layout", "catalogue"): (("--catalogue", "CATALOGUE", "--facility", "shed"), OTHER),
     ("layout", "clearance"): (("--clearance", "6", "--json"), OTHER, (*LAYOUT, "--json")),
     ("layout", "scale_error"): (("--scale-error", "9"), OTHER),
