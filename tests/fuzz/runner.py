@@ -35,6 +35,7 @@ TOLERANCE = 0.02  # of the scale of a damaged input that was accepted
 DONE = frozenset((0, 2, 3, 4, 5, 6))
 NOT_LOADED = ("orthoscale.synthetic", "orthoscale.rio", "orthoscale.__main__")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "GDAL_NUM_THREADS")
+LIBRARIES = ("*** SIG", "*** Aborted", "libpng ", "Corrupt JPEG", "[ WARN:", "[ERROR:", "CPLE_", "TIFFRead")
 PROBLEMS = ("crash", "hang", "memory", "left behind", "input changed", "wrong answer")
 
 
@@ -199,10 +200,10 @@ def _delivered(run: _Run) -> bool:
 
 
 def _crashed(run: _Run, attempt: Attempt) -> bool:
-    """A signal that nobody sent, an exit code that nobody promised, a traceback, or the words of a bug."""
+    """A signal that nobody sent, an exit code that nobody promised, a traceback, or the words of a bug or a library."""
     if run.hung or run.peak >= STOP_AT:
         return False  # stopped from here: it counts as such
-    bad = ["bug in orthoscale", "Fatal Python error", "*** SIG", "*** Aborted"]
+    bad = ["bug in orthoscale", "Fatal Python error", *LIBRARIES]
     if not attempt.kill or "/orthoscale/" in run.err:  # Python itself has a word to say to a signal while it starts
         bad.append("Traceback (most recent call last)")
     # Whether a program that tidied up ends with 128 + number or with the signal is a matter of taste; Python's way is

@@ -168,10 +168,13 @@ def _of_fleet(
     covariances of what else is uncertain about them all."""
     shared = {"fleet": drawing.covariance(fleet.log_mean_covariance) + MIXTURE_SD**2, **known}
     systematic = sum(shared.values(), np.zeros((2, 2)))
+    none = TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {fleet.code}")
     try:
         fits = fit(log_size, noise, fleet.told_apart, systematic, drawing=drawing)
     except np.linalg.LinAlgError as error:  # no vote supports any class: nothing determines the scale
-        raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {fleet.code}") from error
+        raise none from error
+    if fits.weight @ fits.count < 1:
+        raise none
     # How strongly the detector draws to the usual is known no better from more vehicles: it is the margin's kin.
     drawn = np.einsum("v,vij->ij", fits.weight, fits.drawing)
     shared["margin"] = shared["margin"] + drawn
@@ -203,7 +206,8 @@ def _of_fleet(
 def _sampling(fits: Fits, fleet: Fleet) -> np.ndarray:
     """(V, 2, 2) covariance of the scales from the votes alone; never less than PRIOR_VOTES more vehicles of the fleet
     would leave, for the scatter of a few votes is not known from themselves."""
-    least = _fleet_scatter(fleet) * (PRIOR_VOTES / (fits.count + PRIOR_VOTES) / fits.count)[:, None, None]
+    count = np.maximum(fits.count, 1)
+    least = _fleet_scatter(fleet) * (PRIOR_VOTES / (count + PRIOR_VOTES) / count)[:, None, None]
     return fits.covariance + least
 
 
