@@ -54,7 +54,7 @@ def test_a_distance_that_contradicts_the_vehicles_writes_nothing(boxes, tmp_path
 def test_a_court_among_the_boxes_counts_unless_told_otherwise(boxes):
     court = boxes.with_name("court.json")
     seen = orthoscale.estimate(TOWN, fleet="world", detections=court)
-    assert [e.kind for e in seen.scale.evidence] == ["tennis-court"]
+    assert [e.kind for e in seen.scale.evidence] == ["tennis court"]
     assert seen.scale.value == pytest.approx(GSD, rel=0.02)
     blind = orthoscale.estimate(TOWN, fleet="world", detections=court, surroundings=False)
     assert not blind.scale.evidence and blind.scale.relative_sd > 2 * seen.scale.relative_sd
@@ -120,7 +120,7 @@ def test_every_projection_measures_a_model(projection, off):
 def test_the_papers_estimator_and_what_it_cannot_take(boxes):
     result = orthoscale.estimate(TOWN, fleet="DE", detections=boxes, estimator="iqr")
     assert result.scale.value == pytest.approx(GSD, rel=0.03) and set(result.scale.parts) == {"sampling"}
-    assert "paper's estimator" in result.scale.remarks[0]
+    assert "paper's estimator" in result.scale.remarks[0].text
     for options, why in (
         ({"estimator": "iqr", "known_distance": ["0,0 9,9 1"]}, "for vehicles only"),
         ({"projection": "exact"}, "an orthophoto has none"),

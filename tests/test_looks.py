@@ -41,7 +41,7 @@ def test_both_looks_agree_and_are_pooled(flight, found):
     oblique, planar = (measured.modes[name].scale.value for name in ("oblique", "planar"))
     assert planar == pytest.approx(oblique, rel=0.02)
     assert min(oblique, planar) <= measured.scale.value <= max(oblique, planar)
-    assert not measured.agreement.contradicts and "planar gives" in measured.scale.remarks[-1]
+    assert not measured.agreement.contradicts and "planar gives" in measured.scale.remarks[-1].text
     parts = measured.scale.parts
     for name, part in parts.items():
         assert part >= min(s.parts[name] for s in measured.agreement.scales.values()) - 1e-12, "nothing got narrower"
@@ -94,7 +94,7 @@ def test_a_frame_of_another_scale_is_named(flight, found):
     boxes[name] = Boxes(boxes[name].xylwa * [1, 1, 0.8, 0.8, 1], boxes[name].score)
     measured = measure_source(ColmapSource.open(flight[0]), replace(found, boxes=boxes), FLEET, mode="oblique")
     assert [odd for odd, _ in measured.drift.odd] == [name]
-    assert any(name in remark for remark in measured.scale.remarks)
+    assert any(name in remark.text and remark.severity == "caution" for remark in measured.scale.remarks)
 
 
 def test_one_look_answers_where_the_other_has_too_little(flight, found):

@@ -176,7 +176,7 @@ def test_widths_that_contradict_lengths_lower_the_verdict_and_widen_the_interval
     honest = pool(scene(np.random.default_rng(4), fleet, 300, surprise=False), fleet, RULER, "m/px")
     scale = pool(votes, fleet, RULER, "m/px")
     assert scale.relative_sd > 1.5 * honest.relative_sd
-    assert scale.remarks and "lengths give a larger scale than widths" in scale.remarks[0]
+    assert scale.remarks and "lengths give a larger scale than widths" in scale.remarks[0].text
 
 
 @pytest.mark.parametrize("n", [0, 1, 4])

@@ -90,7 +90,12 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         fleet, why = fleet_at(location_of(source))
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
-    method = Method(request.projection, request.estimator, tuple(given), standards() if request.surroundings else None)
+    method = Method(
+        request.projection,
+        request.estimator,
+        evidence=tuple(given),
+        standards=standards() if request.surroundings else None,
+    )
     choice = None
     if request.detections is not None:
         found = load_detections(Path(request.detections), source, request.vehicle_classes)
@@ -137,7 +142,8 @@ def _looked_for(
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
         workers = worker_count(effort.workers)
-        found = replace(found, boxes=refined(source.pictures, found.boxes, found.zoom, network, workers, progress))
+        ruler = (found.zoom, found.ruler.noise)
+        found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
     return replace(found, notes=(*found.notes, *network.notes)), choice
 
 

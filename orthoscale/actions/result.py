@@ -13,6 +13,7 @@ from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
+from ..core.remarks import INFO, REFUSAL, Remark
 from ..core.scale import Scale
 from ..core.source import Source
 from ..core.verdicts import UNUSABLE
@@ -22,7 +23,7 @@ from ..errors import EvidenceDisagrees, TooLittleEvidence
 if TYPE_CHECKING:
     from ..detect.zoom import ZoomChoice
 
-CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
+FORCED = "write anyway with `orthoscale fix --force`."
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,7 +57,8 @@ class Result:
     def _brief(self) -> list[tuple[str, str]]:
         scale = self.scale
         rejected = sum(scale.rejected.values())
-        remarks = f"{len(scale.remarks)}, the first: {scale.remarks[0]}" if scale.remarks else "none"
+        said = [remark.text for remark in scale.remarks]
+        remarks = f"{len(said)}, the first: {said[0]}" if said else "none"
         return [
             *self.answer(),
             ("vehicles", f"{scale.vehicles_used} used, {rejected} rejected"),
@@ -86,17 +88,15 @@ class Result:
             self.method.estimator,
             self.settings,
             self.seconds,
+            self.remarks,
         )
 
     @property
-    def notes(self) -> list[str]:
-        """What was chosen, left aside, or could not be done: in opening the source, finding vehicles and measuring."""
-        return [*self.source.notes, *self.detections.notes, *self.measured.notes]
-
-    @property
-    def remarks(self) -> list[str]:
-        """What a reader should know beside the figures."""
-        return [*self.measured.remarks, *self.notes]
+    def remarks(self) -> list[Remark]:
+        """What a reader should know beside the figures, each with its severity: what the core has to say, then what
+        was chosen, left aside or could not be done in opening the source and finding vehicles."""
+        notes = (*self.source.notes, *self.detections.notes)
+        return [*self.measured.remarks, *(Remark(INFO, note) for note in notes)]
 
     @property
     def scale(self) -> Scale:
@@ -131,20 +131,10 @@ class Result:
     @property
     def disagreement(self) -> EvidenceDisagrees | None:
         """What contradicts what, where something does; raised by `require_useful` and by the command line."""
-        if self.scale.conflict or self.scale.tension > CONFLICT:
-            return EvidenceDisagrees(
-                f"{self.source.path}: {self.scale.remarks[0]}",
-                "Inspect the boxes (--save-detections), check the given evidence, name the country's fleet, or write "
-                "anyway with `orthoscale fix --force`.",
-            )
-        agreement = self.measured.agreement
-        if agreement is not None and agreement.contradicts:
-            return EvidenceDisagrees(
-                f"{self.source.path}: {agreement.sentence()}",
-                "Inspect the boxes (--save-detections) and the poses, choose one mode with --mode, or write "
-                "anyway with `orthoscale fix --force`.",
-            )
-        return None
+        refusal = next((remark for remark in self.scale.remarks if remark.severity == REFUSAL), None)
+        if refusal is None:
+            return None
+        return EvidenceDisagrees(f"{self.source.path}: {refusal.text}", f"{refusal.hint}, or {FORCED}")
 
     def require_useful(self) -> None:
         """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""

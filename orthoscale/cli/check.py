@@ -95,7 +95,7 @@ def check(
             "interval90": [low, high],
             "vehicles_used": result.scale.vehicles_used,
             "fleet": result.scale.fleet,
-            "notes": result.notes,
+            "remarks": [{"severity": remark.severity, "text": remark.text} for remark in result.remarks],
         }
         click.echo(json.dumps(report))
     else:
@@ -108,8 +108,8 @@ def check(
             say(f"           {comparison.sentence()}")
             if not comparison.believed:
                 click.echo("           the claim itself is not tied to the ground; it is compared as if it were metres")
-        for remark in (*result.scale.remarks, *result.notes):
-            say(f"note       {remark}")
+        for remark in result.remarks:
+            say(f"{remark.label:10s} {remark.text}")
     if outcome.disagrees:
         sys.exit(EvidenceDisagrees.exit_code)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from itertools import chain
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 SAME_VEHICLE = 0.5  # share of their joint area from which two boxes are one vehicle's; side by side they share none
 HEAPED = 250  # neighbours of a box, on average, from which no picture of vehicles is meant; packed closely there are 30
 PAIRS = 2**15  # of boxes whose overlap is computed at once, in some 50 MB
+KINDS = ("car", "pickup", "van", "larger")  # of vehicles: what carries people, an open bed, a van or minibus, the rest
 
 
 @dataclass(frozen=True)
@@ -22,30 +23,31 @@ class Boxes:
         (0.5, 0.5), as in COLMAP and GDAL. The angle is that of the long side from +x, clockwise on screen,
         in [-pi/2, pi/2).
     score : (N,) float64, the detector's confidence in 0..1.
-    spread : (N, 2) float64, relative one-sigma spread of each box's length and width between looks, NaN where nobody
-        looked more than once.
+    sigma : (N, 2) float64, relative one-sigma noise of each box's own length and width, NaN where it is the ruler's.
+    kinds : (N, 4) float64, how probably it is each of `KINDS`, NaN where nobody looked.
     """
 
     xylwa: np.ndarray
     score: np.ndarray
-    spread: np.ndarray | None = None
+    sigma: np.ndarray | None = None
+    kinds: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         xylwa = np.array(self.xylwa, np.float64).reshape(-1, 5)
         score = np.array(self.score, np.float64).reshape(-1)
         if len(xylwa) != len(score):
             raise ValueError(f"{len(xylwa)} boxes but {len(score)} scores")
-        spread = np.full((len(score), 2), np.nan) if self.spread is None else np.array(self.spread, np.float64)
-        if spread.shape != (len(score), 2):
-            raise ValueError(f"{len(score)} boxes but spread of shape {spread.shape}")
+        sigma = _known(self.sigma, "sigma", len(score), 2)
+        kinds = _known(self.kinds, "kinds", len(score), len(KINDS))
         flat = xylwa[:, 2] < xylwa[:, 3]
-        spread[flat] = spread[flat, ::-1]
+        sigma[flat] = sigma[flat, ::-1]
         xylwa[flat, 2], xylwa[flat, 3] = xylwa[flat, 3], xylwa[flat, 2].copy()
         xylwa[flat, 4] += np.pi / 2
         xylwa[:, 4] = (xylwa[:, 4] + np.pi / 2) % np.pi - np.pi / 2
         object.__setattr__(self, "xylwa", xylwa)
         object.__setattr__(self, "score", score)
-        object.__setattr__(self, "spread", spread)
+        object.__setattr__(self, "sigma", sigma)
+        object.__setattr__(self, "kinds", kinds)
 
     @classmethod
     def empty(cls) -> Boxes:
@@ -57,17 +59,13 @@ class Boxes:
         """All boxes of `parts`, in their order; none of no parts."""
         if not parts:
             return cls.empty()
-        xylwa, score, spread = (
-            np.concatenate([getattr(p, name) for p in parts]) for name in ("xylwa", "score", "spread")
-        )
-        return cls(xylwa, score, spread)
+        return cls(*(np.concatenate([getattr(p, each.name) for p in parts]) for each in fields(cls)))
 
     def __len__(self) -> int:
         return len(self.score)
 
     def __getitem__(self, index: np.ndarray | slice) -> Boxes:
-        assert self.spread is not None  # since it was made
-        return Boxes(self.xylwa[index], self.score[index], self.spread[index])
+        return Boxes(*(getattr(self, each.name)[index] for each in fields(self)))
 
     @property
     def centre(self) -> np.ndarray:
@@ -102,7 +100,7 @@ class Boxes:
         xylwa = self.xylwa.copy()
         xylwa[:, :4] *= scale
         xylwa[:, :2] += shift
-        return Boxes(xylwa, self.score, self.spread)
+        return replace(self, xylwa=xylwa)
 
     def inside(self, width: float, height: float, border: float = 0.0) -> np.ndarray:
         """(N,) bool: all four corners at least `border` px inside an image of `width` x `height` px."""
@@ -114,16 +112,25 @@ class Boxes:
     def fault(self, width: float = np.inf, height: float = np.inf) -> tuple[int, str] | None:
         """The first box that cannot be meant in an image of `width` x `height` px: its index, and what it has or is, in
         words; None where all can. Boxes from files are asked this."""
-        spread = np.nan_to_num(np.asarray(self.spread), nan=0.0)
+        sigma, kinds = (np.nan_to_num(np.asarray(share), nan=0.0) for share in (self.sigma, self.kinds))
         with np.errstate(invalid="ignore"):
             faults = {
                 "is not made of numbers": ~np.isfinite(self.xylwa).all(1),
                 "has no extent": ~(self.width > 0),
                 "is longer than the whole picture": self.length > np.hypot(width, height),
                 "has a score that is not from 0 to 1": ~((self.score >= 0) & (self.score <= 1)),
-                "has a spread that is no share": ~((spread >= 0) & (spread < np.inf)).all(1),
+                "has a sigma that is no share": ~((sigma >= 0) & (sigma < np.inf)).all(1),
+                "has a kind that is no probability": ~((kinds >= 0) & (kinds <= 1)).all(1),
             }
         return next(((int(np.argmax(bad)), words) for words, bad in faults.items() if bad.any()), None)
+
+
+def _known(values: np.ndarray | None, name: str, rows: int, columns: int) -> np.ndarray:
+    """`values` (rows, columns), NaN where there are none. Raises ValueError for those of another shape."""
+    known = np.full((rows, columns), np.nan) if values is None else np.array(values, np.float64)
+    if known.shape != (rows, columns):
+        raise ValueError(f"{rows} boxes but {name} of shape {known.shape}")
+    return known
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:

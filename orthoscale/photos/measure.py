@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.anchors import AnchorVote
 from ..core.boxes import Boxes
 from ..core.detections import Detections
-from ..core.evidence import Evidence
 from ..core.fleet import Fleet
 from ..core.measuring.geometry import Geometry, Observation
 from ..core.measuring.measure import measure as measure_boxes
@@ -29,7 +29,6 @@ from ..core.projection.exact import BODIES, ground_size
 from ..core.projection.level import level_axes, level_views, up_from_gimbal
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.scale import PER_PIXEL, Scale
-from ..core.verdicts import UNUSABLE, VERDICTS, verdict
 from ..core.votes import Votes
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..formats.reading import files_below
@@ -265,7 +264,7 @@ class PhotoGeometry:
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
-    ) -> Sequence[Evidence]:
+    ) -> Sequence[AnchorVote]:
         """Photos are not searched for them."""
         return ()
 
@@ -311,12 +310,7 @@ def _change(size: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _thinned(scale: Scale, overlap: float) -> Scale:
     """The same with its sampling part for `overlap` times fewer vehicles."""
-    parts = {**scale.parts, "sampling": scale.parts["sampling"] * np.sqrt(overlap)}
-    sd = float(np.sqrt(sum(v**2 for v in parts.values())))
-    low, high = (scale.value * (end / scale.value) ** (sd / scale.relative_sd) for end in scale.interval90)
-    words = [name for name, _ in VERDICTS] + [UNUSABLE]
-    worse = max(scale.verdict, verdict(sd, odd_shape=False, conflict=False), key=words.index)
-    return replace(scale, parts=parts, interval90=(float(low), float(high)), verdict=worse)
+    return scale.with_parts({**scale.parts, "sampling": scale.parts["sampling"] * float(np.sqrt(overlap))})
 
 
 def _assembled(

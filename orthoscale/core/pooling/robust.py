@@ -29,7 +29,6 @@ from .mixture import Drawing, Fits, fit
 from .posterior import Posterior
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
-MEDIAN_VARIANCE = 0.29  # of the median of five looks, as a share of one look's (normal distribution)
 SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
 PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
 # What the mixture of classes and of larger vehicles leaves wrong, one sigma of all sizes alike: simulated car parks
@@ -114,7 +113,7 @@ def pool(
         widened = posterior.widened(best.tension / CHECK_LIMIT)
         parts["margin"] = float(np.sqrt(parts["margin"] ** 2 + widened.spread**2 - posterior.spread**2))
         posterior = widened
-        remarks.append(remark_on_shape(difference))
+        remarks.append(remark_on_shape(difference, best.tension))
     vehicles = posterior
     used = np.zeros(len(votes), bool)
     used[measurable] = best.inlier
@@ -148,16 +147,10 @@ def pool(
 
 
 def _noise(votes: Votes, ruler: Ruler) -> np.ndarray:
-    """(N, 2) one-sigma noise of each vote's size [units].
-
-    The ruler's; where boxes are medians of several looks, with the part that looks differ by replaced by what the
-    medians of these boxes leave of it. What looks share (paint, shade, blur) stays as the ruler says.
-    """
+    """(N, 2) one-sigma noise of each vote's size [units]: its boxes' own where they have one, else the ruler's."""
     variance = (np.asarray(ruler.noise) * votes.pixel[:, None]) ** 2
-    if votes.spread is not None and np.isfinite(votes.spread).any():
-        own = (votes.spread * votes.size) ** 2
-        shared = np.maximum(variance - np.nanmean(own, axis=0), 0)
-        variance = np.where(np.isfinite(own), shared + MEDIAN_VARIANCE * own, variance)
+    if votes.sigma is not None:
+        variance = np.where(np.isfinite(votes.sigma), (votes.sigma * votes.size) ** 2, variance)
     return np.sqrt(variance / np.maximum(votes.views, 1)[:, None])
 
 
