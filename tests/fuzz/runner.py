@@ -39,7 +39,7 @@ STOPPED = "stopped; already written: "
 DONE = frozenset((0, 2, 3, 4, 5, 6))
 NOT_LOADED = ("orthoscale.synthetic", "orthoscale.rio", "orthoscale.__main__")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "GDAL_NUM_THREADS")
-LIBRARIES = ("*** SIG", "*** Aborted", "libpng ", "Corrupt JPEG", "[ WARN:", "[ERROR:", "CPLE_", "TIFFRead")
+LIBRARIES = ("*** SIG", "*** Aborted", "libpng ", "Corrupt JPEG", "[ WARN:", "[ERROR:")  # how lines of theirs begin
 PROBLEMS = ("crash", "hang", "memory", "left behind", "input changed", "wrong answer")
 
 
@@ -218,13 +218,14 @@ def _crashed(run: _Run, attempt: Attempt) -> bool:
     """A signal that nobody sent, an exit code that nobody promised, a traceback, or the words of a bug or a library."""
     if run.hung or run.peak >= STOP_AT:
         return False  # stopped from here: it counts as such
-    bad = ["bug in orthoscale", "Fatal Python error", *LIBRARIES]
+    bad = ["bug in orthoscale", "Fatal Python error"]
     if not attempt.kill or "/orthoscale/" in run.err:  # Python itself has a word to say to a signal while it starts
         bad.append("Traceback (most recent call last)")
     # Whether a program that tidied up ends with 128 + number or with the signal is a matter of taste; Python's way is
     # SIGINT for both.
     stopped = {130, 143, -signal.SIGINT, -attempt.kill[0]} if attempt.kill else set()
-    return any(word in run.err for word in bad) or run.code not in attempt.codes | stopped
+    loud = any(line.startswith(LIBRARIES) for line in run.err.splitlines())
+    return loud or any(word in run.err for word in bad) or run.code not in attempt.codes | stopped
 
 
 def _wrong(out: str, attempt: Attempt) -> bool:
