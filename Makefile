@@ -7,7 +7,7 @@ INSTALLED := .venv/.installed
 JOBS ?= auto
 PYTEST := $(BIN)/python -m pytest -rs -n $(JOBS) --dist loadscope
 
-.PHONY: coverage demo docs test fast fuzz lint qgis types wheel
+.PHONY: coverage demo docs test fast fuzz lint mutants qgis types wheel
 
 demo: $(INSTALLED)
 	$(BIN)/python examples/demo.py
@@ -21,6 +21,10 @@ fast: $(INSTALLED)
 # Lines of the package that the suite runs in its own processes; build/coverage/index.html shows which it does not.
 coverage: $(INSTALLED)
 	$(PYTEST) --cov --cov-report=term:skip-covered --cov-report=html:build/coverage
+
+# Changes of the program that a test must notice, made one at a time in this very folder and put back.
+mutants: $(INSTALLED)
+	$(BIN)/python -m tests.mutants
 
 # All of the damage campaign, about 20 minutes on two cores; FUZZ=--short takes about one.
 fuzz: $(INSTALLED)

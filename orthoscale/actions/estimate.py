@@ -112,7 +112,12 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     log.info("measuring %s", path)
     asked = opened(path, request)
     source, fleet, given = asked.source, asked.fleet, asked.given
-    method = Method(request.projection, request.estimator, given, standards() if request.surroundings else None)
+    method = Method(
+        request.projection,
+        request.estimator,
+        evidence=given,
+        standards=standards() if request.surroundings else None,
+    )
     choice = None
     if request.detections is not None:
         found = load_detections(Path(request.detections), source, request.vehicle_classes)
@@ -159,7 +164,8 @@ def _looked_for(
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
         workers = worker_count(effort.workers)
-        found = replace(found, boxes=refined(source.pictures, found.boxes, found.zoom, network, workers, progress))
+        ruler = (found.zoom, found.ruler.noise)
+        found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
     return replace(found, notes=(*found.notes, *network.notes)), choice
 
 

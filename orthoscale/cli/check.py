@@ -22,6 +22,7 @@ from .options import (
     options_of,
     overwrite_option,
     progress_bars,
+    refuse_idle_overwrite,
     save_option,
     say,
 )
@@ -73,6 +74,7 @@ def check(
     from ..sources.opening import open_source
     from ..system.outputs import Outputs
 
+    refuse_idle_overwrite(overwrite, save_detections)
     request = EstimateRequest.of(options)
     if many is not None:
         for name, value in (("--save-detections", save_detections), ("--model", model)):
@@ -100,16 +102,7 @@ def check(
     result, found = outcome.result, outcome.comparisons
     low, high = result.scale.interval90
     if as_json:
-        report = {
-            "comparisons": [c.document() for c in found],
-            "scale": result.scale.value,
-            "unit": result.scale.unit,
-            "interval90": [low, high],
-            "vehicles_used": result.scale.vehicles_used,
-            "fleet": result.scale.fleet,
-            "notes": result.notes,
-        }
-        click.echo(json.dumps(report))
+        click.echo(json.dumps(outcome.to_dict()))
     else:
         click.echo(
             f"vehicles   {result.scale.value:.5g} {result.scale.unit}, 90 % {low:.5g} to {high:.5g}, "
@@ -120,8 +113,8 @@ def check(
             say(f"           {comparison.sentence()}")
             if not comparison.believed:
                 click.echo("           the claim itself is not tied to the ground; it is compared as if it were metres")
-        for remark in (*result.scale.remarks, *result.notes):
-            say(f"note       {remark}")
+        for remark in result.remarks:
+            say(f"{remark.label:10s} {remark.text}")
     if outcome.disagrees:
         sys.exit(EvidenceDisagrees.exit_code)
 

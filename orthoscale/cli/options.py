@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from ..actions.requests import GROUPS, Option, flag
-from ..errors import shown
+from ..errors import UsageError, shown
 
 EXIT_CODES = """\b
 Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
@@ -75,6 +75,13 @@ def say(text: str, err: bool = False) -> None:
 overwrite_option = option(
     "--overwrite", is_flag=True, group="Output", help="Replace what orthoscale wrote there before."
 )
+
+
+def refuse_idle_overwrite(overwrite: bool, *outputs: object) -> None:
+    """Raise UsageError for --overwrite where none of the `outputs` is asked for."""
+    if overwrite and not any(outputs):
+        raise UsageError("--overwrite does nothing here: nothing is written", "Remove it, or name a file to write.")
+
 
 save_option = option(
     "--save-detections",

@@ -25,6 +25,7 @@ from .options import (
     options_of,
     overwrite_option,
     progress_bars,
+    refuse_idle_overwrite,
     save_option,
     say,
 )
@@ -67,11 +68,7 @@ def estimate(
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
-    if overwrite and save_detections is None and (many is None or many.summary is None):
-        raise UsageError(
-            "--overwrite does nothing here: without --save-detections or --summary nothing is written",
-            "Leave --overwrite away.",
-        )
+    refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summary)
     if many is not None:
         _refuse_boxes_of_many(save_detections)
         run("estimate", many, request, as_json, overwrite, dry_run=dry_run)

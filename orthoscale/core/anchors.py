@@ -30,7 +30,7 @@ class Standard:
 class Anchor:
     """One thing of standard size that was found in a picture.
 
-    kind : "tennis court" ... picture : its name, empty until the search is over.
+    kind : "tennis court" ..., in words. picture : its name, empty until the search is over.
     place : (2,) its middle [px]. lines : (N, 2, 2) the fitted model's lines from end to end [px], to be drawn.
     pixels : its reference length, one number however the model is turned [px].
     relative_sd : one sigma of that, from the fit and from how pictures distort; not the standard's own.
@@ -54,6 +54,26 @@ class Anchor:
     def metres_per_pixel(self) -> np.ndarray:
         """(S,) what it says of the scale if it is each of its standards."""
         return np.array([standard.metres / self.pixels for standard in self.standards])
+
+
+@dataclass(frozen=True)
+class AnchorVote:
+    """One anchor on the ground of a source, however many pictures show it.
+
+    anchor : as its best picture shows it. place : (D,) where it lies, and units : its reference length [source units].
+    relative_sd : one sigma of that length, all pictures together; not the standard's own.
+    shared_sd : one sigma of what all anchors of the source err by alike, such as the height of its ground.
+    window : how wide a range of sizes was searched, in logarithms: a mistake may lie anywhere in it.
+    views : how many pictures show it.
+    """
+
+    anchor: Anchor
+    place: np.ndarray
+    units: float
+    relative_sd: float
+    shared_sd: float = 0.0
+    window: float = 1.0
+    views: int = 1
 
 
 class AnchorFinder(Protocol):

@@ -1,7 +1,11 @@
-"""What is known of the scale besides vehicles: distances, ground control, standard objects, the pitch of parking rows.
+"""What is known of the scale besides vehicles: distances, ground control, anchors of exact size.
 
 Each piece is one measurement of metres per unit with its own uncertainty. Those that agree are combined; those that do
 not are reported, and nothing is averaged away.
+
+An anchor may be of several standards, or be no anchor at all. So it is a mixture, which the vehicles sort out; and it
+never overrules them alone: what it says outside of their 99 % interval does not count unless something else says the
+same.
 """
 
 from __future__ import annotations
@@ -12,8 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from .pooling.posterior import Z90, Posterior
+from .remarks import CAUTION, REFUSAL, Remark
 
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
+STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
+REACH = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
+SAME = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
 SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
@@ -22,17 +30,30 @@ CONTROL_SD = 0.05  # of a ground control point's position, where its residuals d
 
 @dataclass(frozen=True)
 class Evidence:
-    """One measurement of the scale: metres per unit of the source, with a relative one-sigma; `says` where from."""
+    """One measurement of the scale: metres per unit of the source, with a relative one-sigma; `says` where from.
+
+    modes : where it may mean several scales, all of them; `value` is the likeliest one.
+    doubt : probability that it is a mistake, and may mean any scale of a range as wide as `window` (in logarithms).
+    """
 
     kind: str
     value: float
     relative_sd: float
     says: str
+    modes: Posterior | None = None
+    doubt: float = 0.0
+    window: float = 1.0
+
+    @classmethod
+    def mixed(cls, kind: str, modes: Posterior, says: str, doubt: float = 0.0, window: float = 1.0) -> Evidence:
+        """That of a mixture of scales."""
+        best = int(np.argmax(modes.weight))
+        return cls(kind, float(np.exp(modes.mean[best])), float(modes.sd[best]), says, modes, doubt, window)
 
     @property
     def posterior(self) -> Posterior:
-        """The same as a normal distribution of the scale's logarithm."""
-        return Posterior.normal(float(np.log(self.value)), self.relative_sd)
+        """The same as a distribution of the scale's logarithm, were it no mistake."""
+        return self.modes or Posterior.normal(float(np.log(self.value)), self.relative_sd)
 
 
 @dataclass(frozen=True)
@@ -46,39 +67,83 @@ class Combined:
     posterior: Posterior
     parts: dict[str, float]
     conflict: float
-    remarks: list[str]
+    remarks: list[Remark]
     summary: tuple[float, float, float]
 
 
 def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
     """`vehicles` and all `evidence` together; `parts` are the one-sigmas of which the vehicles' is made up.
 
-    In a conflict the surest measurement gives the value, and the interval reaches over those of all.
+    In a conflict the surest measurement that is no anchor gives the value, and the interval reaches over those of all.
     """
-    sources = [("vehicles", vehicles), *((e.says, e.posterior) for e in evidence)]
-    conflict, remarks = 0.0, []
+    heard, remarks = _within_reach(vehicles, evidence)
+    strong = [e for e in evidence if e.doubt <= STRONG]
+    # Of a mixture, each what is nearest to the other counts.
+    sources = [
+        ("vehicles", Posterior.normal(vehicles.centre, vehicles.spread)),
+        *((e.says, e.posterior) for e in strong),
+    ]
+    conflict, conflicts = 0.0, list[Remark]()
     for k, (name, one) in enumerate(sources):
         for other_name, other in sources[k + 1 :]:
-            sigmas = abs(one.centre - other.centre) / np.hypot(one.spread, other.spread)
+            sigmas, here, there = _nearest(one, other)
             if sigmas > CONFLICT_LIMIT:
-                conflict = max(conflict, float(sigmas))
-                remarks.append(
-                    f"conflict: {name}: {np.exp(one.centre):.5g}, {other_name}: {np.exp(other.centre):.5g}, "
+                conflict = max(conflict, sigmas)
+                text = (
+                    f"conflict: {name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}, "
                     f"{sigmas:.1f} sigmas apart"
                 )
+                conflicts.append(Remark(REFUSAL, text, "Check the given evidence and the boxes (--save-detections)"))
     if conflict:
-        surest = min((p for _, p in sources), key=lambda p: p.spread)
-        low = min(p.quantile(0.05) for _, p in sources)
-        high = max(p.quantile(0.95) for _, p in sources)
+        certain = [vehicles, *(e.posterior for e in evidence if not e.doubt)]
+        every = [vehicles, *(e.posterior for e in strong)]
+        surest = min(certain, key=lambda p: p.spread)
+        low = min(p.quantile(0.05) for p in every)
+        high = max(p.quantile(0.95) for p in every)
         spread = max((high - low) / (2 * Z90), surest.spread)
         wide = Posterior.normal(surest.centre, spread)
         summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
-        return Combined(wide, {"conflict": float(spread)}, conflict, remarks, summary)
+        return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary)
     posterior = vehicles
-    for e in evidence:
-        posterior = posterior.times(e.posterior)
+    for e in heard:
+        posterior = posterior.times_doubted(e.posterior, e.doubt, e.window)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
-    return Combined(posterior, _shares(vehicles, parts, evidence, posterior), 0.0, remarks, (value, low, high))
+    return Combined(posterior, _shares(vehicles, parts, heard, posterior), 0.0, remarks, (value, low, high))
+
+
+def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[list[Evidence], list[Remark]]:
+    """The evidence that counts, mixtures without what it says outside of the vehicles' REACH and nothing else does; and
+    remarks on what does not count at all."""
+    low, high = ((1 - REACH) / 2, (1 + REACH) / 2)
+    heard, remarks, interval = [], [], None
+    for e in evidence:
+        if not e.doubt:
+            heard.append(e)
+            continue
+        interval = interval or (vehicles.quantile(low), vehicles.quantile(high))
+        modes = e.posterior
+        counts = (modes.mean >= interval[0]) & (modes.mean <= interval[1])
+        for other in evidence:
+            if other.kind != e.kind and other.doubt <= STRONG:
+                there = other.posterior
+                apart = np.abs(modes.mean[:, None] - there.mean) / np.hypot(modes.sd[:, None], there.sd)
+                counts |= (apart < SAME).any(1)
+        if counts.any():
+            heard.append(Evidence.mixed(e.kind, modes.only(counts), e.says, e.doubt, e.window))
+        else:
+            text = (
+                f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * REACH:.0f} % interval "
+                f"({np.exp(interval[0]):.5g} to {np.exp(interval[1]):.5g}); it does not count"
+            )
+            remarks.append(Remark(CAUTION, text))
+    return heard, remarks
+
+
+def _nearest(one: Posterior, other: Posterior) -> tuple[float, float, float]:
+    """How many sigmas the nearest parts of two mixtures lie apart, and these parts' means."""
+    apart = np.abs(one.mean[:, None] - other.mean) / np.hypot(one.sd[:, None], other.sd)
+    here, there = np.unravel_index(np.argmin(apart), apart.shape)
+    return float(apart[here, there]), float(one.mean[here]), float(other.mean[there])
 
 
 def _shares(

@@ -53,6 +53,7 @@ def table(result: Result) -> dict[str, np.ndarray]:
         "length_m": vehicles["length"],
         "width_m": vehicles["width"],
         "score": vehicles["score"],
+        "kind": vehicles["kind"],
         "used": vehicles["used"],
         "reason": vehicles["reason"],
         # Clockwise from the image's upward direction, as a compass shows it on a north-up map.

@@ -12,12 +12,13 @@ import numpy as np
 
 from ..actions.requests import command_line
 from ..core.pooling.posterior import Z90
+from ..core.remarks import INFO, percent, signed
 from ..formats.pictures import jpeg
-from . import charts, judgement, places
+from . import charts, places, wording
 from .document import completed
 from .explanation import explain
-from .judgement import percent, relative, signed
 from .scene import Panel, Scene
+from .wording import relative
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -37,7 +38,7 @@ FARTHEST_CHECK = 0.5  # relative; checks further off are left to the document: t
 def page(report: Mapping[str, Any], scene: Scene) -> str:
     """The HTML of a report. `scene` has its pictures; without any, the page does without."""
     report = completed(report)
-    (value, low, high), unit = judgement.quantity(report, report["scale"], *report["interval90"])
+    (value, low, high), unit = wording.quantity(report, report["scale"], *report["interval90"])
     return template("page.html").render(
         report=report,
         name=Path(report["input"]["path"]).name,
@@ -45,10 +46,9 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
         low=low,
         high=high,
         unit=unit,
-        half_width=percent(judgement.half_width(report)),
-        fit=judgement.FIT[report["verdict"]],
-        metres=judgement.metres_of(report),
-        checks=judgement.checks(report),
+        half_width=percent(wording.half_width(report)),
+        metres=wording.metres_of(report),
+        notes=[remark["text"] for remark in report["remarks"] if remark["severity"] == INFO],
         overviews=[_picture(panel) for panel in scene.overviews],
         used=[_picture(panel) for panel in scene.used],
         rejected=[_picture(panel) for panel in scene.rejected],
@@ -140,7 +140,7 @@ def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:
 
 def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:
     """One way of measuring, in words."""
-    values, unit = judgement.quantity(report, mode["scale"], *mode.get("interval90", ()))
+    values, unit = wording.quantity(report, mode["scale"], *mode.get("interval90", ()))
     interval = f", {values[1]} to {values[2]} (90 %)" if len(values) == 3 else ""
     vehicles = f", {mode['vehicles_used']} vehicles" if "vehicles_used" in mode else ""
     return f"{values[0]} {unit}{interval}{vehicles}"

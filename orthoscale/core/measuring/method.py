@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..evidence import Evidence
 from ..fleet import Fleet
+from ..pooling.anchors import evidence_of
 from ..pooling.paper import pool_paper
 from ..pooling.robust import pool
 from ..projection import decoupled
@@ -35,16 +37,18 @@ VARIANTS_BY_NAME = {
 class Method:
     """projection : one of PROJECTIONS; None is what fits the source. estimator : one of `requests.ESTIMATORS`.
 
-    evidence : what is known of the scale besides the vehicles.
+    evidence : what is known of the scale besides the vehicles. anchors : what was found in the pictures.
     standards : by which parking rows and objects of standard size count, where the boxes show them;
-    None leaves them out.
+    None leaves them out. country : ISO code of two letters, by which anchors are told apart; empty where not known.
     `requests.EstimateRequest` has checked them.
     """
 
     projection: str | None = None
     estimator: str = "robust"
     evidence: tuple[Evidence, ...] = ()
+    anchors: tuple[AnchorVote, ...] = ()
     standards: Standards | None = None
+    country: str = ""
 
     def sizes(
         self, boxes: Boxes, views: Views, metres_per_unit: float, height: Sequence[float] | np.ndarray, fleet: Fleet
@@ -68,9 +72,11 @@ class Method:
         ruler: Ruler,
         unit: str,
         geometry: np.ndarray | None = None,
-        more: Sequence[Evidence] = (),
+        more: Sequence[AnchorVote] = (),
     ) -> Scale:
-        """The scale; `more` is what else the source itself shows."""
+        """The scale; `more` are anchors that the boxes themselves show."""
         if self.estimator == "iqr":
             return pool_paper(votes, fleet, unit)
-        return pool(votes, fleet, ruler, unit, geometry, (*self.evidence, *more))
+        return pool(
+            votes, fleet, ruler, unit, geometry, (*self.evidence, *evidence_of([*self.anchors, *more], self.country))
+        )
