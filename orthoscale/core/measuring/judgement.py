@@ -40,7 +40,7 @@ def _vehicles(measured: Measurement) -> Judgement:
     sampling = scale.parts.get("sampling", 0.0)
     few, many = sampling > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
     what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
-    detail = f"{used} used, {rejected} rejected; sampling error {percent(sampling)}"
+    detail = f"{used} used, {rejected} rejected; sampling error {percent(sampling)} (1 sigma)"
     return Judgement(CAUTION if few or many else SUPPORT, what, detail)
 
 
@@ -88,7 +88,7 @@ def _places(measured: Measurement) -> Judgement | None:
     drift = measured.drift
     if isinstance(drift, Drift):
         change = drift.tilt
-        figures = f"{100 * drift.tilt:.1f} ± {100 * Z90 * drift.tilt_sd:.1f} % from side to side"
+        figures = f"{100 * drift.tilt:.1f} ± {100 * Z90 * drift.tilt_sd:.1f} % (90 %) from side to side"
         figures += f", bent by {percent(drift.bend)}" if drift.bends else ""
     elif isinstance(drift, ModelDrift) and drift.trend is not None:
         change = drift.trend.percent_across / 100
