@@ -92,6 +92,10 @@ LINES = {
 }
 OTHER, REFUSED = "another outcome", "refused"
 CASES = {
+    **{(name, "summary"): (("--summary", "NEW.csv"), OTHER) for name in ("estimate", "fix", "check")},
+    **{(name, "jobs"): (("--jobs", "2"), REFUSED) for name in ("estimate", "fix", "check")},
+    **{(name, "dry_run"): (("--dry-run",), OTHER) for name in ("estimate", "fix", "check")},
+    ("report", "schema"): (("--schema",), OTHER),
     ("check", "images"): (("--images", "FOLDER"), REFUSED),
     ("check", "model"): (("--model", "MODEL", "--save-detections", "NEW.json"), REFUSED),
     ("check", "model_detections"): (("--model-detections", "BOXES"), REFUSED),
