@@ -47,6 +47,16 @@ def test_both_looks_agree_and_are_pooled(flight, found):
         assert part >= min(s.parts[name] for s in measured.agreement.scales.values()) - 1e-12, "nothing got narrower"
 
 
+def test_both_are_each_of_them_alone_and_leave_their_source_as_it_was(flight, found):
+    source = ColmapSource.open(flight[0])
+    notes = list(source.notes)
+    both = measure_source(source, found, FLEET).modes
+    for mode, one in both.items():
+        alone = measure_source(source, found, FLEET, mode=mode).scale
+        assert (one.scale.value, one.scale.interval90) == (alone.value, alone.interval90)
+    assert source.notes == notes
+
+
 @pytest.mark.parametrize(("height", "margin"), [(0.5, -1.0), (1.2, 2.0)])
 def test_a_wrong_card_is_found_out_by_the_views(flight, found, height, margin):
     """The views know better than the card what the boxes are, and the trends that it leaves go away."""

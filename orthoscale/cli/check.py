@@ -11,11 +11,12 @@ import click
 
 from ..actions.requests import EstimateRequest
 from ..errors import EvidenceDisagrees, UsageError
+from .many import Many, inputs, rehearse, run
 from .options import (
     PATH,
     command,
     debug_option,
-    input_argument,
+    dry_run_option,
     json_option,
     option,
     options_of,
@@ -29,11 +30,12 @@ from .options import (
 
 @command(
     epilog="\b\nExamples:\n  orthoscale check ortho.tif --fleet DE\n  orthoscale check ortho.tif --fleet US --json\n"
+    "  orthoscale check archive/ --summary claims.csv --jobs 2\n"
     "  orthoscale check ortho.tif --model sparse/0 --images frames/ --fleet US\n\n"
     "\b\nExit codes: 0 agrees, or too close to call; 2 usage, or INPUT claims no scale;\n"
     "3 too little evidence; 4 disagrees by more than three sigma; 5 input unreadable or damaged."
 )
-@input_argument
+@inputs
 @options_of(EstimateRequest)
 @save_option
 @option(
@@ -45,10 +47,13 @@ from .options import (
 @option("--model-detections", type=PATH, group="Input", help="Take the boxes in the frames of --model from this file.")
 @overwrite_option
 @json_option()
+@dry_run_option
 @debug_option
 def check(
     path: Path,
+    many: Many | None,
     as_json: bool,
+    dry_run: bool,
     debug: bool,
     save_detections: Path | None,
     overwrite: bool,
@@ -71,6 +76,13 @@ def check(
 
     refuse_idle_overwrite(overwrite, save_detections)
     request = EstimateRequest.of(options)
+    if many is not None:
+        for name, value in (("--save-detections", save_detections), ("--model", model)):
+            if value is not None:
+                raise UsageError(f"{name} is for one input, and these are several", f"Remove {name}.")
+        run("check", many, request, as_json, overwrite, dry_run=dry_run)
+    if dry_run:
+        rehearse([path], request)
     if model is not None:
         if save_detections is not None:
             raise UsageError("--save-detections keeps the boxes of one input", "Remove it, or remove --model.")

@@ -143,13 +143,14 @@ def _type(about: Option) -> Any:
     return PATH if about.kind is Path else about.kind
 
 
-input_argument = click.argument("path", metavar="INPUT", type=PATH)
-
-
 def json_option(what: str = "the report") -> Callable[[Callable], Callable]:
     """The option that makes a command print `what` as JSON."""
     return option("--json", "as_json", is_flag=True, group="Output", help=f"Print {what} as JSON on standard output.")
 
+
+dry_run_option = option(
+    "--dry-run", is_flag=True, group="Advanced", help="Check all that was asked and say what would be done; do nothing."
+)
 
 debug_option = option("--debug", is_flag=True, group="Advanced", help="Show the traceback of an error.")
 

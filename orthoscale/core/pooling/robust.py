@@ -176,10 +176,13 @@ def _of_fleet(
     covariances of what else is uncertain about them all."""
     shared = {"fleet": drawing.covariance(fleet.log_mean_covariance) + MIXTURE_SD**2, **known}
     systematic = sum(shared.values(), np.zeros((2, 2)))
+    none = TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {fleet.code}")
     try:
         fits = fit(log_size, noise, fleet.told_apart, systematic, drawing=drawing)
     except np.linalg.LinAlgError as error:  # no vote supports any class: nothing determines the scale
-        raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {fleet.code}") from error
+        raise none from error
+    if fits.weight @ fits.count < 1:
+        raise none
     # How strongly the detector draws to the usual is known no better from more vehicles: it is the margin's kin.
     drawn = np.einsum("v,vij->ij", fits.weight, fits.drawing)
     shared["margin"] = shared["margin"] + drawn
@@ -196,15 +199,14 @@ def _of_fleet(
     mix = float(fits.weight @ (posterior.mean - posterior.centre) ** 2)
     parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(mix)))
     rest = posterior.spread**2 - sum(v**2 for v in parts.values())
-    probable = np.einsum("v,vkn->kn", fits.weight, fits.member)
     return _Vehicles(
         posterior=posterior,
         parts={"sampling": float(np.sqrt(rest)), **parts},
         estimates=estimates,
         weights=weights,
         tension=float(abs(estimates[0] - estimates[1]) / np.sqrt(total[0, 0] + total[1, 1] - 2 * total[0, 1])),
-        larger_share=float(probable[-1].sum() / probable.sum()),
-        inlier=probable.sum(0) > 0.5,
+        larger_share=float(fits.member[-1].sum() / fits.member.sum()),
+        inlier=fits.member.sum(0) > 0.5,
         log_evidence=fits.log_evidence,
     )
 
@@ -212,7 +214,7 @@ def _of_fleet(
 def _sampling(fits: Fits, fleet: Fleet) -> np.ndarray:
     """(V, 2, 2) covariance of the scales from the votes alone; never less than PRIOR_VOTES more vehicles of the fleet
     would leave, for the scatter of a few votes is not known from themselves."""
-    count = fits.member.sum((1, 2))
+    count = np.maximum(fits.count, 1)
     least = _fleet_scatter(fleet) * (PRIOR_VOTES / (count + PRIOR_VOTES) / count)[:, None, None]
     return fits.covariance + least
 
