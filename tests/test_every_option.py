@@ -92,6 +92,10 @@ LINES = {
 }
 OTHER, REFUSED = "another outcome", "refused"
 CASES = {
+    ("report", "schema"): (("--schema",), OTHER),
+    **{(name, "dry_run"): (("--dry-run",), OTHER) for name in ("estimate", "fix", "check")},
+    **{(name, "summary"): (("--summary", "NEW.csv"), OTHER) for name in ("estimate", "fix", "check")},
+    **{(name, "jobs"): (("--jobs", "2"), REFUSED) for name in ("estimate", "fix", "check")},
     ("check", "images"): (("--images", "FOLDER"), REFUSED),
     ("check", "model"): (("--model", "MODEL", "--save-detections", "NEW.json"), REFUSED),
     ("check", "model_detections"): (("--model-detections", "BOXES"), REFUSED),

@@ -74,7 +74,7 @@ def check(
     from ..sources.opening import open_source
     from ..system.outputs import Outputs
 
-    refuse_idle_overwrite(overwrite, save_detections)
+    refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summary)
     request = EstimateRequest.of(options)
     if many is not None:
         for name, value in (("--save-detections", save_detections), ("--model", model)):
