@@ -37,6 +37,8 @@ def judgements(measured: Measurement, claim: Comparison | None = None) -> tuple[
 def _vehicles(measured: Measurement) -> Judgement:
     scale = measured.scale
     used, rejected = scale.vehicles_used, sum(scale.rejected.values())
+    if not used:
+        return Judgement(CAUTION, "No vehicles", "the scale rests on other evidence alone")
     sampling = scale.parts.get("sampling")  # not known where measurements contradict each other
     few, many = (sampling or 0.0) > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
     what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
@@ -45,8 +47,10 @@ def _vehicles(measured: Measurement) -> Judgement:
     return Judgement(severity, what, f"{used} used, {rejected} rejected{known}")
 
 
-def _shapes(measured: Measurement) -> Judgement:
+def _shapes(measured: Measurement) -> Judgement | None:
     scale = measured.scale
+    if "length" not in scale.checks:
+        return None  # no vehicles
     difference = scale.checks["length"] / scale.checks["width"] - 1
     detail = f"lengths give {signed(difference)} ({scale.tension:.1f} sigma)"
     if scale.tension > CHECK_LIMIT:
