@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.calibration import Calibration
 from ..core.detections import Detections
 from ..core.evidence import Evidence
 from ..core.fleet import Fleet
@@ -78,10 +79,22 @@ def estimate(
     return measured(path, EstimateRequest.of(options), progress)
 
 
-def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
-    """What `request` asks of the input at `path`; see `estimate`."""
-    started = time.perf_counter()
-    log.info("measuring %s", path)
+@dataclass(frozen=True)
+class Opened:
+    """What a request speaks of, opened and found to fit together, before anything is measured.
+
+    fleet : whose vehicles they are, and why, where that was not asked for. given : what the user knows of the scale.
+    """
+
+    source: Source
+    fleet: Fleet
+    why: tuple[str, ...]
+    calibration: Calibration | None
+    given: tuple[Evidence, ...]
+
+
+def opened(path: str | Path | Source, request: EstimateRequest) -> Opened:
+    """All that `request` names for the input at `path`. Raises InputError, UsageError."""
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
     fleet, why = named_fleet(request.fleet, known), tuple[str, ...]()
     from_file = request.detections is not None
@@ -90,10 +103,19 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         fleet, why = fleet_at(location_of(source))
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
+    return Opened(source, fleet, why, known, tuple(given))
+
+
+def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
+    """What `request` asks of the input at `path`; see `estimate`."""
+    started = time.perf_counter()
+    log.info("measuring %s", path)
+    asked = opened(path, request)
+    source, fleet, given = asked.source, asked.fleet, asked.given
     method = Method(
         request.projection,
         request.estimator,
-        evidence=tuple(given),
+        evidence=given,
         standards=standards() if request.surroundings else None,
     )
     choice = None
@@ -101,10 +123,10 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         found = load_detections(Path(request.detections), source, request.vehicle_classes)
     else:
         found, choice = _looked_for(source, request, fleet, progress)
-    found = replace(found, notes=(*why, *found.notes))
+    found = replace(found, notes=(*asked.why, *found.notes))
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
-    if known is not None:
-        found = known.applied(found, Path(str(request.calibration)))
+    if asked.calibration is not None:
+        found = asked.calibration.applied(found, Path(str(request.calibration)))
     try:
         answer = measure_source(source, found, fleet, method, request.mode)
     except TooLittleEvidence as error:

@@ -252,6 +252,10 @@ class EstimateRequest(VehicleRequest):
         """Raise UsageError for what does nothing on such a source."""
         (self._for_plan if source.plan is not None else self._for_posed)(source.path)
 
+    def check_for_many(self) -> None:
+        """Raise UsageError for what speaks of one input only."""
+        self._refuse(("known_distance", "ground_control"), "it speaks of one input, and these are several")
+
     def _for_plan(self, path: Path) -> None:
         self._refuse(("mode", "images"), f"it is for COLMAP models, and {path} is an image")
         if self.projection not in (None, "planar"):

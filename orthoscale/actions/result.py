@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core.boxes import Boxes
+from ..core.brief import Brief
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.measuring.measurement import Measurement
@@ -27,7 +27,7 @@ FORCED = "write anyway with `orthoscale fix --force`."
 
 
 @dataclass(frozen=True, repr=False)
-class Result:
+class Result(Brief):
     """A measured source; what `fix` writes and every report shows.
 
     ``result.scale`` is the answer, ``result.vehicles`` a table of the vehicles (``pandas.DataFrame(result.vehicles)``),
@@ -54,7 +54,8 @@ class Result:
         within = f"{scale.verdict} (90 % within +-{100 * scale.half_width:.1f} %)"
         return [("scale", f"{scale.text()}  {within}"), ("90 %", scale.text(*scale.interval90))]
 
-    def _brief(self) -> list[tuple[str, str]]:
+    def brief(self) -> list[tuple[str, str]]:
+        """What printing it shows."""
         scale = self.scale
         rejected = sum(scale.rejected.values())
         said = [remark.text for remark in scale.remarks]
@@ -66,14 +67,6 @@ class Result:
             ("input", str(self.source.path)),
             ("remarks", remarks),
         ]
-
-    def __repr__(self) -> str:
-        return "\n".join(f"{label:10s} {text}" for label, text in self._brief())
-
-    def _repr_html_(self) -> str:
-        """The same as a table, for notebooks."""
-        rows = "".join(f"<tr><th>{escape(label)}</th><td>{escape(text)}</td></tr>" for label, text in self._brief())
-        return f"<table>{rows}</table>"
 
     def to_dict(self) -> dict[str, Any]:
         """The report (what `fix` writes as JSON) as plain values; see `report.document.document`."""

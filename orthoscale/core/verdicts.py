@@ -8,7 +8,7 @@ from .remarks import CAUTION, REFUSAL, Remark
 
 VERDICTS = (("good", 0.03), ("fair", 0.06), ("poor", 0.15))  # relative one-sigma of the scale, upper bounds
 UNUSABLE = "unusable"  # nothing is written without being told to
-WORDS = (*(word for word, _ in VERDICTS), UNUSABLE)  # from the best to the worst
+BEST_TO_WORST = (*(word for word, _ in VERDICTS), UNUSABLE)  # from the best to the worst
 FIT = {  # verdict: what the scale is fit for
     "good": "Suitable for metric layouts and checks.",
     "fair": "Suitable where this tolerance is acceptable.",
@@ -28,17 +28,17 @@ def verdict(sd: float, odd_shape: bool, conflict: bool) -> str:
     rank = next((k for k, (_, limit) in enumerate(VERDICTS) if sd <= limit), len(VERDICTS))
     if conflict or rank == len(VERDICTS):
         return UNUSABLE
-    return WORDS[min(rank + odd_shape, len(VERDICTS) - 1)]
+    return BEST_TO_WORST[min(rank + odd_shape, len(VERDICTS) - 1)]
 
 
 def worst(*verdicts: str) -> str:
     """The worst of them."""
-    return max(verdicts, key=WORDS.index)
+    return max(verdicts, key=BEST_TO_WORST.index)
 
 
 def one_step_below(word: str) -> str:
     """The verdict after `word`; ``unusable`` is the last."""
-    return WORDS[min(WORDS.index(word) + 1, len(WORDS) - 1)]
+    return BEST_TO_WORST[min(BEST_TO_WORST.index(word) + 1, len(BEST_TO_WORST) - 1)]
 
 
 def remark_on_shape(difference: float, tension: float) -> Remark:

@@ -30,7 +30,9 @@ from ..formats.reading import LARGE, checked, read_plain
 from ..version import __version__
 
 FORMAT = "orthoscale report 2"
-FIRST = "orthoscale report 1"  # remarks were bare sentences, `notes` those that are only informing; no judgements
+FIRST_FORMAT = (
+    "orthoscale report 1"  # remarks were bare sentences, `notes` those that are only informing; no judgements
+)
 
 # What a report may be without (an orthophoto has no frames, few views tell no trend, an older version knew less), by
 # its place in the document, and what stands for it. Everything else belongs to every report.
@@ -86,8 +88,8 @@ def document(
     place on a plan, x right and y up (see `Source.from_above`). ``remarks`` and ``judgements`` are those of the core,
     with their severity (`core.remarks`).
     """
-    scale, votes, vehicles = measured.scale, measured.votes, measured.vehicles
-    plan = source.from_above(votes.place) * scale.value
+    scale = measured.scale
+    plan = source.from_above(measured.votes.place) * scale.value
     claim = own_claim(source, scale)
     return {
         "format": FORMAT,
@@ -140,29 +142,35 @@ def document(
         },
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "seconds": round(seconds, 2),
-        "vehicles": [
-            {
-                "length": float(vehicles["length"][k]),
-                "width": float(vehicles["width"][k]),
-                "place_m": [round(float(v), 3) for v in plan[k]],
-                "place_unit": [float(v) for v in votes.place[k]],
-                "views": int(votes.views[k]),
-                "score": round(float(votes.score[k]), 3),
-                "kind": vehicles["kind"][k],
-                "used": bool(scale.used[k]),
-                "reason": scale.reasons[k],
-                "boxes": [
-                    {
-                        "picture": str(measured.picture[m]),
-                        "xylwa_px": [round(float(v), 3) for v in measured.boxes.xylwa[m]],
-                        "score": round(float(measured.boxes.score[m]), 3),
-                    }
-                    for m in votes.members[k]
-                ],
-            }
-            for k in range(len(votes))
-        ],
+        "vehicles": _vehicles(measured, plan),
     }
+
+
+def _vehicles(measured: Measurement, plan: np.ndarray) -> list[dict[str, Any]]:
+    """Every vehicle with the boxes that show it. plan : (N, 2) where they stand, from above [m]."""
+    votes, scale = measured.votes, measured.scale
+    return [
+        {
+            "length": float(row["length"]),
+            "width": float(row["width"]),
+            "place_m": [round(float(v), 3) for v in plan[k]],
+            "place_unit": [float(v) for v in votes.place[k]],
+            "views": int(row["views"]),
+            "score": round(float(row["score"]), 3),
+            "used": bool(row["used"]),
+            "reason": scale.reasons[k],
+            "kind": row["kind"],
+            "boxes": [
+                {
+                    "picture": str(measured.picture[m]),
+                    "xylwa_px": [round(float(v), 3) for v in measured.boxes.xylwa[m]],
+                    "score": round(float(measured.boxes.score[m]), 3),
+                }
+                for m in votes.members[k]
+            ],
+        }
+        for k, row in enumerate(measured.vehicles)
+    ]
 
 
 def _of_posed(measured: Measurement) -> dict[str, Any]:
@@ -238,7 +246,11 @@ def upgraded(report: Any) -> Any:
 
     Its checks are not made up for: judging is for who measures.
     """
-    if not isinstance(report, dict) or report.get("format") != FIRST or not isinstance(report.get("remarks"), list):
+    if (
+        not isinstance(report, dict)
+        or report.get("format") != FIRST_FORMAT
+        or not isinstance(report.get("remarks"), list)
+    ):
         return report
     notes = report.get("notes") or []
     remarks = [{"severity": INFO if text in notes else CAUTION, "text": text} for text in report["remarks"]]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from ..core import explanation
+from ..core import uncertainty
 from ..errors import InputError
 from ..formats.reading import reason
 
@@ -14,7 +14,7 @@ HINT = "Give the report.json that `fix` wrote."
 
 
 def explain(report: Mapping[str, Any]) -> dict[str, Any]:
-    """What `core.explanation` makes of a report (`document`), with the report's scale, verdict and remarks.
+    """What `core.uncertainty` makes of a report (`document`), with the report's scale, verdict and remarks.
 
     Raises InputError where that is not in it.
     """
@@ -26,7 +26,7 @@ def explain(report: Mapping[str, Any]) -> dict[str, Any]:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"not a report of orthoscale: {reason(error)}", HINT) from error
     try:
-        found = asdict(explanation.explain(parts, used, fleet))
+        found = asdict(uncertainty.explain(parts, used, fleet))
     except ValueError as error:
         raise InputError(f"the report is of no use here: {error}", HINT) from error
     return {"scale": scale, "unit": unit, "verdict": str(report.get("verdict", "")), **found, "remarks": said}

@@ -39,7 +39,7 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
     """The HTML of a report. `scene` has its pictures; without any, the page does without."""
     report = completed(report)
     (value, low, high), unit = wording.quantity(report, report["scale"], *report["interval90"])
-    return _template().render(
+    return template("page.html").render(
         report=report,
         name=Path(report["input"]["path"]).name,
         value=value,
@@ -66,7 +66,8 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
 
 
 @cache
-def _template() -> Template:
+def template(name: str) -> Template:
+    """The template `name` beside this module: what it is given is escaped, and what it misses is an error."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     loader = PackageLoader("orthoscale.report", ".")
@@ -74,7 +75,7 @@ def _template() -> Template:
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters |= {"percent": percent, "signed": signed}
-    return environment.get_template("page.html")
+    return environment.get_template(name)
 
 
 def _picture(panel: Panel) -> dict[str, Any]:

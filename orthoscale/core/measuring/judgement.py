@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ..claims import Comparison
-from ..explanation import explain
 from ..pooling.posterior import Z90
 from ..remarks import CAUTION, INFO, REFUSAL, SUPPORT, Judgement, by_severity, percent, signed
+from ..uncertainty import explain
 from ..verdicts import CHECK_LIMIT, SHAPE_LIMIT
 from .drift import Drift
 from .measurement import Measurement

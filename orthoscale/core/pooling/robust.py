@@ -14,7 +14,7 @@ widths where they are fine, without a rule for it. Only the first term shrinks w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,34 +78,13 @@ def pool(
     share_px = np.median(votes.pixel[measurable, None] / size, axis=0)  # one pixel as a share of length and width
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
-    candidates = fleet.candidates or (fleet,)
-    count = len(size)
-    some = np.linspace(0, count - 1, min(count, ENOUGH)).astype(int) if len(candidates) > 1 else np.arange(count)
-    fits: dict[int, _Vehicles] = {}
-    for k, candidate in enumerate(candidates):
-        try:
-            fits[k] = _of_fleet(np.log(size[some]), noise[some], candidate, known, ruler.drawing)
-        except TooLittleEvidence:  # it cannot be this one
-            if k + 1 == len(candidates) and not fits:
-                raise
-    each, candidates = list(fits.values()), tuple(candidates[k] for k in fits)
-    prior = tuple((fleet.prior or (1.0,))[k] for k in fits)
-    probability = _probabilities(np.array([v.log_evidence for v in each]), prior)
-    likeliest = int(np.argmax(probability))
-    if len(some) < count:
-        each[likeliest] = _of_fleet(np.log(size), noise, candidates[likeliest], known, ruler.drawing)
-    best = each[likeliest]
+    best, fleets = _of_candidates(np.log(size), noise, fleet, known, ruler.drawing)
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
             f"{len(votes)} boxes, but only {int(best.inlier.sum())} have the sizes of vehicles of one scale; "
             f"{MIN_VEHICLES} are needed"
         )
     posterior, parts = best.posterior, dict(best.parts)
-    if len(each) > 1:
-        posterior = Posterior.mixed([v.posterior for v in each], probability)
-        others = sum(v**2 for name, v in parts.items() if name != "fleet")
-        parts["fleet"] = float(np.sqrt(max(posterior.spread**2 - others, parts["fleet"] ** 2)))
-
     remarks = []
     difference = float(best.estimates[0] - best.estimates[1])
     if best.tension > CHECK_LIMIT:
@@ -141,7 +120,7 @@ def pool(
         reasons=reasons(used, measurable, fleeting, np.log(size), mean),
         remarks=(*together.remarks, *remarks),
         larger_share=best.larger_share,
-        fleets={c.code: float(p) for c, p in zip(candidates, probability, strict=True) if p > LIKELY},
+        fleets=fleets,
         evidence=tuple(evidence),
     )
 
@@ -152,6 +131,42 @@ def _noise(votes: Votes, ruler: Ruler) -> np.ndarray:
     if votes.sigma is not None:
         variance = np.where(np.isfinite(votes.sigma), (votes.sigma * votes.size) ** 2, variance)
     return np.sqrt(variance / np.maximum(votes.views, 1)[:, None])
+
+
+def _of_candidates(
+    log_size: np.ndarray, noise: np.ndarray, fleet: Fleet, known: Mapping[str, np.ndarray], drawing: Drawing
+) -> tuple[_Vehicles, dict[str, float]]:
+    """What the votes say if they are of one of the candidates of `fleet`, and the probability of each, by code.
+
+    Arguments as of `_of_fleet`. Everything is the likeliest's, but for the posterior, which is that of them all: what
+    it is wider by is a part of not knowing the fleet.
+    """
+    candidates = fleet.candidates or (fleet,)
+    count = len(log_size)
+    some = np.linspace(0, count - 1, min(count, ENOUGH)).astype(int) if len(candidates) > 1 else np.arange(count)
+    fits: dict[int, _Vehicles] = {}
+    for k, candidate in enumerate(candidates):
+        try:
+            fits[k] = _of_fleet(log_size[some], noise[some], candidate, known, drawing)
+        except TooLittleEvidence:  # it cannot be this one
+            if k + 1 == len(candidates) and not fits:
+                raise
+    each, candidates = list(fits.values()), tuple(candidates[k] for k in fits)
+    prior = tuple((fleet.prior or (1.0,))[k] for k in fits)
+    probability = _probabilities(np.array([v.log_evidence for v in each]), prior)
+    likeliest = int(np.argmax(probability))
+    if len(some) < count:
+        each[likeliest] = _of_fleet(log_size, noise, candidates[likeliest], known, drawing)
+    best, fleets = each[likeliest], {}
+    for candidate, share in zip(candidates, probability, strict=True):
+        if share > LIKELY:
+            fleets[candidate.code] = float(share)
+    if len(each) == 1:
+        return best, fleets
+    posterior = Posterior.mixed([v.posterior for v in each], probability)
+    others = sum(v**2 for name, v in best.parts.items() if name != "fleet")
+    wider = float(np.sqrt(max(posterior.spread**2 - others, best.parts["fleet"] ** 2)))
+    return replace(best, posterior=posterior, parts={**best.parts, "fleet": wider}), fleets
 
 
 def _of_fleet(
