@@ -32,7 +32,7 @@ from ..sources.location import location_of
 from ..sources.opening import open_source
 from ..tables import standards
 from .control import read_control, read_distance
-from .find import find_in
+from .find import find_in, measured_anew
 from .requests import EstimateRequest
 from .result import Result
 from .whose import fleet_at, named_fleet
@@ -59,6 +59,7 @@ def estimate(
     detector : an ONNX file instead of the shipped one.
     decoder : how to read its outputs, where they do not tell (`detect.output_forms.DECODERS`).
     vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
+    measurer : network that measures the vehicles once more, "built-in", "none" or an ONNX file; see `requests`.
     calibration : file of `orthoscale.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : resampling factor (detector pixels per picture pixel), or the expected metres per pixel, instead of
     the search for it. refine : look at every vehicle four times more, turned and at neighbouring zooms.
@@ -85,7 +86,8 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
     fleet, why = named_fleet(request.fleet, known), tuple[str, ...]()
     from_file = request.detections is not None
-    source = open_source(path, request.images, not from_file) if isinstance(path, (str, Path)) else path
+    needs_pictures = not from_file or request.measures is not None
+    source = open_source(path, request.images, needs_pictures) if isinstance(path, (str, Path)) else path
     if fleet is None:
         fleet, why = fleet_at(location_of(source))
     request.check_for(source)
@@ -97,6 +99,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     else:
         found, choice = _looked_for(source, request, fleet, progress)
     found = replace(found, notes=(*why, *found.notes))
+    found = measured_anew(source, found, request, request.workers, progress)
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if known is not None:
         found = known.applied(found, Path(str(request.calibration)))

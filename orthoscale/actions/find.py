@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.detections import Detections
 from ..core.measuring.ways import BOTH, OBLIQUE, PLANAR
-from ..core.source import Picture, PosedSet, Source
+from ..core.source import Picture, Pictures, PosedSet, Source
 from ..detect.detector import Detector
 from ..detect.find import Effort, Progress, find_vehicles, find_zoom
+from ..detect.measurer import Measurer
+from ..detect.remeasure import remeasured
+from ..detect.workers import worker_count
 from ..errors import EvidenceDisagrees, TooLittleEvidence
+from .requests import BUILT_IN, VehicleRequest
 
 if TYPE_CHECKING:
     from ..detect.zoom import ZoomChoice
@@ -113,6 +118,27 @@ def _plans(source: PosedSet, needed: bool) -> list[Picture]:
             f"no frame of {source.path} sees the ground from near the nadir", "Measure obliquely: --mode oblique."
         )
     return plans
+
+
+def measured_anew(
+    source: Pictures,
+    found: Detections,
+    request: VehicleRequest,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Detections:
+    """`found` as the measurer that is asked for has it; as it is, if none is. `workers` as in `Effort`.
+
+    Raises InputError.
+    """
+    if request.measures is None:
+        return found
+    measurer = Measurer(None if request.measures == BUILT_IN else Path(request.measures))
+    threads, planar = worker_count(workers), found.planar
+    posed: PosedSet | None = getattr(source, "posed", None)
+    if planar is not None and posed is not None:
+        planar = remeasured(_plans(posed, False), planar, measurer, threads, _named(progress, "from above"))
+    return replace(remeasured(source.pictures, found, measurer, threads, progress), planar=planar)
 
 
 def _named(progress: Progress | None, where: str) -> Progress | None:

@@ -26,6 +26,7 @@ ESTIMATORS = ("robust", "iqr")
 GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options in --help, in this order
 EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
+BUILT_IN = "built-in"
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,14 @@ class VehicleRequest:
     calibration: str | Path | None = option(
         None, Path, "Detector", "The detector's ruler, measured by `orthoscale calibrate`."
     )
+    measurer: str | Path | None = option(
+        None,
+        str,
+        "Detector",
+        "Network that measures found vehicles once more: 'built-in', 'none' or an .onnx file. Default: built-in where "
+        "the built-in detector finds them and there is no --calibration, else none.",
+        metavar="NAME",
+    )
     zoom: float | None = option(
         None,
         float,
@@ -127,6 +136,18 @@ class VehicleRequest:
             raise UsageError("--zoom and --gsd-hint set the same thing twice", "Give one of them.")
         if self.detections is not None:
             self._refuse(self.of_detector, "--detections takes the boxes from a file: no detector runs")
+        if self.calibration is not None and self.measures is not None:
+            raise UsageError(
+                "--calibration is of a detector's boxes, and --measurer replaces these", "Give one of them."
+            )
+
+    @property
+    def measures(self) -> str | None:
+        """BUILT_IN or the file of the network that measures vehicles once more; None where none does."""
+        if self.measurer is None:
+            own = self.detections is None and self.detector is None and self.calibration is None
+            return BUILT_IN if own else None
+        return None if self.measurer == "none" else str(self.measurer)
 
     @property
     def of_detector(self) -> Iterable[str]:
@@ -312,6 +333,7 @@ class VehicleOptions(TypedDict, total=False):
     decoder: str | None
     vehicle_classes: Sequence[str]
     calibration: str | Path | None
+    measurer: str | Path | None
     zoom: float | None
     gsd_hint: float | None
 
