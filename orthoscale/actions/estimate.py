@@ -99,7 +99,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     else:
         found, choice = _looked_for(source, request, fleet, progress)
     found = replace(found, notes=(*why, *found.notes))
-    found = measured_anew(source, found, request, request.workers, progress)
+    found = measured_anew(source, found, request, _effort(request), progress)
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if known is not None:
         found = known.applied(found, Path(str(request.calibration)))
@@ -120,7 +120,7 @@ def _looked_for(
     source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles that a detector finds. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
-    effort = Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
+    effort = _effort(request)
     # Somebody else's network looks at one image at a time, with all cores.
     threads = 0 if request.detector else effort.threads_each
     network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads)
@@ -143,6 +143,10 @@ def _looked_for(
         ruler = (found.zoom, found.ruler.noise)
         found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
     return replace(found, notes=(*found.notes, *network.notes)), choice
+
+
+def _effort(request: EstimateRequest) -> Effort:
+    return Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
 
 
 def _given(source: Source, known_distance: Sequence[str], ground_control: str | Path | None) -> list[Evidence]:

@@ -15,7 +15,6 @@ from ..detect.detector import Detector
 from ..detect.find import Effort, Progress, find_vehicles, find_zoom
 from ..detect.measurer import Measurer
 from ..detect.remeasure import remeasured
-from ..detect.workers import worker_count
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from .requests import BUILT_IN, VehicleRequest
 
@@ -124,21 +123,18 @@ def measured_anew(
     source: Pictures,
     found: Detections,
     request: VehicleRequest,
-    workers: int | None = None,
+    effort: Effort | None = None,
     progress: Progress | None = None,
 ) -> Detections:
-    """`found` as the measurer that is asked for has it; as it is, if none is. `workers` as in `Effort`.
-
-    Raises InputError.
-    """
+    """`found` as the measurer that is asked for has it; as it is, if none is. Raises InputError."""
     if request.measures is None:
         return found
     measurer = Measurer(None if request.measures == BUILT_IN else Path(request.measures))
-    threads, planar = worker_count(workers), found.planar
+    planar = found.planar
     posed: PosedSet | None = getattr(source, "posed", None)
     if planar is not None and posed is not None:
-        planar = remeasured(_plans(posed, False), planar, measurer, threads, _named(progress, "from above"))
-    return replace(remeasured(source.pictures, found, measurer, threads, progress), planar=planar)
+        planar = remeasured(_plans(posed, False), planar, measurer, effort, _named(progress, "from above"))
+    return replace(remeasured(source.pictures, found, measurer, effort, progress), planar=planar)
 
 
 def _named(progress: Progress | None, where: str) -> Progress | None:

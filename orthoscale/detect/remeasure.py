@@ -7,8 +7,9 @@ scores, and these tell by how much the detector's boxes of this scene are too la
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +19,10 @@ from ..core.detections import Detections
 from ..core.pooling.posterior import ROBUST_SD
 from ..core.ruler import Ruler
 from ..core.source import Picture
-from .find import Progress
+from .cache import Kept, as_text, content_key
+from .find import Effort, Progress
 from .measurer import Measured, Measurer
+from .workers import worker_count
 
 MOST = 400  # boxes that are measured; what a scale then gains from more is less than its margin leaves open
 TOGETHER = 8  # boxes that one thread measures at a time
@@ -40,21 +43,26 @@ def remeasured(
     pictures: Sequence[Picture],
     found: Detections,
     measurer: Measurer,
-    workers: int = 1,
+    effort: Effort | None = None,
     progress: Progress | None = None,
 ) -> Detections:
     """`found` with the boxes that `measurer` makes of it in `pictures`, and its ruler.
 
     What it takes for no vehicle becomes doubtful. Each box has a sigma of its own, and kinds where it was looked at.
+    effort : its workers and cache.
     """
+    effort = effort or Effort()
     by_name = {picture.name: picture for picture in pictures}
     chosen = _chosen({name: boxes for name, boxes in found.boxes.items() if name in by_name})
     if not chosen and len(found):
         return found  # nothing that was found is at hand
-    told = dict(_looked_at(by_name, found.boxes, chosen, measurer, workers, progress))
+    proposed = {name: found.boxes[name][index] for name, index in chosen.items()}
+    key = content_key([by_name[name] for name in chosen], {"measurer": measurer.sha256}) if effort.cache else None
+    with ExitStack() as open_things:
+        kept = open_things.enter_context(Kept(key)) if key else None
+        told = _looked_at(by_name, proposed, measurer, worker_count(effort.workers), kept, progress)
     change = _change(
-        np.concatenate([found.boxes[name].xylwa[index] for name, index in chosen.items()] or [np.empty((0, 5))]),
-        Boxes.concatenate([told[name].boxes for name in chosen]),
+        Boxes.concatenate(list(proposed.values())), Boxes.concatenate([told[name].boxes for name in proposed])
     )
     boxes, doubtful, count = {}, dict(found.doubtful), 0
     for name, before in found.boxes.items():
@@ -63,10 +71,10 @@ def remeasured(
         parts = [_corrected(before[rest], change)]
         if len(index):
             parts.append(_of(told[name], measurer))
-            vehicle = _is_vehicle(told[name], before[index])
+            vehicle = _is_vehicle(told[name], proposed[name])
             count += int((~vehicle).sum())
             if not vehicle.all():
-                unlike = before[index][~vehicle]
+                unlike = proposed[name][~vehicle]
                 doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), unlike])
             parts[1] = parts[1][vehicle]
         boxes[name] = distinct(Boxes.concatenate(parts))
@@ -100,24 +108,42 @@ def _chosen(boxes: Mapping[str, Boxes]) -> dict[str, np.ndarray]:
 
 def _looked_at(
     pictures: Mapping[str, Picture],
-    boxes: Mapping[str, Boxes],
-    chosen: Mapping[str, np.ndarray],
+    proposed: Mapping[str, Boxes],
     measurer: Measurer,
     workers: int,
+    kept: Kept | None,
     progress: Progress | None,
-) -> Iterator[tuple[str, Measured]]:
-    """What the measurer says of the `chosen` boxes of each picture."""
-    jobs = [(name, index[k : k + TOGETHER]) for name, index in chosen.items() for k in range(0, len(index), TOGETHER)]
-    parts: dict[str, list[Measured]] = {}
+) -> dict[str, Measured]:
+    """What the measurer says of the `proposed` boxes of each picture; what was `kept` is not looked at again."""
+    rows: dict[str, list[np.ndarray | None]] = {}
+    jobs = []
+    for name, boxes in proposed.items():
+        rows[name] = [_kept(kept, pictures[name], box) for box in boxes.xylwa]
+        new = [k for k, row in enumerate(rows[name]) if row is None]
+        jobs += [(name, np.array(new[k : k + TOGETHER])) for k in range(0, len(new), TOGETHER)]
     with ThreadPoolExecutor(workers) as pool:
-        looks = pool.map(lambda job: measurer(pictures[job[0]], boxes[job[0]][job[1]]), jobs)
-        for done, ((name, _), look) in enumerate(zip(jobs, looks, strict=True), 1):
-            parts.setdefault(name, []).append(look)
+        looks = pool.map(lambda job: measurer(pictures[job[0]], proposed[job[0]][job[1]]), jobs)
+        for done, ((name, index), look) in enumerate(zip(jobs, looks, strict=True), 1):
+            for k, row in zip(index, np.hstack([look.boxes.xylwa, look.sigma, look.seen, look.kind]), strict=True):
+                rows[name][k] = row
+                if kept is not None:
+                    kept.keep(_row_name(pictures[name], proposed[name].xylwa[k]), row.astype("<f8").tobytes())
             if progress:
                 progress("Measuring vehicles", done, len(jobs))
-    for name, some in parts.items():
-        arrays = (np.concatenate([getattr(part, each) for part in some]) for each in ("sigma", "seen", "kind"))
-        yield name, Measured(Boxes.concatenate([part.boxes for part in some]), *arrays)
+    told = {}
+    for name, boxes in proposed.items():
+        xylwa, sigma, seen, kind = np.split(np.array(rows[name]), [5, 9, 13], axis=1)
+        told[name] = Measured(Boxes(xylwa, boxes.score), sigma, seen, kind)
+    return told
+
+
+def _row_name(picture: Picture, box: np.ndarray) -> str:
+    return f"{as_text(picture)}:{','.join(map(repr, box.tolist()))}"
+
+
+def _kept(kept: Kept | None, picture: Picture, box: np.ndarray) -> np.ndarray | None:
+    content = None if kept is None else kept.content(_row_name(picture, box))
+    return None if content is None else np.frombuffer(content, "<f8")
 
 
 def _is_vehicle(told: Measured, proposed: Boxes) -> np.ndarray:
@@ -132,10 +158,10 @@ def _of(told: Measured, measurer: Measurer) -> Boxes:
     return replace(told.boxes, sigma=sigma, kinds=kinds)
 
 
-def _change(before: np.ndarray, after: Boxes) -> _Change:
+def _change(before: Boxes, after: Boxes) -> _Change:
     if not len(after):
         return _Change(np.zeros(2), np.zeros(2))
-    log_ratio = np.log(after.xylwa[:, 2:4] / before[:, 2:4])
+    log_ratio = np.log(after.xylwa[:, 2:4] / before.xylwa[:, 2:4])
     middle = np.median(log_ratio, axis=0)
     return _Change(middle, ROBUST_SD * np.median(np.abs(log_ratio - middle), axis=0))
 
