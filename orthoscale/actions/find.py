@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from ..core.detections import Detections
 from ..core.measuring.ways import BOTH, OBLIQUE, PLANAR
-from ..core.source import Picture, Pictures, PosedSet, Source
+from ..core.source import Picture, PosedSet, Source
 from ..detect.detector import Detector
 from ..detect.find import Effort, Progress, find_vehicles, find_zoom
 from ..detect.measurer import Measurer
 from ..detect.remeasure import remeasured
 from ..errors import EvidenceDisagrees, TooLittleEvidence
-from .requests import BUILT_IN, VehicleRequest
+from .requests import BUILT_IN, EstimateRequest
 
 if TYPE_CHECKING:
     from ..detect.zoom import ZoomChoice
@@ -120,21 +120,26 @@ def _plans(source: PosedSet, needed: bool) -> list[Picture]:
 
 
 def measured_anew(
-    source: Pictures,
+    source: Source,
     found: Detections,
-    request: VehicleRequest,
+    request: EstimateRequest,
     effort: Effort | None = None,
     progress: Progress | None = None,
 ) -> Detections:
-    """`found` as the measurer that is asked for has it; as it is, if none is. Raises InputError."""
+    """`found` with what is seen from above measured by the measurer that is asked for; as it is, if none is.
+
+    In frames it is not: seen at a slant, the measurer's edges are those of what is bright, not of the body that the
+    projection takes off. Raises InputError.
+    """
     if request.measures is None:
         return found
     measurer = Measurer(None if request.measures == BUILT_IN else Path(request.measures))
-    planar = found.planar
-    posed: PosedSet | None = getattr(source, "posed", None)
-    if planar is not None and posed is not None:
-        planar = remeasured(_plans(posed, False), planar, measurer, effort, _named(progress, "from above"))
-    return replace(remeasured(source.pictures, found, measurer, effort, progress), planar=planar)
+    if source.posed is None:
+        return remeasured(source.pictures, found, measurer, effort, progress)
+    if found.planar is None:
+        return found
+    plans = _plans(source.posed, False)
+    return replace(found, planar=remeasured(plans, found.planar, measurer, effort, _named(progress, "from above")))
 
 
 def _named(progress: Progress | None, where: str) -> Progress | None:

@@ -108,14 +108,6 @@ class VehicleRequest:
     calibration: str | Path | None = option(
         None, Path, "Detector", "The detector's ruler, measured by `orthoscale calibrate`."
     )
-    measurer: str | Path | None = option(
-        None,
-        str,
-        "Detector",
-        "Network that measures found vehicles once more: 'built-in', 'none' or an .onnx file. Default: built-in where "
-        "the built-in detector finds them and there is no --calibration, else none.",
-        metavar="NAME",
-    )
     zoom: float | None = option(
         None,
         float,
@@ -136,18 +128,6 @@ class VehicleRequest:
             raise UsageError("--zoom and --gsd-hint set the same thing twice", "Give one of them.")
         if self.detections is not None:
             self._refuse(self.of_detector, "--detections takes the boxes from a file: no detector runs")
-        if self.calibration is not None and self.measures is not None:
-            raise UsageError(
-                "--calibration is of a detector's boxes, and --measurer replaces these", "Give one of them."
-            )
-
-    @property
-    def measures(self) -> str | None:
-        """BUILT_IN or the file of the network that measures vehicles once more; None where none does."""
-        if self.measurer is None:
-            own = self.detections is None and self.detector is None and self.calibration is None
-            return BUILT_IN if own else None
-        return None if self.measurer == "none" else str(self.measurer)
 
     @property
     def of_detector(self) -> Iterable[str]:
@@ -194,6 +174,14 @@ class EstimateRequest(VehicleRequest):
         bool,
         "Detector",
         "Detect every vehicle four more times and take the median box; for inputs with few vehicles.",
+    )
+    measurer: str | Path | None = option(
+        None,
+        str,
+        "Detector",
+        "Network that measures vehicles seen from above once more: 'built-in', 'none' or an .onnx file. Default: "
+        "built-in where the built-in detector finds them and there is no --calibration, else none.",
+        metavar="NAME",
     )
     mode: str | None = option(
         None,
@@ -256,6 +244,12 @@ class EstimateRequest(VehicleRequest):
         super().__post_init__()
         if self.mode == "planar":
             self._refuse(("projection", "refine"), "--mode planar measures no boxes in frames")
+        if self.mode == "oblique":
+            self._refuse(("measurer",), "--mode oblique measures nothing from above")
+        if self.calibration is not None and self.measures is not None:
+            raise UsageError(
+                "--calibration is of a detector's boxes, and --measurer replaces these", "Give one of them."
+            )
         if self.exhaustive:
             self._refuse(("target",), "--exhaustive visits every tile")
         if self.estimator == "iqr" and (self.known_distance or self.ground_control is not None):
@@ -263,6 +257,14 @@ class EstimateRequest(VehicleRequest):
                 "the estimator 'iqr' is the paper's, for vehicles only",
                 "Remove known distances and ground control, or use --estimator robust.",
             )
+
+    @property
+    def measures(self) -> str | None:
+        """BUILT_IN or the file of the network that measures vehicles once more; None where none does."""
+        if self.measurer is None:
+            own = self.detections is None and self.detector is None and self.calibration is None
+            return BUILT_IN if own else None
+        return None if self.measurer == "none" else str(self.measurer)
 
     @property
     def of_detector(self) -> Iterable[str]:
@@ -333,7 +335,6 @@ class VehicleOptions(TypedDict, total=False):
     decoder: str | None
     vehicle_classes: Sequence[str]
     calibration: str | Path | None
-    measurer: str | Path | None
     zoom: float | None
     gsd_hint: float | None
 
@@ -343,6 +344,7 @@ class EstimateOptions(VehicleOptions, total=False):
 
     images: str | Path | None
     refine: bool
+    measurer: str | Path | None
     mode: str | None
     target: float
     exhaustive: bool

@@ -25,7 +25,7 @@ from .measurer import Measured, Measurer
 from .workers import worker_count
 
 MOST = 400  # boxes that are measured; what a scale then gains from more is less than its margin leaves open
-TOGETHER = 8  # boxes that one thread measures at a time
+AT_A_TIME = 8  # boxes that one thread measures at a time
 NONE = 0.5  # probability of being no vehicle from which a box does not count
 SAME = 0.4  # overlap with the proposed box below which another thing was measured; boxes 30 % too large share 0.59
 
@@ -120,7 +120,7 @@ def _looked_at(
     for name, boxes in proposed.items():
         rows[name] = [_kept(kept, pictures[name], box) for box in boxes.xylwa]
         new = [k for k, row in enumerate(rows[name]) if row is None]
-        jobs += [(name, np.array(new[k : k + TOGETHER])) for k in range(0, len(new), TOGETHER)]
+        jobs += [(name, np.array(new[k : k + AT_A_TIME])) for k in range(0, len(new), AT_A_TIME)]
     with ThreadPoolExecutor(workers) as pool:
         looks = pool.map(lambda job: measurer(pictures[job[0]], proposed[job[0]][job[1]]), jobs)
         for done, ((name, index), look) in enumerate(zip(jobs, looks, strict=True), 1):

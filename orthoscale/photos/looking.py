@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..actions.find import measured_anew
 from ..actions.requests import VehicleRequest
 from ..actions.whose import fleet_at, named_fleet
 from ..core.detections import Detections
@@ -67,7 +66,6 @@ def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = 
         found = load(Path(how.detections), Album(photos), how.vehicle_classes)
     else:
         found = _detected(photos, how, progress)
-    found = measured_anew(Album(photos), found, how, None, progress)
     if how.calibration is not None:
         found = load_calibration(path := Path(how.calibration)).applied(found, path)
     return found
