@@ -36,7 +36,7 @@ NO_DATA = (NO_DATA_GREY,) * 3  # beyond the picture's edge
 ANSWERS = (*KINDS, "none")
 
 OUTPUTS = ("edges", "sigma", "turn", "seen", "kind")
-MEASURER_CARD, MEASURER_CARD_HINT = (
+MEASURER_CARD, MEASURER_HINT = (
     "a measurer with an orthoscale card that can be read",
     "Export it with training.measurer.export.",
 )
@@ -66,11 +66,11 @@ class MeasurerCard:
         from ..formats.schemas import MeasurerCardEntry
 
         entry = checked(
-            parsed(text, origin, MEASURER_CARD, MEASURER_CARD_HINT),
+            parsed(text, origin, MEASURER_CARD, MEASURER_HINT),
             MeasurerCardEntry,
             origin,
             MEASURER_CARD,
-            MEASURER_CARD_HINT,
+            MEASURER_HINT,
         )
         values = {name: getattr(entry, name) for name in entry.__struct_fields__}
         return cls(**{**values, "ruler": entry.ruler.ruler})
@@ -150,7 +150,7 @@ class Measurer:
         self._path, content, self._network = load_network(path, SHIPPED_MEASURER, threads)
         inputs, outputs, metadata = self._network.said
         if [name for name, *_ in inputs] != ["crops"] or tuple(name for name, *_ in outputs) != OUTPUTS:
-            raise InputError(f"{self._path}: not a measurer", MEASURER_CARD_HINT)
+            raise InputError(f"{self._path}: not a measurer", MEASURER_HINT)
         self.card = MeasurerCard.from_json(metadata.get("orthoscale", ""), str(self._path))
         self.sha256 = hashlib.sha256(content).hexdigest()
 
@@ -160,7 +160,7 @@ class Measurer:
         try:
             parts = [self._network.run(batch.astype(np.float32)) for batch in batches]
         except ForeignError as error:
-            raise InputError(f"{self._path}: the network fails on a crop ({error})", MEASURER_CARD_HINT) from error
+            raise InputError(f"{self._path}: the network fails on a crop ({error})", MEASURER_HINT) from error
         return [np.concatenate(part).astype(float) for part in zip(*parts, strict=True)]
 
     def __call__(self, picture: Picture, boxes: Boxes, looks: int = PASSES_EACH) -> Measured:
