@@ -15,14 +15,21 @@ WINDOWS = (0.9, 0.65, 0.5, 0.4)  # [m] about a stroke where its paint is looked 
 LEAST_WINDOW = 1.3  # [px] but never closer than this
 PAINT_SD = 0.05  # [m] one sigma of the ridge filter, of the width of the paint ...
 LINE_SD = 0.75  # [px] ... and at least of what a camera leaves of a line
+BLURRED_SD = 0.7  # [px] one sigma of what lens and pixels make of a thin line
+BESIDE = 2.0  # [m] from a stroke, where another one may disturb it
 PIECE = 1.2  # [m] of strokes, and of so many pixels at least:
-PIECE_PX = 2.5
+PIECE_PX = 5.0
+FREE = 0.5  # [m] and [px] from any paint: there the picture must be blank
+FREE_PX = 2.2
 CLOSE = 0.16  # [m] and [px]: a stroke is seen where a ridge is so close to it
 CLOSE_PX = 0.6
-CLEAR = 2.0  # noises: a ridge this strong is one
-FAINT = 0.3  # of the typical stroke's strength: a ridge this strong contradicts a blank
+CLEAR = 2.5  # noises: a ridge this strong is one, and is that of a stroke ...
+FAINT = 0.25  # ... if it has this share of the typical stroke's strength;
+MARRING = 0.5  # with this share it contradicts a blank
 ROUNDING = 0.1  # [grey levels] of noise at least
+SAMPLES_PX = 0.8  # [px] along a piece
 SEEN = 0.5  # of a stroke's pieces on ridges: the stroke is seen
+LEAST_SD = 0.01  # [m] of the ridges about a fit
 PRIOR_SD = 0.1  # [ln] by which a round may change a pixel size
 
 
@@ -32,6 +39,7 @@ class CourtFit:
     metre. along_sd, across_sd : their relative one sigma by the scatter about the fit alone.
     residual : (M,) of the ridges that were found, across the strokes [px]. lit : share of the painted length that lies on
     ridges. seen : (S,) the same of each stroke. marred : share of the blank places that ridges cross.
+    scatter : root mean square of `residual`, as a share of the most it may be; 0.58 if ridges are anywhere.
     contrast : of the paint, in units of the noise."""
 
     place: np.ndarray
@@ -44,6 +52,7 @@ class CourtFit:
     lit: float
     seen: np.ndarray
     marred: float
+    scatter: float
     contrast: float
 
     def points(self, metres: np.ndarray) -> np.ndarray:
@@ -53,8 +62,31 @@ class CourtFit:
 
 
 @lru_cache(maxsize=64)
-def _pieces(court: Court, length: float) -> tuple[Pieces, Pieces]:
-    return court.pieces(length), court.blanks(length)
+def _pieces(court: Court, length: float, free: float) -> tuple[Pieces, Pieces]:
+    return court.pieces(length), court.blanks(length, free)
+
+
+@lru_cache(maxsize=64)
+def _neighbours(court: Court, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the pieces that a stroke beside them runs along, and how far off it is, to the normal's side [m]."""
+    pieces = court.pieces(length)
+    along = np.stack([np.cos(pieces.direction), np.sin(pieces.direction)], -1)
+    gap = pieces.middle[None] - pieces.middle[:, None]
+    beside = np.abs((gap * along[:, None]).sum(-1)) <= pieces.length[:, None] / 2
+    off = gap[..., 1] * along[:, None, 0] - gap[..., 0] * along[:, None, 1]
+    parallel = np.abs(np.sin(pieces.direction - pieces.direction[:, None])) < 0.1
+    one, other = np.nonzero(beside & parallel & (np.abs(off) < BESIDE) & (pieces.stroke != pieces.stroke[:, None]))
+    return one, off[one, other]
+
+
+def _pushed(court: Court, length: float, size: float) -> np.ndarray:
+    """(P,) how far [px] the ridge of each piece is moved by that of a stroke beside it: the peak of the sum of two
+    second derivatives of Gaussians, to first order. Only where strokes are a few pixels apart."""
+    one, off = _neighbours(court, length)
+    variance = max(LINE_SD, PAINT_SD * size) ** 2 + BLURRED_SD**2
+    r = off * size
+    slope = (r**3 / variance**2 - 3 * r / variance) * np.exp(-0.5 * r**2 / variance)
+    return np.bincount(one, -slope * variance / 3, len(court.pieces(length).length))
 
 
 @lru_cache(maxsize=64)
@@ -102,7 +134,7 @@ def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float)
     core = int(np.ceil(window / step)) + 1
     reach = core + int(np.ceil(3.5 * sd / step))
     offset = np.arange(-reach, reach + 1) * step
-    inner = int(np.clip(round(pieces.length[0] * size / 1.5), 3, 9))
+    inner = int(np.clip(np.ceil(pieces.length.max() * size / SAMPLES_PX), 3, 12))
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, s], [-s, c]]) * [[along], [across]]
     middle = np.array([x, y]) + pieces.middle @ turn
@@ -125,8 +157,8 @@ def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float)
     return _Bands(response, offset[reach - core : reach + core + 1], inside)
 
 
-def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Robust least squares (Tukey's weights) of offset = rows @ change [m]; the change and the final weights."""
+def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: float) -> np.ndarray:
+    """The change [m] by robust least squares (Tukey's weights) of offset = rows @ change [m]."""
     held = np.diag([1e-4, 1e-4, 1e-2, 0.05**2 / PRIOR_SD**2, 0.05**2 / PRIOR_SD**2])
     change = np.zeros(rows.shape[1])
     scale = width / 2
@@ -138,13 +170,15 @@ def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: floa
         change = np.linalg.solve(by.T @ rows + held, by.T @ offset)
         left = np.abs(offset - rows @ change)
         scale = float(np.clip(ROBUST_SD * np.average(left, weights=robust + 1e-9), 0.02, width / 2))
-    return change, robust
+    return change
 
 
 def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, size: float) -> CourtFit | None:
     """The court near `place` [px], `angle` [rad] and `size` [px/m], in `light` (H, W) float32 grey levels. None where
     too little of it is seen to fit anything, or the fit leaves the place."""
-    pieces, blanks = _pieces(court, round(max(PIECE, PIECE_PX / size), 1))
+    length = round(max(PIECE, PIECE_PX / size), 1)
+    pieces, blanks = _pieces(court, length, round(max(FREE, FREE_PX / size), 1))
+    pushed = _pushed(court, length, size)
     reach = court.extent * size * 0.6 + 8
     corner = np.maximum(np.floor(place - reach), 0).astype(int)
     upper = np.maximum(np.ceil(place + reach), 0).astype(int)
@@ -165,7 +199,7 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
         weight = np.clip((strength / noise - 1.5) / 3, 0, 1)
         if (weight > 0).sum() < 12:
             return None
-        change, _ = _solve(rows, offset / now, weight, window_px / now)
+        change = _solve(rows, (offset - pushed) / now, weight, window_px / now)
         change = np.clip(change, -1, 1)
         c, s = np.cos(pose[2]), np.sin(pose[2])
         pose[:2] += change[0] * pose[3] * np.array([c, s]) + change[1] * pose[4] * np.array([-s, c])
@@ -173,16 +207,17 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
         pose[3:] *= np.exp(np.clip(change[3:], -0.2, 0.2))
         if not (np.abs(np.log(pose[3:] / size)) < 0.25).all():
             return None
-    return _judged(light, court, pose, pieces, blanks, rows, corner)
+    return _judged(light, court, pose, pieces, blanks, rows, pushed, corner)
 
 
-def _judged(light, court, pose, pieces, blanks, rows, corner) -> CourtFit:
+def _judged(light, court, pose, pieces, blanks, rows, pushed, corner) -> CourtFit:
     size = float(np.sqrt(pose[3] * pose[4]))
     close = max(CLOSE * size, CLOSE_PX)
     empty = _measure(light, pose, blanks, close)
     noise = empty.noise()
     bands = _measure(light, pose, pieces, max(2 * close, LEAST_WINDOW))
     offset, strength = bands.peaks(max(2 * close, LEAST_WINDOW))
+    offset = offset - pushed
     strong = strength[(strength > CLEAR * noise) & (np.abs(offset) <= close)]
     typical = float(np.median(strong)) if len(strong) else 0.0
     limit = max(CLEAR * noise, FAINT * typical)
@@ -190,15 +225,16 @@ def _judged(light, court, pose, pieces, blanks, rows, corner) -> CourtFit:
     count = np.bincount(pieces.stroke, minlength=len(court.strokes))
     seen = np.bincount(pieces.stroke, hit, len(court.strokes)) / count
     across = empty.response[:, np.abs(empty.offset) <= close].max(1)
-    marred = float((across > limit)[empty.inside].mean()) if empty.inside.any() else 1.0
-    sds = np.ones(2)
+    marring = max(CLEAR * noise, MARRING * typical)
+    marred = float((across > marring)[empty.inside].mean()) if empty.inside.any() else 1.0
+    sds, scatter = np.ones(2), 1.0
     if hit.sum() > 8:
         left = offset[hit] / size
         by = rows[hit]
-        scatter = max(float((left**2).mean()), 0.01**2)
-        cover = np.linalg.pinv(by.T @ by) * scatter
-        sds = np.sqrt(np.diag(cover)[3:])
+        covariance = np.linalg.pinv(by.T @ by) * max(float((left**2).mean()), LEAST_SD**2)
+        sds = np.sqrt(np.diag(covariance)[3:])
+        scatter = float(np.sqrt((offset[hit] ** 2).mean())) / close
     return CourtFit(
         corner + pose[:2], float(pose[2]), float(pose[3]), float(pose[4]), float(sds[0]), float(sds[1]),
-        offset[hit], float(np.average(hit, weights=pieces.weight)), seen, marred, typical / noise,
+        offset[hit], float(np.average(hit, weights=pieces.weight)), seen, marred, scatter, typical / noise,
     )  # fmt: skip

@@ -14,7 +14,6 @@ import numpy as np
 from ..core.anchors import Standard
 
 NEXT_TO = 0.7  # [m] beside a stroke, where nothing else may be painted: half of the tramlines of tennis
-FREE = 0.5  # [m] of any stroke: a place farther off is blank
 BEYOND = 2.4  # [m] beyond the end of a stroke, up to where it may not go on
 
 
@@ -75,6 +74,15 @@ class Court:
         return float(2 * np.hypot(*(points - points.mean(0)).T).max() + 1.0)
 
     @cached_property
+    def groups(self) -> tuple[np.ndarray, ...]:
+        """Numbers of the straight strokes, those of one direction together."""
+        found: dict[float, list[int]] = {}
+        for number, stroke in enumerate(self.strokes):
+            if not stroke.radius:
+                found.setdefault(round(float(stroke.at(np.zeros(1))[1][0]) % np.pi, 6), []).append(number)
+        return tuple(np.array(numbers) for numbers in found.values())
+
+    @cached_property
     def size(self) -> np.ndarray:
         """(2,) along and across all that is painted [m]."""
         return np.ptp(self.pieces(1.0).middle, axis=0)
@@ -91,8 +99,9 @@ class Court:
         middle, direction, own_length, weight, number_ = (np.concatenate(part) for part in zip(*parts, strict=True))
         return Pieces(middle, direction, own_length, weight, number_.astype(int))
 
-    def blanks(self, length: float) -> Pieces:
-        """Where nothing is painted: beside every stroke, halfway to the next, and beyond its ends."""
+    def blanks(self, length: float, free: float) -> Pieces:
+        """Where nothing is painted: beside the strokes and beyond their ends, in pieces of `length` [m] that are at
+        least `free` [m] from all paint."""
         painted, fine = self.pieces(length), self.pieces(0.3).middle
         normal = np.stack([-np.sin(painted.direction), np.cos(painted.direction)], -1)
         middles, directions = [], []
@@ -105,7 +114,7 @@ class Court:
                 continue
             for end, stops in enumerate(stroke.ends):
                 if stops:
-                    beyond = np.arange(NEXT_TO + length / 2, BEYOND, length)
+                    beyond = np.arange(max(NEXT_TO, free) + length / 2, BEYOND, length)
                     place, direction = stroke.at(stroke.length + beyond if end else -beyond)
                     middles.append(place)
                     directions.append(direction)
@@ -114,7 +123,7 @@ class Court:
         free = np.ones(len(middle), bool)
         for part in (-1, -0.5, 0, 0.5, 1):
             gap = middle[:, None] + part * step[:, None] - fine
-            free &= (gap**2).sum(-1).min(1) > FREE**2
+            free &= (gap**2).sum(-1).min(1) > free**2
         middle, direction = middle[free], direction[free]
         same = np.full(len(middle), length)
         return Pieces(middle, direction, same, same, np.full(len(middle), -1))

@@ -23,33 +23,44 @@ ENLARGED = 2.0  # at most: a coarser picture is searched coarser
 SMALLEST = 16  # [px] of a picture's shorter side
 SURE = 0.8  # of a fit's paint is seen: no other court lies on it
 OVERLAP = 0.8  # of both sides: courts whose middles are nearer than this overlap
-ACCEPTED = 0.6  # least evidence of a court
-STRETCHED = 0.04  # |ln| of the ratio of both pixel sizes, at most
-# Evidence is that of fits on 61 chips with tennis courts and 450 without (`benchmarks/anchors_courts.py`): false ones
-# fall by a factor of ten from 0.1 to the next, and are as frequent as true ones at EVEN.
+MARS = 2.0  # evidence that a blank which is none takes, per share of all
+SCATTER, SCATTERS = 0.25, 1.5  # of paint hardly more than the first; what more of it takes
+ACCEPTED = 0.55  # least evidence of a court
+STRETCHED = 0.03  # |ln| of the ratio of both pixel sizes, at most
+# From 61 chips with tennis courts and 409 without (`benchmarks/anchors_courts.py`): fits to other things become ten times
+# rarer with every 0.1 of evidence (one in 27 Mpx reaches 0.44), and at EVEN they are as frequent as courts are.
 STEEPNESS = 25.0
-EVEN = 0.57
+EVEN = 0.54
 NEVER_SURE = 0.002  # what looks like a court to the last line may still be something else
-# One sigma of what orthophotos distort along and across a court, and the share of the disagreement of both pixel sizes
-# that remains in their mean: from 148 courts of 61 chips of 0.3048 m/px.
-ALONG_SD, ACROSS_SD = 0.0025, 0.004
-DISAGREEMENT = 0.4
+# One sigma of the pixels per metre along and across a court, beyond the scatter about the fit: what orthophotos distort,
+# and, by the squared GSD [m/px], what a coarse picture leaves of lines. DISAGREEMENT is the share of the disagreement of
+# both that remains in their mean. From 148 courts on 61 chips, at 0.30, 0.41 and 0.50 m/px.
+ALONG_SD, ALONG_COARSE = 0.002, 0.016
+ACROSS_SD, ACROSS_COARSE = 0.003, 0.035
+DISAGREEMENT = 0.5
 
 
-def evidence(fit: CourtFit) -> float:
-    """What speaks for a court, 1 if all of it is seen and nothing else: half by length and half by strokes."""
-    return 0.5 * fit.lit + 0.5 * float(fit.seen.mean()) - 2 * fit.marred
+def evidence(court: Court, fit: CourtFit) -> float:
+    """What speaks for a court, 1 if all of it is seen and nothing else: half by the length of what is seen, half by the
+    strokes of that direction in which fewer are; less what is seen where nothing should be, and less where the ridges do
+    not lie on straight lines."""
+    seen = 0.5 * fit.lit + 0.5 * min(float(fit.seen[group].mean()) for group in court.groups)
+    return seen - MARS * fit.marred - SCATTERS * max(0.0, fit.scatter - SCATTER)
 
 
 def size_of(fit: CourtFit) -> tuple[float, float]:
     """Pixels per metre, the mean of both directions by their certainty, and its relative one sigma."""
-    along = 1 / (fit.along_sd**2 + ALONG_SD**2)
-    across = 1 / (fit.across_sd**2 + ACROSS_SD**2)
-    share = along / (along + across)
-    ratio = float(np.log(fit.along / fit.across))
-    own = np.hypot(share * fit.along_sd, (1 - share) * fit.across_sd)
-    sd = np.sqrt(own**2 + ALONG_SD**2 + (DISAGREEMENT * ratio) ** 2)
-    return float(fit.along**share * fit.across ** (1 - share)), float(sd)
+    sd = np.array([
+        np.sqrt(own**2 + least**2 + (coarse / size**2) ** 2)
+        for own, size, least, coarse in (
+            (fit.along_sd, fit.along, ALONG_SD, ALONG_COARSE),
+            (fit.across_sd, fit.across, ACROSS_SD, ACROSS_COARSE),
+        )
+    ])  # fmt: skip
+    share = sd**-2 / (sd**-2).sum()
+    size = np.log([fit.along, fit.across])
+    own = float(np.sqrt(((share * sd) ** 2).sum() + (DISAGREEMENT * (size[0] - size[1])) ** 2))
+    return float(np.exp(share @ size)), own
 
 
 def _resized(light: np.ndarray, gsd: float) -> np.ndarray:
@@ -92,7 +103,7 @@ class CourtFinder:
             fit = fit_court(light, self.court, place, float(angle), float(size / zoom))
             if fit is not None:
                 found.append(fit)
-        return sorted(found, key=evidence, reverse=True)
+        return sorted(found, key=self.evidence, reverse=True)
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """The courts in `image`, RGB uint8 (H, W, 3), that do not overlap; see `AnchorFinder`."""
@@ -102,13 +113,17 @@ class CourtFinder:
         for fit in self.fits(image, gsd, gsd_sd):
             size = size_of(fit)[0]
             if (
-                evidence(fit) >= ACCEPTED
+                self.evidence(fit) >= ACCEPTED
                 and abs(np.log(fit.along / fit.across)) <= STRETCHED
                 and abs(np.log(size * gsd)) <= 2 * gsd_sd + STRETCHED / 2
                 and not any(self._overlap(other, fit.place) for other in kept)
             ):
                 kept.append(fit)
         return [self._anchor(fit) for fit in kept]
+
+    def evidence(self, fit: CourtFit) -> float:
+        """What speaks for a court at `fit`; see `evidence`."""
+        return evidence(self.court, fit)
 
     def _overlap(self, fit: CourtFit, place: np.ndarray) -> bool:
         """Whether a court like `fit` with its middle at `place` [px] would lie on it."""
@@ -118,7 +133,7 @@ class CourtFinder:
 
     def _anchor(self, fit: CourtFit) -> Anchor:
         size, sd = size_of(fit)
-        false = 1 / (1 + np.exp(STEEPNESS * (evidence(fit) - EVEN)))
+        false = 1 / (1 + np.exp(STEEPNESS * (self.evidence(fit) - EVEN)))
         return Anchor(
             kind=self.kind,
             place=fit.place,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+FINE = 0.11  # [m/px] that pictures are drawn at, at most
 GREEN, BLUE, CLAY, ASPHALT, GRASS = (70, 110, 85), (60, 95, 150), (150, 85, 60), (105, 105, 108), (85, 105, 60)
 
 
@@ -34,7 +35,8 @@ def court_picture(
     the upper left pixel, angle [rad]). wear : share of the paint that is gone, in patches. shade : how dark half of the
     picture is, with an oblique edge. trees : blobs of 2 to 4 m on the courts."""
     rng = np.random.default_rng(seed)
-    height, width = shape
+    fine = int(np.ceil(gsd / FINE))  # a lens blurs before pixels sum up: else a thin line anywhere in one looks alike
+    height, width, gsd = shape[0] * fine, shape[1] * fine, gsd / fine
     x, y = np.meshgrid((np.arange(width) + 0.5) * gsd, (np.arange(height) + 0.5) * gsd)
     x, y = x.astype(np.float32), y.astype(np.float32)
 
@@ -49,7 +51,13 @@ def court_picture(
         low, high = np.min(boxes, 0)[:2] - run_off, np.max(boxes, 0)[2:] + run_off
         flat = _cover(u, v, gsd, (*low, *high))[..., None]
         picture = picture * (1 - flat) + flat * (np.array(surface, np.float32) + 3 * patches(2.0)[..., None])
-        paint = np.max([_cover(u, v, gsd, box) for box in boxes], 0)
+        paint = np.zeros((height, width), np.float32)
+        for box in boxes:
+            corners = np.array([(bx, by) for bx in box[::2] for by in box[1::2]]) @ [[c, s], [-s, c]] + (cx, cy)
+            left, top = np.clip(np.floor(corners.min(0) / gsd - 1), 0, (width, height)).astype(int)
+            right, bottom = np.clip(np.ceil(corners.max(0) / gsd + 1), 0, (width, height)).astype(int)
+            part = np.s_[top:bottom, left:right]
+            paint[part] = np.maximum(paint[part], _cover(u[part], v[part], gsd, box))
         paint = paint * (1 - np.clip(wear + 0.5 * wear * patches(0.8), 0, 1))
         picture = picture + paint[..., None] * (white - picture)
         for _ in range(trees):
@@ -59,5 +67,6 @@ def court_picture(
     if shade:
         dark = (x * 0.8 + y * 0.6 > (width * 0.8 + height * 0.6) * gsd * 0.55).astype(np.float32)
         picture = picture * (1 - shade * dark[..., None])
-    picture = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), blur_px) if blur_px else picture
+    picture = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), blur_px * fine)
+    picture = cv2.resize(picture, shape[::-1], interpolation=cv2.INTER_AREA)
     return np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8)
