@@ -31,7 +31,7 @@ def test_a_court_is_found_and_measured(gsd, angle):
     middle = np.array([19.0, 19.0]) / gsd - 0.5  # pixel coordinates count from the middle of the first pixel
     assert np.abs(found[0].place - middle).max() < 0.15 / gsd
     assert found[0].false < 0.1 and 0.001 < found[0].relative_sd < 0.008
-    assert np.sqrt(np.mean(found[0].residual**2)) * gsd < 0.15
+    assert np.sqrt(np.mean(found[0].residual ** 2)) * gsd < 0.15
 
 
 @pytest.mark.parametrize(

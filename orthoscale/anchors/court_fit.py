@@ -27,6 +27,8 @@ CLEAR = 2.5  # noises: a ridge this strong is one, and is that of a stroke ...
 FAINT = 0.25  # ... if it has this share of the typical stroke's strength;
 MARRING = 0.5  # with this share it contradicts a blank
 ROUNDING = 0.1  # [grey levels] of noise at least
+FEWEST_PIECES = 12  # on ridges, that a fit needs
+HOPELESS = 0.45  # of the pieces on ridges after the first round: less becomes no court
 SAMPLES_PX = 0.8  # [px] along a piece
 SEEN = 0.5  # of a stroke's pieces on ridges: the stroke is seen
 LEAST_SD = 0.01  # [m] of the ridges about a fit
@@ -197,7 +199,7 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
         bands = _measure(light, pose, pieces, window_px)
         offset, strength = bands.peaks(window_px)
         weight = np.clip((strength / noise - 1.5) / 3, 0, 1)
-        if (weight > 0).sum() < 12:
+        if (weight > 0).sum() < FEWEST_PIECES or (window < WINDOWS[0] and (strength > CLEAR * noise).mean() < HOPELESS):
             return None
         change = _solve(rows, (offset - pushed) / now, weight, window_px / now)
         change = np.clip(change, -1, 1)

@@ -25,7 +25,7 @@ FEWEST = 50
 COARSE_PIECE = 1.0  # [m] of strokes whose ridge is asked for once
 APART = 6  # [px] between two places along a pair, and steps of what changes little along it
 PLACES = 2  # along a pair
-LIKELY = 0.35  # least mean ridge of a place that is worth a fit
+LIKELY = 0.45  # least mean ridge of a place that is worth a fit
 OTHER_ANGLE = 0.2  # [rad] from which on two poses in one place are two
 NEAR = 0.25  # of a court's width: places so near each other end at the same fit
 

@@ -33,9 +33,7 @@ def steered(light: np.ndarray) -> np.ndarray:
     """(DIRECTIONS, H, W) int8: ridges that run at k * 180 / DIRECTIONS degrees from +x, clockwise on screen; FULL is a
     clear one, negative a dark line or the flank of a bright one. light : (H, W) float32 grey levels."""
     smooth = cv2.GaussianBlur(light, (0, 0), BLUR_PX)
-    xx, xy, yy = (
-        cv2.Sobel(smooth, cv2.CV_32F, dx, dy, ksize=3, scale=0.25) for dx, dy in ((2, 0), (1, 1), (0, 2))
-    )
+    xx, xy, yy = (cv2.Sobel(smooth, cv2.CV_32F, dx, dy, ksize=3, scale=0.25) for dx, dy in ((2, 0), (1, 1), (0, 2)))
     size = cv2.sqrt(xx * xx + yy * yy + 2 * xy * xy)
     local = cv2.GaussianBlur(size, (0, 0), SURROUNDINGS / 4)
     local = np.maximum(cv2.GaussianBlur(local, (0, 0), SURROUNDINGS), np.minimum(local, 4 * FLOOR)) + FLOOR
@@ -97,9 +95,7 @@ def segments(maps: np.ndarray, least: float) -> Segments:
             width = ridge.shape[1]
             sums = _sums(ridge[:, ::-1] if mirrored else ridge)
             flat = sums.reshape(-1, sums.shape[2])
-            strip, slope, start = np.unravel_index(
-                np.flatnonzero(flat.ravel() >= least * FULL * STRIP), sums.shape
-            )
+            strip, slope, start = np.unravel_index(np.flatnonzero(flat.ravel() >= least * FULL * STRIP), sums.shape)
             value = sums[strip, slope, start]
             padded = np.pad(sums, ((0, 0), (2, 2), (3, 3)))
             top = np.ones(len(value), bool)
