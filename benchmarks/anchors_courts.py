@@ -1,8 +1,8 @@
 """Painted courts against known scales: ``python benchmarks/anchors_courts.py [HALF] [KIND]``.
 
 Reads ``../shared/data`` or ``ORTHOSCALE_DATA``. The chips are split by the MD5 of their names: `building` are those
-that thresholds and certainties were chosen with, `other` those that nothing was chosen with (default). Finer and coarser
-pictures are drawn, or shrunk from the chips. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %).
+that thresholds and certainties were chosen with, `other` those that nothing was chosen with (default). Finer pictures
+are drawn, coarser ones shrunk from the chips. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %).
 CPU seconds are those of one thread, without what others take.
 """
 

@@ -23,7 +23,7 @@ FREE = 0.5  # [m] and [px] from any paint: there the picture must be blank
 FREE_PX = 2.2
 CLOSE = 0.16  # [m] and [px]: a stroke is seen where a ridge is so close to it
 CLOSE_PX = 0.6
-CLEAR = 2.5  # noises: a ridge this strong is one, and is that of a stroke ...
+CLEAR_NOISES = 2.5  # noises: a ridge this strong is one, and is that of a stroke ...
 FAINT = 0.25  # ... if it has this share of the typical stroke's strength;
 MARRING = 0.5  # with this share it contradicts a blank
 ROUNDING = 0.1  # [grey levels] of noise at least
@@ -39,8 +39,8 @@ PRIOR_SD = 0.1  # [ln] by which a round may change a pixel size
 class CourtFit:
     """place : (2,) [px]. angle : of the court's length [rad] from +x, clockwise on screen. along, across : pixels per
     metre. along_sd, across_sd : their relative one sigma by the scatter about the fit alone.
-    residual : (M,) of the ridges that were found, across the strokes [px]. lit : share of the painted length that lies on
-    ridges. seen : (S,) the same of each stroke. marred : share of the blank places that ridges cross.
+    residual : (M,) of the ridges that were found, across the strokes [px]. lit : share of the painted length that lies
+    on ridges. seen : (S,) the same of each stroke. marred : share of the blank places that ridges cross.
     scatter : root mean square of `residual`, as a share of the most it may be; 0.58 if ridges are anywhere.
     contrast : of the paint, in units of the noise."""
 
@@ -199,7 +199,9 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
         bands = _measure(light, pose, pieces, window_px)
         offset, strength = bands.peaks(window_px)
         weight = np.clip((strength / noise - 1.5) / 3, 0, 1)
-        if (weight > 0).sum() < FEWEST_PIECES or (window < WINDOWS[0] and (strength > CLEAR * noise).mean() < HOPELESS):
+        if (weight > 0).sum() < FEWEST_PIECES or (
+            window < WINDOWS[0] and (strength > CLEAR_NOISES * noise).mean() < HOPELESS
+        ):
             return None
         change = _solve(rows, (offset - pushed) / now, weight, window_px / now)
         change = np.clip(change, -1, 1)
@@ -220,14 +222,14 @@ def _judged(light, court, pose, pieces, blanks, rows, pushed, corner) -> CourtFi
     bands = _measure(light, pose, pieces, max(2 * close, LEAST_WINDOW))
     offset, strength = bands.peaks(max(2 * close, LEAST_WINDOW))
     offset = offset - pushed
-    strong = strength[(strength > CLEAR * noise) & (np.abs(offset) <= close)]
+    strong = strength[(strength > CLEAR_NOISES * noise) & (np.abs(offset) <= close)]
     typical = float(np.median(strong)) if len(strong) else 0.0
-    limit = max(CLEAR * noise, FAINT * typical)
+    limit = max(CLEAR_NOISES * noise, FAINT * typical)
     hit = (strength > limit) & (np.abs(offset) <= close)
     count = np.bincount(pieces.stroke, minlength=len(court.strokes))
     seen = np.bincount(pieces.stroke, hit, len(court.strokes)) / count
     across = empty.response[:, np.abs(empty.offset) <= close].max(1)
-    marring = max(CLEAR * noise, MARRING * typical)
+    marring = max(CLEAR_NOISES * noise, MARRING * typical)
     marred = float((across > marring)[empty.inside].mean()) if empty.inside.any() else 1.0
     sds, scatter = np.ones(2), 1.0
     if hit.sum() > 8:

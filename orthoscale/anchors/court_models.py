@@ -14,7 +14,7 @@ import numpy as np
 from ..core.anchors import Standard
 
 NEXT_TO = 0.7  # [m] beside a stroke, where nothing else may be painted: half of the tramlines of tennis
-BEYOND = 2.4  # [m] beyond the end of a stroke, up to where it may not go on
+BEYOND_END = 2.4  # [m] beyond the end of a stroke, up to where it may not go on
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Court:
                 continue
             for end, stops in enumerate(stroke.ends):
                 if stops:
-                    beyond = np.arange(max(NEXT_TO, free) + length / 2, BEYOND, length)
+                    beyond = np.arange(max(NEXT_TO, free) + length / 2, BEYOND_END, length)
                     place, direction = stroke.at(stroke.length + beyond if end else -beyond)
                     middles.append(place)
                     directions.append(direction)

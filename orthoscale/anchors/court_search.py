@@ -9,23 +9,23 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from .court_models import Court
-from .ridges import DIRECTIONS, FULL, STRIP, Segments, segments, steered
+from .ridges import DIRECTIONS, CLEAR_RIDGE, SEED_PX, Segments, segments, steered
 
 SEED = 0.35  # least mean ridge of a seed
-PARALLEL = np.radians(2.5)  # largest angle between two seeds
-LONG = 0.6  # of the longest stroke, and of the widest pair of such: what seeds lie on
-SLACK = 6  # [px] by which a seed may reach beyond its stroke
+SEEDS_APART = np.radians(2.5)  # largest angle between two seeds
+LONG_STROKES = 0.6  # of the longest stroke, and of the widest pair of such: what seeds lie on
+SEED_SLACK = 6  # [px] by which a seed may reach beyond its stroke
 ABOUT = np.linspace(-4, 4, 9)  # [m] along a pair, where all the long strokes are asked for
-PROMISING = 0.3  # least mean ridge there
-ENOUGH = 0.7  # of a clear ridge: no stroke counts for more
+PROMISING_FRAME = 0.3  # least mean ridge there
+STROKE_ENOUGH = 0.7  # of a clear ridge: no stroke counts for more
 SAME_SIZE = 0.03  # [ln] and, across the seeds, [px]: frames so near each other say the same
 SAME_PX = 2.0
 FRAMES = 3000  # per megapixel, the most promising; at least:
-FEWEST = 50
+FEWEST_FRAMES = 50
 COARSE_PIECE = 1.0  # [m] of strokes whose ridge is asked for once
 APART = 6  # [px] between two places along a pair, and steps of what changes little along it
 PLACES = 2  # along a pair
-LIKELY = 0.45  # least mean ridge of a place that is worth a fit
+LIKELY_PLACE = 0.45  # least mean ridge of a place that is worth a fit
 OTHER_ANGLE = 0.2  # [rad] from which on two poses in one place are two
 NEAR = 0.25  # of a court's width: places so near each other end at the same fit
 
@@ -57,7 +57,7 @@ class Ridges:
         return segments(self.maps, SEED)
 
     def at(self, x: np.ndarray, y: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Ridge that runs in `direction` [rad] at (x, y) [px], FULL if clear; 0 outside. All of shapes that agree."""
+        """Ridge that runs in `direction` [rad] at (x, y) [px], CLEAR_RIDGE if clear; 0 outside. All of shapes that agree."""
         k = np.rint(direction * (DIRECTIONS / np.pi)).astype(np.int32) % DIRECTIONS
         column, row = np.floor(x + 0.5).astype(np.int32), np.floor(y + 0.5).astype(np.int32)
         inside = (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
@@ -79,7 +79,7 @@ class _Family:
 def _families(court: Court) -> tuple[_Family, ...]:
     """The long strokes of `court` by direction; those of a court without half-turn symmetry both ways round."""
     lines = [stroke for stroke in court.strokes if not stroke.radius]
-    lines = [line for line in lines if line.length >= LONG * max(one.length for one in lines)]
+    lines = [line for line in lines if line.length >= LONG_STROKES * max(one.length for one in lines)]
     found: dict[float, list[tuple[float, float, float]]] = {}
     for line in lines:
         points, direction = line.at(np.array([0.0, line.length]))
@@ -128,7 +128,7 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
     reach = size * np.exp(spread) * np.array([longest / 2, widest])
     pair = cKDTree(seeds.middle).query_pairs(float(np.hypot(*reach)), output_type="ndarray")
     turn = (seeds.angle[pair[:, 1]] - seeds.angle[pair[:, 0]] + np.pi / 2) % np.pi - np.pi / 2
-    pair, turn = pair[np.abs(turn) <= PARALLEL], turn[np.abs(turn) <= PARALLEL]
+    pair, turn = pair[np.abs(turn) <= SEEDS_APART], turn[np.abs(turn) <= SEEDS_APART]
     angle = seeds.angle[pair[:, 0]] + turn / 2
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
     x, y = seeds.middle[pair, 0], seeds.middle[pair, 1]
@@ -137,12 +137,12 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
     along, across = np.take_along_axis(along, first, 1), np.take_along_axis(across, first, 1)
     near = np.abs(np.diff(along, axis=1)[:, 0]) <= reach[0]
     angle, along, across = angle[near], along[near], across[near]
-    half = STRIP / 2 - SLACK
+    half = SEED_PX / 2 - SEED_SLACK
     rows = []
     for p in range(len(family.at)):
         for q in range(p + 1, len(family.at)):
             gap = family.at[q] - family.at[p]
-            if gap < LONG * widest:
+            if gap < LONG_STROKES * widest:
                 continue
             own = (across[:, 1] - across[:, 0]) / gap
             low = (along + half - own[:, None] * family.high[[p, q]]).max(1)
@@ -153,14 +153,14 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
     frames = _Frames(*np.concatenate(rows, 1))
     promise = _promise(ridges, family, frames)
     order = np.argsort(-promise, kind="stable")
-    frames = replace(frames, promise=promise).only(order[promise[order] >= PROMISING])
+    frames = replace(frames, promise=promise).only(order[promise[order] >= PROMISING_FRAME])
     # of frames that say the same the most promising
-    turn = np.rint(frames.angle / PARALLEL)
-    c, s = np.cos(frames.angle - turn * PARALLEL), np.sin(frames.angle - turn * PARALLEL)
+    turn = np.rint(frames.angle / SEEDS_APART)
+    c, s = np.cos(frames.angle - turn * SEEDS_APART), np.sin(frames.angle - turn * SEEDS_APART)
     scale = np.rint(np.log(frames.size / size) / SAME_SIZE)
     key = [turn, scale, (frames.middle * c + frames.about * s) // SAME_PX, frames.about // (longest * size / 2)]
     alone = np.sort(np.unique(np.stack(key, 1), axis=0, return_index=True)[1])
-    return frames.only(alone[: max(FEWEST, round(FRAMES * ridges.width * ridges.height / 1e6))])
+    return frames.only(alone[: max(FEWEST_FRAMES, round(FRAMES * ridges.width * ridges.height / 1e6))])
 
 
 def _promise(ridges: Ridges, family: _Family, frames: _Frames) -> np.ndarray:
@@ -171,7 +171,7 @@ def _promise(ridges: Ridges, family: _Family, frames: _Frames) -> np.ndarray:
     for at in family.at:
         across = (frames.middle + frames.size * at)[:, None]
         ridge = ridges.at(along * c - across * s, along * s + across * c, frames.angle[:, None])
-        total += np.minimum(ridge.mean(1) / FULL, ENOUGH)
+        total += np.minimum(ridge.mean(1) / CLEAR_RIDGE, STROKE_ENOUGH)
     return total / len(family.at)
 
 
@@ -182,7 +182,7 @@ def _placed(ridges: Ridges, court: Court, family: _Family, frames: _Frames) -> P
     shift = frames.low[:, None] + np.arange(steps)  # (N, T) [px]
     angle = frames.angle - family.direction
     c, s = np.cos(family.direction), np.sin(family.direction)
-    weight = (pieces.weight / pieces.weight.sum() / FULL).astype(np.float32)
+    weight = (pieces.weight / pieces.weight.sum() / CLEAR_RIDGE).astype(np.float32)
     turn = frames.angle[:, None, None].astype(np.float32)
     cos, sin = np.cos(turn), np.sin(turn)
     size = frames.size[:, None, None]
@@ -208,7 +208,7 @@ def _placed(ridges: Ridges, court: Court, family: _Family, frames: _Frames) -> P
         found.append(np.stack([row, column, score[row, column]], 1))
         score[np.abs(np.arange(steps) - column[:, None]) < APART] = -1
     best = np.concatenate(found)
-    best = best[best[:, 2] >= LIKELY]
+    best = best[best[:, 2] >= LIKELY_PLACE]
     row, column = best[:, :2].astype(int).T
     along, across, cos, sin = shift[row, column], frames.middle[row], cos[row, 0, 0], sin[row, 0, 0]
     place = np.stack([along * cos - across * sin, along * sin + across * cos], 1)

@@ -20,32 +20,32 @@ from .ridges import lightness
 
 SEARCHED = 0.3  # [m/px] of the search, where a line of 5 cm is just seen and a court is small
 ENLARGED = 2.0  # at most: a coarser picture is searched coarser
-SMALLEST = 16  # [px] of a picture's shorter side
+SMALLEST_PX = 16  # [px] of a picture's shorter side
 SURE = 0.8  # of a fit's paint is seen: no other court lies on it
-OVERLAP = 0.8  # of both sides: courts whose middles are nearer than this overlap
-MARS = 1.0  # evidence that a blank which is none takes, per share of all
-SCATTER, SCATTERS = 0.25, 1.5  # of paint hardly more than the first; what more of it takes
+COURTS_OVERLAP = 0.8  # of both sides: courts whose middles are nearer than this overlap
+MARS_TAKE = 1.0  # evidence that a blank which is none takes, per share of all
+PAINT_SCATTER, SCATTER_TAKES = 0.25, 1.5  # of paint hardly more than the first; what more of it takes
 ACCEPTED = 0.55  # least evidence of a court
 STRETCHED = 0.03  # |ln| of the ratio of both pixel sizes, at most
-# From 61 chips with tennis courts and 409 without (`benchmarks/anchors_courts.py`): fits to other things become ten times
-# rarer with every 0.1 of evidence (one in 27 Mpx reaches 0.44), and at EVEN they are as frequent as courts are.
+# From 61 chips with tennis courts and 409 without (`benchmarks/anchors_courts.py`): fits to other things become ten
+# times rarer with every 0.1 of evidence (one in 27 Mpx reaches 0.44), and at EVEN they are as frequent as courts are.
 STEEPNESS = 25.0
 EVEN = 0.54
 NEVER_SURE = 0.002  # what looks like a court to the last line may still be something else
-# One sigma of the pixels per metre along and across a court, beyond the scatter about the fit: what orthophotos distort,
-# and, by the squared GSD [m/px], what a coarse picture leaves of lines. DISAGREEMENT is the share of the disagreement of
-# both that remains in their mean. From 148 courts on 61 chips, at 0.30, 0.41 and 0.50 m/px.
+# One sigma of the pixels per metre along and across a court, beyond the scatter about the fit: what orthophotos
+# distort, and, by the squared GSD [m/px], what a coarse picture leaves of lines. STRETCH_REMAINS is the share of the
+# disagreement of both that remains in their mean. From 148 courts on 61 chips, at 0.30, 0.41 and 0.50 m/px.
 ALONG_SD, ALONG_COARSE = 0.002, 0.016
 ACROSS_SD, ACROSS_COARSE = 0.003, 0.035
-DISAGREEMENT = 0.5
+STRETCH_REMAINS = 0.5
 
 
 def evidence(court: Court, fit: CourtFit) -> float:
     """What speaks for a court, 1 if all of it is seen and nothing else: half by the length of what is seen, half by the
-    strokes of that direction in which fewer are; less what is seen where nothing should be, and less where the ridges do
-    not lie on straight lines."""
+    strokes of that direction in which fewer are; less what is seen where nothing should be, and less where the ridges
+    do not lie on straight lines."""
     seen = 0.5 * fit.lit + 0.5 * min(float(fit.seen[group].mean()) for group in court.groups)
-    return seen - MARS * fit.marred - SCATTERS * max(0.0, fit.scatter - SCATTER)
+    return seen - MARS_TAKE * fit.marred - SCATTER_TAKES * max(0.0, fit.scatter - PAINT_SCATTER)
 
 
 def size_of(fit: CourtFit) -> tuple[float, float]:
@@ -59,7 +59,7 @@ def size_of(fit: CourtFit) -> tuple[float, float]:
     ])  # fmt: skip
     share = sd**-2 / (sd**-2).sum()
     size = np.log([fit.along, fit.across])
-    own = float(np.sqrt(((share * sd) ** 2).sum() + (DISAGREEMENT * (size[0] - size[1])) ** 2))
+    own = float(np.sqrt(((share * sd) ** 2).sum() + (STRETCH_REMAINS * (size[0] - size[1])) ** 2))
     return float(np.exp(share @ size)), own
 
 
@@ -107,7 +107,7 @@ class CourtFinder:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """The courts in `image`, RGB uint8 (H, W, 3), that do not overlap; see `AnchorFinder`."""
-        if image.ndim != 3 or min(image.shape[:2]) < SMALLEST:
+        if image.ndim != 3 or min(image.shape[:2]) < SMALLEST_PX:
             return []
         kept: list[CourtFit] = []
         for fit in self.fits(image, gsd, gsd_sd):
@@ -129,7 +129,7 @@ class CourtFinder:
         """Whether a court like `fit` with its middle at `place` [px] would lie on it."""
         c, s = np.cos(fit.angle), np.sin(fit.angle)
         gap = np.abs(np.array([[c, s], [-s, c]]) @ (place - fit.place)) / (fit.along, fit.across)
-        return bool((gap < OVERLAP * self.court.size).all())
+        return bool((gap < COURTS_OVERLAP * self.court.size).all())
 
     def _anchor(self, fit: CourtFit) -> Anchor:
         size, sd = size_of(fit)
