@@ -105,9 +105,9 @@ class Court:
         painted, fine = self.pieces(length), self.pieces(0.3).middle
         normal = np.stack([-np.sin(painted.direction), np.cos(painted.direction)], -1)
         middles, directions = [], []
-        for k, beside in enumerate((NEXT_TO, -NEXT_TO, 3 * NEXT_TO, -3 * NEXT_TO)):
+        for k, away in enumerate((NEXT_TO, -NEXT_TO, 3 * NEXT_TO, -3 * NEXT_TO)):
             # every other piece, by turns, is enough
-            middles.append((painted.middle + beside * normal)[k % 2 :: 2])
+            middles.append((painted.middle + away * normal)[k % 2 :: 2])
             directions.append(painted.direction[k % 2 :: 2])
         for stroke in self.strokes:
             if stroke.radius:
@@ -121,8 +121,8 @@ class Court:
         middle, direction = np.concatenate(middles), np.concatenate(directions)
         step = np.stack([np.cos(direction), np.sin(direction)], -1) * length / 2
         free = np.ones(len(middle), bool)
-        for part in (-1, -0.5, 0, 0.5, 1):
-            gap = middle[:, None] + part * step[:, None] - fine
+        for share in (-1, -0.5, 0, 0.5, 1):
+            gap = middle[:, None] + share * step[:, None] - fine
             free &= (gap**2).sum(-1).min(1) > free**2
         middle, direction = middle[free], direction[free]
         same = np.full(len(middle), length)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from .court_models import Court
-from .ridges import DIRECTIONS, CLEAR_RIDGE, SEED_PX, Segments, segments, steered
+from .ridges import CLEAR_RIDGE, DIRECTIONS, SEED_PX, Segments, segments, steered
 
 SEED = 0.35  # least mean ridge of a seed
 SEEDS_APART = np.radians(2.5)  # largest angle between two seeds
@@ -57,7 +57,7 @@ class Ridges:
         return segments(self.maps, SEED)
 
     def at(self, x: np.ndarray, y: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Ridge that runs in `direction` [rad] at (x, y) [px], CLEAR_RIDGE if clear; 0 outside. All of shapes that agree."""
+        """Ridge that runs in `direction` [rad] at (x, y) [px], CLEAR_RIDGE if clear; 0 outside. Shapes agree."""
         k = np.rint(direction * (DIRECTIONS / np.pi)).astype(np.int32) % DIRECTIONS
         column, row = np.floor(x + 0.5).astype(np.int32), np.floor(y + 0.5).astype(np.int32)
         inside = (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)

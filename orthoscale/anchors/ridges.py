@@ -30,8 +30,8 @@ def lightness(image: np.ndarray) -> np.ndarray:
 
 
 def steered(light: np.ndarray) -> np.ndarray:
-    """(DIRECTIONS, H, W) int8: ridges that run at k * 180 / DIRECTIONS degrees from +x, clockwise on screen; CLEAR_RIDGE is a
-    clear one, negative a dark line or the flank of a bright one. light : (H, W) float32 grey levels."""
+    """(DIRECTIONS, H, W) int8: ridges that run at k * 180 / DIRECTIONS degrees from +x, clockwise on screen;
+    CLEAR_RIDGE is a clear one, negative a dark line or the flank of a bright one. light : (H, W) float32 grey levels."""
     smooth = cv2.GaussianBlur(light, (0, 0), BLUR_PX)
     xx, xy, yy = (cv2.Sobel(smooth, cv2.CV_32F, dx, dy, ksize=3, scale=0.25) for dx, dy in ((2, 0), (1, 1), (0, 2)))
     size = cv2.sqrt(xx * xx + yy * yy + 2 * xy * xy)
@@ -61,8 +61,8 @@ class Segments:
 
 
 def _sums(ridge: np.ndarray) -> np.ndarray:
-    """(strips, SEED_PX, W + 2 SEED_PX) sums over the lines that start at column s - SEED_PX of a strip's first row and end
-    at column s - SEED_PX + d of its last, over d and s; strips begin every SEED_PX / 2 rows."""
+    """(strips, SEED_PX, W + 2 SEED_PX) sums over the lines that start at column s - SEED_PX of a strip's first row and
+    end at column s - SEED_PX + d of its last, over d and s; strips begin every SEED_PX / 2 rows."""
     height, width = ridge.shape
     rows = max(-(-height // SEED_PX), 1) * SEED_PX
     now = np.zeros((rows, 1, width + 2 * SEED_PX), np.int16)
@@ -82,8 +82,8 @@ def _sums(ridge: np.ndarray) -> np.ndarray:
 
 
 def segments(maps: np.ndarray, least: float) -> Segments:
-    """All straight pieces of SEED_PX rows, or columns, whose mean ridge in `maps` (of `steered`) is at least `least` and
-    the greatest among their like."""
+    """All straight pieces of SEED_PX rows, or columns, whose mean ridge in `maps` (of `steered`) is at least `least`
+    and the greatest among their like."""
     found: list[np.ndarray] = []
     quarter = DIRECTIONS // 8
     for turned in (False, True):

@@ -20,7 +20,7 @@ def tennis(line=0.05, base=0.075):
 
 
 def _cover(x, y, gsd, box):
-    """Share of each pixel, at (x, y) [m] in the court's frame, that the rectangle covers; exact if they are parallel."""
+    """Share of each pixel, at (x, y) [m] in the court's frame, that the rectangle covers; exact if parallel."""
     x0, y0, x1, y1 = box
     part = [np.clip(np.minimum(high, at + gsd / 2) - np.maximum(low, at - gsd / 2), 0, gsd) / gsd
             for at, low, high in ((x, x0, x1), (y, y0, y1))]  # fmt: skip
