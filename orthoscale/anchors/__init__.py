@@ -1,0 +1,1 @@
+"""Finders of things of standard size, one file a kind."""

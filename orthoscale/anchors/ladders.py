@@ -1,0 +1,148 @@
+"""Ladders: equal strokes side by side at one pitch, as zebra crossings and parking bays are painted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from .periods import Row, find_row
+from .strokes import Strokes
+
+PARALLEL = np.cos(np.radians(5))
+SLANT = 1.3  # tangent: how far ahead of one another neighbours stand, in pitches
+BESIDE = 0.5  # of the shorter: neighbours lie side by side for so much of it
+UNLIKE = 1.7  # ratio of lengths of neighbours: a vehicle hides part of one
+AT_ONCE = 8  # ladders in one cluster of strokes, at most
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """strokes : (M,) those of one ladder in order. row : their places along `across`.
+    along, across : (2,) unit vectors of the strokes and of the pitch."""
+
+    strokes: Strokes
+    row: Row
+    along: np.ndarray
+    across: np.ndarray
+
+    @property
+    def length(self) -> float:
+        """Of its strokes [px]."""
+        return float(np.median(self.strokes.length))
+
+    @property
+    def relative_sd(self) -> float:
+        """One sigma of the pitch: of the fit, and of the direction in which it is measured.
+
+        A slanted row's pitch is taken across the strokes, so an error of their direction tells by the tangent.
+        """
+        step = self.strokes.centre[-1] - self.strokes.centre[0]
+        slant = float(step @ self.along) / max(abs(float(step @ self.across)), 1.0)
+        turn = (self.strokes.along * self.across).sum(1)  # (M,) sines
+        direction = float(np.std(turn)) / np.sqrt(len(turn))
+        return float(np.hypot(self.row.sd / self.row.period, slant * direction))
+
+    def lines(self) -> np.ndarray:
+        """(M, 2, 2) the strokes at their fitted places, from end to end [px]."""
+        centre = self.strokes.centre - self.row.residual[:, None] * self.across
+        half = self.along * self.strokes.length[:, None] / 2
+        return np.stack([centre - half, centre + half], 1)
+
+
+def find_ladders(strokes: Strokes, low: float, high: float, fewest: int) -> Iterator[Ladder]:
+    """Ladders of `strokes` with a pitch from `low` to `high` [px] and at least `fewest` strokes."""
+    if len(strokes) < fewest:
+        return
+    for cluster in _clusters(strokes, low, high, fewest):
+        rest = cluster
+        for _ in range(AT_ONCE):
+            ladder, used = _ladder(strokes[rest], low, high, fewest)
+            if ladder is None:
+                break
+            yield ladder
+            rest = np.delete(rest, used)
+
+
+def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np.ndarray]:
+    """Strokes that are linked by being side by side at about a pitch."""
+    pairs = cKDTree(strokes.centre).query_pairs(high * np.hypot(1, SLANT), output_type="ndarray")
+    if not len(pairs):
+        return []
+    i, j = pairs.T
+    apart = strokes.centre[j] - strokes.centre[i]
+    ahead = np.abs((apart * strokes.along[i]).sum(1))
+    across = np.sqrt(np.maximum((apart**2).sum(1) - ahead**2, 0))
+    shorter = np.minimum(strokes.length[i], strokes.length[j])
+    longer = np.maximum(strokes.length[i], strokes.length[j])
+    overlap = (shorter + longer) / 2 - ahead
+    linked = (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > PARALLEL) & (across > 0.8 * low)
+    linked &= (across < 1.1 * high) & (longer < UNLIKE * shorter)
+    linked &= (overlap > BESIDE * shorter) | ((ahead < SLANT * across) & (overlap > 0.25 * shorter))
+    n = len(strokes)
+    graph = coo_array((np.ones(linked.sum()), (i[linked], j[linked])), shape=(n, n))
+    label = connected_components(graph, directed=False)[1]
+    order = np.argsort(label, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+    return [group for group in groups if len(group) >= fewest]
+
+
+def _ladder(strokes: Strokes, low: float, high: float, fewest: int) -> tuple[Ladder | None, np.ndarray]:
+    """The best ladder in a cluster, and which strokes it took."""
+    if len(strokes) < fewest:
+        return None, np.zeros(0, int)
+    along = _direction(strokes)
+    row = find_row(strokes.centre @ _across(along), low, high, fewest)
+    if row is None:
+        return None, np.zeros(0, int)
+    along = _direction(strokes[row.member])  # of its own strokes alone
+    again = find_row(strokes.centre @ _across(along), low, high, fewest)
+    row = again if again is not None else row
+    own = strokes[row.member]
+    return Ladder(own, row, along, _across(along)), row.member
+
+
+def _direction(strokes: Strokes) -> np.ndarray:
+    """(2,) mean direction of the strokes, which have no front: by doubled angles."""
+    turn = 2 * np.arctan2(strokes.along[:, 1], strokes.along[:, 0])
+    mean = np.arctan2((strokes.length * np.sin(turn)).sum(), (strokes.length * np.cos(turn)).sum()) / 2
+    return np.array([np.cos(mean), np.sin(mean)])
+
+
+def _across(along: np.ndarray) -> np.ndarray:
+    return np.array([-along[1], along[0]])
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Colours on and around a ladder, medians along each stroke. paint, ground : (M, 3) and (M - 1, 3) on the strokes
+    and midway between neighbours, beyond : (2, M, 3) on the strokes' axes past both ends."""
+
+    paint: np.ndarray
+    ground: np.ndarray
+    beyond: np.ndarray
+
+
+def levels(image: np.ndarray, ladder: Ladder, past: float) -> Levels:
+    """Of RGB uint8 `image`; `past` : how far past the ends [px]."""
+    lines = ladder.lines()
+    middle = (lines[1:] + lines[:-1]) / 2
+    ends = np.stack([lines[:, 0] - past * ladder.along, lines[:, 1] + past * ladder.along])
+    share = np.linspace(0.1, 0.9, 16)[:, None, None]
+    spot = np.linspace(-0.4, 0.4, 5)[:, None, None, None] * past * ladder.along
+
+    def seen(place: np.ndarray) -> np.ndarray:
+        flat = place.reshape(-1, 1, 2).astype(np.float32)
+        colour = cv2.remap(image, flat, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.median(colour.reshape(*place.shape[:-1], 3).astype(float), axis=0)
+
+    return Levels(
+        seen(lines[:, 0] * (1 - share) + lines[:, 1] * share),
+        seen(middle[:, 0] * (1 - share) + middle[:, 1] * share),
+        seen(ends + spot),
+    )

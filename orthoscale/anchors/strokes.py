@@ -1,0 +1,120 @@
+"""Painted strokes: straight bright bars on darker ground, with their ends, to a fraction of a pixel.
+
+Ridges of brightness (Steger, "An unbiased detector of curvilinear structures", PAMI 1998) whose points head alike are
+joined; what is straight is a stroke.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+JOINED = np.cos(np.radians(20))  # neighbouring ridge points of one stroke head alike
+ROUND = 0.6  # of the curvature across: more along, and it is a blob
+BENT = 0.35  # across, one sigma: what strays more from a straight line is none [px]
+FAINT = 1.2  # grey levels of curvature across, below which a ridge is noise
+AMONG = 1.0  # of the mean curvature around: what stands out no more is texture
+AROUND = 24  # how far around [px]
+
+
+@dataclass(frozen=True)
+class Strokes:
+    """(N,) strokes. centre : (N, 2) [px]. along : (N, 2) unit vector. length : from end to end [px]. strength : mean
+    curvature across [grey levels]."""
+
+    centre: np.ndarray
+    along: np.ndarray
+    length: np.ndarray
+    strength: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.length)
+
+    def __getitem__(self, which: np.ndarray) -> Strokes:
+        return Strokes(self.centre[which], self.along[which], self.length[which], self.strength[which])
+
+
+def paint_light(image: np.ndarray) -> np.ndarray:
+    """RGB uint8 (H, W, 3) to float32 (H, W): how bright white and yellow paint show, mean of red and green."""
+    return (image[..., 0].astype(np.float32) + image[..., 1]) / 2
+
+
+def find_strokes(light: np.ndarray, sigma: float, shortest: float) -> Strokes:
+    """The strokes in `light` (H, W), of about ``2 * sigma`` in width and at least `shortest` in length [px]."""
+    gx, gy, hxx, hxy, hyy = _derivatives(light, sigma)
+    # The eigenvalue of the Hessian that is most negative, and its direction: across the ridge.
+    half, mixed = (hxx - hyy) / 2, np.hypot((hxx - hyy) / 2, hxy)
+    least, most = (hxx + hyy) / 2 - mixed, (hxx + hyy) / 2 + mixed
+    turn = 0.5 * np.arctan2(hxy, half) + np.pi / 2
+    nx, ny = np.cos(turn), np.sin(turn)
+    shift = -(gx * nx + gy * ny) / np.minimum(least, -1e-6)
+    energy = cv2.blur(least * least + most * most, (2 * AROUND + 1, 2 * AROUND + 1), borderType=cv2.BORDER_REFLECT)
+    strength = -least * sigma**2
+    ridge = (np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6) & (np.abs(most) < ROUND * -least)
+    ridge &= strength > np.maximum(FAINT, AMONG * sigma**2 * np.sqrt(energy))
+    y, x = np.nonzero(ridge)
+    if len(x) < 2:
+        return Strokes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    point = np.stack([x + (shift * nx)[y, x], y + (shift * ny)[y, x]], -1)
+    head = np.stack([-ny[y, x], nx[y, x]], -1)
+    return _straight(point, _joined(ridge, y, x, head), strength[y, x], shortest)
+
+
+def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
+    """First and second derivatives of `light`, smoothed by `sigma`: gx, gy, hxx, hxy, hyy."""
+    reach = int(np.ceil(4 * sigma))
+    t = np.arange(-reach, reach + 1, dtype=np.float64)
+    g0 = np.exp(-(t**2) / (2 * sigma**2))
+    g0 /= g0.sum()
+    g1 = t / sigma**2 * g0
+    g1 /= (g1 * t).sum()  # a ramp's slope is exact
+    g2 = (t**2 / sigma**4 - 1 / sigma**2) * g0
+    g2 -= g2.mean()
+    g2 /= (g2 * t**2).sum() / 2  # a parabola's curvature too
+
+    def filtered(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+        return cv2.sepFilter2D(light, cv2.CV_32F, kx, ky, borderType=cv2.BORDER_REPLICATE)
+
+    return filtered(g1, g0), filtered(g0, g1), filtered(g2, g0), filtered(g1, g1), filtered(g0, g2)
+
+
+def _joined(ridge: np.ndarray, y: np.ndarray, x: np.ndarray, head: np.ndarray) -> np.ndarray:
+    """(P,) number of the stroke that each ridge point belongs to."""
+    number = np.full((ridge.shape[0] + 2, ridge.shape[1] + 2), -1, np.int64)
+    number[1:-1, 1:-1][ridge] = np.arange(len(x))
+    ends = []
+    for dy, dx in ((0, 1), (1, -1), (1, 0), (1, 1)):
+        other = number[y + 1 + dy, x + 1 + dx]
+        own = np.flatnonzero(other >= 0)
+        other = other[own]
+        alike = np.abs((head[own] * head[other]).sum(1)) > JOINED
+        ends.append(np.stack([own[alike], other[alike]]))
+    i, j = np.concatenate(ends, axis=1)
+    return connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(x), len(x))), directed=False)[1]
+
+
+def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, shortest: float) -> Strokes:
+    """Lines through the points of each group that is long and straight enough."""
+    size = np.bincount(member)
+    kept = size[member] >= 0.6 * shortest
+    number = np.unique(member[kept], return_inverse=True)[1]
+    point, strength = point[kept], strength[kept]
+    n = np.bincount(number)
+    centre = np.stack([np.bincount(number, point[:, k]) for k in (0, 1)], -1) / n[:, None]
+    off = point - centre[number]
+    xx, xy, yy = (np.bincount(number, a * b) / n for a, b in ((off[:, 0],) * 2, off.T, (off[:, 1],) * 2))
+    turn = 0.5 * np.arctan2(2 * xy, xx - yy)
+    along = np.stack([np.cos(turn), np.sin(turn)], -1)
+    t = (off * along[number]).sum(1)
+    across = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    first, last = np.full(len(n), np.inf), np.full(len(n), -np.inf)
+    np.minimum.at(first, number, t)
+    np.maximum.at(last, number, t)
+    centre = centre + along * ((first + last) / 2)[:, None]
+    mean = np.bincount(number, strength) / n
+    good = (last - first >= shortest) & (across < BENT**2)
+    return Strokes(centre, along, last - first, mean)[good]
