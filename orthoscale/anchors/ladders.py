@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .periods import Row, find_row
-from .strokes import Strokes
+from .periods import MISSING, Row, find_row
+from .strokes import Strokes, colours
 
 PARALLEL = np.cos(np.radians(5))
 SLANT = 1.3  # tangent: how far ahead of one another neighbours stand, in pitches
 BESIDE = 0.5  # of the shorter: neighbours lie side by side for so much of it
 UNLIKE = 1.7  # ratio of lengths of neighbours: a vehicle hides part of one
+BETWEEN = 0.27  # of a pitch from either stroke; two lines drawn for one stand closer
 AT_ONCE = 8  # ladders in one cluster of strokes, at most
 
 
@@ -48,6 +48,12 @@ class Ladder:
         direction = float(np.std(turn)) / np.sqrt(len(turn))
         return float(np.hypot(self.row.sd / self.row.period, slant * direction))
 
+    @property
+    def fanned(self) -> float:
+        """How far the strokes turn from the first to the last, sine of the angle."""
+        turn = (self.strokes.along * self.across).sum(1) * np.sign((self.strokes.along * self.along).sum(1))
+        return float(abs(np.polyfit(self.row.number, turn, 1)[0]) * self.row.number[-1])
+
     def lines(self) -> np.ndarray:
         """(M, 2, 2) the strokes at their fitted places, from end to end [px]."""
         centre = self.strokes.centre - self.row.residual[:, None] * self.across
@@ -70,8 +76,9 @@ def find_ladders(strokes: Strokes, low: float, high: float, fewest: int) -> Iter
 
 
 def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np.ndarray]:
-    """Strokes that are linked by being side by side at about a pitch."""
-    pairs = cKDTree(strokes.centre).query_pairs(high * np.hypot(1, SLANT), output_type="ndarray")
+    """Strokes that are linked by being side by side, a few pitches apart at most."""
+    reach = (MISSING + 1) * high
+    pairs = cKDTree(strokes.centre).query_pairs(reach * np.hypot(1, SLANT), output_type="ndarray")
     if not len(pairs):
         return []
     i, j = pairs.T
@@ -82,7 +89,7 @@ def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np
     longer = np.maximum(strokes.length[i], strokes.length[j])
     overlap = (shorter + longer) / 2 - ahead
     linked = (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > PARALLEL) & (across > 0.8 * low)
-    linked &= (across < 1.1 * high) & (longer < UNLIKE * shorter)
+    linked &= (across < 1.05 * reach) & (longer < UNLIKE * shorter)
     linked &= (overlap > BESIDE * shorter) | ((ahead < SLANT * across) & (overlap > 0.25 * shorter))
     n = len(strokes)
     graph = coo_array((np.ones(linked.sum()), (i[linked], j[linked])), shape=(n, n))
@@ -118,31 +125,42 @@ def _across(along: np.ndarray) -> np.ndarray:
     return np.array([-along[1], along[0]])
 
 
+def crowded(ladder: Ladder, strokes: Strokes) -> float:
+    """Share of the gaps of `ladder` in which another of `strokes` runs beside its own: then the pitch is another."""
+    off = strokes.centre - ladder.strokes.centre[0]
+    first = float(ladder.strokes.centre[0] @ ladder.across)
+    place = (strokes.centre @ ladder.across - ladder.row.start) / ladder.row.period
+    number, phase = np.floor(place).astype(int), place % 1
+    among = (np.abs(strokes.along @ ladder.along) > PARALLEL) & (phase > BETWEEN) & (phase < 1 - BETWEEN)
+    among &= (number >= 0) & (number < ladder.row.number[-1]) & (strokes.length > 0.5 * ladder.length)
+    # Where the ladder's own strokes are at that place, for a slanted row.
+    own = (ladder.strokes.centre - ladder.strokes.centre[0]) @ ladder.along
+    there = np.interp(strokes.centre @ ladder.across - first, (ladder.strokes.centre @ ladder.across) - first, own)
+    among &= np.abs(off @ ladder.along - there) < BESIDE * ladder.length
+    return len(np.unique(number[among])) / ladder.row.number[-1]
+
+
 @dataclass(frozen=True)
 class Levels:
     """Colours on and around a ladder, medians along each stroke. paint, ground : (M, 3) and (M - 1, 3) on the strokes
-    and midway between neighbours, beyond : (2, M, 3) on the strokes' axes past both ends."""
+    and midway between neighbours. beside : (2, M, 3) left and right of the strokes. beyond : (2, M, 3) on their axes
+    past both ends."""
 
     paint: np.ndarray
     ground: np.ndarray
+    beside: np.ndarray
     beyond: np.ndarray
 
 
 def levels(image: np.ndarray, ladder: Ladder, past: float) -> Levels:
-    """Of RGB uint8 `image`; `past` : how far past the ends [px]."""
+    """Of RGB uint8 `image`; `past` : how far past the ends, and to the sides [px]."""
     lines = ladder.lines()
     middle = (lines[1:] + lines[:-1]) / 2
     ends = np.stack([lines[:, 0] - past * ladder.along, lines[:, 1] + past * ladder.along])
     share = np.linspace(0.1, 0.9, 16)[:, None, None]
     spot = np.linspace(-0.4, 0.4, 5)[:, None, None, None] * past * ladder.along
 
-    def seen(place: np.ndarray) -> np.ndarray:
-        flat = place.reshape(-1, 1, 2).astype(np.float32)
-        colour = cv2.remap(image, flat, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.median(colour.reshape(*place.shape[:-1], 3).astype(float), axis=0)
-
-    return Levels(
-        seen(lines[:, 0] * (1 - share) + lines[:, 1] * share),
-        seen(middle[:, 0] * (1 - share) + middle[:, 1] * share),
-        seen(ends + spot),
-    )
+    on = lines[:, 0] * (1 - share) + lines[:, 1] * share
+    between = middle[:, 0] * (1 - share) + middle[:, 1] * share
+    beside = np.stack([on - past * ladder.across, on + past * ladder.across], 1)
+    return Levels(*(np.median(colours(image, place), axis=0) for place in (on, between, beside, ends + spot)))

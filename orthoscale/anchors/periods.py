@@ -8,6 +8,7 @@ import numpy as np
 
 NEAR = 0.12  # of the period: what is further from its place in the row is none of the row
 ROUNDS = 3  # of fitting, each with what the one before put in the row
+FINEST = 0.005  # of the period: what scatters less was not built, or measured, better
 MISSING = 2  # in a row at most; beyond, it is another row
 
 
@@ -33,6 +34,14 @@ class Row:
     def scatter(self) -> float:
         """Root mean square of the residuals, as a share of the period, two parameters having been fitted."""
         return float(np.sqrt((self.residual**2).sum() / max(len(self.residual) - 2, 1))) / self.period
+
+    @property
+    def regularity(self) -> float:
+        """How much less likely chance is to put so many things so near their places, natural logarithm of the ratio.
+
+        By chance a thing is anywhere among those taken for near, of which one sigma is the half width over sqrt(3).
+        """
+        return (len(self.number) - 2) * float(np.log(NEAR / np.sqrt(3) / max(self.scatter, FINEST)))
 
 
 def find_row(place: np.ndarray, low: float, high: float, fewest: int) -> Row | None:

@@ -17,7 +17,7 @@ JOINED = np.cos(np.radians(20))  # neighbouring ridge points of one stroke head 
 ROUND = 0.6  # of the curvature across: more along, and it is a blob
 BENT = 0.35  # across, one sigma: what strays more from a straight line is none [px]
 FAINT = 1.2  # grey levels of curvature across, below which a ridge is noise
-AMONG = 1.0  # of the mean curvature around: what stands out no more is texture
+ALIKE = 0.65  # of the channel that gains most red and green gain at least so much where paint is
 AROUND = 24  # how far around [px]
 
 
@@ -43,8 +43,24 @@ def paint_light(image: np.ndarray) -> np.ndarray:
     return (image[..., 0].astype(np.float32) + image[..., 1]) / 2
 
 
-def find_strokes(light: np.ndarray, sigma: float, shortest: float) -> Strokes:
-    """The strokes in `light` (H, W), of about ``2 * sigma`` in width and at least `shortest` in length [px]."""
+def colours(image: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """(..., 3) of RGB uint8 `image` at `place` (..., 2) [px], linear between pixels."""
+    flat = place.reshape(-1, 1, 2).astype(np.float32)
+    seen = cv2.remap(image, flat, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+    return seen.reshape(*place.shape[:-1], 3).astype(float)
+
+
+def painted(paint: np.ndarray, ground: np.ndarray) -> bool:
+    """Whether `paint` (3,) differs from `ground` (3,) as white or yellow does: brighter, in red and green alike."""
+    more = paint - ground
+    return bool(more[:2].min() > ALIKE * max(more.max(), 1.0))
+
+
+def find_strokes(light: np.ndarray, sigma: float, shortest: float, among: float = 1.0) -> Strokes:
+    """The strokes in `light` (H, W), of about ``2 * sigma`` in width and at least `shortest` in length [px].
+
+    among : of the mean curvature around, the least of theirs; what stands out no more is texture.
+    """
     gx, gy, hxx, hxy, hyy = _derivatives(light, sigma)
     # The eigenvalue of the Hessian that is most negative, and its direction: across the ridge.
     half, mixed = (hxx - hyy) / 2, np.hypot((hxx - hyy) / 2, hxy)
@@ -55,7 +71,7 @@ def find_strokes(light: np.ndarray, sigma: float, shortest: float) -> Strokes:
     energy = cv2.blur(least * least + most * most, (2 * AROUND + 1, 2 * AROUND + 1), borderType=cv2.BORDER_REFLECT)
     strength = -least * sigma**2
     ridge = (np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6) & (np.abs(most) < ROUND * -least)
-    ridge &= strength > np.maximum(FAINT, AMONG * sigma**2 * np.sqrt(energy))
+    ridge &= strength > np.maximum(FAINT, among * sigma**2 * np.sqrt(np.maximum(energy, 0)))
     y, x = np.nonzero(ridge)
     if len(x) < 2:
         return Strokes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
