@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.anchors import Anchor, Standard
 from ..tables import standards as tables
-from .ladders import Ladder, crowded, find_ladders, levels
+from .ladders import Ladder, crowded, find_ladders, levels, refined
 from .rules import DISTORTION, holding, sizes, within_reach
 from .strokes import find_strokes, painted, paint_light
 
@@ -41,7 +41,7 @@ FANNED = np.sin(np.radians(6))  # at most from the first line to the last: rows 
 AMONG = 0.7  # of the mean curvature around: vehicles' edges are stronger than lines
 SAME_GROUND = 0.5  # of the contrast, by which the ground past one end may differ from that beside: the aisle
 CONTRAST = 8.0  # grey levels between lines and the ground beside them
-ASIDE = 0.45  # of the lines, where that ground is seen [m]
+ASIDE, PAST = 0.45, 1.2  # of the lines and of their ends, where that ground is seen [m]
 
 
 @cache
@@ -75,12 +75,13 @@ class ParkingBays:
         if min(image.shape[:2]) < SHORTEST / gsd:
             return []
         low, high = sizes(standards, gsd, gsd_sd)
-        strokes = find_strokes(paint_light(image), max(LINE_SIGMA / gsd, THINNEST), SHORTEST / gsd, AMONG)
+        light = paint_light(image)
+        strokes = find_strokes(light, max(LINE_SIGMA / gsd, THINNEST), SHORTEST / gsd, AMONG)
         found = []
         for ladder in find_ladders(strokes[strokes.length < LONGEST / gsd], low, high, FEWEST):
             meant = within_reach(standards, ladder.row.period, gsd, gsd_sd)
             if meant and crowded(ladder, strokes) <= CROWDED and _are_bays(image, ladder, gsd):
-                found.append(_anchor(ladder, meant))
+                found.append(_anchor(refined(light, ladder, max(ASIDE / gsd, 2.0)), meant))
         return found
 
 
@@ -90,7 +91,7 @@ def _are_bays(image: np.ndarray, ladder: Ladder, gsd: float) -> bool:
         return False
     if np.std(ladder.strokes.length) > UNEVEN * ladder.length:
         return False
-    seen = levels(image, ladder, ASIDE / gsd)
+    seen = levels(image, ladder, ASIDE / gsd, PAST / gsd)
     paint, sides, past = (np.median(place, axis=-2) for place in (seen.paint, seen.beside, seen.beyond))
     contrast = (paint - sides)[:, :2].mean(1).min()
     aisle = np.abs(past - sides.mean(0))[:, :2].mean(1).min() < SAME_GROUND * contrast

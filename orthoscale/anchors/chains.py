@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from .periods import Row, find_row
-from .strokes import Strokes, colours
+from .strokes import Strokes, values
 
 IN_LINE = np.sin(np.radians(4))  # of a stroke's own direction, the next lies within
 TURN = np.cos(np.radians(8))  # from one stroke to the next, lanes bend no more
@@ -119,4 +119,4 @@ def levels(image: np.ndarray, chain: Chain, aside: float) -> Levels:
     on = lines[:, 0] * (1 - share) + lines[:, 1] * share
     between = lines[:-1, 1] * (1 - share) + lines[1:, 0] * share
     beside = np.stack([on - aside * across, on + aside * across], 1)
-    return Levels(*(np.median(colours(image, place), axis=0) for place in (on, between, beside)))
+    return Levels(*(np.median(values(image, place), axis=0) for place in (on, between, beside)))

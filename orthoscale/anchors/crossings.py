@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..core.anchors import Anchor, Standard
-from .ladders import Ladder, crowded, find_ladders, levels
+from .ladders import Ladder, crowded, find_ladders, levels, refined
 from .rules import DISTORTION, holding, sizes, within_reach
 from .strokes import find_strokes, painted, paint_light
 
@@ -98,13 +98,14 @@ class ZebraCrossings:
         if not standards or min(image.shape[:2]) < SHORTEST / gsd:
             return []
         low, high = sizes(standards, gsd, gsd_sd)
-        strokes = find_strokes(paint_light(image), STRIPE_SIGMA / gsd, SHORTEST / gsd)
+        light = paint_light(image)
+        strokes = find_strokes(light, STRIPE_SIGMA / gsd, SHORTEST / gsd, 1.0)
         stripes = strokes[strokes.length < LONGEST / gsd]
         found = []
         for ladder in find_ladders(stripes, low, high, FEWEST):
             meant = within_reach(standards, ladder.row.period, gsd, gsd_sd)
             if meant and crowded(ladder, strokes) <= CROWDED and _is_crossing(image, ladder, gsd):
-                found.append(_anchor(ladder, meant))
+                found.append(_anchor(refined(light, ladder, ladder.row.period / 2), meant))
         return found
 
 
@@ -112,7 +113,7 @@ def _is_crossing(image: np.ndarray, ladder: Ladder, gsd: float) -> bool:
     """Whether its stripes are painted on a road: bright, and the same ground between them as past both ends."""
     if ladder.row.filled < FILLED or ladder.row.regularity < REGULAR:
         return False
-    seen = levels(image, ladder, PAST / gsd)
+    seen = levels(image, ladder, ladder.row.period / 2, PAST / gsd)
     paint, ground = np.median(seen.paint, axis=0), np.median(seen.ground, axis=0)
     contrast = float((paint - ground)[:2].mean())
     past = np.median(seen.beyond, axis=1)  # (2, 3)

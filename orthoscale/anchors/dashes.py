@@ -80,7 +80,7 @@ class LaneDashes:
     kind = "lane dashes"
     extent = 120.0
     finest = 0.10
-    coarsest = 0.20
+    coarsest = 0.32
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""

@@ -10,14 +10,16 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .periods import MISSING, Row, find_row
-from .strokes import Strokes, colours
+from .periods import MISSING, Row, find_row, fit_row
+from .strokes import Strokes, values
 
 PARALLEL = np.cos(np.radians(5))
 SLANT = 1.3  # tangent: how far ahead of one another neighbours stand, in pitches
 BESIDE = 0.5  # of the shorter: neighbours lie side by side for so much of it
 UNLIKE = 1.7  # ratio of lengths of neighbours: a vehicle hides part of one
 BETWEEN = 0.27  # of a pitch from either stroke; two lines drawn for one stand closer
+LEANS = 0.1  # over its length, one sigma by which all strokes lean towards the pixels' axes [px]
+PROFILES = 12  # across each stroke
 AT_ONCE = 8  # ladders in one cluster of strokes, at most
 
 
@@ -45,7 +47,7 @@ class Ladder:
         step = self.strokes.centre[-1] - self.strokes.centre[0]
         slant = float(step @ self.along) / max(abs(float(step @ self.across)), 1.0)
         turn = (self.strokes.along * self.across).sum(1)  # (M,) sines
-        direction = float(np.std(turn)) / np.sqrt(len(turn))
+        direction = np.hypot(float(np.std(turn)) / np.sqrt(len(turn)), LEANS / self.length)
         return float(np.hypot(self.row.sd / self.row.period, slant * direction))
 
     @property
@@ -125,6 +127,35 @@ def _across(along: np.ndarray) -> np.ndarray:
     return np.array([-along[1], along[0]])
 
 
+def refined(light: np.ndarray, ladder: Ladder, reach: float) -> Ladder:
+    """`ladder` with the centres of its strokes by the centroid of `light` (H, W) across them, to `reach` [px] on either
+    side, and one direction for all: ridges of lines that are a pixel wide lean towards the pixels' axes."""
+    strokes = ladder.strokes
+    share = np.linspace(-0.42, 0.42, PROFILES)
+    offset = np.linspace(-reach, reach, 2 * int(np.ceil(2 * reach)) + 1)
+    t = strokes.length[:, None] * share
+    place = (strokes.centre[:, None] + t[..., None] * ladder.along)[:, :, None] + offset[:, None] * ladder.across
+    seen = values(light, place)  # (M, PROFILES, O)
+    rise = np.linspace(0, 1, len(offset))
+    over = np.maximum(seen - seen[..., :1] * (1 - rise) - seen[..., -1:] * rise, 0)
+    mass = over.sum(-1)
+    centroid = (over * offset).sum(-1) / np.maximum(mass, 1e-6)
+    # Each stroke's line by weighted least squares about its middle; the slope of all is their median.
+    weight = mass / np.maximum(mass.sum(1, keepdims=True), 1e-6)
+    middle, height = (weight * t).sum(1), (weight * centroid).sum(1)
+    off = t - middle[:, None]
+    slope = (weight * off * centroid).sum(1) / np.maximum((weight * off**2).sum(1), 1e-6)
+    common = float(np.median(slope))
+    centre = strokes.centre + (height - common * middle)[:, None] * ladder.across
+    along = ladder.along + common * ladder.across
+    along /= np.linalg.norm(along)
+    own = ladder.along + slope[:, None] * ladder.across
+    own /= np.linalg.norm(own, axis=1, keepdims=True)
+    across = _across(along)
+    row = fit_row(centre @ across, ladder.row.number)
+    return Ladder(Strokes(centre, own, strokes.length, strokes.strength), row, along, across)
+
+
 def crowded(ladder: Ladder, strokes: Strokes) -> float:
     """Share of the gaps of `ladder` in which another of `strokes` runs beside its own: then the pitch is another."""
     off = strokes.centre - ladder.strokes.centre[0]
@@ -152,15 +183,15 @@ class Levels:
     beyond: np.ndarray
 
 
-def levels(image: np.ndarray, ladder: Ladder, past: float) -> Levels:
-    """Of RGB uint8 `image`; `past` : how far past the ends, and to the sides [px]."""
+def levels(image: np.ndarray, ladder: Ladder, aside: float, past: float) -> Levels:
+    """Of RGB uint8 `image`; how far `aside` of the strokes and `past` their ends [px]."""
     lines = ladder.lines()
     middle = (lines[1:] + lines[:-1]) / 2
     ends = np.stack([lines[:, 0] - past * ladder.along, lines[:, 1] + past * ladder.along])
     share = np.linspace(0.1, 0.9, 16)[:, None, None]
-    spot = np.linspace(-0.4, 0.4, 5)[:, None, None, None] * past * ladder.along
+    spot = np.linspace(-0.3, 0.3, 5)[:, None, None, None] * past * ladder.along
 
     on = lines[:, 0] * (1 - share) + lines[:, 1] * share
     between = middle[:, 0] * (1 - share) + middle[:, 1] * share
-    beside = np.stack([on - past * ladder.across, on + past * ladder.across], 1)
-    return Levels(*(np.median(colours(image, place), axis=0) for place in (on, between, beside, ends + spot)))
+    beside = np.stack([on - aside * ladder.across, on + aside * ladder.across], 1)
+    return Levels(*(np.median(values(image, place), axis=0) for place in (on, between, beside, ends + spot)))

@@ -85,12 +85,19 @@ def _fitted(place: np.ndarray, period: float, start: float, fewest: int) -> Row 
         near = near[run == np.bincount(run).argmax()]
         if len(near) < fewest:
             return None
-        k = number[near] - number[near[0]]
-        spread = ((k - k.mean()) ** 2).sum()
-        period = float(((k - k.mean()) * place[near]).sum() / spread)
-        start = float(place[near].mean() - period * k.mean())
+        row = fit_row(place[near], number[near])
+        period, start = row.period, row.start
         if period <= 0:
             return None
-    residual = place[near] - start - period * k
+    return Row(period, start, near, row.number, row.residual, row.sd)
+
+
+def fit_row(place: np.ndarray, number: np.ndarray) -> Row:
+    """The row of all things at `place` (M,) [px] whose numbers (M,) are known, by least squares."""
+    k = number - number[0]
+    spread = ((k - k.mean()) ** 2).sum()
+    period = float(((k - k.mean()) * place).sum() / spread)
+    start = float(place.mean() - period * k.mean())
+    residual = place - start - period * k
     sd = float(np.sqrt((residual**2).sum() / max(len(k) - 2, 1) / spread))
-    return Row(period, start, near, k, residual, sd)
+    return Row(period, start, np.arange(len(k)), k, residual, sd)

@@ -15,10 +15,12 @@ from scipy.sparse.csgraph import connected_components
 
 JOINED = np.cos(np.radians(20))  # neighbouring ridge points of one stroke head alike
 ROUND = 0.6  # of the curvature across: more along, and it is a blob
-BENT = 0.35  # across, one sigma: what strays more from a straight line is none [px]
+BENT, BENT_WIDE = 0.1, 0.3  # across, one sigma: what strays more is not straight [px], [of the smoothing]
+ASTRAY = 1.3  # from a first line, beyond which a point is none of its stroke [px]
 FAINT = 1.2  # grey levels of curvature across, below which a ridge is noise
+AT_ONCE = 32000  # places that are looked up in one call
 ALIKE = 0.65  # of the channel that gains most red and green gain at least so much where paint is
-AROUND = 24  # how far around [px]
+AROUND = 30.0  # how far around, in units of the smoothing
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,15 @@ def paint_light(image: np.ndarray) -> np.ndarray:
     return (image[..., 0].astype(np.float32) + image[..., 1]) / 2
 
 
-def colours(image: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """(..., 3) of RGB uint8 `image` at `place` (..., 2) [px], linear between pixels."""
+def values(picture: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """(...) of `picture` (H, W), or (..., C) of one of C channels, at `place` (..., 2) [px], linear between pixels."""
     flat = place.reshape(-1, 1, 2).astype(np.float32)
-    seen = cv2.remap(image, flat, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
-    return seen.reshape(*place.shape[:-1], 3).astype(float)
+    # One call may hold no more than 32767 places.
+    parts = [
+        cv2.remap(picture, flat[k : k + AT_ONCE], None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+        for k in range(0, len(flat), AT_ONCE)
+    ]
+    return np.concatenate(parts).reshape(*place.shape[:-1], *picture.shape[2:]).astype(float)
 
 
 def painted(paint: np.ndarray, ground: np.ndarray) -> bool:
@@ -68,7 +74,8 @@ def find_strokes(light: np.ndarray, sigma: float, shortest: float, among: float 
     turn = 0.5 * np.arctan2(hxy, half) + np.pi / 2
     nx, ny = np.cos(turn), np.sin(turn)
     shift = -(gx * nx + gy * ny) / np.minimum(least, -1e-6)
-    energy = cv2.blur(least * least + most * most, (2 * AROUND + 1, 2 * AROUND + 1), borderType=cv2.BORDER_REFLECT)
+    around = 2 * int(AROUND * sigma) + 1
+    energy = cv2.blur(least * least + most * most, (around, around), borderType=cv2.BORDER_REFLECT)
     strength = -least * sigma**2
     ridge = (np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6) & (np.abs(most) < ROUND * -least)
     ridge &= strength > np.maximum(FAINT, among * sigma**2 * np.sqrt(np.maximum(energy, 0)))
@@ -77,7 +84,7 @@ def find_strokes(light: np.ndarray, sigma: float, shortest: float, among: float 
         return Strokes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
     point = np.stack([x + (shift * nx)[y, x], y + (shift * ny)[y, x]], -1)
     head = np.stack([-ny[y, x], nx[y, x]], -1)
-    return _straight(point, _joined(ridge, y, x, head), strength[y, x], shortest)
+    return _straight(point, _joined(ridge, y, x, head), strength[y, x], shortest, BENT + BENT_WIDE * sigma)
 
 
 def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
@@ -113,18 +120,27 @@ def _joined(ridge: np.ndarray, y: np.ndarray, x: np.ndarray, head: np.ndarray) -
     return connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(x), len(x))), directed=False)[1]
 
 
-def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, shortest: float) -> Strokes:
-    """Lines through the points of each group that is long and straight enough."""
+def _straight(
+    point: np.ndarray, member: np.ndarray, strength: np.ndarray, shortest: float, bent: float
+) -> Strokes:
+    """Lines through the points of each group that is long and straight enough.
+
+    Twice: at its ends a wide bar's ridge spreads sideways, and what lies off the first line is left out of the second.
+    """
     size = np.bincount(member)
     kept = size[member] >= 0.6 * shortest
-    number = np.unique(member[kept], return_inverse=True)[1]
-    point, strength = point[kept], strength[kept]
-    n = np.bincount(number)
-    centre = np.stack([np.bincount(number, point[:, k]) for k in (0, 1)], -1) / n[:, None]
-    off = point - centre[number]
-    xx, xy, yy = (np.bincount(number, a * b) / n for a, b in ((off[:, 0],) * 2, off.T, (off[:, 1],) * 2))
-    turn = 0.5 * np.arctan2(2 * xy, xx - yy)
-    along = np.stack([np.cos(turn), np.sin(turn)], -1)
+    for _ in range(2):
+        point, strength = point[kept], strength[kept]
+        number = np.unique(member[kept], return_inverse=True)[1]
+        member = number
+        n = np.bincount(number)
+        centre = np.stack([np.bincount(number, point[:, k]) for k in (0, 1)], -1) / n[:, None]
+        off = point - centre[number]
+        xx, xy, yy = (np.bincount(number, a * b) / n for a, b in ((off[:, 0],) * 2, off.T, (off[:, 1],) * 2))
+        turn = 0.5 * np.arctan2(2 * xy, xx - yy)
+        along = np.stack([np.cos(turn), np.sin(turn)], -1)
+        side = np.abs(off[:, 0] * along[number, 1] - off[:, 1] * along[number, 0])
+        kept = side < ASTRAY
     t = (off * along[number]).sum(1)
     across = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
     first, last = np.full(len(n), np.inf), np.full(len(n), -np.inf)
@@ -132,5 +148,5 @@ def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, short
     np.maximum.at(last, number, t)
     centre = centre + along * ((first + last) / 2)[:, None]
     mean = np.bincount(number, strength) / n
-    good = (last - first >= shortest) & (across < BENT**2)
+    good = (last - first >= shortest) & (across < bent**2) & (n > 0.7 * (last - first))
     return Strokes(centre, along, last - first, mean)[good]
