@@ -12,7 +12,7 @@ from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
 from .posterior import ROBUST_SD, Z90
 
 CONTRADICTION = 2.6  # sigmas from which two measurements of one scale contradict each other; chance makes 1 %
-OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two passes over the same vehicles may differ
+OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two passes over one place may differ
 # What one detection pass differs by from another over the same vehicles (relative, one sigma). An assumption: on
 # the two real scenes the vehicles measured both ways part by 3.5 % and 1.8 % at most.
 OWN_MARGIN = 0.015
