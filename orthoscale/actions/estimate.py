@@ -31,11 +31,12 @@ from ..formats.detections import load as load_detections
 from ..sources.location import location_of
 from ..sources.opening import open_source
 from ..tables import standards
+from .anchors import Searched, kinds_of_boxes, look_for_anchors, own_standards
 from .control import read_control, read_distance
 from .find import find_in
 from .requests import EstimateRequest
 from .result import Result
-from .whose import fleet_at, named_fleet
+from .whose import country_of, fleet_at, named_fleet
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -67,7 +68,8 @@ def estimate(
     images : folder of a model's frames, when not beside it. mode : how a model is measured, one of `requests.MODES`;
     by default in every way that there is evidence for.
     projection, estimator : other ways than the usual, see `measuring.method.Method`. known_distance, ground_control :
-    what is known besides, see `actions.control`. surroundings : whether parking rows and standard objects count.
+    what is known besides, see `actions.control`. anchors : which things of exact size are looked for, and anchor : your
+    own standards for them, see `actions.anchors`.
 
     How much is looked at, and with what (`detect.find.Effort`)
     target, exhaustive, seed, workers, scheduler, cache.
@@ -90,7 +92,14 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         fleet, why = fleet_at(location_of(source))
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
-    method = Method(request.projection, request.estimator, tuple(given), standards() if request.surroundings else None)
+    own = own_standards(request.anchor)
+    method = Method(
+        projection=request.projection,
+        estimator=request.estimator,
+        evidence=tuple(given),
+        standards=standards(kinds_of_boxes(request.anchors)),
+        country=country_of(source, fleet),
+    )
     choice = None
     if request.detections is not None:
         found = load_detections(Path(request.detections), source, request.vehicle_classes)
@@ -108,16 +117,26 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
             "Try the fleet of the country (--fleet), another resampling factor (--gsd-hint METRES_PER_PIXEL or "
             "--zoom FACTOR), or a scene with more vehicles.",
         ) from error
+    searched = Searched()
+    if request.estimator == "robust" and not answer.scale.conflict:
+        searched = look_for_anchors(
+            source, answer.scale, request.anchors, own, method.country, _effort(request), progress
+        )
+        log.info("%d anchors, seen %d times", len(searched.votes), len(searched.anchors))
+    if searched.votes:
+        method = replace(method, anchors=searched.votes)
+        answer = measure_source(source, found, fleet, method, request.mode)
+    found = replace(found, notes=(*found.notes, *searched.notes))
     seconds = time.perf_counter() - started
     log.info("%.6g %s by %d vehicles in %.1f s", answer.scale.value, source.unit, answer.scale.vehicles_used, seconds)
-    return Result(source, fleet, found, choice, seconds, answer, method, request.settings())
+    return Result(source, fleet, found, choice, seconds, answer, method, request.settings(), searched)
 
 
 def _looked_for(
     source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles that a detector finds. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
-    effort = Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
+    effort = _effort(request)
     # Somebody else's network looks at one image at a time, with all cores.
     threads = 0 if request.detector else effort.threads_each
     network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads)
@@ -139,6 +158,10 @@ def _looked_for(
         workers = worker_count(effort.workers)
         found = replace(found, boxes=refined(source.pictures, found.boxes, found.zoom, network, workers, progress))
     return replace(found, notes=(*found.notes, *network.notes)), choice
+
+
+def _effort(request: EstimateRequest) -> Effort:
+    return Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
 
 
 def _given(source: Source, known_distance: Sequence[str], ground_control: str | Path | None) -> list[Evidence]:

@@ -18,6 +18,7 @@ from ..core.source import Source
 from ..core.verdicts import UNUSABLE
 from ..core.votes import Votes
 from ..errors import EvidenceDisagrees, TooLittleEvidence
+from .anchors import Searched
 
 if TYPE_CHECKING:
     from ..detect.zoom import ZoomChoice
@@ -41,6 +42,7 @@ class Result:
     measured: Measurement = field(repr=False)
     method: Method = field(default_factory=Method)
     settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
+    anchors: Searched = field(default_factory=Searched, repr=False)
 
     @property
     def projection(self) -> str:
@@ -134,8 +136,8 @@ class Result:
         if self.scale.conflict or self.scale.tension > CONFLICT:
             return EvidenceDisagrees(
                 f"{self.source.path}: {self.scale.remarks[0]}",
-                "Inspect the boxes (--save-detections), check the given evidence, name the country's fleet, or write "
-                "anyway with `orthoscale fix --force`.",
+                "Inspect the boxes (--save-detections), check the given evidence, name the country's fleet, leave out "
+                "what is no anchor (--anchors), or write anyway with `orthoscale fix --force`.",
             )
         agreement = self.measured.agreement
         if agreement is not None and agreement.contradicts:

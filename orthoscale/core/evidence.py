@@ -19,7 +19,7 @@ from .pooling.posterior import Z90, Posterior
 
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
-REACH = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
+ALONE = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
 SAME = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
@@ -78,16 +78,18 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
     heard, remarks = _within_reach(vehicles, evidence)
     strong = [e for e in evidence if e.doubt <= STRONG]
     # Of a mixture, each what is nearest to the other counts.
-    sources = [("vehicles", Posterior.normal(vehicles.centre, vehicles.spread)), *((e.says, e.posterior) for e in strong)]
+    sources = [
+        ("vehicles", Posterior.normal(vehicles.centre, vehicles.spread)),
+        *((e.says, e.posterior) for e in strong),
+    ]
     conflict, conflicts = 0.0, []
     for k, (name, one) in enumerate(sources):
         for other_name, other in sources[k + 1 :]:
             sigmas, here, there = _nearest(one, other)
             if sigmas > CONFLICT_LIMIT:
                 conflict = max(conflict, sigmas)
-                conflicts.append(
-                    f"conflict: {name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}, {sigmas:.1f} sigmas apart"
-                )
+                these = f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}"
+                conflicts.append(f"conflict: {these}, {sigmas:.1f} sigmas apart")
     if conflict:
         certain = [vehicles, *(e.posterior for e in evidence if not e.doubt)]
         every = [vehicles, *(e.posterior for e in strong)]
@@ -100,18 +102,16 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
         return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary)
     posterior = vehicles
     for e in heard:
-        if e.doubt:
-            posterior = posterior.times_doubted(e.posterior, e.doubt, e.window)
-        else:
-            posterior = posterior.times(e.posterior)
+        more = e.posterior
+        posterior = posterior.times_doubted(more, e.doubt, e.window) if e.doubt else posterior.times(more)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
     return Combined(posterior, _shares(vehicles, parts, heard, posterior), 0.0, remarks, (value, low, high))
 
 
 def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[list[Evidence], list[str]]:
-    """The evidence that counts, mixtures without what it says outside of the vehicles' REACH and nothing else does; and
-    remarks on what does not count at all."""
-    low, high = ((1 - REACH) / 2, (1 + REACH) / 2)
+    """The evidence that counts, each without the scales outside of the vehicles' interval that nothing else supports;
+    and remarks on what does not count at all."""
+    low, high = (1 - ALONE) / 2, (1 + ALONE) / 2
     heard, remarks, interval = [], [], None
     for e in evidence:
         if not e.doubt:
@@ -129,7 +129,7 @@ def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[li
             heard.append(Evidence.mixed(e.kind, modes.only(counts), e.says, e.doubt, e.window))
         else:
             remarks.append(
-                f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * REACH:.0f} % interval "
+                f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * ALONE:.0f} % interval "
                 f"({np.exp(interval[0]):.5g} to {np.exp(interval[1]):.5g}); it does not count"
             )
     return heard, remarks

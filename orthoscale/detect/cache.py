@@ -7,10 +7,12 @@ import json
 import os
 import sqlite3
 import time
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from ..core.source import Picture
 from .detector import OVERLAP, Detector
 from .tiles import CONFIRMING_ZOOM, TILE, TILE_BORDER, Looks
 
+Look = TypeVar("Look")
 KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
 CODE = ("boxes.py", "detect/*.py", "sources/raster.py", "sources/picture_file.py")  # what decides over the looks
 NO_MATTER = {"cache.py", "find.py", "order.py", "promise.py", "sweep.py", "workers.py", "zoom.py"}  # what does not
@@ -35,38 +38,53 @@ def cache_folder() -> Path:
 
 
 def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> str | None:
-    """SHA-256 over the pictures' content and all that decides over the boxes found in them; None when a picture cannot
-    say what its content is."""
-    prints = [getattr(picture, "fingerprint", None) for picture in pictures]
-    if None in prints:
-        return None
+    """The `key_of` all that decides over the boxes found in `pictures`."""
     settings = {
-        "pictures": [[picture.name, of()] for picture, of in zip(pictures, prints, strict=True) if of],
         "detector": [detector.sha256, repr(detector.card), repr(detector.layout)],
         "zoom": [zoom, CONFIRMING_ZOOM],
         "tiles": [TILE, OVERLAP, TILE_BORDER],
-        "code": _code_hash(),
     }
-    return hashlib.sha256(json.dumps(settings).encode()).hexdigest()
+    return key_of(pictures, settings, CODE)
+
+
+def key_of(pictures: Sequence[Picture], settings: Mapping[str, Any], code: tuple[str, ...]) -> str | None:
+    """SHA-256 over the pictures' content, `settings` as JSON, and the files of the package that match the patterns
+    `code`; None when a picture cannot say what its content is."""
+    prints = [getattr(picture, "fingerprint", None) for picture in pictures]
+    if None in prints:
+        return None
+    shown = [[picture.name, of()] for picture, of in zip(pictures, prints, strict=True) if of]
+    everything = {"pictures": shown, **settings, "code": _code_hash(code)}
+    return hashlib.sha256(json.dumps(everything).encode()).hexdigest()
 
 
 @lru_cache
-def _code_hash() -> str:
+def _code_hash(code: tuple[str, ...]) -> str:
     package = Path(__file__).parent.parent
     digest = hashlib.sha256()
-    for pattern in CODE:
+    for pattern in code:
         for path in sorted(package.glob(pattern)):
             if path.name not in NO_MATTER:
                 digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
-class TileCache:
+class Kept(ABC, Generic[Look]):
     """The looks at tiles of one input with one choice of settings, in an SQLite file that survives a kill at any time.
 
     Each look carries a checksum: what is damaged is looked at again. A file that SQLite cannot read is begun anew;
     where none can be written, nothing is kept, and the sweep does not suffer.
     """
+
+    @staticmethod
+    @abstractmethod
+    def encode(look: Look) -> bytes:
+        """What a look gave as bytes."""
+
+    @staticmethod
+    @abstractmethod
+    def decode(content: bytes) -> Look:
+        """What `encode` made bytes of."""
 
     def __init__(self, key: str, folder: Path | None = None):
         folder = (folder or cache_folder()) / "tiles"
@@ -82,13 +100,13 @@ class TileCache:
         except sqlite3.Error:
             self._begin_anew()
 
-    def __enter__(self) -> TileCache:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exc: object) -> None:
         self._close()
 
-    def get(self, picture: Picture, tile: Tile) -> Looks | None:
+    def get(self, picture: Picture, tile: Tile) -> Look | None:
         """What was seen of `tile` before, or None: never looked at, or the entry is damaged. Raises nothing."""
         if self._file is None:
             return None
@@ -100,13 +118,13 @@ class TileCache:
             return None
         if row is None or not isinstance(row[0], bytes) or row[1] != _checksum(name, row[0]):
             return None
-        return _looks(row[0])
+        return self.decode(row[0])
 
-    def put(self, picture: Picture, tile: Tile, looks: Looks) -> None:
+    def put(self, picture: Picture, tile: Tile, looks: Look) -> None:
         """Keep what was seen of `tile`. Raises nothing: what cannot be written is looked at again next time."""
         if self._file is None:
             return
-        name, content = _name(picture, tile), _content(looks)
+        name, content = _name(picture, tile), self.encode(looks)
         try:
             with self._file:
                 row = (name, content, _checksum(name, content))
@@ -161,8 +179,21 @@ def _checksum(name: str, content: bytes) -> bytes:
     return hashlib.blake2b(content, digest_size=16, key=hashlib.sha256(name.encode()).digest()).digest()
 
 
+class TileCache(Kept[Looks]):
+    """Vehicles that were seen in tiles."""
+
+    @staticmethod
+    def encode(look: Looks) -> bytes:
+        """One line of JSON that says whose boxes follow, and how many, then six numbers a box."""
+        return _content(look)
+
+    @staticmethod
+    def decode(content: bytes) -> Looks:
+        """The looks that `encode` made bytes of."""
+        return _looks(content)
+
+
 def _content(looks: Looks) -> bytes:
-    """One line of JSON that says whose boxes follow, and how many, then six numbers a box."""
     parts = [("", looks.fine, looks.coarse), *((kind, *pair) for kind, pair in looks.objects.items())]
     head = json.dumps([(kind, len(fine), len(coarse)) for kind, fine, coarse in parts])
     rows = [np.column_stack([boxes.xylwa, boxes.score]) for _, *pair in parts for boxes in pair]

@@ -344,6 +344,26 @@ class Standard(Struct):
     source: Text
 
 
+class AnchorStandard(Struct, forbid_unknown_fields=True):
+    """The size that things of one kind of anchor have somewhere, and one sigma of it [m]."""
+
+    kind: Name
+    metres: Annotated[float, Meta(gt=0, lt=1e4)]
+    name: Name = "your own"
+    sd: Annotated[float, Meta(gt=0, lt=1e4)] | None = None
+    source: Text = ""
+
+    def __post_init__(self) -> None:
+        if self.sd is not None and self.sd >= self.metres:
+            raise ValueError("sd: expected less than the metres")
+
+
+class AnchorStandards(Struct):
+    """A user's file of standards."""
+
+    standards: list[AnchorStandard]
+
+
 class ObjectTable(Struct):
     """``data/objects.json``."""
 

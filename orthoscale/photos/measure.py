@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.anchors import AnchorVote
 from ..core.boxes import Boxes
 from ..core.detections import Detections
-from ..core.anchors import AnchorVote
 from ..core.fleet import Fleet
 from ..core.measuring.geometry import Geometry, Observation
 from ..core.measuring.measure import measure as measure_boxes

@@ -18,7 +18,7 @@ MEANINGS = {
     "conflict": "measurements that contradict each other",
     "known distance": "the known distance itself",
     "ground control": "the control points themselves",
-    "parking bay": "the width of parking bays at one place",
+    "parking bays": "the width of parking bays at one place",
 }
 WITHOUT_COUNTRY = ("WORLD", "auto")
 COUNTRY_SHARE = (

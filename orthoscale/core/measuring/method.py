@@ -77,4 +77,6 @@ class Method:
         """The scale; `more` are anchors that the boxes themselves show."""
         if self.estimator == "iqr":
             return pool_paper(votes, fleet, unit)
-        return pool(votes, fleet, ruler, unit, geometry, (*self.evidence, *evidence_of([*self.anchors, *more], self.country)))
+        return pool(
+            votes, fleet, ruler, unit, geometry, (*self.evidence, *evidence_of([*self.anchors, *more], self.country))
+        )

@@ -1,0 +1,158 @@
+"""Anchors of exact size in a source: which are looked for, at what scale, and what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ..anchors import kinds
+from ..core.anchors import Anchor, AnchorVote, Standard
+from ..core.measuring.anchors import votes_in_model, votes_in_plan
+from ..core.pooling.posterior import Z90
+from ..core.scale import Scale
+from ..core.source import GroundView, Picture, Source
+from ..detect.find import Effort, Progress
+from ..detect.workers import worker_count
+from ..errors import UsageError, shown
+from ..formats.points import number
+from ..formats.reading import reason
+from .requests import BOXED
+
+BEYOND_SIGMAS = 2.0  # sigmas beyond the ends of the vehicles' 90 % interval to which sizes are searched
+LEAST_SOUGHT, MOST_SOUGHT = 0.02, 0.2  # of the scale that finders are told, one sigma: what they are made for
+OWN_SD = 0.005  # of a user's own standard, one sigma as a share of it: bays are painted to a centimetre or two
+STANDARD_HINT = (
+    "Expected a kind and its size in metres: bay=2.5, or with its sigma bay=2.5,0.02; or a JSON file of standards, "
+    "see docs/anchors.md."
+)
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What was found: anchors in their pictures, and the votes that they make on the ground. without : the scale
+    before any of that was known."""
+
+    anchors: tuple[Anchor, ...] = ()
+    votes: tuple[AnchorVote, ...] = ()
+    without: Scale | None = None
+    notes: tuple[str, ...] = ()
+
+
+def kinds_of_boxes(choices: Sequence[str]) -> set[str]:
+    """The kinds that may be told from boxes, as `choices` of `--anchors` allow."""
+    every = {name.replace("-", " ") for name in BOXED}
+    if kinds.NONE in choices:
+        return set()
+    whole = {kinds.ALL, kinds.PROVEN} & set(choices)
+    return every if whole else {kind for kind in every if kinds.slug(kind) in choices}
+
+
+def own_standards(told: Sequence[str]) -> dict[str, tuple[Standard, ...]]:
+    """A user's standards by kind, of options KIND=METRES[,SIGMA] and of files. Raises UsageError, InputError."""
+    found: dict[str, tuple[Standard, ...]] = {}
+    for text in told:
+        more = _of_file(Path(text)) if text.lower().endswith(".json") else _of_words(text)
+        for kind, standard in more:
+            found[kind] = (*found.get(kind, ()), standard)
+    return found
+
+
+def look_for_anchors(
+    source: Source,
+    scale: Scale,
+    choices: Sequence[str],
+    own: Mapping[str, tuple[Standard, ...]],
+    country: str,
+    effort: Effort,
+    progress: Progress | None = None,
+) -> Searched:
+    """The anchors in `source`, whose vehicles give `scale`.
+
+    choices : of `--anchors`. own : a user's standards by kind, which take the place of the finders'. country : ISO
+    code, empty where not known. An orthophoto is looked at as it is, a reconstruction in its pictures of the ground.
+    """
+    from ..anchors.search import Sought, search
+
+    wanted = kinds.chosen(choices)
+    views = _views(source) if wanted else {}
+    if not views:
+        return Searched()
+    low, high = scale.interval90
+    sd = float(np.log(high / low)) / (2 * Z90)
+    # Finders search two of their sigmas to either side.
+    sd = float(np.clip((Z90 + BEYOND_SIGMAS) / 2 * sd, LEAST_SOUGHT, MOST_SOUGHT))
+    pictures = [(picture, scale.value * unit) for picture, unit in views.values()]
+    sought, notes = [], []
+    for kind in wanted:
+        finder = kinds.finder(kind, own)
+        if min(gsd for _, gsd in pictures) > finder.coarsest:
+            notes.append(f"{kind}: too small to be seen at {pictures[0][1]:.2g} m/px, not looked for")
+        else:
+            sought.append(Sought(finder, pictures))
+    found = search(
+        sought,
+        sd,
+        country,
+        worker_count(effort.workers),
+        effort.cache,
+        effort.exhaustive,
+        effort.seed,
+        None if progress is None else partial(progress, "Looking for anchors"),
+    )
+    anchors = [replace(anchor, standards=own.get(anchor.kind, anchor.standards)) for anchor in found]
+    if source.posed is not None:
+        ground: dict[str, GroundView] = {view.name: view for view in source.posed.ground_pictures}
+        votes = votes_in_model(anchors, ground, 4 * sd)
+    else:
+        votes = votes_in_plan(anchors, 4 * sd)
+    return Searched(tuple(anchors), tuple(votes), scale, tuple(notes))
+
+
+def _views(source: Source) -> dict[str, tuple[Picture, float]]:
+    """By name, the pictures that show the ground from above, and source units per pixel of each."""
+    if source.plan is not None:
+        return {source.plan.name: (source.plan, 1.0)}
+    assert source.posed is not None, "it is one of the two"
+    return {view.name: (view, view.unit_per_pixel) for view in source.posed.ground_pictures if view.frame is not None}
+
+
+def _of_words(text: str) -> list[tuple[str, Standard]]:
+    name, _, figures = text.partition("=")
+    try:
+        metres, *sd = (number(word) for word in figures.split(","))
+        if not 0 < metres < 1e4 or len(sd) > 1 or (sd and not 0 < sd[0] < metres):
+            raise ValueError("expected positive metres, and at most one sigma")
+    except (ValueError, OverflowError) as error:
+        raise UsageError(f"--anchor {shown(text)!r}: {reason(error)}", STANDARD_HINT) from error
+    return [(_kind(name), _standard("your own", metres, sd[0] if sd else None, "given by --anchor"))]
+
+
+def _of_file(path: Path) -> list[tuple[str, Standard]]:
+    from ..formats.reading import read
+    from ..formats.schemas import AnchorStandards
+
+    entries = read(path, AnchorStandards, "a file of standards", STANDARD_HINT).standards
+    return [(_kind(e.kind), _standard(e.name, e.metres, e.sd, e.source or str(path))) for e in entries]
+
+
+def _standard(name: str, metres: float, sd: float | None, source: str) -> Standard:
+    return Standard(name, metres, OWN_SD if sd is None else sd / metres, source)
+
+
+def _kind(name: str) -> str:
+    """The kind that a user's word means: its name, or a part of it that no other has. Raises UsageError."""
+    word = name.strip().lower().replace("-", " ").replace("_", " ")
+    known = [*kinds.ANCHOR_KINDS]
+    meant = [kind for kind in known if kind == word] or [kind for kind in known if word and word in kind]
+    if len(meant) != 1:
+        raise UsageError(
+            f"--anchor: no kind of anchor is called {shown(name)!r}"
+            if not meant
+            else f"--anchor: {shown(name)!r} may be {' or '.join(meant)}",
+            f"Kinds: {', '.join(map(kinds.slug, known))}.",
+        )
+    return meant[0]
