@@ -70,7 +70,25 @@ def look_for_anchors(
     effort: Effort,
     progress: Progress | None = None,
 ) -> Searched:
-    """The anchors in `source`, whose vehicles give `scale`.
+    """The anchors in `source`, whose vehicles give `scale`; see `anchors_at`."""
+    low, high = scale.interval90
+    sd = float(np.log(high / low)) / (2 * Z90)
+    # Finders search two of their sigmas to either side.
+    sd = float(np.clip((Z90 + BEYOND_SIGMAS) / 2 * sd, LEAST_SOUGHT, MOST_SOUGHT))
+    return replace(anchors_at(source, scale.value, sd, choices, own, country, effort, progress), without=scale)
+
+
+def anchors_at(
+    source: Source,
+    metres_per_unit: float,
+    sd: float,
+    choices: Sequence[str],
+    own: Mapping[str, tuple[Standard, ...]],
+    country: str,
+    effort: Effort,
+    progress: Progress | None = None,
+) -> Searched:
+    """The anchors in `source`, of roughly `metres_per_unit`, within twice the relative one-sigma `sd` of it.
 
     choices : of `--anchors`. own : a user's standards by kind, which take the place of the finders'. country : ISO
     code, empty where not known. An orthophoto is looked at as it is, a reconstruction in its pictures of the ground.
@@ -81,11 +99,7 @@ def look_for_anchors(
     views = _views(source) if wanted else {}
     if not views:
         return Searched()
-    low, high = scale.interval90
-    sd = float(np.log(high / low)) / (2 * Z90)
-    # Finders search two of their sigmas to either side.
-    sd = float(np.clip((Z90 + BEYOND_SIGMAS) / 2 * sd, LEAST_SOUGHT, MOST_SOUGHT))
-    pictures = [(picture, scale.value * unit) for picture, unit in views.values()]
+    pictures = [(picture, metres_per_unit * unit) for picture, unit in views.values()]
     sought, notes = [], []
     for kind in wanted:
         finder = kinds.finder(kind, own)
@@ -109,7 +123,7 @@ def look_for_anchors(
         votes = votes_in_model(anchors, ground, 4 * sd)
     else:
         votes = votes_in_plan(anchors, 4 * sd)
-    return Searched(tuple(anchors), tuple(votes), scale, tuple(notes))
+    return Searched(tuple(anchors), tuple(votes), notes=tuple(notes))
 
 
 def _views(source: Source) -> dict[str, tuple[Picture, float]]:

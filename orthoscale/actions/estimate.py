@@ -85,11 +85,10 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     started = time.perf_counter()
     log.info("measuring %s", path)
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
-    fleet, why = named_fleet(request.fleet, known), tuple[str, ...]()
+    named = named_fleet(request.fleet, known)
     from_file = request.detections is not None
     source = open_source(path, request.images, not from_file) if isinstance(path, (str, Path)) else path
-    if fleet is None:
-        fleet, why = fleet_at(location_of(source))
+    fleet, why = (named, ()) if named is not None else fleet_at(location_of(source))
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
     own = own_standards(request.anchor)
@@ -120,7 +119,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     searched = Searched()
     if request.estimator == "robust" and not answer.scale.conflict:
         searched = look_for_anchors(
-            source, answer.scale, request.anchors, own, method.country, _effort(request), progress
+            source, answer.scale, request.anchors, own, method.country, effort_of(request), progress
         )
         log.info("%d anchors, seen %d times", len(searched.votes), len(searched.anchors))
     if searched.votes:
@@ -136,7 +135,7 @@ def _looked_for(
     source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles that a detector finds. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
-    effort = _effort(request)
+    effort = effort_of(request)
     # Somebody else's network looks at one image at a time, with all cores.
     threads = 0 if request.detector else effort.threads_each
     network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads)
@@ -160,7 +159,8 @@ def _looked_for(
     return replace(found, notes=(*found.notes, *network.notes)), choice
 
 
-def _effort(request: EstimateRequest) -> Effort:
+def effort_of(request: EstimateRequest) -> Effort:
+    """How much `request` wants to be looked at, and with what."""
     return Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
 
 

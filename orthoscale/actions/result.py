@@ -88,6 +88,7 @@ class Result:
             self.method.estimator,
             self.settings,
             self.seconds,
+            self.anchors,
         )
 
     @property

@@ -32,7 +32,7 @@ def fleet_at(location: Location | None) -> tuple[Fleet, tuple[str, ...]]:
     return load_fleet(code), (f"fleet {code}: {location.told_by} is in {country_name(code)}; --fleet names another",)
 
 
-def country_of(source: Source, fleet: Fleet) -> str:
+def country_of(source: Source, fleet: Fleet | None) -> str:
     """ISO code of the country whose standards hold in `source`: where it lies, else that of its `fleet`; empty where
     neither says."""
     from ..sources.location import location_of
@@ -40,5 +40,5 @@ def country_of(source: Source, fleet: Fleet) -> str:
     location = location_of(source)
     if location is not None and (code := country_at(location.longitude, location.latitude)) is not None:
         return code
-    code = fleet.code.split("_")[0]
+    code = "" if fleet is None else fleet.code.split("_")[0]
     return code if len(code) == 2 and code.isupper() and code not in UNIONS else ""

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Kind:
-    """finder : in which module of this package, and by what name, such as "courts:TENNIS": an `AnchorFinder`, or a class
-    or function that makes one. That which takes `standards` looks for other sizes than its own, too.
+    """finder : in which module of this package, and by what name, such as "courts:TENNIS": an `AnchorFinder`, or what
+    makes one when it is called; if it takes `standards`, it looks for other sizes than its own, too.
     proven : whether it is looked for by default: its false finds were counted (docs/anchors.md).
     """
 

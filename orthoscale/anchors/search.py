@@ -59,8 +59,8 @@ def search(
     """The anchors in pictures whose ground sampling distances are known to a relative one-sigma of `gsd_sd`, each once
     in each picture [px of the picture].
 
-    Unless the search is `exhaustive`, a kind that was found ENOUGH_ANCHORS times, or for MOST_PIXELS, is looked for no more;
-    what is looked at depends on nothing but the pictures, the scale and the `seed`.
+    Unless the search is `exhaustive`, a kind that was found ENOUGH_ANCHORS times, or looked for in MOST_PIXELS, is
+    looked for no more; where depends on nothing but the pictures, the scale and the `seed`.
     `progress(done, total)` counts windows, the total being the most there may be.
     """
     parts = [_Part(one, gsd_sd, country, exhaustive, seed) for one in sought]

@@ -544,6 +544,22 @@ class ReportEvidence(Struct):
     says: Text
 
 
+class ReportAnchor(Struct):
+    """A thing of standard size that was found: its fitted lines in a picture [px], and what it says of the scale."""
+
+    kind: Text
+    standard: Text
+    metres: Positive
+    scale: Positive
+    relative_sd: Finite
+    counted: bool
+    count: Count
+    views: Count
+    picture: Text
+    lines_px: list[tuple[tuple[Px, Px], tuple[Px, Px]]]
+    residual_cm: Finite
+
+
 class Report(Explained, kw_only=True):
     """A report from which a page is drawn; findings of one kind of source, ``drift`` among them, are left open."""
 
@@ -560,6 +576,8 @@ class Report(Explained, kw_only=True):
     pictures: dict[str, tuple[Count, Count]]
     vehicles: list[ReportVehicle]
     evidence: list[ReportEvidence] = []
+    anchors: list[ReportAnchor] = []
+    without_anchors: Measured | None = None
     fleets: dict[str, Finite] = {}
     claim: dict[str, Any] | None = None
     drift: dict[str, Any] | None = None

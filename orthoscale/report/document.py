@@ -12,18 +12,20 @@ from typing import Any
 
 import numpy as np
 
+from ..actions.anchors import Searched
 from ..core.claims import own_claim
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.measuring.drift import Drift
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.model_drift import ModelDrift
-from ..core.scale import PER_PIXEL
+from ..core.scale import PER_PIXEL, Scale
 from ..core.source import Source
 from ..detect.zoom import ZoomChoice
 from ..errors import InputError, shown
 from ..formats.reading import LARGE, checked, read_plain
 from ..version import __version__
+from .anchors import entries
 
 FORMAT = "orthoscale report 1"
 
@@ -33,6 +35,8 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("fleets",): {},
     ("fleet_source",): "",
     ("evidence",): [],
+    ("anchors",): [],
+    ("without_anchors",): None,
     ("remarks",): [],
     ("notes",): [],
     ("vehicles_rejected",): {},
@@ -74,6 +78,7 @@ def document(
     estimator: str,
     settings: Mapping[str, Any],
     seconds: float,
+    searched: Searched,
 ) -> dict[str, Any]:
     """The parts of a `Result` as plain values. Lengths in metres unless a name says px or unit; intervals are 90 %.
 
@@ -101,6 +106,7 @@ def document(
         "evidence": [
             {"kind": e.kind, "scale": e.value, "relative_sd": e.relative_sd, "says": e.says} for e in scale.evidence
         ],
+        **_anchors(searched, scale),
         "method": {"projection": measured.projection, "estimator": estimator},
         "fleet_sizes": _fleet_sizes(fleet),
         "uncertainty": dict(scale.parts),
@@ -156,6 +162,17 @@ def document(
             for k in range(len(votes))
         ],
     }
+
+
+def _anchors(searched: Searched, scale: Scale) -> dict[str, Any]:
+    """The anchors that were looked for in the pictures, and the scale before they were."""
+    if searched.without is None:
+        return {}
+    values: dict[str, Any] = {"anchors": entries(searched.votes, scale.value, scale.parts)}
+    if searched.votes:
+        before = searched.without
+        values["without_anchors"] = {"scale": before.value, "interval90": list(before.interval90)}
+    return values
 
 
 def _of_posed(measured: Measurement) -> dict[str, Any]:

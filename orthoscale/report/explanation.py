@@ -20,6 +20,7 @@ MEANINGS = {
     "ground control": "the control points themselves",
     "parking bays": "the width of parking bays at one place",
 }
+OF_AN_ANCHOR = "how well its size is known, and measured in the pictures"
 WITHOUT_COUNTRY = ("WORLD", "auto")
 COUNTRY_SHARE = (
     0.5  # a country's mean is known about twice as well as the world's (fleet table: 2 to 3 % against 5.6 %)
@@ -79,7 +80,12 @@ def explain(report: Mapping[str, Any]) -> dict[str, Any]:
         "verdict": str(report.get("verdict", "")),
         "relative_sd": total,
         "parts": [
-            {"name": n, "relative_sd": parts[n], "share": share[n], "meaning": MEANINGS.get(n, f"the {n} itself")}
+            {
+                "name": n,
+                "relative_sd": parts[n],
+                "share": share[n],
+                "meaning": MEANINGS.get(n, f"{n}: {OF_AN_ANCHOR}"),
+            }
             for n in sorted(parts, key=lambda n: -parts[n])
             if parts[n] > 0
         ],

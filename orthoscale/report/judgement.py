@@ -152,6 +152,17 @@ def _evidence(report: Mapping[str, Any]) -> Check | None:
     return Check("ok", "Other evidence agrees", kinds)
 
 
+def narrowed(report: Mapping[str, Any]) -> str:
+    """What anchors did to the interval, in words; '' where there were none."""
+    before = report.get("without_anchors")
+    if not before:
+        return ""
+    low, high = before["interval90"]
+    change = signed(report["scale"] / before["scale"] - 1)
+    half = percent((high - low) / 2 / before["scale"])
+    return f"90 % interval ± {percent(half_width(report))} with, ± {half} without; the scale moved by {change}"
+
+
 def _largest(report: Mapping[str, Any]) -> Check:
     explained = explain(report)
     part = explained["parts"][0]

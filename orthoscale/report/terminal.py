@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -74,6 +75,10 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     table += [
         ("also", f"{e.value:.5g} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)") for e in scale.evidence
     ]
+    if result.anchors.votes and (before := result.anchors.without) is not None:
+        kinds = Counter(vote.anchor.kind for vote in result.anchors.votes)
+        found = ", ".join(f"{count} x {kind}" for kind, count in kinds.items())
+        table.append(("anchors", f"{found}; without them +- {percent(before.half_width)} (90 %)"))
     table += [("note", remark) for remark in result.remarks]
     table += [(label, str(path)) for label, path in written.items()]
     return [(label, shown(value, LONGEST_MESSAGE)) for label, value in table]
