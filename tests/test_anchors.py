@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from types import SimpleNamespace
 
 import cv2
@@ -19,7 +20,7 @@ from orthoscale.anchors.kinds import Kind
 from orthoscale.anchors.search import ENOUGH_ANCHORS, Sought, look, search, windows_of
 from orthoscale.core.anchors import Anchor, alike
 from orthoscale.core.measuring.anchors import votes_in_model
-from orthoscale.errors import InputError, UsageError
+from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 
 MIDDLES = np.array([[1120.3, 150.7], [1300.8, 320.2], [1150.1, 520.6]])
 
@@ -187,3 +188,78 @@ def test_an_anchor_in_many_frames_is_one_vote():
     assert one.units == pytest.approx(np.sqrt(1.02), rel=1e-6) and two.units == pytest.approx(1.0)
     assert one.place == pytest.approx([2.5, 2.5, 0], abs=0.1)
     assert one.relative_sd == pytest.approx(0.01 * np.sqrt(0.75)) and one.shared_sd == 0.01
+
+
+@pytest.fixture
+def two_kinds(square_finder, monkeypatch):
+    """A second kind beside it."""
+    more = {"small square": Kind("support.anchors:small_squares", proven=True)}
+    monkeypatch.setattr(kinds, "ANCHOR_KINDS", kinds.ANCHOR_KINDS | more)
+
+
+def empty_lot(folder, small):
+    """A picture without vehicles, of squares of 10 m and of 6 m or not, and a file without boxes."""
+    image = squares(1500, 900, GSD, MIDDLES)
+    if small:
+        image = np.minimum(image, 255)
+        beside = squares(1500, 900, GSD, [[300.2, 200.7], [500.4, 500.1]], 6.0)
+        image[:, :800] = beside[:, :800]
+    cv2.imwrite(str(folder / "lot.png"), image)
+    (folder / "none.json").write_text(json.dumps({"lot.png": []}))
+    return folder / "lot.png", {"fleet": "DE", "detections": folder / "none.json"}
+
+
+def test_two_kinds_that_agree_give_a_scale_without_vehicles(two_kinds, tmp_path):
+    path, options = empty_lot(tmp_path, small=True)
+    found = orthoscale.fix(path, tmp_path / "out.tif", also=["gpkg", "tiles"], **options)
+    assert found.scale.value == pytest.approx(GSD, rel=0.005) and found.scale.half_width < 0.01
+    assert "no vehicles: the scale rests on" in found.remarks[0] and "small square" in found.remarks[0]
+    assert found.scale.vehicles_used == 0 and found.scale.verdict == "good"
+    page = re.sub(r"base64,[^\"]+", "", (tmp_path / "out.tif.html").read_text())
+    assert "No vehicles" in page and "squares of 6 m" in page and "nan" not in page.lower()
+    done = run("estimate", path, "--fleet", "DE", "--detections", options["detections"])
+    assert done.returncode == 0 and "painted square" in done.stdout
+
+
+def test_one_kind_gives_none_without_vehicles(square_finder, tmp_path):
+    path, options = empty_lot(tmp_path, small=False)
+    with pytest.raises(TooLittleEvidence, match="two kinds of anchors that agree are needed; found: .*painted square"):
+        orthoscale.estimate(path, **options)
+
+
+def test_the_command_lists_and_draws_them(two_kinds, tmp_path):
+    path, _ = empty_lot(tmp_path, small=True)
+    done = run("anchors", path, "--scale", "0.101", "--out", tmp_path / "list", "--json")
+    told = json.loads(done.stdout)
+    assert [a["kind"] for a in told["anchors"]].count("painted square") == 3
+    assert all(a["scale"] == pytest.approx(GSD, rel=0.005) and a["residual_cm"] < 5 for a in told["anchors"])
+    assert json.loads((tmp_path / "list" / "anchors.json").read_text()) == told
+    assert cv2.imread(str(tmp_path / "list" / "anchors.png")) is not None
+    layer = read_dataframe(tmp_path / "list" / "anchors.gpkg", "anchors")
+    assert layer == ["painted square"] * 3 + ["small square"] * 2
+    few = run("anchors", path, "--scale", "0.101", "--anchors", "all", "--json")
+    assert len(json.loads(few.stdout)["anchors"]) == 5
+    assert run("anchors", path, "--scale", "-1").returncode == 2
+
+
+def read_dataframe(path, layer):
+    """The kinds of a layer's features."""
+    import pyogrio
+
+    _, _, _, (kinds_there, *_) = pyogrio.raw.read(path, layer, columns=["kind"])
+    return kinds_there.tolist()
+
+
+def test_a_report_says_what_each_anchor_is_and_how_much_it_helps(square_finder, tmp_path):
+    path, options = park_with(tmp_path / "park")
+    orthoscale.fix(path, tmp_path / "out.tif", also=["gpkg"], **options)
+    report = json.loads((tmp_path / "out.tif.json").read_text())
+    (one, *_) = report["anchors"]
+    assert (one["standard"], one["counted"], len(one["lines_px"])) == ("squares of 10 m", True, 4)
+    low, high = report["without_anchors"]["interval90"]
+    assert high - low > 5 * (report["interval90"][1] - report["interval90"][0])
+    page = (tmp_path / "out.tif.html").read_text()
+    assert "What else has a known size?" in page and "painted square: squares of 10 m" in page
+    assert read_dataframe(tmp_path / "out.tif.gpkg", "anchors") == ["painted square"] * 3
+    done = run("report", tmp_path / "out.tif.json", "--out", tmp_path / "again.html")
+    assert done.returncode == 0 and "What else has a known size?" in (tmp_path / "again.html").read_text()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,6 +26,9 @@ from .requests import BOXED
 BEYOND_SIGMAS = 2.0  # sigmas beyond the ends of the vehicles' 90 % interval to which sizes are searched
 LEAST_SOUGHT, MOST_SOUGHT = 0.02, 0.2  # of the scale that finders are told, one sigma: what they are made for
 OWN_SD = 0.005  # of a user's own standard, one sigma as a share of it: bays are painted to a centimetre or two
+LADDER = (0.03, 0.6)  # [m/px] between which scales are tried where nothing tells it: what drones and planes give
+RUNG_SD = 0.1  # of each, one sigma: finders look two of them to either side
+SAME_SIZE = 0.03  # relative difference of what two rungs of the ladder make of one thing
 STANDARD_HINT = (
     "Expected a kind and its size in metres: bay=2.5, or with its sigma bay=2.5,0.02; or a JSON file of standards, "
     "see docs/anchors.md."
@@ -87,13 +91,15 @@ def anchors_at(
     country: str,
     effort: Effort,
     progress: Progress | None = None,
+    share: float = 1.0,
 ) -> Searched:
     """The anchors in `source`, of roughly `metres_per_unit`, within twice the relative one-sigma `sd` of it.
 
     choices : of `--anchors`. own : a user's standards by kind, which take the place of the finders'. country : ISO
     code, empty where not known. An orthophoto is looked at as it is, a reconstruction in its pictures of the ground.
+    share : of the usual effort.
     """
-    from ..anchors.search import Sought, search
+    from ..anchors.search import MOST_PIXELS, Sought, search
 
     wanted = kinds.chosen(choices)
     views = _views(source) if wanted else {}
@@ -115,6 +121,7 @@ def anchors_at(
         effort.cache,
         effort.exhaustive,
         effort.seed,
+        share * MOST_PIXELS,
         None if progress is None else partial(progress, "Looking for anchors"),
     )
     anchors = [replace(anchor, standards=own.get(anchor.kind, anchor.standards)) for anchor in found]
@@ -124,6 +131,57 @@ def anchors_at(
     else:
         votes = votes_in_plan(anchors, 4 * sd)
     return Searched(tuple(anchors), tuple(votes), notes=tuple(notes))
+
+
+def at_any_scale(
+    source: Source,
+    rough: tuple[float, float] | None,
+    choices: Sequence[str],
+    own: Mapping[str, tuple[Standard, ...]],
+    country: str,
+    effort: Effort,
+    progress: Progress | None = None,
+) -> Searched:
+    """The anchors in `source`, of which nobody knows the scale: looked for on a ladder of them.
+
+    rough : metres per unit and its relative one-sigma, where something tells; else all of LADDER is tried.
+    """
+    units = [unit for _, unit in _views(source).values()]
+    if not units or not kinds.chosen(choices):
+        return Searched()
+    if rough is None:
+        low, high = (math.log(gsd / float(np.median(units))) for gsd in LADDER)
+    else:
+        low, high = (math.log(rough[0]) + k * rough[1] for k in (-2, 2))
+    count = max(1, math.ceil((high - low) / (4 * RUNG_SD)))
+    edges = np.linspace(low, high, count + 1)
+    found: dict[str, list[AnchorVote]] = {}
+    notes: list[str] = []
+    every: list[Anchor] = []
+    for middle in (edges[:-1] + edges[1:]) / 2:
+        rung = anchors_at(
+            source, float(np.exp(middle)), RUNG_SD, choices, own, country, effort, progress, share=1 / count
+        )
+        every += rung.anchors
+        for vote in rung.votes:
+            found.setdefault(vote.anchor.kind, []).append(vote)
+    votes = [vote for these in found.values() for vote in _one_thing_once(these, high - low)]
+    return Searched(tuple(every), tuple(votes), notes=tuple(notes))
+
+
+def _one_thing_once(votes: Sequence[AnchorVote], window: float) -> list[AnchorVote]:
+    """Of anchors of one kind that several scales show in one place and of one size, one, with the standards of all."""
+    kept: list[AnchorVote] = []
+    for vote in sorted(votes, key=lambda v: (v.anchor.false, v.relative_sd)):
+        for k, other in enumerate(kept):
+            near = float(np.linalg.norm(vote.place - other.place)) < other.units / 2
+            if near and abs(np.log(vote.units / other.units)) < SAME_SIZE:
+                both = tuple(dict.fromkeys([*other.anchor.standards, *vote.anchor.standards]))
+                kept[k] = replace(other, anchor=replace(other.anchor, standards=both))
+                break
+        else:
+            kept.append(replace(vote, window=window))
+    return kept
 
 
 def _views(source: Source) -> dict[str, tuple[Picture, float]]:

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.detections import Detections
+from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ..core.evidence import Evidence
 from ..core.fleet import Fleet
-from ..core.measuring.measure import measure
+from ..core.measuring.measure import doubts, measure
+from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
 from ..core.measuring.plan import PlanGeometry
 from ..core.measuring.planar_sweep import SweepGeometry
 from ..core.measuring.ways import measure_source
+from ..core.measuring.without_vehicles import measured_without_vehicles
+from ..core.pooling.anchors import evidence_of
 from ..core.source import Plan, PosedSet, Source
 from ..detect.detector import Detector
 from ..detect.find import Effort, Progress
@@ -31,7 +34,7 @@ from ..formats.detections import load as load_detections
 from ..sources.location import location_of
 from ..sources.opening import open_source
 from ..tables import standards
-from .anchors import Searched, kinds_of_boxes, look_for_anchors, own_standards
+from .anchors import Searched, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
 from .control import read_control, read_distance
 from .find import find_in
 from .requests import EstimateRequest
@@ -43,6 +46,8 @@ if TYPE_CHECKING:
 
     from ..detect.zoom import ZoomChoice
     from .requests import EstimateOptions
+
+HINT_SD, CLAIM_SD = 0.15, 0.1  # of --gsd-hint, and of georeferencing, relative one-sigma, where anchors must do alone
 
 log = logging.getLogger(__name__)
 
@@ -99,36 +104,72 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         standards=standards(kinds_of_boxes(request.anchors)),
         country=country_of(source, fleet),
     )
-    choice = None
-    if request.detections is not None:
-        found = load_detections(Path(request.detections), source, request.vehicle_classes)
-    else:
-        found, choice = _looked_for(source, request, fleet, progress)
-    found = replace(found, notes=(*why, *found.notes))
-    log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
-    if known is not None:
-        found = known.applied(found, Path(str(request.calibration)))
+    choice, searched = None, Searched()
+    found = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found")
     try:
-        answer = measure_source(source, found, fleet, method, request.mode)
+        if request.detections is not None:
+            found = load_detections(Path(request.detections), source, request.vehicle_classes)
+        else:
+            found, choice = _looked_for(source, request, fleet, progress)
+        log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
+        if known is not None:
+            found = known.applied(found, Path(str(request.calibration)))
+        answer = _by_vehicles(source, found, fleet, method, request)
+        if request.estimator == "robust" and not answer.scale.conflict:
+            searched = look_for_anchors(
+                source, answer.scale, request.anchors, own, method.country, effort_of(request), progress
+            )
+        if searched.votes:
+            method = replace(method, anchors=searched.votes)
+            answer = measure_source(source, found, fleet, method, request.mode)
+    except TooLittleEvidence as error:
+        searched = at_any_scale(
+            source, _rough(source, request), request.anchors, own, method.country, effort_of(request), progress
+        )
+        method = replace(method, anchors=searched.votes)
+        answer = _by_anchors(source, fleet, method, doubts(found), error)
+    log.info("%d anchors, seen %d times", len(searched.votes), len(searched.anchors))
+    found = replace(found, notes=(*why, *found.notes, *searched.notes))
+    seconds = time.perf_counter() - started
+    log.info("%.6g %s by %d vehicles in %.1f s", answer.scale.value, source.unit, answer.scale.vehicles_used, seconds)
+    return Result(source, fleet, found, choice, seconds, answer, method, request.settings(), searched)
+
+
+def _by_vehicles(
+    source: Source, found: Detections, fleet: Fleet, method: Method, request: EstimateRequest
+) -> Measurement:
+    try:
+        return measure_source(source, found, fleet, method, request.mode)
     except TooLittleEvidence as error:
         raise TooLittleEvidence(
             f"{source.path}: {error.message} (resampling factor {found.zoom:.2f}, {_typical_length(found)})",
             "Try the fleet of the country (--fleet), another resampling factor (--gsd-hint METRES_PER_PIXEL or "
             "--zoom FACTOR), or a scene with more vehicles.",
         ) from error
-    searched = Searched()
-    if request.estimator == "robust" and not answer.scale.conflict:
-        searched = look_for_anchors(
-            source, answer.scale, request.anchors, own, method.country, effort_of(request), progress
-        )
-        log.info("%d anchors, seen %d times", len(searched.votes), len(searched.anchors))
-    if searched.votes:
-        method = replace(method, anchors=searched.votes)
-        answer = measure_source(source, found, fleet, method, request.mode)
-    found = replace(found, notes=(*found.notes, *searched.notes))
-    seconds = time.perf_counter() - started
-    log.info("%.6g %s by %d vehicles in %.1f s", answer.scale.value, source.unit, answer.scale.vehicles_used, seconds)
-    return Result(source, fleet, found, choice, seconds, answer, method, request.settings(), searched)
+
+
+def _by_anchors(
+    source: Source, fleet: Fleet, method: Method, lost: Mapping[str, int], error: TooLittleEvidence
+) -> Measurement:
+    """What anchors give, where vehicles gave only the `error`; it is raised where anchors do not suffice either."""
+    if not method.anchors:
+        raise error
+    evidence = (*method.evidence, *evidence_of(method.anchors, method.country))
+    dims = 2 if source.plan is not None else 3
+    try:
+        return measured_without_vehicles(evidence, source.unit, fleet.code, dims, lost)
+    except TooLittleEvidence as also:
+        raise TooLittleEvidence(f"{error.message}; {also.message}", error.hint) from error
+
+
+def _rough(source: Source, request: EstimateRequest) -> tuple[float, float] | None:
+    """Metres per unit and one sigma of it, from what the user or the source says; None where neither does."""
+    if request.gsd_hint is not None and source.plan is not None:
+        return request.gsd_hint, HINT_SD
+    claimed = source.claimed
+    if claimed is None or claimed.gsd_m is None or not claimed.usable:
+        return None
+    return claimed.gsd_m, CLAIM_SD
 
 
 def _looked_for(

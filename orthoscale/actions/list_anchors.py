@@ -33,13 +33,14 @@ class AnchorList:
 
     def document(self) -> dict[str, Any]:
         """Plain values; the anchors as in a report."""
+        kinds = {vote.anchor.kind for vote in self.searched.votes}
         return {
             "format": FORMAT_OF_LISTS,
             "input": str(self.source.path),
             "unit": self.source.unit,
             "scale": self.metres_per_unit,
             "told": self.scale is None,
-            "anchors": entries(self.searched.votes, self.metres_per_unit),
+            "anchors": entries(self.searched.votes, self.metres_per_unit, kinds),
             "notes": [*self.searched.notes],
         }
 

@@ -166,11 +166,8 @@ def document(
 
 def _anchors(searched: Searched, scale: Scale) -> dict[str, Any]:
     """The anchors that were looked for in the pictures, and the scale before they were."""
-    if searched.without is None:
-        return {}
     values: dict[str, Any] = {"anchors": entries(searched.votes, scale.value, scale.parts)}
-    if searched.votes:
-        before = searched.without
+    if searched.votes and (before := searched.without) is not None:
         values["without_anchors"] = {"scale": before.value, "interval90": list(before.interval90)}
     return values
 

@@ -85,8 +85,9 @@ def write_geopackage(result: Result, place: Placement, path: Path) -> None:
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     crs = place.crs if isinstance(place.crs, str) else place.crs.to_wkt()
     try:
-        write_layer(path, LAYER, shapely.polygons(outlines(result, place)), rows, "Polygon", crs)
-        _add_style(path)
+        if rows:
+            write_layer(path, LAYER, shapely.polygons(outlines(result, place)), rows, "Polygon", crs)
+            _add_style(path)
         if result.anchors.votes:
             write_anchor_layer(entries(result.anchors.votes, result.scale.value, result.scale.parts), place, path)
     except (OSError, sqlite3.Error, RuntimeError) as error:  # pyogrio's other errors are RuntimeErrors

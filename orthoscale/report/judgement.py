@@ -71,6 +71,8 @@ def checks(report: Mapping[str, Any]) -> list[Check]:
 
 def _vehicles(report: Mapping[str, Any]) -> Check:
     used, rejected = report["vehicles_used"], sum(report["vehicles_rejected"].values())
+    if not used:
+        return Check("look", "No vehicles", "the scale rests on things of standard size alone")
     sampling = report["uncertainty"].get("sampling", 0.0)
     few, many = sampling > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
     what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
@@ -78,8 +80,10 @@ def _vehicles(report: Mapping[str, Any]) -> Check:
     return Check("look" if few or many else "ok", what, detail)
 
 
-def _shapes(report: Mapping[str, Any]) -> Check:
+def _shapes(report: Mapping[str, Any]) -> Check | None:
     check = report["checks"]
+    if "length" not in check:
+        return None  # no vehicles
     difference, tension = check["length"] / check["width"] - 1, check["tension_sigmas"]
     ok = tension <= CHECK_LIMIT
     what = "Lengths and widths agree" if ok else "Lengths and widths disagree"
@@ -153,10 +157,10 @@ def _evidence(report: Mapping[str, Any]) -> Check | None:
 
 
 def narrowed(report: Mapping[str, Any]) -> str:
-    """What anchors did to the interval, in words; '' where there were none."""
+    """What anchors did to the interval, in words."""
     before = report.get("without_anchors")
     if not before:
-        return ""
+        return "the scale rests on them"
     low, high = before["interval90"]
     change = signed(report["scale"] / before["scale"] - 1)
     half = percent((high - low) / 2 / before["scale"])

@@ -56,7 +56,7 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
         found=[_anchor(anchor, report) for anchor in report["anchors"]],
         narrowed=judgement.narrowed(report),
         reasons={**report["vehicles_rejected"], **report["boxes_rejected"]},
-        histograms=[_histogram(report, axis) for axis in ("length", "width")],
+        histograms=[_histogram(report, axis) for axis in ("length", "width") if report["vehicles_used"]],
         estimates=_estimates(report),
         modes={name: _mode(mode, report) for name, mode in _modes(report).items()},
         calibration=_calibration(report),

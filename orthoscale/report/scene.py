@@ -64,7 +64,8 @@ class Scene:
         pictures = _pictures(source, vehicles, anchors) if source else {}
         overviews = []
         if not of_plan(report):
-            overviews.append(_plan(report, source.posed if source else None))
+            if vehicles or source:
+                overviews.append(_plan(report, source.posed if source else None))
             name = _busiest(vehicles, pictures)
         else:
             name = _busiest(vehicles, report["pictures"])
@@ -129,14 +130,14 @@ def _overview(report: Mapping[str, Any], name: str, picture: Picture | None) -> 
 def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
     """A model's sparse points from above, in metres, with the vehicles where they stand."""
     scale = float(report["scale"])
-    vehicles = np.array([v["place_m"] for v in report["vehicles"]], float)
+    vehicles = np.array([v["place_m"] for v in report["vehicles"]], float).reshape(-1, 2)
     points, colours = vehicles, np.full((len(vehicles), 3), PAPER, np.uint8)
     if source is not None:
         xyz, colours = source.sparse
         order = np.argsort(source.ground.height_above(xyz))  # what stands higher is drawn later
         points, colours = source.from_above(xyz[order]) * scale, colours[order]
     low, high = np.percentile(points, [1, 99], axis=0)
-    low, high = np.minimum(low, vehicles.min(0)), np.maximum(high, vehicles.max(0))
+    low, high = np.minimum(low, vehicles.min(0, initial=np.inf)), np.maximum(high, vehicles.max(0, initial=-np.inf))
     border = 0.02 * (high - low).max()
     low, high = low - border, high + border
     zoom = OVERVIEW / (high - low).max()  # px per metre

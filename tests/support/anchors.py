@@ -70,3 +70,11 @@ def vote(kind, log_scale, sd, standards, meant=0, false=FALSE, window=0.4, at=0.
     lines = np.array([[[at, 0.0], [at + units, 0.0]]])
     anchor = Anchor(kind, np.array([at, 0.0]), lines, units, sd, np.zeros(1), tuple(standards), false)
     return AnchorVote(anchor, anchor.place, units, sd, window=window)
+
+
+SMALL = Standard("squares of 6 m", 6.0, 0.001, "drawn so")
+
+
+def small_squares():
+    """A finder of another kind, which takes any square of its size in pixels for one of 6 m."""
+    return SquareFinder(standards=(SMALL,), kind="small square", extent=9.0)

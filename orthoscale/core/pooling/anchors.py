@@ -98,13 +98,14 @@ def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:
                 (float(member @ reading.probability) * number, mean, np.sqrt(fit + reading.rule + common), standard)
             )
             supporters.append([k for k, share in zip(these, member, strict=True) if share > 0.5] or these)
-    weight, mean, sd = (np.array(column) for column in list(zip(*rows, strict=True))[:3])
+    columns = list(zip(*rows, strict=True))
+    weight, means, sds = (np.array(column, float) for column in columns[:3])
     weight = weight / weight.sum()
     best = int(np.argmax(weight))
     those = [votes[k] for k in supporters[best]]
     return Evidence.mixed(
         kind,
-        Posterior(weight, mean, sd).only(weight > LEAST_WEIGHT),
+        Posterior(weight, means, sds).only(weight > LEAST_WEIGHT),
         _in_words(kind, those, rows[best][3]),
         min(vote.anchor.false for vote in those),
         float(np.median([vote.window for vote in those])),
