@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -144,8 +144,10 @@ class _Part:
         ]
 
     def key(self) -> str | None:
+        # What says only where in memory it is would never be found again.
+        settled = repr(self.finder) if is_dataclass(self.finder) else repr(vars(self.finder))
         settings = {
-            "finder": [type(self.finder).__name__, self.finder.kind, repr(self.finder)],
+            "finder": [type(self.finder).__name__, self.finder.kind, settled],
             "between": [self.finder.extent, self.finder.finest, self.finder.coarsest],
             "gsd": [sorted(self.gsd.items()), self.gsd_sd],
             "country": self.country,

@@ -37,5 +37,5 @@ def _cell(panel: Panel | None) -> np.ndarray:
     if panel is not None:
         drawn_image = drawn(panel, (SHEET_CELL - 8) / max(panel.image.shape[:2]))
         cell[4 : 4 + drawn_image.shape[0], 4 : 4 + drawn_image.shape[1]] = drawn_image
-        write_on(cell, (6, SHEET_CELL + 18), panel.title, 14)
+        write_on(cell, (6, drawn_image.shape[0] + 22), panel.title, 14)
     return cell

@@ -89,6 +89,7 @@ def _picture(panel: Panel) -> dict[str, Any]:
         "height": height,
         "href": _jpeg(panel.image),
         "bar": panel.bar,
+        "fine": panel.fine,
         "outlines": [
             {
                 "points": " ".join(f"{x:.1f},{y:.1f}" for x, y in outline.points),

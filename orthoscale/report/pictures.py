@@ -51,7 +51,7 @@ def drawn(panel: Panel, zoom: float) -> np.ndarray:
     size = max(1, round(width * zoom)), max(1, round(height * zoom))
     image = cv2.resize(panel.image, size, interpolation=cv2.INTER_AREA if zoom < 1 else cv2.INTER_CUBIC)
     for outline in sorted(panel.outlines, key=lambda o: o.used):
-        _outlined(image, outline, zoom)
+        _outlined(image, outline, zoom, 1 if panel.fine else 2)
     if panel.bar is not None:
         metres, length = panel.bar
         end, y = 20 + round(length * zoom), size[1] - 16
@@ -61,11 +61,11 @@ def drawn(panel: Panel, zoom: float) -> np.ndarray:
     return image
 
 
-def _outlined(image: np.ndarray, outline: Outline, zoom: float) -> None:
+def _outlined(image: np.ndarray, outline: Outline, zoom: float, width: int) -> None:
     # Sixteenths of a pixel (shift=4); OpenCV's pixel centres are integers, ours end in .5.
     points = np.round((outline.points * zoom - 0.5) * 16).astype(np.int32)
     colour = USED_RGB if outline.used else REJECTED_RGB
-    cv2.polylines(image, [points], True, colour, 2, cv2.LINE_AA, shift=4)
+    cv2.polylines(image, [points], True, colour, width, cv2.LINE_AA, shift=4)
 
 
 def _contact_sheet(panels: Sequence[Panel]) -> np.ndarray:

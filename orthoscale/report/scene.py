@@ -38,13 +38,17 @@ class Outline:
 
 @dataclass(frozen=True)
 class Panel:
-    """image : (h, w, 3) uint8 RGB. bar : a round number of metres and its length [px], where there is one scale."""
+    """image : (h, w, 3) uint8 RGB. bar : a round number of metres and its length [px], where there is one scale.
+
+    fine : whether its outlines lie on lines that must show beside them.
+    """
 
     title: str
     image: np.ndarray
     outlines: Sequence[Outline]
     bar: tuple[float, float] | None = None
     reason: str = ""
+    fine: bool = False
 
 
 @dataclass(frozen=True)
@@ -213,7 +217,7 @@ def _crop(anchor: Mapping, picture: Picture) -> Panel:
     if anchor["count"] > 1:
         title += f", {anchor['count']} in a row"
     outlines = [Outline((line - first) * zoom, anchor["counted"], title) for line in lines]
-    return Panel(title, image, outlines)
+    return Panel(title, image, outlines, fine=True)
 
 
 def _outline(vehicle: Mapping, box: Mapping, zoom: float, shift: tuple[float, float] = (0.0, 0.0)) -> Outline:
