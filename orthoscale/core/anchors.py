@@ -86,7 +86,8 @@ class AnchorVote:
 class AnchorFinder(Protocol):
     """Finds one kind of anchor.
 
-    kind : as its anchors'. standards : all that its anchors may be of. extent : the largest that one is [m]; windows overlap by so much.
+    kind : as its anchors'. standards : all that its anchors may be of.
+    extent : the largest that one is [m]; windows overlap by so much.
     finest, coarsest : between which ground sampling distances [m/px] it can work: a finer picture is shrunk to
     `finest` first, a coarser one than `coarsest` is not searched.
     """
