@@ -26,6 +26,7 @@ from .requests import BOXED
 BEYOND_SIGMAS = 2.0  # sigmas beyond the ends of the vehicles' 90 % interval to which sizes are searched
 LEAST_SOUGHT, MOST_SOUGHT = 0.02, 0.2  # of the scale that finders are told, one sigma: what they are made for
 OWN_SD = 0.005  # of a user's own standard, one sigma as a share of it: bays are painted to a centimetre or two
+FRAMES_EACH = 4  # of a model that show one anchor before another is looked for: the more, the less it matters which
 LADDER = (0.03, 0.6)  # [m/px] between which scales are tried where nothing tells it: what drones and planes give
 RUNG_SD = 0.1  # of each, one sigma: finders look two of them to either side
 SAME_SIZE = 0.03  # relative difference of what two rungs of the ladder make of one thing
@@ -99,7 +100,7 @@ def anchors_at(
     code, empty where not known. An orthophoto is looked at as it is, a reconstruction in its pictures of the ground.
     share : of the usual effort.
     """
-    from ..anchors.search import MOST_PIXELS, Sought, search
+    from ..anchors.search import ENOUGH_ANCHORS, MOST_PIXELS, Sought, search
 
     wanted = kinds.chosen(choices)
     views = _views(source) if wanted else {}
@@ -122,6 +123,7 @@ def anchors_at(
         effort.exhaustive,
         effort.seed,
         share * MOST_PIXELS,
+        ENOUGH_ANCHORS * (1 if source.posed is None else FRAMES_EACH),
         None if progress is None else partial(progress, "Looking for anchors"),
     )
     anchors = [replace(anchor, standards=own.get(anchor.kind, anchor.standards)) for anchor in found]

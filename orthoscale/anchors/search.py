@@ -55,16 +55,17 @@ def search(
     exhaustive: bool = False,
     seed: int = 0,
     most_pixels: float = MOST_PIXELS,
+    enough: int = ENOUGH_ANCHORS,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Anchor]:
     """The anchors in pictures whose ground sampling distances are known to a relative one-sigma of `gsd_sd`, each once
     in each picture [px of the picture].
 
-    Unless the search is `exhaustive`, a kind that was found ENOUGH_ANCHORS times, or looked for in `most_pixels`, is
-    looked for no more; where depends on nothing but the pictures, the scale and the `seed`.
+    Unless the search is `exhaustive`, a kind that was found `enough` times, or looked for in `most_pixels`, is looked
+    for no more; where depends on nothing but the pictures, the scale and the `seed`.
     `progress(done, total)` counts windows, the total being the most there may be.
     """
-    parts = [_Part(one, gsd_sd, country, np.inf if exhaustive else most_pixels, seed) for one in sought]
+    parts = [_Part(one, gsd_sd, country, np.inf if exhaustive else most_pixels, enough, seed) for one in sought]
     with ExitStack() as open_things:
         for part in parts:
             part.cache = open_things.enter_context(AnchorCache(key)) if cache and (key := part.key()) else None
@@ -85,9 +86,9 @@ def search(
 class _Part:
     """The search of one kind: its windows in the order in which they are looked at, and what was found."""
 
-    def __init__(self, sought: Sought, gsd_sd: float, country: str, most_pixels: float, seed: int):
+    def __init__(self, sought: Sought, gsd_sd: float, country: str, most_pixels: float, enough: int, seed: int):
         self.finder, self.gsd_sd, self.country, self.most_pixels = sought.finder, gsd_sd, country, most_pixels
-        self.exhaustive = not np.isfinite(most_pixels)
+        self.exhaustive, self.enough = not np.isfinite(most_pixels), enough
         self.gsd = {picture.name: gsd for picture, gsd in sought.pictures}
         self.pictures = [picture for picture, gsd in sought.pictures if gsd <= self.finder.coarsest]
         windows = [(p, tile) for p in self.pictures for tile in windows_of(p, self.gsd[p.name], self.finder)]
@@ -107,7 +108,7 @@ class _Part:
         if self.exhaustive or len(self.looks) < FIRST_WINDOWS:
             return False
         seen = sum(self.jobs[k][1].out_width * self.jobs[k][1].out_height for k in self.looks)
-        return seen >= self.most_pixels or len(self.found()) >= ENOUGH_ANCHORS
+        return seen >= self.most_pixels or len(self.found()) >= self.enough
 
     def next(self) -> range:
         """Numbers of the windows to look at next."""
