@@ -94,6 +94,8 @@ def test_the_vehicles_tell_which_standard_it_is():
         assert len(alone.posterior.mean) == 3 and alone.value == pytest.approx(2.5 / standard.metres)
         known = combined(Posterior.normal(0.0, 0.02), {"sampling": 0.02}, [alone])
         assert np.log(known.summary[0]) == pytest.approx(0.0, abs=0.01)
+        (told,) = known.evidence
+        assert told.value == pytest.approx(1.0) and standard.name in told.says
 
 
 def test_standards_of_the_country_come_first():

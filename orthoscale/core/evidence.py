@@ -11,7 +11,7 @@ same.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,7 +31,7 @@ CONTROL_SD = 0.05  # of a ground control point's position, where its residuals d
 class Evidence:
     """One measurement of the scale: metres per unit of the source, with a relative one-sigma; `says` where from.
 
-    modes : where it may mean several scales, all of them; `value` is the likeliest one.
+    modes, words : where it may mean several scales, all of them, and what it says of each; `value` is one of them.
     doubt : probability that it is a mistake, and may mean any scale of a range as wide as `window` (in logarithms).
     """
 
@@ -40,14 +40,34 @@ class Evidence:
     relative_sd: float
     says: str
     modes: Posterior | None = None
+    words: tuple[str, ...] = ()
     doubt: float = 0.0
     window: float = 1.0
 
     @classmethod
-    def mixed(cls, kind: str, modes: Posterior, says: str, doubt: float = 0.0, window: float = 1.0) -> Evidence:
-        """That of a mixture of scales."""
-        best = int(np.argmax(modes.weight))
-        return cls(kind, float(np.exp(modes.mean[best])), float(modes.sd[best]), says, modes, doubt, window)
+    def mixed(
+        cls, kind: str, modes: Posterior, words: Sequence[str], doubt: float = 0.0, window: float = 1.0
+    ) -> Evidence:
+        """That of a mixture of scales; its `value` is the likeliest."""
+        return cls(kind, 1.0, 1.0, "", modes, tuple(words), doubt, window)._meaning(modes.weight)
+
+    def meant(self, scale: Posterior) -> Evidence:
+        """The same, its `value` the one that it means if the scale is known to be `scale`."""
+        if self.modes is None:
+            return self
+        variance = self.modes.sd**2 + scale.spread**2
+        off = (self.modes.mean - scale.centre) ** 2 / variance
+        return self._meaning(self.modes.weight * np.exp(-0.5 * (off - off.min())) / np.sqrt(variance))
+
+    def only(self, which: np.ndarray) -> Evidence:
+        """That of those of its modes that are `which` (K,) bool."""
+        words = [word for word, keep in zip(self.words, which, strict=True) if keep]
+        return Evidence.mixed(self.kind, self.posterior.only(which), words, self.doubt, self.window)
+
+    def _meaning(self, likely: np.ndarray) -> Evidence:
+        best, modes = int(np.argmax(likely)), self.posterior
+        value, sd = float(np.exp(modes.mean[best])), float(modes.sd[best])
+        return replace(self, value=value, relative_sd=sd, says=self.words[best])
 
     @property
     def posterior(self) -> Posterior:
@@ -61,6 +81,7 @@ class Combined:
 
     conflict : sigmas between the two that contradict each other most, 0 where none do.
     summary : value and the ends of its 90 % interval. Where measurements conflict, the interval spans them all.
+    evidence : what entered, each as what it means at that scale.
     """
 
     posterior: Posterior
@@ -68,6 +89,7 @@ class Combined:
     conflict: float
     remarks: list[str]
     summary: tuple[float, float, float]
+    evidence: tuple[Evidence, ...] = ()
 
 
 def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
@@ -76,7 +98,7 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
     In a conflict the surest measurement that is no anchor gives the value, and the interval reaches over those of all.
     """
     heard, remarks = _within_reach(vehicles, evidence)
-    strong = [e for e in evidence if e.doubt <= STRONG]
+    strong = [e.meant(vehicles) for e in evidence if e.doubt <= STRONG]
     # Of a mixture, each what is nearest to the other counts.
     sources = [
         ("vehicles", Posterior.normal(vehicles.centre, vehicles.spread)),
@@ -99,13 +121,16 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
         spread = max((high - low) / (2 * Z90), surest.spread)
         wide = Posterior.normal(surest.centre, spread)
         summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
-        return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary)
+        told = tuple(e.meant(vehicles) for e in evidence)
+        return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary, told)
     posterior = vehicles
     for e in heard:
         more = e.posterior
         posterior = posterior.times_doubted(more, e.doubt, e.window) if e.doubt else posterior.times(more)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
-    return Combined(posterior, _shares(vehicles, parts, heard, posterior), 0.0, remarks, (value, low, high))
+    shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior)
+    told = tuple(e.meant(posterior) for e in evidence)
+    return Combined(posterior, shares, 0.0, remarks, (value, low, high), told)
 
 
 def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[list[Evidence], list[str]]:
@@ -126,8 +151,9 @@ def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[li
                 apart = np.abs(modes.mean[:, None] - there.mean) / np.hypot(modes.sd[:, None], there.sd)
                 counts |= (apart < SAME).any(1)
         if counts.any():
-            heard.append(Evidence.mixed(e.kind, modes.only(counts), e.says, e.doubt, e.window))
+            heard.append(e.only(counts))
         else:
+            e = e.meant(vehicles)
             remarks.append(
                 f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * ALONE:.0f} % interval "
                 f"({np.exp(interval[0]):.5g} to {np.exp(interval[1]):.5g}); it does not count"

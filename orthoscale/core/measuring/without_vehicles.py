@@ -35,7 +35,7 @@ def measured_without_vehicles(
     together = combined(nothing_known, {}, evidence)
     value, low, high = together.summary
     said = verdict(together.posterior.spread, odd_shape=False, conflict=together.conflict > 0)
-    agreeing = _agreeing(together, evidence)
+    agreeing = _agreeing(together)
     if not together.conflict and (said == UNUSABLE or len(agreeing) < FEWEST_KINDS):
         kinds = "; ".join(f"{e.says}: {e.value:.4g} {unit}" for e in evidence)
         raise TooLittleEvidence(f"without vehicles, two kinds of anchors that agree are needed; found: {kinds}")
@@ -53,7 +53,7 @@ def measured_without_vehicles(
         used=np.empty(0, bool),
         reasons=[],
         remarks=(*together.remarks, *(() if together.conflict else (remark,))),
-        evidence=tuple(evidence),
+        evidence=together.evidence,
         conflict=together.conflict,
     )
     none = np.empty((0, 2))
@@ -61,11 +61,10 @@ def measured_without_vehicles(
     return Measurement(Boxes.empty(), np.empty(0, str), votes, scale, dict(lost), none, projection="none")
 
 
-def _agreeing(together: Combined, evidence: Sequence[Evidence]) -> list[str]:
+def _agreeing(together: Combined) -> list[str]:
     """What of the evidence is in the answer, in words."""
-    centre = np.log(together.summary[0])
-    return [
-        e.says
-        for e in evidence
-        if (np.abs(e.posterior.mean - centre) < SAME * np.hypot(e.posterior.sd, together.posterior.spread)).any()
+    sigmas = [
+        abs(np.log(e.value / together.summary[0])) / np.hypot(e.relative_sd, together.posterior.spread)
+        for e in together.evidence
     ]
+    return [e.says for e, apart in zip(together.evidence, sigmas, strict=True) if apart < SAME]

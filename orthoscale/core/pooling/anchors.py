@@ -101,15 +101,10 @@ def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:
     columns = list(zip(*rows, strict=True))
     weight, means, sds = (np.array(column, float) for column in columns[:3])
     weight = weight / weight.sum()
-    best = int(np.argmax(weight))
-    those = [votes[k] for k in supporters[best]]
-    return Evidence.mixed(
-        kind,
-        Posterior(weight, means, sds).only(weight > LEAST_WEIGHT),
-        _in_words(kind, those, rows[best][3]),
-        min(vote.anchor.false for vote in those),
-        float(np.median([vote.window for vote in those])),
-    )
+    those = [votes[k] for k in supporters[int(np.argmax(weight))]]
+    words = [_in_words(kind, [votes[k] for k in s], row[3]) for s, row in zip(supporters, rows, strict=True)]
+    doubt, window = min(vote.anchor.false for vote in those), float(np.median([vote.window for vote in those]))
+    return Evidence.mixed(kind, Posterior(weight, means, sds), words, doubt, window).only(weight > LEAST_WEIGHT)
 
 
 def _reading(votes: Sequence[AnchorVote], standard: Standard, country: str) -> _Reading:

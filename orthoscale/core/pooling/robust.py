@@ -143,7 +143,7 @@ def pool(
         remarks=(*together.remarks, *remarks),
         larger_share=best.larger_share,
         fleets={c.code: float(p) for c, p in zip(candidates, probability, strict=True) if p > LIKELY},
-        evidence=tuple(evidence),
+        evidence=together.evidence,
     )
 
 
