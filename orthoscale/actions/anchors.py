@@ -102,7 +102,7 @@ def anchors_at(
     """
     from ..anchors.search import ENOUGH_ANCHORS, MOST_PIXELS, Sought, search
 
-    wanted = kinds.chosen(choices)
+    wanted = kinds.chosen(choices, own)
     views = _views(source) if wanted else {}
     if not views:
         return Searched()
@@ -126,13 +126,13 @@ def anchors_at(
         ENOUGH_ANCHORS * (1 if source.posed is None else FRAMES_EACH),
         None if progress is None else partial(progress, "Looking for anchors"),
     )
-    anchors = [replace(anchor, standards=own.get(anchor.kind, anchor.standards)) for anchor in found]
     if source.posed is not None:
         ground: dict[str, GroundView] = {view.name: view for view in source.posed.ground_pictures}
-        votes = votes_in_model(anchors, ground, 4 * sd)
+        votes = votes_in_model(found, ground, 4 * sd)
     else:
-        votes = votes_in_plan(anchors, 4 * sd)
-    return Searched(tuple(anchors), tuple(votes), notes=tuple(notes))
+        votes = votes_in_plan(found, 4 * sd)
+    votes = [vote.of(own.get(vote.anchor.kind)) for vote in votes]
+    return Searched(tuple(found), tuple(votes), notes=tuple(notes))
 
 
 def at_any_scale(
@@ -149,7 +149,7 @@ def at_any_scale(
     rough : metres per unit and its relative one-sigma, where something tells; else all of LADDER is tried.
     """
     units = [unit for _, unit in _views(source).values()]
-    if not units or not kinds.chosen(choices):
+    if not units or not kinds.chosen(choices, own):
         return Searched()
     if rough is None:
         low, high = (math.log(gsd / float(np.median(units))) for gsd in LADDER)

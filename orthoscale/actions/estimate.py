@@ -103,6 +103,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         evidence=tuple(given),
         standards=standards(kinds_of_boxes(request.anchors)),
         country=country_of(source, fleet),
+        own=own,
     )
     choice, searched = None, Searched()
     found = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -33,14 +33,15 @@ def slug(kind: str) -> str:
     return kind.replace(" ", "-")
 
 
-def chosen(choices: Sequence[str]) -> list[str]:
-    """The kinds with a finder that `choices` of `--anchors` mean, in the order of the table."""
+def chosen(choices: Sequence[str], own: Collection[str] = ()) -> list[str]:
+    """The kinds with a finder that `choices` of `--anchors` mean, and those of a user's `own` standards, in the order
+    of the table."""
     if NONE in choices:
         return []
     return [
         kind
         for kind, about in ANCHOR_KINDS.items()
-        if ALL in choices or slug(kind) in choices or (PROVEN in choices and about.proven)
+        if kind in own or ALL in choices or slug(kind) in choices or (PROVEN in choices and about.proven)
     ]
 
 

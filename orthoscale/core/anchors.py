@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -81,6 +81,10 @@ class AnchorVote:
     shared_sd: float = 0.0
     window: float = 1.0
     views: int = 1
+
+    def of(self, standards: tuple[Standard, ...] | None) -> AnchorVote:
+        """The same, were it of one of these `standards`; itself for None."""
+        return self if standards is None else replace(self, anchor=replace(self.anchor, standards=standards))
 
 
 class AnchorFinder(Protocol):
