@@ -28,7 +28,8 @@ def test_two_that_contradict_each_other_are_reported_and_not_averaged():
     value, low, high = together.summary
     assert value == pytest.approx(0.14) and low < 0.10 and high > 0.14
     assert together.conflict == pytest.approx(np.log(1.4) / np.hypot(0.05, 0.01))
-    assert together.remarks == ["conflict: vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart"]
+    (remark,) = together.remarks
+    assert remark.text == "conflict: vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart" and remark.severity == "refusal"
 
 
 def test_evidence_chooses_between_two_possibilities():

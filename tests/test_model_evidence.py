@@ -130,7 +130,7 @@ def test_a_court_that_contradicts_the_vehicles_is_a_conflict(model, scales):
         model[0], replace(found_in(model), objects=objects), FLEET, Method(standards=standards())
     ).scale
     assert scale.conflict > 3 and scale.verdict == "unusable"
-    assert any("conflict" in remark and "tennis court" in remark for remark in scale.remarks)
+    assert any("conflict" in remark.text and "tennis court" in remark.text for remark in scale.remarks)
     low, high = scale.interval90
     assert low < UNIT / 1.5 and high > UNIT
     for pair in ((scale, scales[0]), (scales[0], scale)):

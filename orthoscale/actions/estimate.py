@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.anchors import Standard
+from ..core.calibration import Calibration
 from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ..core.evidence import Evidence
 from ..core.fleet import Fleet
@@ -85,10 +87,24 @@ def estimate(
     return measured(path, EstimateRequest.of(options), progress)
 
 
-def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
-    """What `request` asks of the input at `path`; see `estimate`."""
-    started = time.perf_counter()
-    log.info("measuring %s", path)
+@dataclass(frozen=True)
+class Opened:
+    """What a request speaks of, opened and found to fit together, before anything is measured.
+
+    fleet : whose vehicles they are, and why, where that was not asked for. given : what the user knows of the scale.
+    own : the user's standards for anchors, by kind.
+    """
+
+    source: Source
+    fleet: Fleet
+    why: tuple[str, ...]
+    calibration: Calibration | None
+    given: tuple[Evidence, ...]
+    own: Mapping[str, tuple[Standard, ...]]
+
+
+def opened(path: str | Path | Source, request: EstimateRequest) -> Opened:
+    """All that `request` names for the input at `path`. Raises InputError, UsageError."""
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
     named = named_fleet(request.fleet, known)
     from_file = request.detections is not None
@@ -97,13 +113,22 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
     own = own_standards(request.anchor)
+    return Opened(source, fleet, why, known, tuple(given), own)
+
+
+def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
+    """What `request` asks of the input at `path`; see `estimate`."""
+    started = time.perf_counter()
+    log.info("measuring %s", path)
+    asked = opened(path, request)
+    source, fleet = asked.source, asked.fleet
     method = Method(
-        projection=request.projection,
-        estimator=request.estimator,
-        evidence=tuple(given),
+        request.projection,
+        request.estimator,
+        evidence=asked.given,
         standards=standards(kinds_of_boxes(request.anchors)),
         country=country_of(source, fleet),
-        own=own,
+        own=asked.own,
     )
     choice, searched = None, Searched()
     found = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found")
@@ -113,24 +138,24 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         else:
             found, choice = _looked_for(source, request, fleet, progress)
         log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
-        if known is not None:
-            found = known.applied(found, Path(str(request.calibration)))
+        if asked.calibration is not None:
+            found = asked.calibration.applied(found, Path(str(request.calibration)))
         answer = _by_vehicles(source, found, fleet, method, request)
         if request.estimator == "robust" and not answer.scale.conflict:
             searched = look_for_anchors(
-                source, answer.scale, request.anchors, own, method.country, effort_of(request), progress
+                source, answer.scale, request.anchors, asked.own, method.country, effort_of(request), progress
             )
         if searched.votes:
             method = replace(method, anchors=searched.votes)
             answer = measure_source(source, found, fleet, method, request.mode)
     except TooLittleEvidence as error:
         searched = at_any_scale(
-            source, _rough(source, request), request.anchors, own, method.country, effort_of(request), progress
+            source, _rough(source, request), request.anchors, asked.own, method.country, effort_of(request), progress
         )
         method = replace(method, anchors=searched.votes)
         answer = _by_anchors(source, fleet, method, doubts(found), error)
     log.info("%d anchors, seen %d times", len(searched.votes), len(searched.anchors))
-    found = replace(found, notes=(*why, *found.notes, *searched.notes))
+    found = replace(found, notes=(*asked.why, *found.notes, *searched.notes))
     seconds = time.perf_counter() - started
     log.info("%.6g %s by %d vehicles in %.1f s", answer.scale.value, source.unit, answer.scale.vehicles_used, seconds)
     return Result(source, fleet, found, choice, seconds, answer, method, request.settings(), searched)
@@ -197,7 +222,8 @@ def _looked_for(
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
         workers = worker_count(effort.workers)
-        found = replace(found, boxes=refined(source.pictures, found.boxes, found.zoom, network, workers, progress))
+        ruler = (found.zoom, found.ruler.noise)
+        found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
     return replace(found, notes=(*found.notes, *network.notes)), choice
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from .estimate import effort_of, measured
 from .requests import EstimateRequest
 from .whose import country_of, named_fleet
 
+WITH_A_SCALE = ("fleet", "images", "anchors", "anchor", "workers", "cache")  # options that matter where it is told
 FORMAT_OF_LISTS = "orthoscale anchors 1"
 
 
@@ -69,9 +71,11 @@ def list_anchors(
         country = result.method.country
         found = look_for_anchors(result.source, result.scale, request.anchors, own, country, effort, progress)
         return AnchorList(result.source, found, result.scale.value, result.scale)
-    if not scale > 0:
+    if not (scale > 0 and math.isfinite(scale)):
         raise UsageError(f"--scale must be a positive number, not {scale}")
+    request.refuse_others(WITH_A_SCALE, "--scale says how large the input is: no vehicles are measured")
     source = open_source(path, request.images) if isinstance(path, (str, Path)) else path
+    request.check_for(source)
     country = country_of(source, named_fleet(request.fleet, None))
     found = anchors_at(source, scale, MOST_SOUGHT / 4, request.anchors, own, country, effort, progress)
     return AnchorList(source, found, scale, None)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -151,6 +151,10 @@ class VehicleRequest:
                 raise UsageError(f"no option is called {name!r}", _nearest(name, known))
         return cls(**keywords)
 
+    def refuse_others(self, names: Collection[str], why: str) -> None:
+        """Raise UsageError where an option that is none of `names` says something: `why` it does nothing."""
+        self._refuse([each.name for each in fields(self) if each.name not in names], why)
+
     def without(self, names: Iterable[str], **other: Any) -> Self:
         """The same with the options `names` at their defaults, and `other` ones as they are named."""
         changed: dict[str, Any] = {each.name: each.default for each in fields(self) if each.name in names}
@@ -269,6 +273,10 @@ class EstimateRequest(VehicleRequest):
     def check_for(self, source: Source) -> None:
         """Raise UsageError for what does nothing on such a source."""
         (self._for_plan if source.plan is not None else self._for_posed)(source.path)
+
+    def check_for_many(self) -> None:
+        """Raise UsageError for what speaks of one input only."""
+        self._refuse(("known_distance", "ground_control"), "it speaks of one input, and these are several")
 
     def _for_plan(self, path: Path) -> None:
         self._refuse(("mode", "images"), f"it is for COLMAP models, and {path} is an image")

@@ -14,12 +14,12 @@ from .options import (
     PATH,
     command,
     debug_option,
-    input_argument,
     json_option,
     option,
     options_of,
     overwrite_option,
     progress_bars,
+    refuse_idle_overwrite,
     say,
 )
 
@@ -28,7 +28,7 @@ from .options import (
     epilog="\b\nExamples:\n  orthoscale anchors ortho.tif --fleet DE\n"
     "  orthoscale anchors ortho.tif --scale 0.1 --anchors tennis-court --out anchors/\n\n" + EXIT_CODES
 )
-@input_argument
+@click.argument("path", metavar="INPUT", type=PATH)
 @options_of(EstimateRequest)
 @option(
     "--scale",
@@ -50,12 +50,10 @@ def anchors(
     looked for at the scale that the vehicles give, or at --scale.
     """
     from ..actions.list_anchors import list_anchors
-    from ..errors import UsageError
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
-    if overwrite and out is None:
-        raise UsageError("--overwrite does nothing here: without --out nothing is written", "Leave --overwrite away.")
+    refuse_idle_overwrite(overwrite, out)
     with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
         folder = None if out is None else outputs.folder(out)
         found = list_anchors(path, request, scale, progress)

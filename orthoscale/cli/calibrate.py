@@ -19,6 +19,7 @@ from .options import (
     options_of,
     overwrite_option,
     progress_bars,
+    refuse_idle_overwrite,
     say,
 )
 
@@ -57,6 +58,7 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, debu
     from ..formats.calibration import calibration_values, save_calibration
     from ..system.outputs import Outputs
 
+    refuse_idle_overwrite(overwrite, out)
     with Outputs(overwrite, (path, options)) as outputs:
         partial = None if out is None else outputs.file(out)
         with progress_bars() as progress:

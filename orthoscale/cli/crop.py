@@ -37,9 +37,7 @@ from .photo_options import lens_options
 @option("--gsd", type=float, metavar="M", group="Input", help="GSD of the photo in m/px; then nothing is measured.")
 @option("--out", required=True, type=PATH, group="Output", help="Folder to write.")
 @option("--square", is_flag=True, group="Output", help="Square crops, as large as the photo's shorter side.")
-@option(
-    "--stride", type=float, default=0.5, show_default=True, group="Output", help="Shift between crops, in crop sizes."
-)
+@option("--stride", type=float, group="Output", help="Shift between crops, in crop sizes  [default: 0.5]")
 @option(
     "--size",
     type=click.IntRange(16, 8192),
@@ -59,7 +57,7 @@ def crop(
     at: str | None,
     radius: float | None,
     square: bool,
-    stride: float,
+    stride: float | None,
     size: int | None,
     gsd: float | None,
     overwrite: bool,

@@ -19,6 +19,7 @@ from .options import (
     options_of,
     overwrite_option,
     progress_bars,
+    refuse_idle_overwrite,
     save_option,
     say,
 )
@@ -83,6 +84,7 @@ def evaluate(
     from ..photos.tables import check_ending
     from ..system.outputs import Outputs
 
+    refuse_idle_overwrite(overwrite, outputs, save_detections)
     how = boxes.Looking.of(looking)
     with Outputs(overwrite, (path, lens_file, looking)) as files, progress_bars() as progress:
         for output in outputs:

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
 
 from .options import EXIT_CODES, PATH, command, debug_option, memory_option, option, overwrite_option, say
+
+
+def _print_schema(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
+    if asked:
+        from ..report.schema import report_schema
+
+        click.echo(json.dumps(report_schema(), indent=1))
+        context.exit()
 
 
 @command(
@@ -15,6 +24,15 @@ from .options import EXIT_CODES, PATH, command, debug_option, memory_option, opt
     + EXIT_CODES
 )
 @click.argument("path", metavar="REPORT.json", type=PATH)
+@option(
+    "--schema",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_schema,
+    group="Output",
+    help="Print the JSON Schema of a report, and do nothing else.",
+)
 @option("--images", type=PATH, group="Input", help="Folder with the model's frames.")
 @option("--out", type=PATH, group="Output", help="Page (.html) or picture (.png) to write  [default: REPORT.html]")
 @overwrite_option

@@ -16,7 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .pooling.posterior import Z90, Posterior
+from .remarks import CAUTION, REFUSAL, Remark
 
+CONFLICT_HINT = "Check the given evidence, the anchors (--anchors) and the boxes (--save-detections)"
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
 ALONE = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
@@ -87,7 +89,7 @@ class Combined:
     posterior: Posterior
     parts: dict[str, float]
     conflict: float
-    remarks: list[str]
+    remarks: list[Remark]
     summary: tuple[float, float, float]
     evidence: tuple[Evidence, ...] = ()
 
@@ -104,14 +106,15 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
         ("vehicles", Posterior.normal(vehicles.centre, vehicles.spread)),
         *((e.says, e.posterior) for e in strong),
     ]
-    conflict, conflicts = 0.0, []
+    conflict, conflicts = 0.0, list[Remark]()
     for k, (name, one) in enumerate(sources):
         for other_name, other in sources[k + 1 :]:
             sigmas, here, there = _nearest(one, other)
             if sigmas > CONFLICT_LIMIT:
                 conflict = max(conflict, sigmas)
                 these = f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}"
-                conflicts.append(f"conflict: {these}, {sigmas:.1f} sigmas apart")
+                text = f"conflict: {these}, {sigmas:.1f} sigmas apart"
+                conflicts.append(Remark(REFUSAL, text, CONFLICT_HINT))
     if conflict:
         certain = [vehicles, *(e.posterior for e in evidence if not e.doubt)]
         every = [vehicles, *(e.posterior for e in strong)]
@@ -125,15 +128,14 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
         return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary, told)
     posterior = vehicles
     for e in heard:
-        more = e.posterior
-        posterior = posterior.times_doubted(more, e.doubt, e.window) if e.doubt else posterior.times(more)
+        posterior = posterior.times_doubted(e.posterior, e.doubt, e.window)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
     shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior)
     told = tuple(e.meant(posterior) for e in evidence)
     return Combined(posterior, shares, 0.0, remarks, (value, low, high), told)
 
 
-def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[list[Evidence], list[str]]:
+def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[list[Evidence], list[Remark]]:
     """The evidence that counts, each without the scales outside of the vehicles' interval that nothing else supports;
     and remarks on what does not count at all."""
     low, high = (1 - ALONE) / 2, (1 + ALONE) / 2
@@ -154,10 +156,11 @@ def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[li
             heard.append(e.only(counts))
         else:
             e = e.meant(vehicles)
-            remarks.append(
+            text = (
                 f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * ALONE:.0f} % interval "
                 f"({np.exp(interval[0]):.5g} to {np.exp(interval[1]):.5g}); it does not count"
             )
+            remarks.append(Remark(CAUTION, text))
     return heard, remarks
 
 

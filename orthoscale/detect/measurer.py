@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from ..core.boxes import Boxes
+from ..core.boxes import KINDS, Boxes
 
 if TYPE_CHECKING:
     from ..sources.picture import Picture
@@ -28,7 +28,7 @@ BATCH = 32  # crops a run
 # Each look leaves a quarter to a half of what the answer had of the proposed box; after four it has nothing.
 PASSES_EACH = 4
 NO_DATA = (114, 114, 114)  # beyond the picture's edge
-KINDS = ("car", "pickup", "van", "larger", "none")
+ANSWERS = (*KINDS, "none")
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Measured:
     sigma : (N, 4) one standard deviation of where each edge lies [px of the picture]: at the end against the box's
         direction, at the end in it, left and right of who looks along it (image coordinates: left is -y at angle 0).
     seen : (N, 4) 0..1, how surely each edge is in sight, not under a tree or beyond the picture's edge.
-    kind : (N, 5) shares of `KINDS`.
+    kind : (N, 5) shares of `ANSWERS`.
     """
 
     boxes: Boxes
@@ -124,7 +124,7 @@ class Measurer:
     def _look(self, windows: Sequence[tuple[np.ndarray, np.ndarray]], boxes: Boxes, looks: int) -> Measured:
         """windows : pixels around each vehicle, and where their first corner lies in the picture."""
         if not len(boxes):
-            return Measured(boxes, np.empty((0, 4)), np.empty((0, 4)), np.empty((0, len(KINDS))))
+            return Measured(boxes, np.empty((0, 4)), np.empty((0, 4)), np.empty((0, len(ANSWERS))))
         corner = np.array([[*at, 0, 0, 0] for _, at in windows], float)
         proposed = boxes.xylwa - corner
         for _ in range(looks):

@@ -74,11 +74,12 @@ def visitor(detector: Detector, count: int, scheduler: str | None) -> Iterator[V
     if scheduler is None:
         yield lambda jobs: on_threads(jobs, detector, count)
         return
-    with _cluster(scheduler) as client:
+    with cluster(scheduler) as client:
         yield lambda jobs: _on_cluster(client, jobs, detector)
 
 
-def _cluster(address: str) -> AbstractContextManager[Any]:
+def cluster(address: str) -> AbstractContextManager[Any]:
+    """A client of the Dask scheduler at `address`. Raises UsageError as `visitor` does."""
     try:
         from distributed import Client
     except ImportError as error:

@@ -112,11 +112,11 @@ class Pipeline(Struct):
 # Detections
 
 
-Spread = Annotated[float, Meta(ge=0, le=10)] | None
+BoxSigma = Annotated[float, Meta(ge=0, le=10)] | None
 
 
 class BoxEntry(Struct):
-    """One oriented box [px, rad]; `spread` as in `core.boxes.Boxes`, null where unknown."""
+    """One oriented box [px, rad]; `sigma` and `kinds` as in `core.boxes.Boxes`, null where unknown."""
 
     cx: Px
     cy: Px
@@ -125,7 +125,8 @@ class BoxEntry(Struct):
     angle: Annotated[float, Meta(ge=-1e3, le=1e3)]
     score: Share = 1.0
     kind: Name = "vehicle"
-    spread: tuple[Spread, Spread] = (None, None)
+    sigma: tuple[BoxSigma, BoxSigma] = (None, None)
+    kinds: tuple[Share, Share, Share, Share] | None = None
 
 
 BoxesByPicture = dict[str, list[BoxEntry]]
@@ -186,7 +187,8 @@ class CocoAnnotation(Struct):
     segmentation: list[list[Px]] | dict[str, Any] | None = None
     bbox: list[Px] | None = None
     score: Share = 1.0
-    spread: tuple[Spread, Spread] = (None, None)
+    sigma: tuple[BoxSigma, BoxSigma] = (None, None)
+    kinds: tuple[Share, Share, Share, Share] | None = None
 
 
 class CocoInfo(Struct):
@@ -472,6 +474,21 @@ class Measured(Struct):
     interval90: tuple[Positive, Positive]
 
 
+class ReportRemark(Struct):
+    """`core.remarks.Remark`."""
+
+    severity: Literal["refusal", "caution", "support", "info"]
+    text: Text
+
+
+class ReportJudgement(Struct):
+    """`core.remarks.Judgement`."""
+
+    severity: Literal["refusal", "caution", "support", "info"]
+    what: Text
+    detail: Text
+
+
 class Explained(Struct):
     """What of a report `report.explanation` needs."""
 
@@ -481,7 +498,7 @@ class Explained(Struct):
     vehicles_used: Count
     fleet: Name
     verdict: Name = ""
-    remarks: list[str] = []
+    remarks: list[ReportRemark] = []
 
 
 class ReportInput(Struct):
@@ -563,14 +580,15 @@ class ReportAnchor(Struct):
 class Report(Explained, kw_only=True):
     """A report from which a page is drawn; findings of one kind of source, ``drift`` among them, are left open."""
 
-    format: Literal["orthoscale report 1"]
+    format: Literal["orthoscale report 2"]
     interval90: tuple[Positive, Positive]
     verdict: Name
+    fit: Text
+    judgements: list[ReportJudgement] = []
     vehicles_rejected: dict[str, Count]
     boxes_rejected: dict[str, Count]
     fleet_sizes: ReportFleet
     checks: dict[str, Finite]
-    notes: list[str]
     input: ReportInput
     settings: dict[str, Any]
     pictures: dict[str, tuple[Count, Count]]

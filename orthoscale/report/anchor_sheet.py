@@ -14,22 +14,22 @@ from .lettering import write_on
 from .pictures import SHEET_WIDTH, drawn
 from .scene import Panel, anchor_panels, pictures_of
 
-COLUMNS = 3
-SHEET_CELL = SHEET_WIDTH // COLUMNS  # side of one [px], without its words
+SHEET_CELLS = 3
+SHEET_CELL = SHEET_WIDTH // SHEET_CELLS  # side of one [px], without its words
 
 
 def draw_anchors(anchors: Sequence[Mapping[str, Any]], source: Source, path: Path) -> None:
     """Write a PNG with each of a report's `anchors` by itself, its fitted lines over the picture."""
     panels = anchor_panels(anchors, pictures_of(source))
-    cells = [np.full((60, SHEET_CELL * COLUMNS, 3), 255, np.uint8)]
+    cells = [np.full((60, SHEET_CELL * SHEET_CELLS, 3), 255, np.uint8)]
     write_on(cells[0], (10, 38), f"{len(anchors)} anchors in {Path(source.path).name}", 22)
-    for start in range(0, len(panels), COLUMNS):
-        cells.append(np.concatenate([_cell(panel) for panel in _row(panels[start : start + COLUMNS])], axis=1))
+    for start in range(0, len(panels), SHEET_CELLS):
+        cells.append(np.concatenate([_cell(panel) for panel in _row(panels[start : start + SHEET_CELLS])], axis=1))
     write_png(path, np.concatenate(cells))
 
 
 def _row(panels: Sequence[Panel]) -> list[Panel | None]:
-    return [*panels, *[None] * (COLUMNS - len(panels))]
+    return [*panels, *[None] * (SHEET_CELLS - len(panels))]
 
 
 def _cell(panel: Panel | None) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from ..core.pooling.posterior import Z90
-from .judgement import signed
+from ..core.remarks import signed
 from .places import Frame, Region
 
 CHART_WIDTH = 360  # of every chart; the page shows it at 300 to 480 px, so that 12 stays a readable size of letters

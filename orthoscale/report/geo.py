@@ -44,7 +44,7 @@ STYLES_TABLE = """CREATE TABLE layer_styles (
  id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT(256), f_table_schema TEXT(256),
  f_table_name TEXT(256), f_geometry_column TEXT(256), styleName TEXT(30), styleQML TEXT, styleSLD TEXT,
  useAsDefault BOOLEAN, description TEXT, owner TEXT(30), ui TEXT(30),
- update_time DATETIME DEFAULT CURRENT_TIMESTAMP)"""
+ update_time DATETIME DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')))"""
 
 
 def table(result: Result) -> dict[str, np.ndarray]:
@@ -54,6 +54,7 @@ def table(result: Result) -> dict[str, np.ndarray]:
         "length_m": vehicles["length"],
         "width_m": vehicles["width"],
         "score": vehicles["score"],
+        "kind": vehicles["kind"],
         "used": vehicles["used"],
         "reason": vehicles["reason"],
         # Clockwise from the image's upward direction, as a compass shows it on a north-up map.

@@ -13,8 +13,8 @@ import click
 from ..actions.result import Result
 from ..core.claims import own_claim
 from ..core.pooling.posterior import Z90
+from ..core.remarks import percent
 from ..errors import LONGEST_MESSAGE, shown
-from .judgement import percent
 
 VERDICT_STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
 
@@ -81,7 +81,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
         before = result.anchors.without
         without = "" if before is None else f"; without them +- {percent(before.half_width)} (90 %)"
         table.append(("anchors", found + without))
-    table += [("note", remark) for remark in result.remarks]
+    table += [(remark.label, remark.text) for remark in result.remarks]
     table += [(label, str(path)) for label, path in written.items()]
     return [(label, shown(value, LONGEST_MESSAGE)) for label, value in table]
 

@@ -171,7 +171,8 @@ def _strange(folder: Path) -> None:
     profile = {"driver": "GTiff", "count": 1, "dtype": "uint8", "SPARSE_OK": True, "compress": "deflate"}
     with rasterio.open(folder / "tiled20000.tif", "w", **profile, width=20000, height=20000, tiled=True):
         pass
-    with rasterio.open(folder / "strip20000.tif", "w", **profile, width=20000, height=20000, blockysize=20000) as file:
+    profile |= {"SPARSE_OK": False, "width": 20000, "height": 20000, "blockysize": 20000}
+    with rasterio.open(folder / "strip20000.tif", "w", **profile) as file:
         file.write(np.zeros((1, 20000, 20000), np.uint8))
     (folder / "grey20000.png").write_bytes(png(20000, 20000))
     (folder / "bits20000.png").write_bytes(png(20000, 20000, 1))

@@ -22,7 +22,7 @@ import numpy as np
 
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.detector import Detector
-from orthoscale.detect.measurer import KINDS, Measured, Measurer
+from orthoscale.detect.measurer import ANSWERS, Measured, Measurer
 from orthoscale.fleets import load_fleet
 from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
 
@@ -35,7 +35,7 @@ SHIPPED = Path("orthoscale/detect/weights/small_vehicle.onnx")
 WIDTH_HABIT = 1.027  # readers saw widths that much too small (labels/margins.json)
 SIZES = (8, 15, 25, 40, 60, 90, 121)  # vehicle lengths between which results are told apart [px]
 AROUND = 1.6  # of a window from a vehicle's centre, either way, in its lengths
-NONE = KINDS.index("none")
+NONE = ANSWERS.index("none")
 
 
 def trusted(measured: Measured, limit: float = 0.12) -> np.ndarray:
@@ -43,7 +43,7 @@ def trusted(measured: Measured, limit: float = 0.12) -> np.ndarray:
     size = measured.boxes.xylwa[:, 2:4]
     return (
         (measured.kind[:, NONE] < 0.5)
-        & (measured.kind[:, KINDS.index("larger")] < 0.5)
+        & (measured.kind[:, ANSWERS.index("larger")] < 0.5)
         & (measured.seen > 0.5).all(1)
         & (measured.size_sigma / size < limit).all(1)
     )
@@ -62,7 +62,7 @@ def rendered(measurer: Measurer, bank: Path, count: int, seed: int) -> str:
         if not len(pictures[n].boxes):
             continue
         k = rng.integers(len(pictures[n].boxes))
-        if not pictures[n].seen[k].all() or pictures[n].kind[k] == KINDS.index("larger"):
+        if not pictures[n].seen[k].all() or pictures[n].kind[k] == ANSWERS.index("larger"):
             continue
         pixels, box = photograph(levels[n], pictures[n].boxes[k], rng, True)
         proposed = proposal(box, rng)
@@ -98,7 +98,7 @@ def shadows(measurer: Measurer, scenes: int, seed: int) -> str:
     for number in range(scenes):
         pair = [rendering(50_000 + 100 * seed + number, overcast) for overcast in (True, False)]
         levels = [pyramid(p.light) for p in pair]
-        for k in np.flatnonzero(pair[0].seen.all(1) & (pair[0].kind != KINDS.index("larger"))):
+        for k in np.flatnonzero(pair[0].seen.all(1) & (pair[0].kind != ANSWERS.index("larger"))):
             sizes = []
             for n in (0, 1):
                 rng = np.random.default_rng([seed, number, k])

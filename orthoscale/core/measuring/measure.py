@@ -38,7 +38,13 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
             raise TooLittleEvidence(f"{int(solved.sum())} boxes that a vehicle explains, {MIN_VEHICLES} are needed")
         own = boxes[solved]
         votes = gather(
-            seen.size[solved], geometry.pixel[solved], geometry.place[solved], own.score, geometry.repeated, own.spread
+            seen.size[solved],
+            geometry.pixel[solved],
+            geometry.place[solved],
+            own.score,
+            geometry.repeated,
+            own.sigma,
+            own.kinds,
         )
         vehicles = replace(votes, size=tight(votes, seen.ruler.margin))
         more: Sequence[AnchorVote] = ()

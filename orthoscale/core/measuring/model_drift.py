@@ -71,8 +71,13 @@ class ModelDrift:
         return trend is not None and trend.chance < CHANCE and trend.percent_across >= 100 * NOTABLE
 
     @property
-    def remarks(self) -> list[str]:
-        """Warnings in words."""
+    def amplitude(self) -> float:
+        """By how much the scale differs from end to end, relative; 0 where nothing speaks for a drift."""
+        return self.trend.percent_across / 100 if self.trend is not None and self.drifts else 0.0
+
+    @property
+    def warnings(self) -> list[str]:
+        """What speaks against one scale, in words."""
         remarks = []
         if self.odd:
             worst = ", ".join(f"{name} by {100 * stray:+.0f} %" for name, stray in self.odd[:5])

@@ -10,6 +10,7 @@ from ...errors import TooLittleEvidence
 from ..boxes import Boxes
 from ..evidence import SAME, Combined, Evidence, combined
 from ..pooling.posterior import Posterior
+from ..remarks import CAUTION, Remark
 from ..scale import Scale
 from ..verdicts import UNUSABLE, verdict
 from ..votes import gather
@@ -39,7 +40,7 @@ def measured_without_vehicles(
     if not together.conflict and (said == UNUSABLE or len(agreeing) < FEWEST_KINDS):
         kinds = "; ".join(f"{e.says}: {e.value:.4g} {unit}" for e in evidence)
         raise TooLittleEvidence(f"without vehicles, two kinds of anchors that agree are needed; found: {kinds}")
-    remark = f"no vehicles: the scale rests on {' and '.join(agreeing)}"
+    remark = Remark(CAUTION, f"no vehicles: the scale rests on {' and '.join(agreeing)}")
     scale = Scale(
         value=value,
         unit=unit,
