@@ -12,17 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from .market_segments import AXES, Class, classes_of, told_apart
+from .market_segments import AXES, PLACE_SCATTER, Class, classes_of, told_apart
 
 # Correlation between the errors of a fleet's mean length and mean width: a country whose cars are longer than thought
 # has wider ones too. Between the means of the table's 29 national fleets it is 0.92; taken a little lower, because each
 # fleet's two means were also estimated apart.
 MEAN_CORRELATION = 0.85
-
-# How far the vehicles of one place (a car park, a district) stray from their country's mean, relative, one sigma, for
-# length and width. An assumption: pickups being 10 % more or less frequent move the US means by 2.2 % and 0.9 %.
-LOCAL_SD = np.array([0.025, 0.012])
-
 
 @dataclass(frozen=True)
 class Fleet:
@@ -73,8 +68,12 @@ class Fleet:
 
     @property
     def log_mean_covariance(self) -> np.ndarray:
-        """(2, 2) covariance of the error of `log_mean`, for the fleet of one place: what is not known about it."""
-        return _covariance(np.hypot(self.mean_sd[:2] / self.mean[:2], LOCAL_SD), MEAN_CORRELATION)
+        """(2, 2) covariance of the error of `log_mean`, for the vehicles of one place: what is not known of the
+        country's, and how far a place's vehicles of each class stray from the country's. What the shares of
+        `told_apart` do is not in it: the pooling finds them."""
+        total = sum(c.weight for c in self.told_apart)
+        within = sum((c.weight / total * c.log_covariance for c in self.told_apart), np.zeros((2, 2)))
+        return _covariance(self.mean_sd[:2] / self.mean[:2], MEAN_CORRELATION) + within * PLACE_SCATTER
 
     def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
         """(n, 3) length, width, height [m] of random vehicles of this fleet."""

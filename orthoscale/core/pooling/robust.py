@@ -25,7 +25,7 @@ from ..ruler import Ruler
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
 from ..votes import Votes
-from .mixture import Drawing, Fits, fit
+from .mixture import FINE, Drawing, fit
 from .posterior import Posterior
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
@@ -168,45 +168,46 @@ def _of_fleet(
     covariances of what else is uncertain about them all."""
     shared = {"fleet": drawing.covariance(fleet.log_mean_covariance) + MIXTURE_SD**2, **known}
     systematic = sum(shared.values(), np.zeros((2, 2)))
+    weights = _combine(systematic + drawing.covariance(_fleet_scatter(fleet)) / len(log_size))
     try:
-        fits = fit(log_size, noise, fleet.told_apart, systematic, drawing=drawing)
+        fits = fit(log_size, noise, fleet.told_apart, systematic, weights, drawing)
     except np.linalg.LinAlgError as error:  # no vote supports any class: nothing determines the scale
         raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {fleet.code}") from error
-    # How strongly the detector draws to the usual is known no better from more vehicles: it is the margin's kin.
-    drawn = np.einsum("v,vij->ij", fits.weight, fits.drawing)
-    shared["margin"] = shared["margin"] + drawn
-    systematic = systematic + drawn
-    estimates = fits.weight @ fits.log_scale
-    sampling = _sampling(fits, fleet)
-    apart = fits.log_scale - estimates
-    total = systematic + np.einsum("v,vij->ij", fits.weight, sampling + apart[:, :, None] * apart[:, None])
-    weights = _combine(total)
-    variance = np.einsum("i,vij,j->v", weights, sampling + systematic, weights)
-    posterior = Posterior(fits.weight, fits.log_scale @ weights, np.sqrt(variance))
-    parts = {name: float(np.sqrt(weights @ c @ weights)) for name, c in shared.items()}
-    # Which mix of vehicles stands here is a thing not known of the fleet: more of them do not tell it better.
-    mix = float(fits.weight @ (posterior.mean - posterior.centre) ** 2)
-    parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(mix)))
-    rest = posterior.spread**2 - sum(v**2 for v in parts.values())
     probable = np.einsum("v,vkn->kn", fits.weight, fits.member)
+    estimates = fits.weight @ fits.log_scale
+    luck = _luck(fleet, probable.sum())
+    posterior = Posterior(
+        fits.weight,
+        fits.log_scale @ weights,
+        np.full(len(fits.weight), np.sqrt(weights @ (systematic + luck) @ weights + FINE**2 / 12)),
+    )
+    parts = {name: float(np.sqrt(weights @ c @ weights)) for name, c in shared.items()}
+    # What more vehicles would tell is sampling. How strongly the detector draws to the usual is known no better from
+    # more of them: it is the margin's kin. Nor is the mix that stands here: it is the fleet's.
+    variance = posterior.spread**2
+    rest = variance - sum(v**2 for v in parts.values())
+    sampling = min(float(weights @ (fits.covariance + luck) @ weights), rest)
+    drawn = float(np.clip(weights @ fits.drawing @ weights, 0, rest - sampling))
+    parts["margin"] = float(np.hypot(parts["margin"], np.sqrt(drawn)))
+    parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(rest - sampling - drawn)))
+    apart = np.array([1.0, -1.0])
+    between = apart @ (systematic + fits.covariance + fits.drawing + luck) @ apart
     return _Vehicles(
         posterior=posterior,
-        parts={"sampling": float(np.sqrt(rest)), **parts},
+        parts={"sampling": float(np.sqrt(sampling)), **parts},
         estimates=estimates,
         weights=weights,
-        tension=float(abs(estimates[0] - estimates[1]) / np.sqrt(total[0, 0] + total[1, 1] - 2 * total[0, 1])),
+        tension=float(abs(estimates[0] - estimates[1]) / np.sqrt(between)),
         larger_share=float(probable[-1].sum() / probable.sum()),
         inlier=probable.sum(0) > 0.5,
         log_evidence=fits.log_evidence,
     )
 
 
-def _sampling(fits: Fits, fleet: Fleet) -> np.ndarray:
-    """(V, 2, 2) covariance of the scales from the votes alone; never less than PRIOR_VOTES more vehicles of the fleet
-    would leave, for the scatter of a few votes is not known from themselves."""
-    count = fits.member.sum((1, 2))
-    least = _fleet_scatter(fleet) * (PRIOR_VOTES / (count + PRIOR_VOTES) / count)[:, None, None]
-    return fits.covariance + least
+def _luck(fleet: Fleet, count: float) -> np.ndarray:
+    """(2, 2) covariance of the scales that `count` votes' own scatter does not show: as much as makes it never less
+    than PRIOR_VOTES more vehicles of the fleet would leave, for the scatter of a few is not known from themselves."""
+    return _fleet_scatter(fleet) * PRIOR_VOTES / (count + PRIOR_VOTES) / count
 
 
 def _probabilities(log_evidence: np.ndarray, prior: Sequence[float]) -> np.ndarray:
