@@ -69,11 +69,30 @@ class Fleet:
     @property
     def log_mean_covariance(self) -> np.ndarray:
         """(2, 2) covariance of the error of `log_mean`, for the vehicles of one place: what is not known of the
-        country's, and how far a place's vehicles of each class stray from the country's. What the shares of
-        `told_apart` do is not in it: the pooling finds them."""
-        total = sum(c.weight for c in self.told_apart)
-        within = sum((c.weight / total * c.log_covariance for c in self.told_apart), np.zeros((2, 2)))
-        return _covariance(self.mean_sd[:2] / self.mean[:2], MEAN_CORRELATION) + within * PLACE_SCATTER
+        country's, and how far a place's stray from its country's."""
+        return self._country_covariance + self.log_covariance * PLACE_SCATTER
+
+    @property
+    def class_mean_covariance(self) -> np.ndarray:
+        """(2, 2) the part of `log_mean_covariance` that shares of the classes that are `told_apart` do not explain."""
+        classes = self.told_apart
+        total = sum(c.weight for c in classes)
+        within = sum((c.weight / total * c.log_covariance for c in classes), np.zeros((2, 2)))
+        return self._country_covariance + within * PLACE_SCATTER
+
+    @property
+    def log_covariance(self) -> np.ndarray:
+        """(2, 2) covariance of log length and log width between the vehicles of the whole fleet."""
+        total = sum(c.weight for c in self.classes)
+        out = np.zeros((2, 2))
+        for c in self.classes:
+            apart = c.log_mean - self.log_mean
+            out += c.weight / total * (c.log_covariance + np.outer(apart, apart))
+        return out
+
+    @property
+    def _country_covariance(self) -> np.ndarray:
+        return _covariance(self.mean_sd[:2] / self.mean[:2], MEAN_CORRELATION)
 
     def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
         """(n, 3) length, width, height [m] of random vehicles of this fleet."""

@@ -15,7 +15,7 @@ unknown: classes that stand apart (kei and ordinary cars) tell it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.special import digamma, gammaln, ndtr
@@ -39,12 +39,12 @@ LONG = 5.2  # [m] a third of LARGER is shorter than that
 # spread. More of them make neither a fleet nor a mix more likely than another: what they would tell apart is finer than
 # what is known.
 SHAPE_VEHICLES = 50
-REACH, COARSE, FINE = 1.0, 0.04, 0.01  # of the grid about the votes' median, and its two steps [log scale]
-COARSE_VOTES = 100  # votes by which the coarse grid is judged
-IMPOSSIBLE = 12.0  # log probability below the best from which a scale is not tried again
-MANY = 1000  # votes above which so many of them rule out, first, what the scale cannot be
+SOUGHT, COARSE, FINE = 1.0, 0.04, 0.015  # of the grid about the votes' median, and its two steps [log scale]
+COARSE_VOTES = 60  # votes by which the coarse grid is judged
+MANY = 200  # votes above which so many of them tell first what the scale cannot be
+IMPOSSIBLE = 9.0  # log probability below the best from which a scale is not tried again
 LEAST_KEPT = 0.02  # share of the information that is left however much the classes overlap
-COARSE_ROUNDS, ROUNDS, SETTLED = 12, 60, 1e-4
+COARSE_STEPS, STEPS, STILL = 12, 40, 3e-4  # of fitting: at most so many, until nothing moves by more
 UNKNOWNS = 5
 
 
@@ -113,31 +113,45 @@ def fit(
     `drawing` is how the detector draws sizes.
     """
     problem = _Problem.of(log_size, noise, classes, systematic, weights, drawing)
-    grid = problem.middle + np.arange(-REACH, REACH, COARSE)
-    grid = _left(problem.of_votes(COARSE_VOTES).solved(grid, COARSE_ROUNDS), COARSE)
+    coarse = problem.middle + np.arange(-SOUGHT, SOUGHT, COARSE)
+    solved = problem.of_votes(COARSE_VOTES).solved(problem.start(coarse), COARSE_STEPS)
+    solved = problem.of_votes(MANY).solved(problem.start(_finer(solved)), STEPS)
     if len(log_size) > MANY:
-        grid = _left(problem.of_votes(MANY).solved(grid, ROUNDS), FINE)
-    return problem.fits(problem.solved(grid, ROUNDS))
+        solved = problem.solved(solved.where(solved.possible), STEPS)
+    return problem.fits(solved)
 
 
 @dataclass(frozen=True)
 class _Solved:
-    """What stands there if the scale is each of `grid` (V,), and the place is as much like its country as each of
-    PLACE_VEHICLES says: every scale of a grid comes once for each."""
+    """What stands there for each of V hypotheses: the scale, and how much the place is like its country.
 
-    grid: np.ndarray
-    log_probability: np.ndarray  # (V,) but for a constant
-    unknown: np.ndarray  # (V, UNKNOWNS)
-    counts: np.ndarray  # (V, K + 2) of the Dirichlet distribution of the shares, the outliers last
-    member: np.ndarray  # (V, K + 1, N)
+    prior : (V, K + 2) vehicles of each class, and outliers, that a place has beforehand; counts : afterwards: those of
+    Dirichlet distributions of the shares. log_prior : (V,) log probability beforehand; log_probability : afterwards,
+    but for a constant. unknown : (V, UNKNOWNS). member : (V, K + 1, N).
+    """
+
+    prior: np.ndarray
+    log_prior: np.ndarray
+    counts: np.ndarray
+    unknown: np.ndarray
+    log_probability: np.ndarray
+    member: np.ndarray
+
+    @property
+    def possible(self) -> np.ndarray:
+        """(V,) bool."""
+        return self.log_probability > self.log_probability.max() - IMPOSSIBLE
+
+    def where(self, wanted: np.ndarray) -> _Solved:
+        """Only the hypotheses that are `wanted` (V,)."""
+        return _Solved(*(getattr(self, field.name)[wanted] for field in fields(self)))
 
 
-def _left(solved: _Solved, step: float) -> np.ndarray:
-    """The grid of step FINE about those scales of a grid of `step` that are possible."""
-    possible = solved.grid[solved.log_probability > solved.log_probability.max() - IMPOSSIBLE]
-    fine = np.arange(possible.min() - step, possible.max() + step + FINE / 2, FINE)
-    near = np.abs(fine[:, None] - possible).min(1) < step / 2 + FINE
-    return fine[near]
+def _finer(solved: _Solved) -> np.ndarray:
+    """The grid of step FINE about those scales of a coarse one that are possible."""
+    coarse = solved.unknown[solved.possible, :2].mean(1)
+    fine = np.arange(coarse.min() - COARSE, coarse.max() + COARSE, FINE)
+    return fine[np.abs(fine[:, None] - coarse).min(1) < COARSE]
 
 
 @dataclass(frozen=True)
@@ -206,46 +220,52 @@ class _Problem:
         some = np.linspace(0, self.gap.shape[1] - 1, min(self.gap.shape[1], number)).astype(int)
         return replace(self, gap=self.gap[:, some], inverse=self.inverse[:, some])
 
-    def solved(self, grid: np.ndarray, rounds: int) -> _Solved:
-        """What stands there at each scale of `grid` (V,)."""
-        i00, i01, i11 = self.inverse[..., 0, 0], self.inverse[..., 0, 1], self.inverse[..., 1, 1]
-        height = 0.5 * np.log(i00 * i11 - i01**2) - np.log(2 * np.pi)  # (K + 1, N) of each normal distribution
+    def start(self, grid: np.ndarray) -> _Solved:
+        """The scales of `grid` (V,), each once for each of PLACE_VEHICLES, with the country's mix."""
+        number, likely = np.array(PLACE_VEHICLES).repeat(len(grid), 0).T
+        unknown = np.zeros((len(number), UNKNOWNS))
+        unknown[:, :2] = np.tile(grid, len(PLACE_VEHICLES))[:, None]
+        prior = number[:, None] * self.mix
+        return _Solved(prior, np.log(likely), prior, unknown, np.log(likely), np.empty((len(number), 0, 0)))
+
+    def solved(self, start: _Solved, steps: int) -> _Solved:
+        """What stands there for each hypothesis of `start`, from where that is."""
         count = self.gap.shape[1]
         told = min(1.0, SHAPE_VEHICLES / count)
-        number, likely = np.array(PLACE_VEHICLES).repeat(len(grid), 0).T
-        grid = np.tile(grid, len(PLACE_VEHICLES))
-        unknown = np.zeros((len(grid), UNKNOWNS))
-        unknown[:, :2] = grid[:, None]
-        before = number[:, None] * self.mix
-        counts = before
-        for _ in range(rounds):
-            moved = np.einsum("kiu,vu->vki", self.turn, unknown)
-            r0, r1 = (moved[..., k, None] - self.gap[..., k] for k in (0, 1))  # (V, K + 1, N)
+        unknown, counts = start.unknown, start.counts
+        # Everything is linear or quadratic in how far the unknowns move each class: (K + 1, N, 6) of each vote's share.
+        i00, i01, i11 = self.inverse[..., 0, 0], self.inverse[..., 0, 1], self.inverse[..., 1, 1]
+        g0, g1 = self.gap[..., 0], self.gap[..., 1]
+        h0, h1 = i00 * g0 + i01 * g1, i01 * g0 + i11 * g1
+        height = 0.5 * np.log(i00 * i11 - i01**2) - np.log(2 * np.pi) - 0.5 * (g0 * h0 + g1 * h1)
+        each = np.stack([i00, i01, i11, h0, h1, np.ones_like(h0)], -1)
+        bends = np.einsum("kiu,kjw->kijuw", self.turn, self.turn).reshape(len(self.gap) * 4, UNKNOWNS**2)
+        for _ in range(steps):
+            m0, m1 = np.einsum("kiu,vu->ikv", self.turn, unknown)  # (K + 1, V)
+            along = np.stack([-0.5 * m0**2, -m0 * m1, -0.5 * m1**2, m0, m1, np.ones_like(m0)], -1)
             log_share = digamma(counts) - digamma(counts.sum(1, keepdims=True))
-            density = np.exp(
-                height - 0.5 * (i00 * r0**2 + 2 * i01 * r0 * r1 + i11 * r1**2) + log_share[:, :-1, None]
-            )
-            total = density.sum(1) + OUTLIER_DENSITY * np.exp(log_share[:, -1:])
-            p = density / total[:, None]
-            a00, a01, a11 = ((p * i).sum(2) for i in (i00, i01, i11))  # (V, K + 1)
-            information = np.stack([np.stack([a00, a01], -1), np.stack([a01, a11], -1)], -2)
-            pulled = -np.stack([(p * (i00 * r0 + i01 * r1)).sum(2), (p * (i01 * r0 + i11 * r1)).sum(2)], -1)
-            system = np.einsum("kiu,vkij,kjw->vuw", self.turn, information, self.turn) + self.prior
-            right = np.einsum("kiu,vki->vu", self.turn, pulled) - unknown @ self.prior
-            inside = np.einsum("ub,vuw,wc->vbc", self.basis, system, self.basis)
+            log_density = along[..., :5] @ each[..., :5].transpose(0, 2, 1) + height[:, None]
+            p = np.exp(log_density + log_share.T[:-1, :, None])  # (K + 1, V, N)
+            total = p.sum(0) + OUTLIER_DENSITY * np.exp(log_share[:, -1:])
+            p /= total
+            a00, a01, a11, b0, b1, found = np.moveaxis(p @ each, -1, 0)  # (K + 1, V) each
+            information = np.stack([a00, a01, a01, a11], -1).transpose(1, 0, 2).reshape(len(counts), -1)
+            system = (information @ bends).reshape(-1, UNKNOWNS, UNKNOWNS) + self.prior
+            pulled = np.stack([b0 - a00 * m0 - a01 * m1, b1 - a01 * m0 - a11 * m1])  # (2, K + 1, V) upwards in scale
+            right = np.einsum("kiu,ikv->vu", self.turn, pulled) - unknown @ self.prior
+            inside = self.basis.T @ system @ self.basis
             step = np.linalg.solve(inside, (right @ self.basis)[..., None])[..., 0] @ self.basis.T
-            found = np.concatenate([p.sum(2), (1 - p.sum(1)).sum(1)[:, None]], 1)
-            change = np.abs(told * found + before - counts).max() / count
-            counts = told * found + before
-            unknown = unknown + step
-            if max(np.abs(step[:, :4]).max(), change) < SETTLED:
+            after = told * np.column_stack([found.T, count - found.sum(0)]) + start.prior
+            change = max(np.abs(step[:, :4]).max(), np.abs(after - counts).max() / count)
+            counts, unknown = after, unknown + step
+            if change < STILL:
                 break
         probability = told * (np.log(total).sum(1) - 0.5 * np.einsum("vi,ij,vj->v", unknown, self.prior, unknown))
-        probability += np.log(likely) - _divergence(counts, before)
+        probability += start.log_prior - _divergence(counts, start.prior)
         # Laplace's approximation of the integral over what else is unknown.
         prior = self.basis.T @ self.prior @ self.basis
         probability += 0.5 * (np.linalg.slogdet(prior)[1] - np.linalg.slogdet(told * (inside - prior) + prior)[1])
-        return _Solved(grid, probability, unknown, counts, p)
+        return _Solved(start.prior, start.log_prior, counts, unknown, probability, p.transpose(1, 0, 2))
 
     def fits(self, solved: _Solved) -> Fits:
         """The posterior over the grid's scales, and what the votes leave uncertain at the likeliest."""

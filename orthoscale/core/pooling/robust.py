@@ -13,7 +13,7 @@ widths where they are fine, without a rule for it. Only the first term shrinks w
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +36,9 @@ PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that
 # come out 1.3 % large without vans and 1.4 % small with a quarter of them (benchmarks/interval_coverage.py).
 MIXTURE_SD = 0.013
 LIKELY = 0.01  # probability below which a fleet is not reported
-ENOUGH = 300  # votes by which candidate fleets are compared; their shapes count for 50 at most (`mixture`)
+# Votes by which candidate fleets are compared; their shapes count for 50 at most (`mixture`). A FEW rule out most.
+FEW, ENOUGH = 60, 300
+RULED_OUT = 0.003  # probability by a few votes below which a fleet is not looked at again
 
 
 @dataclass(frozen=True)
@@ -79,22 +81,31 @@ def pool(
     share_px = np.median(votes.pixel[measurable, None] / size, axis=0)  # one pixel as a share of length and width
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
-    candidates = fleet.candidates or (fleet,)
-    count = len(size)
-    some = np.linspace(0, count - 1, min(count, ENOUGH)).astype(int) if len(candidates) > 1 else np.arange(count)
-    fits: dict[int, _Vehicles] = {}
-    for k, candidate in enumerate(candidates):
-        try:
-            fits[k] = _of_fleet(np.log(size[some]), noise[some], candidate, known, ruler.drawing)
-        except TooLittleEvidence:  # it cannot be this one
-            if k + 1 == len(candidates) and not fits:
-                raise
-    each, candidates = list(fits.values()), tuple(candidates[k] for k in fits)
-    prior = tuple((fleet.prior or (1.0,))[k] for k in fits)
-    probability = _probabilities(np.array([v.log_evidence for v in each]), prior)
-    likeliest = int(np.argmax(probability))
-    if len(some) < count:
-        each[likeliest] = _of_fleet(np.log(size), noise, candidates[likeliest], known, ruler.drawing)
+    log_size, candidates = np.log(size), fleet.candidates or (fleet,)
+
+    def tried(wanted: Iterable[int], number: int) -> dict[int, _Vehicles]:
+        """What `number` of the votes say, were they of each candidate in turn; without those that they cannot be."""
+        some = np.linspace(0, len(size) - 1, min(len(size), number)).astype(int)
+        out = {}
+        for k in wanted:
+            try:
+                out[k] = _of_fleet(log_size[some], noise[some], candidates[k], known, ruler.drawing)
+            except TooLittleEvidence as error:
+                impossible = error
+        if not out:
+            raise impossible
+        return out
+
+    prior = np.array(fleet.prior or (1.0,))
+    wanted: Iterable[int] = range(len(candidates))
+    if len(candidates) > 1 and len(size) > FEW:  # first, a few votes rule most of them out
+        probability = _probabilities(tried(wanted, FEW), prior)
+        wanted = [k for k, p in probability.items() if p > RULED_OUT]
+    each = tried(wanted, ENOUGH if len(candidates) > 1 else len(size))
+    probability = _probabilities(each, prior)
+    likeliest = max(probability, key=probability.__getitem__)
+    if len(candidates) > 1 and len(size) > ENOUGH:
+        each |= tried([likeliest], len(size))
     best = each[likeliest]
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
@@ -103,7 +114,7 @@ def pool(
         )
     posterior, parts = best.posterior, dict(best.parts)
     if len(each) > 1:
-        posterior = Posterior.mixed([v.posterior for v in each], probability)
+        posterior = Posterior.mixed([v.posterior for v in each.values()], np.array([probability[k] for k in each]))
         others = sum(v**2 for name, v in parts.items() if name != "fleet")
         parts["fleet"] = float(np.sqrt(max(posterior.spread**2 - others, parts["fleet"] ** 2)))
 
@@ -142,7 +153,7 @@ def pool(
         reasons=reasons(used, measurable, fleeting, np.log(size), mean),
         remarks=(*together.remarks, *remarks),
         larger_share=best.larger_share,
-        fleets={c.code: float(p) for c, p in zip(candidates, probability, strict=True) if p > LIKELY},
+        fleets={candidates[k].code: p for k, p in probability.items() if p > LIKELY},
         evidence=tuple(evidence),
     )
 
@@ -166,9 +177,9 @@ def _of_fleet(
 ) -> _Vehicles:
     """What votes of `log_size` (N, 2) with `noise` (N, 2) [units] say, were they of `fleet`; `known` are the (2, 2)
     covariances of what else is uncertain about them all."""
-    shared = {"fleet": drawing.covariance(fleet.log_mean_covariance) + MIXTURE_SD**2, **known}
+    shared = {"fleet": drawing.covariance(fleet.class_mean_covariance) + MIXTURE_SD**2, **known}
     systematic = sum(shared.values(), np.zeros((2, 2)))
-    weights = _combine(systematic + drawing.covariance(_fleet_scatter(fleet)) / len(log_size))
+    weights = _combine(systematic + drawing.covariance(fleet.log_covariance) / len(log_size))
     try:
         fits = fit(log_size, noise, fleet.told_apart, systematic, weights, drawing)
     except np.linalg.LinAlgError as error:  # no vote supports any class: nothing determines the scale
@@ -207,23 +218,14 @@ def _of_fleet(
 def _luck(fleet: Fleet, count: float) -> np.ndarray:
     """(2, 2) covariance of the scales that `count` votes' own scatter does not show: as much as makes it never less
     than PRIOR_VOTES more vehicles of the fleet would leave, for the scatter of a few is not known from themselves."""
-    return _fleet_scatter(fleet) * PRIOR_VOTES / (count + PRIOR_VOTES) / count
+    return fleet.log_covariance * PRIOR_VOTES / (count + PRIOR_VOTES) / count
 
 
-def _probabilities(log_evidence: np.ndarray, prior: Sequence[float]) -> np.ndarray:
+def _probabilities(each: Mapping[int, _Vehicles], prior: np.ndarray) -> dict[int, float]:
     """Of each fleet, by what it makes of the vehicles and how likely it was at first."""
-    likelihood = np.asarray(prior) * np.exp(log_evidence - log_evidence.max())
-    return likelihood / likelihood.sum()
-
-
-def _fleet_scatter(fleet: Fleet) -> np.ndarray:
-    """(2, 2) covariance of log size between the vehicles of the whole fleet."""
-    total = sum(c.weight for c in fleet.classes)
-    out = np.zeros((2, 2))
-    for c in fleet.classes:
-        d = c.log_mean - fleet.log_mean
-        out += c.weight / total * (c.log_covariance + np.outer(d, d))
-    return out
+    log = np.array([v.log_evidence for v in each.values()])
+    likelihood = prior[list(each)] * np.exp(log - log.max())
+    return dict(zip(each, (likelihood / likelihood.sum()).tolist(), strict=True))
 
 
 def _margin_covariance(ruler: Ruler, share_px: np.ndarray) -> np.ndarray:
