@@ -30,8 +30,8 @@ def load_fleet(name: str | Path) -> Fleet:
     table (``US_pickup``, ``world``), or from a JSON file of one such entry.
 
     A country without a fleet of its own takes its neighbours' or its region's, less certain, and its name says so.
-    ``world`` and ``auto`` have the fleets of all countries as candidates, and the world's average: ``world`` weighs them
-    by the vehicles that are there, for ``auto`` all are equally likely. Raises UsageError for an unknown name,
+    ``world`` and ``auto`` have the fleets of all countries as candidates, and the world's average: ``world`` weighs
+    them by the vehicles that are there, for ``auto`` all are equally likely. Raises UsageError for an unknown name,
     InputError for a file that is no fleet.
     """
     if str(name).upper() in (WORLD, AUTO.upper()):

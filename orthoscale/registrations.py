@@ -27,6 +27,7 @@ COLUMNS = {  # names of columns, in plain letters
     "count": ("count", "number", "anzahl", "nombre", "cantidad", "numero", "aantal", "vehicles", "units", "total", "n"),
 }
 HINT = "Expected a table with a header and the columns model and count (and make), separated by commas, ; or tabs."
+CLASS_WORDS = {"klasse": "class", "classe": "class", "clase": "class"}  # Mercedes' C-Klasse
 LEAST_KNOWN = 0.6  # share of the vehicles whose model must be in the table
 # Within one model, between its versions [m]; and errors that all published sizes share [m]: as in the fleet table.
 VERSIONS = np.array([0.04, 0.015, 0.025])
@@ -165,7 +166,8 @@ def _without_generation(name: str) -> str:
 
 def _words(text: str) -> list[str]:
     bare = (c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
-    return re.findall(r"[a-z0-9]+", "".join(bare))
+    words = re.findall(r"[a-z0-9]+", "".join(bare))
+    return [CLASS_WORDS.get(word, re.sub(r"^(\d)er$", r"\1", word)) for word in words]  # BMW's 3er is its 3 series
 
 
 def _moments(models: Sequence[Model], weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

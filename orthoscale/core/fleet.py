@@ -19,6 +19,7 @@ from .market_segments import AXES, PLACE_SCATTER, Class, classes_of, told_apart
 # fleet's two means were also estimated apart.
 MEAN_CORRELATION = 0.85
 
+
 @dataclass(frozen=True)
 class Fleet:
     """The vehicles of one country or region.

@@ -44,7 +44,7 @@ COARSE_VOTES = 60  # votes by which the coarse grid is judged
 MANY = 200  # votes above which so many of them tell first what the scale cannot be
 IMPOSSIBLE = 9.0  # log probability below the best from which a scale is not tried again
 LEAST_KEPT = 0.02  # share of the information that is left however much the classes overlap
-COARSE_STEPS, STEPS, STILL = 12, 40, 3e-4  # of fitting: at most so many, until nothing moves by more
+COARSE_STEPS, FINE_STEPS, STILL = 12, 40, 3e-4  # of fitting: at most so many, until nothing moves by more
 UNKNOWNS = 5
 
 
@@ -115,9 +115,9 @@ def fit(
     problem = _Problem.of(log_size, noise, classes, systematic, weights, drawing)
     coarse = problem.middle + np.arange(-SOUGHT, SOUGHT, COARSE)
     solved = problem.of_votes(COARSE_VOTES).solved(problem.start(coarse), COARSE_STEPS)
-    solved = problem.of_votes(MANY).solved(problem.start(_finer(solved)), STEPS)
+    solved = problem.of_votes(MANY).solved(problem.start(_finer(solved)), FINE_STEPS)
     if len(log_size) > MANY:
-        solved = problem.solved(solved.where(solved.possible), STEPS)
+        solved = problem.solved(solved.where(solved.possible), FINE_STEPS)
     return problem.fits(solved)
 
 
@@ -163,7 +163,7 @@ class _Problem:
     gap : (K + 1, N, 2) log scale by each vote, were it of each class. inverse : (K + 1, N, 2, 2) of its covariance.
     turn : (K + 1, 2, UNKNOWNS) of the residuals. prior : (UNKNOWNS, UNKNOWNS) inverse covariance beforehand.
     mix : (K + 2,) shares of the classes and of outliers in the country.
-    basis : (UNKNOWNS, UNKNOWNS - 1) along which the unknowns move while the scale, the sum of both with `weights`, stays.
+    basis : (UNKNOWNS, UNKNOWNS - 1) along which the unknowns move while the sum of the scales with `weights` stays.
     """
 
     gap: np.ndarray
