@@ -205,9 +205,9 @@ def test_lengths_and_widths_of_no_vehicle_are_refused(stretch, equal):
 
 def test_thousands_of_votes_decide_and_the_rest_are_judged_by_them(monkeypatch):
     seen = []
-    real = mixture._Likelihood.members
+    real = mixture._Problem._members
     monkeypatch.setattr(
-        mixture._Likelihood, "members", lambda self, *at: seen.append(self.gap.shape[1]) or real(self, *at)
+        mixture._Problem, "_members", lambda self, *at: seen.append(self.gap.shape[1]) or real(self, *at)
     )
     false = 0.05
     votes = scene(np.random.default_rng(0), load_fleet("DE"), 4 * mixture.MOST, false=false, surprise=False)

@@ -235,7 +235,7 @@ class _Problem:
         return _Solved(prior, np.log(likely), prior, unknown, np.log(likely), np.empty((len(number), 0, 0)))
 
     @cached_property
-    def _each(self) -> np.ndarray:
+    def each(self) -> np.ndarray:
         """(K + 1, N, 6) of each vote: all is linear or quadratic in how far the unknowns move each class."""
         i00, i01, i11 = self.inverse[..., 0, 0], self.inverse[..., 0, 1], self.inverse[..., 1, 1]
         g0, g1 = self.gap[..., 0], self.gap[..., 1]
@@ -247,7 +247,7 @@ class _Problem:
 
     def _members(self, unknown: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K + 1, V, N) probability of each class for each hypothesis and vote, and (V, N) density of the vote."""
-        each, gap = self._each, self.gap
+        each, gap = self.each, self.gap
         height = 0.5 * np.log(each[..., 0] * each[..., 2] - each[..., 1] ** 2) - np.log(2 * np.pi)
         height -= 0.5 * (gap[..., 0] * each[..., 3] + gap[..., 1] * each[..., 4])
         m0, m1 = self._moved(unknown)
@@ -270,7 +270,7 @@ class _Problem:
 
     def solved(self, start: _Solved, steps: int) -> _Solved:
         """What stands there for each hypothesis of `start`, from where that is."""
-        each, count = self._each, self.gap.shape[1]
+        each, count = self.each, self.gap.shape[1]
         told = min(1.0, SHAPE_VEHICLES / count)
         unknown, counts = start.unknown, start.counts
         bends = np.einsum("kiu,kjw->kijuw", self.turn, self.turn).reshape(len(self.gap) * 4, UNKNOWNS**2)
