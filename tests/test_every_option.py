@@ -40,6 +40,7 @@ ASKED = {
     "gsd_hint": ("--gsd-hint", "0.2"),
     "images": ("--images", "frames"),
     "refine": ("--refine",),
+    "measurer": ("--measurer", "none"),
     "mode": ("--mode", "planar"),
     "target": ("--target", "0.02"),
     "exhaustive": ("--exhaustive",),
