@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.anchors import Standard
 
-NEXT_TO = 0.7  # [m] beside a stroke, where nothing else may be painted: half of the tramlines of tennis
+NEXT_TO = 2.1  # [m] beside a stroke, where mostly nothing else is painted
 BEYOND_END = 2.4  # [m] beyond the end of a stroke, up to where it may not go on
 
 
@@ -105,26 +105,25 @@ class Court:
         painted, fine = self.pieces(length), self.pieces(0.3).middle
         normal = np.stack([-np.sin(painted.direction), np.cos(painted.direction)], -1)
         middles, directions = [], []
-        for k, away in enumerate((NEXT_TO, -NEXT_TO, 3 * NEXT_TO, -3 * NEXT_TO)):
-            # every other piece, by turns, is enough
-            middles.append((painted.middle + away * normal)[k % 2 :: 2])
-            directions.append(painted.direction[k % 2 :: 2])
+        for first, away in enumerate((NEXT_TO, -NEXT_TO)):  # every other piece to each side is enough
+            middles.append((painted.middle + away * normal)[first::2])
+            directions.append(painted.direction[first::2])
         for stroke in self.strokes:
             if stroke.radius:
                 continue
             for end, stops in enumerate(stroke.ends):
                 if stops:
-                    beyond = np.arange(max(NEXT_TO, free) + length / 2, BEYOND_END, length)
+                    beyond = np.arange(free + length / 2, BEYOND_END, length)
                     place, direction = stroke.at(stroke.length + beyond if end else -beyond)
                     middles.append(place)
                     directions.append(direction)
         middle, direction = np.concatenate(middles), np.concatenate(directions)
         step = np.stack([np.cos(direction), np.sin(direction)], -1) * length / 2
-        free = np.ones(len(middle), bool)
+        blank = np.ones(len(middle), bool)
         for share in (-1, -0.5, 0, 0.5, 1):
             gap = middle[:, None] + share * step[:, None] - fine
-            free &= (gap**2).sum(-1).min(1) > free**2
-        middle, direction = middle[free], direction[free]
+            blank &= (gap**2).sum(-1).min(1) > free**2
+        middle, direction = middle[blank], direction[blank]
         same = np.full(len(middle), length)
         return Pieces(middle, direction, same, same, np.full(len(middle), -1))
 
