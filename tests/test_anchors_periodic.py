@@ -7,9 +7,9 @@ import pytest
 from support.markings import PAINT, picture, stroke
 
 from orthoscale.anchors.bays import ParkingBays, bay_standards
-from orthoscale.anchors.crossings import STANDARDS as CROSSINGS
+from orthoscale.anchors.crossings import ZEBRA_STANDARDS as CROSSINGS
 from orthoscale.anchors.crossings import ZebraCrossings
-from orthoscale.anchors.dashes import LINES, LaneDashes
+from orthoscale.anchors.dashes import LANE_LINES, LaneDashes
 from orthoscale.anchors.periods import find_row
 from orthoscale.anchors.rules import holding
 
@@ -64,7 +64,9 @@ def test_the_pitch_of_bays_is_taken_across_their_lines(gsd, slant):
 
 
 def test_bays_with_vehicles_between_their_lines():
-    cars = [(stroke(13.25 + 2.5 * k, 22, 4.5, 1.8, 90), (60 + 30 * (k % 3), 40, 40 + 50 * (k % 2))) for k in (1, 2, 5, 6)]
+    cars = [
+        (stroke(13.25 + 2.5 * k, 22, 4.5, 1.8, 90), (60 + 30 * (k % 3), 40, 40 + 50 * (k % 2))) for k in (1, 2, 5, 6)
+    ]
     anchor = one(ParkingBays().find(picture([*bays(), *cars], 0.1), 0.1, 0.08, "DE"), 2.5)
     assert anchor.pixels * 0.1 == pytest.approx(2.5, rel=0.005)
 
@@ -89,9 +91,7 @@ def test_a_lane_line_is_known_by_its_share_of_paint():
 def test_a_bend_is_measured_along_the_lane():
     """Six of nine metres on a bend of 300 m."""
     angle = np.arange(8) * 9.0 / 300
-    drawn = [
-        (stroke(5 + 300 * np.sin(a), 5 + 300 * (1 - np.cos(a)), 3.0, 0.15, np.degrees(a)), PAINT) for a in angle
-    ]
+    drawn = [(stroke(5 + 300 * np.sin(a), 5 + 300 * (1 - np.cos(a)), 3.0, 0.15, np.degrees(a)), PAINT) for a in angle]
     anchor = one(LaneDashes().find(picture(drawn, 0.1, (80, 30)), 0.1, 0.08, "DE"), 9.0)
     assert anchor.pixels * 0.1 == pytest.approx(9.0, rel=0.005)
 
@@ -160,10 +160,10 @@ def test_chance_is_not_regular():
 
 
 def test_standards_have_sources_and_follow_the_country():
-    tables = (CROSSINGS, bay_standards(), [standard for _, standard in LINES])
+    tables = (CROSSINGS, bay_standards(), [standard for _, standard in LANE_LINES])
     for table in tables:
         assert all(each.source and each.relative_sd > 0 and each.prior > 0 for each in table)
         assert holding(table, "")
         assert holding(table, "ZZ") == holding(table, "")
-    assert {each.metres for each in holding([s for _, s in LINES], "CN")} == {15.0, 9.0, 6.0}
-    assert all(dash < standard.metres for dash, standard in LINES)
+    assert {each.metres for each in holding([s for _, s in LANE_LINES], "CN")} == {15.0, 9.0, 6.0}
+    assert all(dash < standard.metres for dash, standard in LANE_LINES)

@@ -29,6 +29,8 @@ def picture(shapes, gsd, metres=(60, 45), turn=0.0, ground=ROAD, blur=0.6, noise
         cv2.fillPoly(canvas, [np.round(pixels * 16).astype(np.int32)], colour, shift=4)
     image = cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA).astype(float)
     image = cv2.GaussianBlur(image, (0, 0), blur)
-    slow = cv2.resize(rng.normal(0, 6, (height // 40 + 2, width // 40 + 2)), (width, height), interpolation=cv2.INTER_CUBIC)
+    slow = cv2.resize(
+        rng.normal(0, 6, (height // 40 + 2, width // 40 + 2)), (width, height), interpolation=cv2.INTER_CUBIC
+    )
     image += slow[..., None] + rng.normal(0, noise, image.shape[:2])[..., None]
     return image.clip(0, 255).astype(np.uint8)
