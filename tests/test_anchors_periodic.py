@@ -12,6 +12,7 @@ from orthoscale.anchors.crossings import ZebraCrossings
 from orthoscale.anchors.dashes import LANE_LINES, LaneDashes
 from orthoscale.anchors.periods import find_row
 from orthoscale.anchors.rules import holding
+from orthoscale.core.anchors import Standard
 
 FINDERS = (ZebraCrossings(), ParkingBays(), LaneDashes())
 
@@ -167,3 +168,14 @@ def test_standards_have_sources_and_follow_the_country():
         assert holding(table, "ZZ") == holding(table, "")
     assert {each.metres for each in holding([s for _, s in LANE_LINES], "CN")} == {15.0, 9.0, 6.0}
     assert all(dash < standard.metres for dash, standard in LANE_LINES)
+
+
+def test_an_own_standard_takes_the_place_of_the_rules():
+    own = (Standard("ours", 2.2, 0.005, "plan"),)
+    image = picture(bays(pitch=2.2), 0.1)
+    assert one(ParkingBays(own).find(image, 0.1, 0.08, "US"), 2.2).standards == own
+    assert one(
+        ZebraCrossings((Standard("ours", 1.3, 0.005, "plan"),)).find(picture(zebra(1.3), 0.1), 0.1, 0.05, "US"), 1.3
+    )
+    drawn = [(stroke(4 + 8 * k, 22, 2.4, 0.15), PAINT) for k in range(7)]
+    assert one(LaneDashes((Standard("ours", 8.0, 0.005, "plan"),)).find(picture(drawn, 0.1), 0.1, 0.05, "US"), 8.0)

@@ -69,7 +69,7 @@ def test_boxes_shaped_like_no_vehicles_are_too_little_evidence_or_a_scale_but_no
     rows = np.array([[60 + 50.0 * (k % 10), 60 + 50.0 * (k // 10), 40, width, 0.1] for k in range(60)])
     boxes = Boxes(rows, np.ones(60))
     pixel = np.ones(60)
-    votes = gather(boxes.xylwa[:, 2:4], pixel, boxes.centre, boxes.score, False, boxes.spread)
+    votes = gather(boxes.xylwa[:, 2:4], pixel, boxes.centre, boxes.score, False, boxes.sigma)
     for ruler in (UNKNOWN_RULER, Ruler(margin=(-30.0, -0.2)), Ruler(margin=(30.0, 0.0))):
         try:
             scale = pool(votes, load_fleet("DE"), ruler, "m/px")

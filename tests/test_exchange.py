@@ -100,7 +100,8 @@ def pictures_of(names, folder):
 def same(a, b, digits=0.011):
     assert a.xylwa[:, :4] == pytest.approx(b.xylwa[:, :4], abs=digits)
     assert np.abs(np.exp(2j * a.angle) - np.exp(2j * b.angle)).max(initial=0) < 2e-3, "angles are those of axes"
-    assert a.score == pytest.approx(b.score, abs=6e-4) and a.spread == pytest.approx(b.spread, abs=6e-6, nan_ok=True)
+    assert a.score == pytest.approx(b.score, abs=6e-4) and a.sigma == pytest.approx(b.sigma, abs=6e-6, nan_ok=True)
+    assert a.kinds == pytest.approx(b.kinds, abs=6e-4, nan_ok=True)
 
 
 @st.composite
@@ -111,9 +112,11 @@ def some_boxes(draw):
     length = width * draw(hnp.arrays(float, count, elements=st.floats(1.2, 4)))
     angle = draw(hnp.arrays(float, count, elements=st.floats(-1.57, 1.57)))
     score = draw(hnp.arrays(float, count, elements=st.floats(0, 1)))
-    spread = draw(hnp.arrays(float, (count, 2), elements=st.one_of(st.floats(0, 0.5), st.just(np.nan))))
+    sigma = draw(hnp.arrays(float, (count, 2), elements=st.one_of(st.floats(0, 0.5), st.just(np.nan))))
+    kinds = draw(hnp.arrays(float, (count, 4), elements=st.floats(0, 1)))
+    kinds[draw(hnp.arrays(bool, count))] = np.nan
     centre = np.column_stack([200.0 * np.arange(1, count + 1), np.full(count, 300.0)])
-    return Boxes(np.column_stack([centre, length, width, angle]), score, spread)
+    return Boxes(np.column_stack([centre, length, width, angle]), score, sigma, kinds)
 
 
 @st.composite
@@ -162,12 +165,12 @@ def test_load_gives_back_all_that_was_saved(tmp_path_factory, name, found):
 
 def test_dota_text_keeps_boxes_and_scores(tmp_path):
     source = pictures_of(["a.jpg"], tmp_path)
-    spread = Boxes(BOXES.xylwa, BOXES.score, np.full((3, 2), 0.03))
-    found = Detections({"a.jpg": spread}, 0.8, RULER, (0.7, 0.5), "t", doubtful={"a.jpg": BOXES[:1]})
+    noisy = Boxes(BOXES.xylwa, BOXES.score, np.full((3, 2), 0.03))
+    found = Detections({"a.jpg": noisy}, 0.8, RULER, (0.7, 0.5), "t", doubtful={"a.jpg": BOXES[:1]})
     save(found, tmp_path / "d.txt", source)
     again = load(tmp_path / "d.txt", source)
     same(Boxes(again.boxes["a.jpg"].xylwa, again.boxes["a.jpg"].score), BOXES)
-    assert np.isnan(again.boxes["a.jpg"].spread).all() and again.doubtful == {} and again.ruler == UNKNOWN_RULER
+    assert np.isnan(again.boxes["a.jpg"].sigma).all() and again.doubtful == {} and again.ruler == UNKNOWN_RULER
 
 
 # Rectangles

@@ -45,7 +45,7 @@ def test_medians_are_sharper_and_know_their_spread():
     picture = Drawing(1800, 1500, truth)
     detect = Unsteady()
     found = sweep([picture], 1.0, detect)
-    sharper = refined([picture], found, 1.0, detect)["drawing"]
+    sharper = refined([picture], found, 1.0, (0.0, 0.0), detect)["drawing"]
 
     def errors(boxes):
         i, j, _ = matched(truth, boxes, 0.5)
@@ -54,7 +54,7 @@ def test_medians_are_sharper_and_know_their_spread():
 
     before, after = errors(found["drawing"]), errors(sharper)
     assert (after < 0.65 * before).all(), "five views: the median's scatter is 0.54 of one's"
-    assert np.median(sharper.spread, axis=0) == pytest.approx([0.06, 0.09], rel=0.2)
+    assert np.median(sharper.sigma, axis=0) == pytest.approx([0.54 * 0.06, 0.54 * 0.09], rel=0.2)
     assert (sharper.score == found["drawing"].score).all()
 
 
@@ -65,63 +65,77 @@ def test_steady_and_unsteady_boxes_are_told_apart():
         xylwa = boxes.xylwa[:2].copy()  # the third is not seen again
         xylwa[1, 2] *= 1 + 0.15 * (-1) ** k
         looks.append(Boxes(xylwa, np.ones(2)))
-    got = agreed(boxes, looks)
-    assert got.spread[1, 0] > 1.5 * got.spread[0, 0]
-    assert got.spread[0, 0] > 0.02, "five views that agree by luck are not believed altogether"
-    assert np.isnan(got.spread[2]).all() and (got.xylwa[2] == boxes.xylwa[2]).all()
-    assert len(agreed(Boxes.empty(), [Boxes.empty()] * 4)) == 0
+    got = agreed(boxes, looks, np.zeros(2))
+    assert got.sigma[1, 0] > 1.5 * got.sigma[0, 0]
+    assert got.sigma[0, 0] > 0.01, "five views that agree by luck are not believed altogether"
+    assert np.isnan(got.sigma[2]).all() and (got.xylwa[2] == boxes.xylwa[2]).all()
+    assert len(agreed(Boxes.empty(), [Boxes.empty()] * 4, np.zeros(2))) == 0
+
+
+def test_views_that_agree_do_not_make_boxes_exact():
+    """What views share stays as the ruler says it is."""
+    rng = np.random.default_rng(1)
+    boxes = Boxes(
+        np.column_stack([50.0 * np.arange(60), np.zeros(60), np.full((60, 2), [40, 16]), np.zeros(60)]), [1] * 60
+    )
+    noise = np.array([4.0, 2.4])
+
+    def sigma(share):
+        looks = [boxes.xylwa.copy() for _ in VIEWS]
+        for look in looks:
+            look[:, 2:4] *= np.exp(share * noise / [40, 16] * rng.standard_normal((60, 2)))
+        return np.median(agreed(boxes, [Boxes(look, boxes.score) for look in looks], noise).sigma * [40, 16], axis=0)
+
+    assert sigma(0.01) == pytest.approx(noise, rel=0.02)
+    assert (sigma(0.7) < 0.9 * noise).all()
 
 
 def test_a_box_across_the_half_turn_keeps_its_direction():
     boxes = Boxes(np.array([[50, 50, 40, 16, np.pi / 2 - 0.01]]), np.ones(1))
     looks = [Boxes(np.array([[50, 50, 40, 16, angle]]), np.ones(1)) for angle in (-1.56, 1.56, -1.55, 1.55)]
-    turn = (agreed(boxes, looks).angle[0] - np.pi / 2 + np.pi / 2) % np.pi - np.pi / 2
+    turn = (agreed(boxes, looks, np.zeros(2)).angle[0] - np.pi / 2 + np.pi / 2) % np.pi - np.pi / 2
     assert abs(turn) < 0.02
 
 
-def test_the_spread_travels_with_the_boxes():
-    boxes = Boxes(np.array([[0, 0, 9, 4, 0], [0, 0, 4, 9, 0]]), np.ones(2), np.array([[0.1, 0.2], [0.3, 0.4]]))
-    assert boxes.spread.tolist() == [[0.1, 0.2], [0.4, 0.3]], "turned with its box"
+def test_sigma_and_kinds_travel_with_the_boxes():
+    kinds = np.array([[1.0, 0, 0, 0], [0.1, 0.2, 0.3, 0.4]])
+    boxes = Boxes(np.array([[0, 0, 9, 4, 0], [0, 0, 4, 9, 0]]), np.ones(2), np.array([[0.1, 0.2], [0.3, 0.4]]), kinds)
+    assert boxes.sigma.tolist() == [[0.1, 0.2], [0.4, 0.3]], "turned with its box"
     both = Boxes.concatenate([boxes[1:].mapped(2.0, (1, 1)), Boxes(boxes.xylwa, boxes.score)])
-    assert both.spread[0].tolist() == [0.4, 0.3] and np.isnan(both.spread[1:]).all()
-    with pytest.raises(ValueError, match="spread of shape"):
-        Boxes(boxes.xylwa, boxes.score, np.zeros((3, 2)))
+    assert both.sigma[0].tolist() == [0.4, 0.3] and np.isnan(both.sigma[1:]).all()
+    assert both.kinds[0].tolist() == [0.1, 0.2, 0.3, 0.4] and np.isnan(both.kinds[1:]).all()
+    for what, shape in (("sigma", (3, 2)), ("kinds", (2, 3))):
+        with pytest.raises(ValueError, match=f"{what} of shape"):
+            Boxes(boxes.xylwa, boxes.score, **{what: np.zeros(shape)})
+
+
+def test_a_vehicle_is_of_the_kind_that_those_views_say_which_were_looked_at():
+    kinds = np.array([[0.2, 0.8, 0, 0], [np.nan] * 4, [0.4, 0.6, 0, 0], [np.nan] * 4])
+    place = np.array([[0.0, 0], [0, 0], [0, 0], [100, 0]])
+    votes = gather(np.full((4, 2), [45.0, 18.0]), np.ones(4), place, np.ones(4), True, None, kinds)
+    assert votes.kinds[0] == pytest.approx([0.3, 0.7, 0, 0]) and np.isnan(votes.kinds[1]).all()
 
 
 def test_steady_boxes_count_more_in_the_pooling():
-    """Half of the boxes are 15 % too large, and only by their spread can one tell which half to believe."""
+    """Half of the boxes are 15 % too large, and only by their sigma can one tell which half to believe."""
     fleet = load_fleet("DE")
     rng = np.random.default_rng(2)
     wrong = np.arange(80) < 40
     size = fleet.sample(rng, 80)[:, :2] / 0.1 * np.where(wrong, 1.15, 1.0)[:, None]
 
-    def error(spread):
-        votes = gather(size, np.ones(80), np.zeros((80, 2)), np.ones(80), False, spread[:, None] * np.ones(2))
+    def error(sigma):
+        votes = gather(size, np.ones(80), np.zeros((80, 2)), np.ones(80), False, sigma[:, None] * np.ones(2))
         return abs(np.log(pool(votes, fleet, Ruler(noise=(5.0, 2.5)), "m/px").value / 0.1))
 
     unknown = error(np.full(80, np.nan))
     assert error(np.where(wrong, 0.25, 0.01)) < 0.8 * unknown < error(np.where(wrong, 0.01, 0.25))
 
 
-def test_views_that_agree_do_not_make_boxes_exact():
-    """What views share stays as the ruler says it is."""
-    rng = np.random.default_rng(1)
-    fleet = load_fleet("DE")
-    size = fleet.sample(rng, 40)[:, :2] / 0.1
-
-    def sampling(spread):
-        votes = gather(size, np.ones(40), np.zeros((40, 2)), np.ones(40), False, np.full((40, 2), spread))
-        return pool(votes, fleet, Ruler(noise=(4.0, 2.4)), "m/px").parts["sampling"]
-
-    assert sampling(0.001) == pytest.approx(sampling(np.nan), rel=0.02)
-    assert sampling(0.07) < sampling(np.nan)
-
-
 @pytest.mark.slow
 def test_refined_boxes_reach_the_pooling():
     town = Path(__file__).parent.parent / "examples" / "town" / "ortho.jpg"
     plain, sharp = (orthoscale.estimate(town, fleet="DE", gsd_hint=0.085, refine=r, cache=False) for r in (False, True))
-    assert np.isnan(plain.votes.spread).all() and np.isfinite(sharp.votes.spread).mean() > 0.8
+    assert np.isnan(plain.votes.sigma).all() and np.isfinite(sharp.votes.sigma).mean() > 0.8
     assert sharp.scale.value == pytest.approx(plain.scale.value, rel=0.02)
     assert sharp.scale.value != plain.scale.value
 

@@ -1,1 +1,1 @@
-"""Finders of things of standard size, one file a kind."""
+"""Finders of things whose size is a rule, one file a kind: painted courts, lane dashes, crossings, bays."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
@@ -64,9 +65,11 @@ def bay_standards() -> tuple[Standard, ...]:
     return (*IN_FEET, *rows)
 
 
+@dataclass(frozen=True)
 class ParkingBays:
-    """Finds rows of painted parking bays (an `AnchorFinder`)."""
+    """Finds rows of painted parking bays (an `AnchorFinder`) of any of the `standards`."""
 
+    standards: tuple[Standard, ...] = field(default_factory=bay_standards)
     kind = "parking bays"
     extent = 60.0
     finest = 0.10
@@ -74,7 +77,7 @@ class ParkingBays:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
-        standards = holding(bay_standards(), country)
+        standards = holding(self.standards, country)
         if min(image.shape[:2]) < BAY_SHORTEST / gsd:
             return []
         low, high = sizes(standards, gsd, gsd_sd)

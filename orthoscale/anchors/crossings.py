@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,9 +12,7 @@ from .ladders import Ladder, crowded, find_ladders, levels, refined
 from .rules import LOCAL_STRETCH, holding, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 
-ZEBRA_PAINTED = (
-    0.015  # one sigma of a crossing's period about its rule: eleven crossings of two Chinese towns, 0.98 to 1.01 m
-)
+ZEBRA_PAINTED = 0.015  # one sigma of a crossing's period about its rule: those of two Chinese towns, 0.98 to 1.01 m
 ZEBRA_ABOUT = 0.03  # where the rule gives a range, or was only recalled
 
 ZEBRA_STANDARDS = (
@@ -87,13 +86,15 @@ ZEBRA_REGULAR = 1.5  # natural logarithm of how much likelier such a row is as o
 ZEBRA_ASKEW = 0.25  # of their length: how far stripes are shifted along themselves, rms; facades seen askew
 ZEBRA_CROWDED = 0.1  # of the gaps with a stripe between
 ZEBRA_CONTRAST = 15.0  # grey levels between stripes and ground
-ZEBRA_SAME_GROUND = 0.45  # of the contrast, by which the ground past the stripes may differ from that between
+ZEBRA_SAME_GROUND = 0.45  # of the contrast: how far the ground past the stripes may differ from that between
 ZEBRA_PAST = 0.7  # of the ends, where that ground is seen [m]
 
 
+@dataclass(frozen=True)
 class ZebraCrossings:
-    """Finds zebra crossings (an `AnchorFinder`)."""
+    """Finds zebra crossings (an `AnchorFinder`) of any of the `standards`."""
 
+    standards: tuple[Standard, ...] = ZEBRA_STANDARDS
     kind = "zebra crossing"
     extent = 45.0
     finest = 0.10
@@ -101,7 +102,8 @@ class ZebraCrossings:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
-        standards = [] if country in ZEBRA_FREE else holding(ZEBRA_STANDARDS, country)
+        free = country in ZEBRA_FREE and self.standards is ZEBRA_STANDARDS
+        standards = [] if free else holding(self.standards, country)
         if not standards or min(image.shape[:2]) < ZEBRA_SHORTEST / gsd:
             return []
         low, high = sizes(standards, gsd, gsd_sd)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from .chains import Chain, find_chains, levels
 from .rules import LOCAL_STRETCH, holding, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 
-LANE_PAINTED = 0.01  # one sigma of a line's mean period about its rule: 66 of 78 American lines, within 1.2 %
+LANE_PAINTED = 0.01  # one sigma of a line's mean period about its rule: 66 of 78 American lines are within 1.2 %
 LANE_FALSE = 0.07  # five of 78 American lines are off by 3 to 10 %: painted to no rule, or two lines taken for one
 
 
@@ -63,6 +64,9 @@ LANE_LINES = (
 )
 """Length of the dash [m] and standard."""
 
+PAINTED_SHARE = {standard: dash / standard.metres for dash, standard in LANE_LINES}
+ANY_SHARE = 0.12, 0.7  # of paint, where a standard does not say
+
 LANE_LINE_SIGMA = 0.09  # of the ridges' smoothing [m]: lines are 0.10 to 0.15 m wide
 LANE_THINNEST = 0.8  # of that smoothing [px]
 LANE_FEWEST = 5  # dashes
@@ -75,9 +79,11 @@ LANE_SAME_GROUND = 0.35  # of the contrast, by which the ground in the gaps may 
 LANE_ASIDE = 0.5  # of the dashes, where that ground is seen [m]
 
 
+@dataclass(frozen=True)
 class LaneDashes:
-    """Finds broken lane lines (an `AnchorFinder`)."""
+    """Finds broken lane lines (an `AnchorFinder`) of any of the `standards`."""
 
+    standards: tuple[Standard, ...] = tuple(PAINTED_SHARE)
     kind = "lane dashes"
     extent = 120.0
     finest = 0.10
@@ -85,11 +91,11 @@ class LaneDashes:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
-        standards = holding([standard for _, standard in LANE_LINES], country)
-        dashes = [dash for dash, standard in LANE_LINES if standard in standards]
+        standards = holding(self.standards, country)
         low, high = sizes(standards, gsd, gsd_sd)
         slack = low * gsd / min(standard.metres for standard in standards)
-        shortest, longest = (min(dashes) * 0.8 * slack) / gsd, max(dashes) * 1.2 / slack / gsd
+        dashes = [each.metres * share for each in standards for share in _shares(each)]
+        shortest, longest = min(dashes) * 0.8 * slack / gsd, max(dashes) * 1.2 / slack / gsd
         if min(image.shape[:2]) < shortest:
             return []
         strokes = find_strokes(paint_light(image), max(LANE_LINE_SIGMA / gsd, LANE_THINNEST), shortest)
@@ -101,11 +107,21 @@ class LaneDashes:
         return found
 
 
+def _shares(standard: Standard) -> tuple[float, float]:
+    """The least and the greatest share of paint that a line built to `standard` has."""
+    share = PAINTED_SHARE.get(standard)
+    return ANY_SHARE if share is None else (share, share)
+
+
 def _like(standards: Sequence[Standard], chain: Chain) -> list[Standard]:
     """Those whose share of paint is the chain's, which needs no scale."""
-    share = {id(standard): dash / standard.metres for dash, standard in LANE_LINES}
     seen, doubt = chain.length / chain.row.period, DASH_DOUBT_PX / chain.row.period
-    return [one for one in standards if abs(seen - share[id(one)]) < 2 * DASH_SD * share[id(one)] + doubt]
+    like = []
+    for standard in standards:
+        least, greatest = _shares(standard)
+        if least * (1 - 2 * DASH_SD) - doubt < seen < greatest * (1 + 2 * DASH_SD) + doubt:
+            like.append(standard)
+    return like
 
 
 def _is_line(image: np.ndarray, chain: Chain, gsd: float) -> bool:

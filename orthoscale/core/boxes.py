@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from itertools import chain
 
 import numpy as np
 
 SAME_VEHICLE = 0.5  # share of their joint area from which two boxes are one vehicle's; side by side they share none
-HEAPED = 500  # neighbours of a box, on average, from which no picture of vehicles is meant; packed closely there are 30
+HEAPED = 250  # neighbours of a box, on average, from which no picture of vehicles is meant; packed closely there are 30
 PAIRS = 2**15  # of boxes whose overlap is computed at once, in some 50 MB
-BLOCK = 4096  # boxes whose neighbours are counted at once
+KINDS = ("car", "pickup", "van", "larger")  # of vehicles: what carries people, an open bed, a van or minibus, the rest
 
 
 @dataclass(frozen=True)
@@ -22,30 +23,31 @@ class Boxes:
         (0.5, 0.5), as in COLMAP and GDAL. The angle is that of the long side from +x, clockwise on screen,
         in [-pi/2, pi/2).
     score : (N,) float64, the detector's confidence in 0..1.
-    spread : (N, 2) float64, relative one-sigma spread of each box's length and width between looks, NaN where nobody
-        looked more than once.
+    sigma : (N, 2) float64, relative one-sigma noise of each box's own length and width, NaN where it is the ruler's.
+    kinds : (N, 4) float64, how probably it is each of `KINDS`, NaN where nobody looked.
     """
 
     xylwa: np.ndarray
     score: np.ndarray
-    spread: np.ndarray | None = None
+    sigma: np.ndarray | None = None
+    kinds: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         xylwa = np.array(self.xylwa, np.float64).reshape(-1, 5)
         score = np.array(self.score, np.float64).reshape(-1)
         if len(xylwa) != len(score):
             raise ValueError(f"{len(xylwa)} boxes but {len(score)} scores")
-        spread = np.full((len(score), 2), np.nan) if self.spread is None else np.array(self.spread, np.float64)
-        if spread.shape != (len(score), 2):
-            raise ValueError(f"{len(score)} boxes but spread of shape {spread.shape}")
+        sigma = _known(self.sigma, "sigma", len(score), 2)
+        kinds = _known(self.kinds, "kinds", len(score), len(KINDS))
         flat = xylwa[:, 2] < xylwa[:, 3]
-        spread[flat] = spread[flat, ::-1]
+        sigma[flat] = sigma[flat, ::-1]
         xylwa[flat, 2], xylwa[flat, 3] = xylwa[flat, 3], xylwa[flat, 2].copy()
         xylwa[flat, 4] += np.pi / 2
         xylwa[:, 4] = (xylwa[:, 4] + np.pi / 2) % np.pi - np.pi / 2
         object.__setattr__(self, "xylwa", xylwa)
         object.__setattr__(self, "score", score)
-        object.__setattr__(self, "spread", spread)
+        object.__setattr__(self, "sigma", sigma)
+        object.__setattr__(self, "kinds", kinds)
 
     @classmethod
     def empty(cls) -> Boxes:
@@ -57,17 +59,13 @@ class Boxes:
         """All boxes of `parts`, in their order; none of no parts."""
         if not parts:
             return cls.empty()
-        xylwa, score, spread = (
-            np.concatenate([getattr(p, name) for p in parts]) for name in ("xylwa", "score", "spread")
-        )
-        return cls(xylwa, score, spread)
+        return cls(*(np.concatenate([getattr(p, each.name) for p in parts]) for each in fields(cls)))
 
     def __len__(self) -> int:
         return len(self.score)
 
     def __getitem__(self, index: np.ndarray | slice) -> Boxes:
-        assert self.spread is not None  # since it was made
-        return Boxes(self.xylwa[index], self.score[index], self.spread[index])
+        return Boxes(*(getattr(self, each.name)[index] for each in fields(self)))
 
     @property
     def centre(self) -> np.ndarray:
@@ -102,7 +100,7 @@ class Boxes:
         xylwa = self.xylwa.copy()
         xylwa[:, :4] *= scale
         xylwa[:, :2] += shift
-        return Boxes(xylwa, self.score, self.spread)
+        return replace(self, xylwa=xylwa)
 
     def inside(self, width: float, height: float, border: float = 0.0) -> np.ndarray:
         """(N,) bool: all four corners at least `border` px inside an image of `width` x `height` px."""
@@ -114,16 +112,25 @@ class Boxes:
     def fault(self, width: float = np.inf, height: float = np.inf) -> tuple[int, str] | None:
         """The first box that cannot be meant in an image of `width` x `height` px: its index, and what it has or is, in
         words; None where all can. Boxes from files are asked this."""
-        spread = np.nan_to_num(np.asarray(self.spread), nan=0.0)
+        sigma, kinds = (np.nan_to_num(np.asarray(share), nan=0.0) for share in (self.sigma, self.kinds))
         with np.errstate(invalid="ignore"):
             faults = {
                 "is not made of numbers": ~np.isfinite(self.xylwa).all(1),
                 "has no extent": ~(self.width > 0),
                 "is longer than the whole picture": self.length > np.hypot(width, height),
                 "has a score that is not from 0 to 1": ~((self.score >= 0) & (self.score <= 1)),
-                "has a spread that is no share": ~((spread >= 0) & (spread < np.inf)).all(1),
+                "has a sigma that is no share": ~((sigma >= 0) & (sigma < np.inf)).all(1),
+                "has a kind that is no probability": ~((kinds >= 0) & (kinds <= 1)).all(1),
             }
         return next(((int(np.argmax(bad)), words) for words, bad in faults.items() if bad.any()), None)
+
+
+def _known(values: np.ndarray | None, name: str, rows: int, columns: int) -> np.ndarray:
+    """`values` (rows, columns), NaN where there are none. Raises ValueError for those of another shape."""
+    known = np.full((rows, columns), np.nan) if values is None else np.array(values, np.float64)
+    if known.shape != (rows, columns):
+        raise ValueError(f"{rows} boxes but {name} of shape {known.shape}")
+    return known
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -134,6 +141,32 @@ def overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """
     blocks = range(0, max(len(a), 1), PAIRS)
     return np.concatenate([_overlap(a[k : k + PAIRS], b[k : k + PAIRS]) for k in blocks])
+
+
+def _overlap_from(a: np.ndarray, b: np.ndarray, iou: float) -> np.ndarray:
+    """`overlap` of pairs that may share `iou` (> 0) or more; 0 for those that surely do not, which are most of them."""
+    out = np.zeros(len(a))
+    may = np.flatnonzero(_most_shared(a, b) >= (1 - 1e-9) * iou / (1 + iou) * (a[:, 2] * a[:, 3] + b[:, 2] * b[:, 3]))
+    out[may] = overlap(a[may], b[may])
+    return out
+
+
+def _most_shared(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(K,) upper bound of the area that paired boxes share, cheap: of the smaller box, and of what the extents of one
+    along the sides of the other leave of that."""
+    most = np.minimum(a[:, 2] * a[:, 3], b[:, 2] * b[:, 3])
+    x, y = (b[:, :2] - a[:, :2]).T
+    turn = b[:, 4] - a[:, 4]
+    c, s = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    for one, other in ((a, b), (b, a)):
+        cos, sin = np.cos(one[:, 4]), np.sin(one[:, 4])
+        apart = np.abs(x * cos + y * sin), np.abs(y * cos - x * sin)
+        extent = c * other[:, 2] + s * other[:, 3], s * other[:, 2] + c * other[:, 3]
+        along, across = (
+            np.clip((one[:, 2 + k] + extent[k]) / 2 - apart[k], 0, np.minimum(one[:, 2 + k], extent[k])) for k in (0, 1)
+        )
+        most = np.minimum(most, along * across)
+    return most
 
 
 def _overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -193,31 +226,33 @@ class _Neighbours:
         groups = [np.flatnonzero(octave == o) for o in np.unique(octave)]
         self._trees = [(group, cKDTree(self._centre[group]), self._reach[group].max()) for group in groups]
 
-    def count(self) -> int:
-        """Pairs of them that may touch, each counted from both sides."""
-        counted = [
-            tree.query_ball_point(self._centre, self._reach + longest, return_length=True)
-            for _, tree, longest in self._trees
-        ]
-        return int(np.sum(counted))
-
-    def of_first(self, xylwa: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        """Pairs (i, j) of the first n of boxes (M, 5) and those that they may touch, by i and then j; and n, so many
-        that there are no more than PAIRS pairs, but one at least."""
-        centre, reach = xylwa[:BLOCK, :2], _reach(xylwa[:BLOCK])
+    def count(self, xylwa: np.ndarray) -> np.ndarray:
+        """(M,) how many of them each of boxes (M, 5) may touch, at most."""
+        centre, reach = xylwa[:, :2], _reach(xylwa)
         count = np.zeros(len(centre), int)
         for _, tree, longest in self._trees:
             count += tree.query_ball_point(centre, reach + longest, return_length=True)
-        n = max(1, int(np.searchsorted(np.cumsum(count), PAIRS)))
+        return count
+
+    def pairs(self, xylwa: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs (i, j) of boxes (M, 5) and those that they may touch, by i and then j."""
+        centre, reach = xylwa[:, :2], _reach(xylwa)
         parts = [(np.empty(0, int), np.empty(0, int))]
         for group, tree, longest in self._trees:
-            near = tree.query_ball_point(centre[:n], reach[:n] + longest)
-            i, j = np.repeat(np.arange(len(near)), [len(k) for k in near]), group[[k for some in near for k in some]]
-            close = np.linalg.norm(centre[i] - self._centre[j], axis=1) < reach[i] + self._reach[j]
+            near = tree.query_ball_point(centre, reach + longest)
+            lengths = np.fromiter(map(len, near), int, len(near))
+            i = np.repeat(np.arange(len(near)), lengths)
+            j = group[np.fromiter(chain.from_iterable(near), int, int(lengths.sum()))]
+            close = np.hypot(*(centre[i] - self._centre[j]).T) < reach[i] + self._reach[j]
             parts.append((i[close], j[close]))
         i, j = (np.concatenate(column) for column in zip(*parts, strict=True))
         order = np.lexsort((j, i))
-        return i[order], j[order], n
+        return i[order], j[order]
+
+
+def _so_many(count: np.ndarray) -> int:
+    """Of how many boxes, each with `count` neighbours, the pairs are computed at once: PAIRS or fewer, or one box's."""
+    return max(1, int(np.searchsorted(np.cumsum(count[:PAIRS]), PAIRS)))
 
 
 def _reach(xylwa: np.ndarray) -> np.ndarray:
@@ -228,10 +263,12 @@ def _reach(xylwa: np.ndarray) -> np.ndarray:
 def overlapping(a: Boxes, b: Boxes, iou: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """All pairs (i, j, overlap) of boxes of one image that overlap by `iou` (> 0) or more, by i and then j."""
     neighbours = _Neighbours(b.xylwa)
+    count = neighbours.count(a.xylwa)
     start, parts = 0, [(np.empty(0, int), np.empty(0, int), np.empty(0))]
     while start < len(a):
-        i, j, n = neighbours.of_first(a.xylwa[start:])
-        o = overlap(a.xylwa[start + i], b.xylwa[j])
+        n = _so_many(count[start:])
+        i, j = neighbours.pairs(a.xylwa[start : start + n])
+        o = _overlap_from(a.xylwa[start + i], b.xylwa[j], iou)
         enough = o >= iou
         parts.append((start + i[enough], j[enough], o[enough]))
         start += n
@@ -259,14 +296,16 @@ def suppress(boxes: Boxes, iou: float = 0.3) -> Boxes:
     """
     boxes = boxes[np.argsort(-boxes.score, kind="stable")]
     neighbours = _Neighbours(boxes.xylwa)
+    count = neighbours.count(boxes.xylwa)
     alive = np.ones(len(boxes), bool)
     waiting = np.arange(len(boxes))
     while len(waiting):
-        i, j, n = neighbours.of_first(boxes.xylwa[waiting])
+        n = _so_many(count[waiting])
+        i, j = neighbours.pairs(boxes.xylwa[waiting[:n]])
         i = waiting[i]
         worse = (j > i) & alive[j]
         i, j = i[worse], j[worse]
-        clash = overlap(boxes.xylwa[i], boxes.xylwa[j]) >= iou
+        clash = _overlap_from(boxes.xylwa[i], boxes.xylwa[j], iou) >= iou
         better, first = np.unique(i[clash], return_index=True)
         # Of no pairs, split makes one part.
         for k, rivals in zip(better.tolist(), np.split(j[clash], first[1:]), strict=False):
@@ -286,7 +325,7 @@ def distinct(boxes: Boxes) -> Boxes:
     ordered = boxes[np.argsort(-boxes.score, kind="stable")]
     _, first = np.unique(ordered.xylwa.round(6), axis=0, return_index=True)  # copies, of which there may be thousands
     ordered = ordered[np.sort(first)]
-    if _Neighbours(ordered.xylwa).count() > HEAPED * len(ordered):
+    if _Neighbours(ordered.xylwa).count(ordered.xylwa).sum() > HEAPED * len(ordered):
         raise ValueError(f"{len(ordered)} boxes overlap almost entirely")
     left = suppress(ordered, SAME_VEHICLE)
     return boxes if len(left) == len(boxes) else left

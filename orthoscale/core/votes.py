@@ -22,7 +22,8 @@ class Votes:
     place : (N, 2) or (N, 3) where it stands [source units].
     score : (N,) best confidence of its boxes.
     members : (N,) lists of the boxes' indices.
-    spread : (N, 2) relative spread of its boxes' lengths and widths between looks (`Boxes.spread`), NaN where unknown.
+    sigma : (N, 2) relative one-sigma noise of one of its boxes (`Boxes.sigma`), NaN where it is the ruler's.
+    kinds : (N, 4) how probably it is each of `boxes.KINDS`, NaN where unknown.
     """
 
     size: np.ndarray
@@ -31,7 +32,8 @@ class Votes:
     place: np.ndarray
     score: np.ndarray
     members: list[np.ndarray]
-    spread: np.ndarray | None = None
+    sigma: np.ndarray | None = None
+    kinds: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.size)
@@ -53,9 +55,11 @@ def gather(
     place: np.ndarray,
     score: np.ndarray,
     repeated: bool,
-    spread: np.ndarray | None = None,
+    sigma: np.ndarray | None = None,
+    kinds: np.ndarray | None = None,
 ) -> Votes:
-    """Votes from M boxes: sizes (M, 2), detector pixels (M,), places (M, D), scores (M,), spread (M, 2), as in `Votes`.
+    """Votes from M boxes: sizes (M, 2), detector pixels (M,), places (M, D), scores (M,), sigma (M, 2) and kinds
+    (M, 4), as in `Votes`.
 
     `repeated`: the boxes come from several pictures that show the same vehicles, so boxes in one place are one vehicle.
     """
@@ -80,8 +84,15 @@ def gather(
         place=over(place),
         score=over(score, np.max),
         members=members,
-        spread=None if spread is None else np.sqrt(over(spread**2, np.mean)),
+        sigma=None if sigma is None else np.sqrt(over(sigma**2, np.mean)),
+        kinds=None if kinds is None else over(kinds, _mean_of_known),
     )
+
+
+def _mean_of_known(rows: np.ndarray, axis: int) -> np.ndarray:
+    """Mean of the rows that are numbers; NaN of none."""
+    known = rows[np.isfinite(rows).all(1)]
+    return known.mean(axis) if len(known) else rows[0]
 
 
 def _same_place(place: np.ndarray, reach: float) -> np.ndarray:

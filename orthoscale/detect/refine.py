@@ -1,7 +1,7 @@
 """Test-time consistency: vehicles that were found are looked at again, turned and at neighbouring zooms.
 
 A box that says the same from every side is a better measurement than one that does not. The median over the views is
-the sharper box, and their spread is part of its own noise; the pooling knows how to use it. Turns are by quarters,
+the sharper box, and their spread is part of its own noise (`Boxes.sigma`). Turns are by quarters,
 which needs no resampling; zooms are a quarter octave up and down, so that a margin in pixels counts the same on
 average.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ FEWEST_VIEWS = 3  # views of a vehicle, the first included, from which a median 
 # What is known of a box's spread from all boxes counts like so many views of its own (Smyth 2004, moderated variances):
 # five views alone know a standard deviation only to a third.
 PRIOR_VIEWS = 4
+MEDIAN_VARIANCE = 0.29  # of the median of five looks, as a share of one look's (normal distribution)
 
 
 @dataclass(frozen=True)
@@ -41,12 +42,15 @@ def refined(
     pictures: Sequence[Picture],
     found: dict[str, Boxes],
     zoom: float,
+    noise: Sequence[float],
     detect: Detect,
     workers: int = 1,
     progress: Progress | None = None,
 ) -> dict[str, Boxes]:
-    """The boxes `found` in `pictures` at `zoom`, by name, each with the median size and place of its views and their
-    spread. Boxes that too few views show keep what they had, without a spread."""
+    """The boxes `found` in `pictures` at `zoom`, by name, each with the median size and place of its views.
+
+    noise : (2,) of one look's length and width [detector px]. Boxes that too few views show keep what they had.
+    """
     jobs = [
         (picture, tile, number)
         for picture in pictures
@@ -60,8 +64,9 @@ def refined(
             seen.setdefault((picture.name, number), []).append(boxes)
             if progress:
                 progress("Refining boxes", done, len(jobs))
+    noise_px = np.asarray(noise) / zoom
     return {
-        name: agreed(boxes, [suppress(Boxes.concatenate(seen.get((name, k), []))) for k in range(len(VIEWS))])
+        name: agreed(boxes, [suppress(Boxes.concatenate(seen.get((name, k), []))) for k in range(len(VIEWS))], noise_px)
         for name, boxes in found.items()
     }
 
@@ -78,8 +83,12 @@ def look_turned(picture: Picture, tile: Tile, quarters: int, detect: Detect) -> 
     return place(Boxes(turned, boxes.score), tile)
 
 
-def agreed(boxes: Boxes, views: Sequence[Boxes]) -> Boxes:
-    """`boxes` with median centre, size and angle over themselves and what `views` show of them, and their spread."""
+def agreed(boxes: Boxes, views: Sequence[Boxes], noise: np.ndarray) -> Boxes:
+    """`boxes` with median centre, size and angle over themselves and what `views` show of them, and their own sigma.
+
+    noise : (2,) of one look's length and width [px]. The part of it that looks differ by is replaced by what the median
+    leaves of it; what looks share (paint, shade, blur) stays.
+    """
     if not len(boxes):
         return boxes
     rows = np.full((1 + len(views), len(boxes), 5), np.nan)
@@ -94,13 +103,16 @@ def agreed(boxes: Boxes, views: Sequence[Boxes]) -> Boxes:
     xylwa[:, 2:4] = np.exp(xylwa[:, 2:4])
     xylwa[:, 4] += boxes.angle
     many = count >= FEWEST_VIEWS
-    spread = np.full((len(boxes), 2), np.nan)
+    sigma = np.full((len(boxes), 2), np.nan)
     if many.any():
         freedom = (count[many] - 1)[:, None]
         variance = np.nanvar(rows[:, many, 2:4], axis=0, ddof=1)
         usual = (freedom * variance).sum(0) / freedom.sum()
-        spread[many] = np.sqrt((freedom * variance + PRIOR_VIEWS * usual) / (freedom + PRIOR_VIEWS))
-    return Boxes(np.where(many[:, None], xylwa, boxes.xylwa), boxes.score, spread)
+        size = xylwa[many, 2:4]
+        own = (freedom * variance + PRIOR_VIEWS * usual) / (freedom + PRIOR_VIEWS) * size**2
+        shared = np.maximum(noise**2 - own.mean(0), 0)
+        sigma[many] = np.sqrt(shared + MEDIAN_VARIANCE * own) / size
+    return replace(boxes, xylwa=np.where(many[:, None], xylwa, boxes.xylwa), sigma=sigma)
 
 
 def _with_vehicles(places: Sequence[Tile], boxes: Boxes) -> list[Tile]:

@@ -91,6 +91,21 @@ class CardEntry(Struct, forbid_unknown_fields=True):
             raise ValueError("usable_length: expected the shorter of two lengths first")
 
 
+class MeasurerCardEntry(Struct, forbid_unknown_fields=True):
+    """`detect.measurer.MeasurerCard`."""
+
+    name: Name
+    ruler: RulerEntry
+    sigma_times: tuple[Annotated[float, Meta(gt=0, le=100)], Annotated[float, Meta(gt=0, le=100)]]
+    effective_height: tuple[Height, Height]
+    body: Name = "car"
+    training: Text = ""
+    licence: Text = ""
+
+    def __post_init__(self) -> None:
+        _check_body(self.body)
+
+
 class Task(Struct):
     """One step of MMDeploy's pipeline; among its transforms is the normalisation."""
 
@@ -112,11 +127,11 @@ class Pipeline(Struct):
 # Detections
 
 
-Spread = Annotated[float, Meta(ge=0, le=10)] | None
+BoxSigma = Annotated[float, Meta(ge=0, le=10)] | None
 
 
 class BoxEntry(Struct):
-    """One oriented box [px, rad]; `spread` as in `core.boxes.Boxes`, null where unknown."""
+    """One oriented box [px, rad]; `sigma` and `kinds` as in `core.boxes.Boxes`, null where unknown."""
 
     cx: Px
     cy: Px
@@ -125,7 +140,8 @@ class BoxEntry(Struct):
     angle: Annotated[float, Meta(ge=-1e3, le=1e3)]
     score: Share = 1.0
     kind: Name = "vehicle"
-    spread: tuple[Spread, Spread] = (None, None)
+    sigma: tuple[BoxSigma, BoxSigma] = (None, None)
+    kinds: tuple[Share, Share, Share, Share] | None = None
 
 
 BoxesByPicture = dict[str, list[BoxEntry]]
@@ -186,7 +202,8 @@ class CocoAnnotation(Struct):
     segmentation: list[list[Px]] | dict[str, Any] | None = None
     bbox: list[Px] | None = None
     score: Share = 1.0
-    spread: tuple[Spread, Spread] = (None, None)
+    sigma: tuple[BoxSigma, BoxSigma] = (None, None)
+    kinds: tuple[Share, Share, Share, Share] | None = None
 
 
 class CocoInfo(Struct):
@@ -344,6 +361,26 @@ class Standard(Struct):
     source: Text
 
 
+class AnchorStandard(Struct, forbid_unknown_fields=True):
+    """The size that things of one kind of anchor have somewhere, and one sigma of it [m]."""
+
+    kind: Name
+    metres: Annotated[float, Meta(gt=0, lt=1e4)]
+    name: Name = "your own"
+    sd: Annotated[float, Meta(gt=0, lt=1e4)] | None = None
+    source: Text = ""
+
+    def __post_init__(self) -> None:
+        if self.sd is not None and self.sd >= self.metres:
+            raise ValueError("sd: expected less than the metres")
+
+
+class AnchorStandards(Struct):
+    """A user's file of standards."""
+
+    standards: list[AnchorStandard]
+
+
 class ObjectTable(Struct):
     """``data/objects.json``."""
 
@@ -452,6 +489,21 @@ class Measured(Struct):
     interval90: tuple[Positive, Positive]
 
 
+class ReportRemark(Struct):
+    """`core.remarks.Remark`."""
+
+    severity: Literal["refusal", "caution", "support", "info"]
+    text: Text
+
+
+class ReportJudgement(Struct):
+    """`core.remarks.Judgement`."""
+
+    severity: Literal["refusal", "caution", "support", "info"]
+    what: Text
+    detail: Text
+
+
 class Explained(Struct):
     """What of a report `report.explanation` needs."""
 
@@ -461,7 +513,7 @@ class Explained(Struct):
     vehicles_used: Count
     fleet: Name
     verdict: Name = ""
-    remarks: list[str] = []
+    remarks: list[ReportRemark] = []
 
 
 class ReportInput(Struct):
@@ -524,22 +576,41 @@ class ReportEvidence(Struct):
     says: Text
 
 
+class ReportAnchor(Struct):
+    """A thing of standard size that was found: its fitted lines in a picture [px], and what it says of the scale."""
+
+    kind: Text
+    standard: Text
+    metres: Positive
+    scale: Positive
+    relative_sd: Finite
+    counted: bool
+    count: Count
+    views: Count
+    picture: Text
+    lines_px: list[tuple[tuple[Px, Px], tuple[Px, Px]]]
+    residual_cm: Finite
+
+
 class Report(Explained, kw_only=True):
     """A report from which a page is drawn; findings of one kind of source, ``drift`` among them, are left open."""
 
-    format: Literal["orthoscale report 1"]
+    format: Literal["orthoscale report 2"]
     interval90: tuple[Positive, Positive]
     verdict: Name
+    fit: Text
+    judgements: list[ReportJudgement] = []
     vehicles_rejected: dict[str, Count]
     boxes_rejected: dict[str, Count]
     fleet_sizes: ReportFleet
     checks: dict[str, Finite]
-    notes: list[str]
     input: ReportInput
     settings: dict[str, Any]
     pictures: dict[str, tuple[Count, Count]]
     vehicles: list[ReportVehicle]
     evidence: list[ReportEvidence] = []
+    anchors: list[ReportAnchor] = []
+    without_anchors: Measured | None = None
     fleets: dict[str, Finite] = {}
     claim: dict[str, Any] | None = None
     drift: dict[str, Any] | None = None

@@ -31,7 +31,7 @@ class Example:
 
     pixels : (CROP_HEIGHT, CROP_WIDTH, 3) uint8.
     edges : (4,) -x, +x, -y, +y [crop px from the crop's centre]. turn : of the
-    vehicle against the crop [rad]. seen : (4,) bool. kind : index into KINDS, or real.UNKNOWN. scene : index into
+    vehicle against the crop [rad]. seen : (4,) bool. kind : index into ANSWERS, or real.UNKNOWN. scene : index into
     SCENES, or RENDERED. step : crop pixels per pixel of the labelled picture.
     """
 

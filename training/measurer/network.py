@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from orthoscale.detect.measurer import CROP_HEIGHT, CROP_WIDTH, KINDS
+from orthoscale.detect.measurer import ANSWERS, CROP_HEIGHT, CROP_WIDTH
 from training.network import Residual, conv, enlarge, stage
 
 FEATURES = 24  # of the map at half the crop's size
@@ -45,7 +45,7 @@ class Profile(nn.Module):
 
 class MeasureNet(nn.Module):
     """Crops (n, 3, CROP_HEIGHT, CROP_WIDTH), 0..255, to edges (n, 4), the logarithms of their scales (n, 4) [crop px],
-    the turn (n, 1), its scale's logarithm (n, 1), logits of seen (n, 4) and kind (n, KINDS)."""
+    the turn (n, 1), its scale's logarithm (n, 1), logits of seen (n, 4) and kind (n, ANSWERS)."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -61,7 +61,7 @@ class MeasureNet(nn.Module):
         self.along, self.across = Profile(FEATURES), Profile(FEATURES)
         cells = (CROP_HEIGHT // 16) * (CROP_WIDTH // 16)
         self.whole = nn.Sequential(nn.Linear(128 * cells, 64), nn.ReLU(True))
-        self.rest = nn.Linear(64 + 4, 4 + 1 + 1 + 4 + len(KINDS))
+        self.rest = nn.Linear(64 + 4, 4 + 1 + 1 + 4 + len(ANSWERS))
         for name, size in (("x", CROP_WIDTH), ("y", CROP_HEIGHT)):
             places = torch.arange(size // 2) * 2.0 + 1.0 - size / 2
             self.register_buffer(name, places, persistent=False)
@@ -82,7 +82,7 @@ class MeasureNet(nn.Module):
         whole = self.whole(s16.flatten(1)).float()
         widths = torch.cat([end_widths, side_widths], 1).log()
         rest = self.rest(torch.cat([whole, widths], 1))
-        scale, turn, turn_scale, seen, kind = rest.split([4, 1, 1, 4, len(KINDS)], 1)
+        scale, turn, turn_scale, seen, kind = rest.split([4, 1, 1, 4, len(ANSWERS)], 1)
         return torch.cat([ends, sides], 1), scale + widths, TURN_SCALE * turn, turn_scale - 2.5, seen, kind
 
 
@@ -141,7 +141,7 @@ def loss(outputs: tuple[Tensor, ...], habits: Habits, batch: dict[str, Tensor]) 
     """Parts by name; their sum is the loss. Edges and turn: negative logarithms of Student's t of the stated scale,
     an edge that is not seen counts a fifth; seen and kind: cross entropy."""
     edges, scale, turn, turn_scale, seen, kind = outputs
-    vehicle = (batch["kind"] != KINDS.index("none")).float()
+    vehicle = (batch["kind"] != ANSWERS.index("none")).float()
     outward, stray = habits(batch["scene"], batch["step"])
     error = edges - (batch["edges"] + outward)
     scale = torch.sqrt(scale.exp().clamp(min=SMALLEST_SIGMA) ** 2 + stray**2)

@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.detect.measurer import KINDS
+from orthoscale.detect.measurer import ANSWERS
 from training.data import JUDGED, LabelledImage, read_labels
 
 SCENES = ("munich", "minsk", "bogota", "warsaw")  # with vehicles; the others' are held out
@@ -26,7 +26,7 @@ CROP_LENGTHS = 1.6  # of a patch from a vehicle's centre, either way, in its len
 GROUND = 6  # random places without a vehicle from each picture, EMPTY_GROUND from those of scenes without any
 EMPTY_GROUND = 25
 GROUND_LENGTHS = (16.0, 90.0)  # of the vehicle that is not there [px]
-NONE, UNKNOWN = KINDS.index("none"), -1
+NONE, UNKNOWN = ANSWERS.index("none"), -1
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.detect.measurer import KINDS
+from orthoscale.detect.measurer import ANSWERS
 from orthoscale.synthetic import Camera, NormalFleet, Perspective, Pose, Scene, Vehicle, make_scene, vehicle_boxes
 from orthoscale.synthetic.mesh import Mesh
 from orthoscale.synthetic.render import light, ortho_view
@@ -46,7 +46,7 @@ class Rendered:
 
     light : (H, W, 3) uint8, 255 sqrt(linear / BRIGHTEST), red green blue.
     boxes : (N, 5) centre x, centre y, length, width [px], direction of the front, clockwise on screen [rad].
-    kind : (N,) index into KINDS. seen : (N, 4) bool, rear, front, left, right edge (left of who looks ahead).
+    kind : (N,) index into ANSWERS. seen : (N, 4) bool, rear, front, left, right edge (left of who looks ahead).
     """
 
     light: np.ndarray
@@ -154,12 +154,12 @@ def rendered(seed: int, overcast: bool | None = None) -> Rendered:
     boxes, kinds = np.empty((0, 5)), []
     if scene.vehicles:
         boxes = directed_boxes(scene.vehicles, view)
-        kinds = [KINDS.index(v.shape) if v.shape in KINDS else 0 for v in scene.vehicles]
+        kinds = [ANSWERS.index(v.shape) if v.shape in ANSWERS else 0 for v in scene.vehicles]
     seen = edges_seen(boxes, owner, np.arange(len(boxes)))
     lorries = tuple(Vehicle(x, y, a, length, width, 3.0) for x, y, length, width, a in scene.lorries)
     if lorries:
         boxes = np.r_[boxes, directed_boxes(lorries, view, LORRY_HEIGHT)]
-        kinds += [KINDS.index("larger")] * len(lorries)
+        kinds += [ANSWERS.index("larger")] * len(lorries)
         seen = np.r_[seen, np.ones((len(lorries), 4), bool)]
     near = ((boxes[:, :2] > 0) & (boxes[:, :2] < (view.width, view.height))).all(1)
     coded = (255 * np.sqrt(np.clip(linear / BRIGHTEST, 0, 1)) + rng.random(linear.shape)).clip(0, 255).astype(np.uint8)

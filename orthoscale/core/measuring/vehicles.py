@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..boxes import Boxes
+from ..boxes import KINDS, Boxes
 from ..scale import Scale
 from ..votes import Votes
 
@@ -21,6 +21,7 @@ VEHICLE = np.dtype(
         ("scale_deviation", float),  # log of the scale that it alone would give, over the mean of those that count
         ("views", int),  # boxes that show it
         ("score", float),  # of its best box
+        ("kind", object),  # the likeliest of `boxes.KINDS`, '' where nobody looked
         ("used", bool),
         ("reason", object),  # why it does not count, '' where it does
         ("picture", object),  # name of the picture of its best box
@@ -47,6 +48,7 @@ def vehicle_table(votes: Votes, size: np.ndarray, scale: Scale, boxes: Boxes, pi
     table["scale_deviation"] = _deviation(size, scale)
     table["views"], table["score"] = votes.views, votes.score
     table["used"], table["reason"] = scale.used, scale.reasons
+    table["kind"] = _kind(votes)
     if len(votes):
         best = np.array([members[np.argmax(boxes.score[members])] for members in votes.members])
         table["picture"] = picture[best]
@@ -56,7 +58,12 @@ def vehicle_table(votes: Votes, size: np.ndarray, scale: Scale, boxes: Boxes, pi
     return table
 
 
+def _kind(votes: Votes) -> list[str]:
+    kinds = np.full((len(votes), len(KINDS)), np.nan) if votes.kinds is None else votes.kinds
+    return [KINDS[int(np.argmax(one))] if np.isfinite(one).all() else "" for one in kinds]
+
+
 def _deviation(size: np.ndarray, scale: Scale) -> np.ndarray:
     """(N,) log of the scale that each vehicle of `size` (N, 2) alone would give, over the mean of those that count."""
     log_scale = -np.log(size) @ np.asarray(scale.weights)
-    return log_scale - log_scale[scale.used].mean()
+    return log_scale - log_scale[scale.used].mean() if scale.used.any() else log_scale

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..remarks import INFO, REFUSAL, Remark
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
 from .posterior import ROBUST_SD, Z90
@@ -47,6 +48,12 @@ class Agreement:
     def contradicts(self) -> bool:
         """Whether the two lie further apart than CONTRADICTION sigmas, which chance makes 1 % do."""
         return self.tension > CONTRADICTION
+
+    @property
+    def remark(self) -> Remark:
+        """The sentence, and how serious it is."""
+        hint = "Inspect the boxes (--save-detections) and the poses, or choose one mode with --mode"
+        return Remark(REFUSAL if self.contradicts else INFO, self.sentence(), hint if self.contradicts else "")
 
     def sentence(self) -> str:
         """In words."""

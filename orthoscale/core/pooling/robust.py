@@ -14,7 +14,7 @@ widths where they are fine, without a rule for it. Only the first term shrinks w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from .mixture import Drawing, Fits, fit
 from .posterior import Posterior
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
-MEDIAN_VARIANCE = 0.29  # of the median of five looks, as a share of one look's (normal distribution)
 SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
 PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
 # What the mixture of classes and of larger vehicles leaves wrong, one sigma of all sizes alike: simulated car parks
@@ -79,34 +78,13 @@ def pool(
     share_px = np.median(votes.pixel[measurable, None] / size, axis=0)  # one pixel as a share of length and width
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
-    candidates = fleet.candidates or (fleet,)
-    count = len(size)
-    some = np.linspace(0, count - 1, min(count, ENOUGH)).astype(int) if len(candidates) > 1 else np.arange(count)
-    fits: dict[int, _Vehicles] = {}
-    for k, candidate in enumerate(candidates):
-        try:
-            fits[k] = _of_fleet(np.log(size[some]), noise[some], candidate, known, ruler.drawing)
-        except TooLittleEvidence:  # it cannot be this one
-            if k + 1 == len(candidates) and not fits:
-                raise
-    each, candidates = list(fits.values()), tuple(candidates[k] for k in fits)
-    prior = tuple((fleet.prior or (1.0,))[k] for k in fits)
-    probability = _probabilities(np.array([v.log_evidence for v in each]), prior)
-    likeliest = int(np.argmax(probability))
-    if len(some) < count:
-        each[likeliest] = _of_fleet(np.log(size), noise, candidates[likeliest], known, ruler.drawing)
-    best = each[likeliest]
+    best, fleets = _of_candidates(np.log(size), noise, fleet, known, ruler.drawing)
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
             f"{len(votes)} boxes, but only {int(best.inlier.sum())} have the sizes of vehicles of one scale; "
             f"{MIN_VEHICLES} are needed"
         )
     posterior, parts = best.posterior, dict(best.parts)
-    if len(each) > 1:
-        posterior = Posterior.mixed([v.posterior for v in each], probability)
-        others = sum(v**2 for name, v in parts.items() if name != "fleet")
-        parts["fleet"] = float(np.sqrt(max(posterior.spread**2 - others, parts["fleet"] ** 2)))
-
     remarks = []
     difference = float(best.estimates[0] - best.estimates[1])
     if best.tension > CHECK_LIMIT:
@@ -114,7 +92,7 @@ def pool(
         widened = posterior.widened(best.tension / CHECK_LIMIT)
         parts["margin"] = float(np.sqrt(parts["margin"] ** 2 + widened.spread**2 - posterior.spread**2))
         posterior = widened
-        remarks.append(remark_on_shape(difference))
+        remarks.append(remark_on_shape(difference, best.tension))
     vehicles = posterior
     used = np.zeros(len(votes), bool)
     used[measurable] = best.inlier
@@ -142,23 +120,53 @@ def pool(
         reasons=reasons(used, measurable, fleeting, np.log(size), mean),
         remarks=(*together.remarks, *remarks),
         larger_share=best.larger_share,
-        fleets={c.code: float(p) for c, p in zip(candidates, probability, strict=True) if p > LIKELY},
-        evidence=tuple(evidence),
+        fleets=fleets,
+        evidence=together.evidence,
     )
 
 
 def _noise(votes: Votes, ruler: Ruler) -> np.ndarray:
-    """(N, 2) one-sigma noise of each vote's size [units].
-
-    The ruler's; where boxes are medians of several looks, with the part that looks differ by replaced by what the
-    medians of these boxes leave of it. What looks share (paint, shade, blur) stays as the ruler says.
-    """
+    """(N, 2) one-sigma noise of each vote's size [units]: its boxes' own where they have one, else the ruler's."""
     variance = (np.asarray(ruler.noise) * votes.pixel[:, None]) ** 2
-    if votes.spread is not None and np.isfinite(votes.spread).any():
-        own = (votes.spread * votes.size) ** 2
-        shared = np.maximum(variance - np.nanmean(own, axis=0), 0)
-        variance = np.where(np.isfinite(own), shared + MEDIAN_VARIANCE * own, variance)
+    if votes.sigma is not None:
+        variance = np.where(np.isfinite(votes.sigma), (votes.sigma * votes.size) ** 2, variance)
     return np.sqrt(variance / np.maximum(votes.views, 1)[:, None])
+
+
+def _of_candidates(
+    log_size: np.ndarray, noise: np.ndarray, fleet: Fleet, known: Mapping[str, np.ndarray], drawing: Drawing
+) -> tuple[_Vehicles, dict[str, float]]:
+    """What the votes say if they are of one of the candidates of `fleet`, and the probability of each, by code.
+
+    Arguments as of `_of_fleet`. Everything is the likeliest's, but for the posterior, which is that of them all: what
+    it is wider by is a part of not knowing the fleet.
+    """
+    candidates = fleet.candidates or (fleet,)
+    count = len(log_size)
+    some = np.linspace(0, count - 1, min(count, ENOUGH)).astype(int) if len(candidates) > 1 else np.arange(count)
+    fits: dict[int, _Vehicles] = {}
+    for k, candidate in enumerate(candidates):
+        try:
+            fits[k] = _of_fleet(log_size[some], noise[some], candidate, known, drawing)
+        except TooLittleEvidence:  # it cannot be this one
+            if k + 1 == len(candidates) and not fits:
+                raise
+    each, candidates = list(fits.values()), tuple(candidates[k] for k in fits)
+    prior = tuple((fleet.prior or (1.0,))[k] for k in fits)
+    probability = _probabilities(np.array([v.log_evidence for v in each]), prior)
+    likeliest = int(np.argmax(probability))
+    if len(some) < count:
+        each[likeliest] = _of_fleet(log_size, noise, candidates[likeliest], known, drawing)
+    best, fleets = each[likeliest], {}
+    for candidate, share in zip(candidates, probability, strict=True):
+        if share > LIKELY:
+            fleets[candidate.code] = float(share)
+    if len(each) == 1:
+        return best, fleets
+    posterior = Posterior.mixed([v.posterior for v in each], probability)
+    others = sum(v**2 for name, v in best.parts.items() if name != "fleet")
+    wider = float(np.sqrt(max(posterior.spread**2 - others, best.parts["fleet"] ** 2)))
+    return replace(best, posterior=posterior, parts={**best.parts, "fleet": wider}), fleets
 
 
 def _of_fleet(
@@ -168,10 +176,13 @@ def _of_fleet(
     covariances of what else is uncertain about them all."""
     shared = {"fleet": drawing.covariance(fleet.log_mean_covariance) + MIXTURE_SD**2, **known}
     systematic = sum(shared.values(), np.zeros((2, 2)))
+    none = TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {fleet.code}")
     try:
         fits = fit(log_size, noise, fleet.told_apart, systematic, drawing=drawing)
     except np.linalg.LinAlgError as error:  # no vote supports any class: nothing determines the scale
-        raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {fleet.code}") from error
+        raise none from error
+    if fits.weight @ fits.count < 1:
+        raise none
     # How strongly the detector draws to the usual is known no better from more vehicles: it is the margin's kin.
     drawn = np.einsum("v,vij->ij", fits.weight, fits.drawing)
     shared["margin"] = shared["margin"] + drawn
@@ -188,15 +199,14 @@ def _of_fleet(
     mix = float(fits.weight @ (posterior.mean - posterior.centre) ** 2)
     parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(mix)))
     rest = posterior.spread**2 - sum(v**2 for v in parts.values())
-    probable = np.einsum("v,vkn->kn", fits.weight, fits.member)
     return _Vehicles(
         posterior=posterior,
         parts={"sampling": float(np.sqrt(rest)), **parts},
         estimates=estimates,
         weights=weights,
         tension=float(abs(estimates[0] - estimates[1]) / np.sqrt(total[0, 0] + total[1, 1] - 2 * total[0, 1])),
-        larger_share=float(probable[-1].sum() / probable.sum()),
-        inlier=probable.sum(0) > 0.5,
+        larger_share=float(fits.member[-1].sum() / fits.member.sum()),
+        inlier=fits.member.sum(0) > 0.5,
         log_evidence=fits.log_evidence,
     )
 
@@ -204,7 +214,7 @@ def _of_fleet(
 def _sampling(fits: Fits, fleet: Fleet) -> np.ndarray:
     """(V, 2, 2) covariance of the scales from the votes alone; never less than PRIOR_VOTES more vehicles of the fleet
     would leave, for the scatter of a few votes is not known from themselves."""
-    count = fits.member.sum((1, 2))
+    count = np.maximum(fits.count, 1)
     least = _fleet_scatter(fleet) * (PRIOR_VOTES / (count + PRIOR_VOTES) / count)[:, None, None]
     return fits.covariance + least
 

@@ -15,7 +15,7 @@ from ...core.boxes import Boxes
 from ...errors import InputError
 from ..reading import checked, reason
 from .items import LABEL, Item
-from .own import spread_note
+from .own import measured_notes
 
 if TYPE_CHECKING:
     from ..schemas import CocoAnnotation
@@ -49,7 +49,9 @@ def read(text: Any, origin: str) -> tuple[list[Item], dict[str, tuple[int, int]]
             if labels and category not in labels:
                 raise ValueError(f"category_id {category!r} is not among its categories")
             label = None if category is None else labels.get(category)
-            items.append(Item(_polygon(annotation), annotation.score, label, picture, annotation.spread))
+            items.append(
+                Item(_polygon(annotation), annotation.score, label, picture, annotation.sigma, annotation.kinds)
+            )
         except ValueError as error:
             raise InputError(f"{origin}: annotation {number} cannot be used ({reason(error)})", COCO_HINT) from error
     return items, sizes
@@ -79,8 +81,8 @@ def document(boxes: Mapping[str, Boxes], sizes: Mapping[str, tuple[int, int]], n
     for image_id, (picture, found) in enumerate(boxes.items(), 1):
         width, height = sizes.get(picture, (0, 0))
         images.append({"id": image_id, "file_name": picture, "width": width, "height": height})
-        assert found.spread is not None  # since it was made
-        for corners, score, row, spread in zip(found.corners, found.score, found.xylwa, found.spread, strict=True):
+        rows = zip(found.corners, found.score, found.xylwa, measured_notes(found), strict=True)
+        for corners, score, row, more in rows:
             low, high = corners.min(0), corners.max(0)
             annotations.append(
                 {
@@ -92,7 +94,7 @@ def document(boxes: Mapping[str, Boxes], sizes: Mapping[str, tuple[int, int]], n
                     "area": round(float(row[2] * row[3]), 3),
                     "iscrowd": 0,
                     "score": round(float(score), 4),
-                    **spread_note(spread),
+                    **more,
                 }
             )
     return {

@@ -42,7 +42,7 @@ def save(found: Detections, path: Path, source: Pictures) -> None:
     """Write `found` to `path` in the format that its name says. Raises UsageError.
 
     `load` gives back what was saved, to the digits written, from all but DOTA's text. That holds the vehicles' corners,
-    scores and pictures, and nothing else: no zoom, ruler, spreads, boxes of low confidence, objects or plans.
+    scores and pictures, and nothing else: no zoom, ruler, sigmas, kinds, boxes of low confidence, objects or plans.
     """
     check_name(path)
     suffix = path.suffix.lower()

@@ -10,19 +10,21 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...core.boxes import Boxes
+from ...core.boxes import KINDS, Boxes
 from ...errors import InputError, OutputError, shown
 from ..reading import check_regular, checked, parsed
 from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
-from .own import spread_note
+from .own import measured_notes
 
 LAYER = "vehicles"
-SPREAD_FIELDS = ("length_spread", "width_spread")  # columns of a GeoPackage, which has no lists
+# Columns of a GeoPackage, which has no lists, by the list that each is of.
+LISTS = {"sigma": ("length_sigma", "width_sigma"), "kinds": KINDS}
 PIXELS = "pixels"
 
 
@@ -164,15 +166,18 @@ def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None
     fields = ("picture", "score", "class", "length_px", "width_px", "angle_deg")
     columns = [np.array([properties[name] for _, properties in features]) for name in fields]
     columns = [c.astype(object) if k in (0, 2) else c.astype(float) for k, c in enumerate(columns)]
-    spreads = np.array([properties.get("spread", (None, None)) for _, properties in features], float).reshape(-1, 2)
+    lists = [
+        np.array([said.get(of, [None] * len(names)) for _, said in features], float).reshape(-1, len(names))
+        for of, names in LISTS.items()
+    ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # pixel coordinates have no CRS, and need none
         try:
             pyogrio.raw.write(
                 path,
                 geometry=np.asarray(shapely.to_wkb(polygons), object),
-                field_data=[*columns, *spreads.T],
-                fields=np.array([*fields, *SPREAD_FIELDS], object),
+                field_data=[*columns, *np.concatenate(lists, axis=1).T],
+                fields=np.array([*fields, *chain(*LISTS.values())], object),
                 geometry_type="Polygon",
                 crs=None if place is None else place.crs,
                 layer=LAYER,
@@ -190,8 +195,8 @@ def _features(
     boxes: Mapping[str, Boxes], place: Place | None, crs: str | None
 ) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
     for picture, found in boxes.items():
-        assert found.spread is not None  # since it was made
-        for corners, row, score, spread in zip(found.corners, found.xylwa, found.score, found.spread, strict=True):
+        rows = zip(found.corners, found.xylwa, found.score, measured_notes(found), strict=True)
+        for corners, row, score, more in rows:
             polygon = corners * [1, -1] if place is None else place.to_map(corners, crs)
             yield (
                 polygon,
@@ -202,7 +207,7 @@ def _features(
                     "length_px": round(float(row[2]), 3),
                     "width_px": round(float(row[3]), 3),
                     "angle_deg": round(float(np.degrees(row[4])), 3),
-                    **spread_note(spread),
+                    **more,
                 },
             )
 
@@ -243,14 +248,20 @@ def _item(polygon: np.ndarray, properties: Mapping[str, Any]) -> Item:
     label, picture = first(properties, CLASS), first(properties, PICTURE)
     told = first(properties, SCORE_NAMES)
     score = 1.0 if told is None else _number(told)
-    spread = properties.get("spread")  # a list, which GDAL and QGIS turn into text
-    if isinstance(spread, str):
-        spread = spread.strip("[] ").split(",")
-    if not isinstance(spread, (list, np.ndarray)) or len(spread) != 2:
-        spread = [properties.get(name) for name in SPREAD_FIELDS]
-    length, width = (_number(v) for v in spread)
+    length, width = _list(properties, "sigma")
     name = None if picture is None else str(picture)
-    return Item(polygon, score, None if label is None else str(label), name, (length, width))
+    kinds = _list(properties, "kinds")
+    return Item(polygon, score, None if label is None else str(label), name, (length, width), kinds)
+
+
+def _list(properties: Mapping[str, Any], of: str) -> list[float]:
+    """A list that `LISTS` names, NaN where there is none."""
+    values = properties.get(of)
+    if isinstance(values, str):  # GDAL and QGIS turn lists into text
+        values = values.strip("[] ").split(",")
+    if not isinstance(values, (list, np.ndarray)) or len(values) != len(LISTS[of]):
+        values = [properties.get(name) for name in LISTS[of]]
+    return [_number(v) for v in values]
 
 
 def _number(value: Any) -> float:

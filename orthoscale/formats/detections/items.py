@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ...core.boxes import Boxes
+from ...core.boxes import KINDS, Boxes
 from ...detect.classes import is_vehicle
 from ...errors import InputError, shown
 
@@ -19,6 +19,7 @@ FARTHEST_PX = 1e7  # [px]
 PICTURE = ("picture", "image", "file_name", "filename")
 SCORE_NAMES = ("score", "confidence", "conf", "probability")
 CLASS = ("class", "label", "category", "class_name", "name", "kind")
+UNKNOWN = (None,) * len(KINDS)
 LABEL = "small-vehicle"  # what our own boxes are called in the files of others, DOTA's word
 
 
@@ -27,7 +28,7 @@ class Item:
     """One detection as a file has it.
 
     polygon : (K, 2) vertices [px of the picture]. picture : its name, None where the file names none. label : class
-    name, None where the file has none; such boxes count as vehicles. spread : as in `Boxes`, None where unknown.
+    name, None where the file has none; such boxes count as vehicles. sigma, kinds : as in `Boxes`, None where unknown.
     relative : the polygon is in shares of the picture's width and height instead.
     """
 
@@ -35,7 +36,8 @@ class Item:
     score: float = 1.0
     label: str | None = None
     picture: str | None = None
-    spread: tuple[float | None, float | None] = (None, None)
+    sigma: tuple[float | None, float | None] = (None, None)
+    kinds: Sequence[float | None] | None = None
     relative: bool = False
 
 
@@ -104,11 +106,11 @@ def boxes_by_picture(
         name = _resolved(item.picture, pictures, names, origin)
         polygon = item.polygon * sizes.get(name, (1, 1)) if item.relative else item.polygon
         rows.setdefault(name, []).append(polygon)
-        rest.setdefault(name, []).append((item.score, *item.spread))
+        rest.setdefault(name, []).append((item.score, *item.sigma, *(item.kinds or UNKNOWN)))
     found = {}
     for name in rows:
-        score, spread = np.split(np.array(rest[name], float), [1], axis=1)
-        found[name] = Boxes(rectangles(rows[name]), score, spread)
+        score, sigma, kinds = np.split(np.array(rest[name], float), [1, 3], axis=1)
+        found[name] = Boxes(rectangles(rows[name]), score, sigma, kinds)
     return found
 
 

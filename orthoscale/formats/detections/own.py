@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...core.boxes import Boxes
+from ...core.boxes import KINDS, Boxes
 from ...core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ...tables import known_objects
 from ..reading import LARGE, checked, read_plain
@@ -128,22 +128,26 @@ def _objects(pictures: Mapping[str, Sequence[BoxEntry]]) -> dict[str, dict[str, 
 
 
 def _rows(boxes: Boxes) -> list[dict[str, Any]]:
-    assert boxes.spread is not None  # since it was made
     rows = []
-    for row, score, spread in zip(boxes.xylwa, boxes.score, boxes.spread, strict=True):
+    for row, score, more in zip(boxes.xylwa, boxes.score, measured_notes(boxes), strict=True):
         plain = {k: round(float(v), 4 if k == "angle" else 2) for k, v in zip(FIELDS, row, strict=True)}
-        rows.append({**plain, "score": round(float(score), 3), **spread_note(spread)})
+        rows.append({**plain, "score": round(float(score), 3), **more})
     return rows
 
 
-def spread_note(spread: np.ndarray) -> dict[str, list[float | None]]:
-    """What a file says of one box's spread (2,), nothing where it is not known."""
-    values = [round(float(v), 5) if np.isfinite(v) else None for v in spread]
-    return {} if values == [None, None] else {"spread": values}
+def measured_notes(boxes: Boxes) -> list[dict[str, list[float | None]]]:
+    """What a file says of each box's sigma and kinds, nothing where they are not known."""
+    assert boxes.sigma is not None and boxes.kinds is not None  # since they were made
+    notes: list[dict[str, list[float | None]]] = []
+    for sigma, kinds in zip(boxes.sigma.tolist(), boxes.kinds.tolist(), strict=True):
+        known = {} if np.isnan(sigma).all() else {"sigma": [round(v, 5) if np.isfinite(v) else None for v in sigma]}
+        notes.append(known | ({} if np.isnan(kinds).any() else {"kinds": [round(v, 3) for v in kinds]}))
+    return notes
 
 
 def _boxes(rows: Sequence[BoxEntry], kind: str = "vehicle") -> Boxes:
     rows = [row for row in rows if row.kind == kind]
     xylwa = np.array([[getattr(row, k) for k in FIELDS] for row in rows], float).reshape(-1, 5)
-    spread = np.array([row.spread for row in rows], float).reshape(-1, 2)  # None becomes NaN
-    return Boxes(xylwa, np.array([row.score for row in rows], float), spread)
+    sigma = np.array([row.sigma for row in rows], float).reshape(-1, 2)  # None becomes NaN
+    kinds = np.array([row.kinds or (None,) * len(KINDS) for row in rows], float).reshape(-1, len(KINDS))
+    return Boxes(xylwa, np.array([row.score for row in rows], float), sigma, kinds)
