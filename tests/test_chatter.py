@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 SAID = """
 import logging, os, sys
 from orthoscale.system import chatter
@@ -17,11 +19,13 @@ os.write(2, b"after\\n")
 """
 
 
+@pytest.mark.slow
 def test_only_python_is_heard():
     done = subprocess.run([sys.executable, "-c", SAID], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr.split("\n")[:-1]) == (0, ["before", "within", "a log begun within", "after"])
 
 
+@pytest.mark.slow
 def test_without_a_standard_error_nothing_breaks():
     line = "import os; os.close(2); from orthoscale.system import chatter\nwith chatter.unheard(): print('fine')"
     done = subprocess.run([sys.executable, "-c", line], stdout=subprocess.PIPE, text=True, timeout=60)

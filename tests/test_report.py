@@ -339,6 +339,7 @@ def test_a_report_of_the_first_version_is_still_drawn(tmp_path, report):
     assert done.returncode == 0 and "boxes are odd" in done.stdout
 
 
+@pytest.mark.slow
 def test_the_command_draws_beside_the_json_and_keeps_what_is_there(park, tmp_path):
     path = tmp_path / "scaled.tif.json"
     path.write_bytes((park[0] / "scaled.tif.json").read_bytes())

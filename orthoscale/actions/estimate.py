@@ -33,7 +33,7 @@ from ..sources.location import location_of
 from ..sources.opening import open_source
 from ..tables import standards
 from .control import read_control, read_distance
-from .find import find_in
+from .find import find_in, measured_anew
 from .requests import EstimateRequest
 from .result import Result
 from .whose import fleet_at, named_fleet
@@ -60,6 +60,7 @@ def estimate(
     detector : an ONNX file instead of the shipped one.
     decoder : how to read its outputs, where they do not tell (`detect.output_forms.DECODERS`).
     vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
+    measurer : network that measures the vehicles once more, "built-in", "none" or an ONNX file; see `requests`.
     calibration : file of `orthoscale.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : resampling factor (detector pixels per picture pixel), or the expected metres per pixel, instead of
     the search for it. refine : look at every vehicle four times more, turned and at neighbouring zooms.
@@ -98,7 +99,8 @@ def opened(path: str | Path | Source, request: EstimateRequest) -> Opened:
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
     fleet, why = named_fleet(request.fleet, known), tuple[str, ...]()
     from_file = request.detections is not None
-    source = open_source(path, request.images, not from_file) if isinstance(path, (str, Path)) else path
+    needs_pictures = not from_file or request.measures is not None
+    source = open_source(path, request.images, needs_pictures) if isinstance(path, (str, Path)) else path
     if fleet is None:
         fleet, why = fleet_at(location_of(source))
     request.check_for(source)
@@ -124,6 +126,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     else:
         found, choice = _looked_for(source, request, fleet, progress)
     found = replace(found, notes=(*asked.why, *found.notes))
+    found = measured_anew(source, found, request, _effort(request), progress)
     log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
     if asked.calibration is not None:
         found = asked.calibration.applied(found, Path(str(request.calibration)))
@@ -144,7 +147,7 @@ def _looked_for(
     source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles that a detector finds. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
-    effort = Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
+    effort = _effort(request)
     # Somebody else's network looks at one image at a time, with all cores.
     threads = 0 if request.detector else effort.threads_each
     network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads)
@@ -167,6 +170,10 @@ def _looked_for(
         ruler = (found.zoom, found.ruler.noise)
         found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
     return replace(found, notes=(*found.notes, *network.notes)), choice
+
+
+def _effort(request: EstimateRequest) -> Effort:
+    return Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
 
 
 def _given(source: Source, known_distance: Sequence[str], ground_control: str | Path | None) -> list[Evidence]:

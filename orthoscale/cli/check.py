@@ -105,7 +105,7 @@ def check(
         click.echo(json.dumps(outcome.to_dict()))
     else:
         click.echo(
-            f"vehicles   {result.scale.value:.5g} {result.scale.unit}, 90 % {low:.5g} to {high:.5g}, "
+            f"vehicles   {result.scale.text()}, 90 % {result.scale.text(low, high)}, "
             f"{result.scale.vehicles_used} of fleet {result.scale.fleet}"
         )
         for comparison in found:

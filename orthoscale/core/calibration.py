@@ -42,7 +42,9 @@ class Calibration:
                 f"{path} was measured for {self.detector}, but these boxes are those of {found.detector}",
                 "Calibrate the detector that is used: orthoscale calibrate ORTHO --detector FILE.",
             )
-        planar = None if found.planar is None else replace(found.planar, ruler=self.ruler)
+        planar = found.planar
+        if planar is not None and planar.detector_sha256 == self.detector_sha256:
+            planar = replace(planar, ruler=self.ruler)
         return replace(found, ruler=self.ruler, planar=planar)
 
 

@@ -37,21 +37,28 @@ def judgements(measured: Measurement, claim: Comparison | None = None) -> tuple[
 def _vehicles(measured: Measurement) -> Judgement:
     scale = measured.scale
     used, rejected = scale.vehicles_used, sum(scale.rejected.values())
-    sampling = scale.parts.get("sampling", 0.0)
-    few, many = sampling > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
+    if not used:
+        return Judgement(CAUTION, "No vehicles", "the scale rests on other evidence alone")
+    sampling = scale.parts.get("sampling")  # not known where measurements contradict each other
+    few, many = (sampling or 0.0) > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
     what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
-    detail = f"{used} used, {rejected} rejected; sampling error {percent(sampling)} (1 sigma)"
-    return Judgement(CAUTION if few or many else SUPPORT, what, detail)
+    known = "" if sampling is None else f"; sampling error {percent(sampling)} (1 sigma)"
+    severity = CAUTION if few or many else INFO if sampling is None else SUPPORT
+    return Judgement(severity, what, f"{used} used, {rejected} rejected{known}")
 
 
-def _shapes(measured: Measurement) -> Judgement:
-    checks, tension = measured.scale.checks, measured.scale.tension
-    ok = tension <= CHECK_LIMIT
-    severity = SUPPORT if ok else REFUSAL if tension > SHAPE_LIMIT else CAUTION
-    what = "Lengths and widths agree" if ok else "Lengths and widths disagree"
-    return Judgement(
-        severity, what, f"lengths give {signed(checks['length'] / checks['width'] - 1)} ({tension:.1f} sigma)"
-    )
+def _shapes(measured: Measurement) -> Judgement | None:
+    scale = measured.scale
+    if "length" not in scale.checks:
+        return None  # no vehicles
+    difference = scale.checks["length"] / scale.checks["width"] - 1
+    detail = f"lengths give {signed(difference)} ({scale.tension:.1f} sigma)"
+    if scale.tension > CHECK_LIMIT:
+        severity = REFUSAL if scale.tension > SHAPE_LIMIT else CAUTION
+        return Judgement(severity, "Lengths and widths disagree", detail)
+    if abs(difference) > max(scale.half_width, ROUGH):
+        return Judgement(INFO, "Lengths and widths differ within their uncertainty", detail)
+    return Judgement(SUPPORT, "Lengths and widths agree", detail)
 
 
 def _modes(measured: Measurement) -> Judgement | None:

@@ -1,0 +1,72 @@
+"""Pictures of painted courts with exact truth, drawn from the edges that the rules give."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+FINE = 0.11  # [m/px] that pictures are drawn at, at most
+GREEN, BLUE, CLAY, ASPHALT, GRASS = (70, 110, 85), (60, 95, 150), (150, 85, 60), (105, 105, 108), (85, 105, 60)
+
+
+def tennis(line=0.05, base=0.075):
+    """Painted rectangles (x0, y0, x1, y1) [m] about the middle of a court of 23.77 x 10.97 m to the outside."""
+    x, y, single, service = 23.77 / 2, 10.97 / 2, 8.23 / 2, 6.40
+    along = [(-x, s * e - line if s > 0 else -e, x, e if s > 0 else -e + line) for e in (y, single) for s in (-1, 1)]
+    across = [(s * x - (base if s > 0 else 0), -y, s * x + (0 if s > 0 else base), y) for s in (-1, 1)]
+    boxes = [(s * service - (line if s > 0 else 0), -single, s * service + (0 if s > 0 else line), single)
+             for s in (-1, 1)]  # fmt: skip
+    return [*along, *across, *boxes, (-service, -line / 2, service, line / 2)]
+
+
+def _cover(x, y, gsd, box):
+    """Share of each pixel, at (x, y) [m] in the court's frame, that the rectangle covers; exact if parallel."""
+    x0, y0, x1, y1 = box
+    part = [np.clip(np.minimum(high, at + gsd / 2) - np.maximum(low, at - gsd / 2), 0, gsd) / gsd
+            for at, low, high in ((x, x0, x1), (y, y0, y1))]  # fmt: skip
+    return part[0] * part[1]
+
+
+def court_picture(
+    courts, gsd, shape, *, ground=ASPHALT, surface=GREEN, run_off=3.0, white=200, wear=0.0, blur_px=0.6, noise=2.5,
+    shade=0.0, trees=0, seed=0,
+):  # fmt: skip
+    """RGB uint8 of `shape` (H, W) [px]. courts : (painted rectangles, (x, y) of the middle [m] from the outer corner of
+    the upper left pixel, angle [rad]). wear : share of the paint that is gone, in patches. shade : how dark half of the
+    picture is, with an oblique edge. trees : blobs of 2 to 4 m on the courts."""
+    rng = np.random.default_rng(seed)
+    fine = int(np.ceil(gsd / FINE))  # a lens blurs before pixels sum up: else a thin line anywhere in one looks alike
+    height, width, gsd = shape[0] * fine, shape[1] * fine, gsd / fine
+    x, y = np.meshgrid((np.arange(width) + 0.5) * gsd, (np.arange(height) + 0.5) * gsd)
+    x, y = x.astype(np.float32), y.astype(np.float32)
+
+    def patches(size):
+        coarse = rng.normal(size=(max(4, int(height * gsd / size)), max(4, int(width * gsd / size)))).astype(np.float32)
+        return cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+
+    picture = np.array(ground, np.float32) + 6 * patches(3.0)[..., None]
+    for boxes, (cx, cy), angle in courts:
+        c, s = np.cos(angle), np.sin(angle)
+        u, v = (x - cx) * c + (y - cy) * s, (y - cy) * c - (x - cx) * s
+        low, high = np.min(boxes, 0)[:2] - run_off, np.max(boxes, 0)[2:] + run_off
+        flat = _cover(u, v, gsd, (*low, *high))[..., None]
+        picture = picture * (1 - flat) + flat * (np.array(surface, np.float32) + 3 * patches(2.0)[..., None])
+        paint = np.zeros((height, width), np.float32)
+        for box in boxes:
+            corners = np.array([(bx, by) for bx in box[::2] for by in box[1::2]]) @ [[c, s], [-s, c]] + (cx, cy)
+            left, top = np.clip(np.floor(corners.min(0) / gsd - 1), 0, (width, height)).astype(int)
+            right, bottom = np.clip(np.ceil(corners.max(0) / gsd + 1), 0, (width, height)).astype(int)
+            part = np.s_[top:bottom, left:right]
+            paint[part] = np.maximum(paint[part], _cover(u[part], v[part], gsd, box))
+        paint = paint * (1 - np.clip(wear + 0.5 * wear * patches(0.8), 0, 1))
+        picture = picture + paint[..., None] * (white - picture)
+        for _ in range(trees):
+            at = rng.uniform(low, high)
+            gap = np.hypot(u - at[0], v - at[1]) / rng.uniform(1.0, 2.0) + 0.25 * patches(0.6)
+            picture = np.where((gap < 1)[..., None], np.array([40, 60, 35]) + 12 * patches(0.4)[..., None], picture)
+    if shade:
+        dark = (x * 0.8 + y * 0.6 > (width * 0.8 + height * 0.6) * gsd * 0.55).astype(np.float32)
+        picture = picture * (1 - shade * dark[..., None])
+    picture = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), blur_px * fine)
+    picture = cv2.resize(picture, shape[::-1], interpolation=cv2.INTER_AREA)
+    return np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8)
