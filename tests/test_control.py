@@ -60,7 +60,7 @@ def test_a_court_among_the_boxes_counts_unless_told_otherwise(boxes):
     seen = orthoscale.estimate(TOWN, fleet="world", detections=court)
     assert [e.kind for e in seen.scale.evidence] == ["tennis court"]
     assert seen.scale.value == pytest.approx(GSD, rel=0.02)
-    blind = orthoscale.estimate(TOWN, fleet="world", detections=court, surroundings=False)
+    blind = orthoscale.estimate(TOWN, fleet="world", detections=court, anchors=["none"])
     assert not blind.scale.evidence and blind.scale.relative_sd > 2 * seen.scale.relative_sd
     save_detections(seen.detections, boxes.with_name("again.json"))
     again = orthoscale.estimate(TOWN, fleet="world", detections=boxes.with_name("again.json"))

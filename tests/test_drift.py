@@ -124,7 +124,7 @@ def test_a_drift_is_a_part_of_the_uncertainty_and_lowers_the_verdict(amplitude, 
 def test_a_scene_whose_scale_drifts_is_judged_by_it(tmp_path, change, verdicts):
     """Cars of known size in a picture whose pixels grow from left to right: found, measured and judged as a whole."""
     park = drifting_park(tmp_path, change)
-    result = orthoscale.estimate(park, fleet="DE", detections=tmp_path / "detections.json", surroundings=False)
+    result = orthoscale.estimate(park, fleet="DE", detections=tmp_path / "detections.json", anchors=["none"])
     scale = result.scale
     assert scale.verdict in verdicts
     local = GSD * (1 + change * np.linspace(-0.5, 0.5, 101))

@@ -51,7 +51,8 @@ ASKED = {
     "estimator": ("--estimator", "iqr"),
     "known_distance": ("--known-distance", "0,0 9,9 1"),
     "ground_control": ("--ground-control", "g.txt"),
-    "surroundings": ("--no-surroundings",),
+    "anchors": ("--anchors", "none"),
+    "anchor": ("--anchor", "bay=2.5"),
     "override": ("--override",),
     "keep_origin": ("--keep-origin",),
     "cog": ("--cog",),
@@ -65,6 +66,7 @@ ACTIONS = {
     "estimate": ("orthoscale.actions.estimate.measured", ("ORTHO",)),
     "fix": ("orthoscale.actions.fix.written", ("ORTHO", "--out", "NEW.tif")),
     "check": ("orthoscale.actions.check.checked", ("ORTHO",)),
+    "anchors": ("orthoscale.actions.list_anchors.list_anchors", ("ORTHO",)),
     "photo": ("orthoscale.photos.survey.surveyed", ("PHOTO",)),
     "crop": ("orthoscale.photos.footprint.footprint_of", ("PHOTO", "--satellite", "SATELLITE", "--out", "NEW")),
     "evaluate": ("orthoscale.photos.looking.boxes_of", ("TABLE",)),
@@ -82,6 +84,7 @@ LINES = {
     "fix": ("fix", "PARK", "--detections", "PARKBOXES", "--fleet", "DE", "--report", "none", "--out", "NEW.tif"),
     "explain": ("explain", "REPORT"),
     "check": ("check", "ORTHO", "--detections", "BOXES", "--fleet", "DE"),
+    "anchors": ("anchors", "ORTHO", "--scale", "0.1"),
     "apply": ("apply", "SIM3", "MESH", "--out", "NEW"),
     "photo": PHOTOS,
     "crop": GIVEN_GSD,
@@ -99,6 +102,8 @@ CASES = {
     ("check", "images"): (("--images", "FOLDER"), REFUSED),
     ("check", "model"): (("--model", "MODEL", "--save-detections", "NEW.json"), REFUSED),
     ("check", "model_detections"): (("--model-detections", "BOXES"), REFUSED),
+    ("anchors", "scale"): (("--scale", "0.2"), OTHER),
+    ("anchors", "out"): (("--out", "NEW"), OTHER),
     ("photo", "focal_px"): (("--focal-px", "1100"), OTHER),
     ("photo", "lens_file"): (("--lens", "LENS"), OTHER, ("photo", "PHOTO", *MEASURED)),
     ("photo", "pitch"): (("--pitch", "-80"), OTHER),
@@ -140,9 +145,10 @@ CASES = {
 }
 IDLE = {  # said beside what makes them idle
     "nothing is written": [
-        (*LINES[name], "--overwrite") for name in ("estimate", "check", "photo", "layout", "evaluate")
+        (*LINES[name], "--overwrite") for name in ("estimate", "check", "anchors", "photo", "layout", "evaluate")
     ],
     "--list only lists": [("layout", "--list", *words) for words in (("--out", "NEW"), ("--facility", "tennis"))],
+    "no vehicles are measured": [(*LINES["anchors"], "--zoom", "0.5"), (*LINES["anchors"], "--exhaustive")],
     "twice": [(*PHOTOS, "--lens", "LENS")],
     "looks straight down": [(*PHOTOS, "--roll", "8")],
     "is one crop": [(*GIVEN_GSD, "--at", "9.0,60.0", "--stride", "0.3")],
@@ -359,6 +365,7 @@ TO_WRITE = {  # what of each command may replace what an earlier run wrote
     "estimate": (*LINES["estimate"], "--save-detections", "NEW.json"),
     "fix": (*LINES["fix"], "--save-detections", "NEW.json"),
     "check": (*LINES["check"], "--save-detections", "NEW.json"),
+    "anchors": (*LINES["anchors"], "--out", "NEW"),
     "apply": LINES["apply"],
     "photo": (*PHOTOS, "--save-detections", "NEW.json", "--out", "NEW.csv"),
     "crop": GIVEN_GSD,

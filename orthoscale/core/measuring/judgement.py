@@ -38,7 +38,7 @@ def _vehicles(measured: Measurement) -> Judgement:
     scale = measured.scale
     used, rejected = scale.vehicles_used, sum(scale.rejected.values())
     if not used:
-        return Judgement(CAUTION, "No vehicles", "the scale rests on other evidence alone")
+        return Judgement(CAUTION, "No vehicles", "the scale rests on things of standard size alone")
     sampling = scale.parts.get("sampling")  # not known where measurements contradict each other
     few, many = (sampling or 0.0) > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
     what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
@@ -88,7 +88,7 @@ def _claim(claim: Comparison | None) -> Iterator[Judgement]:
     if claim is not None and claim.believed:
         severity, what = CLAIMS[claim.verdict]
         guess = "".join(f"; perhaps {why}" for why in claim.guesses)
-        yield Judgement(severity, what, f"vehicles give {signed(claim.ratio - 1)} ({claim.sigmas:.1f} sigma){guess}")
+        yield Judgement(severity, what, f"{claim.by} give {signed(claim.ratio - 1)} ({claim.sigmas:.1f} sigma){guess}")
 
 
 def _places(measured: Measurement) -> Judgement | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..anchors import Anchor, AnchorVote, Standard
 
-KIND = "parking bay"
+ROWS_KIND = "parking bays"
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
 ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another
 PITCHES = (1.15, 1.75)  # of a vehicle's width: 2.2 m for the widest cars to 2.8 m for the narrowest
@@ -77,7 +77,7 @@ def parking_pitch(
     width = stall["width"]
     standard = Standard("stalls, by the vehicles in them", width, float(own / width), stall["source"])
     lines, residual = np.empty((0, 2, 2)), np.empty(0)
-    anchor = Anchor(KIND, middle, lines, pitch, sd, residual, (standard,), 0.0, count=vehicles)
+    anchor = Anchor(ROWS_KIND, middle, lines, pitch, sd, residual, (standard,), 0.0, count=vehicles)
     return AnchorVote(anchor, middle, pitch, sd)
 
 

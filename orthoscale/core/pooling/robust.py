@@ -121,7 +121,7 @@ def pool(
         remarks=(*together.remarks, *remarks),
         larger_share=best.larger_share,
         fleets=fleets,
-        evidence=tuple(evidence),
+        evidence=together.evidence,
     )
 
 
