@@ -8,6 +8,7 @@ from orthoscale.core.anchors import Standard
 from orthoscale.core.evidence import Evidence, combined
 from orthoscale.core.pooling.anchors import SHARED, evidence_of
 from orthoscale.core.pooling.posterior import Posterior
+from orthoscale.core.remarks import REFUSAL
 
 SD = 0.05  # of the vehicles
 COURT = (Standard("court", 23.77, 0.003, "written here"),)
@@ -67,15 +68,16 @@ def test_a_wrong_kind_never_moves_the_answer_out_of_the_vehicles_interval(off, f
     got = together(votes)
     assert abs(np.log(got.summary[0])) < INTERVAL99 * SD
     if abs(off) > 3.02 * SD and false <= 0.05:
-        assert got.conflict > 3 and got.remarks[0].startswith("conflict: vehicles: 1")
+        assert got.conflict > 3 and got.remarks[0].text.startswith("conflict: vehicles: 1")
     else:
-        assert not got.conflict and "it does not count" in got.remarks[0]
+        assert not got.conflict and "it does not count" in got.remarks[0].text
         assert got.summary == pytest.approx(together([]).summary, rel=1e-12)
 
 
 def test_two_kinds_that_contradict_each_other_are_said_and_not_averaged():
     got = together([vote("tennis court", 0.04, 0.004, COURT), vote("lane dashes", -0.04, 0.004, COURT)])
-    assert got.conflict > 3 and "tennis court" in got.remarks[0] and "lane dashes" in got.remarks[0]
+    assert got.conflict > 3 and got.remarks[0].severity == REFUSAL
+    assert "tennis court" in got.remarks[0].text and "lane dashes" in got.remarks[0].text
     assert got.summary[1] < np.exp(-0.04) and got.summary[2] > np.exp(0.04)
     weak = together([vote("tennis court", 0.04, 0.004, COURT), vote("lane dashes", -0.04, 0.004, COURT, false=0.4)])
     assert not weak.conflict and np.log(weak.summary[0]) == pytest.approx(0.04, abs=0.004)

@@ -7,11 +7,12 @@ import pytest
 from support.markings import PAINT, picture, stroke
 
 from orthoscale.anchors.bays import ParkingBays, bay_standards
-from orthoscale.anchors.crossings import STANDARDS as CROSSINGS
+from orthoscale.anchors.crossings import ZEBRA_STANDARDS as CROSSINGS
 from orthoscale.anchors.crossings import ZebraCrossings
-from orthoscale.anchors.dashes import LINES, LaneDashes
+from orthoscale.anchors.dashes import LANE_LINES, LaneDashes
 from orthoscale.anchors.periods import find_row
 from orthoscale.anchors.rules import holding
+from orthoscale.core.anchors import Standard
 
 FINDERS = (ZebraCrossings(), ParkingBays(), LaneDashes())
 
@@ -160,10 +161,21 @@ def test_chance_is_not_regular():
 
 
 def test_standards_have_sources_and_follow_the_country():
-    tables = (CROSSINGS, bay_standards(), [standard for _, standard in LINES])
+    tables = (CROSSINGS, bay_standards(), [standard for _, standard in LANE_LINES])
     for table in tables:
         assert all(each.source and each.relative_sd > 0 and each.prior > 0 for each in table)
         assert holding(table, "")
         assert holding(table, "ZZ") == holding(table, "")
-    assert {each.metres for each in holding([s for _, s in LINES], "CN")} == {15.0, 9.0, 6.0}
-    assert all(dash < standard.metres for dash, standard in LINES)
+    assert {each.metres for each in holding([s for _, s in LANE_LINES], "CN")} == {15.0, 9.0, 6.0}
+    assert all(dash < standard.metres for dash, standard in LANE_LINES)
+
+
+def test_an_own_standard_takes_the_place_of_the_rules():
+    own = (Standard("ours", 2.2, 0.005, "plan"),)
+    image = picture(bays(pitch=2.2), 0.1)
+    assert one(ParkingBays(own).find(image, 0.1, 0.08, "US"), 2.2).standards == own
+    assert one(
+        ZebraCrossings((Standard("ours", 1.3, 0.005, "plan"),)).find(picture(zebra(1.3), 0.1), 0.1, 0.05, "US"), 1.3
+    )
+    drawn = [(stroke(4 + 8 * k, 22, 2.4, 0.15), PAINT) for k in range(7)]
+    assert one(LaneDashes((Standard("ours", 8.0, 0.005, "plan"),)).find(picture(drawn, 0.1), 0.1, 0.05, "US"), 8.0)

@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 from .periods import Row, find_row
 from .strokes import Strokes, values
 
-IN_LINE = np.sin(np.radians(4))  # of a stroke's own direction, the next lies within
-TURN = np.cos(np.radians(8))  # from one stroke to the next, lanes bend no more
-UNLIKE = 1.5  # ratio of lengths of neighbours
-REACH = 3.1  # periods: two dashes under vehicles are missing
+IN_LANE = np.sin(np.radians(4))  # of a stroke's own direction, the next lies within
+LANE_TURN = np.cos(np.radians(8))  # from one stroke to the next, lanes bend no more
+UNLIKE_DASHES = 1.5  # ratio of lengths of neighbours
+LINKED = 3.1  # periods: two dashes under vehicles are missing
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def find_chains(strokes: Strokes, low: float, high: float, fewest: int) -> Itera
 
 def _paths(strokes: Strokes, low: float, high: float) -> list[np.ndarray]:
     """Strokes in line, each linked to the nearest before and behind it."""
-    pairs = cKDTree(strokes.centre).query_pairs(REACH * high, output_type="ndarray")
+    pairs = cKDTree(strokes.centre).query_pairs(LINKED * high, output_type="ndarray")
     if not len(pairs):
         return []
     i, j = pairs.T
@@ -70,8 +70,8 @@ def _paths(strokes: Strokes, low: float, high: float) -> list[np.ndarray]:
     off = [np.abs(unit[:, 0] * strokes.along[k, 1] - unit[:, 1] * strokes.along[k, 0]) for k in (i, j)]
     shorter = np.minimum(strokes.length[i], strokes.length[j])
     longer = np.maximum(strokes.length[i], strokes.length[j])
-    linked = (np.maximum(*off) < IN_LINE) & (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > TURN)
-    linked &= (longer < UNLIKE * shorter) & (distance > 0.9 * low) & (distance > 1.2 * longer)
+    linked = (np.maximum(*off) < IN_LANE) & (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > LANE_TURN)
+    linked &= (longer < UNLIKE_DASHES * shorter) & (distance > 0.9 * low) & (distance > 1.2 * longer)
     i, j = np.concatenate([i[linked], j[linked]]), np.concatenate([j[linked], i[linked]])
     distance, unit = np.tile(distance[linked], 2), np.concatenate([unit[linked], -unit[linked]])
     # Of all that lie before, or behind, a stroke the nearest: a link is one on which both ends agree.

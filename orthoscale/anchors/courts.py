@@ -14,7 +14,15 @@ import numpy as np
 
 from ..core.anchors import Anchor
 from .court_fit import CourtFit, fit_court
-from .court_models import TENNIS_COURT, Court
+from .court_models import (
+    BASKETBALL_COURTS,
+    HANDBALL_COURT,
+    PADEL_COURT,
+    PENALTY_AREA,
+    TENNIS_COURT,
+    VOLLEYBALL_COURT,
+    Court,
+)
 from .court_search import Ridges, search
 from .ridges import lightness
 
@@ -25,7 +33,7 @@ SURE = 0.8  # of a fit's paint is seen: no other court lies on it
 COURTS_OVERLAP = 0.8  # of both sides: courts whose middles are nearer than this overlap
 MARS_TAKE = 1.0  # evidence that a blank which is none takes, per share of all
 PAINT_SCATTER, SCATTER_TAKES = 0.25, 1.5  # of paint hardly more than the first; what more of it takes
-ACCEPTED = 0.55  # least evidence of a court
+ACCEPTED = 0.01  # above EVEN: least evidence of a court
 STRETCHED = 0.03  # |ln| of the ratio of both pixel sizes, at most
 # From 61 chips with tennis courts and 409 without (`benchmarks/anchors_courts.py`): fits to other things become ten
 # times rarer with every 0.1 of evidence (one in 27 Mpx reaches 0.44), and at EVEN they are as frequent as courts are.
@@ -40,11 +48,11 @@ ACROSS_SD, ACROSS_COARSE = 0.003, 0.035
 STRETCH_REMAINS = 0.5
 
 
-def evidence(court: Court, fit: CourtFit) -> float:
+def evidence(fit: CourtFit) -> float:
     """What speaks for a court, 1 if all of it is seen and nothing else: half by the length of what is seen, half by the
     strokes of that direction in which fewer are; less what is seen where nothing should be, and less where the ridges
     do not lie on straight lines."""
-    seen = 0.5 * fit.lit + 0.5 * min(float(fit.seen[group].mean()) for group in court.groups)
+    seen = 0.5 * fit.lit + 0.5 * min(float(fit.seen[group].mean()) for group in fit.court.groups)
     return seen - MARS_TAKE * fit.marred - SCATTER_TAKES * max(0.0, fit.scatter - PAINT_SCATTER)
 
 
@@ -71,23 +79,31 @@ def _resized(light: np.ndarray, gsd: float) -> np.ndarray:
     return cv2.resize(light, size, interpolation=cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC)
 
 
+def _overlap(fit: CourtFit, place: np.ndarray) -> bool:
+    """Whether a court like `fit` with its middle at `place` [px] would lie on it."""
+    c, s = np.cos(fit.angle), np.sin(fit.angle)
+    gap = np.abs(np.array([[c, s], [-s, c]]) @ (place - fit.place)) / (fit.along, fit.across)
+    return bool((gap < COURTS_OVERLAP * fit.court.size).all())
+
+
 @dataclass(frozen=True)
 class CourtFinder:
-    """Finds one kind of painted court; see `AnchorFinder`."""
+    """Finds one kind of painted court, built to any of some rules; see `AnchorFinder`.
 
-    court: Court
+    courts : by the rules, each with the standard it is. even : evidence at which what is found is as often something else
+    as a court; more of it is accepted. Other fields are those of the protocol.
+    """
+
+    kind: str
+    courts: tuple[Court, ...]
+    even: float = EVEN
     finest: float = 0.05
     coarsest: float = 0.55
 
     @property
-    def kind(self) -> str:
-        """What people call it."""
-        return self.court.kind
-
-    @property
     def extent(self) -> float:
-        """Diameter of the court [m]."""
-        return self.court.extent
+        """Diameter of the largest court [m]."""
+        return max(court.extent for court in self.courts)
 
     def fits(self, image: np.ndarray, gsd: float, gsd_sd: float) -> list[CourtFit]:
         """The fits of all likely places, court or not, that with most evidence first; arguments as of `find`."""
@@ -95,15 +111,19 @@ class CourtFinder:
         small = _resized(light, gsd)
         factor = np.array(small.shape[::-1]) / light.shape[::-1]
         zoom = float(np.sqrt(factor.prod()))
-        poses = search(Ridges(small), self.court, zoom / gsd, 2 * gsd_sd)
+        ridges = Ridges(small)
         found: list[CourtFit] = []
-        for place, angle, size in zip((poses.place + 0.5) / factor - 0.5, poses.angle, poses.size, strict=True):
-            if any(fit.lit > SURE and self._overlap(fit, place) for fit in found):
-                continue
-            fit = fit_court(light, self.court, place, float(angle), float(size / zoom))
-            if fit is not None:
-                found.append(fit)
-        return sorted(found, key=self.evidence, reverse=True)
+        for court in self.courts:
+            own: list[CourtFit] = []
+            poses = search(ridges, court, zoom / gsd, 2 * gsd_sd)
+            for place, angle, size in zip((poses.place + 0.5) / factor - 0.5, poses.angle, poses.size, strict=True):
+                if any(fit.lit > SURE and _overlap(fit, place) for fit in own):
+                    continue
+                fit = fit_court(light, court, place, float(angle), float(size / zoom))
+                if fit is not None:
+                    own.append(fit)
+            found += own
+        return sorted(found, key=evidence, reverse=True)
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """The courts in `image`, RGB uint8 (H, W, 3), that do not overlap; see `AnchorFinder`."""
@@ -111,39 +131,33 @@ class CourtFinder:
             return []
         kept: list[CourtFit] = []
         for fit in self.fits(image, gsd, gsd_sd):
-            size = size_of(fit)[0]
             if (
-                self.evidence(fit) >= ACCEPTED
+                evidence(fit) >= self.even + ACCEPTED
                 and abs(np.log(fit.along / fit.across)) <= STRETCHED
-                and abs(np.log(size * gsd)) <= 2 * gsd_sd + STRETCHED / 2
-                and not any(self._overlap(other, fit.place) for other in kept)
+                and abs(np.log(size_of(fit)[0] * gsd)) <= 2 * gsd_sd + STRETCHED / 2
+                and not any(_overlap(other, fit.place) for other in kept)
             ):
                 kept.append(fit)
         return [self._anchor(fit) for fit in kept]
 
-    def evidence(self, fit: CourtFit) -> float:
-        """What speaks for a court at `fit`; see `evidence`."""
-        return evidence(self.court, fit)
-
-    def _overlap(self, fit: CourtFit, place: np.ndarray) -> bool:
-        """Whether a court like `fit` with its middle at `place` [px] would lie on it."""
-        c, s = np.cos(fit.angle), np.sin(fit.angle)
-        gap = np.abs(np.array([[c, s], [-s, c]]) @ (place - fit.place)) / (fit.along, fit.across)
-        return bool((gap < COURTS_OVERLAP * self.court.size).all())
-
     def _anchor(self, fit: CourtFit) -> Anchor:
         size, sd = size_of(fit)
-        false = 1 / (1 + np.exp(STEEPNESS * (self.evidence(fit) - EVEN)))
+        false = 1 / (1 + np.exp(STEEPNESS * (evidence(fit) - self.even)))
         return Anchor(
             kind=self.kind,
             place=fit.place,
-            lines=fit.points(self.court.drawing()),
-            pixels=size * self.court.standards[0].metres,
+            lines=fit.points(fit.court.drawing()),
+            pixels=size * fit.court.standard.metres,
             relative_sd=sd,
             residual=fit.residual,
-            standards=self.court.standards,
+            standards=(fit.court.standard,),
             false=float(max(false, NEVER_SURE)),
         )
 
 
-TENNIS = CourtFinder(TENNIS_COURT)
+TENNIS = CourtFinder("tennis court", (TENNIS_COURT,))
+VOLLEYBALL = CourtFinder("volleyball court", (VOLLEYBALL_COURT,))
+BASKETBALL = CourtFinder("basketball court", BASKETBALL_COURTS)
+HANDBALL = CourtFinder("handball court", (HANDBALL_COURT,))
+PADEL = CourtFinder("padel court", (PADEL_COURT,))
+FOOTBALL = CourtFinder("football penalty area", (PENALTY_AREA,))

@@ -10,17 +10,17 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .periods import MISSING, Row, find_row, fit_row
+from .periods import MISSING_IN_A_ROW, Row, find_row, fit_row
 from .strokes import Strokes, values
 
-PARALLEL = np.cos(np.radians(5))
-SLANT = 1.3  # tangent: how far ahead of one another neighbours stand, in pitches
-BESIDE = 0.5  # of the shorter: neighbours lie side by side for so much of it
-UNLIKE = 1.7  # ratio of lengths of neighbours: a vehicle hides part of one
-BETWEEN = 0.27  # of a pitch from either stroke; two lines drawn for one stand closer
-LEANS = 0.1  # over its length, one sigma by which all strokes lean towards the pixels' axes [px]
+RUNGS_PARALLEL = np.cos(np.radians(5))
+STEEPEST_SLANT = 1.3  # tangent: how far ahead of one another neighbours stand, in pitches
+RUNGS_BESIDE = 0.5  # of the shorter: neighbours lie side by side for so much of it
+UNLIKE_RUNGS = 1.7  # ratio of lengths of neighbours: a vehicle hides part of one
+BETWEEN_RUNGS = 0.27  # of a pitch from either stroke; two lines drawn for one stand closer
+LEAN_PX = 0.1  # over its length, one sigma by which all strokes lean towards the pixels' axes [px]
 PROFILES = 12  # across each stroke
-AT_ONCE = 8  # ladders in one cluster of strokes, at most
+LADDERS = 8  # ladders in one cluster of strokes, at most
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,15 @@ class Ladder:
         step = self.strokes.centre[-1] - self.strokes.centre[0]
         slant = float(step @ self.along) / max(abs(float(step @ self.across)), 1.0)
         turn = (self.strokes.along * self.across).sum(1)  # (M,) sines
-        direction = np.hypot(float(np.std(turn)) / np.sqrt(len(turn)), LEANS / self.length)
+        direction = np.hypot(float(np.std(turn)) / np.sqrt(len(turn)), LEAN_PX / self.length)
         return float(np.hypot(self.row.sd / self.row.period, slant * direction))
+
+    @property
+    def askew(self) -> float:
+        """How far the strokes are shifted along themselves from a straight row, rms, as a share of their length."""
+        ahead = self.strokes.centre @ self.along
+        off = ahead - np.polyval(np.polyfit(self.row.number, ahead, 1), self.row.number)
+        return float(np.sqrt((off**2).mean())) / self.length
 
     @property
     def fanned(self) -> float:
@@ -69,7 +76,7 @@ def find_ladders(strokes: Strokes, low: float, high: float, fewest: int) -> Iter
         return
     for cluster in _clusters(strokes, low, high, fewest):
         rest = cluster
-        for _ in range(AT_ONCE):
+        for _ in range(LADDERS):
             ladder, used = _ladder(strokes[rest], low, high, fewest)
             if ladder is None:
                 break
@@ -79,8 +86,8 @@ def find_ladders(strokes: Strokes, low: float, high: float, fewest: int) -> Iter
 
 def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np.ndarray]:
     """Strokes that are linked by being side by side, a few pitches apart at most."""
-    reach = (MISSING + 1) * high
-    pairs = cKDTree(strokes.centre).query_pairs(reach * np.hypot(1, SLANT), output_type="ndarray")
+    reach = (MISSING_IN_A_ROW + 1) * high
+    pairs = cKDTree(strokes.centre).query_pairs(reach * np.hypot(1, STEEPEST_SLANT), output_type="ndarray")
     if not len(pairs):
         return []
     i, j = pairs.T
@@ -90,9 +97,9 @@ def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np
     shorter = np.minimum(strokes.length[i], strokes.length[j])
     longer = np.maximum(strokes.length[i], strokes.length[j])
     overlap = (shorter + longer) / 2 - ahead
-    linked = (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > PARALLEL) & (across > 0.8 * low)
-    linked &= (across < 1.05 * reach) & (longer < UNLIKE * shorter)
-    linked &= (overlap > BESIDE * shorter) | ((ahead < SLANT * across) & (overlap > 0.25 * shorter))
+    linked = (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > RUNGS_PARALLEL) & (across > 0.8 * low)
+    linked &= (across < 1.05 * reach) & (longer < UNLIKE_RUNGS * shorter)
+    linked &= (overlap > RUNGS_BESIDE * shorter) | ((ahead < STEEPEST_SLANT * across) & (overlap > 0.25 * shorter))
     n = len(strokes)
     graph = coo_array((np.ones(linked.sum()), (i[linked], j[linked])), shape=(n, n))
     label = connected_components(graph, directed=False)[1]
@@ -162,12 +169,14 @@ def crowded(ladder: Ladder, strokes: Strokes) -> float:
     first = float(ladder.strokes.centre[0] @ ladder.across)
     place = (strokes.centre @ ladder.across - ladder.row.start) / ladder.row.period
     number, phase = np.floor(place).astype(int), place % 1
-    among = (np.abs(strokes.along @ ladder.along) > PARALLEL) & (phase > BETWEEN) & (phase < 1 - BETWEEN)
+    among = (
+        (np.abs(strokes.along @ ladder.along) > RUNGS_PARALLEL) & (phase > BETWEEN_RUNGS) & (phase < 1 - BETWEEN_RUNGS)
+    )
     among &= (number >= 0) & (number < ladder.row.number[-1]) & (strokes.length > 0.5 * ladder.length)
     # Where the ladder's own strokes are at that place, for a slanted row.
     own = (ladder.strokes.centre - ladder.strokes.centre[0]) @ ladder.along
     there = np.interp(strokes.centre @ ladder.across - first, (ladder.strokes.centre @ ladder.across) - first, own)
-    among &= np.abs(off @ ladder.along - there) < BESIDE * ladder.length
+    among &= np.abs(off @ ladder.along - there) < RUNGS_BESIDE * ladder.length
     return len(np.unique(number[among])) / ladder.row.number[-1]
 
 

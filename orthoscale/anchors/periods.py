@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-NEAR = 0.12  # of the period: what is further from its place in the row is none of the row
-ROUNDS = 3  # of fitting, each with what the one before put in the row
-FINEST = 0.005  # of the period: what scatters less was not built, or measured, better
-MISSING = 2  # in a row at most; beyond, it is another row
+NEAR_PLACE = 0.12  # of the period: what is further from its place in the row is none of the row
+ROW_ROUNDS = 3  # of fitting, each with what the one before put in the row
+FINEST_SCATTER = 0.005  # of the period: what scatters less was not built, or measured, better
+MISSING_IN_A_ROW = 2  # in a row at most; beyond, it is another row
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Row:
 
         By chance a thing is anywhere among those taken for near, of which one sigma is the half width over sqrt(3).
         """
-        return (len(self.number) - 2) * float(np.log(NEAR / np.sqrt(3) / max(self.scatter, FINEST)))
+        return (len(self.number) - 2) * float(np.log(NEAR_PLACE / np.sqrt(3) / max(self.scatter, FINEST_SCATTER)))
 
 
 def find_row(place: np.ndarray, low: float, high: float, fewest: int) -> Row | None:
@@ -69,19 +69,19 @@ def find_row(place: np.ndarray, low: float, high: float, fewest: int) -> Row | N
 
 def _worth(row: Row) -> float:
     """Of two rows in the same things the better: more things, fewer missing, closer to their places."""
-    return len(row.number) * row.filled * (1 - (row.scatter / NEAR))
+    return len(row.number) * row.filled * (1 - (row.scatter / NEAR_PLACE))
 
 
 def _fitted(place: np.ndarray, period: float, start: float, fewest: int) -> Row | None:
-    for _ in range(ROUNDS):
+    for _ in range(ROW_ROUNDS):
         number = np.round((place - start) / period).astype(int)
         away = np.abs(place - start - period * number) / period
-        near = np.flatnonzero(away < NEAR)
+        near = np.flatnonzero(away < NEAR_PLACE)
         if len(near) < fewest:
             return None
         near = near[np.lexsort((away[near], number[near]))]
         near = near[np.unique(number[near], return_index=True)[1]]  # of those at one place the closest
-        run = np.concatenate([[0], np.cumsum(np.diff(number[near]) > MISSING + 1)])
+        run = np.concatenate([[0], np.cumsum(np.diff(number[near]) > MISSING_IN_A_ROW + 1)])
         near = near[run == np.bincount(run).argmax()]
         if len(near) < fewest:
             return None

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..core.anchors import Standard
 
-SEARCHED = 2.0  # sigmas of the scale within which sizes are searched
-DISTORTION = 0.004  # one sigma by which orthophotos stretch locally: tennis courts on 100 American ones
+SIGMAS_SEARCHED = 2.0  # sigmas of the scale within which sizes are searched
+LOCAL_STRETCH = 0.004  # one sigma by which orthophotos stretch locally: tennis courts on 100 American ones
 
 
 def holding(standards: Sequence[Standard], country: str) -> list[Standard]:
@@ -20,7 +20,7 @@ def holding(standards: Sequence[Standard], country: str) -> list[Standard]:
 
 def sizes(standards: Sequence[Standard], gsd: float, gsd_sd: float) -> tuple[float, float]:
     """The smallest and the largest that is searched [px]."""
-    slack = np.exp(SEARCHED * gsd_sd)
+    slack = np.exp(SIGMAS_SEARCHED * gsd_sd)
     metres = [standard.metres for standard in standards]
     return min(metres) / gsd / slack, max(metres) / gsd * slack
 
@@ -30,5 +30,5 @@ def within_reach(standards: Sequence[Standard], pixels: float, gsd: float, gsd_s
     return tuple(
         standard
         for standard in standards
-        if abs(np.log(standard.metres / (pixels * gsd))) <= SEARCHED * np.hypot(gsd_sd, standard.relative_sd)
+        if abs(np.log(standard.metres / (pixels * gsd))) <= SIGMAS_SEARCHED * np.hypot(gsd_sd, standard.relative_sd)
     )

@@ -13,14 +13,14 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-JOINED = np.cos(np.radians(20))  # neighbouring ridge points of one stroke head alike
-ROUND = 0.6  # of the curvature across: more along, and it is a blob
-BENT, BENT_WIDE = 0.1, 0.3  # across, one sigma: what strays more is not straight [px], [of the smoothing]
-ASTRAY = 1.3  # from a first line, beyond which a point is none of its stroke [px]
-FAINT = 1.2  # grey levels of curvature across, below which a ridge is noise
-AT_ONCE = 32000  # places that are looked up in one call
-ALIKE = 0.65  # of the channel that gains most red and green gain at least so much where paint is
-AROUND = 30.0  # how far around, in units of the smoothing
+JOINED_HEADING = np.cos(np.radians(20))  # neighbouring ridge points of one stroke head alike
+ROUND_STROKE = 0.6  # of the curvature across: more along, and it is a blob
+BENT_PX, BENT_WIDE = 0.1, 0.3  # across, one sigma: what strays more is not straight [px], [of the smoothing]
+ASTRAY_PX = 1.3  # from a first line, beyond which a point is none of its stroke [px]
+FAINTEST_STROKE = 1.2  # grey levels of curvature across, below which a ridge is noise
+LOOKED_UP = 32000  # places that are looked up in one call
+AS_PAINT = 0.65  # of the channel that gains most red and green gain at least so much where paint is
+STROKE_SURROUNDINGS = 30.0  # how far around, in units of the smoothing
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ def values(picture: np.ndarray, place: np.ndarray) -> np.ndarray:
     flat = place.reshape(-1, 1, 2).astype(np.float32)
     # One call may hold no more than 32767 places.
     parts = [
-        cv2.remap(picture, flat[k : k + AT_ONCE], None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
-        for k in range(0, len(flat), AT_ONCE)
+        cv2.remap(picture, flat[k : k + LOOKED_UP], None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+        for k in range(0, len(flat), LOOKED_UP)
     ]
     return np.concatenate(parts).reshape(*place.shape[:-1], *picture.shape[2:]).astype(float)
 
@@ -59,7 +59,7 @@ def values(picture: np.ndarray, place: np.ndarray) -> np.ndarray:
 def painted(paint: np.ndarray, ground: np.ndarray) -> bool:
     """Whether `paint` (3,) differs from `ground` (3,) as white or yellow does: brighter, in red and green alike."""
     more = paint - ground
-    return bool(more[:2].min() > ALIKE * max(more.max(), 1.0))
+    return bool(more[:2].min() > AS_PAINT * max(more.max(), 1.0))
 
 
 def find_strokes(light: np.ndarray, sigma: float, shortest: float, among: float = 1.0) -> Strokes:
@@ -74,17 +74,17 @@ def find_strokes(light: np.ndarray, sigma: float, shortest: float, among: float 
     turn = 0.5 * np.arctan2(hxy, half) + np.pi / 2
     nx, ny = np.cos(turn), np.sin(turn)
     shift = -(gx * nx + gy * ny) / np.minimum(least, -1e-6)
-    around = 2 * int(AROUND * sigma) + 1
+    around = 2 * int(STROKE_SURROUNDINGS * sigma) + 1
     energy = cv2.blur(least * least + most * most, (around, around), borderType=cv2.BORDER_REFLECT)
     strength = -least * sigma**2
-    ridge = (np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6) & (np.abs(most) < ROUND * -least)
-    ridge &= strength > np.maximum(FAINT, among * sigma**2 * np.sqrt(np.maximum(energy, 0)))
+    ridge = (np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6) & (np.abs(most) < ROUND_STROKE * -least)
+    ridge &= strength > np.maximum(FAINTEST_STROKE, among * sigma**2 * np.sqrt(np.maximum(energy, 0)))
     y, x = np.nonzero(ridge)
     if len(x) < 2:
         return Strokes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
     point = np.stack([x + (shift * nx)[y, x], y + (shift * ny)[y, x]], -1)
     head = np.stack([-ny[y, x], nx[y, x]], -1)
-    return _straight(point, _joined(ridge, y, x, head), strength[y, x], shortest, BENT + BENT_WIDE * sigma)
+    return _straight(point, _joined(ridge, y, x, head), strength[y, x], shortest, BENT_PX + BENT_WIDE * sigma)
 
 
 def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
@@ -114,7 +114,7 @@ def _joined(ridge: np.ndarray, y: np.ndarray, x: np.ndarray, head: np.ndarray) -
         other = number[y + 1 + dy, x + 1 + dx]
         own = np.flatnonzero(other >= 0)
         other = other[own]
-        alike = np.abs((head[own] * head[other]).sum(1)) > JOINED
+        alike = np.abs((head[own] * head[other]).sum(1)) > JOINED_HEADING
         ends.append(np.stack([own[alike], other[alike]]))
     i, j = np.concatenate(ends, axis=1)
     return connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(x), len(x))), directed=False)[1]
@@ -138,7 +138,7 @@ def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, short
         turn = 0.5 * np.arctan2(2 * xy, xx - yy)
         along = np.stack([np.cos(turn), np.sin(turn)], -1)
         side = np.abs(off[:, 0] * along[number, 1] - off[:, 1] * along[number, 0])
-        kept = side < ASTRAY
+        kept = side < ASTRAY_PX
     t = (off * along[number]).sum(1)
     across = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
     first, last = np.full(len(n), np.inf), np.full(len(n), -np.inf)
