@@ -10,7 +10,7 @@ import click
 
 from ..core.market_segments import AXES
 from ..errors import UsageError
-from .options import PATH, command, debug_option, json_option, option, overwrite_option, say
+from .options import PATH, command, debug_option, json_option, option, overwrite_option, refuse_idle_overwrite, say
 
 if TYPE_CHECKING:
     from ..core.fleet import Fleet
@@ -48,6 +48,7 @@ def fleets(
     """
     from ..fleets import fleet_codes, load_fleet
 
+    refuse_idle_overwrite(overwrite, out)
     if (registrations is None) != (out is None) or (codes and out):
         raise UsageError("--registrations and --out go together, and without codes")
     if registrations is not None and out is not None:
