@@ -1,9 +1,11 @@
-"""The whole program on every real scene of known scale, with three fleets: ``python benchmarks/places.py [BOXES]``.
+"""The whole program on every real scene of known scale, with three fleets.
 
-The scenes are read from ``../shared/data`` or ``ORTHOSCALE_DATA``. With the folder BOXES, the detector runs once on
-each and its boxes are kept there. ``places/``, `boruszyn` and `weedon` had no part in anything that was fitted or
-chosen up to detector version 5; the other four had (README). Coverage comes with its own 90 % interval
-(Clopper and Pearson 1934).
+    python benchmarks/places.py [BOXES [MEASURER]]
+
+The scenes are read from ``../shared/data`` or ``ORTHOSCALE_DATA``. With the folder BOXES, detector and measurer run
+once on each and the boxes are kept there. MEASURER is that of ``--measurer``, none for boxes of the detector alone.
+``places/``, `boruszyn` and `weedon` had no part in anything that was fitted or chosen up to detector version 5; the
+other four had (README). Coverage comes with its own 90 % interval (Clopper and Pearson 1934).
 """
 
 from __future__ import annotations
@@ -65,12 +67,12 @@ def measured(scene: Scene, fleet: str, boxes: Path) -> tuple[float, float, float
     return tuple(float(v / scene.truth - 1) for v in (result.scale.value, *result.scale.interval90))
 
 
-def main(folder: Path) -> None:
+def main(folder: Path, measurer: str | None = None) -> None:
     rows, errors = [], {}
     for scene in scenes():
         boxes = folder / f"{scene.name}.det.json"
         if not boxes.exists():
-            found = orthoscale.estimate(scene.path, fleet=scene.country).detections
+            found = orthoscale.estimate(scene.path, fleet=scene.country, measurer=measurer).detections
             orthoscale.save_detections(found, boxes)
         row = [scene.name, scene.country]
         for fleet in FLEETS:
@@ -108,7 +110,7 @@ def main(folder: Path) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        main(Path(sys.argv[1]))
+        main(Path(sys.argv[1]), *sys.argv[2:])
     else:
         with tempfile.TemporaryDirectory() as scratch:
             main(Path(scratch))

@@ -135,6 +135,7 @@ def test_the_papers_estimator_and_what_it_cannot_take(boxes):
             orthoscale.estimate(TOWN, fleet="DE", detections=boxes, **options)
 
 
+@pytest.mark.slow
 def test_the_command_takes_them_all(boxes):
     command = [sys.executable, "-m", "orthoscale", "estimate", TOWN, "--detections", boxes, "--fleet", "auto",
                "--known-distance", "0,0 1000,0 85 0.5", "--json"]  # fmt: skip

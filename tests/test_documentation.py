@@ -42,6 +42,11 @@ def test_the_summary_of_every_command_fits_a_line_of_80_columns():
         assert len(line) <= 80 and line.endswith(".") and not line.endswith("..."), line
 
 
+@pytest.mark.parametrize("words", [(), *((name,) for name in COMMANDS)])
+def test_help_fits_80_columns(words):
+    assert not [line for line in help_of(*words).splitlines() if len(line) > 80]
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_stands_under_one_heading(name):
     headings = Counter()

@@ -40,6 +40,7 @@ ASKED = {
     "gsd_hint": ("--gsd-hint", "0.2"),
     "images": ("--images", "frames"),
     "refine": ("--refine",),
+    "measurer": ("--measurer", "none"),
     "mode": ("--mode", "planar"),
     "target": ("--target", "0.02"),
     "exhaustive": ("--exhaustive",),
@@ -95,6 +96,10 @@ LINES = {
 }
 OTHER, REFUSED = "another outcome", "refused"
 CASES = {
+    ("report", "schema"): (("--schema",), OTHER),
+    **{(name, "dry_run"): (("--dry-run",), OTHER) for name in ("estimate", "fix", "check")},
+    **{(name, "summary"): (("--summary", "NEW.csv"), OTHER) for name in ("estimate", "fix", "check")},
+    **{(name, "jobs"): (("--jobs", "2"), REFUSED) for name in ("estimate", "fix", "check")},
     ("check", "images"): (("--images", "FOLDER"), REFUSED),
     ("check", "model"): (("--model", "MODEL", "--save-detections", "NEW.json"), REFUSED),
     ("check", "model_detections"): (("--model-detections", "BOXES"), REFUSED),
@@ -259,6 +264,7 @@ def outcome(words, places, folder):
     return SimpleNamespace(code=done.returncode, said=said, error=done.stderr, files=files, folder=folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case[0]} {case[1]}")
 def test_a_commands_own_option_changes_the_outcome_or_is_refused(case, places, tmp_path):
     words, comes, *own = CASES[case]
@@ -319,6 +325,7 @@ def test_an_option_of_calibrate_arrives(name, places, monkeypatch):
     assert given[0][name] != given[1][name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", LINES)
 def test_json_is_printed_where_it_is_asked_for(command, places, tmp_path):
     if "as_json" not in words_of(command):
@@ -369,6 +376,7 @@ TO_WRITE = {  # what of each command may replace what an earlier run wrote
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", TO_WRITE)
 def test_what_an_earlier_run_wrote_is_replaced_on_demand_only(command, places, tmp_path):
     assert {name for name in COMMANDS if "overwrite" in words_of(name)} == {*TO_WRITE, "calibrate"}

@@ -75,6 +75,17 @@ def test_lengths_and_widths_refuse_only_far_apart(measured):
             assert remark_on_shape(0.1, tension).severity == severity
 
 
+def test_lengths_and_widths_far_apart_support_nothing_however_little_is_known(measured):
+    checks = {**measured.scale.checks, "length": 0.7 * measured.scale.checks["width"]}
+    (check,) = [j for j in judgements(scaled(measured, checks=checks, tension=0.1)) if "widths" in j.what]
+    assert check.severity == INFO and check.detail == "lengths give −30.0 % (0.1 sigma)"
+
+
+def test_no_sampling_error_is_made_up_in_a_conflict(measured):
+    (check,) = [j for j in judgements(scaled(measured, parts={"conflict": 0.1})) if "vehicles" in j.what]
+    assert check.severity == INFO and "sampling" not in check.detail
+
+
 @pytest.mark.parametrize("value, severity", [(0.1, SUPPORT), (0.13, INFO)])
 def test_evidence_supports_only_where_it_is_near(measured, value, severity):
     (check,) = [j for j in judgements(with_tape(measured, value, 0.0)) if "evidence" in j.what]

@@ -36,6 +36,7 @@ SAID = {
     "decoder": "yolo-obb",
     "vehicle_classes": ("car",),
     "calibration": "c.json",
+    "measurer": "built-in",
     "zoom": 0.5,
     "gsd_hint": 0.1,
     "images": "frames",

@@ -38,7 +38,7 @@ from ..sources.opening import open_source
 from ..tables import standards
 from .anchors import Searched, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
 from .control import read_control, read_distance
-from .find import find_in
+from .find import find_in, measured_anew
 from .requests import EstimateRequest
 from .result import Result
 from .whose import country_of, fleet_at, named_fleet
@@ -67,6 +67,7 @@ def estimate(
     detector : an ONNX file instead of the shipped one.
     decoder : how to read its outputs, where they do not tell (`detect.output_forms.DECODERS`).
     vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
+    measurer : network that measures the vehicles once more, "built-in", "none" or an ONNX file; see `requests`.
     calibration : file of `orthoscale.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : resampling factor (detector pixels per picture pixel), or the expected metres per pixel, instead of
     the search for it. refine : look at every vehicle four times more, turned and at neighbouring zooms.
@@ -108,7 +109,8 @@ def opened(path: str | Path | Source, request: EstimateRequest) -> Opened:
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
     named = named_fleet(request.fleet, known)
     from_file = request.detections is not None
-    source = open_source(path, request.images, not from_file) if isinstance(path, (str, Path)) else path
+    needs_pictures = not from_file or request.measures is not None
+    source = open_source(path, request.images, needs_pictures) if isinstance(path, (str, Path)) else path
     fleet, why = (named, ()) if named is not None else fleet_at(location_of(source))
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
@@ -137,6 +139,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
             found = load_detections(Path(request.detections), source, request.vehicle_classes)
         else:
             found, choice = _looked_for(source, request, fleet, progress)
+        found = measured_anew(source, found, request, effort_of(request), progress)
         log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
         if asked.calibration is not None:
             found = asked.calibration.applied(found, Path(str(request.calibration)))

@@ -27,6 +27,7 @@ ESTIMATORS = ("robust", "iqr")
 GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options in --help, in this order
 EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
+BUILT_IN = "built-in"
 BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")  # anchors that boxes alone may show
 ANCHORS = (ALL, NONE, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))
 
@@ -181,6 +182,14 @@ class EstimateRequest(VehicleRequest):
         "Detector",
         "Detect every vehicle four more times and take the median box; for inputs with few vehicles.",
     )
+    measurer: str | Path | None = option(
+        None,
+        str,
+        "Detector",
+        "Network that measures vehicles seen from above once more: 'built-in', 'none' or an .onnx file. Default: "
+        "built-in where the built-in detector finds them and there is no --calibration, else none.",
+        metavar="NAME",
+    )
     mode: str | None = option(
         None,
         str,
@@ -251,6 +260,12 @@ class EstimateRequest(VehicleRequest):
         super().__post_init__()
         if self.mode == "planar":
             self._refuse(("projection", "refine"), "--mode planar measures no boxes in frames")
+        if self.mode == "oblique":
+            self._refuse(("measurer",), "--mode oblique measures nothing from above")
+        if self.calibration is not None and self.measures is not None:
+            raise UsageError(
+                "--calibration is of a detector's boxes, and --measurer replaces these", "Give one of them."
+            )
         if self.exhaustive:
             self._refuse(("target",), "--exhaustive visits every tile")
         if self.estimator == "iqr":
@@ -264,6 +279,14 @@ class EstimateRequest(VehicleRequest):
                 "the estimator 'iqr' is the paper's, for vehicles only",
                 "Remove known distances and ground control, or use --estimator robust.",
             )
+
+    @property
+    def measures(self) -> str | None:
+        """BUILT_IN or the file of the network that measures vehicles once more; None where none does."""
+        if self.measurer is None:
+            own = self.detections is None and self.detector is None and self.calibration is None
+            return BUILT_IN if own else None
+        return None if self.measurer == "none" else str(self.measurer)
 
     @property
     def of_detector(self) -> Iterable[str]:
@@ -347,6 +370,7 @@ class EstimateOptions(VehicleOptions, total=False):
 
     images: str | Path | None
     refine: bool
+    measurer: str | Path | None
     mode: str | None
     target: float
     exhaustive: bool

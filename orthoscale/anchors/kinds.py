@@ -23,7 +23,12 @@ class Kind:
     proven: bool = False
 
 
-ANCHOR_KINDS: dict[str, Kind] = {}
+ANCHOR_KINDS: dict[str, Kind] = {
+    "tennis court": Kind("courts:TENNIS", proven=True),
+    "zebra crossing": Kind("crossings:ZebraCrossings"),
+    "lane dashes": Kind("dashes:LaneDashes"),
+    "parking bays": Kind("bays:ParkingBays"),
+}
 
 ALL, NONE, PROVEN = "all", "none", "proven"  # choices beside kinds: of `--anchors`
 

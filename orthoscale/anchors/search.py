@@ -15,7 +15,7 @@ import numpy as np
 from ..core.anchors import Anchor, AnchorFinder, Standard, alike
 from ..core.detections import Tile
 from ..core.source import Picture
-from ..detect.cache import Kept, key_of
+from ..detect.cache import Kept, content_key, tile_name
 from ..detect.order import visiting_order
 from ..detect.tiles import read, tiles
 from ..detect.workers import done_on_threads
@@ -157,7 +157,7 @@ class _Part:
             "gsd": [sorted(self.gsd.items()), self.gsd_sd],
             "country": self.country,
         }
-        return key_of(self.pictures, settings, CODE_OF_FINDERS)
+        return content_key(self.pictures, settings, CODE_OF_FINDERS)
 
 
 def windows_of(picture: Picture, gsd: float, finder: AnchorFinder) -> list[Tile]:
@@ -204,18 +204,17 @@ def each_once(anchors: Sequence[Anchor]) -> list[Anchor]:
     return list(best.values())
 
 
-class AnchorCache(Kept[list[Anchor]]):
-    """Anchors that were found in windows."""
+class AnchorCache(Kept):
+    """Anchors that were found in windows, as a list of objects in JSON."""
 
-    @staticmethod
-    def encode(look: list[Anchor]) -> bytes:
-        """A list of objects in JSON."""
-        return json.dumps([_plain(anchor) for anchor in look]).encode()
+    def get(self, picture: Picture, tile: Tile) -> list[Anchor] | None:
+        """What was found in `tile` before, or None. Raises nothing."""
+        content = self.content(tile_name(picture, tile))
+        return None if content is None else [_anchor(values) for values in json.loads(content)]
 
-    @staticmethod
-    def decode(content: bytes) -> list[Anchor]:
-        """The anchors that `encode` made bytes of."""
-        return [_anchor(values) for values in json.loads(content)]
+    def put(self, picture: Picture, tile: Tile, anchors: Sequence[Anchor]) -> None:
+        """Keep what was found in `tile`. Raises nothing."""
+        self.keep(tile_name(picture, tile), json.dumps([_plain(anchor) for anchor in anchors]).encode())
 
 
 def _plain(value: Any) -> Any:

@@ -91,6 +91,21 @@ class CardEntry(Struct, forbid_unknown_fields=True):
             raise ValueError("usable_length: expected the shorter of two lengths first")
 
 
+class MeasurerCardEntry(Struct, forbid_unknown_fields=True):
+    """`detect.measurer.MeasurerCard`."""
+
+    name: Name
+    ruler: RulerEntry
+    sigma_times: tuple[Annotated[float, Meta(gt=0, le=100)], Annotated[float, Meta(gt=0, le=100)]]
+    effective_height: tuple[Height, Height]
+    body: Name = "car"
+    training: Text = ""
+    licence: Text = ""
+
+    def __post_init__(self) -> None:
+        _check_body(self.body)
+
+
 class Task(Struct):
     """One step of MMDeploy's pipeline; among its transforms is the normalisation."""
 

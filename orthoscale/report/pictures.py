@@ -13,6 +13,7 @@ from ..formats.pictures import write_png
 from .drift_map import drift_panel
 from .lettering import BLACK, WHITE, write_on
 from .scene import CHIP, Outline, Panel, Scene
+from .wording import quantity
 
 USED_RGB, REJECTED_RGB = (0, 214, 255), (255, 106, 0)  # RGB; told apart by people who do not tell green from red
 SHEET_WIDTH = 1100  # of the sheet [px]
@@ -32,10 +33,10 @@ def draw(report: Mapping[str, Any], scene: Scene, path: Path) -> None:
 
 
 def _title(report: Mapping[str, Any]) -> np.ndarray:
-    low, high = report["interval90"]
+    (value, low, high), unit = quantity(report, report["scale"], *report["interval90"])
     used, rejected = report["vehicles_used"], sum(report["vehicles_rejected"].values())
     lines = [
-        f"{report['scale']:.5g} {report['unit']}   90 %: {low:.5g} to {high:.5g}   {report['verdict']}",
+        f"{value} {unit}   90 %: {low} to {high}   {report['verdict']}",
         f"{used} vehicles used (blue), {rejected} rejected (orange), fleet {report['fleet']}; "
         f"{Path(report['input']['path']).name}",
     ]

@@ -12,6 +12,7 @@ import argparse
 import json
 import multiprocessing
 import os
+import resource
 import shlex
 import sys
 import tempfile
@@ -99,7 +100,8 @@ def main() -> int:
         print(table(outcomes, [name for name in commands.CLASSES if any(o.name == name for o in outcomes)]))
         options.failures.parent.mkdir(exist_ok=True)
         options.failures.write_text("".join(json.dumps(asdict(o)) + "\n" for o in failed))
-        cpu = sum(o.cpu for o in outcomes)
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)  # corpus, workers and all that they started
+        cpu = usage.ru_utime + usage.ru_stime
         print(f"\n{len(outcomes)} inputs in {time.monotonic() - begin:.0f} s ({cpu:.0f} s of the processor), "
               f"{len(failed)} with problems" + (f", listed in {options.failures}" if failed else ""))  # fmt: skip
     return int(bool(failed))
