@@ -22,7 +22,7 @@ CONFLICT_HINT = "Check the given evidence, the anchors (--anchors) and the boxes
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
 ALONE = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
-SAME = 2.0  # sigmas within which two measurements support each other
+SUPPORTS = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
 SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
@@ -171,7 +171,7 @@ def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[li
             if other.kind != e.kind and other.doubt <= STRONG:
                 there = other.posterior
                 apart = np.abs(modes.mean[:, None] - there.mean) / np.hypot(modes.sd[:, None], there.sd)
-                counts |= (apart < SAME).any(1)
+                counts |= (apart < SUPPORTS).any(1)
         if counts.any():
             heard.append(e.only(counts))
         else:
