@@ -1,5 +1,7 @@
 """What anchors do to a scale: right ones narrow it honestly, wrong ones never move it far, contradictions are said."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.anchors import vote
@@ -112,6 +114,17 @@ def test_many_of_a_kind_are_not_independent():
     assert sds[0] == pytest.approx(np.hypot(0.01, 0.003))
     assert sds[1] == pytest.approx(np.sqrt(0.01**2 * (SHARED + (1 - SHARED) / 4) + 0.003**2), rel=0.01)
     assert sds[2] == pytest.approx(np.sqrt(0.01**2 * SHARED + 0.003**2), rel=0.01)
+
+
+def test_what_all_on_one_ground_have_in_common_stays_however_many_kinds_there_are():
+    """Vehicles and anchors of a model err alike by its ground, by 1 %; a tape does not."""
+    kinds = [replace(vote(kind, 0.01, 0.002, COURT), shared_sd=0.01) for kind in ("court", "dashes", "bays")]
+    (one, *_) = evidence_of(kinds)
+    assert one.relative_sd == pytest.approx(np.sqrt(0.002**2 + 0.003**2 + 0.01**2))
+    got = together(kinds)
+    assert 0.01 < got.posterior.spread < 0.0105 and np.log(got.summary[0]) == pytest.approx(0.01, abs=0.0003)
+    taped = together(kinds, tape=Evidence("known distance", 1.0, 0.001, "a tape"))
+    assert taped.posterior.spread < 0.001 and np.log(taped.summary[0]) == pytest.approx(0.0, abs=0.0003)
 
 
 def test_an_odd_one_among_many_does_not_count():

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..core.anchors import Anchor
+from ..core.anchors import Anchor, Standard
 from .court_fit import CourtFit, fit_court
 from .court_models import (
     BASKETBALL_COURTS,
@@ -99,6 +99,11 @@ class CourtFinder:
     even: float = EVEN
     finest: float = 0.05
     coarsest: float = 0.55
+
+    @property
+    def standards(self) -> tuple[Standard, ...]:
+        """That of each court."""
+        return tuple(court.standard for court in self.courts)
 
     @property
     def extent(self) -> float:
