@@ -7,7 +7,7 @@ INSTALLED := .venv/.installed
 JOBS ?= auto
 PYTEST := $(BIN)/python -m pytest -rs -n $(JOBS) --dist loadscope
 
-.PHONY: coverage demo test fast fuzz lint types wheel
+.PHONY: coverage demo docs test fast fuzz lint mutants qgis types wheel
 
 demo: $(INSTALLED)
 	$(BIN)/python examples/demo.py
@@ -21,6 +21,10 @@ fast: $(INSTALLED)
 # Lines of the package that the suite runs in its own processes; build/coverage/index.html shows which it does not.
 coverage: $(INSTALLED)
 	$(PYTEST) --cov --cov-report=term:skip-covered --cov-report=html:build/coverage
+
+# Changes of the program that a test must notice, made one at a time in this very folder and put back.
+mutants: $(INSTALLED)
+	$(BIN)/python -m tests.mutants
 
 # All of the damage campaign, about 20 minutes on two cores; FUZZ=--short takes about one.
 fuzz: $(INSTALLED)
@@ -36,6 +40,17 @@ types: $(INSTALLED)
 wheel: $(INSTALLED)
 	rm -rf dist
 	$(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .
+
+# The documentation site, in build/site; a link or heading that is not there is an error.
+docs: $(INSTALLED)
+	$(BIN)/pip install --quiet --editable ".[docs]"
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
+# The QGIS plugin, to be installed from its ZIP.
+qgis:
+	mkdir -p build
+	rm -rf build/orthoscale_qgis.zip qgis/orthoscale_qgis/__pycache__
+	cd qgis && $(PYTHON) -m zipfile -c ../build/orthoscale_qgis.zip orthoscale_qgis
 
 $(INSTALLED): pyproject.toml
 	$(PYTHON) -m venv .venv

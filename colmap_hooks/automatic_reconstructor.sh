@@ -32,6 +32,9 @@ if [ -d "$workspace/sparse_metric" ] && { [ -d "$workspace/dense_metric" ] || [ 
     exit 0
 fi
 if [ ! -d "$workspace/sparse_metric" ]; then
+    for program in colmap orthoscale; do # before the hours that COLMAP takes
+        command -v $program >/dev/null || { echo "error: $program is not there: install it, or put it on PATH" >&2; exit 127; }
+    done
     colmap automatic_reconstructor "$@"
     # shellcheck disable=SC2086  # options are words
     "$here/post_sparse.sh" "$workspace" --images "$images" ${ORTHOSCALE_OPTIONS:-}

@@ -13,6 +13,10 @@ workspace=$1 result=$2
 shift 2
 if [ $# -gt 0 ]; then shift; fi
 
+if [ -n "${GSPLAT:-}" ] && [ ! -f "$GSPLAT/examples/simple_trainer.py" ]; then
+    echo "error: $GSPLAT/examples/simple_trainer.py is not there: set GSPLAT to a clone of gsplat" >&2
+    exit 127
+fi
 "$(dirname "$0")/post_sparse.sh" "$workspace" "$@"
 model="$workspace/sparse_metric"
 if [ -f "$model/models.json" ]; then # several: the trainer takes one, the first

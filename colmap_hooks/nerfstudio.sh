@@ -15,6 +15,9 @@ method=
 if [ $# -gt 0 ] && [ "$1" != "--" ]; then method=$1; shift; fi
 if [ $# -gt 0 ]; then shift; fi
 
+for program in ns-process-data ${method:+ns-train}; do
+    command -v "$program" >/dev/null || { echo "error: $program is not there: activate nerfstudio's environment" >&2; exit 127; }
+done
 "$(dirname "$0")/post_sparse.sh" "$workspace" "$@"
 model="$workspace/sparse_metric"
 if [ -f "$model/models.json" ]; then # several: nerfstudio takes one, the first

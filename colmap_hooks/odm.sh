@@ -11,6 +11,7 @@ case ${1:-} in -h | --help) sed -n '2,/^set /s/^# \{0,1\}//p' "$0"; exit 0 ;; es
 [ $# -ge 1 ] || { echo "usage: $0 PROJECT [orthoscale options]" >&2; exit 2; }
 project=$1
 shift
+command -v orthoscale >/dev/null || { echo "error: orthoscale is not there: pip install orthoscale, or put it on PATH" >&2; exit 127; }
 if [ -f "$project/opensfm_metric/sim3.json" ]; then
     echo "$project/opensfm_metric is there already"
 else

@@ -14,4 +14,5 @@ if [ -f "$workspace/sparse_metric/sim3.json" ] || [ -f "$workspace/sparse_metric
     echo "$workspace/sparse_metric is there already; nothing to do"
     exit 0
 fi
+command -v orthoscale >/dev/null || { echo "error: orthoscale is not there: pip install orthoscale, or put it on PATH" >&2; exit 127; }
 exec orthoscale fix "$workspace/sparse" --out "$workspace/sparse_metric" "$@"

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 from shapely import Polygon
 
-from orthoscale.core.boxes import Boxes, distinct, matched, overlap, suppress
+from orthoscale.core import boxes as core_boxes
+from orthoscale.core.boxes import Boxes, distinct, matched, overlap, overlapping, suppress
 
 
 def boxes(*rows, score=None):
@@ -128,6 +130,32 @@ def test_a_fault_names_the_box():
     assert Boxes(np.array([good, bad]), [1, 1]).fault() is None
     assert Boxes(np.array([good, bad]), [1, 1]).fault(320, 240)[0] == 1
     assert Boxes(np.array([good]), [1], [[-0.1, 0.1]]).fault() == (0, "has a sigma that is no share")
+
+
+def crowd(n, side, seed):
+    rng = np.random.default_rng(seed)
+    size = rng.uniform([15, 6], [60, 25], (n, 2))
+    return Boxes(np.column_stack([rng.uniform(0, side, (n, 2)), size, rng.uniform(-1.5, 1.5, n)]), rng.uniform(0, 1, n))
+
+
+@pytest.mark.parametrize("iou", [0.15, 0.3, 0.5])
+def test_the_pairs_that_overlap_are_those_of_all_pairs(iou):
+    a, b = crowd(150, 150, 0), crowd(200, 150, 1)
+    i, j = (k.ravel() for k in np.indices((150, 200)))
+    every = overlap(a.xylwa[i], b.xylwa[j])
+    found = overlapping(a, b, iou)
+    assert list(zip(*found[:2], strict=True)) == list(zip(i[every >= iou], j[every >= iou], strict=True))
+    assert found[2] == pytest.approx(every[every >= iou])
+
+
+def test_few_of_the_pairs_in_a_crowd_are_clipped(monkeypatch):
+    """Clipping is what costs: a hundred thousand boxes take seconds."""
+    clipped = []
+    monkeypatch.setattr(core_boxes, "_overlap", lambda a, b: clipped.append(len(a)) or np.zeros(len(a)))
+    many = crowd(3000, 800, 0)
+    neighbours = sum(len(row) for row in cKDTree(many.centre).query_ball_point(many.centre, 50)) / 2
+    distinct(many)
+    assert 0 < sum(clipped) < 0.1 * neighbours
 
 
 def test_many_boxes_on_one_another_leave_one():

@@ -121,7 +121,9 @@ def test_write(made, form, tmp_path):
     model, _ = made
     folder = save(model, tmp_path / "m", form)
     (folder / "project.ini").write_text("log_level=0\n")
-    (folder / "points3D.ply").write_text("ply\n")
+    unscaled = ("points3D.ply", "mesh.off", "splat.spz", "cloud.laz", "depth.npz")  # in the old units
+    for name in unscaled:
+        (folder / name).write_text("ply\n")
     (folder / "notes.txt").symlink_to(Path(__file__))
     before = {p.name: p.read_bytes() for p in folder.iterdir()}
     out = tmp_path / "out"
@@ -130,7 +132,7 @@ def test_write(made, form, tmp_path):
     assert source.input_format == form and not source.metric_already
     source.write(out, 14.157)
     assert any("project.ini" in n for n in source.notes)
-    assert any("points3D.ply" in n and "left in" in n for n in source.notes)
+    assert all(any(name in n and "left in" in n for n in source.notes) for name in unscaled)
     assert any("notes.txt" in n and "symbolic links" in n for n in source.notes)
     assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
 
@@ -359,6 +361,7 @@ def cuts(size: int) -> list[int]:
     return sorted({int(k * (size - 1) / 19) for k in range(20)})
 
 
+@pytest.mark.slow
 def test_damaged_models_cost_little_memory_and_time(plain, tmp_path):
     """150 models, in a process of their own: cut, with forged counts, with random bytes, with files swapped."""
     random = np.random.default_rng(0)

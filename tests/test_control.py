@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.in_process import run
 
 import orthoscale
 from orthoscale.errors import EvidenceDisagrees, InputError, UsageError
@@ -49,14 +50,17 @@ def test_a_distance_that_contradicts_the_vehicles_writes_nothing(boxes, tmp_path
     with pytest.raises(EvidenceDisagrees, match="conflict: vehicles: 0.08.*known distance of 170 m"):
         orthoscale.fix(TOWN, tmp_path / "out.tif", **options)
     assert not list(tmp_path.iterdir())
+    words = ("--detections", boxes, "--fleet", "DE", "--known-distance", "0,0 1000,0 170 1")
+    said = run("estimate", TOWN, *words)
+    assert said.returncode == 4 and "conflict" in said.stderr and "unusable" in said.stdout
 
 
 def test_a_court_among_the_boxes_counts_unless_told_otherwise(boxes):
     court = boxes.with_name("court.json")
     seen = orthoscale.estimate(TOWN, fleet="world", detections=court)
-    assert [e.kind for e in seen.scale.evidence] == ["tennis-court"]
+    assert [e.kind for e in seen.scale.evidence] == ["tennis court"]
     assert seen.scale.value == pytest.approx(GSD, rel=0.02)
-    blind = orthoscale.estimate(TOWN, fleet="world", detections=court, surroundings=False)
+    blind = orthoscale.estimate(TOWN, fleet="world", detections=court, anchors=["none"])
     assert not blind.scale.evidence and blind.scale.relative_sd > 2 * seen.scale.relative_sd
     save_detections(seen.detections, boxes.with_name("again.json"))
     again = orthoscale.estimate(TOWN, fleet="world", detections=boxes.with_name("again.json"))
@@ -120,7 +124,7 @@ def test_every_projection_measures_a_model(projection, off):
 def test_the_papers_estimator_and_what_it_cannot_take(boxes):
     result = orthoscale.estimate(TOWN, fleet="DE", detections=boxes, estimator="iqr")
     assert result.scale.value == pytest.approx(GSD, rel=0.03) and set(result.scale.parts) == {"sampling"}
-    assert "paper's estimator" in result.scale.remarks[0]
+    assert "paper's estimator" in result.scale.remarks[0].text
     for options, why in (
         ({"estimator": "iqr", "known_distance": ["0,0 9,9 1"]}, "for vehicles only"),
         ({"projection": "exact"}, "an orthophoto has none"),
@@ -131,6 +135,7 @@ def test_the_papers_estimator_and_what_it_cannot_take(boxes):
             orthoscale.estimate(TOWN, fleet="DE", detections=boxes, **options)
 
 
+@pytest.mark.slow
 def test_the_command_takes_them_all(boxes):
     command = [sys.executable, "-m", "orthoscale", "estimate", TOWN, "--detections", boxes, "--fleet", "auto",
                "--known-distance", "0,0 1000,0 85 0.5", "--json"]  # fmt: skip

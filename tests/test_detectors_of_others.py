@@ -382,7 +382,7 @@ def test_a_court_in_two_tiles_counts_once_and_becomes_evidence():
         {"name": "court.png", "width": 2000, "height": 1000, "picture_names": ["court.png"], "unit": "m/px"},
     )()
     scale = measure(PlanGeometry.of(source, detections), load_fleet("DE"), Method(standards=standards())).scale
-    (evidence,) = [e for e in scale.evidence if e.kind == "tennis-court"]
+    (evidence,) = [e for e in scale.evidence if e.kind == "tennis court"]
     assert evidence.value == pytest.approx(0.1, rel=0.002)
 
 

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import ast
+import json
 import re
 import tomllib
 from collections import Counter
 from pathlib import Path
 
 import click
+import jsonschema
 import pytest
 from click.testing import CliRunner
+from support.reports import car_park
 
+import orthoscale
 from orthoscale.actions.requests import GROUPS
 from orthoscale.cli.main import COMMANDS, cli
+from orthoscale.report.schema import report_schema
 
 ROOT = Path(__file__).parent.parent
 PAGES = [
     path
-    for pattern in ("*.md", "docs/*.md", "*/README.md", "orthoscale/detect/weights/README.md")
+    for pattern in ("*.md", "docs/*.md", "docs/*/*.md", "*/README.md", "orthoscale/detect/weights/README.md")
     for path in sorted(ROOT.glob(pattern))
 ]
 PICTURE_OR_LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
@@ -34,6 +40,11 @@ def test_the_summary_of_every_command_fits_a_line_of_80_columns():
     for name in COMMANDS:
         (line,) = [line for line in lines if line.split()[:1] == [name]]
         assert len(line) <= 80 and line.endswith(".") and not line.endswith("..."), line
+
+
+@pytest.mark.parametrize("words", [(), *((name,) for name in COMMANDS)])
+def test_help_fits_80_columns(words):
+    assert not [line for line in help_of(*words).splitlines() if len(line) > 80]
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -78,6 +89,39 @@ def test_files_that_a_page_names_are_there(page):
         assert (ROOT / name).exists(), f"{page.name} names {name}"
 
 
+def test_the_site_has_fewer_than_6000_words_of_prose():
+    """Beside the reference: tables, code, and what is made of docstrings and of the command line do not count."""
+    prose = []
+    for page in (ROOT / "docs").rglob("*.md"):
+        if page.name == "pypi.md" or page.parent.name == "reference":
+            continue
+        text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+        prose += re.sub(r"^\|.*$", "", text, flags=re.MULTILINE).split()
+    assert len(prose) < 6000
+
+
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))], ids=lambda page: page.name
+)
+def test_python_on_a_page_can_be_read_and_names_what_is_there(page):
+    for block in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
+        ast.parse(block)
+        for name in re.findall(r"\borthoscale\.(\w+)\(", block):
+            assert name in orthoscale.__all__, f"{page.name} calls orthoscale.{name}"
+
+
+def test_the_published_schema_is_that_of_the_code_and_holds_for_a_report(tmp_path):
+    """Made anew by `orthoscale report --schema > docs/reference/report.schema.json`."""
+    published = json.loads((ROOT / "docs/reference/report.schema.json").read_text())
+    assert published == report_schema()
+    car_park(tmp_path)
+    report = orthoscale.estimate(tmp_path / "park.png", fleet="DE", detections=tmp_path / "detections.json").to_dict()
+    jsonschema.validate(report, published)
+    for broken in ({**report, "interval90": [0.1]}, {**report, "scale": -1}, {**report, "vehicles": [{}]}):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(broken, published)
+
+
 def test_names_in_the_glossary_are_in_the_code():
     rows = re.findall(r"^\|.*\|([^|]*)\|$", (ROOT / "docs" / "glossary.md").read_text(), re.MULTILINE)
     code = "\n".join(path.read_text() for path in sorted((ROOT / "orthoscale").rglob("*.py")))
@@ -101,7 +145,7 @@ def test_the_long_options_that_pages_name_exist():
         for option in cli.get_command(click.Context(cli), name).params
         for each in (*option.opts, *option.secondary_opts)
     }
-    pages = [page for page in PAGES if page.parent in (ROOT / "docs", ROOT) or page.parent.name == "colmap_hooks"]
+    pages = [page for page in PAGES if ROOT / "docs" in page.parents or page.parent in (ROOT, ROOT / "colmap_hooks")]
     commands = re.compile(r"^ *orthoscale (.*?)(?:  +#.*)?$", re.MULTILINE)
     for page in pages:
         for line in commands.findall(page.read_text()):

@@ -1,16 +1,25 @@
 """Drift of the scale within a picture: found where there is one, silent where there is none."""
 
+import json
+from types import SimpleNamespace
+
+import cv2
 import numpy as np
 import pytest
 
+import orthoscale
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.measuring.drift import FEWEST, Drift, drift
+from orthoscale.core.measuring import judgement
+from orthoscale.core.measuring.drift import FEWEST, Drift, drift, with_drift
 from orthoscale.core.measuring.vehicles import vehicle_table
+from orthoscale.core.pooling.posterior import Z90
 from orthoscale.core.pooling.robust import pool
+from orthoscale.core.remarks import CAUTION, REFUSAL, SUPPORT
 from orthoscale.core.ruler import Ruler
+from orthoscale.core.scale import Scale
 from orthoscale.core.votes import gather
+from orthoscale.errors import EvidenceDisagrees
 from orthoscale.fleets import load_fleet
-from orthoscale.report import document, judgement
 
 WIDTH, HEIGHT, GSD = 8000, 6000, 0.1
 
@@ -72,13 +81,79 @@ def test_vehicles_in_one_corner_are_no_drift():
     assert result.remark == "" and result.p_tilt == 1.0
 
 
+def scale_of_whole(sd=0.025):
+    used = np.ones(50, bool)
+    low, high = GSD * np.exp(-Z90 * sd), GSD * np.exp(Z90 * sd)
+    checks = {"length": GSD, "width": GSD}
+    return Scale(GSD, "m/px", (low, high), {"fleet": sd}, checks, (0.5, 0.5), 0.0, "DE", "good", used, [""] * 50)
+
+
 @pytest.mark.parametrize("p, tilt, drifts", [(0.007, 0.05, False), (0.004, 0.003, False), (0.004, 0.05, True)])
 def test_one_judgement_of_drift(p, tilt, drifts):
     """Warned of and shown alike: not what chance makes, not what nobody need know."""
     found = Drift(np.empty((0, 5)), (1.0, 1.0), tilt, 0.01, 0.0, p, 0.0, 1.0)
-    assert found.drifts is drifts and bool(found.remark) is drifts
-    report = {"unit": "m/px", "scale": 0.1, "interval90": [0.08, 0.12], "drift": document.drift_values(found)}
-    assert judgement._places(report).state == ("look" if drifts else "ok")
+    assert found.drifts is drifts and bool(found.remark) is drifts and (found.amplitude > 0) is drifts
+    told = SimpleNamespace(drift=found, scale=scale_of_whole(), remarks=[], modes={})
+    assert judgement._places(told).severity == (CAUTION if drifts else SUPPORT)
+
+
+@pytest.mark.parametrize(
+    "amplitude, sd, word",
+    [
+        (0.0, 0.025, "good"),
+        (0.04, 0.025, "good"),  # within the interval of 8 %, and 1.2 % of one sigma beside 2.5 %
+        (0.07, 0.025, "fair"),  # 2.0 % and 2.5 % are 3.2 %
+        (0.05, 0.010, "fair"),  # 1.4 % and 1.0 % are still good; but the ends exclude each other's scale
+        (0.30, 0.025, "poor"),
+        (0.52, 0.025, "unusable"),  # from 15 % of one sigma
+    ],
+)
+def test_a_drift_is_a_part_of_the_uncertainty_and_lowers_the_verdict(amplitude, sd, word):
+    before = scale_of_whole(sd)
+    after = with_drift(before, amplitude, ["the scale drifts"] if amplitude else [])
+    assert after.verdict == word and after.value == before.value
+    # Of a change that is spread evenly over the source, one sigma is the amplitude over the root of twelve.
+    evenly = np.linspace(-amplitude / 2, amplitude / 2, 100_001).std()
+    assert after.relative_sd == pytest.approx(np.hypot(sd, evenly), rel=1e-4)
+    assert np.log(after.interval90[1] / after.interval90[0]) == pytest.approx(2 * Z90 * after.relative_sd, rel=1e-9)
+    severities = [remark.severity for remark in after.remarks]
+    assert severities == ([] if amplitude == 0 else [REFUSAL if word == "unusable" else CAUTION])
+
+
+@pytest.mark.parametrize("change, verdicts", [(0.02, {"good", "fair"}), (0.25, {"poor"}), (0.6, {"unusable"})])
+def test_a_scene_whose_scale_drifts_is_judged_by_it(tmp_path, change, verdicts):
+    """Cars of known size in a picture whose pixels grow from left to right: found, measured and judged as a whole."""
+    park = drifting_park(tmp_path, change)
+    result = orthoscale.estimate(park, fleet="DE", detections=tmp_path / "detections.json", anchors=["none"])
+    scale = result.scale
+    assert scale.verdict in verdicts
+    local = GSD * (1 + change * np.linspace(-0.5, 0.5, 101))
+    inside = (local > scale.interval90[0]) & (local < scale.interval90[1])
+    assert inside.mean() > 0.8, "the interval is that of any place"
+    assert ("drift" in scale.parts) == (change > 0.02)
+    if verdicts != {"unusable"}:
+        assert result.disagreement is None
+    else:
+        with pytest.raises(EvidenceDisagrees, match=r"the scale grows by \d\d\.\d % towards the right"):
+            result.require_useful()
+
+
+def drifting_park(folder, change):
+    """400 cars on a picture of 2000 x 1500 px whose GSD grows by `change` from its left side to its right."""
+    random = np.random.default_rng(11)
+    place = random.permutation(np.stack(np.meshgrid(np.arange(25), np.arange(16)), -1).reshape(-1, 2)) * (78, 90) + 60
+    local = GSD * (1 + change * (place[:, :1] / 2000 - 0.5))
+    sizes = load_fleet("DE").sample(random, len(place))[:, :2] / local
+    boxes = [
+        {"cx": float(x), "cy": float(y), "length": float(a), "width": float(b), "angle": 0.3, "score": 0.9}
+        for (x, y), (a, b) in zip(place, sizes, strict=True)
+    ]
+    cv2.imwrite(str(folder / "park.png"), np.zeros((1500, 2000, 3), np.uint8))
+    head = {"detector": "known", "detector_sha256": "", "zoom": 1.0, "effective_height": [0.7, 0.5]}
+    ruler = {"margin": [0.0, 0.0], "margin_sd": [0.1, 0.1], "noise": [0.3, 0.3]}
+    text = json.dumps({**head, "ruler": ruler, "pictures": {"park.png": boxes}})
+    (folder / "detections.json").write_text(text)
+    return folder / "park.png"
 
 
 def test_boxes_that_are_all_alike_show_no_drift(capfd):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from orthoscale.core.evidence import Evidence, combined, ground_control, known_distance
-from orthoscale.core.measuring.objects import standard_object
+from orthoscale.core.measuring.objects import standard_objects
+from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.tables import known_objects
 
@@ -27,7 +28,8 @@ def test_two_that_contradict_each_other_are_reported_and_not_averaged():
     value, low, high = together.summary
     assert value == pytest.approx(0.14) and low < 0.10 and high > 0.14
     assert together.conflict == pytest.approx(np.log(1.4) / np.hypot(0.05, 0.01))
-    assert together.remarks == ["conflict: vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart"]
+    (remark,) = together.remarks
+    assert remark.text == "conflict: vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart" and remark.severity == "refusal"
 
 
 def test_evidence_chooses_between_two_possibilities():
@@ -73,14 +75,14 @@ def test_ground_control_is_a_similarity_wherever_its_axes_point():
 
 
 def scale_by(kind, size, pixel):
-    return standard_object(kind, known_objects().get(kind, []), size, pixel)
+    place = 1000.0 * np.arange(2 * len(size)).reshape(-1, 2)
+    found = evidence_of(standard_objects(kind, known_objects().get(kind, []), size, pixel, place))
+    return found[0] if found else None
 
 
 def test_courts_and_containers_are_told_apart_by_their_shape():
     pixel = np.full(2, 1.0)
-    court = standard_object(
-        "tennis-court", known_objects().get("tennis-court", []), np.array([[237.7, 109.7], [238.5, 110.0]]), pixel
-    )
+    court = scale_by("tennis-court", np.array([[237.7, 109.7], [238.5, 110.0]]), pixel)
     assert court.value == pytest.approx(0.1, rel=0.01) and court.relative_sd < 0.02
     boxes = np.array([[121.9, 24.4], [60.6, 24.4]])  # 40 and 20 feet
     assert scale_by("container", boxes, pixel).value == pytest.approx(0.1, rel=0.01)

@@ -11,7 +11,8 @@ from orthoscale.errors import InputError
 from orthoscale.report.explanation import explain, in_words
 
 REPORT = {
-    "scale": 0.1, "unit": "m/px", "vehicles_used": 20, "fleet": "WORLD", "verdict": "poor", "remarks": ["a remark"],
+    "scale": 0.1, "unit": "m/px", "vehicles_used": 20, "fleet": "WORLD", "verdict": "poor",
+    "remarks": [{"severity": "caution", "text": "a remark"}],
     "uncertainty": {"sampling": 0.03, "fleet": 0.06, "margin": 0.02, "geometry": 0.0},
 }  # fmt: skip
 
@@ -43,6 +44,15 @@ def test_a_conflict_comes_first():
     assert "which measurement is wrong" in found["halve"] and not found["remedies"]
 
 
+def test_what_drifts_is_not_mended_by_a_known_distance():
+    found = explain({**REPORT, "uncertainty": {"fleet": 0.03, "drift": 0.04}})
+    assert "No known distance halves it" in found["halve"] and "straighten the input" not in found["halve"]
+    little = explain({**REPORT, "uncertainty": {"fleet": 0.04, "drift": 0.01}})
+    needed = float(little["halve"].split("good to ")[1].split(" %")[0]) / 100
+    left = np.hypot(1 / np.sqrt(1 / 0.04**2 + 1 / needed**2), 0.01)
+    assert left == pytest.approx(np.hypot(0.04, 0.01) / 2, rel=0.03)
+
+
 @pytest.mark.parametrize("report", [{}, [], {**REPORT, "uncertainty": {}}, {**REPORT, "uncertainty": {"fleet": "x"}},
                                     {**REPORT, "scale": None}])  # fmt: skip
 def test_what_is_no_report_is_refused(report):
@@ -50,6 +60,7 @@ def test_what_is_no_report_is_refused(report):
         explain(report)
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path):
     path = tmp_path / "report.json"
     path.write_text(json.dumps(REPORT))

@@ -18,6 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.geometry import dense_workspace
 
+pytestmark = pytest.mark.slow  # each starts shells, and Python in them
 ROOT = Path(__file__).parent.parent
 HOOKS = ROOT / "colmap_hooks"
 EXAMPLE = ROOT / "examples" / "sheffield"
@@ -166,9 +167,50 @@ def test_what_is_missing_is_named(bench):
     assert bench.log.read_text() == ""
 
 
+@pytest.mark.parametrize(
+    ("hook", "missing", "arguments"),
+    [
+        ("post_sparse.sh", "orthoscale", ["W"]),
+        ("odm.sh", "orthoscale", ["W"]),
+        ("automatic_reconstructor.sh", "colmap", ["--workspace_path", "W", "--image_path", "W"]),
+        ("nerfstudio.sh", "ns-process-data", ["W", "OUT"]),
+        ("gsplat.sh", "simple_trainer.py", ["W", "OUT"]),
+    ],
+)
+def test_a_program_that_is_not_there_is_named(bench, hook, missing, arguments):
+    """On a PATH with nothing but what every system has."""
+    for name in ("sh", "dirname", "sed"):
+        (bench.bin / name).symlink_to(shutil.which(name))
+    (bench.bin / "orthoscale").unlink()
+    words = [str(bench.work) if word == "W" else word for word in arguments]
+    environment = {"PATH": str(bench.bin), "GSPLAT": str(bench.work)}
+    done = subprocess.run([HOOKS / hook, *words], env=environment, capture_output=True, text=True)
+    assert done.returncode == 127 and f"{missing} is not there" in done.stderr, done.stderr
+    assert len(done.stderr.splitlines()) == 1 and not (bench.work / "sparse_metric").exists()
+
+
+@pytest.mark.skipif(shutil.which("colmap") is None, reason="COLMAP is not installed (apt-get install colmap)")
+def test_colmap_itself_reads_the_metric_model(bench):
+    """The real program; that it takes the similarity transform is in test_rescale."""
+    pycolmap = pytest.importorskip("pycolmap")
+    bench.sparse()
+    bench.run("post_sparse.sh", bench.work, *OPTIONS)
+    metric, text = bench.work / "sparse_metric", bench.work / "text"
+    text.mkdir()
+    command = ["colmap", "model_converter", "--input_path", metric, "--output_path", text, "--output_type", "TXT"]
+    environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen"}
+    done = subprocess.run(list(map(str, command)), env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    scale = json.loads((metric / "sim3.json").read_text())["scale"]
+    images = pycolmap.Reconstruction(str(text)).images
+    for number, old in pycolmap.Reconstruction(str(bench.work / "sparse/0")).images.items():
+        assert np.allclose(images[number].projection_center(), scale * old.projection_center(), rtol=1e-5, atol=1e-5)
+
+
 @pytest.mark.parametrize("hook", ["post_sparse", "post_dense", "nerfstudio", "gsplat"])
 def test_a_hook_hands_the_exit_code_on(bench, hook):
     bench.sparse()
+    bench.program("ns-process-data", "")
     (bench.work / "sparse/0/points3D.bin").write_bytes(b"cut")
     end = [bench.work.parent / "out"] if hook in ("nerfstudio", "gsplat") else []
     run = subprocess.run([HOOKS / f"{hook}.sh", bench.work, *end], env=bench.environment, capture_output=True)

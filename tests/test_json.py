@@ -43,9 +43,11 @@ CARD = {
 }  # fmt: skip
 SIZE = {"mean": 4.4, "sd": 0.4, "mean_sd": 0.1}
 REPORT = {
-    "format": "orthoscale report 1", "scale": 0.1, "unit": "m/px", "interval90": [0.09, 0.11], "verdict": "good",
+    "format": "orthoscale report 2", "fit": "", "judgements": [],
+    "scale": 0.1, "unit": "m/px", "interval90": [0.09, 0.11], "verdict": "good",
     "uncertainty": {"sampling": 0.01}, "vehicles_used": 9, "fleet": "DE", "vehicles_rejected": {}, "boxes_rejected": {},
-    "fleet_sizes": {"length": SIZE, "width": SIZE, "classes": []}, "checks": {}, "notes": [], "settings": {},
+    "fleet_sizes": {"length": SIZE, "width": SIZE, "classes": []}, "checks": {}, "settings": {},
+    "remarks": [{"severity": "info", "text": "a remark"}],
     "input": {"path": "a.tif", "sha256": ""}, "pictures": {"a.tif": [320, 240]}, "vehicles": [],
 }  # fmt: skip
 POSE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 5], [0, 0, 0, 1]]

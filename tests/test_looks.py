@@ -41,10 +41,20 @@ def test_both_looks_agree_and_are_pooled(flight, found):
     oblique, planar = (measured.modes[name].scale.value for name in ("oblique", "planar"))
     assert planar == pytest.approx(oblique, rel=0.02)
     assert min(oblique, planar) <= measured.scale.value <= max(oblique, planar)
-    assert not measured.agreement.contradicts and "planar gives" in measured.scale.remarks[-1]
+    assert not measured.agreement.contradicts and "planar gives" in measured.scale.remarks[-1].text
     parts = measured.scale.parts
     for name, part in parts.items():
         assert part >= min(s.parts[name] for s in measured.agreement.scales.values()) - 1e-12, "nothing got narrower"
+
+
+def test_both_are_each_of_them_alone_and_leave_their_source_as_it_was(flight, found):
+    source = ColmapSource.open(flight[0])
+    notes = list(source.notes)
+    both = measure_source(source, found, FLEET).modes
+    for mode, one in both.items():
+        alone = measure_source(source, found, FLEET, mode=mode).scale
+        assert (one.scale.value, one.scale.interval90) == (alone.value, alone.interval90)
+    assert source.notes == notes
 
 
 @pytest.mark.parametrize(("height", "margin"), [(0.5, -1.0), (1.2, 2.0)])
@@ -94,7 +104,7 @@ def test_a_frame_of_another_scale_is_named(flight, found):
     boxes[name] = Boxes(boxes[name].xylwa * [1, 1, 0.8, 0.8, 1], boxes[name].score)
     measured = measure_source(ColmapSource.open(flight[0]), replace(found, boxes=boxes), FLEET, mode="oblique")
     assert [odd for odd, _ in measured.drift.odd] == [name]
-    assert any(name in remark for remark in measured.scale.remarks)
+    assert any(name in remark.text and remark.severity == "caution" for remark in measured.scale.remarks)
 
 
 def test_one_look_answers_where_the_other_has_too_little(flight, found):

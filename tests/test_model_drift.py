@@ -34,7 +34,7 @@ def test_a_frame_that_disagrees_is_named():
     found, scale = seen(stray=[(3, 0.2)])
     assert [name for name, _ in found.odd] == ["03.jpg"]
     assert found.frames["03.jpg"].scale == pytest.approx(1.2 * scale.value, rel=0.04)
-    assert "03.jpg by +2" in found.remarks[0]
+    assert "03.jpg by +2" in found.warnings[0]
 
 
 def test_two_frames_are_named_worst_first():
@@ -51,10 +51,10 @@ def test_frames_that_agree_are_not(seed):
 
 def test_a_bent_model_shows_a_trend():
     straight, _ = seen()
-    assert straight.trend.chance > 0.01 and straight.remarks == []
+    assert straight.trend.chance > 0.01 and straight.warnings == []
     bent, _ = seen(bend=0.3)
     assert bent.trend.chance < 0.001 and 15 < bent.trend.percent_across < 50
-    assert "across the model" in bent.remarks[-1]
+    assert "across the model" in bent.warnings[-1]
     scales = [region.scale for region in sorted(bent.regions, key=lambda r: r.centre[0])]
     assert scales[-1] > 1.1 * scales[0]
 

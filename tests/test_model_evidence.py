@@ -16,6 +16,7 @@ from orthoscale.core.measuring.method import Method
 from orthoscale.core.measuring.surroundings import objects_in_model
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import compare, together
+from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.ruler import Ruler
 from orthoscale.fleets import load_fleet
 from orthoscale.sources.colmap import ColmapSource
@@ -93,9 +94,9 @@ def scales(model):
 def test_rows_seen_in_many_frames_are_one_measurement(scales):
     scale, without = scales
     (pitch,) = scale.evidence
-    assert pitch.kind == "parking pitch" and pitch.value == pytest.approx(UNIT, rel=0.02)
+    assert pitch.kind == "parking bays" and pitch.value == pytest.approx(UNIT, rel=0.02)
     assert 0.05 < pitch.relative_sd < 0.09, "as sure as the standard, however many frames there are"
-    assert "36 vehicles" in pitch.says and scale.parts["parking pitch"] > 0 and scale.conflict == 0
+    assert "36 in a row" in pitch.says and scale.parts["parking bays"] > 0 and scale.conflict == 0
     low, high = scale.interval90
     assert low < UNIT < high
     assert not without.evidence and without.relative_sd > scale.relative_sd
@@ -107,8 +108,8 @@ def test_an_object_seen_in_many_frames_is_one_measurement(model, kind, size):
     bodies = [block(size, np.array([x, y]), heading) for x, y, heading in places]
     frames = {name: {kind: boxes} for name, boxes in boxes_of(model, bodies).items()}
     assert sum(len(kinds[kind]) for kinds in frames.values()) > 5
-    (found,) = objects_in_model(model[0], frames, 1.0, UNIT, standards())
-    assert found.kind == kind and "2 boxes" in found.says
+    (found,) = evidence_of(objects_in_model(model[0], frames, 1.0, UNIT, standards()))
+    assert found.kind == kind.replace("-", " ") and "2 of kind" in found.says
     assert abs(np.log(found.value / UNIT)) < (0.01 if kind == "tennis-court" else 1.5 * found.relative_sd)
     assert found.relative_sd < (0.02 if kind == "tennis-court" else 0.12)
 
@@ -129,7 +130,7 @@ def test_a_court_that_contradicts_the_vehicles_is_a_conflict(model, scales):
         model[0], replace(found_in(model), objects=objects), FLEET, Method(standards=standards())
     ).scale
     assert scale.conflict > 3 and scale.verdict == "unusable"
-    assert any("conflict" in remark and "tennis-court" in remark for remark in scale.remarks)
+    assert any("conflict" in remark.text and "tennis court" in remark.text for remark in scale.remarks)
     low, high = scale.interval90
     assert low < UNIT / 1.5 and high > UNIT
     for pair in ((scale, scales[0]), (scales[0], scale)):
@@ -140,6 +141,6 @@ def test_a_court_that_contradicts_the_vehicles_is_a_conflict(model, scales):
 def test_looks_of_which_one_sees_rows_are_pooled(scales):
     for pair in (scales, scales[::-1]):
         both = together(compare(dict(zip(("oblique", "planar"), pair, strict=True))))
-        assert 0 < both.parts["parking pitch"] < scales[0].parts["parking pitch"] and len(both.evidence) == 1
+        assert 0 < both.parts["parking bays"] < scales[0].parts["parking bays"] and len(both.evidence) == 1
         low, high = both.interval90
         assert low < UNIT < high

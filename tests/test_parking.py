@@ -5,11 +5,20 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from orthoscale.core.measuring.parking import parking_pitch
+from orthoscale.core.measuring import parking
+from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.fleets import load_fleet
 from orthoscale.tables import standards
 
 GSD = 0.1
+
+
+def parking_pitch(*arguments):
+    """What the rows say of the scale, None for nothing."""
+    found = parking.parking_pitch(*arguments)
+    return None if found is None else evidence_of([found])[0]
+
+
 STALLS = standards().stalls
 
 

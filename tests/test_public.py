@@ -6,9 +6,11 @@ import sys
 
 import numpy as np
 import pytest
-from support.reports import car_park, fixed
+from support.photos import CARS, FOCAL, boxes_in, detections_of, view_from, write_photo
+from support.reports import car_park, fixed, fixed_model
 
 import orthoscale
+from orthoscale.formats.detections.own import save_detections
 
 
 @pytest.fixture(scope="module")
@@ -23,6 +25,7 @@ def result(park):
     return orthoscale.estimate(park / "park.png", fleet="DE", detections=park / "detections.json")
 
 
+@pytest.mark.slow
 def test_public_names_are_there_and_cost_nothing_until_used():
     """Also after the modules beside them were imported, whose names must not hide theirs."""
     code = (
@@ -63,9 +66,39 @@ def test_check_is_public(park):
     (park / "park.pgw").write_text("0.2\n0\n0\n-0.2\n0\n0\n")
     checked = orthoscale.check(park / "park.png", fleet="DE", detections=park / "detections.json")
     assert checked.disagrees and checked.comparisons[0].claimed == pytest.approx(0.2)
+    shown = str(checked).splitlines()
+    assert len(shown) < 10 and shown[0].startswith("claim      disagrees") and "<td>disagrees" in checked._repr_html_()
+    assert json.loads(json.dumps(checked.to_dict()))["comparisons"][0]["verdict"] == "disagrees"
     (park / "park.pgw").unlink()
 
 
+def test_photos_are_public(tmp_path):
+    boxes = {f"{k}.jpg": boxes_in(view_from(-90), seed=k) for k in range(9)}
+    for name in boxes:
+        write_photo(tmp_path / name)
+    save_detections(detections_of(boxes), tmp_path / "boxes.json")
+    (tmp_path / "fleet.json").write_text(json.dumps(CARS))
+    options = {"fleet": tmp_path / "fleet.json", "detections": tmp_path / "boxes.json", "focal_px": FOCAL}
+    one = orthoscale.photo(tmp_path / "0.jpg", **options)
+    assert len(str(one).splitlines()) == 2 and "0.jpg      altitude " in str(one)
+    many = orthoscale.photo(sorted(tmp_path.glob("*.jpg")), together=True, **options)
+    assert len(str(many).splitlines()) < 10 and "9 of 9 measured" in str(many) and "3 more" in str(many)
+    assert many._repr_html_().startswith("<table>")
+    assert len(json.loads(json.dumps(many.to_dict()))["rows"]) == 9
+
+
+def test_apply_takes_one_file_or_several(tmp_path):
+    fixed_model(tmp_path, report="none")
+    (tmp_path / "a.obj").write_text("v 1 2 3\n")
+    scale = json.loads((tmp_path / "scaled/sim3.json").read_text())["scale"]
+    for k, files in enumerate((tmp_path / "a.obj", [tmp_path / "a.obj"])):
+        written = orthoscale.apply(tmp_path / "scaled/sim3.json", files, tmp_path / f"metric{k}")
+        (target,) = written
+        (vertex,) = [line for line in target.read_text().splitlines() if line.startswith("v ")]
+        assert float(vertex.split()[1]) == pytest.approx(scale, rel=1e-6)
+
+
+@pytest.mark.slow
 def test_what_is_done_is_told_to_the_logger_and_on_demand_to_the_terminal(park, caplog):
     with caplog.at_level("INFO", "orthoscale"):
         orthoscale.estimate(park / "park.png", fleet="DE", detections=park / "detections.json")

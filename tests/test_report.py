@@ -6,15 +6,18 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from support.in_process import run
 from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
 
 import orthoscale
 from orthoscale.actions.requests import command_line
 from orthoscale.errors import Incomplete, InputError, UsageError
-from orthoscale.report import judgement, places
+from orthoscale.report import places, wording
+from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, read_json
 from orthoscale.report.files import redraw
 from orthoscale.report.page import page
@@ -44,7 +47,7 @@ def model(tmp_path_factory):
 
 
 def states(report):
-    return {check.what: check.state for check in judgement.checks(report)}
+    return {check["what"]: check["severity"] for check in report["judgements"]}
 
 
 def test_vehicles_are_plain_values_in_metres(park, report):
@@ -116,7 +119,7 @@ def test_the_page_says_the_answer_first_with_the_digits_it_deserves(park, report
     text = (park[0] / "scaled.tif.html").read_text()
     heading = re.sub(r"<[^>]+>|\s+", " ", re.search(r"<h1>.*?</h1>", text, re.S)[0])
     assert heading.split()[:3] == [report["verdict"], f"{100 * report['scale']:.2f}", "cm/px"]
-    (value,), unit = judgement.quantity({**report, "scale": 15.02, "unit": "m/model-unit", "interval90": [13.9, 16.3]},
+    (value,), unit = wording.quantity({**report, "scale": 15.02, "unit": "m/model-unit", "interval90": [13.9, 16.3]},
                                         15.02)  # fmt: skip
     assert (value, unit) == ("15.0", "m per model unit")
 
@@ -167,10 +170,10 @@ def test_names_from_outside_stay_text(tmp_path):
 
 
 def test_a_drift_across_the_picture_is_seen(tmp_path, report):
-    assert states(report)["Drift neither found nor excluded"] == "none", "7 % of change, which may be chance: no tick"
+    assert states(report)["Drift neither found nor excluded"] == "info", "7 % of change, which may be chance: no tick"
     car_park(tmp_path, drift=0.25)
     drifting = read_json(fixed(tmp_path).with_suffix(".json"))
-    assert states(drifting)["The scale drifts"] == "look"
+    assert states(drifting)["The scale drifts"] == "caution" and "drift" in drifting["uncertainty"]
     left, right = (
         sum(c["deviation"] for c in drifting["drift"]["cells"] if (c["x_px"] > 500) is s) for s in (False, True)
     )
@@ -184,7 +187,7 @@ def test_a_drift_across_the_picture_is_seen(tmp_path, report):
 def test_vehicles_too_few_to_compare_places_are_said_to_be(tmp_path):
     car_park(tmp_path, count=20)
     few = read_json(fixed(tmp_path).with_suffix(".json"))
-    assert states(few)["Places not compared"] == "none" and "the same everywhere?" not in page(few, Scene())
+    assert states(few)["Places not compared"] == "info" and "the same everywhere?" not in page(few, Scene())
 
 
 OF_A_MODEL = {
@@ -202,11 +205,8 @@ OF_A_MODEL = {
 }
 
 
-def test_an_odd_frame_of_a_model_is_named(model):
+def test_the_frames_and_places_of_a_model_are_drawn(model):
     report = {**read_json(model / "report.json"), "drift": OF_A_MODEL}
-    (odd,) = (check for check in judgement.checks(report) if "stands out" in check.what)
-    assert odd.state == "look" and odd.what == "1 of 2 frames stands out" and "DJI_2.jpg (+" in odd.detail
-    assert states(report)["No drift"] == "ok"
     assert [(frame.name, frame.odd) for frame in places.frames(report)] == [("DJI_1.jpg", False), ("DJI_2.jpg", True)]
     here = places.regions(report)[0]
     assert (here.x, here.y) == pytest.approx(np.array([-4.5, -4.2]) * report["scale"])
@@ -271,39 +271,6 @@ def test_a_page_that_fails_does_not_cost_the_copy(tmp_path, monkeypatch):
     assert (tmp_path / "scaled.tif").exists()
 
 
-def test_agreement_of_the_modes_is_told_as_it_was_judged(report):
-    modes = {"planar": {"scale": 0.1}, "oblique": {"scale": 0.105}}
-    judged = {"difference": 0.049, "sigmas": 1.2, "contradicts": False}
-    (check,) = [c for c in judgement.checks({**report, "modes": modes, "agreement": judged}) if "Planar" in c.what]
-    assert check.state == "ok" and "+5.0 % (1.2 sigma)" in check.detail
-
-
-@pytest.mark.parametrize(
-    "change, what",
-    [
-        ({"uncertainty": {"sampling": 0.04, "fleet": 0.02}}, "Few vehicles"),
-        ({"vehicles_rejected": {"too large for a car": 70}}, "Many rejected"),
-        ({"checks": {"length": 0.09, "width": 0.11, "tension_sigmas": 3.0}}, "Lengths and widths disagree"),
-        ({"modes": {"planar": {"scale": 0.1}, "oblique": {"scale": 0.11}}}, "Planar and oblique disagree"),
-        ({"remarks": ["something is odd"]}, "Remark"),
-        (
-            {
-                "evidence": [{"kind": "known distance", "scale": 0.12, "relative_sd": 0.01, "says": ""}],
-                "checks": {"length": 0.1, "width": 0.1, "tension_sigmas": 0.0, "conflict_sigmas": 5.0},
-            },
-            "Other evidence contradicts",
-        ),
-        (
-            {"claim": {"verdict": "disagrees", "believed": True, "guesses": [], "ratio": 0.3, "sigmas": 25.0}},
-            "Own georeferencing disagrees",
-        ),
-    ],
-)
-def test_what_speaks_against_a_scale_comes_first(report, change, what):
-    first = judgement.checks({**report, **change})[0]
-    assert (first.state, first.what) == ("look", what)
-
-
 def test_planar_and_oblique_are_drawn_where_they_are(report):
     plain = page(report, Scene())
     modes = {
@@ -311,11 +278,7 @@ def test_planar_and_oblique_are_drawn_where_they_are(report):
         "oblique": {"scale": 0.1012, "interval90": [0.096, 0.106]},
     }
     text = page({**report, "modes": modes}, Scene())
-    assert (
-        "Planar and oblique agree" in text
-        and "9.95 cm/px, 9.50 to 10.40 (90 %), 40 vehicles" in text
-        and ">oblique</text>" in text
-    )
+    assert "9.95 cm/px, 9.50 to 10.40 (90 %), 40 vehicles" in text and ">oblique</text>" in text
     assert "lanar" not in plain
 
 
@@ -329,9 +292,7 @@ def test_unknown_parts_of_the_uncertainty_and_far_checks_are_borne(report):
     ]
     text = page(changed, Scene())
     assert (
-        "Largest uncertainty: known distance" in text
-        and ">ground control</text>" in text
-        and "length − width</text>" not in text
+        "the known distance itself" in text and ">ground control</text>" in text and "length − width</text>" not in text
     )
 
 
@@ -342,7 +303,7 @@ def test_unknown_parts_of_the_uncertainty_and_far_checks_are_borne(report):
         "no json",
         "[1, 2]",
         '{"scale": 1}',
-        '{"format": "orthoscale report 1"}',
+        '{"format": "orthoscale report 2"}',
         '{"format": "orthoscale report 99", "scale": 1}',
     ],
 )
@@ -361,6 +322,24 @@ def test_damaged_values_are_an_input_error(tmp_path, report, key, value):
     assert not (tmp_path / "report.html").exists()
 
 
+def test_a_report_of_the_first_version_is_still_drawn(tmp_path, report):
+    """Its remarks were sentences, `notes` those that only inform, and its checks were made when it was drawn."""
+    old = {key: value for key, value in report.items() if key not in ("judgements", "fit")}
+    old |= {"format": "orthoscale report 1", "remarks": ["boxes are odd", "read as it is"], "notes": ["read as it is"]}
+    (tmp_path / "old.json").write_text(json.dumps(old))
+    again = read_json(tmp_path / "old.json")
+    assert again["remarks"] == [
+        {"severity": "caution", "text": "boxes are odd"},
+        {"severity": "info", "text": "read as it is"},
+    ]
+    redraw(tmp_path / "old.json", tmp_path / "old.html")
+    text = (tmp_path / "old.html").read_text()
+    assert "an earlier version wrote this report" in text and report["fit"] in text and "read as it is" in text
+    done = run("explain", tmp_path / "old.json")
+    assert done.returncode == 0 and "boxes are odd" in done.stdout
+
+
+@pytest.mark.slow
 def test_the_command_draws_beside_the_json_and_keeps_what_is_there(park, tmp_path):
     path = tmp_path / "scaled.tif.json"
     path.write_bytes((park[0] / "scaled.tif.json").read_bytes())
@@ -427,3 +406,26 @@ def test_colours_on_a_terminal_unless_they_are_not_wanted(result, park, monkeypa
     plain = re.sub(r"\x1b\[[0-9;]*m", "", text).splitlines()
     assert plain[0].split()[0] == "scale" and max(map(len, plain)) <= 60, "long lines are folded, not cut"
     assert str(park[0]).replace("/", "")[-12:] in re.sub(r"[\s/]", "", "".join(plain))
+
+
+def test_texts_can_be_read_in_both_schemes():
+    """WCAG's contrast of 4.5 between every colour of letters and every ground that they stand on."""
+    css = Path(orthoscale.__file__).with_name("report").joinpath("page.html").read_text()
+    schemes = [dict(re.findall(r"--(\w+): (#\w+)", line)) for line in css.splitlines() if "--ink:" in line]
+    assert len(schemes) == 2 and set(schemes[0]) == set(schemes[1])
+
+    def luminance(colour):
+        digits = colour[1:] if len(colour) == 7 else "".join(2 * c for c in colour[1:])
+        channels = np.array([int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)])
+        linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+        return linear @ (0.2126, 0.7152, 0.0722)
+
+    for scheme in schemes:
+        for letters in ("ink", "soft"):
+            for ground in ("paper", "back"):
+                dark, light = sorted(luminance(scheme[name]) for name in (letters, ground))
+                assert (light + 0.05) / (dark + 0.05) > 4.5, (letters, ground)
+
+
+def test_what_chance_gives_stays_pale():
+    assert strength(0.1, 0.1) < 0.15 and strength(0.31, 0.1) == strength(0.5, 0.1) == 1 and strength(0.1, 0) == 0

@@ -55,7 +55,10 @@ def pages(tmp_path_factory):
             "frames": {f"DJI_{k:04d}.jpg": {"scale": 14 + k % 3, "sd": 0.6, "vehicles": 5} for k in range(170)},
             "odd_frames": ["DJI_0002.jpg"],
         },
-        "remarks": ["widths give a larger scale than lengths: " + "a_very_long_word_" * 12],
+        "judgements": [
+            *report["judgements"],
+            {"severity": "refusal", "what": "Remark", "detail": "widths are larger: " + "a_very_long_word_" * 12},
+        ],
         "input": {"path": "no/such/" + "deep_folder/" * 20, "sha256": ""},
     }
     (folders["doubtful"] / "report.json").write_text(json.dumps({**report, **worst}))

@@ -52,7 +52,8 @@ SAID = {
     "estimator": "iqr",
     "known_distance": ("0,0 9,9 1",),
     "ground_control": "g.txt",
-    "surroundings": False,
+    "anchors": ("none",),
+    "anchor": ("bay=2.5",),
     "overwrite": True,
     "override": True,
     "keep_origin": True,
@@ -110,7 +111,7 @@ EFFECTS = {  # that a report of the car park shows, from boxes in a file
     "estimator": ("iqr", lambda a, b: a["scale"] != b["scale"]),
     "known_distance": (("100,100 600,100 50.5 0.2",), lambda a, b: [e["kind"] for e in b["evidence"]]),
     "ground_control": ("control.txt", lambda a, b: [e["kind"] for e in b["evidence"]]),
-    "surroundings": (False, lambda a, b: b["settings"]["surroundings"] is False),
+    "anchors": (["none"], lambda a, b: b["settings"]["anchors"] == ("none",)),
     "projection": ("planar", lambda a, b: b["method"]["projection"] == "planar"),
 }
 
@@ -133,6 +134,7 @@ def test_no_option_of_any_command_is_unknown_to_its_function(name):
     taken = set(command.callback.__wrapped__.__code__.co_varnames if hasattr(command.callback, "__wrapped__") else
                 command.callback.__code__.co_varnames)  # fmt: skip
     known = taken | {each.name for each in fields(FixRequest)} | {"fleet", "gsd", "local_fleet"}
+    known |= {"paths", "summary", "jobs"}  # of `cli.many.inputs`
     assert {option.name for option in command.params if option.expose_value} <= known
 
 

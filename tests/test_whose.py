@@ -7,7 +7,7 @@ import pytest
 import rasterio
 from PIL import Image
 from rasterio.transform import from_origin
-from test_photo import write_photo
+from support.photos import write_photo
 
 from orthoscale.actions.whose import fleet_at, named_fleet
 from orthoscale.sources.georeference import LOCAL_CRS

@@ -12,20 +12,21 @@ from ..system.outputs import Outputs
 
 
 def apply(
-    sim3: str | Path, files: Sequence[str | Path], out: str | Path, *, overwrite: bool = False
+    sim3: str | Path, files: str | Path | Sequence[str | Path], out: str | Path, *, overwrite: bool = False
 ) -> dict[Path, list[str]]:
     """Write `files`, in the units of the model that `sim3` belongs to, again in metres into the folder `out`.
 
     sim3 : the sim3.json that `fix` wrote. files : PLY (cloud, mesh or splat), OBJ, GLB, glTF, transforms.json,
-    reconstruction.json, or folders of sparse models and dense workspaces; they are never touched.
+    reconstruction.json, or folders of sparse models and dense workspaces, one or several; they are never touched.
     Returns what was written, with notes on each; all of it, or none. Raises UsageError, InputError, OutputError.
     """
     out = Path(out)
+    files = [files] if isinstance(files, (str, Path)) else list(files)
     names = [Path(path).resolve().name for path in files]
     if len(set(names)) < len(names):
         raise UsageError("two FILEs have the same name", "Write them to different folders, one after the other.")
     written = {}
-    with Outputs(overwrite, (sim3, list(files))) as outputs:
+    with Outputs(overwrite, (sim3, files)) as outputs:
         folder = outputs.folder(out)
         scale = Sim3.load(Path(sim3)).scale
         for path, name in zip(map(Path, files), names, strict=True):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from ..core.brief import Brief
 from ..core.claims import Comparison, own_claim
 from ..core.source import Source
 from ..errors import UsageError
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
     from .requests import EstimateOptions
 
 
-@dataclass(frozen=True)
-class Checked:
+@dataclass(frozen=True, repr=False)
+class Checked(Brief):
     """The scale by the vehicles, and every claim compared with it."""
 
     result: Result
@@ -32,6 +33,24 @@ class Checked:
     def disagrees(self) -> bool:
         """Whether a claim is off by more than CLEAR sigmas."""
         return any(comparison.verdict == "disagrees" for comparison in self.comparisons)
+
+    def brief(self) -> list[tuple[str, str]]:
+        """The claims, then the result in brief."""
+        return [*(("claim", one.sentence()) for one in self.comparisons), *self.result.brief()]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values: each comparison, and what the vehicles say; what `orthoscale check --json` prints."""
+        scale = self.result.scale
+        return {
+            "comparisons": [comparison.document() for comparison in self.comparisons],
+            "scale": scale.value,
+            "unit": scale.unit,
+            "interval90": list(scale.interval90),
+            "verdict": scale.verdict,
+            "vehicles_used": scale.vehicles_used,
+            "fleet": scale.fleet,
+            "remarks": [{"severity": remark.severity, "text": remark.text} for remark in self.result.remarks],
+        }
 
 
 def check(

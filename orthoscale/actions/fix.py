@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,28 +63,14 @@ def written(
 ) -> Result:
     """What `request` asks of the input at `path`, written at `out`; see `fix`."""
     with Outputs(request.overwrite, (path, vars(request))) as outputs:
-        outputs.check(out)
-        if save_detections is not None:
-            check_name(save_detections)
-            outputs.check(save_detections)
-        source = open_source(path, request.images, need_images=request.detections is None)
-        request.check_for(source)
-        writer = _writer(source, out, request)
-        if source.metric_already and not request.override:  # not behind its owner's back
-            raise UsageError(
-                f"{path} is in metres already: {source.metric_already}",
-                "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
-            )
-        main, parts = writer.places(outputs)
-        if save_detections is not None:
-            save_detections = outputs.file(save_detections)
-        outputs.protect(*source.files, *writer.more_inputs)
+        begun = _begin(path, out, request, outputs, save_detections)
+        source, writer, save_detections = begun.source, begun.writer, begun.save_detections
         result = measured(source, request.estimating(), progress)
         if not request.force:
             result.require_useful()
-        writer.write(main, result.scale.value)
+        writer.write(begun.main, result.scale.value)
         # The copy is verified: what fails from here on does not take it away.
-        write_report(result, parts, outputs.attempt)
+        write_report(result, begun.parts, outputs.attempt)
         writer.write_more(result, outputs)
         if save_detections is not None:
             with outputs.attempt(save_detections, save_detections.name):
@@ -94,6 +82,50 @@ def written(
             result,
         )
     return result
+
+
+def rehearsed(path: Path, out: Path, request: FixRequest, save_detections: Path | None = None) -> list[Path]:
+    """What `written` would write, the copy first; nothing is. Raises what that raises before it measures."""
+    with suppress(_Rehearsed), Outputs(request.overwrite, (path, vars(request))) as outputs:
+        _begin(path, out, request, outputs, save_detections)
+        raise _Rehearsed  # so that the outputs are given up
+    return outputs.places
+
+
+class _Rehearsed(Exception):
+    """All that can be known before measuring is in order."""
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """Where a copy, the parts of its report and its boxes are being written."""
+
+    source: Source
+    writer: _PlanWriter | _PosedWriter
+    main: Path
+    parts: dict[str, Path]
+    save_detections: Path | None
+
+
+def _begin(path: Path, out: Path, request: FixRequest, outputs: Outputs, save_detections: Path | None) -> _Begun:
+    """Open the input, refuse what makes no sense, and claim all outputs."""
+    outputs.check(out)
+    if save_detections is not None:
+        check_name(save_detections)
+        outputs.check(save_detections)
+    source = open_source(path, request.images, need_images=request.detections is None)
+    request.check_for(source)
+    writer = _writer(source, out, request)
+    if source.metric_already and not request.override:  # not behind its owner's back
+        raise UsageError(
+            f"{path} is in metres already: {source.metric_already}",
+            "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
+        )
+    main, parts = writer.places(outputs)
+    if save_detections is not None:
+        save_detections = outputs.file(save_detections)
+    outputs.protect(*source.files, *writer.more_inputs)
+    return _Begun(source, writer, main, parts, save_detections)
 
 
 def report_paths(out: Path, source: Source, report: str) -> dict[str, Path]:

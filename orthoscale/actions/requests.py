@@ -9,11 +9,12 @@ from __future__ import annotations
 import difflib
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
+from ..anchors.kinds import ALL, ANCHOR_KINDS, NONE, PROVEN, slug
 from ..core.source import Source
 from ..errors import UsageError
 
@@ -27,6 +28,8 @@ GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options i
 EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
 BUILT_IN = "built-in"
+BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")  # anchors that boxes alone may show
+ANCHORS = (ALL, NONE, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))
 
 
 @dataclass(frozen=True)
@@ -149,6 +152,10 @@ class VehicleRequest:
                 raise UsageError(f"no option is called {name!r}", _nearest(name, known))
         return cls(**keywords)
 
+    def refuse_others(self, names: Collection[str], why: str) -> None:
+        """Raise UsageError where an option that is none of `names` says something: `why` it does nothing."""
+        self._refuse([each.name for each in fields(self) if each.name not in names], why)
+
     def without(self, names: Iterable[str], **other: Any) -> Self:
         """The same with the options `names` at their defaults, and `other` ones as they are named."""
         changed: dict[str, Any] = {each.name: each.default for each in fields(self) if each.name in names}
@@ -232,12 +239,21 @@ class EstimateRequest(VehicleRequest):
         "Text file with lines POINT EAST NORTH [UP] in metres; points as for --known-distance.",
         metavar="FILE",
     )
-    surroundings: bool = option(
-        True,
-        bool,
+    anchors: Sequence[str] = option(
+        (PROVEN,),
+        str,
         "Evidence",
-        "Use parking rows and objects of standard size as evidence, where detected.",
-        flag="--surroundings/--no-surroundings",
+        "Things of exact size to look for, beside the vehicles: all, none, or kinds of them; by default those whose "
+        "false finds are known to be rare. Repeatable.",
+        choices=ANCHORS,
+        metavar="KIND",
+    )
+    anchor: Sequence[str] = option(
+        (),
+        str,
+        "Evidence",
+        "Your own standard for a kind of anchor: bay=2.5, in metres, or a JSON file of such. Repeatable.",
+        metavar="KIND=M",
     )
 
     def __post_init__(self) -> None:
@@ -252,6 +268,12 @@ class EstimateRequest(VehicleRequest):
             )
         if self.exhaustive:
             self._refuse(("target",), "--exhaustive visits every tile")
+        if self.estimator == "iqr":
+            self._refuse(("anchors", "anchor"), "--estimator iqr is the paper's, for vehicles only")
+        if NONE in self.anchors:
+            self._refuse(("anchor",), "--anchors none looks for none")
+            if len(self.anchors) > 1:
+                raise UsageError("--anchors none and kinds of anchors contradict each other", "Give one of them.")
         if self.estimator == "iqr" and (self.known_distance or self.ground_control is not None):
             raise UsageError(
                 "the estimator 'iqr' is the paper's, for vehicles only",
@@ -274,6 +296,10 @@ class EstimateRequest(VehicleRequest):
     def check_for(self, source: Source) -> None:
         """Raise UsageError for what does nothing on such a source."""
         (self._for_plan if source.plan is not None else self._for_posed)(source.path)
+
+    def check_for_many(self) -> None:
+        """Raise UsageError for what speaks of one input only."""
+        self._refuse(("known_distance", "ground_control"), "it speaks of one input, and these are several")
 
     def _for_plan(self, path: Path) -> None:
         self._refuse(("mode", "images"), f"it is for COLMAP models, and {path} is an image")
@@ -356,7 +382,8 @@ class EstimateOptions(VehicleOptions, total=False):
     estimator: str
     known_distance: Sequence[str]
     ground_control: str | Path | None
-    surroundings: bool
+    anchors: Sequence[str]
+    anchor: Sequence[str]
 
 
 class FixOptions(EstimateOptions, total=False):

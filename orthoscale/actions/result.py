@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core.boxes import Boxes
+from ..core.brief import Brief
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
+from ..core.remarks import INFO, REFUSAL, Remark
 from ..core.scale import Scale
 from ..core.source import Source
 from ..core.verdicts import UNUSABLE
 from ..core.votes import Votes
 from ..errors import EvidenceDisagrees, TooLittleEvidence
+from .anchors import Searched
 
 if TYPE_CHECKING:
     from ..detect.zoom import ZoomChoice
 
-CONFLICT = 4.0  # sigmas between lengths and widths from which nothing is written without being told to
+FORCED = "write anyway with `orthoscale fix --force`."
 
 
 @dataclass(frozen=True, repr=False)
-class Result:
+class Result(Brief):
     """A measured source; what `fix` writes and every report shows.
 
     ``result.scale`` is the answer, ``result.vehicles`` a table of the vehicles (``pandas.DataFrame(result.vehicles)``),
@@ -41,6 +43,7 @@ class Result:
     measured: Measurement = field(repr=False)
     method: Method = field(default_factory=Method)
     settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
+    anchors: Searched = field(default_factory=Searched, repr=False)
 
     @property
     def projection(self) -> str:
@@ -53,10 +56,12 @@ class Result:
         within = f"{scale.verdict} (90 % within +-{100 * scale.half_width:.1f} %)"
         return [("scale", f"{scale.text()}  {within}"), ("90 %", scale.text(*scale.interval90))]
 
-    def _brief(self) -> list[tuple[str, str]]:
+    def brief(self) -> list[tuple[str, str]]:
+        """What printing it shows."""
         scale = self.scale
         rejected = sum(scale.rejected.values())
-        remarks = f"{len(scale.remarks)}, the first: {scale.remarks[0]}" if scale.remarks else "none"
+        said = [remark.text for remark in scale.remarks]
+        remarks = f"{len(said)}, the first: {said[0]}" if said else "none"
         return [
             *self.answer(),
             ("vehicles", f"{scale.vehicles_used} used, {rejected} rejected"),
@@ -64,14 +69,6 @@ class Result:
             ("input", str(self.source.path)),
             ("remarks", remarks),
         ]
-
-    def __repr__(self) -> str:
-        return "\n".join(f"{label:10s} {text}" for label, text in self._brief())
-
-    def _repr_html_(self) -> str:
-        """The same as a table, for notebooks."""
-        rows = "".join(f"<tr><th>{escape(label)}</th><td>{escape(text)}</td></tr>" for label, text in self._brief())
-        return f"<table>{rows}</table>"
 
     def to_dict(self) -> dict[str, Any]:
         """The report (what `fix` writes as JSON) as plain values; see `report.document.document`."""
@@ -86,17 +83,16 @@ class Result:
             self.method.estimator,
             self.settings,
             self.seconds,
+            self.remarks,
+            self.anchors,
         )
 
     @property
-    def notes(self) -> list[str]:
-        """What was chosen, left aside, or could not be done: in opening the source, finding vehicles and measuring."""
-        return [*self.source.notes, *self.detections.notes, *self.measured.notes]
-
-    @property
-    def remarks(self) -> list[str]:
-        """What a reader should know beside the figures."""
-        return [*self.measured.remarks, *self.notes]
+    def remarks(self) -> list[Remark]:
+        """What a reader should know beside the figures, each with its severity: what the core has to say, then what
+        was chosen, left aside or could not be done in opening the source and finding vehicles."""
+        notes = (*self.source.notes, *self.detections.notes)
+        return [*self.measured.remarks, *(Remark(INFO, note) for note in notes)]
 
     @property
     def scale(self) -> Scale:
@@ -131,20 +127,10 @@ class Result:
     @property
     def disagreement(self) -> EvidenceDisagrees | None:
         """What contradicts what, where something does; raised by `require_useful` and by the command line."""
-        if self.scale.conflict or self.scale.tension > CONFLICT:
-            return EvidenceDisagrees(
-                f"{self.source.path}: {self.scale.remarks[0]}",
-                "Inspect the boxes (--save-detections), check the given evidence, name the country's fleet, or write "
-                "anyway with `orthoscale fix --force`.",
-            )
-        agreement = self.measured.agreement
-        if agreement is not None and agreement.contradicts:
-            return EvidenceDisagrees(
-                f"{self.source.path}: {agreement.sentence()}",
-                "Inspect the boxes (--save-detections) and the poses, choose one mode with --mode, or write "
-                "anyway with `orthoscale fix --force`.",
-            )
-        return None
+        refusal = next((remark for remark in self.scale.remarks if remark.severity == REFUSAL), None)
+        if refusal is None:
+            return None
+        return EvidenceDisagrees(f"{self.source.path}: {refusal.text}", f"{refusal.hint}, or {FORCED}")
 
     def require_useful(self) -> None:
         """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""

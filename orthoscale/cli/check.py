@@ -11,16 +11,18 @@ import click
 
 from ..actions.requests import EstimateRequest
 from ..errors import EvidenceDisagrees, UsageError
+from .many import Many, inputs, rehearse, run
 from .options import (
     PATH,
     command,
     debug_option,
-    input_argument,
+    dry_run_option,
     json_option,
     option,
     options_of,
     overwrite_option,
     progress_bars,
+    refuse_idle_overwrite,
     save_option,
     say,
 )
@@ -28,11 +30,12 @@ from .options import (
 
 @command(
     epilog="\b\nExamples:\n  orthoscale check ortho.tif --fleet DE\n  orthoscale check ortho.tif --fleet US --json\n"
+    "  orthoscale check archive/ --summary claims.csv --jobs 2\n"
     "  orthoscale check ortho.tif --model sparse/0 --images frames/ --fleet US\n\n"
     "\b\nExit codes: 0 agrees, or too close to call; 2 usage, or INPUT claims no scale;\n"
-    "3 too little evidence; 4 disagrees by more than three sigma; 5 input unreadable or damaged."
+    "3 too little evidence; 4 disagrees by more than three sigma;\n5 input unreadable or damaged."
 )
-@input_argument
+@inputs
 @options_of(EstimateRequest)
 @save_option
 @option(
@@ -44,10 +47,13 @@ from .options import (
 @option("--model-detections", type=PATH, group="Input", help="Take the boxes in the frames of --model from this file.")
 @overwrite_option
 @json_option()
+@dry_run_option
 @debug_option
 def check(
     path: Path,
+    many: Many | None,
     as_json: bool,
+    dry_run: bool,
     debug: bool,
     save_detections: Path | None,
     overwrite: bool,
@@ -68,7 +74,15 @@ def check(
     from ..sources.opening import open_source
     from ..system.outputs import Outputs
 
+    refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summary)
     request = EstimateRequest.of(options)
+    if many is not None:
+        for name, value in (("--save-detections", save_detections), ("--model", model)):
+            if value is not None:
+                raise UsageError(f"{name} is for one input, and these are several", f"Remove {name}.")
+        run("check", many, request, as_json, overwrite, dry_run=dry_run)
+    if dry_run:
+        rehearse([path], request)
     if model is not None:
         if save_detections is not None:
             raise UsageError("--save-detections keeps the boxes of one input", "Remove it, or remove --model.")
@@ -88,19 +102,10 @@ def check(
     result, found = outcome.result, outcome.comparisons
     low, high = result.scale.interval90
     if as_json:
-        report = {
-            "comparisons": [c.document() for c in found],
-            "scale": result.scale.value,
-            "unit": result.scale.unit,
-            "interval90": [low, high],
-            "vehicles_used": result.scale.vehicles_used,
-            "fleet": result.scale.fleet,
-            "notes": result.notes,
-        }
-        click.echo(json.dumps(report))
+        click.echo(json.dumps(outcome.to_dict()))
     else:
         click.echo(
-            f"vehicles   {result.scale.value:.5g} {result.scale.unit}, 90 % {low:.5g} to {high:.5g}, "
+            f"vehicles   {result.scale.text()}, 90 % {result.scale.text(low, high)}, "
             f"{result.scale.vehicles_used} of fleet {result.scale.fleet}"
         )
         for comparison in found:
@@ -108,8 +113,8 @@ def check(
             say(f"           {comparison.sentence()}")
             if not comparison.believed:
                 click.echo("           the claim itself is not tied to the ground; it is compared as if it were metres")
-        for remark in (*result.scale.remarks, *result.notes):
-            say(f"note       {remark}")
+        for remark in result.remarks:
+            say(f"{remark.label:10s} {remark.text}")
     if outcome.disagrees:
         sys.exit(EvidenceDisagrees.exit_code)
 

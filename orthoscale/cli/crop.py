@@ -26,9 +26,9 @@ from .photo_options import lens_options
 
 @command(
     epilog="\b\nExamples:\n"
-    "  orthoscale crop DJI_21.JPG --satellite sat.tif --at 8.54,47.38 --radius 400 --out crops/\n"
-    "  orthoscale crop DJI_21.JPG --satellite sat.tif --square --size 384 --out crops/\n"
-    "  orthoscale crop frame.jpg --satellite sat.tif --gsd 0.08 --at 8.54,47.38 --out crops/\n\n" + EXIT_CODES
+    "  orthoscale crop a.jpg --satellite sat.tif --at 8.54,47.38 \\\n      --radius 400 --out crops/\n"
+    "  orthoscale crop a.jpg --satellite sat.tif --square --size 384 --out crops/\n"
+    "  orthoscale crop a.jpg --satellite sat.tif --gsd 0.08 \\\n      --at 8.54,47.38 --out crops/\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="PHOTO", type=PATH)
 @option("--satellite", required=True, type=PATH, group="Input", help="Georeferenced satellite picture.")
@@ -37,9 +37,7 @@ from .photo_options import lens_options
 @option("--gsd", type=float, metavar="M", group="Input", help="GSD of the photo in m/px; then nothing is measured.")
 @option("--out", required=True, type=PATH, group="Output", help="Folder to write.")
 @option("--square", is_flag=True, group="Output", help="Square crops, as large as the photo's shorter side.")
-@option(
-    "--stride", type=float, default=0.5, show_default=True, group="Output", help="Shift between crops, in crop sizes."
-)
+@option("--stride", type=float, group="Output", help="Shift between crops, in crop sizes  [default: 0.5]")
 @option(
     "--size",
     type=click.IntRange(16, 8192),
@@ -59,7 +57,7 @@ def crop(
     at: str | None,
     radius: float | None,
     square: bool,
-    stride: float,
+    stride: float | None,
     size: int | None,
     gsd: float | None,
     overwrite: bool,

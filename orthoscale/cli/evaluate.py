@@ -19,6 +19,7 @@ from .options import (
     options_of,
     overwrite_option,
     progress_bars,
+    refuse_idle_overwrite,
     save_option,
     say,
 )
@@ -26,8 +27,8 @@ from .options import (
 
 @command(
     epilog="\b\nExamples:\n  orthoscale evaluate DenseUAV/test/query_drone --fleet CN\n"
-    "  orthoscale evaluate UAVVisLoc_plus/ --fleet CN --ablations --sensitivity --out visloc.json\n"
-    "  orthoscale evaluate photos.csv --fleet DE --detections boxes.json --out errors.csv\n\n" + EXIT_CODES
+    "  orthoscale evaluate UAVVisLoc_plus/ --fleet CN --ablations --out visloc.json\n"
+    "  orthoscale evaluate photos.csv --fleet DE --detections b.json --out e.csv\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="DATASET", type=PATH)
 @option(
@@ -83,6 +84,7 @@ def evaluate(
     from ..photos.tables import check_ending
     from ..system.outputs import Outputs
 
+    refuse_idle_overwrite(overwrite, outputs, save_detections)
     how = boxes.Looking.of(looking)
     with Outputs(overwrite, (path, lens_file, looking)) as files, progress_bars() as progress:
         for output in outputs:

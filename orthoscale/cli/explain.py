@@ -12,7 +12,7 @@ from .options import PATH, command, debug_option, json_option
 
 @command(
     epilog="\b\nExamples:\n  orthoscale explain scaled.tif.json\n"
-    "  orthoscale estimate ortho.tif --fleet DE --json > report.json; orthoscale explain report.json"
+    "  orthoscale estimate ortho.tif --fleet DE --json > report.json\n  orthoscale explain report.json"
 )
 @click.argument("report", metavar="REPORT", type=PATH)
 @json_option("the explanation")
@@ -26,9 +26,10 @@ def explain(report: Path, as_json: bool, debug: bool) -> None:
     from ..formats.reading import LARGE, checked, read_plain
     from ..formats.schemas import Explained
     from ..report import explanation
+    from ..report.document import upgraded
 
     hint = "Give the report.json of a run."
-    text = read_plain(report, "a report", hint, LARGE)
+    text = upgraded(read_plain(report, "a report", hint, LARGE))
     checked(text, Explained, str(report), "a report of orthoscale", hint)
     try:
         found = explanation.explain(text)

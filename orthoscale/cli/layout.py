@@ -16,15 +16,17 @@ from .options import (
     memory_option,
     option,
     overwrite_option,
+    refuse_idle_overwrite,
     say,
 )
 
 
 @command(
     epilog="\b\nExamples:\n"
-    "  orthoscale layout scaled.tif --lot lot.geojson --facility basketball --facility tennis:2 --out layout/\n"
-    "  orthoscale layout scaled.tif --lot lot.gpkg --facility parking-DE:24 --avoid trees.geojson --out layout/\n"
-    "  orthoscale layout scaled.tif --lot lot.geojson --facility pool25@120,80,90 --out layout/\n"
+    "  orthoscale layout scaled.tif --lot lot.gpkg --facility tennis:2 --out plan/\n"
+    "  orthoscale layout scaled.tif --lot lot.gpkg --avoid trees.gpkg \\\n"
+    "      --facility parking-DE:24 --facility basketball --out layout/\n"
+    "  orthoscale layout scaled.tif --lot lot.gpkg --facility pool25@120,80,90 \\\n      --out layout/\n"
     "  orthoscale layout --list\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="SCALED.tif", required=False, type=PATH)
@@ -87,12 +89,15 @@ def layout(
     from ..errors import UsageError
     from ..layout import export
     from ..layout import plan as planning
-    from ..layout.terminal import catalogue_table, summary
+    from ..layout.terminal import catalogue_table, catalogue_values, summary
     from ..system.outputs import Outputs
 
     if list_them:
-        click.echo(catalogue_table(catalogue))
+        if any((path, lot, facilities, out, avoid, lot_pixels, scale_error is not None, overwrite)):
+            raise UsageError("--list only lists the facilities", "Remove the other options, or --list.")
+        click.echo(json.dumps(catalogue_values(catalogue)) if as_json else catalogue_table(catalogue))
         return
+    refuse_idle_overwrite(overwrite, out)
     for what, given in (("SCALED.tif", path), ("--lot", lot), ("--facility", facilities)):
         if not given:
             raise click.UsageError(f"{what} is missing")

@@ -6,12 +6,13 @@ import io
 import logging
 import sys
 import traceback
+from contextlib import nullcontext
 from importlib import import_module
 
 import click
 
 from ..errors import LONGEST_MESSAGE, InputError, OrthoscaleError, shown
-from ..system import stopping
+from ..system import chatter, stopping
 from ..version import __version__
 from .options import EXIT_CODES, say, set_verbosity
 
@@ -20,6 +21,7 @@ COMMANDS = {  # name: module of this package; the function in it has the command
     "fix": "scale",
     "explain": "explain",
     "check": "check",
+    "anchors": "anchors",
     "apply": "apply",
     "photo": "photo",
     "crop": "crop",
@@ -59,13 +61,14 @@ def cli(verbose: int, quiet: bool) -> None:
 
 
 def main() -> None:
-    """Entry point: errors become one message and an exit code; `--debug` shows the traceback as well."""
+    """Entry point: errors become one message and an exit code; `--debug` shows the traceback, and what libraries print,
+    as well."""
     debug = "--debug" in sys.argv
     # What GDAL and NumPy warn of is for developers; a user is told in notes and errors.
     logging.captureWarnings(True)
     logging.getLogger().addHandler(logging.StreamHandler() if debug else logging.NullHandler())
     try:
-        with stopping.listening():
+        with stopping.listening(), nullcontext() if debug else chatter.unheard():
             result = cli.main(standalone_mode=False) or 0
             stopping.check()
         sys.exit(result)

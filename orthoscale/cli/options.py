@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from ..actions.requests import GROUPS, Option, flag
-from ..errors import shown
+from ..errors import UsageError, shown
 
 EXIT_CODES = """\b
 Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);
@@ -76,6 +76,13 @@ overwrite_option = option(
     "--overwrite", is_flag=True, group="Output", help="Replace what orthoscale wrote there before."
 )
 
+
+def refuse_idle_overwrite(overwrite: bool, *outputs: object) -> None:
+    """Raise UsageError for --overwrite where none of the `outputs` is asked for."""
+    if overwrite and not any(outputs):
+        raise UsageError("--overwrite does nothing here: nothing is written", "Remove it, or name a file to write.")
+
+
 save_option = option(
     "--save-detections",
     type=PATH,
@@ -136,13 +143,14 @@ def _type(about: Option) -> Any:
     return PATH if about.kind is Path else about.kind
 
 
-input_argument = click.argument("path", metavar="INPUT", type=PATH)
-
-
 def json_option(what: str = "the report") -> Callable[[Callable], Callable]:
     """The option that makes a command print `what` as JSON."""
     return option("--json", "as_json", is_flag=True, group="Output", help=f"Print {what} as JSON on standard output.")
 
+
+dry_run_option = option(
+    "--dry-run", is_flag=True, group="Advanced", help="Check all that was asked and say what would be done; do nothing."
+)
 
 debug_option = option("--debug", is_flag=True, group="Advanced", help="Show the traceback of an error.")
 

@@ -20,6 +20,7 @@ from .options import (
     options_of,
     overwrite_option,
     progress_bars,
+    refuse_idle_overwrite,
     save_option,
     say,
 )
@@ -78,6 +79,7 @@ def photo(
     from ..photos.looking import Looking
     from ..system.outputs import Outputs
 
+    refuse_idle_overwrite(overwrite, outputs, save_detections)
     how = Looking.of(looking)
     lens = {"lens_file": lens_file, "focal_px": focal_px, "pitch": pitch, "roll": roll}
     with Outputs(overwrite, (paths, lens_file, looking)) as files, progress_bars() as progress:
@@ -87,7 +89,7 @@ def photo(
         keep = None if save_detections is None else _keeper(files, save_detections)
         made = survey.surveyed(paths, how, together, progress, keep, **lens)
         outcomes, pooled = made.outcomes, made.together
-        text = tables.document(outcomes, made.fleet, made.found.detector, pooled, made.why)
+        text = made.to_dict()
         for partial in partials:
             tables.write(outcomes, text, partial)
     if as_json:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
@@ -9,12 +10,29 @@ import click
 from .options import EXIT_CODES, PATH, command, debug_option, memory_option, option, overwrite_option, say
 
 
+def _print_schema(context: click.Context, parameter: click.Parameter, asked: bool) -> None:
+    if asked:
+        from ..report.schema import report_schema
+
+        click.echo(json.dumps(report_schema(), indent=1))
+        context.exit()
+
+
 @command(
     epilog="\b\nExamples:\n  orthoscale report scaled.tif.json\n"
-    "  orthoscale estimate ortho.tif --fleet DE --json > estimate.json && orthoscale report estimate.json\n\n"
+    "  orthoscale estimate ortho.tif --fleet DE --json > estimate.json\n  orthoscale report estimate.json\n\n"
     + EXIT_CODES
 )
 @click.argument("path", metavar="REPORT.json", type=PATH)
+@option(
+    "--schema",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_schema,
+    group="Output",
+    help="Print the JSON Schema of a report, and do nothing else.",
+)
 @option("--images", type=PATH, group="Input", help="Folder with the model's frames.")
 @option("--out", type=PATH, group="Output", help="Page (.html) or picture (.png) to write  [default: REPORT.html]")
 @overwrite_option

@@ -13,17 +13,19 @@ import click
 
 from ..actions.requests import EstimateRequest, FixRequest
 from ..errors import Incomplete, UsageError
+from .many import Many, inputs, rehearse, run
 from .options import (
     EXIT_CODES,
     PATH,
     command,
     debug_option,
-    input_argument,
+    dry_run_option,
     json_option,
     option,
     options_of,
     overwrite_option,
     progress_bars,
+    refuse_idle_overwrite,
     save_option,
     say,
 )
@@ -34,21 +36,31 @@ if TYPE_CHECKING:
 
 @command(
     epilog="\b\nExamples:\n  orthoscale estimate ortho.tif --fleet DE\n"
-    "  orthoscale estimate sparse/0 --images frames/ --fleet US --json\n\n" + EXIT_CODES
+    "  orthoscale estimate sparse/0 --images frames/ --fleet US --json\n"
+    "  orthoscale estimate 'surveys/*.tif' --fleet DE --summary scales.csv\n\n" + EXIT_CODES
 )
-@input_argument
+@inputs
 @options_of(EstimateRequest)
 @save_option
 @overwrite_option
 @json_option()
+@dry_run_option
 @debug_option
 def estimate(
-    path: Path, as_json: bool, debug: bool, save_detections: Path | None, overwrite: bool, **options: Any
+    path: Path,
+    many: Many | None,
+    as_json: bool,
+    dry_run: bool,
+    debug: bool,
+    save_detections: Path | None,
+    overwrite: bool,
+    **options: Any,
 ) -> None:
     """Print the scale of an orthophoto or a reconstruction.
 
     INPUT is an orthophoto (any raster that GDAL reads), the folder of a COLMAP model, or a model of OpenSfM, ODM,
-    nerfstudio, Bundler or VisualSFM. Nothing is written.
+    nerfstudio, Bundler or VisualSFM. Nothing is written. Of several, of a pattern in quotes, or of a folder of them
+    each gets its own scale, and one line.
     """
     from ..actions import estimate as pipeline
     from ..actions import several as workspace
@@ -56,10 +68,12 @@ def estimate(
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
-    if overwrite and save_detections is None:
-        raise UsageError(
-            "--overwrite does nothing here: without --save-detections nothing is written", "Leave --overwrite away."
-        )
+    refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summary)
+    if many is not None:
+        _refuse_boxes_of_many(save_detections)
+        run("estimate", many, request, as_json, overwrite, dry_run=dry_run)
+    if dry_run:
+        rehearse([path], request)
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
     with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
@@ -83,28 +97,44 @@ def estimate(
 
 @command(
     epilog="\b\nExamples:\n  orthoscale fix ortho.tif --out scaled.tif --fleet PH\n"
-    "  orthoscale fix utm.tif --out scaled.tif --override --keep-origin --also gpkg --also tfw\n"
+    "  orthoscale fix utm.tif --out scaled.tif --override --keep-origin --also gpkg\n"
     "  orthoscale fix model/ --out scaled/ --fleet US\n"
-    "  orthoscale fix model/ --out scaled/ --detections boxes.json\n\n" + EXIT_CODES
+    "  orthoscale fix model/ --out scaled/ --detections boxes.json\n"
+    "  orthoscale fix surveys/ --out scaled/ --fleet US --summary out.csv --jobs 2\n\n" + EXIT_CODES
 )
-@input_argument
+@inputs
 @options_of(FixRequest)
 @option("--out", required=True, type=PATH, group="Output", help="GeoTIFF (orthophoto) or folder (model) to write.")
 @save_option
 @json_option()
+@dry_run_option
 @debug_option
-def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path | None, **options: Any) -> None:
+def fix(
+    path: Path,
+    many: Many | None,
+    out: Path,
+    as_json: bool,
+    dry_run: bool,
+    debug: bool,
+    save_detections: Path | None,
+    **options: Any,
+) -> None:
     """Write a copy of an orthophoto or a reconstruction in metres.
 
     INPUT as for `estimate`; it is never touched. An orthophoto's pixels are copied unchanged; OUT.html, OUT.json
     and OUT.png come with it. A model is scaled about its own origin; sim3.txt, sim3_4x4.txt, sim3.json,
     report.html, report.json and vehicles.png come with it. In a workspace with several models (sparse/0, sparse/1
-    ...) each gets its own scale and its own folder in OUT.
+    ...) each gets its own scale and its own folder in OUT. Of several INPUTs OUT is the folder for all copies.
     """
     from ..actions import fix as writing
     from ..actions import several as workspace
 
     request = FixRequest.of(options)
+    if many is not None:
+        _refuse_boxes_of_many(save_detections)
+        run("fix", many, request, as_json, request.overwrite, out, dry_run)
+    if dry_run:
+        rehearse([path], request, [out])
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
     missing = None
@@ -123,6 +153,11 @@ def fix(path: Path, out: Path, as_json: bool, debug: bool, save_detections: Path
             _finish(done, as_json, _written(done, out, request.report))
     if missing:
         raise missing
+
+
+def _refuse_boxes_of_many(save_detections: Path | None) -> None:
+    if save_detections is not None:
+        raise UsageError("--save-detections keeps the boxes of one input", "Remove it, or name one input.")
 
 
 def _refuse_one_file_for_many(models: list[Path], save_detections: Path | None) -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import chain
 
 import numpy as np
 
 SAME_VEHICLE = 0.5  # share of their joint area from which two boxes are one vehicle's; side by side they share none
-HEAPED = 500  # neighbours of a box, on average, from which no picture of vehicles is meant; packed closely there are 30
+HEAPED = 250  # neighbours of a box, on average, from which no picture of vehicles is meant; packed closely there are 30
 PAIRS = 2**15  # of boxes whose overlap is computed at once, in some 50 MB
-BLOCK = 4096  # boxes whose neighbours are counted at once
 KINDS = ("car", "pickup", "van", "larger")  # of vehicles: what carries people, an open bed, a van or minibus, the rest
 
 
@@ -143,6 +143,32 @@ def overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.concatenate([_overlap(a[k : k + PAIRS], b[k : k + PAIRS]) for k in blocks])
 
 
+def _overlap_from(a: np.ndarray, b: np.ndarray, iou: float) -> np.ndarray:
+    """`overlap` of pairs that may share `iou` (> 0) or more; 0 for those that surely do not, which are most of them."""
+    out = np.zeros(len(a))
+    may = np.flatnonzero(_most_shared(a, b) >= (1 - 1e-9) * iou / (1 + iou) * (a[:, 2] * a[:, 3] + b[:, 2] * b[:, 3]))
+    out[may] = overlap(a[may], b[may])
+    return out
+
+
+def _most_shared(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(K,) upper bound of the area that paired boxes share, cheap: of the smaller box, and of what the extents of one
+    along the sides of the other leave of that."""
+    most = np.minimum(a[:, 2] * a[:, 3], b[:, 2] * b[:, 3])
+    x, y = (b[:, :2] - a[:, :2]).T
+    turn = b[:, 4] - a[:, 4]
+    c, s = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    for one, other in ((a, b), (b, a)):
+        cos, sin = np.cos(one[:, 4]), np.sin(one[:, 4])
+        apart = np.abs(x * cos + y * sin), np.abs(y * cos - x * sin)
+        extent = c * other[:, 2] + s * other[:, 3], s * other[:, 2] + c * other[:, 3]
+        along, across = (
+            np.clip((one[:, 2 + k] + extent[k]) / 2 - apart[k], 0, np.minimum(one[:, 2 + k], extent[k])) for k in (0, 1)
+        )
+        most = np.minimum(most, along * across)
+    return most
+
+
 def _overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     cos, sin = np.cos(b[:, 4]), np.sin(b[:, 4])
     d = Boxes(a, np.zeros(len(a))).corners - b[:, None, :2]
@@ -200,31 +226,33 @@ class _Neighbours:
         groups = [np.flatnonzero(octave == o) for o in np.unique(octave)]
         self._trees = [(group, cKDTree(self._centre[group]), self._reach[group].max()) for group in groups]
 
-    def count(self) -> int:
-        """Pairs of them that may touch, each counted from both sides."""
-        counted = [
-            tree.query_ball_point(self._centre, self._reach + longest, return_length=True)
-            for _, tree, longest in self._trees
-        ]
-        return int(np.sum(counted))
-
-    def of_first(self, xylwa: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        """Pairs (i, j) of the first n of boxes (M, 5) and those that they may touch, by i and then j; and n, so many
-        that there are no more than PAIRS pairs, but one at least."""
-        centre, reach = xylwa[:BLOCK, :2], _reach(xylwa[:BLOCK])
+    def count(self, xylwa: np.ndarray) -> np.ndarray:
+        """(M,) how many of them each of boxes (M, 5) may touch, at most."""
+        centre, reach = xylwa[:, :2], _reach(xylwa)
         count = np.zeros(len(centre), int)
         for _, tree, longest in self._trees:
             count += tree.query_ball_point(centre, reach + longest, return_length=True)
-        n = max(1, int(np.searchsorted(np.cumsum(count), PAIRS)))
+        return count
+
+    def pairs(self, xylwa: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs (i, j) of boxes (M, 5) and those that they may touch, by i and then j."""
+        centre, reach = xylwa[:, :2], _reach(xylwa)
         parts = [(np.empty(0, int), np.empty(0, int))]
         for group, tree, longest in self._trees:
-            near = tree.query_ball_point(centre[:n], reach[:n] + longest)
-            i, j = np.repeat(np.arange(len(near)), [len(k) for k in near]), group[[k for some in near for k in some]]
-            close = np.linalg.norm(centre[i] - self._centre[j], axis=1) < reach[i] + self._reach[j]
+            near = tree.query_ball_point(centre, reach + longest)
+            lengths = np.fromiter(map(len, near), int, len(near))
+            i = np.repeat(np.arange(len(near)), lengths)
+            j = group[np.fromiter(chain.from_iterable(near), int, int(lengths.sum()))]
+            close = np.hypot(*(centre[i] - self._centre[j]).T) < reach[i] + self._reach[j]
             parts.append((i[close], j[close]))
         i, j = (np.concatenate(column) for column in zip(*parts, strict=True))
         order = np.lexsort((j, i))
-        return i[order], j[order], n
+        return i[order], j[order]
+
+
+def _so_many(count: np.ndarray) -> int:
+    """Of how many boxes, each with `count` neighbours, the pairs are computed at once: PAIRS or fewer, or one box's."""
+    return max(1, int(np.searchsorted(np.cumsum(count[:PAIRS]), PAIRS)))
 
 
 def _reach(xylwa: np.ndarray) -> np.ndarray:
@@ -235,10 +263,12 @@ def _reach(xylwa: np.ndarray) -> np.ndarray:
 def overlapping(a: Boxes, b: Boxes, iou: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """All pairs (i, j, overlap) of boxes of one image that overlap by `iou` (> 0) or more, by i and then j."""
     neighbours = _Neighbours(b.xylwa)
+    count = neighbours.count(a.xylwa)
     start, parts = 0, [(np.empty(0, int), np.empty(0, int), np.empty(0))]
     while start < len(a):
-        i, j, n = neighbours.of_first(a.xylwa[start:])
-        o = overlap(a.xylwa[start + i], b.xylwa[j])
+        n = _so_many(count[start:])
+        i, j = neighbours.pairs(a.xylwa[start : start + n])
+        o = _overlap_from(a.xylwa[start + i], b.xylwa[j], iou)
         enough = o >= iou
         parts.append((start + i[enough], j[enough], o[enough]))
         start += n
@@ -266,14 +296,16 @@ def suppress(boxes: Boxes, iou: float = 0.3) -> Boxes:
     """
     boxes = boxes[np.argsort(-boxes.score, kind="stable")]
     neighbours = _Neighbours(boxes.xylwa)
+    count = neighbours.count(boxes.xylwa)
     alive = np.ones(len(boxes), bool)
     waiting = np.arange(len(boxes))
     while len(waiting):
-        i, j, n = neighbours.of_first(boxes.xylwa[waiting])
+        n = _so_many(count[waiting])
+        i, j = neighbours.pairs(boxes.xylwa[waiting[:n]])
         i = waiting[i]
         worse = (j > i) & alive[j]
         i, j = i[worse], j[worse]
-        clash = overlap(boxes.xylwa[i], boxes.xylwa[j]) >= iou
+        clash = _overlap_from(boxes.xylwa[i], boxes.xylwa[j], iou) >= iou
         better, first = np.unique(i[clash], return_index=True)
         # Of no pairs, split makes one part.
         for k, rivals in zip(better.tolist(), np.split(j[clash], first[1:]), strict=False):
@@ -293,7 +325,7 @@ def distinct(boxes: Boxes) -> Boxes:
     ordered = boxes[np.argsort(-boxes.score, kind="stable")]
     _, first = np.unique(ordered.xylwa.round(6), axis=0, return_index=True)  # copies, of which there may be thousands
     ordered = ordered[np.sort(first)]
-    if _Neighbours(ordered.xylwa).count() > HEAPED * len(ordered):
+    if _Neighbours(ordered.xylwa).count(ordered.xylwa).sum() > HEAPED * len(ordered):
         raise ValueError(f"{len(ordered)} boxes overlap almost entirely")
     left = suppress(ordered, SAME_VEHICLE)
     return boxes if len(left) == len(boxes) else left

@@ -1,19 +1,28 @@
-"""What is known of the scale besides vehicles: distances, ground control, standard objects, the pitch of parking rows.
+"""What is known of the scale besides vehicles: distances, ground control, anchors of exact size.
 
 Each piece is one measurement of metres per unit with its own uncertainty. Those that agree are combined; those that do
 not are reported, and nothing is averaged away.
+
+An anchor may be of several standards, or be no anchor at all. So it is a mixture, which the vehicles sort out; and it
+never overrules them alone: what it says outside of their 99 % interval does not count unless something else says the
+same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .pooling.posterior import Z90, Posterior
+from .remarks import CAUTION, REFUSAL, Remark
 
+CONFLICT_HINT = "Check the given evidence, the anchors (--anchors) and the boxes (--save-detections)"
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
+STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
+ALONE = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
+SAME = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
 SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
@@ -22,17 +31,50 @@ CONTROL_SD = 0.05  # of a ground control point's position, where its residuals d
 
 @dataclass(frozen=True)
 class Evidence:
-    """One measurement of the scale: metres per unit of the source, with a relative one-sigma; `says` where from."""
+    """One measurement of the scale: metres per unit of the source, with a relative one-sigma; `says` where from.
+
+    modes, words : where it may mean several scales, all of them, and what it says of each; `value` is one of them.
+    doubt : probability that it is a mistake, and may mean any scale of a range as wide as `window` (in logarithms).
+    """
 
     kind: str
     value: float
     relative_sd: float
     says: str
+    modes: Posterior | None = None
+    words: tuple[str, ...] = ()
+    doubt: float = 0.0
+    window: float = 1.0
+
+    @classmethod
+    def mixed(
+        cls, kind: str, modes: Posterior, words: Sequence[str], doubt: float = 0.0, window: float = 1.0
+    ) -> Evidence:
+        """That of a mixture of scales; its `value` is the likeliest."""
+        return cls(kind, 1.0, 1.0, "", modes, tuple(words), doubt, window)._meaning(modes.weight)
+
+    def meant(self, scale: Posterior) -> Evidence:
+        """The same, its `value` the one that it means if the scale is known to be `scale`."""
+        if self.modes is None:
+            return self
+        variance = self.modes.sd**2 + scale.spread**2
+        off = (self.modes.mean - scale.centre) ** 2 / variance
+        return self._meaning(self.modes.weight * np.exp(-0.5 * (off - off.min())) / np.sqrt(variance))
+
+    def only(self, which: np.ndarray) -> Evidence:
+        """That of those of its modes that are `which` (K,) bool."""
+        words = [word for word, keep in zip(self.words, which, strict=True) if keep]
+        return Evidence.mixed(self.kind, self.posterior.only(which), words, self.doubt, self.window)
+
+    def _meaning(self, likely: np.ndarray) -> Evidence:
+        best, modes = int(np.argmax(likely)), self.posterior
+        value, sd = float(np.exp(modes.mean[best])), float(modes.sd[best])
+        return replace(self, value=value, relative_sd=sd, says=self.words[best])
 
     @property
     def posterior(self) -> Posterior:
-        """The same as a normal distribution of the scale's logarithm."""
-        return Posterior.normal(float(np.log(self.value)), self.relative_sd)
+        """The same as a distribution of the scale's logarithm, were it no mistake."""
+        return self.modes or Posterior.normal(float(np.log(self.value)), self.relative_sd)
 
 
 @dataclass(frozen=True)
@@ -41,44 +83,92 @@ class Combined:
 
     conflict : sigmas between the two that contradict each other most, 0 where none do.
     summary : value and the ends of its 90 % interval. Where measurements conflict, the interval spans them all.
+    evidence : what entered, each as what it means at that scale.
     """
 
     posterior: Posterior
     parts: dict[str, float]
     conflict: float
-    remarks: list[str]
+    remarks: list[Remark]
     summary: tuple[float, float, float]
+    evidence: tuple[Evidence, ...] = ()
 
 
 def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
     """`vehicles` and all `evidence` together; `parts` are the one-sigmas of which the vehicles' is made up.
 
-    In a conflict the surest measurement gives the value, and the interval reaches over those of all.
+    In a conflict the surest measurement that is no anchor gives the value, and the interval reaches over those of all.
     """
-    sources = [("vehicles", vehicles), *((e.says, e.posterior) for e in evidence)]
-    conflict, remarks = 0.0, []
+    heard, remarks = _within_reach(vehicles, evidence)
+    strong = [e.meant(vehicles) for e in evidence if e.doubt <= STRONG]
+    # Of a mixture, each what is nearest to the other counts.
+    sources = [
+        ("vehicles", Posterior.normal(vehicles.centre, vehicles.spread)),
+        *((e.says, e.posterior) for e in strong),
+    ]
+    conflict, conflicts = 0.0, list[Remark]()
     for k, (name, one) in enumerate(sources):
         for other_name, other in sources[k + 1 :]:
-            sigmas = abs(one.centre - other.centre) / np.hypot(one.spread, other.spread)
+            sigmas, here, there = _nearest(one, other)
             if sigmas > CONFLICT_LIMIT:
-                conflict = max(conflict, float(sigmas))
-                remarks.append(
-                    f"conflict: {name}: {np.exp(one.centre):.5g}, {other_name}: {np.exp(other.centre):.5g}, "
-                    f"{sigmas:.1f} sigmas apart"
-                )
+                conflict = max(conflict, sigmas)
+                these = f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}"
+                text = f"conflict: {these}, {sigmas:.1f} sigmas apart"
+                conflicts.append(Remark(REFUSAL, text, CONFLICT_HINT))
     if conflict:
-        surest = min((p for _, p in sources), key=lambda p: p.spread)
-        low = min(p.quantile(0.05) for _, p in sources)
-        high = max(p.quantile(0.95) for _, p in sources)
+        certain = [vehicles, *(e.posterior for e in evidence if not e.doubt)]
+        every = [vehicles, *(e.posterior for e in strong)]
+        surest = min(certain, key=lambda p: p.spread)
+        low = min(p.quantile(0.05) for p in every)
+        high = max(p.quantile(0.95) for p in every)
         spread = max((high - low) / (2 * Z90), surest.spread)
         wide = Posterior.normal(surest.centre, spread)
         summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
-        return Combined(wide, {"conflict": float(spread)}, conflict, remarks, summary)
+        told = tuple(e.meant(vehicles) for e in evidence)
+        return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary, told)
     posterior = vehicles
-    for e in evidence:
-        posterior = posterior.times(e.posterior)
+    for e in heard:
+        posterior = posterior.times_doubted(e.posterior, e.doubt, e.window)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
-    return Combined(posterior, _shares(vehicles, parts, evidence, posterior), 0.0, remarks, (value, low, high))
+    shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior)
+    told = tuple(e.meant(posterior) for e in evidence)
+    return Combined(posterior, shares, 0.0, remarks, (value, low, high), told)
+
+
+def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[list[Evidence], list[Remark]]:
+    """The evidence that counts, each without the scales outside of the vehicles' interval that nothing else supports;
+    and remarks on what does not count at all."""
+    low, high = (1 - ALONE) / 2, (1 + ALONE) / 2
+    heard, remarks, interval = [], [], None
+    for e in evidence:
+        if not e.doubt:
+            heard.append(e)
+            continue
+        interval = interval or (vehicles.quantile(low), vehicles.quantile(high))
+        modes = e.posterior
+        counts = (modes.mean >= interval[0]) & (modes.mean <= interval[1])
+        for other in evidence:
+            if other.kind != e.kind and other.doubt <= STRONG:
+                there = other.posterior
+                apart = np.abs(modes.mean[:, None] - there.mean) / np.hypot(modes.sd[:, None], there.sd)
+                counts |= (apart < SAME).any(1)
+        if counts.any():
+            heard.append(e.only(counts))
+        else:
+            e = e.meant(vehicles)
+            text = (
+                f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * ALONE:.0f} % interval "
+                f"({np.exp(interval[0]):.5g} to {np.exp(interval[1]):.5g}); it does not count"
+            )
+            remarks.append(Remark(CAUTION, text))
+    return heard, remarks
+
+
+def _nearest(one: Posterior, other: Posterior) -> tuple[float, float, float]:
+    """How many sigmas the nearest parts of two mixtures lie apart, and these parts' means."""
+    apart = np.abs(one.mean[:, None] - other.mean) / np.hypot(one.sd[:, None], other.sd)
+    here, there = np.unravel_index(np.argmin(apart), apart.shape)
+    return float(apart[here, there]), float(one.mean[here]), float(other.mean[there])
 
 
 def _shares(

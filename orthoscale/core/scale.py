@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from .evidence import Evidence
+from .pooling.posterior import Z90
+from .remarks import Remark
+from .verdicts import CHECK_LIMIT, verdict, worst
 
 PER_PIXEL = "m/px"  # the unit of a plan's scale: its ground sampling distance
 
@@ -23,14 +26,15 @@ class Scale:
 
     value : metres per pixel of an orthophoto, or per unit of a model.
     interval90 : (low, high), contains the truth nine times in ten; not always symmetric.
-    parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence.
+    parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence,
+        drift.
     checks : the scale from lengths alone, from widths alone and from length minus width (free of a symmetric margin).
     weights : share of lengths and widths in what the vehicles say.
     tension : sigmas between the scale from lengths and that from widths.
     conflict : sigmas between the two measurements (vehicles, evidence) that contradict each other most, 0 if none do.
     larger_share : share of larger vehicles (vans, pickups beyond the fleet's own) among the vehicles.
     fleets : probability of each fleet that may stand here; one entry unless the fleet was to be found.
-    evidence : what entered besides the vehicles.
+    evidence : what entered besides the vehicles. remarks : what speaks against it, limits it or was found on the way.
     used : (N,) bool, votes that count; reasons : (N,) why the others do not ('' where used).
     """
 
@@ -45,7 +49,7 @@ class Scale:
     verdict: str
     used: np.ndarray = field(repr=False)
     reasons: list[str] = field(repr=False)
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     larger_share: float = 0.0
     fleets: Mapping[str, float] = field(default_factory=dict)
     evidence: tuple[Evidence, ...] = ()
@@ -61,6 +65,18 @@ class Scale:
         """Half of the 90 % interval, relative to the value."""
         low, high = self.interval90
         return (high - low) / 2 / self.value
+
+    def with_parts(self, parts: dict[str, float]) -> Scale:
+        """The same value with other `parts` of its uncertainty: the interval is wider or narrower by as much, the
+        verdict never better than before."""
+        changed = replace(self, parts=parts)
+        before, now = self.relative_sd, changed.relative_sd
+        if before > 0:
+            low, high = (self.value * (end / self.value) ** (now / before) for end in self.interval90)
+        else:
+            low, high = (self.value * np.exp(side * Z90 * now) for side in (-1, 1))
+        word = worst(self.verdict, verdict(now, self.tension > CHECK_LIMIT, self.conflict > 0))
+        return replace(changed, interval90=(float(low), float(high)), verdict=word)
 
     def text(self, *values: float) -> str:
         """`values` in the scale's unit, by default its own, with the digits that it deserves: two of its uncertainty;

@@ -4,9 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from .remarks import CAUTION, REFUSAL, Remark
+
 VERDICTS = (("good", 0.03), ("fair", 0.06), ("poor", 0.15))  # relative one-sigma of the scale, upper bounds
 UNUSABLE = "unusable"  # nothing is written without being told to
+BEST_TO_WORST = (*(word for word, _ in VERDICTS), UNUSABLE)  # from the best to the worst
+FIT = {  # verdict: what the scale is fit for
+    "good": "Suitable for metric layouts and checks.",
+    "fair": "Suitable where this tolerance is acceptable.",
+    "poor": "Suitable for a rough idea only.",
+    UNUSABLE: "Not suitable for use.",
+}
 CHECK_LIMIT = 2.5  # sigmas between length and width before the verdict is lowered
+SHAPE_LIMIT = 4.0  # sigmas between them from which nothing is written without being told to
 
 
 def verdict(sd: float, odd_shape: bool, conflict: bool) -> str:
@@ -15,18 +25,31 @@ def verdict(sd: float, odd_shape: bool, conflict: bool) -> str:
     sd : relative one-sigma of the scale. odd_shape : lengths and widths give different scales; one step down, to
     ``poor`` at worst. conflict : two measurements contradict each other; nothing is known then.
     """
-    names = [name for name, _ in VERDICTS]
     rank = next((k for k, (_, limit) in enumerate(VERDICTS) if sd <= limit), len(VERDICTS))
     if conflict or rank == len(VERDICTS):
         return UNUSABLE
-    return names[min(rank + odd_shape, len(VERDICTS) - 1)]
+    return BEST_TO_WORST[min(rank + odd_shape, len(VERDICTS) - 1)]
 
 
-def remark_on_shape(difference: float) -> str:
-    """`difference` is log scale by lengths less that by widths."""
+def worst(*verdicts: str) -> str:
+    """The worst of them."""
+    return max(verdicts, key=BEST_TO_WORST.index)
+
+
+def one_step_below(word: str) -> str:
+    """The verdict after `word`; ``unusable`` is the last."""
+    return BEST_TO_WORST[min(BEST_TO_WORST.index(word) + 1, len(BEST_TO_WORST) - 1)]
+
+
+def remark_on_shape(difference: float, tension: float) -> Remark:
+    """`difference` is log scale by lengths less that by widths, `tension` the sigmas between the two."""
     larger, smaller = ("lengths", "widths") if difference > 0 else ("widths", "lengths")
     percent = 100 * abs(np.expm1(difference))
-    return f"{larger} give a larger scale than {smaller} by {percent:.0f} %: wrong fleet, or boxes that do not fit"
+    return Remark(
+        REFUSAL if tension > SHAPE_LIMIT else CAUTION,
+        f"{larger} give a larger scale than {smaller} by {percent:.0f} %: wrong fleet, or boxes that do not fit",
+        "Inspect the boxes (--save-detections) or name the country's fleet (--fleet)",
+    )
 
 
 def reasons(

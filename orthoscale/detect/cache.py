@@ -47,21 +47,21 @@ def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> s
     return content_key(pictures, settings)
 
 
-def content_key(pictures: Sequence[Picture], settings: Mapping[str, Any]) -> str | None:
-    """SHA-256 over the pictures' content, `settings` and the code; None when a picture cannot say what its content
-    is."""
+def content_key(pictures: Sequence[Picture], settings: Mapping[str, Any], code: tuple[str, ...] = CODE) -> str | None:
+    """SHA-256 over the pictures' content, `settings` as JSON, and the files of the package that match the patterns
+    `code`; None when a picture cannot say what its content is."""
     prints = [getattr(picture, "fingerprint", None) for picture in pictures]
     if None in prints:
         return None
     content = [[picture.name, of()] for picture, of in zip(pictures, prints, strict=True) if of]
-    return hashlib.sha256(json.dumps({"pictures": content, **settings, "code": _code_hash()}).encode()).hexdigest()
+    return hashlib.sha256(json.dumps({"pictures": content, **settings, "code": _code_hash(code)}).encode()).hexdigest()
 
 
 @lru_cache
-def _code_hash() -> str:
+def _code_hash(code: tuple[str, ...]) -> str:
     package = Path(__file__).parent.parent
     digest = hashlib.sha256()
-    for pattern in CODE:
+    for pattern in code:
         for path in sorted(package.glob(pattern)):
             if path.name not in NO_MATTER:
                 digest.update(path.read_bytes())
@@ -140,12 +140,12 @@ class TileCache(Kept):
 
     def get(self, picture: Picture, tile: Tile) -> Looks | None:
         """What was seen of `tile` before, or None. Raises nothing."""
-        content = self.content(_name(picture, tile))
+        content = self.content(tile_name(picture, tile))
         return None if content is None else _looks(content)
 
     def put(self, picture: Picture, tile: Tile, looks: Looks) -> None:
         """Keep what was seen of `tile`. Raises nothing."""
-        self.keep(_name(picture, tile), _content(looks))
+        self.keep(tile_name(picture, tile), _content(looks))
 
 
 def _open(path: Path) -> sqlite3.Connection:
@@ -169,7 +169,8 @@ def _forget_old(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _name(picture: Picture, tile: Tile) -> str:
+def tile_name(picture: Picture, tile: Tile) -> str:
+    """What a look at `tile` is kept under."""
     return f"{as_text(picture)}:{tile.x},{tile.y},{tile.width},{tile.height}"
 
 

@@ -361,6 +361,26 @@ class Standard(Struct):
     source: Text
 
 
+class AnchorStandard(Struct, forbid_unknown_fields=True):
+    """The size that things of one kind of anchor have somewhere, and one sigma of it [m]."""
+
+    kind: Name
+    metres: Annotated[float, Meta(gt=0, lt=1e4)]
+    name: Name = "your own"
+    sd: Annotated[float, Meta(gt=0, lt=1e4)] | None = None
+    source: Text = ""
+
+    def __post_init__(self) -> None:
+        if self.sd is not None and self.sd >= self.metres:
+            raise ValueError("sd: expected less than the metres")
+
+
+class AnchorStandards(Struct):
+    """A user's file of standards."""
+
+    standards: list[AnchorStandard]
+
+
 class ObjectTable(Struct):
     """``data/objects.json``."""
 
@@ -469,6 +489,21 @@ class Measured(Struct):
     interval90: tuple[Positive, Positive]
 
 
+class ReportRemark(Struct):
+    """`core.remarks.Remark`."""
+
+    severity: Literal["refusal", "caution", "support", "info"]
+    text: Text
+
+
+class ReportJudgement(Struct):
+    """`core.remarks.Judgement`."""
+
+    severity: Literal["refusal", "caution", "support", "info"]
+    what: Text
+    detail: Text
+
+
 class Explained(Struct):
     """What of a report `report.explanation` needs."""
 
@@ -478,7 +513,7 @@ class Explained(Struct):
     vehicles_used: Count
     fleet: Name
     verdict: Name = ""
-    remarks: list[str] = []
+    remarks: list[ReportRemark] = []
 
 
 class ReportInput(Struct):
@@ -541,22 +576,41 @@ class ReportEvidence(Struct):
     says: Text
 
 
+class ReportAnchor(Struct):
+    """A thing of standard size that was found: its fitted lines in a picture [px], and what it says of the scale."""
+
+    kind: Text
+    standard: Text
+    metres: Positive
+    scale: Positive
+    relative_sd: Finite
+    counted: bool
+    count: Count
+    views: Count
+    picture: Text
+    lines_px: list[tuple[tuple[Px, Px], tuple[Px, Px]]]
+    residual_cm: Finite
+
+
 class Report(Explained, kw_only=True):
     """A report from which a page is drawn; findings of one kind of source, ``drift`` among them, are left open."""
 
-    format: Literal["orthoscale report 1"]
+    format: Literal["orthoscale report 2"]
     interval90: tuple[Positive, Positive]
     verdict: Name
+    fit: Text
+    judgements: list[ReportJudgement] = []
     vehicles_rejected: dict[str, Count]
     boxes_rejected: dict[str, Count]
     fleet_sizes: ReportFleet
     checks: dict[str, Finite]
-    notes: list[str]
     input: ReportInput
     settings: dict[str, Any]
     pictures: dict[str, tuple[Count, Count]]
     vehicles: list[ReportVehicle]
     evidence: list[ReportEvidence] = []
+    anchors: list[ReportAnchor] = []
+    without_anchors: Measured | None = None
     fleets: dict[str, Finite] = {}
     claim: dict[str, Any] | None = None
     drift: dict[str, Any] | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from .catalogue import load
 from .plan import Layout
@@ -40,6 +41,12 @@ def summary(layout: Layout, out: Path | None) -> str:
     if out is not None:
         lines.append(f"written    {out}: see overlay.png")
     return "\n".join(lines)
+
+
+def catalogue_values(path: Path | None) -> list[dict[str, Any]]:
+    """The facilities as plain values: code, name, sizes [m], alone and with run-off, and source."""
+    names = ("code", "name", "length", "width", "full_length", "full_width", "source")
+    return [{name: getattr(f, name) for name in names} for f in load(path).values()]
 
 
 def catalogue_table(path: Path | None) -> str:

@@ -26,6 +26,7 @@ from ..sources.raster import RasterSource
 
 MOST_WINDOWS = 100_000
 QUALITY = 95  # of the JPEGs
+CROP_STRIDE = 0.5  # of a window's size by which the next one is shifted, unless told otherwise; the paper's
 CROP_COLUMNS = ("file", "longitude", "latitude", "column_px", "row_px", "width_px", "height_px", "width_m", "height_m")
 
 
@@ -89,20 +90,23 @@ def plan_crops(
     at: tuple[float, float] | None = None,
     radius: float | None = None,
     square: bool = False,
-    stride: float = 0.5,
+    stride: float | None = None,
     out_px: int | None = None,
 ) -> Crops:
     """Windows as large as the footprint of a photo with `photo_size` px at `gsd` metres per pixel.
 
     at : longitude and latitude of the search area's middle; the whole picture by default. radius : half of its side
     [m]; one window at `at` by default. square : of the photo's shorter side, for networks that want squares.
-    stride : by which share of its size each window is shifted. out_px : longer side of the crops, the photo's own by
-    default. Raises UsageError for a place or a footprint that the satellite picture does not hold.
+    stride : by which share of its size each window is shifted, by default CROP_STRIDE. out_px : longer side of the
+    crops, the photo's own by default.
+    Raises UsageError for a place or a footprint that the satellite picture does not hold.
     """
-    if not 0 < stride <= 1:
+    if stride is not None and not 0 < stride <= 1:
         raise UsageError(f"--stride must lie between 0 and 1, not {stride:g}")
     if radius is not None and at is None:
         raise UsageError("--radius needs the middle of the search area", "Give --at LON,LAT.")
+    if radius is None and at is not None and stride is not None:
+        raise UsageError("--stride does nothing here: --at without --radius is one crop", "Give --radius METRES.")
     if not (math.isfinite(gsd) and gsd > 0) or (radius is not None and not radius > 0):
         raise UsageError("a GSD or radius that is not a positive number of metres")
     width, height = photo_size
@@ -129,7 +133,7 @@ def plan_crops(
         )
     reach = np.array([0.0, 0.0]) if radius is None else radius / pixel
     low, high = (np.zeros(2), whole) if at is None else (middle - reach, middle + reach)
-    starts = [_starts(low[k], high[k], int(window[k]), int(whole[k]), stride) for k in (0, 1)]
+    starts = [_starts(low[k], high[k], int(window[k]), int(whole[k]), stride or CROP_STRIDE) for k in (0, 1)]
     count = len(starts[0]) * len(starts[1])
     if count > MOST_WINDOWS:
         raise UsageError(f"{count} windows are too many", "Limit the search area: --at LON,LAT --radius METRES.")

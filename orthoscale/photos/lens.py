@@ -47,8 +47,11 @@ class Lens:
 def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = None) -> Lens:
     """The lens of the photo with these `tags`; a calibration or a told focal length [px] goes first.
 
-    Raises InputError for a calibration that does not fit the photo, or where no focal length is known.
+    Raises UsageError where both are told, InputError for a calibration that does not fit the photo, or where no focal
+    length is known.
     """
+    if lens_file is not None and focal_px is not None:
+        raise UsageError("--lens and --focal-px set the same thing twice", "Give one of them.")
     size = tags.width, tags.height
     if lens_file is not None:
         return Lens(_resized(read_calibration(lens_file), size, lens_file), CALIBRATED_SD, f"from {lens_file}")

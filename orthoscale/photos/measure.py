@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.anchors import AnchorVote
 from ..core.boxes import Boxes
 from ..core.detections import Detections
-from ..core.evidence import Evidence
 from ..core.fleet import Fleet
 from ..core.measuring.geometry import Geometry, Observation
 from ..core.measuring.measure import measure as measure_boxes
@@ -28,8 +28,7 @@ from ..core.pooling.robust import MIN_VEHICLES
 from ..core.projection.exact import BODIES, ground_size
 from ..core.projection.level import level_axes, level_views, up_from_gimbal
 from ..core.projection.view import LOWEST_ELEVATION, Views
-from ..core.scale import PER_PIXEL, Scale
-from ..core.verdicts import UNUSABLE, VERDICTS, verdict
+from ..core.scale import PER_PIXEL, Scale, decimals
 from ..core.votes import Votes
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..formats.reading import files_below
@@ -100,7 +99,7 @@ def open_photo(
 ) -> Photo:
     """The photo at `path`. What is told (angles in degrees) goes before what its tags say; nadir where nothing is.
 
-    Raises InputError for what is no photo or has no focal length, UsageError for an impossible pitch.
+    Raises InputError for what is no photo or has no focal length, UsageError for an impossible pitch or a roll alone.
     """
     tags = read_tags(path)
     try:
@@ -114,8 +113,10 @@ def open_photo(
     elif tags.pitch is not None:
         angles = (tags.pitch, tags.roll or 0.0 if roll is None else roll)
         sd, attitude = GIMBAL_SD, f"pitch {tags.pitch:g}, roll {angles[1]:g}, from XMP"
+    elif roll:
+        raise UsageError("a roll says nothing of a photo that looks straight down", "Give its pitch too (--pitch).")
     else:
-        angles, sd, attitude = (-90.0, roll or 0.0), ASSUMED_SD, "nadir, assumed: the photo does not tell its pitch"
+        angles, sd, attitude = (-90.0, 0.0), ASSUMED_SD, "nadir, assumed: the photo does not tell its pitch"
     up = up_from_gimbal(*np.radians(angles))
     return Photo(name or path.name, path, tags, lens, up, float(sd), attitude)
 
@@ -154,6 +155,10 @@ class Measure:
     def log_normal(cls, value: float, sd: float) -> Measure:
         """A value and its 90 % interval, for one sigma `sd` of its logarithm."""
         return cls(value, value * np.exp(-Z90 * sd), value * np.exp(Z90 * sd))
+
+    def __str__(self) -> str:
+        places = decimals((self.high - self.low) / 2)
+        return f"{self.value:.{places}f} ({self.low:.{places}f} to {self.high:.{places}f})"
 
     def __mul__(self, factor: float) -> Measure:
         return Measure(self.value * factor, self.low * factor, self.high * factor)
@@ -265,7 +270,7 @@ class PhotoGeometry:
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
-    ) -> Sequence[Evidence]:
+    ) -> Sequence[AnchorVote]:
         """Photos are not searched for them."""
         return ()
 
@@ -311,12 +316,7 @@ def _change(size: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _thinned(scale: Scale, overlap: float) -> Scale:
     """The same with its sampling part for `overlap` times fewer vehicles."""
-    parts = {**scale.parts, "sampling": scale.parts["sampling"] * np.sqrt(overlap)}
-    sd = float(np.sqrt(sum(v**2 for v in parts.values())))
-    low, high = (scale.value * (end / scale.value) ** (sd / scale.relative_sd) for end in scale.interval90)
-    words = [name for name, _ in VERDICTS] + [UNUSABLE]
-    worse = max(scale.verdict, verdict(sd, odd_shape=False, conflict=False), key=words.index)
-    return replace(scale, parts=parts, interval90=(float(low), float(high)), verdict=worse)
+    return scale.with_parts({**scale.parts, "sampling": scale.parts["sampling"] * float(np.sqrt(overlap))})
 
 
 def _assembled(

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..core.brief import Brief
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..errors import InputError, TooLittleEvidence, UsageError
 from .looking import Looking, boxes_of
 from .measure import Photo, PhotoScale, find_photos, measure, open_photo
-from .tables import Outcome
+from .tables import Outcome, document
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -22,11 +23,12 @@ if TYPE_CHECKING:
     from ..actions.requests import VehicleOptions
     from ..detect.find import Progress
 
+LINES_SHOWN = 6  # photos that printing a survey lists
 SAME_FOCAL = 0.001  # relative difference of focal lengths up to which photos are of one lens
 
 
-@dataclass(frozen=True)
-class Survey:
+@dataclass(frozen=True, repr=False)
+class Survey(Brief):
     """outcomes : of every photo by itself. together : one scale of all of them, where that was asked for.
     found : the boxes. photos : those that could be read. fleet : by which they were measured, and why by that one."""
 
@@ -36,6 +38,23 @@ class Survey:
     photos: list[Photo]
     fleet: Fleet
     why: tuple[str, ...] = ()
+
+    def brief(self) -> list[tuple[str, str]]:
+        """One photo, or all together, in full; of several the first few."""
+        measured = [(outcome.name, got) for outcome in self.outcomes if (got := outcome.measured) is not None]
+        head = [("photos", f"{len(measured)} of {len(self.outcomes)} measured, fleet {self.fleet.code}")]
+        if self.together is not None:
+            head += [("altitude", f"{self.together.altitude} m, of all together ({self.together.scale.verdict})")]
+        lines = [
+            (name, f"altitude {got.altitude} m, GSD {got.gsd * 100} cm/px ({got.scale.verdict})")
+            for name, got in measured[:LINES_SHOWN]
+        ]
+        more = len(measured) - len(lines)
+        return [*head, *lines, *([("...", f"{more} more; to_dict() has them all")] if more else [])]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, a row for each photo; what `orthoscale photo --json` prints."""
+        return document(self.outcomes, self.fleet, self.found.detector, self.together, self.why)
 
 
 def photo(

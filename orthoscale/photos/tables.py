@@ -84,7 +84,7 @@ def document(
         text["together"] = {k: v for k, v in pooled.items() if k not in own} | {
             "photos_per_place": round(together.overlap, 2),
             "uncertainty": together.scale.parts,
-            "remarks": list(together.scale.remarks),
+            "remarks": [{"severity": r.severity, "text": r.text} for r in together.scale.remarks],
         }
     return text | {"rows": [row(outcome) for outcome in outcomes]}
 

@@ -42,7 +42,7 @@ def summary(
     lines += _told("note", text["notes"])
     lines += _told("note", [note for p in photos for note in p.tags.notes])
     for got in (together, *(o.measured for o in outcomes)):
-        lines += [f"note       {got.photo.name}: {remark}" for remark in got.scale.remarks] if got else []
+        lines += [f"{r.label:10s} {got.photo.name}: {r.text}" for r in got.scale.remarks] if got else []
     lines += [f"written    {path}" for path in outputs]
     return "\n".join(lines)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -12,20 +13,28 @@ from typing import Any
 
 import numpy as np
 
+from ..actions.anchors import Searched
 from ..core.claims import own_claim
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.measuring.drift import Drift
+from ..core.measuring.judgement import judgements
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.model_drift import ModelDrift
-from ..core.scale import PER_PIXEL
+from ..core.remarks import CAUTION, INFO, Remark
+from ..core.scale import PER_PIXEL, Scale
 from ..core.source import Source
+from ..core.verdicts import FIT
 from ..detect.zoom import ZoomChoice
 from ..errors import InputError, shown
 from ..formats.reading import LARGE, checked, read_plain
 from ..version import __version__
+from .anchors import entries
 
-FORMAT = "orthoscale report 1"
+FORMAT = "orthoscale report 2"
+FIRST_FORMAT = (
+    "orthoscale report 1"  # remarks were bare sentences, `notes` those that are only informing; no judgements
+)
 
 # What a report may be without (an orthophoto has no frames, few views tell no trend, an older version knew less), by
 # its place in the document, and what stands for it. Everything else belongs to every report.
@@ -33,8 +42,10 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("fleets",): {},
     ("fleet_source",): "",
     ("evidence",): [],
+    ("anchors",): [],
+    ("without_anchors",): None,
     ("remarks",): [],
-    ("notes",): [],
+    ("judgements",): [],
     ("vehicles_rejected",): {},
     ("boxes_rejected",): {},
     ("sweep",): None,
@@ -51,7 +62,6 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("drift", "regions"): [],
     ("drift", "trend"): None,
     ("drift", "drifts"): None,
-    ("drift", "remarks"): [],
     ("calibration",): None,
     ("calibration", "views"): 0,
     ("calibration", "undercut"): {"card": (0.0, 0.0), "fitted": (0.0, 0.0)},
@@ -74,22 +84,26 @@ def document(
     estimator: str,
     settings: Mapping[str, Any],
     seconds: float,
+    remarks: Sequence[Remark],
+    searched: Searched,
 ) -> dict[str, Any]:
     """The parts of a `Result` as plain values. Lengths in metres unless a name says px or unit; intervals are 90 %.
 
     ``vehicles[].length`` and ``width`` are those of the vehicle, the detector's margin taken off; ``place_m`` is its
-    place on a plan, x right and y up (see `Source.from_above`). ``notes`` are those remarks that do not speak against
-    the scale.
+    place on a plan, x right and y up (see `Source.from_above`). ``remarks`` and ``judgements`` are those of the core,
+    with their severity (`core.remarks`).
     """
-    scale, votes, vehicles = measured.scale, measured.votes, measured.vehicles
-    plan = source.from_above(votes.place) * scale.value
-    notes = [*source.notes, *found.notes, *measured.notes]
+    scale = measured.scale
+    plan = source.from_above(measured.votes.place) * scale.value
+    claim = own_claim(source, scale)
     return {
         "format": FORMAT,
         "scale": scale.value,
         "unit": scale.unit,
         "interval90": list(scale.interval90),
         "verdict": scale.verdict,
+        "fit": FIT[scale.verdict],
+        "judgements": [asdict(judgement) for judgement in judgements(measured, claim)],
         "vehicles_used": scale.vehicles_used,
         "vehicles_rejected": scale.rejected,
         "boxes_rejected": measured.rejected_boxes,
@@ -101,13 +115,13 @@ def document(
         "evidence": [
             {"kind": e.kind, "scale": e.value, "relative_sd": e.relative_sd, "says": e.says} for e in scale.evidence
         ],
+        **_anchors(searched, scale),
         "method": {"projection": measured.projection, "estimator": estimator},
         "fleet_sizes": _fleet_sizes(fleet),
         "uncertainty": dict(scale.parts),
         "checks": {**scale.checks, "tension_sigmas": scale.tension, "conflict_sigmas": scale.conflict},
         "weights": {"length": scale.weights[0], "width": scale.weights[1]},
-        "remarks": [*measured.remarks, *notes],
-        "notes": [*notes, *measured.accord],
+        "remarks": [{"severity": remark.severity, "text": remark.text} for remark in remarks],
         "detector": {
             "name": found.detector,
             "sha256": found.detector_sha256,
@@ -118,7 +132,7 @@ def document(
         "sweep": None
         if found.swept is None
         else {"tiles": len(found.swept.tiles), "of": found.swept.total, "from_cache": found.swept.from_cache},
-        "claim": None if (claim := own_claim(source, scale)) is None else claim.document(),
+        "claim": None if claim is None else claim.document(),
         "drift": _drift(measured.drift),
         "zoom_search": None
         if zoom_choice is None
@@ -134,29 +148,43 @@ def document(
         },
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "seconds": round(seconds, 2),
-        "vehicles": [
-            {
-                "length": float(vehicles["length"][k]),
-                "width": float(vehicles["width"][k]),
-                "place_m": [round(float(v), 3) for v in plan[k]],
-                "place_unit": [float(v) for v in votes.place[k]],
-                "views": int(votes.views[k]),
-                "score": round(float(votes.score[k]), 3),
-                "kind": vehicles["kind"][k],
-                "used": bool(scale.used[k]),
-                "reason": scale.reasons[k],
-                "boxes": [
-                    {
-                        "picture": str(measured.picture[m]),
-                        "xylwa_px": [round(float(v), 3) for v in measured.boxes.xylwa[m]],
-                        "score": round(float(measured.boxes.score[m]), 3),
-                    }
-                    for m in votes.members[k]
-                ],
-            }
-            for k in range(len(votes))
-        ],
+        "vehicles": _vehicles(measured, plan),
     }
+
+
+def _anchors(searched: Searched, scale: Scale) -> dict[str, Any]:
+    """The anchors that were looked for in the pictures, and the scale before they were."""
+    values: dict[str, Any] = {"anchors": entries(searched.votes, scale.value, scale.parts)}
+    if searched.votes and (before := searched.without) is not None:
+        values["without_anchors"] = {"scale": before.value, "interval90": list(before.interval90)}
+    return values
+
+
+def _vehicles(measured: Measurement, plan: np.ndarray) -> list[dict[str, Any]]:
+    """Every vehicle with the boxes that show it. plan : (N, 2) where they stand, from above [m]."""
+    votes, scale = measured.votes, measured.scale
+    return [
+        {
+            "length": float(row["length"]),
+            "width": float(row["width"]),
+            "place_m": [round(float(v), 3) for v in plan[k]],
+            "place_unit": [float(v) for v in votes.place[k]],
+            "views": int(row["views"]),
+            "score": round(float(row["score"]), 3),
+            "used": bool(row["used"]),
+            "reason": scale.reasons[k],
+            "kind": row["kind"],
+            "boxes": [
+                {
+                    "picture": str(measured.picture[m]),
+                    "xylwa_px": [round(float(v), 3) for v in measured.boxes.xylwa[m]],
+                    "score": round(float(measured.boxes.score[m]), 3),
+                }
+                for m in votes.members[k]
+            ],
+        }
+        for k, row in enumerate(measured.vehicles)
+    ]
 
 
 def _of_posed(measured: Measurement) -> dict[str, Any]:
@@ -219,13 +247,28 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
         if drift.trend is None
         else {"percent_across": drift.trend.percent_across, "chance": drift.trend.chance},
         "drifts": drift.drifts,
-        "remarks": drift.remarks,
     }
 
 
 def of_plan(report: Mapping[str, Any]) -> bool:
     """Whether it is that of an orthophoto; else of a reconstruction."""
     return report["unit"] == PER_PIXEL
+
+
+def upgraded(report: Any) -> Any:
+    """`report` as this version writes it, if the first version did; anything else as it is.
+
+    Its checks are not made up for: judging is for who measures.
+    """
+    if (
+        not isinstance(report, dict)
+        or report.get("format") != FIRST_FORMAT
+        or not isinstance(report.get("remarks"), list)
+    ):
+        return report
+    notes = report.get("notes") or []
+    remarks = [{"severity": INFO if text in notes else CAUTION, "text": text} for text in report["remarks"]]
+    return {**report, "format": FORMAT, "fit": FIT.get(report.get("verdict", ""), ""), "remarks": remarks}
 
 
 def completed(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -254,7 +297,7 @@ def read_json(path: Path) -> dict[str, Any]:
     from ..formats.schemas import Report
 
     hint = "Give the report.json or OUT.tif.json that `orthoscale fix` wrote, or make it again."
-    report = read_plain(path, "a report", hint, LARGE)
+    report = upgraded(read_plain(path, "a report", hint, LARGE))
     found = report.get("format") if isinstance(report, dict) else None
     if found != FORMAT:
         told = f"format {shown(str(found))!r}" if found else "no format"

@@ -10,11 +10,11 @@ from typing import Any
 
 from ..actions.result import Result
 from ..core.source import Source
-from ..errors import InputError, OrthoscaleError
+from ..errors import InputError, OrthoscaleError, UsageError
 from ..formats.reading import is_there, reason
 from ..sources.opening import open_source
 from ..system.outputs import Outputs, ours_in_a_folder
-from .document import read_json, write_json
+from .document import of_plan, read_json, write_json
 from .page import page
 from .pictures import draw
 from .scene import Scene
@@ -42,11 +42,14 @@ def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = 
     """Draw the report.json at `path` again, to `out`: its page, or its picture where `out` ends in .png; with frames
     when its input is still there, unchanged.
 
-    Returns why there are none, or ''. Raises InputError for a file that is no report, and what `Outputs` does.
+    images : folder of a model's frames, when not beside it. Returns why there are none, or ''.
+    Raises InputError for a file that is no report, UsageError for frames of an orthophoto, and what `Outputs` does.
     """
     with Outputs(overwrite, (path, images)) as outputs:
         partial = outputs.file(out, ours_in_a_folder)
         report = read_json(path)
+        if images is not None and of_plan(report):
+            raise UsageError(f"--images are a model's frames, and {path} is of an orthophoto", "Remove --images.")
         try:
             source, why = _source(report, path, images)
             if source is not None:
@@ -78,7 +81,7 @@ def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple
     if images is None and "images" in report["settings"]:
         images = Path(report["settings"]["images"])
     try:
-        source = open_source(found, images if found.is_dir() else None, need_images=False)
+        source = open_source(found, None if of_plan(report) else images, need_images=False)
     except OrthoscaleError as error:
         return None, error.message
     if source.content_hash() != report["input"]["sha256"]:

@@ -12,12 +12,13 @@ import numpy as np
 
 from ..actions.requests import command_line
 from ..core.pooling.posterior import Z90
+from ..core.remarks import INFO, percent, signed
 from ..formats.pictures import jpeg
-from . import charts, judgement, places
+from . import charts, places, wording
 from .document import completed
 from .explanation import explain
-from .judgement import percent, relative, signed
 from .scene import Panel, Scene
+from .wording import relative
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -37,23 +38,25 @@ FARTHEST_CHECK = 0.5  # relative; checks further off are left to the document: t
 def page(report: Mapping[str, Any], scene: Scene) -> str:
     """The HTML of a report. `scene` has its pictures; without any, the page does without."""
     report = completed(report)
-    (value, low, high), unit = judgement.quantity(report, report["scale"], *report["interval90"])
-    return _template().render(
+    (value, low, high), unit = wording.quantity(report, report["scale"], *report["interval90"])
+    return template("page.html").render(
         report=report,
         name=Path(report["input"]["path"]).name,
         value=value,
         low=low,
         high=high,
         unit=unit,
-        half_width=percent(judgement.half_width(report)),
-        fit=judgement.FIT[report["verdict"]],
-        metres=judgement.metres_of(report),
-        checks=judgement.checks(report),
+        half_width=percent(wording.half_width(report)),
+        metres=wording.metres_of(report),
+        notes=[remark["text"] for remark in report["remarks"] if remark["severity"] == INFO],
         overviews=[_picture(panel) for panel in scene.overviews],
         used=[_picture(panel) for panel in scene.used],
         rejected=[_picture(panel) for panel in scene.rejected],
+        anchors=[_picture(panel) for panel in scene.anchors],
+        found=[_anchor(anchor, report) for anchor in report["anchors"]],
+        narrowed=wording.narrowed(report),
         reasons={**report["vehicles_rejected"], **report["boxes_rejected"]},
-        histograms=[_histogram(report, axis) for axis in ("length", "width")],
+        histograms=[_histogram(report, axis) for axis in ("length", "width") if report["vehicles_used"]],
         estimates=_estimates(report),
         modes={name: _mode(mode, report) for name, mode in _modes(report).items()},
         calibration=_calibration(report),
@@ -66,7 +69,8 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
 
 
 @cache
-def _template() -> Template:
+def template(name: str) -> Template:
+    """The template `name` beside this module: what it is given is escaped, and what it misses is an error."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     loader = PackageLoader("orthoscale.report", ".")
@@ -74,7 +78,7 @@ def _template() -> Template:
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters |= {"percent": percent, "signed": signed}
-    return environment.get_template("page.html")
+    return environment.get_template(name)
 
 
 def _picture(panel: Panel) -> dict[str, Any]:
@@ -86,6 +90,7 @@ def _picture(panel: Panel) -> dict[str, Any]:
         "height": height,
         "href": _jpeg(panel.image),
         "bar": panel.bar,
+        "fine": panel.fine,
         "outlines": [
             {
                 "points": " ".join(f"{x:.1f},{y:.1f}" for x, y in outline.points),
@@ -133,13 +138,20 @@ def _estimates(report: Mapping[str, Any]) -> Markup:
     return charts.estimates(rows, (low, high), f"Other estimates of the scale, relative to the answer: {label}")
 
 
+def _anchor(anchor: Mapping[str, Any], report: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page says of one anchor."""
+    alone = f"{signed(relative(anchor['scale'], report))} ± {percent(Z90 * anchor['relative_sd'])}"
+    pictures = f"{anchor['views']} pictures" if anchor["views"] > 1 else anchor["picture"]
+    return {**anchor, "alone": alone, "pictures": pictures, "residual": f"{anchor['residual_cm']:.1f} cm"}
+
+
 def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:
     return {name: mode for name in MODE_ORDER if (mode := report["modes"].get(name))}
 
 
 def _mode(mode: Mapping[str, Any], report: Mapping[str, Any]) -> str:
     """One way of measuring, in words."""
-    values, unit = judgement.quantity(report, mode["scale"], *mode.get("interval90", ()))
+    values, unit = wording.quantity(report, mode["scale"], *mode.get("interval90", ()))
     interval = f", {values[1]} to {values[2]} (90 %)" if len(values) == 3 else ""
     vehicles = f", {mode['vehicles_used']} vehicles" if "vehicles_used" in mode else ""
     return f"{values[0]} {unit}{interval}{vehicles}"

@@ -22,17 +22,6 @@ class Region:
 
 
 @dataclass(frozen=True)
-class Trend:
-    """change : of the scale from one end to the other, relative. sd : one sigma of that, None where it is not told.
-    drifts : whether that, or a bend, is more than chance makes, as it was judged where it was measured; None in
-    reports of versions that did not say."""
-
-    change: float
-    sd: float | None
-    drifts: bool | None
-
-
-@dataclass(frozen=True)
 class Frame:
     """deviation : log of the scale that this frame gives its vehicles over the one that all frames give them."""
 
@@ -57,16 +46,6 @@ def regions(report: Mapping[str, Any]) -> list[Region]:
         for r in drift.get("regions", [])
         for x, y in [r["centre_unit"]]
     ]
-
-
-def trend(report: Mapping[str, Any]) -> Trend | None:
-    """None where there are too few vehicles to tell."""
-    drift = report.get("drift") or {}
-    if "tilt" in drift:
-        return Trend(drift["tilt"], drift["tilt_sd"], drift.get("drifts"))
-    if drift.get("trend"):
-        return Trend(drift["trend"]["percent_across"] / 100, None, drift.get("drifts"))
-    return None
 
 
 def frames(report: Mapping[str, Any]) -> list[Frame]:

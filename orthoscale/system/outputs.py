@@ -152,6 +152,11 @@ class Outputs:
         """What `attempt` could not write and why, as a part of a sentence; '' where all is there."""
         return "; ".join(f"{', '.join(names)} could not be written ({why})" for why, names in self.problems.items())
 
+    @property
+    def places(self) -> list[Path]:
+        """Where the outputs are to be that were claimed, in that order."""
+        return [claim.path for claim in self._claims if not claim.retired]
+
     def __enter__(self) -> Outputs:
         return self
 

@@ -12,6 +12,7 @@ import argparse
 import json
 import multiprocessing
 import os
+import resource
 import shlex
 import sys
 import tempfile
@@ -38,7 +39,9 @@ def wanted(options: argparse.Namespace) -> Iterator[tuple[str, int]]:
         name, _, seed = options.only.rpartition(":")
         yield name, int(seed)
         return
-    counts = {name: count for name, (_, count) in commands.CLASSES.items() if options.part in name}
+    counts = {
+        name: count for name, (_, count) in commands.CLASSES.items() if any(word in name for word in options.parts)
+    }
     if options.short:
         total = sum(counts.values())
         counts = {name: max(LEAST, round(SHORT * count / total)) for name, count in counts.items()}
@@ -52,7 +55,9 @@ def wanted(options: argparse.Namespace) -> Iterator[tuple[str, int]]:
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description="The damage campaign.")
     parser.add_argument("--short", action="store_true", help="about 400 attempts")
-    parser.add_argument("--class", dest="part", default="", metavar="WORD", help="classes whose names hold this")
+    parser.add_argument(
+        "--class", dest="parts", action="append", metavar="WORD", help="classes whose names hold this; repeatable"
+    )
     parser.add_argument("--count", type=int, help="attempts of each class")
     parser.add_argument("--first", type=int, default=0, help="first seed (%(default)s)")
     parser.add_argument("--only", metavar="CLASS:SEED", help="one attempt")
@@ -63,6 +68,7 @@ def main() -> int:
     parser.add_argument("--failures", type=Path, default=FAILURES, help="file for what failed (%(default)s)")
     parser.add_argument("--log", type=Path, help="file to which all outcomes are added")
     options = parser.parse_args()
+    options.parts = options.parts or [""]
     runner.one_thread()
     begin = time.monotonic()
     home = Path("/dev/shm") if os.access("/dev/shm", os.W_OK) else None
@@ -94,7 +100,8 @@ def main() -> int:
         print(table(outcomes, [name for name in commands.CLASSES if any(o.name == name for o in outcomes)]))
         options.failures.parent.mkdir(exist_ok=True)
         options.failures.write_text("".join(json.dumps(asdict(o)) + "\n" for o in failed))
-        cpu = sum(o.cpu for o in outcomes)
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)  # corpus, workers and all that they started
+        cpu = usage.ru_utime + usage.ru_stime
         print(f"\n{len(outcomes)} inputs in {time.monotonic() - begin:.0f} s ({cpu:.0f} s of the processor), "
               f"{len(failed)} with problems" + (f", listed in {options.failures}" if failed else ""))  # fmt: skip
     return int(bool(failed))

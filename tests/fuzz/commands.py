@@ -157,6 +157,7 @@ def settings(bench: Bench, rng: Rng) -> Attempt:
             *((f, (*ask, "--fleet", f"in/{f}")) for f in ("fleet.json", "mixture.json", "shares.json")),
             ("calibration.json", (*ask, "--calibration", "in/calibration.json")),
             ("control.txt", (*ask, "--fleet", "DE", "--ground-control", "in/control.txt")),
+            ("standards.json", (*ask, "--fleet", "DE", "--anchor", "in/standards.json")),
             ("sim3.json", ("apply", "in/sim3.json", "in/ascii.ply", "--out", "out")),
             ("sim3.txt", ("apply", "in/sim3.txt", "in/ascii.ply", "--out", "out")),
             ("catalogue.json", ("layout", "in/scaled.tif", "--lot", "in/lot.geojson", "--facility", "boules")),
@@ -345,7 +346,7 @@ def onnx_files(bench: Bench, rng: Rng) -> Attempt:
 
 OPTIONS = (
     *("--zoom", "--gsd-hint", "--target", "--seed", "--workers", "--fleet", "--vehicle-class", "--known-distance"),
-    *("--decoder", "--calibration", "--mode", "--images", "--scheduler"),
+    *("--anchors", "--anchor", "--decoder", "--calibration", "--mode", "--images", "--scheduler"),
 )
 
 
@@ -577,19 +578,19 @@ def onto_inputs(bench: Bench, rng: Rng) -> Attempt:
 
 
 CLASSES: dict[str, tuple[Callable[[Bench, Rng], Attempt], int]] = {
-    "COLMAP binary": (_damaged_colmap(("colmap-bin", "rig-bin")), 1500),
-    "COLMAP text": (_damaged_colmap(("colmap-txt", "rig-txt")), 1500),
+    "COLMAP binary": (_damaged_colmap(("colmap-bin", "rig-bin")), 1200),
+    "COLMAP text": (_damaged_colmap(("colmap-txt", "rig-txt")), 1200),
     "COLMAP edited": (edited_colmap, 240),
     "COLMAP mixed up": (mixed_colmap, 60),
     "OpenSfM, nerfstudio, Bundler, NVM": (other_models, 1200),
-    "detection files": (detections, 1400),
-    "detections of frames": (model_detections, 300),
+    "detection files": (detections, 1200),
+    "detections of frames": (model_detections, 250),
     "fleets, calibrations, lenses, ...": (settings, 1200),
-    "reports, lots": (documents, 700),
-    "rasters damaged": (rasters, 900),
+    "reports, lots": (documents, 500),
+    "rasters damaged": (rasters, 800),
     "rasters hostile": (hostile_rasters, 60),
-    "photos": (photos, 400),
-    "data sets": (datasets, 300),
+    "photos": (photos, 300),
+    "data sets": (datasets, 250),
     "clouds, meshes, depth": (geometry, 900),
     "ONNX": (onnx_files, 200),
     "deep, huge and odd values": (values, 200),

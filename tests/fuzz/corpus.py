@@ -171,7 +171,8 @@ def _strange(folder: Path) -> None:
     profile = {"driver": "GTiff", "count": 1, "dtype": "uint8", "SPARSE_OK": True, "compress": "deflate"}
     with rasterio.open(folder / "tiled20000.tif", "w", **profile, width=20000, height=20000, tiled=True):
         pass
-    with rasterio.open(folder / "strip20000.tif", "w", **profile, width=20000, height=20000, blockysize=20000) as file:
+    profile |= {"SPARSE_OK": False, "width": 20000, "height": 20000, "blockysize": 20000}
+    with rasterio.open(folder / "strip20000.tif", "w", **profile) as file:
         file.write(np.zeros((1, 20000, 20000), np.uint8))
     (folder / "grey20000.png").write_bytes(png(20000, 20000))
     (folder / "bits20000.png").write_bytes(png(20000, 20000, 1))
@@ -208,6 +209,8 @@ def _settings(folder: Path) -> None:
     (folder / "catalogue.json").write_text(
         json.dumps({"facilities": {"boules": {**own, "lines": [["line", 0, 0, 5, 0]]}}})
     )
+    bays = {"kind": "parking bays", "metres": 2.5, "sd": 0.02, "name": "ours", "source": "a plan"}
+    (folder / "standards.json").write_text(json.dumps({"standards": [bays]}))
     (folder / "control.txt").write_text("40,40 4 -4\n360,40 36 -4\n40,360 4 -36\n360,360 36 -36\n")
     said = in_process.run("estimate", folder / "ortho.tif", "--detections", folder / "boxes.json", "--json")
     (folder / "report.json").write_text(said.stdout)

@@ -21,20 +21,25 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import orthoscale
 
+# A child hangs that takes longer than this by the clock, less what it stood in line for the processor, as the kernel
+# counts it: who computes and who waits for a pipe or a server are found alike, and a busy machine is nobody's fault.
 TIME_LIMIT = 30.0  # [s]
-WAITING = 3  # by the clock: others may need the processor too, and who waits for a pipe needs none
+WAITING = 10  # times that by the clock, whatever the kernel counts
 GIB = 2**30
 MEMORY_LIMIT = 1.0  # [GiB]
 STOP_AT = 3.0  # [GiB] where a child is stopped, for the sake of the machine
 TOLERANCE = 0.02  # of the scale of a damaged input that was accepted
+STOPPED = "stopped; already written: "
 DONE = frozenset((0, 2, 3, 4, 5, 6))
 NOT_LOADED = ("orthoscale.synthetic", "orthoscale.rio", "orthoscale.__main__")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "GDAL_NUM_THREADS")
+LIBRARIES = ("*** SIG", "*** Aborted", "libpng ", "Corrupt JPEG", "[ WARN:", "[ERROR:")  # how lines of theirs begin
 PROBLEMS = ("crash", "hang", "memory", "left behind", "input changed", "wrong answer")
 
 
@@ -47,7 +52,7 @@ class Attempt:
     file written. kill : (signal, delay [s]) sent to a process of its own; when_writing : the
     delay counts from its first output. twins : how many run at once, of which one
     may succeed. beside : a success may add files to `in/`.
-    patience : [s] of the processor after which it hangs, or WAITING times that by the clock.
+    patience : [s] after which it hangs, see TIME_LIMIT.
     """
 
     argv: tuple[str | bytes, ...]
@@ -117,7 +122,10 @@ def run(name: str, seed: int, folder: Path, attempt: Attempt) -> Outcome:
         problems.add("hang")
     if peak > attempt.memory:
         problems.add("memory")
-    problems |= marks(before, contents(folder), any(_delivered(r) for r in runs), attempt.beside)
+    after = contents(folder)
+    problems |= marks(before, after, any(_delivered(r) for r in runs), attempt.beside)
+    if _unnamed(runs, (path for path in after if path not in before and not path.startswith("cache"))):
+        problems.add("left behind")
     if "left behind" in problems and attempt.kill and attempt.kill[0] == signal.SIGKILL:
         problems.discard("left behind")
         _forked(folder, attempt)  # the next one tidies up
@@ -191,24 +199,33 @@ class _Run:
 
 
 def _delivered(run: _Run) -> bool:
-    """Whether there is an output: also where a report or a picture beside it failed, or a signal came after it was in
-    its place, which are said."""
-    return run.code == 0 or (
-        run.code == 6 and ("is written and verified, but" in run.err or "already written" in run.err)
-    )
+    """Whether there is an output: also where a report or a picture beside it failed, which is said.
+
+    Or where a signal came when it was in its place already. There is always such a moment before a program ends, and
+    to take a verified output away again would lose what somebody may be reading. So it stays, and the run that was
+    stopped says so: only what it names may be there.
+    """
+    return run.code == 0 or (run.code == 6 and "is written and verified, but" in run.err) or STOPPED in run.err
+
+
+def _unnamed(runs: list[_Run], new: Iterable[str]) -> bool:
+    """Whether a run that was stopped left something that it does not name as written."""
+    said = [run.err.partition(STOPPED)[2] for run in runs if STOPPED in run.err]
+    return any(Path(path).parts[0] not in words for words in said for path in new)
 
 
 def _crashed(run: _Run, attempt: Attempt) -> bool:
-    """A signal that nobody sent, an exit code that nobody promised, a traceback, or the words of a bug."""
+    """A signal that nobody sent, an exit code that nobody promised, a traceback, or the words of a bug or a library."""
     if run.hung or run.peak >= STOP_AT:
         return False  # stopped from here: it counts as such
-    bad = ["bug in orthoscale", "Fatal Python error", "*** SIG", "*** Aborted"]
+    bad = ["bug in orthoscale", "Fatal Python error"]
     if not attempt.kill or "/orthoscale/" in run.err:  # Python itself has a word to say to a signal while it starts
         bad.append("Traceback (most recent call last)")
     # Whether a program that tidied up ends with 128 + number or with the signal is a matter of taste; Python's way is
     # SIGINT for both.
     stopped = {130, 143, -signal.SIGINT, -attempt.kill[0]} if attempt.kill else set()
-    return any(word in run.err for word in bad) or run.code not in attempt.codes | stopped
+    loud = any(line.startswith(LIBRARIES) for line in run.err.splitlines())
+    return loud or any(word in run.err for word in bad) or run.code not in attempt.codes | stopped
 
 
 def _wrong(out: str, attempt: Attempt) -> bool:
@@ -302,7 +319,8 @@ def _wait(running: list[tuple[int, _Pipe, _Pipe]], patience: float) -> list[_Run
             done, status, usage = os.wait4(pid, os.WNOHANG)
             most[pid] = max(most[pid], _resident(pid))
             clock = time.monotonic() - begin
-            hung = not done and (clock > WAITING * patience or (clock > patience and _spent(pid) > patience))
+            late = not done and clock > patience
+            hung = late and (clock - _in_line(pid) > patience or clock > WAITING * patience)
             if not done and (hung or most[pid] > STOP_AT):
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(pid, signal.SIGKILL)
@@ -328,13 +346,17 @@ def _resident(pid: int) -> float:
     return total * resource.getpagesize() / GIB
 
 
-def _spent(pid: int) -> float:
-    """[s] of the processor that the child has used."""
+def _in_line(pid: int) -> float:
+    """[s] that the child's threads and its own children could have run and did not, for want of a processor."""
+    total = 0
     try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return 0.0
-    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")  # its own, and of those it waited for
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        for number in (str(pid), *children):
+            for task in Path(f"/proc/{number}/task").iterdir():
+                total += int((task / "schedstat").read_text().split()[1])
+    except (OSError, IndexError, ValueError):
+        pass
+    return total / 1e9
 
 
 def _killed(folder: Path, attempt: Attempt) -> list[_Run]:

@@ -432,6 +432,17 @@ _onnx("6e8 values", lambda n, path: n.many_boxes(path, 75_000_000))
 _onnx("an output of strings", lambda n, path: n.text_output(path))
 
 
+@seed("memory and time: 100,000 boxes anywhere")
+def _anywhere(bench: Bench) -> Attempt:
+    inside = bench.take("strange", "tiled20000.tif")
+    rng = np.random.default_rng(0)
+    low, high = [0, 0, 20, 8, -1.5, 0], [20_000, 20_000, 60, 25, 1.5, 1]
+    keys = ("cx", "cy", "length", "width", "angle", "score")
+    rows = [dict(zip(keys, row, strict=True)) for row in rng.uniform(low, high, (100_000, 6)).tolist()]
+    (inside / "boxes.json").write_text(json.dumps({"tiled20000.tif": rows}))
+    return ends(("estimate", "in/tiled20000.tif", *BOXES), 0, 3, 4)
+
+
 # 10, 11: nonsense
 
 
@@ -440,10 +451,20 @@ _boxes("zoom of no size", lambda d: d.update(zoom=0))
 _boxes("negative noise", lambda d: d["ruler"].update(noise=[-2, -1]))
 _boxes("scores that are not numbers", _every(lambda row: row.update(score=float("nan"))))
 _boxes("boxes a hundred times the picture", _every(lambda row: row.update(length=44_000, width=18_000)))
+_boxes("lengths and widths of nothing", _every(lambda row: row.update(length=50, width=1)), 3)
 _boxes("five copies of one box", _rows(lambda rows: rows[:1] * 5), 3, 5)
 _boxes("thirty copies of one box", _rows(lambda rows: rows[:1] * 30), 3, 5)
 _boxes("4,800 copies of one box", _rows(lambda rows: rows[:1] * 4800), 3, 5)
 _boxes("24,000 copies of one box", _rows(lambda rows: rows[:1] * 24_000), 3, 5)
+
+
+@seed("frames: a PNG whose pixels are damaged")
+def _damaged_frame(bench: Bench) -> Attempt:
+    path = bench.take("colmap-bin") / "images/00.png"
+    data = bytearray(path.read_bytes())
+    data[data.index(b"IDAT") + 200] ^= 0x55
+    path.write_bytes(data)
+    return ends(("fix", *PLANS, "--out", "out"), 6)
 
 
 def _asked(name: str, *more: str | bytes, codes: tuple[int, ...] = (2,), command: tuple = ESTIMATE) -> None:

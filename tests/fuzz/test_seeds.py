@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import multiprocessing
 import random
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -74,6 +76,36 @@ def test_the_campaign_sees_what_goes_wrong(worker, tmp_path):
     assert both.problems == ("wrong answer",)
     much = worker.apply(judged, (runner.Attempt(("fleets",), memory=0.001), tmp_path / "much"))
     assert much.problems == ("memory",)
+    slow = worker.apply(judged, (runner.Attempt(("fleets",), patience=0.001), tmp_path / "slow"))
+    assert slow.problems == ("hang",)
+
+
+COMPUTE = """
+import os, time
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+while time.process_time() < 0.5:
+    pass
+"""
+
+
+def test_who_stands_in_line_does_not_hang():
+    """Two that compute on one core have half of it each: the kernel counts the rest as waiting."""
+    first, second = (subprocess.Popen([sys.executable, "-c", COMPUTE]) for _ in range(2))
+    waited = [0.0]
+    while first.poll() is None:
+        waited.append(runner._in_line(first.pid))
+        time.sleep(0.01)
+    second.wait()
+    assert max(waited) > 0.1
+
+
+def test_a_stopped_run_is_held_to_what_it_says():
+    stopped = runner._Run(143, 0, 0, False, "", "stopped; already written: out.tif, out.tif.json\n")
+    assert runner._delivered(stopped)
+    assert not runner._unnamed([stopped], ["out.tif", "out.tif.json"])
+    assert runner._unnamed([stopped], ["out.tif", "more"])
+    nothing = runner._Run(143, 0, 0, False, "", "stopped; nothing was written\n")
+    assert not runner._delivered(nothing) and not runner._unnamed([nothing], ["out"])
 
 
 def test_marks():

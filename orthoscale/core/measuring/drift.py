@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+
+from ..remarks import CAUTION, REFUSAL, Remark, by_severity
+from ..scale import Scale
+from ..verdicts import UNUSABLE, one_step_below, worst
 
 FEWEST = 40  # vehicles; with fewer no gradient that a picture may have could be told from chance
 PER_CELL = 6.0  # vehicles wanted in a cell of the map
@@ -12,6 +17,8 @@ MOST_CELLS = 8  # along the longer side
 CHANCE = 0.01  # that vehicles without any drift are said to show one; tests share it
 SCATTER = 0.01  # least that vehicles' sizes scatter; those of one model, seen sharply, do by about as much
 NOTABLE = 0.01  # relative change across the picture below which nobody need know
+EVEN_SD = 12**-0.5  # one sigma of what is spread evenly over a range of 1 (uniform distribution)
+TO_MEND = "Straighten the input, measure its parts by themselves, or see whether vehicles differ from place to place"
 
 
 @dataclass(frozen=True)
@@ -51,6 +58,16 @@ class Drift:
         return self.tilts or self.bends
 
     @property
+    def amplitude(self) -> float:
+        """By how much the scale differs between its extremes, relative; 0 where nothing speaks for a drift."""
+        return float(np.hypot(self.tilt if self.tilts else 0.0, self.bend if self.bends else 0.0))
+
+    @property
+    def warnings(self) -> list[str]:
+        """The remark, if there is one."""
+        return [self.remark] if self.drifts else []
+
+    @property
     def remark(self) -> str:
         """A warning in words, empty where there is nothing to warn of."""
         found = []
@@ -64,6 +81,25 @@ class Drift:
             return ""
         why = "the orthophoto may be tilted or bent, or its vehicles differ from place to place"
         return f"the scale {' and '.join(found)}: {why}"
+
+
+def with_drift(scale: Scale, amplitude: float, warnings: Sequence[str]) -> Scale:
+    """`scale` as it holds for any one place of its source, if it differs by `amplitude` (relative) between extremes.
+
+    By how much one place strays from the whole is one more part of the uncertainty, EVEN_SD of the amplitude, as of a
+    change that is spread evenly; interval and verdict follow. The verdict sinks by one step at least where the change
+    is larger than the 90 % interval is wide: then the places exclude each other's scale. Where it sinks to
+    ``unusable``, no one scale describes the source, and the `warnings` refuse it.
+    """
+    word = scale.verdict
+    if amplitude > 0:
+        low, high = scale.interval90
+        lowered = amplitude > (high - low) / scale.value
+        scale = scale.with_parts({**scale.parts, "drift": EVEN_SD * amplitude})
+        scale = replace(scale, verdict=worst(scale.verdict, one_step_below(word) if lowered else word))
+    refused = scale.verdict == UNUSABLE != word
+    said = [Remark(REFUSAL if refused else CAUTION, text, TO_MEND if refused else "") for text in warnings]
+    return replace(scale, remarks=by_severity((*scale.remarks, *said)))
 
 
 def drift(vehicles: np.ndarray, width: float, height: float) -> Drift | None:

@@ -9,8 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
+from ..anchors import AnchorVote
 from ..boxes import Boxes
-from ..evidence import Evidence
 from ..ruler import Ruler
 from ..scale import Scale
 from ..votes import Votes
@@ -87,7 +87,7 @@ class Geometry(Protocol):
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
-    ) -> Sequence[Evidence]:
+    ) -> Sequence[AnchorVote]:
         """What else the pictures show of the scale; `vehicles` are the votes without the detector's margin."""
         ...
 

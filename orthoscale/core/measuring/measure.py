@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import TooLittleEvidence
+from ..anchors import AnchorVote
 from ..detections import Detections
-from ..evidence import Evidence
 from ..fleet import Fleet
 from ..pooling.robust import MIN_VEHICLES
 from ..votes import gather
@@ -47,7 +47,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
             own.kinds,
         )
         vehicles = replace(votes, size=tight(votes, seen.ruler.margin))
-        more: Sequence[Evidence] = ()
+        more: Sequence[AnchorVote] = ()
         if method.standards is not None:
             more = geometry.surroundings(seen, vehicles, metres_per_unit, method.standards, fleet.code)
         scale = method.pool(votes, fleet, seen.ruler, geometry.unit, seen.covariance, more)

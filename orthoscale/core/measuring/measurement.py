@@ -11,6 +11,7 @@ import numpy as np
 from ..boxes import Boxes
 from ..pooling.agreement import Agreement
 from ..projection.self_calibration import OwnRuler, Trends
+from ..remarks import INFO, Remark
 from ..scale import Scale
 from ..votes import Votes
 from .drift import Drift
@@ -78,15 +79,9 @@ class Measurement:
         return {reason: count for reason, count in self.lost.items() if count}
 
     @property
-    def remarks(self) -> list[str]:
-        """What speaks against the scale, or limits it."""
-        drift = [self.drift.remark] if isinstance(self.drift, Drift) and self.drift.drifts else []
-        return [*self.scale.remarks, *drift]
-
-    @property
-    def accord(self) -> list[str]:
-        """Those of the remarks that only say that two ways agree."""
-        return [self.agreement.sentence()] if self.agreement is not None and not self.agreement.contradicts else []
+    def remarks(self) -> list[Remark]:
+        """What should be known beside the figures, the most serious first."""
+        return [*self.scale.remarks, *(Remark(INFO, note) for note in self.notes)]
 
 
 def tight(votes: Votes, margin: Sequence[float] | np.ndarray) -> np.ndarray:

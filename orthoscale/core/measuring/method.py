@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..anchors import AnchorVote, Standard
 from ..boxes import Boxes
 from ..evidence import Evidence
 from ..fleet import Fleet
+from ..pooling.anchors import evidence_of
 from ..pooling.paper import pool_paper
 from ..pooling.robust import pool
 from ..projection import decoupled
@@ -35,16 +37,20 @@ VARIANTS_BY_NAME = {
 class Method:
     """projection : one of PROJECTIONS; None is what fits the source. estimator : one of `requests.ESTIMATORS`.
 
-    evidence : what is known of the scale besides the vehicles.
+    evidence : what is known of the scale besides the vehicles. anchors : what was found in the pictures.
     standards : by which parking rows and objects of standard size count, where the boxes show them;
-    None leaves them out.
+    None leaves them out. country : ISO code of two letters, by which anchors are told apart; empty where not known.
+    own : a user's standards by kind, which take the place of others.
     `requests.EstimateRequest` has checked them.
     """
 
     projection: str | None = None
     estimator: str = "robust"
     evidence: tuple[Evidence, ...] = ()
+    anchors: tuple[AnchorVote, ...] = ()
     standards: Standards | None = None
+    country: str = ""
+    own: Mapping[str, tuple[Standard, ...]] = field(default_factory=dict)
 
     def sizes(
         self, boxes: Boxes, views: Views, metres_per_unit: float, height: Sequence[float] | np.ndarray, fleet: Fleet
@@ -68,9 +74,11 @@ class Method:
         ruler: Ruler,
         unit: str,
         geometry: np.ndarray | None = None,
-        more: Sequence[Evidence] = (),
+        more: Sequence[AnchorVote] = (),
     ) -> Scale:
-        """The scale; `more` is what else the source itself shows."""
+        """The scale; `more` are anchors that the boxes themselves show."""
         if self.estimator == "iqr":
             return pool_paper(votes, fleet, unit)
-        return pool(votes, fleet, ruler, unit, geometry, (*self.evidence, *more))
+        seen = [vote.of(self.own.get(vote.anchor.kind)) for vote in (*self.anchors, *more)]
+        evidence = (*self.evidence, *evidence_of(seen, self.country))
+        return pool(votes, fleet, ruler, unit, geometry, evidence)

@@ -11,37 +11,45 @@ from typing import Any
 
 import numpy as np
 
-from ..evidence import Evidence
+from ..anchors import Anchor, AnchorVote, Standard
+from ..pooling.anchors import SHARED
 
 EDGE_SD = 2.0  # of one box side, in detector pixels: how well an object's edges are boxed, which nobody has measured
-SHARED = 0.5  # share of that variance that all boxes of a class have in common: the boxes' margin
 ODD_RATIO = 3.0  # sigmas between a box's ratio of sides and a standard's, beyond which it is not that standard
 
 
-def standard_object(
-    kind: str, standards: Sequence[Mapping[str, Any]], size: np.ndarray, pixel: np.ndarray
-) -> Evidence | None:
-    """The scale by objects of class `kind`; None where no standard is known or none has that shape.
+def standard_objects(
+    kind: str, standards: Sequence[Mapping[str, Any]], size: np.ndarray, pixel: np.ndarray, place: np.ndarray
+) -> list[AnchorVote]:
+    """The boxes of class `kind` that have the shape of one of its standards, each as an anchor.
 
     standards : those of the class, as in ``data/objects.json``: length and width, each a value and one sigma [m].
-    size : (N, 2) length and width [units]. pixel : (N,) size of one detector pixel [units].
+    size : (N, 2) length and width [units]. pixel : (N,) size of one detector pixel [units]. place : (N, D) [units].
     """
     if not standards or not len(size):
-        return None
-    edge = EDGE_SD * pixel[:, None] / size  # (N, 2) relative
+        return []
+    edge = (EDGE_SD * pixel[:, None] / size) ** 2  # (N, 2) relative variance
     sides = np.array([[s["length"][0], s["width"][0]] for s in standards])  # (S, 2) [m]
-    side_sd = np.array([[s["length"][1], s["width"][1]] for s in standards]) / sides
+    rule = np.square(np.array([[s["length"][1], s["width"][1]] for s in standards]) / sides)
     log_scale = np.log(sides)[:, None] - np.log(size)  # (S, N, 2)
-    variance = side_sd[:, None] ** 2 + edge**2
+    variance = rule[:, None] + edge
     odd = np.abs(log_scale[..., 0] - log_scale[..., 1]) / np.sqrt(variance.sum(2))  # (S, N) sigmas
     which = np.argmin(odd, axis=0)
-    fits = odd.min(axis=0) < ODD_RATIO
-    if not fits.any():
-        return None
-    chosen = (which[fits], np.flatnonzero(fits))
-    value, var = log_scale[chosen].ravel(), variance[chosen].ravel()
-    weight = 1 / var / (1 / var).sum()
-    independent = (weight**2 * var).sum()
-    sd = float(np.sqrt(SHARED * (weight @ var) + (1 - SHARED) * independent))
-    count = int(fits.sum())
-    return Evidence(kind, float(np.exp(weight @ value)), sd, f"{count} box{'es' if count > 1 else ''} of class {kind}")
+    votes = []
+    for n in np.flatnonzero(odd.min(axis=0) < ODD_RATIO):
+        s = which[n]
+        weight = 1 / variance[s, n] / (1 / variance[s, n]).sum()  # of length and width
+        fit = SHARED * weight @ edge[n] + (1 - SHARED) * weight**2 @ edge[n]  # a box errs alike on all its sides
+        told = standards[s]
+        standard = Standard(told["name"], float(sides[s, 0]), float(np.sqrt(rule[s, 0])), told["source"])
+        units = float(sides[s, 0] * np.exp(-weight @ log_scale[s, n]))
+        anchor = Anchor(
+            in_words(kind), place[n], np.empty((0, 2, 2)), units, float(np.sqrt(fit)), np.empty(0), (standard,), 0.0
+        )
+        votes.append(AnchorVote(anchor, place[n], units, anchor.relative_sd))
+    return votes
+
+
+def in_words(kind: str) -> str:
+    """An anchor's kind by the name of a detector's class, or of a choice on the command line: ``tennis-court``."""
+    return kind.replace("-", " ")

@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from ...errors import TooLittleEvidence
+from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..detections import Detections
-from ..evidence import Evidence
 from ..fleet import Fleet
 from ..pooling.robust import MIN_VEHICLES
 from ..projection.exact import BODIES
@@ -119,7 +119,7 @@ class FramesGeometry:
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
-    ) -> Sequence[Evidence]:
+    ) -> Sequence[AnchorVote]:
         """Objects of standard size, and rows of parked vehicles."""
         objects = objects_in_model(self.source, self.found.objects, self.found.zoom, metres_per_unit, standards)
         return [*objects, *rows_in_model(vehicles, self.along[seen.solved], standards, country)]

@@ -12,12 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from ..evidence import Evidence
+from ..anchors import Anchor, AnchorVote, Standard
 
+ROWS_KIND = "parking bays"
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
 ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another
 PITCHES = (1.15, 1.75)  # of a vehicle's width: 2.2 m for the widest cars to 2.8 m for the narrowest
-REACH = 6  # stalls over which distances are compared; parking jitter does not grow with them, an error of pitch does
+STALLS_COMPARED = (
+    6  # stalls over which distances are compared; parking jitter does not grow with them, an error of pitch does
+)
 NEIGHBOURS = 256  # within that reach at most; twice as many as fit, if no two boxes show one vehicle
 MIN_ROW = 3  # vehicles side by side make a row
 MIN_IN_ROWS = 8  # in rows, below which no pitch is read
@@ -39,8 +42,8 @@ def parking_pitch(
     stalls: Mapping[str, Mapping[str, Any]],
     country: str,
     min_vehicles: int = MIN_IN_ROWS,
-) -> Evidence | None:
-    """The scale by the pitch of parking rows; None where no rows show one, or `country` has no standard.
+) -> AnchorVote | None:
+    """The pitch of parking rows, an anchor; None where no rows show one, or `country` has no standard.
 
     place : (N, D) where vehicles stand [units], D 2 or 3. along : (N, D) unit vectors of their long sides.
     size : (N, 2) length and width [units]. stalls : widths and their one sigma by country, as in ``data/stalls.json``
@@ -70,9 +73,12 @@ def parking_pitch(
     step = np.log(candidates[1] / candidates[0])
     sourced = stall is not stalls["WORLD"] and not stall["source"].startswith("recalled")
     own = np.hypot(stall["width_sd"], PLACE_SD if sourced else RECALLED_SD)
-    sd = float(np.sqrt((own / stall["width"]) ** 2 + spread**2 + step**2))
-    says = f"the pitch of parking rows ({vehicles} vehicles, stalls of {stall['width']:.2f} m)"
-    return Evidence("parking pitch", stall["width"] / pitch, sd, says)
+    sd, middle = float(np.hypot(spread, step)), np.median(place, axis=0)
+    width = stall["width"]
+    standard = Standard("stalls, by the vehicles in them", width, float(own / width), stall["source"])
+    lines, residual = np.empty((0, 2, 2)), np.empty(0)
+    anchor = Anchor(ROWS_KIND, middle, lines, pitch, sd, residual, (standard,), 0.0, count=vehicles)
+    return AnchorVote(anchor, middle, pitch, sd)
 
 
 def _rhythm_of_rows(row: np.ndarray, distance: np.ndarray, candidates: np.ndarray) -> np.ndarray:
@@ -100,7 +106,7 @@ def _rows(place: np.ndarray, along: np.ndarray, length: float, width: float) -> 
     # One vehicle of those that are said to stand in the very same place; a tree could not tell them apart.
     single = np.sort(np.unique(place, axis=0, return_index=True)[1])
     tree = cKDTree(place[single])
-    reach = REACH * PITCHES[1] * width
+    reach = STALLS_COMPARED * PITCHES[1] * width
     parts = []
     for k in range(0, len(single), AT_ONCE):
         i = single[k : k + AT_ONCE]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..detections import Detections
-from ..evidence import Evidence
 from ..projection.planar import ground_size
 from ..ruler import Ruler
 from ..scale import Scale
@@ -19,7 +19,7 @@ from .drift import drift
 from .geometry import Geometry, Observation
 from .measure import doubts
 from .measurement import Findings
-from .surroundings import Standards, rows_in_plan, standard_objects
+from .surroundings import Standards, objects_in_plan, rows_in_plan
 from .vehicles import vehicle_table
 
 
@@ -80,12 +80,12 @@ class PlanGeometry:
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
-    ) -> Sequence[Evidence]:
+    ) -> Sequence[AnchorVote]:
         """Rows of parked vehicles, and objects of standard size."""
         along = np.stack([np.cos(self.boxes.angle), np.sin(self.boxes.angle)], -1)
         return [
             *rows_in_plan(vehicles, along, standards, country),
-            *standard_objects(self.objects, self.zoom, standards),
+            *objects_in_plan(self.objects, self.zoom, standards),
         ]
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import TooLittleEvidence
+from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..detections import Detections
-from ..evidence import Evidence
 from ..pooling.robust import MIN_VEHICLES
 from ..projection.planar import footprint, ground_size
 from ..scale import Scale
@@ -110,7 +110,7 @@ class SweepGeometry:
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
-    ) -> Sequence[Evidence]:
+    ) -> Sequence[AnchorVote]:
         """Rows of parked vehicles."""
         return rows_in_model(vehicles, self.along[seen.solved], standards, country)
 

@@ -1,4 +1,4 @@
-"""What a source shows of its scale besides the vehicles' sizes: rows of parked vehicles, objects of standard size."""
+"""What boxes show of a scale besides the vehicles' sizes: rows of parked vehicles, objects of standard size."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from ..anchors import AnchorVote
 from ..boxes import Boxes
-from ..evidence import Evidence
+from ..pooling.anchors import evidence_of
 from ..projection.exact import FLAT, Hull, ground_axes, ground_size
 from ..projection.view import Views
 from ..source import PosedSet
 from ..votes import Votes, gather
-from .objects import standard_object
+from .objects import standard_objects
 from .parking import parking_pitch
 
 # Relative uncertainty of a reconstruction's ground (one sigma), as a share of the camera's height: sparse points on
@@ -34,7 +35,7 @@ class Standards:
     objects: dict[str, list[dict[str, Any]]]
 
 
-def rows_in_plan(votes: Votes, along: np.ndarray, standards: Standards, country: str) -> list[Evidence]:
+def rows_in_plan(votes: Votes, along: np.ndarray, standards: Standards, country: str) -> list[AnchorVote]:
     """The pitch of parking rows in an orthophoto, where they show one.
 
     votes : of single boxes, `size` without the margin. along : (N, 2) unit vectors of their long sides. country : the
@@ -44,16 +45,22 @@ def rows_in_plan(votes: Votes, along: np.ndarray, standards: Standards, country:
     return [] if found is None else [found]
 
 
-def standard_objects(objects: Mapping[str, Boxes], zoom: float, standards: Standards) -> list[Evidence]:
+def objects_in_plan(objects: Mapping[str, Boxes], zoom: float, standards: Standards) -> list[AnchorVote]:
     """Objects of standard size in an orthophoto. objects : boxes by class. zoom : detector pixels per picture pixel."""
-    found = [
-        standard_object(kind, standards.objects.get(kind, []), boxes.xylwa[:, 2:4], np.full(len(boxes), 1 / zoom))
+    return [
+        vote
         for kind, boxes in objects.items()
+        for vote in standard_objects(
+            kind,
+            standards.objects.get(kind, []),
+            boxes.xylwa[:, 2:4],
+            np.full(len(boxes), 1 / zoom),
+            boxes.centre,
+        )
     ]
-    return [evidence for evidence in found if evidence is not None]
 
 
-def rows_in_model(votes: Votes, along: np.ndarray, standards: Standards, country: str) -> list[Evidence]:
+def rows_in_model(votes: Votes, along: np.ndarray, standards: Standards, country: str) -> list[AnchorVote]:
     """The pitch of parking rows on a reconstruction's ground, where they show one.
 
     Each vehicle has one place, however often it was seen.
@@ -65,7 +72,7 @@ def rows_in_model(votes: Votes, along: np.ndarray, standards: Standards, country
     members = [m for m, keep in zip(votes.members, kept, strict=True) if keep]
     axes = np.array([_mean_axis(along[m]) for m in members]).reshape(-1, 3)
     found = parking_pitch(votes.place[kept], axes, votes.size[kept], standards.stalls, country)
-    return [] if found is None else [_on_ground(found)]
+    return [] if found is None else [replace(found, shared_sd=GROUND_SD)]
 
 
 def world_axes(source: PosedSet, names: np.ndarray, boxes: Boxes, views: Views) -> np.ndarray:
@@ -84,7 +91,7 @@ def objects_in_model(
     zoom: float,
     metres_per_unit: float,
     known: Standards,
-) -> list[Evidence]:
+) -> list[AnchorVote]:
     """Objects of standard size in a reconstruction's frames, one vote for each object however often it was seen.
 
     objects : boxes by frame and class. `metres_per_unit` is the scale so far, for the heights of what is not flat. Up
@@ -112,12 +119,11 @@ def objects_in_model(
             _objects(kind, standards, boxes, view, place, zoom, metres_per_unit, h) for h in (tall / 2, tall, FLAT)
         ]
         middle, whole, none = by_height
-        if middle is None:
-            continue
         unsure = 0.0
-        if tall > FLAT and whole is not None and none is not None:
-            unsure = abs(float(np.log(whole.value / none.value))) / np.sqrt(12)  # one sigma of anything in between
-        found.append(_on_ground(replace(middle, relative_sd=float(np.hypot(middle.relative_sd, unsure)))))
+        if tall > FLAT and whole and none:
+            scales = [evidence_of(votes)[0].value for votes in (whole, none)]
+            unsure = abs(float(np.log(scales[0] / scales[1]))) / np.sqrt(12)  # one sigma of anything in between
+        found += [replace(vote, shared_sd=float(np.hypot(GROUND_SD, unsure))) for vote in middle]
     return found
 
 
@@ -130,17 +136,13 @@ def _objects(
     zoom: float,
     metres_per_unit: float,
     height: float,
-) -> Evidence | None:
+) -> list[AnchorVote]:
     size = ground_size(boxes, views, metres_per_unit, Hull(height=height, belt=height, roof=height, corner=0.0))
     solved = np.isfinite(size).all(1)
     size = np.sort(size[solved], axis=1)[:, ::-1]  # foreshortened, the longer side may be the box's shorter one
     pixel = views.unit_per_pixel[solved] / zoom
     votes = gather(size, pixel, place[solved], boxes.score[solved], repeated=True)
-    return standard_object(kind, standards, votes.size, votes.pixel)
-
-
-def _on_ground(evidence: Evidence) -> Evidence:
-    return replace(evidence, relative_sd=float(np.hypot(evidence.relative_sd, GROUND_SD)))
+    return standard_objects(kind, standards, votes.size, votes.pixel, votes.place)
 
 
 def _mean_axis(directions: np.ndarray) -> np.ndarray:

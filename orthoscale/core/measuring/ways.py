@@ -16,10 +16,10 @@ from ..detections import Detections
 from ..fleet import Fleet
 from ..pooling.agreement import compare, together
 from ..source import PosedSet, Source
+from .drift import with_drift
 from .measure import measure
 from .measurement import Measurement
 from .method import Method
-from .model_drift import ModelDrift
 from .oblique import FramesGeometry
 from .plan import PlanGeometry
 from .planar_sweep import SweepGeometry
@@ -36,7 +36,7 @@ def measure_source(
     Raises TooLittleEvidence, UsageError.
     """
     if source.plan is not None:
-        return measure(PlanGeometry.of(source.plan, found), fleet, method)
+        return _of_one_scale(measure(PlanGeometry.of(source.plan, found), fleet, method))
     if source.posed is not None:
         return measure_posed(source.posed, found, fleet, method, mode)
     raise TypeError(f"{source!r} is neither a plan nor a posed set")
@@ -76,25 +76,26 @@ def measure_posed(
             failed[name] = error
     if not modes:
         raise next(iter(failed.values()))
-    return replace(_answer(modes), modes=modes, notes=tuple(f"{name}: {e.message}" for name, e in failed.items()))
+    notes = tuple(f"{name}: {error.message}" for name, error in failed.items())
+    return replace(_of_one_scale(_answer(modes)), modes=modes, notes=notes)
 
 
 def _answer(modes: dict[str, Measurement]) -> Measurement:
     """What one way or two say together."""
     first = next(iter(modes.values()))
     if len(modes) == 1:
-        return replace(first, scale=replace(first.scale, remarks=(*first.scale.remarks, *_of_drift(first))))
+        return first
     agreement = compare({name: m.scale for name, m in modes.items()}, _common(*modes.values()))
     answer = modes[agreement.surer] if agreement.contradicts else first
-    remarks = [agreement.sentence(), *_of_drift(answer)]
-    if not agreement.contradicts:
-        remarks = [*_of_drift(answer), agreement.sentence()]
     scale = together(agreement)
-    return replace(answer, scale=replace(scale, remarks=(*scale.remarks, *remarks)), agreement=agreement)
+    return replace(answer, scale=replace(scale, remarks=(*scale.remarks, agreement.remark)), agreement=agreement)
 
 
-def _of_drift(measured: Measurement) -> list[str]:
-    return measured.drift.remarks if isinstance(measured.drift, ModelDrift) else []
+def _of_one_scale(measured: Measurement) -> Measurement:
+    """`measured` with what its drift makes of its scale: that of one place is known less well than that of all."""
+    if measured.drift is None:
+        return measured
+    return replace(measured, scale=with_drift(measured.scale, measured.drift.amplitude, measured.drift.warnings))
 
 
 def _common(a: Measurement, b: Measurement) -> np.ndarray:

@@ -9,12 +9,14 @@ from scipy.special import stdtrit
 
 from ...errors import TooLittleEvidence
 from ..fleet import Fleet
+from ..remarks import CAUTION, Remark
 from ..scale import Scale
 from ..verdicts import verdict
 from ..votes import Votes
 from .posterior import Z90
 from .robust import MIN_VEHICLES
 
+NARROW = "the paper's estimator: its interval leaves out the uncertainty of fleet, margin and geometry"
 MIN_SCORE = 0.5
 WHISKER = 1.5  # interquartile ranges beyond the quartiles within which a value counts
 
@@ -92,6 +94,6 @@ def pool_paper(votes: Votes, fleet: Fleet, unit: str) -> Scale:
         verdict=verdict(sd, odd_shape=False, conflict=False),
         used=found.used,
         reasons=reasons,
-        remarks=("the paper's estimator: its interval leaves out the uncertainty of fleet, margin and geometry",),
+        remarks=(Remark(CAUTION, NARROW),),
         fleets={fleet.code: 1.0},
     )

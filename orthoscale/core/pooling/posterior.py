@@ -10,6 +10,7 @@ from scipy.special import ndtr
 
 Z90 = 1.6449  # two-sided 90 % of a normal distribution, in standard deviations
 ROBUST_SD = 1.4826  # a normal distribution's standard deviation per median absolute deviation
+NEGLIGIBLE = 1e-9  # weight of a part, as a share of the largest, below which it is left out
 
 
 @dataclass(frozen=True)
@@ -61,10 +62,30 @@ class Posterior:
 
     def times(self, other: Posterior) -> Posterior:
         """What is known when `other`, measured independently, is known as well (Bayes' product)."""
+        log_weight = self._overlap(other)
         variance, more = self.sd[:, None] ** 2, other.sd**2
         total = variance + more
-        log_weight = np.log(self.weight)[:, None] + np.log(other.weight) - 0.5 * np.log(total)
-        log_weight = log_weight - 0.5 * (self.mean[:, None] - other.mean) ** 2 / total
         weight = np.exp(log_weight - log_weight.max()).ravel()
         mean = (self.mean[:, None] * more + other.mean * variance) / total
         return Posterior(weight / weight.sum(), mean.ravel(), np.sqrt(variance * more / total).ravel())
+
+    def times_doubted(self, other: Posterior, doubt: float, window: float) -> Posterior:
+        """The same where `other` is a mistake with probability `doubt`, and then says nothing: mistakes lie anywhere in
+        a range as wide as `window` (in logarithms). Parts that have become impossible are left out."""
+        overlap = self._overlap(other)
+        true = (1 - doubt) * float(np.exp(overlap - 0.5 * np.log(2 * np.pi)).sum())
+        false = doubt / window
+        found = Posterior.mixed([self.times(other), self], np.array([true, false]) / (true + false))
+        kept = found.weight > NEGLIGIBLE * found.weight.max()
+        return Posterior(found.weight[kept] / found.weight[kept].sum(), found.mean[kept], found.sd[kept])
+
+    def only(self, which: np.ndarray) -> Posterior:
+        """Given that one of the parts `which` (K,) bool holds, some of which must."""
+        weight = self.weight[which]
+        return Posterior(weight / weight.sum(), self.mean[which], self.sd[which])
+
+    def _overlap(self, other: Posterior) -> np.ndarray:
+        """(K, L) log of the integral of each part with each of `other`, but for a factor of sqrt(2 pi)."""
+        total = self.sd[:, None] ** 2 + other.sd**2
+        log_weight = np.log(self.weight)[:, None] + np.log(other.weight) - 0.5 * np.log(total)
+        return log_weight - 0.5 * (self.mean[:, None] - other.mean) ** 2 / total

@@ -1,0 +1,295 @@
+"""Many inputs in one command: each is done for itself, and what befalls one leaves the others what they are.
+
+An input is a job of plain values, and so is what became of it: jobs go to processes of this machine or to a Dask
+cluster, and come back as rows of one table.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+from ..core.claims import own_claim
+from ..detect.foreign_worker import receive, send
+from ..detect.workers import cluster, cores
+from ..errors import EvidenceDisagrees, Incomplete, OrthoscaleError, UsageError, shown
+from ..sources.location import location_of
+from ..system import stopping
+from ..system.budget import allow, memory
+from .check import checked
+from .estimate import measured
+from .fix import written
+from .inputs import outputs_of
+from .requests import EstimateRequest, FixRequest
+from .result import Result
+
+ACTIONS = ("estimate", "fix", "check")
+BUG = 1
+"""Exit code of an input that met a bug of orthoscale, or whose process died."""
+
+# The columns of a summary; None where there is nothing to say. Intervals are 90 %.
+COLUMNS = {
+    "input": "its path",
+    "exit_code": "what the command would have returned for it alone",
+    "scale": "metres per pixel, or per unit of a model",
+    "unit": "m/px or m/model-unit",
+    "low90": "lower end of the interval",
+    "high90": "upper end of it",
+    "verdict": "good, fair, poor or unusable",
+    "vehicles_used": "the scale rests on these",
+    "fleet": "code of the fleet",
+    "claimed": "scale that the input claims [m/px]",
+    "claim": "agrees, doubtful or disagrees",
+    "output": "where the scaled copy is",
+    "longitude": "of its middle [degrees, WGS 84]",
+    "latitude": "of its middle [degrees, WGS 84]",
+    "seconds": "wall time",
+    "error": "why there is no scale, or no copy",
+    "hint": "what to do about it",
+}
+
+Row = dict[str, Any]
+Job = dict[str, Any]
+"""action, input, out (None unless it is `fix`), settings: those of the request."""
+
+
+def run_many(
+    action: str,
+    inputs: Sequence[Path],
+    request: EstimateRequest,
+    out: Path | None = None,
+    jobs: int = 1,
+    said: Callable[[Row], None] = lambda row: None,
+) -> list[Row]:
+    """`action`, one of ACTIONS, for each of `inputs`; a row of COLUMNS for each, in their order.
+
+    out : folder for what `fix` writes, made if need be. jobs : how many inputs are worked on at once, each in a process
+    of its own with its own memory budget; the cores are shared among them. With a Dask scheduler in `request` each
+    input is a task there instead, and every machine must see the files under the same paths.
+    said : told each row as soon as it is there.
+    Raises UsageError for what cannot be meant for many inputs.
+    """
+    request.check_for_many()
+    todo = jobs_of(action, inputs, request, out, jobs)
+    if out is not None:
+        _make_folder(out)
+    rows: list[Row] = [{}] * len(todo)
+    work = on_cluster(todo, request.scheduler) if request.scheduler is not None else _in_processes(todo, jobs)
+    for k, row in work:
+        rows[k] = row
+        if row["output"] is not None:
+            stopping.written.append(row["output"])
+        said(row)
+    if out is not None:
+        with suppress(OSError):
+            out.rmdir()  # it is empty if nothing was written
+    return rows
+
+
+def jobs_of(
+    action: str, inputs: Sequence[Path], request: EstimateRequest, out: Path | None = None, jobs: int = 1
+) -> list[Job]:
+    """A job for each of `inputs`, as `run_many` takes these; all paths but those of the inputs are absolute."""
+    places = [None] * len(inputs) if out is None else [os.path.abspath(each) for each in outputs_of(inputs, out)]
+    settings = request.without(("scheduler", "workers")).settings()
+    if request.detections is None:
+        settings["workers"] = request.workers or max(1, cores() // jobs)
+    settings = {
+        name: os.path.abspath(value) if isinstance(value, str) and os.path.isfile(value) else value
+        for name, value in settings.items()
+    }
+    return [
+        {"action": action, "input": str(path), "out": place, "settings": settings}
+        for path, place in zip(inputs, places, strict=True)
+    ]
+
+
+def worst(rows: Sequence[Row]) -> int:
+    """The exit code of the worst: a bug, then the highest of the others."""
+    return max((row["exit_code"] for row in rows), key=lambda code: (code == BUG, code), default=0)
+
+
+def one(job: Job) -> Row:
+    """Do one job, and say what became of it; raises nothing but what stops the process."""
+    row: Row = {**dict.fromkeys(COLUMNS), "input": job["input"], "exit_code": 0}
+    path = Path(os.path.abspath(job["input"]))
+    try:
+        try:
+            _do(job, path, row)
+        except Incomplete as error:
+            _fill(row, error.result)
+            row["output"] = job["out"]
+            raise
+    except OrthoscaleError as error:
+        row |= {"exit_code": error.exit_code, "error": error.message, "hint": error.hint}
+    except Exception as error:
+        logging.getLogger(__name__).exception("%s", path)
+        row |= {"exit_code": BUG, "error": shown(f"{type(error).__name__}: {error}", 300)}
+        row["hint"] = "This is a bug in orthoscale. Run it alone with --debug and report what it shows."
+    return row
+
+
+def _do(job: dict[str, Any], path: Path, row: Row) -> None:
+    if job["action"] == "fix":
+        _fill(row, written(path, Path(job["out"]), FixRequest.of(job["settings"])))
+        row["output"] = job["out"]
+        return
+    request = EstimateRequest.of(job["settings"])
+    if job["action"] == "estimate":
+        result = measured(path, request)
+        _fill(row, result)
+        if (disagreement := result.disagreement) is not None:
+            raise disagreement
+        return
+    outcome = checked(path, request)
+    _fill(row, outcome.result)
+    if outcome.disagrees:
+        (sentence,) = (c.sentence() for c in outcome.comparisons if c.verdict == "disagrees")
+        raise EvidenceDisagrees(sentence)
+
+
+def _fill(row: Row, result: Result) -> None:
+    scale, place = result.scale, location_of(result.source)
+    claim = own_claim(result.source, scale)
+    row |= {
+        "scale": scale.value,
+        "unit": scale.unit,
+        "low90": scale.interval90[0],
+        "high90": scale.interval90[1],
+        "verdict": scale.verdict,
+        "vehicles_used": scale.vehicles_used,
+        "fleet": scale.fleet,
+        "claimed": claim and claim.claimed,
+        "claim": claim and claim.verdict,
+        "longitude": place and place.longitude,
+        "latitude": place and place.latitude,
+        "seconds": round(result.seconds, 2),
+    }
+
+
+def _make_folder(out: Path) -> None:
+    if out.is_file():
+        raise UsageError(f"{out} is a file; several inputs need a folder", "Choose another place.")
+    if not out.absolute().parent.is_dir():
+        raise UsageError(f"{out.absolute().parent} is not a folder", "Create it first, or choose another place.")
+    out.mkdir(exist_ok=True)
+
+
+# --- Who does them ---------------------------------------------------------------------------------------------------
+
+
+def _in_processes(todo: Sequence[Job], jobs: int) -> Iterator[tuple[int, Row]]:
+    free: SimpleQueue[_Child] = SimpleQueue()
+    children = [_Child() for _ in range(min(jobs, len(todo)))]
+    for child in children:
+        free.put(child)
+
+    def give(job: Job) -> Row:
+        child = free.get()
+        try:
+            return child.do(job)
+        finally:
+            free.put(child)
+
+    pool = ThreadPoolExecutor(len(children))
+    try:
+        futures = {pool.submit(give, job): k for k, job in enumerate(todo)}
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+    finally:
+        for child in children:
+            child.end()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+class _Child:
+    """A process that does jobs, one at a time; one that dies takes only its own job with it."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen | None = None
+        self._over = False
+
+    def do(self, job: Job) -> Row:
+        if self._process is None or self._process.poll() is not None:
+            if self._over:
+                return _died(job, "was stopped")
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", __name__],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                start_new_session=True,  # Ctrl-C is for us, who pass it on
+            )
+        assert self._process.stdin is not None and self._process.stdout is not None  # pipes were asked for
+        level = logging.getLogger("orthoscale").level
+        try:
+            send(self._process.stdin, {"job": job, "memory": memory(), "log": level})
+            return receive(self._process.stdout)[0]
+        except (EOFError, OSError, ValueError):
+            return _died(job, f"ended with {self._process.wait()}")
+
+    def end(self) -> None:
+        """Stop it; what it was writing it cleans away."""
+        self._over = True
+        if self._process is not None and self._process.poll() is None:
+            self._process.terminate()
+            self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout) if self._process is not None else ():
+            with suppress(OSError):
+                pipe.close()  # type: ignore[union-attr]
+
+
+def _died(job: Job, how: str) -> Row:
+    error = {"error": f"its process {how}", "hint": "Run it alone; if memory ran out, allow less by --memory."}
+    return {**dict.fromkeys(COLUMNS), "input": job["input"], "exit_code": BUG, **error}
+
+
+def on_cluster(todo: Sequence[Job], address: str) -> Iterator[tuple[int, Row]]:
+    """The jobs `todo` on the Dask cluster at `address`: number and row of each, as soon as it is done.
+
+    Raises UsageError where nobody answers.
+    """
+    from distributed import as_completed as as_done
+
+    with cluster(address) as client:
+        elsewhere = [{**job, "input": os.path.abspath(job["input"])} for job in todo]
+        futures = {client.submit(one, job, pure=False): k for k, job in enumerate(elsewhere)}
+        try:
+            for future in as_done(futures, loop=client.loop):
+                k = futures[future]
+                # A job of a worker that is lost goes to another one; the cluster gives up only when it kills them all.
+                lost = future.exception()
+                row = (
+                    future.result() if lost is None else _died(todo[k], f"was lost with the cluster's workers ({lost})")
+                )
+                yield k, {**row, "input": todo[k]["input"]}
+        finally:
+            client.cancel([future for future in futures if not future.done()])
+
+
+def serve() -> None:
+    """Do the jobs that come on standard input, until it ends; rows go to standard output."""
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print is nobody's answer
+    talk = logging.StreamHandler()
+    talk.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
+    logging.captureWarnings(True)
+    logging.getLogger().addHandler(logging.NullHandler())
+    logging.getLogger("orthoscale").addHandler(talk)
+    with suppress(EOFError, OSError, KeyboardInterrupt), stopping.listening():
+        while True:
+            head, _ = receive(requests)
+            allow(head["memory"])
+            logging.getLogger("orthoscale").setLevel(head["log"])
+            send(answers, one(head["job"]))
+
+
+if __name__ == "__main__":
+    serve()

@@ -1,0 +1,140 @@
+"""What `estimate`, `fix` and `check` share where they are given several inputs: options, one line each, a summary."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+from ..errors import OrthoscaleError, UsageError
+from .options import PATH, option, progress_bars, say
+
+if TYPE_CHECKING:
+    from ..actions.batch import Row
+    from ..actions.requests import EstimateRequest
+
+inputs_argument = click.argument("paths", metavar="INPUT...", type=PATH, nargs=-1, required=True)
+
+
+@dataclass(frozen=True)
+class Many:
+    """What was asked of several inputs together: the words that name them, where the summary goes, how many at once."""
+
+    words: tuple[Path, ...]
+    summary: Path | None
+    jobs: int | None
+
+
+def inputs(function: Callable) -> Callable:
+    """The argument and the options of a command that takes several inputs. The command gets `path` where they are one
+    and no summary is asked for, and `many` otherwise; the other one is None."""
+
+    @inputs_argument
+    @option(
+        "--summary",
+        type=PATH,
+        group="Output",
+        help="Write one line for each INPUT: .csv, .json, .gpkg (points) or .html (page).",
+    )
+    @option("--jobs", type=click.IntRange(min=1), group="Advanced", help="Number of inputs at once.  [default: 1]")
+    @wraps(function)
+    def decorated(paths: tuple[Path, ...], summary: Path | None, jobs: int | None, **options: Any) -> Any:
+        from ..actions.inputs import is_many
+
+        if summary is None and not is_many(paths):
+            if jobs is not None:
+                raise UsageError("--jobs does nothing here: there is one input", "Remove --jobs.")
+            return function(path=paths[0], many=None, **options)
+        return function(path=None, many=Many(paths, summary, jobs), **options)
+
+    return decorated
+
+
+def rehearse(paths: Sequence[Path], request: EstimateRequest, outs: Sequence[Path | None] | None = None) -> NoReturn:
+    """Say what would be done with each of `paths`, copies written at `outs`; end with the exit code of the worst."""
+    from ..actions.rehearsal import rehearsal
+
+    codes = []
+    for path, out in zip(paths, outs or [None] * len(paths), strict=True):
+        try:
+            rows = rehearsal(path, request, out)
+            codes.append(0)
+        except OrthoscaleError as error:
+            if len(paths) == 1:
+                raise
+            rows = [("input", str(path)), ("error", f"{error.message} (exit code {error.exit_code})")]
+            codes.append(error.exit_code)
+        say("\n".join(f"{label:10s} {text}" for label, text in rows))
+    sys.exit(max(codes))
+
+
+def run(
+    action: str,
+    many: Many,
+    request: EstimateRequest,
+    as_json: bool,
+    overwrite: bool,
+    out: Path | None = None,
+    dry_run: bool = False,
+) -> NoReturn:
+    """Do `action` for all inputs, print a line for each, write the summary and end with the exit code of the worst.
+
+    Raises UsageError, InputError for what makes no sense for all of them, before anything is done.
+    """
+    from ..actions.batch import run_many, worst
+    from ..actions.inputs import inputs_of, outputs_of
+    from ..report.summary import SUMMARY_FORMAT, check_summary, is_summary, write_summary
+    from ..system.outputs import Outputs
+
+    found = inputs_of(many.words)
+    if dry_run:
+        request.check_for_many()
+        rehearse(found, request, None if out is None else outputs_of(found, out))
+    with Outputs(overwrite, found) as outputs, progress_bars() as progress:
+        if many.summary is not None:
+            check_summary(many.summary)
+            place = outputs.file(many.summary, is_summary if many.summary.suffix.lower() == ".csv" else None)
+        done: list[Row] = []
+
+        def said(row: Row) -> None:
+            done.append(row)
+            if progress:
+                progress("Inputs", len(done), len(found))
+            if not as_json:
+                say(line(row))
+
+        rows = run_many(action, found, request, out, many.jobs or 1, said)
+        if many.summary is not None:
+            write_summary(rows, place, many.summary)
+    if as_json:
+        click.echo(json.dumps({"format": SUMMARY_FORMAT, "inputs": rows}))
+    failed = [row for row in rows if row["exit_code"]]
+    if failed:
+        say(f"{len(failed)} of {len(rows)} failed:", err=True)
+    for row in failed:
+        say(f"  {row['input']}: {row['error']} (exit code {row['exit_code']})", err=True)
+        if row["hint"]:
+            say(f"    {row['hint']}", err=True)
+    sys.exit(worst(rows))
+
+
+def line(row: Row) -> str:
+    """One row for a person: the scale and how well it is known, or that there is none."""
+    if row["scale"] is None:
+        return f"{row['input']}: no scale (exit code {row['exit_code']})"
+    from ..core.scale import decimals
+
+    half = (row["high90"] - row["low90"]) / 2
+    text = (
+        f"{row['input']}: {row['scale']:.{decimals(half)}f} {row['unit']}, {row['verdict']} "
+        f"(90 % within +-{100 * half / row['scale']:.1f} %), {row['vehicles_used']} vehicles of fleet {row['fleet']}"
+    )
+    if row["claim"]:
+        text += f"; its claim of {row['claimed']:.4g} {row['claim']}"
+    return text + (f" (exit code {row['exit_code']})" if row["exit_code"] else "")

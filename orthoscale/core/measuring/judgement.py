@@ -1,0 +1,131 @@
+"""What speaks for a scale, and what against it: every check that a report shows is made here, with its severity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ..claims import Comparison
+from ..pooling.posterior import Z90
+from ..remarks import CAUTION, INFO, REFUSAL, SUPPORT, Judgement, by_severity, percent, signed
+from ..uncertainty import explain
+from ..verdicts import CHECK_LIMIT, SHAPE_LIMIT
+from .drift import Drift
+from .measurement import Measurement
+from .model_drift import ModelDrift
+
+SAMPLING = 0.02  # one sigma from which more vehicles would help
+ROUGH = 0.06  # relative difference from which no check supports a scale, however little is known
+MANY_REJECTED = 0.5  # share of the vehicles from which one wonders what the detector found
+ODD_NAMED = 3  # frames that are named of those that stand out
+CLAIMS = {  # verdict of a claim
+    "agrees": (SUPPORT, "Own georeferencing agrees"),
+    "doubtful": (CAUTION, "Own georeferencing is doubtful"),
+    "disagrees": (CAUTION, "Own georeferencing disagrees"),
+}
+
+
+def judgements(measured: Measurement, claim: Comparison | None = None) -> tuple[Judgement, ...]:
+    """The checks of the scale of `measured`, the most serious first. claim : what its source says of its own scale."""
+    made = (_vehicles, _shapes, _modes, _evidence, _places, _frames)
+    found = [*(check for make in made if (check := make(measured)) is not None), *_claim(claim)]
+    # What a drift has to say, the checks of places and frames say.
+    told = () if measured.drift is None else measured.drift.warnings
+    said = [r for r in measured.remarks if r.severity in (REFUSAL, CAUTION) and r.text not in told]
+    return by_severity([*found, *_largest(measured), *(Judgement(r.severity, "Remark", r.text) for r in said)])
+
+
+def _vehicles(measured: Measurement) -> Judgement:
+    scale = measured.scale
+    used, rejected = scale.vehicles_used, sum(scale.rejected.values())
+    if not used:
+        return Judgement(CAUTION, "No vehicles", "the scale rests on things of standard size alone")
+    sampling = scale.parts.get("sampling")  # not known where measurements contradict each other
+    few, many = (sampling or 0.0) > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
+    what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
+    known = "" if sampling is None else f"; sampling error {percent(sampling)} (1 sigma)"
+    severity = CAUTION if few or many else INFO if sampling is None else SUPPORT
+    return Judgement(severity, what, f"{used} used, {rejected} rejected{known}")
+
+
+def _shapes(measured: Measurement) -> Judgement | None:
+    scale = measured.scale
+    if "length" not in scale.checks:
+        return None  # no vehicles
+    difference = scale.checks["length"] / scale.checks["width"] - 1
+    detail = f"lengths give {signed(difference)} ({scale.tension:.1f} sigma)"
+    if scale.tension > CHECK_LIMIT:
+        severity = REFUSAL if scale.tension > SHAPE_LIMIT else CAUTION
+        return Judgement(severity, "Lengths and widths disagree", detail)
+    if abs(difference) > max(scale.half_width, ROUGH):
+        return Judgement(INFO, "Lengths and widths differ within their uncertainty", detail)
+    return Judgement(SUPPORT, "Lengths and widths agree", detail)
+
+
+def _modes(measured: Measurement) -> Judgement | None:
+    agreement = measured.agreement
+    if agreement is None:
+        return None
+    (first, a), (second, b) = agreement.scales.items()
+    what = f"{second.capitalize()} and {first} {'disagree' if agreement.contradicts else 'agree'}"
+    detail = f"{first} gives {signed(a.value / b.value - 1)} ({agreement.tension:.1f} sigma)"
+    return Judgement(agreement.remark.severity if agreement.contradicts else SUPPORT, what, detail)
+
+
+def _evidence(measured: Measurement) -> Judgement | None:
+    scale = measured.scale
+    if not scale.evidence:
+        return None
+    apart = {e.kind: e.value / scale.value - 1 for e in scale.evidence}
+    kinds = ", ".join(f"{e.kind} gives {signed(e.value / scale.value - 1)}" for e in scale.evidence)
+    if scale.conflict:
+        return Judgement(REFUSAL, "Other evidence contradicts", f"{kinds} ({scale.conflict:.1f} sigma)")
+    if max(map(abs, apart.values())) > max(scale.half_width, ROUGH):
+        return Judgement(INFO, "Other evidence differs within its uncertainty", kinds)
+    return Judgement(SUPPORT, "Other evidence agrees", kinds)
+
+
+def _claim(claim: Comparison | None) -> Iterator[Judgement]:
+    if claim is not None and claim.believed:
+        severity, what = CLAIMS[claim.verdict]
+        guess = "".join(f"; perhaps {why}" for why in claim.guesses)
+        yield Judgement(severity, what, f"{claim.by} give {signed(claim.ratio - 1)} ({claim.sigmas:.1f} sigma){guess}")
+
+
+def _places(measured: Measurement) -> Judgement | None:
+    drift = measured.drift
+    if isinstance(drift, Drift):
+        change = drift.tilt
+        figures = f"{100 * drift.tilt:.1f} ± {100 * Z90 * drift.tilt_sd:.1f} % (90 %) from side to side"
+        figures += f", bent by {percent(drift.bend)}" if drift.bends else ""
+    elif isinstance(drift, ModelDrift) and drift.trend is not None:
+        change = drift.trend.percent_across / 100
+        figures = f"{drift.trend.percent_across:.1f} % from side to side"
+    elif drift is None and measured.modes:
+        return None  # the planar measurement compares no places
+    else:
+        return Judgement(INFO, "Places not compared", "too few vehicles for it")
+    if drift.drifts:
+        refused = any(r.severity == REFUSAL and r.text in drift.warnings for r in measured.remarks)
+        return Judgement(REFUSAL if refused else CAUTION, "The scale drifts", figures + ", significant")
+    if change > max(measured.scale.half_width, ROUGH):
+        return Judgement(INFO, "Drift neither found nor excluded", figures)
+    return Judgement(SUPPORT, "No drift", figures + ", not significant")
+
+
+def _frames(measured: Measurement) -> Judgement | None:
+    drift = measured.drift
+    if not isinstance(drift, ModelDrift) or not drift.frames:
+        return None
+    if not drift.odd:
+        return Judgement(SUPPORT, "Frames agree", f"{len(drift.frames)} frames agree about the same vehicles")
+    what = f"{len(drift.odd)} of {len(drift.frames)} frames {'stands' if len(drift.odd) == 1 else 'stand'} out"
+    named = ", ".join(f"{name} ({signed(stray)})" for name, stray in drift.odd[:ODD_NAMED])
+    return Judgement(CAUTION, what, named + ", …" * (len(drift.odd) > ODD_NAMED))
+
+
+def _largest(measured: Measurement) -> Iterator[Judgement]:
+    scale = measured.scale
+    if scale.relative_sd > 0:
+        part = explain(scale.parts, scale.vehicles_used, scale.fleet).parts[0]
+        share = f"{100 * part.relative_sd:.1f} of {percent(scale.relative_sd)} (1 sigma)"
+        yield Judgement(INFO, f"Largest uncertainty: {part.name}", f"{share}: {part.meaning}")

@@ -1,0 +1,59 @@
+"""What is said of a scale beside its figures, each with how serious it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TypeVar
+
+REFUSAL = "refusal"  # nothing is written on the strength of this scale without being told to (exit code 4)
+CAUTION = "caution"  # a person should look at it before relying on the scale
+SUPPORT = "support"  # something that could have spoken against the scale, and does not
+INFO = "info"  # what was chosen or could not be done; says neither
+SEVERITIES = (REFUSAL, CAUTION, SUPPORT, INFO)  # in the order in which they are read
+
+
+@dataclass(frozen=True)
+class Remark:
+    """severity : one of SEVERITIES. text : one sentence without its full stop. hint : what to do, of refusals."""
+
+    severity: str
+    text: str
+    hint: str = ""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a severity that is none."""
+        if self.severity not in SEVERITIES:
+            raise ValueError(f"severity: expected one of {', '.join(SEVERITIES)}")
+
+    @property
+    def label(self) -> str:
+        """How a line that prints it begins."""
+        return "note" if self.severity == INFO else self.severity
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """One check of a scale: severity, one of SEVERITIES; what, in short; detail, the figures."""
+
+    severity: str
+    what: str
+    detail: str
+
+
+Said = TypeVar("Said", Remark, Judgement)
+
+
+def by_severity(said: Iterable[Said]) -> tuple[Said, ...]:
+    """`said` with the most serious first, otherwise in their order."""
+    return tuple(sorted(said, key=lambda one: SEVERITIES.index(one.severity)))
+
+
+def percent(value: float) -> str:
+    """A share with one decimal: 0.0123 is ``1.2 %``."""
+    return f"{100 * value:.1f} %"
+
+
+def signed(value: float) -> str:
+    """As `percent`, with its sign; a true minus, as it is printed."""
+    return f"{100 * value:+.1f} %".replace("-", "−")

@@ -1,0 +1,105 @@
+"""Where the uncertainty of a scale comes from, and what would halve it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+MEANINGS = {
+    "sampling": "the sizes of vehicles scatter, and their number is limited",
+    "fleet": "the mean size of the vehicles at that place is uncertain",
+    "margin": "box bias: how much boxes over- or undershoot vehicles varies from scene to scene",
+    "geometry": "the height of the ground under the vehicles, and up to what height boxes enclose them",
+    "drift": "the scale changes from place to place",
+    "conflict": "measurements that contradict each other",
+    "known distance": "the known distance itself",
+    "ground control": "the control points themselves",
+    "parking bays": "the width of parking bays at one place",
+}
+OF_AN_ANCHOR = "how well its size is known, and measured in the pictures"  # of a kind of anchor
+WITHOUT_COUNTRY = ("WORLD", "auto")
+# A country's mean is known about twice as well as the world's (fleet table: 2 to 3 % against 5.6 %).
+COUNTRY_SHARE = 0.5
+NOTABLE_SHARE = 0.05  # share of the variance below which a part is not worth a remedy
+KNOWN_METRES = 20.0  # [m] the length of the distance that is given as an example
+
+
+@dataclass(frozen=True)
+class Part:
+    """relative_sd : one sigma, relative to the scale. share : of the variance."""
+
+    name: str
+    relative_sd: float
+    share: float
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """do : what would help. leaves : relative one-sigma of the scale that would be left."""
+
+    do: str
+    leaves: float
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """relative_sd : of the scale. parts : of that, the largest first. remedies : the best first.
+    halve : the sentence that says what would halve the uncertainty."""
+
+    relative_sd: float
+    parts: tuple[Part, ...]
+    remedies: tuple[Remedy, ...]
+    halve: str
+
+
+def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str) -> Explanation:
+    """From the `parts` of a scale's uncertainty (relative one-sigmas), its vehicles, and the code of its fleet.
+
+    Raises ValueError where nothing is uncertain.
+    """
+    variance = float(sum(sd**2 for sd in parts.values()))
+    if not (np.isfinite(variance) and variance > 0):
+        raise ValueError("there is no uncertainty to explain")
+    share = {name: sd**2 / variance for name, sd in parts.items()}
+    named = tuple(
+        Part(name, parts[name], share[name], MEANINGS.get(name, OF_AN_ANCHOR))
+        for name in sorted(parts, key=lambda name: -parts[name])
+        if parts[name] > 0
+    )
+    total = float(np.sqrt(variance))
+    if "conflict" in parts:
+        first = "First find out which measurement is wrong: more of them do not help while two contradict each other."
+        return Explanation(total, named, (), first)
+    removable = {
+        f"measure four times as many vehicles ({4 * vehicles_used} instead of {vehicles_used})": ("sampling", 0.75),
+        "use a detector with half the box bias": ("margin", 0.75),
+        "use steeper views, or more ground points under the vehicles": ("geometry", 0.75),
+        "straighten the input, or measure its parts by themselves": ("drift", 1.0),
+    }
+    if fleet in WITHOUT_COUNTRY:
+        removable["name the country (--fleet)"] = ("fleet", 1 - COUNTRY_SHARE**2)
+    remedies = [
+        Remedy(do, float(np.sqrt(max(variance - part * parts[name] ** 2, 0))))
+        for do, (name, part) in removable.items()
+        if share.get(name, 0) > NOTABLE_SHARE
+    ]
+    remedies.sort(key=lambda remedy: remedy.leaves)
+    return Explanation(total, named, tuple(remedies), _halve(variance, parts.get("drift", 0.0), remedies))
+
+
+def _halve(variance: float, drift: float, remedies: list[Remedy]) -> str:
+    """A measurement with sd s leaves 1 / (1 / v + 1 / s^2) of a variance v, but does not straighten what drifts: of the
+    rest of the variance, v, a quarter of the whole less that of the drift may be left."""
+    total = np.sqrt(variance)
+    best = "; ".join(remedy.do for remedy in remedies if remedy.leaves <= total / 2)
+    rest, left = variance - drift**2, variance / 4 - drift**2
+    if left <= 0:
+        alone = f"this alone would: {best}" if best else "nothing below would do so alone"
+        return f"No known distance halves it while the scale drifts; {alone}."
+    needed = float(1 / np.sqrt(1 / left - 1 / rest))
+    across = f"{KNOWN_METRES:g} m known to {100 * KNOWN_METRES * needed:.0f} cm"
+    halve = f"A known distance good to {100 * needed:.1f} % would halve it ({across}: --known-distance)"
+    return halve + (f"; so would this alone: {best}." if best else "; nothing below would do so alone.")

@@ -1,0 +1,17 @@
+"""The JSON Schema of a report, made of the very types that check one when it is read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from ..formats.schemas import Report
+from .document import FORMAT
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def report_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of what `fix` writes and ``estimate --json`` prints."""
+    return {"$schema": DRAFT, "title": FORMAT, **msgspec.json.schema(Report)}

@@ -1,0 +1,93 @@
+"""Many results as one table: CSV, JSON, points for a GIS, or a page."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from ..actions.batch import COLUMNS, Row
+from ..core.scale import decimals
+from ..errors import UsageError
+from ..formats.vector import write_layer
+from ..system.outputs import has_header
+from .page import template
+
+SUMMARY_FORMAT = "orthoscale summary 1"
+SUMMARY_LAYER = "orthoscale"
+
+
+def check_summary(path: Path) -> None:
+    """Raise UsageError where the ending of `path` is none of a summary."""
+    if path.suffix.lower() not in SUMMARY_WRITERS:
+        raise UsageError(f"{path}: a summary ends in {', '.join(SUMMARY_WRITERS)}", "Choose one of them.")
+
+
+def is_summary(path: Path) -> bool:
+    """Whether the CSV `path` is a summary that orthoscale wrote."""
+    return has_header(path, COLUMNS)
+
+
+def write_summary(rows: Sequence[Row], path: Path, place: Path) -> None:
+    """Write `rows` (`actions.batch.COLUMNS`) to `path`, in the format of its ending; links lead from `place`, where the
+    file is to be. Raises OSError."""
+    SUMMARY_WRITERS[path.suffix.lower()](rows, path, place)
+
+
+def _write_csv(rows: Sequence[Row], path: Path, place: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
+        writer = csv.DictWriter(file, list(COLUMNS))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _write_json(rows: Sequence[Row], path: Path, place: Path) -> None:
+    path.write_text(json.dumps({"format": SUMMARY_FORMAT, "inputs": rows}, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_points(rows: Sequence[Row], path: Path, place: Path) -> None:
+    """A point in the middle of each input that says where it lies; the others as rows without a place."""
+    import shapely
+
+    points = [
+        None if row["longitude"] is None else shapely.Point(row["longitude"], row["latitude"])  # x, y
+        for row in rows
+    ]
+    write_layer(path, SUMMARY_LAYER, points, rows, "Point", "EPSG:4326")
+
+
+def _write_page(rows: Sequence[Row], path: Path, place: Path) -> None:
+    lines = [{**row, "name": Path(row["input"]).name, **_shown(row), "page": _page_of(row, place)} for row in rows]
+    good = sum(row["exit_code"] == 0 for row in rows)
+    text = template("summary.html").render(lines=lines, good=good)
+    path.write_bytes(text.encode("utf-8", "backslashreplace"))  # file names need not be text
+
+
+def _shown(row: Mapping[str, Any]) -> dict[str, Any]:
+    if row["scale"] is None:
+        return {"value": "", "low": "", "high": "", "half": None}
+    half = (row["high90"] - row["low90"]) / 2
+    places = decimals(half)
+    numbers = {"value": row["scale"], "low": row["low90"], "high": row["high90"]}
+    return {name: f"{value:.{places}f}" for name, value in numbers.items()} | {"half": 100 * half / row["scale"]}
+
+
+def _page_of(row: Mapping[str, Any], place: Path) -> str:
+    """The link from `place` to the page of one input's report; '' where there is none."""
+    if row["output"] is None:
+        return ""
+    out = Path(row["output"])
+    page = out / "report.html" if out.is_dir() else out.with_name(f"{out.name}.html")
+    return quote(os.path.relpath(page, place.absolute().parent)) if page.is_file() else ""
+
+
+SUMMARY_WRITERS: dict[str, Callable[[Sequence[Row], Path, Path], None]] = {
+    ".csv": _write_csv,
+    ".json": _write_json,
+    ".gpkg": _write_points,
+    ".html": _write_page,
+}

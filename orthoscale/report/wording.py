@@ -1,0 +1,50 @@
+"""A report's figures as people read them: with the digits and the unit that they deserve."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import exp, log
+from typing import Any
+
+from ..core.remarks import percent, signed
+from ..core.scale import decimals
+from .document import of_plan
+
+
+def half_width(report: Mapping[str, Any]) -> float:
+    """Half of the 90 % interval, relative to the scale."""
+    low, high = report["interval90"]
+    return (high - low) / 2 / report["scale"]
+
+
+def quantity(report: Mapping[str, Any], *values: float) -> tuple[list[str], str]:
+    """`values` with as many digits as the scale deserves (two of its uncertainty), and their unit for people."""
+    unit = {"m/model-unit": "m per model unit"}.get(report["unit"], report["unit"])
+    factor = 1.0
+    if of_plan(report) and report["scale"] < 1:
+        factor, unit = 100.0, "cm/px"
+    uncertainty = half_width(report) * report["scale"] * factor
+    places = decimals(uncertainty)
+    return [f"{value * factor:.{places}f}" for value in values], unit
+
+
+def relative(scale: float, report: Mapping[str, Any]) -> float:
+    """How much larger `scale` is than the answer: 0.02 is 2 %."""
+    return scale / report["scale"] - 1
+
+
+def metres_of(report: Mapping[str, Any], length: float = 10.0) -> str:
+    """What the interval means for a length of so many metres in the copy."""
+    half = log(report["interval90"][1] / report["interval90"][0]) / 2
+    return f"{length:g} m in the copy are {length * exp(-half):.1f} to {length * exp(half):.1f} m on the ground"
+
+
+def narrowed(report: Mapping[str, Any]) -> str:
+    """What anchors did to the interval, in words."""
+    before = report.get("without_anchors")
+    if not before:
+        return "the scale rests on them"
+    low, high = before["interval90"]
+    half = percent((high - low) / 2 / before["scale"])
+    moved = signed(report["scale"] / before["scale"] - 1)
+    return f"90 % interval ± {percent(half_width(report))} with, ± {half} without; the scale moved by {moved}"

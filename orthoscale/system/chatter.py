@@ -1,0 +1,45 @@
+"""What libraries in C print of their own accord (libpng, libjpeg, COLMAP's log): not for the user's eyes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def unheard() -> Iterator[None]:
+    """In the block the descriptor of standard error leads nowhere; Python's `sys.stderr` goes where it always went.
+
+    For the command line: the descriptor is the whole process's. Redirecting it around single calls would lose what
+    other threads say meanwhile.
+    """
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is none to be heard on
+        yield
+        return
+    python = sys.stderr
+    if _is_the_descriptor(python):
+        # Not closed at the end: handlers of logs keep it.
+        sys.stderr = open(kept, "w", buffering=1, encoding=python.encoding, errors=python.errors)  # noqa: SIM115
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        if sys.stderr is python:
+            os.close(kept)
+        else:
+            sys.stderr.flush()
+            sys.stderr = python
+
+
+def _is_the_descriptor(stream: object) -> bool:
+    try:
+        return stream.fileno() == 2  # type: ignore[attr-defined]
+    except (AttributeError, OSError, ValueError):
+        return False

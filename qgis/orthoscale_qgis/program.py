@@ -1,0 +1,118 @@
+"""Calling the program orthoscale, in its own environment, and what all algorithms share."""
+
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import threading
+
+from processing.core.ProcessingConfig import ProcessingConfig
+from qgis.core import (
+    QgsProcessingAlgorithm,
+    QgsProcessingException,
+    QgsProcessingOutputNumber,
+    QgsProcessingOutputString,
+    QgsProcessingParameterRasterLayer,
+    QgsProcessingParameterString,
+)
+
+SETTING = "ORTHOSCALE_PROGRAM"
+DEFAULT = "orthoscale"
+DISAGREES = 4  # exit code where evidence disagrees: a result of `check`, an error elsewhere
+QGIS_PYTHON = ("PYTHONHOME", "PYTHONPATH")  # of QGIS's own Python, which is not the program's
+
+
+class OrthoscaleAlgorithm(QgsProcessingAlgorithm):
+    """Base of the algorithms: a raster, a fleet, and the program."""
+
+    INPUT, FLEET = "INPUT", "FLEET"
+
+    def createInstance(self):
+        """A new one for each run."""
+        return type(self)()
+
+    def add_input(self):
+        """The raster and the country of its vehicles."""
+        self.addParameter(QgsProcessingParameterRasterLayer(self.INPUT, "Orthophoto"))
+        self.addParameter(
+            QgsProcessingParameterString(
+                self.FLEET,
+                "Country of the vehicles, by code or name (empty: the country where the orthophoto lies)",
+                optional=True,
+            )
+        )
+
+    def add_scale(self):
+        """What `report_scale` gives."""
+        self.addOutput(QgsProcessingOutputNumber("SCALE", "Metres per pixel"))
+        self.addOutput(QgsProcessingOutputNumber("LOW90", "Lower end of the 90 % interval"))
+        self.addOutput(QgsProcessingOutputNumber("HIGH90", "Upper end of the 90 % interval"))
+        self.addOutput(QgsProcessingOutputNumber("VEHICLES_USED", "Vehicles that the scale rests on"))
+        self.addOutput(QgsProcessingOutputString("VERDICT", "good, fair, poor or unusable"))
+
+    def input_words(self, parameters, context):
+        """The file of the raster, and --fleet where it is named."""
+        layer = self.parameterAsRasterLayer(parameters, self.INPUT, context)
+        if layer is None:
+            raise QgsProcessingException(self.invalidRasterError(parameters, self.INPUT))
+        path = layer.source().split("|")[0]
+        if not os.path.isfile(path):
+            raise QgsProcessingException(f"{path} is no file: export the layer as a GeoTIFF first")
+        fleet = self.parameterAsString(parameters, self.FLEET, context).strip()
+        return [path, *(["--fleet", fleet] if fleet else [])]
+
+
+def report_scale(report, feedback):
+    """The outputs of `add_scale`, told to the user too."""
+    low, high = report["interval90"]
+    feedback.pushInfo(
+        f"{report['scale']:.5g} {report['unit']}, 90 % from {low:.5g} to {high:.5g}: "
+        f"{report.get('verdict', '')}, {report['vehicles_used']} vehicles of fleet {report['fleet']}"
+    )
+    for remark in report["remarks"]:
+        tell = feedback.pushInfo if remark["severity"] == "info" else feedback.pushWarning
+        tell(remark["text"])
+    return {
+        "SCALE": report["scale"],
+        "LOW90": low,
+        "HIGH90": high,
+        "VEHICLES_USED": report["vehicles_used"],
+        "VERDICT": report.get("verdict", ""),
+    }
+
+
+def run(words, feedback, accepted=()):
+    """The JSON that `orthoscale WORDS --json` prints. `accepted` : exit codes that are no error besides 0.
+
+    Raises QgsProcessingException with what the program said.
+    """
+    program = ProcessingConfig.getSetting(SETTING) or DEFAULT
+    if shutil.which(program) is None:
+        raise QgsProcessingException(
+            f"The program {program} is not there. Install it (pip install orthoscale), and give its path in Settings, "
+            "Options, Processing, Providers, orthoscale."
+        )
+    command = [program, *words, "--json"]
+    feedback.pushCommandInfo(" ".join(command))
+    environment = {name: value for name, value in os.environ.items() if name not in QGIS_PYTHON}
+    with tempfile.TemporaryFile("w+") as said, tempfile.TemporaryFile("w+") as complained:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=said, stderr=complained, env=environment, text=True
+        )
+        wait_for(process, feedback)
+        said.seek(0)
+        complained.seek(0)
+        if process.returncode != 0 and process.returncode not in accepted:
+            raise QgsProcessingException(complained.read().strip() or f"orthoscale ended with {process.returncode}")
+        feedback.pushInfo(complained.read())
+        return json.load(said)
+
+
+def wait_for(process, feedback):
+    """Until `process` ends; the button Cancel ends it, and it takes away what it had begun."""
+    over = threading.Event()
+    threading.Thread(target=lambda: (process.wait(), over.set()), daemon=True).start()
+    while not over.wait(0.2):
+        if feedback.isCanceled():
+            process.terminate()

@@ -1,0 +1,166 @@
+"""Changes of the program that a test must notice: `python -m tests.mutants` makes each in turn and runs that test;
+`python -m tests.mutants drift.py` only those of files whose path has that in it.
+
+Most were once made by hand and noticed by no fitting test. The program is put back as it was after each, also when the
+run is stopped. `tests/test_mutants.py` keeps the table up to date with the program.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """file : below orthoscale/. was, becomes : a text that stands in it once. test : what notices."""
+
+    file: str
+    was: str
+    becomes: str
+    test: str
+
+    @property
+    def path(self) -> Path:
+        return ROOT / "orthoscale" / self.file
+
+
+CHOICES, DRIFT, JUDGED = "tests/test_choices.py::", "tests/test_drift.py::", "tests/test_judgement.py::"
+SUPPRESSED = f"{CHOICES}test_suppression_leaves_neighbours_and_takes_second_boxes_of_one_vehicle"
+VERDICTS = f"{CHOICES}test_the_words_for_a_scale_follow_its_uncertainty"
+BODY = f"{CHOICES}test_the_body_of_a_car_in_metres"
+LOWERED = f"{DRIFT}test_a_drift_is_a_part_of_the_uncertainty_and_lowers_the_verdict"
+MUTANTS = (
+    Mutant("core/boxes.py", "iou: float = 0.3)", "iou: float = 0.7)", SUPPRESSED),
+    Mutant("core/boxes.py", "iou: float = 0.3)", "iou: float = 0.1)", SUPPRESSED),
+    Mutant(
+        "core/boxes.py",
+        "SAME_VEHICLE = 0.5",
+        "SAME_VEHICLE = 0.1",
+        f"{CHOICES}test_two_passes_show_one_vehicle_only_where_their_boxes_overlap_by_half",
+    ),
+    Mutant(
+        "detect/sweep.py",
+        "np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])",
+        "xylwa[:, 2:4]",
+        f"{CHOICES}test_a_vehicles_box_is_the_geometric_mean_of_both_passes",
+    ),
+    Mutant(
+        "core/pooling/agreement.py",
+        "weight = (1 / own) / (1 / own).sum()",
+        "weight = own / own.sum()",
+        f"{CHOICES}test_of_two_measurements_the_more_certain_one_counts_more",
+    ),
+    Mutant(
+        "core/projection/view.py",
+        "LOWEST_ELEVATION = 25.0",
+        "LOWEST_ELEVATION = 5.0",
+        f"{CHOICES}test_a_photo_counts_vehicles_down_to_an_elevation_of_25_degrees",
+    ),
+    Mutant(
+        "core/measuring/surroundings.py",
+        "GROUND_SD = 0.01",
+        "GROUND_SD = 0.0",
+        f"{CHOICES}test_the_ground_of_a_model_is_known_to_a_hundredth_however_many_vehicles_stand_on_it",
+    ),
+    Mutant(
+        "core/fleet.py",
+        "LOCAL_SD = np.array([0.025, 0.012])",
+        "LOCAL_SD = np.array([0.005, 0.0024])",
+        f"{CHOICES}test_vehicles_of_one_place_stray_from_their_countrys_mean",
+    ),
+    Mutant("core/verdicts.py", '("good", 0.03)', '("good", 0.06)', VERDICTS),
+    Mutant("core/verdicts.py", '("poor", 0.15)', '("poor", 0.30)', VERDICTS),
+    Mutant(
+        "core/verdicts.py", "SHAPE_LIMIT = 4.0", "SHAPE_LIMIT = 8.0", f"{JUDGED}test_lengths_and_widths_refuse_only"
+    ),
+    Mutant(
+        "core/measuring/drift.py",
+        "CHANCE = 0.01",
+        "CHANCE = 0.4",
+        f"{CHOICES}test_a_drift_is_reported_from_half_a_per_cent_of_chance_and_one_per_cent_of_the_scale",
+    ),
+    Mutant("core/measuring/drift.py", "EVEN_SD = 12**-0.5", "EVEN_SD = 0.1", LOWERED),
+    Mutant("core/measuring/drift.py", "one_step_below(word) if lowered else word", "word", LOWERED),
+    Mutant("core/measuring/drift.py", "REFUSAL if refused else CAUTION", "CAUTION", LOWERED),
+    Mutant("core/projection/exact.py", "roof: float = 1.5", "roof: float = 1.8", BODY),
+    Mutant("core/projection/exact.py", "corner: float = 0.13", "corner: float = 0.05", BODY),
+    Mutant(
+        "core/projection/exact.py",
+        "BEND = 0.4",
+        "BEND = 0.1",
+        f"{CHOICES}test_walls_that_lean_do_so_from_the_bumpers_up",
+    ),
+    Mutant(
+        "photos/tables.py",
+        'write_layer(path, "photos", places, rows, "Point", "EPSG:4326")',
+        'write_layer(path, "photos", places, rows, "Point", "EPSG:3857")',
+        "tests/test_photo.py::test_a_folder_becomes_a_table_in_every_format",
+    ),
+    Mutant(
+        "core/measuring/vehicles.py",
+        'table["length"], table["width"] = (size * scale.value).T',
+        'table["length"], table["width"] = (1.01 * size * scale.value).T',
+        "tests/test_vehicle_sizes.py",
+    ),
+    Mutant(
+        "core/measuring/judgement.py",
+        "r.severity in (REFUSAL, CAUTION)",
+        "r.severity in (REFUSAL,)",
+        f"{JUDGED}test_what_speaks_against_a_scale_comes_first",
+    ),
+    Mutant(
+        "cli/crop.py",
+        "place, radius, square, stride, size)",
+        "place, radius, square, None, size)",
+        "tests/test_every_option.py::test_what_would_do_nothing_is_refused",
+    ),
+)
+
+
+@contextmanager
+def made(mutant: Mutant) -> Iterator[None]:
+    """The program changed, and put back."""
+    before = mutant.path.read_bytes()
+    mutant.path.write_text(
+        mutant.path.read_text(encoding="utf-8").replace(mutant.was, mutant.becomes), encoding="utf-8"
+    )
+    try:
+        yield
+    finally:
+        mutant.path.write_bytes(before)
+
+
+def caught(mutant: Mutant) -> bool:
+    """Whether its test fails; the test itself must be there."""
+    file, _, name = mutant.test.partition("::")
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", file]
+    command += ["-k", name] if name else []
+    with made(mutant):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run(
+            [*command, *(["-k", name] if name else [])], cwd=ROOT, env=environment, capture_output=True
+        )
+    return done.returncode == 1  # 5: no such test
+
+
+def main() -> None:
+    """Prints each with whether it was noticed; exit code 1 if one was not."""
+    survived = 0
+    wanted = sys.argv[1:] or [""]
+    for mutant in (each for each in MUTANTS if any(word in each.file for word in wanted)):
+        noticed = caught(mutant)
+        survived += not noticed
+        print(f"{'caught  ' if noticed else 'SURVIVED'}  {mutant.file}: {mutant.was} -> {mutant.becomes}", flush=True)
+    sys.exit(min(survived, 1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""What speaks for a scale and what against it is judged once, in the core, each with its severity."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.reports import car_park
+
+import orthoscale
+from orthoscale.core.claims import Comparison
+from orthoscale.core.evidence import Evidence
+from orthoscale.core.measuring.judgement import judgements
+from orthoscale.core.measuring.measurement import Findings
+from orthoscale.core.measuring.model_drift import FrameScale, ModelDrift, Trend
+from orthoscale.core.pooling.agreement import Agreement
+from orthoscale.core.remarks import CAUTION, INFO, REFUSAL, SEVERITIES, SUPPORT, Remark
+from orthoscale.core.verdicts import remark_on_shape
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A sound measurement of a car park."""
+    folder = tmp_path_factory.mktemp("park")
+    car_park(folder)
+    options = {"fleet": "DE", "detections": folder / "detections.json", "surroundings": False}
+    return orthoscale.estimate(folder / "park.png", **options).measured
+
+
+def scaled(measured, **changes):
+    return replace(measured, scale=replace(measured.scale, **changes))
+
+
+def agreement(measured, sigmas):
+    other = replace(measured.scale, value=1.05 * measured.scale.value)
+    apart = float(np.log(1.05))
+    return Agreement({"oblique": other, "planar": measured.scale}, -apart, apart / sigmas, -apart, apart / sigmas)
+
+
+def test_of_a_sound_scale_nothing_is_to_be_looked_at(measured):
+    said = {j.what: j.severity for j in judgements(measured)}
+    assert said["Enough vehicles"] == said["Lengths and widths agree"] == SUPPORT
+    assert not {CAUTION, REFUSAL} & set(said.values())
+    assert "Largest uncertainty: margin" in said or "Largest uncertainty: fleet" in said
+
+
+def with_tape(measured, metres_per_pixel, conflict):
+    tape = Evidence("known distance", metres_per_pixel, 0.01, "a tape")
+    return scaled(measured, evidence=(tape,), conflict=conflict)
+
+
+AGAINST = {
+    "Few vehicles": (CAUTION, lambda m: scaled(m, parts={"sampling": 0.021, "fleet": 0.02})),
+    "Many rejected": (CAUTION, lambda m: scaled(m, reasons=["too large for a car"] * 70)),
+    "Lengths and widths disagree": (CAUTION, lambda m: scaled(m, tension=3.9)),
+    "Planar and oblique disagree": (REFUSAL, lambda m: replace(m, agreement=agreement(m, 2.7))),
+    "Other evidence contradicts": (REFUSAL, lambda m: with_tape(m, 0.13, 5.0)),
+    "Remark": (CAUTION, lambda m: scaled(m, remarks=(Remark(CAUTION, "something is odd"),))),
+}
+
+
+@pytest.mark.parametrize("what", AGAINST)
+def test_what_speaks_against_a_scale_comes_first(measured, what):
+    severity, changed = AGAINST[what]
+    found = judgements(changed(measured))
+    assert (found[0].severity, found[0].what) == (severity, what)
+    order = [SEVERITIES.index(j.severity) for j in found]
+    assert order == sorted(order)
+
+
+def test_lengths_and_widths_refuse_only_far_apart(measured):
+    for tension, severity in ((2.4, SUPPORT), (2.6, CAUTION), (4.1, REFUSAL)):
+        (check,) = [j for j in judgements(scaled(measured, tension=tension)) if "widths" in j.what]
+        assert check.severity == severity
+        if tension > 2.5:
+            assert remark_on_shape(0.1, tension).severity == severity
+
+
+def test_lengths_and_widths_far_apart_support_nothing_however_little_is_known(measured):
+    checks = {**measured.scale.checks, "length": 0.7 * measured.scale.checks["width"]}
+    (check,) = [j for j in judgements(scaled(measured, checks=checks, tension=0.1)) if "widths" in j.what]
+    assert check.severity == INFO and check.detail == "lengths give −30.0 % (0.1 sigma)"
+
+
+def test_no_sampling_error_is_made_up_in_a_conflict(measured):
+    (check,) = [j for j in judgements(scaled(measured, parts={"conflict": 0.1})) if "vehicles" in j.what]
+    assert check.severity == INFO and "sampling" not in check.detail
+
+
+@pytest.mark.parametrize("value, severity", [(0.1, SUPPORT), (0.13, INFO)])
+def test_evidence_supports_only_where_it_is_near(measured, value, severity):
+    (check,) = [j for j in judgements(with_tape(measured, value, 0.0)) if "evidence" in j.what]
+    assert check.severity == severity
+
+
+def test_agreement_of_two_ways_is_told_as_it_was_judged(measured):
+    (check,) = [j for j in judgements(replace(measured, agreement=agreement(measured, 1.2))) if "Planar" in j.what]
+    assert check.severity == SUPPORT and "oblique gives +5.0 % (1.2 sigma)" in check.detail
+
+
+@pytest.mark.parametrize(
+    "claimed, believed, severity",
+    [(0.1, True, SUPPORT), (0.115, True, CAUTION), (0.3, True, CAUTION), (0.3, False, None)],
+)
+def test_a_claim_is_judged_where_it_is_believed(measured, claimed, believed, severity):
+    claim = Comparison("its georeferencing claims", claimed, measured.scale.value, 0.04, believed)
+    found = [j.severity for j in judgements(measured, claim) if "georeferencing" in j.what]
+    assert found == ([] if severity is None else [severity])
+
+
+def of_a_model(measured, percent, chance, odd=()):
+    frames = {f"DJI_{k}.jpg": FrameScale(15.0, 0.4, 8) for k in range(4)}
+    drift = ModelDrift(frames, odd, [], Trend(percent, chance))
+    return replace(measured, found=Findings(drift=drift), modes={"oblique": measured})
+
+
+def test_frames_that_stand_out_are_named(measured):
+    found = judgements(of_a_model(measured, 5.0, 0.37, [("DJI_2.jpg", 0.19)]))
+    said = {j.what: j for j in found}
+    assert said["1 of 4 frames stands out"].severity == CAUTION
+    assert said["1 of 4 frames stands out"].detail == "DJI_2.jpg (+19.0 %)"
+    assert said["No drift"].severity == SUPPORT
+    assert {j.what: j.severity for j in judgements(of_a_model(measured, 5.0, 0.37))}["Frames agree"] == SUPPORT
+
+
+def test_the_drift_of_a_model_is_judged_once(measured):
+    said = {j.what: j.severity for j in judgements(of_a_model(measured, 12.0, 0.001))}
+    assert said["The scale drifts"] == CAUTION and "Remark" not in said
+    assert (
+        judgements(of_a_model(measured, 20.0, 0.3))
+        and {j.what: j.severity for j in judgements(of_a_model(measured, 20.0, 0.3))}[
+            "Drift neither found nor excluded"
+        ]
+        == INFO
+    )
+
+
+def test_a_severity_is_one_of_four():
+    with pytest.raises(ValueError, match="severity"):
+        Remark("look", "odd")

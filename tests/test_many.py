@@ -1,0 +1,194 @@
+"""Many inputs in one command: one row each, the exit code of the worst, a summary, and nobody's fault is another's."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from support.in_process import run
+from support.reports import EXAMPLE, car_park
+
+import orthoscale
+from orthoscale.actions import batch
+from orthoscale.actions.inputs import inputs_of, outputs_of
+from orthoscale.actions.requests import EstimateRequest, FixRequest
+from orthoscale.errors import InputError, UsageError
+
+
+@pytest.fixture(scope="module")
+def parks(tmp_path_factory):
+    """Two car parks, something that is no picture, and a joint file of boxes."""
+    folder = tmp_path_factory.mktemp("parks")
+    pictures = folder / "pictures"
+    pictures.mkdir()
+    boxes = {}
+    for seed, name in enumerate(("a.png", "b.png")):
+        car_park(pictures, name, seed=seed)
+        found = json.loads((pictures / "detections.json").read_text())
+        boxes |= found["pictures"]
+        (pictures / "detections.json").unlink()
+    (folder / "boxes.json").write_text(json.dumps({**found, "pictures": boxes}))
+    (pictures / "broken.tif").write_bytes(b"II*\0nonsense")
+    (pictures / "readme.txt").write_text("not an input")
+    return folder
+
+
+def options(parks, *more):
+    return ["--fleet", "DE", "--detections", parks / "boxes.json", *more]
+
+
+def test_a_folder_gives_a_row_each_and_the_exit_code_of_the_worst(parks, tmp_path):
+    summary = tmp_path / "out.csv"
+    done = run("estimate", parks / "pictures", *options(parks, "--summary", summary, "--jobs", "2"))
+    assert done.returncode == 5, done.stderr
+    rows = list(csv.DictReader(summary.open()))
+    assert [Path(row["input"]).name for row in rows] == ["a.png", "b.png", "broken.tif"]
+    assert [row["exit_code"] for row in rows] == ["0", "0", "5"] and rows[2]["error"]
+    for row in rows[:2]:
+        alone = json.loads(run("estimate", row["input"], *options(parks, "--json")).stdout)
+        assert float(row["scale"]) == alone["scale"]
+    assert len(done.stdout.splitlines()) == 3 and "1 of 3 failed" in done.stderr
+    again = run("estimate", parks / "pictures", *options(parks, "--summary", summary))
+    assert again.returncode == 2 and "already exists" in again.stderr
+    assert (
+        run("estimate", parks / "pictures/a.png", *options(parks, "--summary", summary, "--overwrite")).returncode == 0
+    )
+    assert len(summary.read_text().splitlines()) == 2
+
+
+@pytest.mark.parametrize("ending", ["json", "gpkg", "html"])
+def test_summaries_in_every_format(parks, tmp_path, ending):
+    summary = tmp_path / f"out.{ending}"
+    words = ["fix", parks / "pictures", "--out", tmp_path / "scaled", *options(parks, "--summary", summary)]
+    assert run(*words).returncode == 5
+    made = {path.name for path in (tmp_path / "scaled").iterdir()}
+    assert made == {f"{name}.tif{end}" for name in "ab" for end in ("", ".json", ".html", ".png")}
+    if ending == "json":
+        rows = json.loads(summary.read_text())["inputs"]
+        assert [row["output"] for row in rows] == [*(str(tmp_path / f"scaled/{name}.tif") for name in "ab"), None]
+        assert all(set(row) == set(batch.COLUMNS) for row in rows)
+    elif ending == "gpkg":
+        import pyogrio
+
+        about, _, points, values = pyogrio.raw.read(summary)
+        assert list(about["fields"]) == list(batch.COLUMNS) and len(points) == 3 and about["crs"] == "EPSG:4326"
+    else:
+        page = summary.read_text()
+        assert (
+            'href="scaled/a.tif.html"' in page and "broken.tif" in page and "http:" not in page and "https:" not in page
+        )
+
+
+def test_what_is_named(parks, tmp_path):
+    pictures = parks / "pictures"
+    assert inputs_of([pictures / "*.png", pictures / "a.png"]) == [pictures / "a.png", pictures / "b.png"]
+    with pytest.raises(InputError, match="no file fits"):
+        inputs_of([tmp_path / "*.tif"])
+    work = tmp_path / "work"
+    for k in "01":
+        shutil.copytree(EXAMPLE / "sparse", work / "sparse" / k)
+    assert inputs_of([work]) == [work / "sparse/0", work / "sparse/1"]
+    assert inputs_of([tmp_path]) == [work], "a folder of models"
+    shutil.copy(pictures / "a.png", tmp_path / "a.png")
+    assert inputs_of([tmp_path]) == [tmp_path / "a.png", work]
+
+
+def test_copies_of_one_name_take_that_of_their_folders(tmp_path):
+    inputs = [tmp_path / place for place in ("1/odm/o.tif", "2/odm/o.tif", "x.jpg", "x.png")]
+    for path in inputs:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    names = [path.name for path in outputs_of(inputs, tmp_path / "out")]
+    assert names[:2] == ["1_odm_o.tif", "2_odm_o.tif"] and len(set(names)) == 4
+    for out in (tmp_path, tmp_path / "1", inputs[0] / "in"):
+        with pytest.raises(UsageError, match="lie in each other"):
+            outputs_of(inputs, out)
+
+
+@pytest.mark.slow
+def test_a_process_that_dies_takes_only_its_own_input(parks, monkeypatch):
+    """The stand-in dies at one input, as a process does that the kernel kills for its memory."""
+    program = (
+        "import os, signal; from orthoscale.actions import batch\n"
+        "whole = batch.one\n"
+        "batch.one = lambda job: os.kill(os.getpid(), signal.SIGKILL) if 'a.png' in job['input'] else whole(job)\n"
+        "batch.serve()"
+    )
+    popen = batch.subprocess.Popen
+    monkeypatch.setattr(batch.subprocess, "Popen", lambda command, **how: popen([sys.executable, "-c", program], **how))
+    request = EstimateRequest(fleet="DE", detections=parks / "boxes.json")
+    rows = batch.run_many("estimate", inputs_of([parks / "pictures/*.png"]), request)
+    assert [row["exit_code"] for row in rows] == [1, 0] and "ended with -9" in rows[0]["error"]
+    assert batch.worst(rows) == 1
+
+
+def test_a_stop_ends_all_and_leaves_nothing_half_made(parks, tmp_path):
+    def stop(row):
+        raise KeyboardInterrupt
+
+    out = tmp_path / "out"
+    request = FixRequest(fleet="DE", detections=parks / "boxes.json")
+    with pytest.raises(KeyboardInterrupt):
+        batch.run_many("fix", inputs_of([parks / "pictures/*.png"]), request, out, 1, stop)
+    assert not [path for path in out.iterdir() if path.name.startswith(".")]
+
+
+def test_what_speaks_of_one_input_is_refused(parks):
+    for more in (["--known-distance", "0,0 9,9 1"], ["--save-detections", "x.json"]):
+        assert run("estimate", parks / "pictures", *options(parks, *more)).returncode == 2
+    assert run("estimate", parks / "pictures/a.png", *options(parks, "--jobs", "2")).returncode == 2
+    assert run("check", parks / "pictures", *options(parks, "--model", "x")).returncode == 2
+    assert run("estimate", parks / "pictures", *options(parks, "--summary", "x.doc")).returncode == 2
+
+
+def test_a_dry_run_says_what_would_be_done_and_does_nothing(parks, tmp_path):
+    before = sorted(tmp_path.rglob("*"))
+    done = run(
+        "fix", parks / "pictures/a.png", "--out", tmp_path / "s.tif", *options(parks, "--also", "tfw", "--dry-run")
+    )
+    assert done.returncode == 0, done.stderr
+    for said in ("1000 x 700 px", "DE (Germany", "61 from", f"{tmp_path}/s.tif\n", "s.tfw", "s.tif.html"):
+        assert said in done.stdout, said
+    done = run("fix", parks / "pictures", "--out", tmp_path, *options(parks, "--dry-run"))
+    assert done.returncode == 5 and "b.tif.json" in done.stdout and sorted(tmp_path.rglob("*")) == before
+    words = ["fix", parks / "pictures/a.png", "--out", parks / "pictures/a.png", *options(parks, "--dry-run")]
+    assert run(*words).returncode == 2
+    assert run("check", parks / "pictures/a.png", *options(parks, "--dry-run")).returncode == 0
+
+
+@pytest.mark.slow
+def test_on_a_cluster_a_killed_worker_loses_no_input(parks, tmp_path):
+    """Each input is a task; one of two workers is killed as soon as it has something to do."""
+    distributed = pytest.importorskip("distributed")
+    inputs = []
+    for k in range(6):
+        inputs.append(tmp_path / str(k) / "a.png")
+        inputs[-1].parent.mkdir()
+        shutil.copy(parks / "pictures/a.png", inputs[-1])
+    with (
+        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster,
+        distributed.Client(cluster) as client,
+    ):
+
+        def kill_one():
+            while not any(client.processing().values()):
+                time.sleep(0.01)
+            os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+
+        threading.Thread(target=kill_one, daemon=True).start()
+        request = FixRequest(fleet="DE", detections=parks / "boxes.json", report="none")
+        todo = batch.jobs_of("fix", inputs, request, tmp_path / "out")
+        (tmp_path / "out").mkdir()
+        rows = [row for _, row in sorted(batch.on_cluster(todo, cluster.scheduler_address), key=lambda each: each[0])]
+    assert [(row["exit_code"], row["error"]) for row in rows] == [(0, None)] * 6
+    alone = orthoscale.estimate(inputs[0], fleet="DE", detections=parks / "boxes.json")
+    assert {row["scale"] for row in rows} == {alone.scale.value}
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"{k}_a.tif" for k in range(6)]

@@ -1,0 +1,128 @@
+"""The plugin in QGIS itself, without a window; skipped where QGIS is not installed (apt-get install qgis)."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+import rasterio
+
+ROOT = Path(__file__).parent.parent
+PLUGIN = ROOT / "qgis" / "orthoscale_qgis"
+# Debian's wrapper puts an option first that qgis_process does not know.
+PROCESS = shutil.which("qgis_process.bin") or shutil.which("qgis_process")
+SYSTEM_PYTHON = "/usr/bin/python3"  # which has QGIS's bindings
+needs_qgis = pytest.mark.skipif(PROCESS is None, reason="QGIS is not installed")
+
+
+@pytest.fixture(scope="module")
+def qgis(tmp_path_factory):
+    """A function that runs an algorithm and gives its results, or what it complained of."""
+    folder = tmp_path_factory.mktemp("qgis")
+    folder.chmod(0o700)
+    program = folder / "orthoscale"
+    program.write_text(f'#!/bin/sh\nexec env PYTHONPATH={ROOT} {sys.executable} -m orthoscale "$@"\n')
+    program.chmod(0o755)
+    environment = {
+        **os.environ,
+        "PATH": f"{folder}:{os.environ['PATH']}",
+        "QGIS_CUSTOM_CONFIG_PATH": str(folder),
+        "QGIS_PLUGINPATH": str(PLUGIN.parent),
+        "QT_QPA_PLATFORM": "offscreen",
+        "XDG_RUNTIME_DIR": str(folder),
+        "LC_ALL": "C.UTF-8",
+    }
+    environment.pop("PYTHONPATH", None)
+
+    def call(*words):
+        return subprocess.run(list(map(str, words)), env=environment, capture_output=True, text=True)
+
+    assert call(PROCESS, "plugins", "enable", PLUGIN.name).returncode == 0
+
+    def run(algorithm, **parameters):
+        words = [f"{name}={value}" for name, value in parameters.items()]
+        done = call(PROCESS, "run", f"orthoscale:{algorithm}", "--", *words)
+        if "Results" not in done.stdout:
+            return done.stdout + done.stderr
+        lines = done.stdout.split("Results\n----------------\n")[1].splitlines()
+        return dict(line.split(":\t", 1) for line in lines if ":\t" in line)
+
+    run.call, run.folder = call, folder
+    return run
+
+
+@needs_qgis
+@pytest.mark.slow
+def test_an_orthophoto_is_scaled_shown_and_built_upon(qgis, tmp_path):
+    out = tmp_path / "scaled.tif"
+    done = qgis("fix", INPUT=ROOT / "examples/town/ortho.jpg", FLEET="DE", OUTPUT=out)
+    truth = json.loads((ROOT / "examples/town/truth.json").read_text())["gsd_m"]
+    assert float(done["LOW90"]) < truth < float(done["HIGH90"]), done
+    assert Path(done["REPORT"]).is_file() and done["VEHICLES"] == f"{out}.gpkg"
+
+    picture = tmp_path / "picture.png"
+    shown = qgis.call(SYSTEM_PYTHON, ROOT / "docs/make_qgis_picture.py", out, picture)
+    assert shown.returncode == 0, shown.stderr
+    told = json.loads(shown.stdout)
+    assert told["raster"] and told["inside"] and told["style"] == "categorizedSymbol"
+    assert told["units_per_pixel"] == pytest.approx(float(done["SCALE"]))
+    with rasterio.open(picture) as image:  # outlines of used vehicles
+        red, green, blue = image.read().astype(int)[:3]
+        assert ((abs(red - 40) < 12) & (abs(green - 180) < 12) & (abs(blue - 60) < 12)).sum() > 500
+
+    with rasterio.open(out) as raster:
+        left, bottom, right, top = raster.bounds
+    corners = [(left, bottom), (right, bottom), (right, top), (left, top), (left, bottom)]
+    geometry = {"type": "Polygon", "coordinates": [corners]}
+    lot = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {}, "geometry": geometry}]}
+    (tmp_path / "lot.geojson").write_text(json.dumps(lot))
+    place = {"INPUT": out, "LOT": tmp_path / "lot.geojson", "FACILITIES": "basketball", "OUTPUT": tmp_path / "layout"}
+    placed = qgis("layout", **place)
+    assert "layername=facilities" in placed["AREAS"], placed
+    facilities = json.loads((tmp_path / "layout/layout.json").read_text())
+    assert "basketball" in json.dumps(facilities)
+
+
+@needs_qgis
+@pytest.mark.slow
+def test_what_the_program_complains_of_is_said_in_qgis(qgis):
+    said = qgis("check", INPUT=ROOT / "examples/town/ortho.jpg")
+    assert "claims no scale" in said
+    (qgis.folder / "orthoscale").rename(qgis.folder / "elsewhere")
+    try:
+        assert "is not there. Install it" in qgis("check", INPUT=ROOT / "examples/town/ortho.jpg")
+    finally:
+        (qgis.folder / "elsewhere").rename(qgis.folder / "orthoscale")
+
+
+@pytest.mark.slow
+def test_the_plugin_is_packed_whole(tmp_path):
+    made = subprocess.run(["make", "qgis", f"PYTHON={sys.executable}"], cwd=ROOT, capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr
+    names = zipfile.ZipFile(ROOT / "build/orthoscale_qgis.zip").namelist()
+    for needed in ("metadata.txt", "__init__.py", "provider.py", "fix.py", "check.py", "layout.py", "vehicles.py"):
+        assert f"orthoscale_qgis/{needed}" in names
+
+
+def test_options_that_the_plugin_passes_exist():
+    import click
+
+    from orthoscale.cli.main import COMMANDS, cli
+
+    known = {
+        each
+        for name in COMMANDS
+        for option in cli.get_command(click.Context(cli), name).params
+        for each in (*option.opts, *option.secondary_opts)
+    }
+    for path in PLUGIN.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith("--"):
+                assert node.value in known, f"{path.name}: {node.value}"
