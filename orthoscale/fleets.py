@@ -19,8 +19,7 @@ AUTO = "auto"
 WORLD = "WORLD"
 # A place of which nothing is known has a country all the same: one of those that have fleets of their own, for the
 # world's average with its many sizes is no country. A country of ten times as many vehicles is three times as likely
-# (square roots, as in the region rows): an input whose country nobody knows is seldom from the largest. The average
-# has a share for countries unlike all of those.
+# (square roots, as in the region rows). The average has a share for countries unlike all of those.
 AVERAGE_SHARE = 0.1
 REGION = "R_"  # codes of regions, which stand in for their countries that have no row
 

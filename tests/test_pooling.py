@@ -78,19 +78,64 @@ def test_a_quarter_of_vans_is_seen_as_such_and_does_not_pull_the_scale(code):
     assert scale.larger_share == pytest.approx(0.25, abs=0.05)
 
 
-def test_the_fleet_is_found_where_the_shapes_tell_it_and_the_interval_is_honest_where_not():
-    auto = load_fleet("auto")
-    japan = pool(scene(np.random.default_rng(12), load_fleet("JP"), 150, surprise=False), auto, RULER, "m/px")
-    assert max(japan.fleets, key=japan.fleets.get) == "JP" and japan.fleets["JP"] > 0.2
-    germany = pool(scene(np.random.default_rng(13), load_fleet("DE"), 150, surprise=False), auto, RULER, "m/px")
-    assert max(germany.fleets.values()) < 0.9 and sum(germany.fleets.values()) <= 1.0001
-    world = pool(
-        scene(np.random.default_rng(13), load_fleet("DE"), 150, surprise=False), load_fleet("world"), RULER, ""
+def test_without_a_country_the_interval_is_as_wide_as_countries_differ():
+    for name in ("world", "auto"):
+        fleet = load_fleet(name)
+        for seed, code in ((12, "JP"), (13, "DE"), (14, "US")):
+            votes = scene(np.random.default_rng(seed), load_fleet(code), 150, surprise=False)
+            scale = pool(votes, fleet, RULER, "m/px")
+            low, high = scale.interval90
+            assert low < 0.12 < high and scale.parts["fleet"] > 0.04, (name, code)
+            assert sum(scale.fleets.values()) <= 1.0001 and max(scale.fleets.values()) < 0.5
+
+
+def of_shares(fleet, **shares):
+    """`fleet` with other shares of its classes."""
+    return replace(fleet, classes=tuple(replace(c, weight=shares[c.name]) for c in fleet.classes if c.name in shares))
+
+
+@pytest.mark.parametrize(
+    ("code", "shares"),
+    [("US", {"pickup": 0.7, "SUV": 0.3}), ("DE", {"van": 0.2, "SUV": 0.4, "large": 0.2, "mid": 0.2}),
+     ("JP", {"kei": 0.9, "small (5-number)": 0.05, "ordinary (3-number)": 0.05}),
+     ("JP", {"kei": 0.1, "small (5-number)": 0.4, "ordinary (3-number)": 0.5})],
+)  # fmt: skip
+def test_an_odd_mix_is_recognised_and_not_taken_for_another_scale(code, shares):
+    """A street of pickups, a lot of vans and SUVs, kei cars or hardly any: their mean is 6 to 14 % off the country's."""
+    fleet = load_fleet(code)
+    place = of_shares(fleet, **shares)
+    off = abs(float(np.log(sum(c.weight * c.mean[0] for c in place.classes) / fleet.mean[0])))
+    assert off > 0.05
+    errors = [
+        np.log(pool(scene(np.random.default_rng([5, k]), place, 60, surprise=False), fleet, RULER, "").value / 0.12)
+        for k in range(4)
+    ]
+    assert abs(np.mean(errors)) < 0.5 * off
+
+
+def test_minis_in_a_sharp_picture_are_recognised_and_in_a_coarse_one_leave_the_interval_wide():
+    """Length against width tells minis where a pixel of margin is a small share of the width."""
+    fleet = load_fleet("DE")
+    place = of_shares(fleet, mini=0.6, small=0.4)
+    off = float(np.log(fleet.mean[0] / sum(c.weight * c.mean[0] for c in place.classes)))
+    sharp, coarse = (
+        pool(scene(np.random.default_rng(3), place, 100, gsd=gsd, ruler=ruler, surprise=False), fleet, ruler, "")
+        for gsd, ruler in ((0.03, replace(RULER, bias_sd=(0.005, 0.005), margin_sd=(0.2, 0.2))), (0.12, RULER))
     )
-    assert germany.parts["fleet"] < world.parts["fleet"]
-    for scale in (japan, germany):
-        low, high = scale.interval90
-        assert low < 0.12 < high
+    assert abs(np.log(sharp.value / 0.03)) < 0.4 * off
+    assert coarse.interval90[1] / coarse.interval90[0] > 1.12
+
+
+def test_equally_likely_mixes_give_an_interval_that_holds_both():
+    """All vehicles alike and as square as a detector that tells no widths leaves them: kei cars, or ordinary ones."""
+    fleet, blind = load_fleet("JP"), replace(RULER, bias_sd=(0.015, 0.2))
+    rng = np.random.default_rng(6)
+    kei = min(fleet.classes, key=lambda c: c.mean[0])
+    place = replace(fleet, classes=(kei,))
+    scale = pool(scene(rng, place, 8, ruler=blind, surprise=False), fleet, blind, "")
+    low, high = scale.interval90
+    ordinary = 0.12 * fleet.mean[0] / kei.mean[0]
+    assert low < 0.12 and high > ordinary
 
 
 def drawn(votes, gsd, shrink, usual, margin=(1.0, 1.5)):

@@ -16,8 +16,8 @@ TOLD_APART = 0.05
 # A place (a car park, a district, a campus) has its own mix of vehicles: as if a few had been drawn from its country's
 # and all others there were like them (a Dirichlet process). So many, with so much probability: most places are much
 # like their country, some hardly. The means of places then scatter about the country's with PLACE_SCATTER times the
-# covariance of its vehicles: 2.9 % of length in Germany, 3.6 % in the USA. On 12 places read by eye it was 1.7 % (0 to
-# 4 %), what is not known of the countries included (training/between_places.py). How often a place is odd cannot be
+# covariance of its vehicles: 2.9 % of length in Germany, 3.6 % in the USA. On 12 places read by eye it was 1.6 % (0 to
+# 6 %), what is not known of the countries included (training/between_places.py). How often a place is odd cannot be
 # told from 12.
 PLACE_VEHICLES = ((20.0, 0.8), (3.0, 0.2))
 PLACE_SCATTER = sum(share / (1 + vehicles) for vehicles, share in PLACE_VEHICLES)
