@@ -5,18 +5,23 @@ The figures, and the source of each, are in ``data/stalls.json`` and ``data/obje
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from .core.measuring.objects import in_words
+from .core.measuring.parking import ROWS_KIND
 from .core.measuring.surroundings import Standards
 from .formats.reading import read_plain
 
 
-@cache
-def standards() -> Standards:
-    """Both tables."""
-    return Standards(_table("stalls"), _table("objects"))
+def standards(kinds: Collection[str] | None = None) -> Standards:
+    """Both tables; of them what is of the `kinds` of anchors that are named, if any are."""
+    stalls, objects = _table("stalls"), _table("objects")
+    if kinds is None:
+        return Standards(stalls, objects)
+    return Standards(stalls if ROWS_KIND in kinds else {}, {k: v for k, v in objects.items() if in_words(k) in kinds})
 
 
 def known_objects() -> dict[str, list[dict[str, Any]]]:
@@ -24,5 +29,6 @@ def known_objects() -> dict[str, list[dict[str, Any]]]:
     return standards().objects
 
 
+@cache
 def _table(name: str) -> dict[str, Any]:
     return read_plain(Path(__file__).parent / "data" / f"{name}.json", f"the table of {name}")[name]

@@ -12,6 +12,8 @@ import pytest
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
 RULES = ["--detections", str(EXAMPLE / "detections.json"), "--fleet", "US"]
 
+pytestmark = pytest.mark.slow  # each starts the program as a process
+
 
 def run(*arguments, cwd=None):
     command = [sys.executable, "-m", "orthoscale", *map(str, arguments)]

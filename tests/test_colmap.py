@@ -361,6 +361,7 @@ def cuts(size: int) -> list[int]:
     return sorted({int(k * (size - 1) / 19) for k in range(20)})
 
 
+@pytest.mark.slow
 def test_damaged_models_cost_little_memory_and_time(plain, tmp_path):
     """150 models, in a process of their own: cut, with forged counts, with random bytes, with files swapped."""
     random = np.random.default_rng(0)

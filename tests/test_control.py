@@ -60,7 +60,7 @@ def test_a_court_among_the_boxes_counts_unless_told_otherwise(boxes):
     seen = orthoscale.estimate(TOWN, fleet="world", detections=court)
     assert [e.kind for e in seen.scale.evidence] == ["tennis court"]
     assert seen.scale.value == pytest.approx(GSD, rel=0.02)
-    blind = orthoscale.estimate(TOWN, fleet="world", detections=court, surroundings=False)
+    blind = orthoscale.estimate(TOWN, fleet="world", detections=court, anchors=["none"])
     assert not blind.scale.evidence and blind.scale.relative_sd > 2 * seen.scale.relative_sd
     save_detections(seen.detections, boxes.with_name("again.json"))
     again = orthoscale.estimate(TOWN, fleet="world", detections=boxes.with_name("again.json"))
@@ -135,6 +135,7 @@ def test_the_papers_estimator_and_what_it_cannot_take(boxes):
             orthoscale.estimate(TOWN, fleet="DE", detections=boxes, **options)
 
 
+@pytest.mark.slow
 def test_the_command_takes_them_all(boxes):
     command = [sys.executable, "-m", "orthoscale", "estimate", TOWN, "--detections", boxes, "--fleet", "auto",
                "--known-distance", "0,0 1000,0 85 0.5", "--json"]  # fmt: skip

@@ -124,7 +124,7 @@ def test_a_drift_is_a_part_of_the_uncertainty_and_lowers_the_verdict(amplitude, 
 def test_a_scene_whose_scale_drifts_is_judged_by_it(tmp_path, change, verdicts):
     """Cars of known size in a picture whose pixels grow from left to right: found, measured and judged as a whole."""
     park = drifting_park(tmp_path, change)
-    result = orthoscale.estimate(park, fleet="DE", detections=tmp_path / "detections.json", surroundings=False)
+    result = orthoscale.estimate(park, fleet="DE", detections=tmp_path / "detections.json", anchors=["none"])
     scale = result.scale
     assert scale.verdict in verdicts
     local = GSD * (1 + change * np.linspace(-0.5, 0.5, 101))
@@ -134,7 +134,7 @@ def test_a_scene_whose_scale_drifts_is_judged_by_it(tmp_path, change, verdicts):
     if verdicts != {"unusable"}:
         assert result.disagreement is None
     else:
-        with pytest.raises(EvidenceDisagrees, match="the scale grows by 6.* towards the right"):
+        with pytest.raises(EvidenceDisagrees, match=r"the scale grows by \d\d\.\d % towards the right"):
             result.require_useful()
 
 

@@ -40,6 +40,7 @@ ASKED = {
     "gsd_hint": ("--gsd-hint", "0.2"),
     "images": ("--images", "frames"),
     "refine": ("--refine",),
+    "measurer": ("--measurer", "none"),
     "mode": ("--mode", "planar"),
     "target": ("--target", "0.02"),
     "exhaustive": ("--exhaustive",),
@@ -51,7 +52,8 @@ ASKED = {
     "estimator": ("--estimator", "iqr"),
     "known_distance": ("--known-distance", "0,0 9,9 1"),
     "ground_control": ("--ground-control", "g.txt"),
-    "surroundings": ("--no-surroundings",),
+    "anchors": ("--anchors", "none"),
+    "anchor": ("--anchor", "bay=2.5"),
     "override": ("--override",),
     "keep_origin": ("--keep-origin",),
     "cog": ("--cog",),
@@ -65,6 +67,7 @@ ACTIONS = {
     "estimate": ("orthoscale.actions.estimate.measured", ("ORTHO",)),
     "fix": ("orthoscale.actions.fix.written", ("ORTHO", "--out", "NEW.tif")),
     "check": ("orthoscale.actions.check.checked", ("ORTHO",)),
+    "anchors": ("orthoscale.actions.list_anchors.list_anchors", ("ORTHO",)),
     "photo": ("orthoscale.photos.survey.surveyed", ("PHOTO",)),
     "crop": ("orthoscale.photos.footprint.footprint_of", ("PHOTO", "--satellite", "SATELLITE", "--out", "NEW")),
     "evaluate": ("orthoscale.photos.looking.boxes_of", ("TABLE",)),
@@ -82,6 +85,7 @@ LINES = {
     "fix": ("fix", "PARK", "--detections", "PARKBOXES", "--fleet", "DE", "--report", "none", "--out", "NEW.tif"),
     "explain": ("explain", "REPORT"),
     "check": ("check", "ORTHO", "--detections", "BOXES", "--fleet", "DE"),
+    "anchors": ("anchors", "ORTHO", "--scale", "0.1"),
     "apply": ("apply", "SIM3", "MESH", "--out", "NEW"),
     "photo": PHOTOS,
     "crop": GIVEN_GSD,
@@ -92,9 +96,17 @@ LINES = {
 }
 OTHER, REFUSED = "another outcome", "refused"
 CASES = {
+    ("fleets", "registrations"): (("--registrations", "REGISTER", "--out", "NEW.json"), OTHER, ("fleets",)),
+    ("fleets", "out"): (("--out", "NEW.json"), REFUSED),
+    ("report", "schema"): (("--schema",), OTHER),
+    **{(name, "dry_run"): (("--dry-run",), OTHER) for name in ("estimate", "fix", "check")},
+    **{(name, "summary"): (("--summary", "NEW.csv"), OTHER) for name in ("estimate", "fix", "check")},
+    **{(name, "jobs"): (("--jobs", "2"), REFUSED) for name in ("estimate", "fix", "check")},
     ("check", "images"): (("--images", "FOLDER"), REFUSED),
     ("check", "model"): (("--model", "MODEL", "--save-detections", "NEW.json"), REFUSED),
     ("check", "model_detections"): (("--model-detections", "BOXES"), REFUSED),
+    ("anchors", "scale"): (("--scale", "0.2"), OTHER),
+    ("anchors", "out"): (("--out", "NEW"), OTHER),
     ("photo", "focal_px"): (("--focal-px", "1100"), OTHER),
     ("photo", "lens_file"): (("--lens", "LENS"), OTHER, ("photo", "PHOTO", *MEASURED)),
     ("photo", "pitch"): (("--pitch", "-80"), OTHER),
@@ -136,9 +148,11 @@ CASES = {
 }
 IDLE = {  # said beside what makes them idle
     "nothing is written": [
-        (*LINES[name], "--overwrite") for name in ("estimate", "check", "photo", "layout", "evaluate")
+        (*LINES[name], "--overwrite")
+        for name in ("estimate", "check", "anchors", "photo", "layout", "evaluate", "fleets")
     ],
     "--list only lists": [("layout", "--list", *words) for words in (("--out", "NEW"), ("--facility", "tennis"))],
+    "no vehicles are measured": [(*LINES["anchors"], "--zoom", "0.5"), (*LINES["anchors"], "--exhaustive")],
     "twice": [(*PHOTOS, "--lens", "LENS")],
     "looks straight down": [(*PHOTOS, "--roll", "8")],
     "is one crop": [(*GIVEN_GSD, "--at", "9.0,60.0", "--stride", "0.3")],
@@ -184,6 +198,7 @@ def places(tmp_path_factory):
         writer = csv.writer(file)
         writer.writerow(["image", "altitude_m", "focal_px", "pitch_deg"])
         writer.writerow(["a.jpg", ALTITUDE, FOCAL, -75])
+    (folder / "register.csv").write_text("Make;Model;Count\nFiat;Panda;6000\nFord;F-150;3000\n")
     (folder / "mesh.obj").write_text("v 1 2 3\nv 4 5 6\nv 7 8 1\nf 1 2 3\n")
     (folder / "lot").mkdir()
     shed = {"name": "Shed", "source": "made for this test", "length": 8, "width": 5}
@@ -191,6 +206,7 @@ def places(tmp_path_factory):
     report = fixed(folder).with_suffix(".json")
     save_calibration(calibrated(), folder / "calibration.json")
     return {
+        "REGISTER": folder / "register.csv",
         "CALIBRATION": folder / "calibration.json",
         "ORTHO": folder / "ortho.tif",
         "BOXES": folder / "ortho.json",
@@ -253,6 +269,7 @@ def outcome(words, places, folder):
     return SimpleNamespace(code=done.returncode, said=said, error=done.stderr, files=files, folder=folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case[0]} {case[1]}")
 def test_a_commands_own_option_changes_the_outcome_or_is_refused(case, places, tmp_path):
     words, comes, *own = CASES[case]
@@ -313,6 +330,7 @@ def test_an_option_of_calibrate_arrives(name, places, monkeypatch):
     assert given[0][name] != given[1][name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", LINES)
 def test_json_is_printed_where_it_is_asked_for(command, places, tmp_path):
     if "as_json" not in words_of(command):
@@ -353,15 +371,18 @@ TO_WRITE = {  # what of each command may replace what an earlier run wrote
     "estimate": (*LINES["estimate"], "--save-detections", "NEW.json"),
     "fix": (*LINES["fix"], "--save-detections", "NEW.json"),
     "check": (*LINES["check"], "--save-detections", "NEW.json"),
+    "anchors": (*LINES["anchors"], "--out", "NEW"),
     "apply": LINES["apply"],
     "photo": (*PHOTOS, "--save-detections", "NEW.json", "--out", "NEW.csv"),
     "crop": GIVEN_GSD,
     "layout": (*LAYOUT, "--out", "NEW"),
     "evaluate": (*LINES["evaluate"], "--save-detections", "NEW.json"),
     "report": LINES["report"],
+    "fleets": ("fleets", "--registrations", "REGISTER", "--out", "NEW.json"),
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", TO_WRITE)
 def test_what_an_earlier_run_wrote_is_replaced_on_demand_only(command, places, tmp_path):
     assert {name for name in COMMANDS if "overwrite" in words_of(name)} == {*TO_WRITE, "calibrate"}

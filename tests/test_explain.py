@@ -60,6 +60,7 @@ def test_what_is_no_report_is_refused(report):
         explain(report)
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path):
     path = tmp_path / "report.json"
     path.write_text(json.dumps(REPORT))

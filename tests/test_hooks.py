@@ -18,6 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.geometry import dense_workspace
 
+pytestmark = pytest.mark.slow  # each starts shells, and Python in them
 ROOT = Path(__file__).parent.parent
 HOOKS = ROOT / "colmap_hooks"
 EXAMPLE = ROOT / "examples" / "sheffield"

@@ -25,6 +25,7 @@ with rasterio.open(sys.argv[1] + "/a.tif", "w", driver="GTiff", width=64, height
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [True, False])
 @pytest.mark.parametrize("other", ["pycolmap", "torch", "open3d"])
 def test_both_orders(other, first, tmp_path):

@@ -22,7 +22,7 @@ def measured(tmp_path_factory):
     """A sound measurement of a car park."""
     folder = tmp_path_factory.mktemp("park")
     car_park(folder)
-    options = {"fleet": "DE", "detections": folder / "detections.json", "surroundings": False}
+    options = {"fleet": "DE", "detections": folder / "detections.json", "anchors": ["none"]}
     return orthoscale.estimate(folder / "park.png", **options).measured
 
 
@@ -73,6 +73,17 @@ def test_lengths_and_widths_refuse_only_far_apart(measured):
         assert check.severity == severity
         if tension > 2.5:
             assert remark_on_shape(0.1, tension).severity == severity
+
+
+def test_lengths_and_widths_far_apart_support_nothing_however_little_is_known(measured):
+    checks = {**measured.scale.checks, "length": 0.7 * measured.scale.checks["width"]}
+    (check,) = [j for j in judgements(scaled(measured, checks=checks, tension=0.1)) if "widths" in j.what]
+    assert check.severity == INFO and check.detail == "lengths give −30.0 % (0.1 sigma)"
+
+
+def test_no_sampling_error_is_made_up_in_a_conflict(measured):
+    (check,) = [j for j in judgements(scaled(measured, parts={"conflict": 0.1})) if "vehicles" in j.what]
+    assert check.severity == INFO and "sampling" not in check.detail
 
 
 @pytest.mark.parametrize("value, severity", [(0.1, SUPPORT), (0.13, INFO)])

@@ -113,6 +113,7 @@ def test_copies_of_one_name_take_that_of_their_folders(tmp_path):
             outputs_of(inputs, out)
 
 
+@pytest.mark.slow
 def test_a_process_that_dies_takes_only_its_own_input(parks, monkeypatch):
     """The stand-in dies at one input, as a process does that the kernel kills for its memory."""
     program = (

@@ -94,9 +94,9 @@ def scales(model):
 def test_rows_seen_in_many_frames_are_one_measurement(scales):
     scale, without = scales
     (pitch,) = scale.evidence
-    assert pitch.kind == "parking bay" and pitch.value == pytest.approx(UNIT, rel=0.02)
+    assert pitch.kind == "parking bays" and pitch.value == pytest.approx(UNIT, rel=0.02)
     assert 0.05 < pitch.relative_sd < 0.09, "as sure as the standard, however many frames there are"
-    assert "36 in a row" in pitch.says and scale.parts["parking bay"] > 0 and scale.conflict == 0
+    assert "36 in a row" in pitch.says and scale.parts["parking bays"] > 0 and scale.conflict == 0
     low, high = scale.interval90
     assert low < UNIT < high
     assert not without.evidence and without.relative_sd > scale.relative_sd
@@ -141,6 +141,6 @@ def test_a_court_that_contradicts_the_vehicles_is_a_conflict(model, scales):
 def test_looks_of_which_one_sees_rows_are_pooled(scales):
     for pair in (scales, scales[::-1]):
         both = together(compare(dict(zip(("oblique", "planar"), pair, strict=True))))
-        assert 0 < both.parts["parking bay"] < scales[0].parts["parking bay"] and len(both.evidence) == 1
+        assert 0 < both.parts["parking bays"] < scales[0].parts["parking bays"] and len(both.evidence) == 1
         low, high = both.interval90
         assert low < UNIT < high

@@ -396,6 +396,7 @@ with Outputs(overwrite=True) as outputs:
 """
 
 
+@pytest.mark.slow
 def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
     write_folder(tmp_path / "a", text="former")
     with subprocess.Popen([sys.executable, "-c", WRITER, tmp_path / "a"], stdout=subprocess.PIPE) as process:
@@ -501,6 +502,7 @@ runpy.run_module("orthoscale", run_name="__main__")
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("program", [EARLY, LATE], ids=["early", "late"])
 def test_a_stopped_run_leaves_nothing_and_says_so(tmp_path, program, how):
@@ -686,6 +688,7 @@ def test_others_files_in_the_places_of_parts_stay(ortho, name):
 # What fails beside a verified copy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["vehicles.png", "report.html", "report.json"])
 def test_a_model_is_delivered_though_its_report_fails(tmp_path, monkeypatch, part):
     where = {"vehicles.png": "draw", "report.html": "page", "report.json": "write_json"}[part]

@@ -25,6 +25,7 @@ def result(park):
     return orthoscale.estimate(park / "park.png", fleet="DE", detections=park / "detections.json")
 
 
+@pytest.mark.slow
 def test_public_names_are_there_and_cost_nothing_until_used():
     """Also after the modules beside them were imported, whose names must not hide theirs."""
     code = (
@@ -97,6 +98,7 @@ def test_apply_takes_one_file_or_several(tmp_path):
         assert float(vertex.split()[1]) == pytest.approx(scale, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_what_is_done_is_told_to_the_logger_and_on_demand_to_the_terminal(park, caplog):
     with caplog.at_level("INFO", "orthoscale"):
         orthoscale.estimate(park / "park.png", fleet="DE", detections=park / "detections.json")

@@ -102,6 +102,7 @@ def test_what_the_program_complains_of_is_said_in_qgis(qgis):
         (qgis.folder / "elsewhere").rename(qgis.folder / "orthoscale")
 
 
+@pytest.mark.slow
 def test_the_plugin_is_packed_whole(tmp_path):
     made = subprocess.run(["make", "qgis", f"PYTHON={sys.executable}"], cwd=ROOT, capture_output=True, text=True)
     assert made.returncode == 0, made.stderr

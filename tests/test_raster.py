@@ -673,6 +673,7 @@ def test_a_copy_that_has_no_room_is_refused(tmp_path, monkeypatch):
     assert "TMPDIR" in caught.value.hint
 
 
+@pytest.mark.slow
 def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
     make = "import os, signal; from orthoscale.system.scratch import Scratch; a, b = Scratch(), Scratch()"
     environment = {**os.environ, "TMPDIR": str(tmp_path)}

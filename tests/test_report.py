@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ import orthoscale
 from orthoscale.actions.requests import command_line
 from orthoscale.errors import Incomplete, InputError, UsageError
 from orthoscale.report import places, wording
+from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, read_json
 from orthoscale.report.files import redraw
 from orthoscale.report.page import page
@@ -337,6 +339,7 @@ def test_a_report_of_the_first_version_is_still_drawn(tmp_path, report):
     assert done.returncode == 0 and "boxes are odd" in done.stdout
 
 
+@pytest.mark.slow
 def test_the_command_draws_beside_the_json_and_keeps_what_is_there(park, tmp_path):
     path = tmp_path / "scaled.tif.json"
     path.write_bytes((park[0] / "scaled.tif.json").read_bytes())
@@ -403,3 +406,26 @@ def test_colours_on_a_terminal_unless_they_are_not_wanted(result, park, monkeypa
     plain = re.sub(r"\x1b\[[0-9;]*m", "", text).splitlines()
     assert plain[0].split()[0] == "scale" and max(map(len, plain)) <= 60, "long lines are folded, not cut"
     assert str(park[0]).replace("/", "")[-12:] in re.sub(r"[\s/]", "", "".join(plain))
+
+
+def test_texts_can_be_read_in_both_schemes():
+    """WCAG's contrast of 4.5 between every colour of letters and every ground that they stand on."""
+    css = Path(orthoscale.__file__).with_name("report").joinpath("page.html").read_text()
+    schemes = [dict(re.findall(r"--(\w+): (#\w+)", line)) for line in css.splitlines() if "--ink:" in line]
+    assert len(schemes) == 2 and set(schemes[0]) == set(schemes[1])
+
+    def luminance(colour):
+        digits = colour[1:] if len(colour) == 7 else "".join(2 * c for c in colour[1:])
+        channels = np.array([int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4)])
+        linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+        return linear @ (0.2126, 0.7152, 0.0722)
+
+    for scheme in schemes:
+        for letters in ("ink", "soft"):
+            for ground in ("paper", "back"):
+                dark, light = sorted(luminance(scheme[name]) for name in (letters, ground))
+                assert (light + 0.05) / (dark + 0.05) > 4.5, (letters, ground)
+
+
+def test_what_chance_gives_stays_pale():
+    assert strength(0.1, 0.1) < 0.15 and strength(0.31, 0.1) == strength(0.5, 0.1) == 1 and strength(0.1, 0) == 0

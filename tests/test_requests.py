@@ -36,6 +36,7 @@ SAID = {
     "decoder": "yolo-obb",
     "vehicle_classes": ("car",),
     "calibration": "c.json",
+    "measurer": "built-in",
     "zoom": 0.5,
     "gsd_hint": 0.1,
     "images": "frames",
@@ -51,7 +52,8 @@ SAID = {
     "estimator": "iqr",
     "known_distance": ("0,0 9,9 1",),
     "ground_control": "g.txt",
-    "surroundings": False,
+    "anchors": ("none",),
+    "anchor": ("bay=2.5",),
     "overwrite": True,
     "override": True,
     "keep_origin": True,
@@ -109,7 +111,7 @@ EFFECTS = {  # that a report of the car park shows, from boxes in a file
     "estimator": ("iqr", lambda a, b: a["scale"] != b["scale"]),
     "known_distance": (("100,100 600,100 50.5 0.2",), lambda a, b: [e["kind"] for e in b["evidence"]]),
     "ground_control": ("control.txt", lambda a, b: [e["kind"] for e in b["evidence"]]),
-    "surroundings": (False, lambda a, b: b["settings"]["surroundings"] is False),
+    "anchors": (["none"], lambda a, b: b["settings"]["anchors"] == ("none",)),
     "projection": ("planar", lambda a, b: b["method"]["projection"] == "planar"),
 }
 

@@ -387,6 +387,7 @@ def test_the_matrix_of_a_similarity(tmp_path):
     assert (np.loadtxt(tmp_path / "sim3_4x4.txt") == np.diag([SCALE, SCALE, SCALE, 1])).all()
 
 
+@pytest.mark.slow
 def test_colmap_takes_one_of_both_similarities(tmp_path):
     """The real program: 3.8 wants the matrix, newer ones the line."""
     colmap, pycolmap = shutil.which("colmap"), pytest.importorskip("pycolmap")

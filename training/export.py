@@ -18,12 +18,17 @@ from .network import NETWORKS
 
 
 def add_card(onnx_file: Path, card: dict, out: Path) -> None:
-    """Copy `onnx_file` to `out` with `card` as its metadata entry ``orthoscale``; checks that the card reads back."""
-    import onnx
-
+    """`with_card` for a detector's; checks that the card reads back."""
     from orthoscale.detect.detector import Card
 
     Card.from_json(json.dumps(card))
+    with_card(onnx_file, card, out)
+
+
+def with_card(onnx_file: Path, card: dict, out: Path) -> None:
+    """Copy `onnx_file` to `out` with `card` as its metadata entry ``orthoscale``."""
+    import onnx
+
     model = onnx.load(onnx_file)
     del model.metadata_props[:]
     entry = model.metadata_props.add()

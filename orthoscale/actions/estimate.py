@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.anchors import Standard
 from ..core.calibration import Calibration
-from ..core.detections import Detections
+from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ..core.evidence import Evidence
 from ..core.fleet import Fleet
-from ..core.measuring.measure import measure
+from ..core.measuring.measure import doubts, measure
+from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
 from ..core.measuring.plan import PlanGeometry
 from ..core.measuring.planar_sweep import SweepGeometry
 from ..core.measuring.ways import measure_source
+from ..core.measuring.without_vehicles import measured_without_vehicles
+from ..core.pooling.anchors import evidence_of
 from ..core.source import Plan, PosedSet, Source
 from ..detect.detector import Detector
 from ..detect.find import Effort, Progress
@@ -32,17 +36,20 @@ from ..formats.detections import load as load_detections
 from ..sources.location import location_of
 from ..sources.opening import open_source
 from ..tables import standards
+from .anchors import Searched, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
 from .control import read_control, read_distance
-from .find import find_in
+from .find import find_in, measured_anew
 from .requests import EstimateRequest
 from .result import Result
-from .whose import fleet_at, named_fleet
+from .whose import country_of, fleet_at, named_fleet
 
 if TYPE_CHECKING:
     from typing import Unpack
 
     from ..detect.zoom import ZoomChoice
     from .requests import EstimateOptions
+
+HINT_SD, CLAIM_SD = 0.15, 0.1  # of --gsd-hint, and of georeferencing, relative one-sigma, where anchors must do alone
 
 log = logging.getLogger(__name__)
 
@@ -60,6 +67,7 @@ def estimate(
     detector : an ONNX file instead of the shipped one.
     decoder : how to read its outputs, where they do not tell (`detect.output_forms.DECODERS`).
     vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
+    measurer : network that measures the vehicles once more, "built-in", "none" or an ONNX file; see `requests`.
     calibration : file of `orthoscale.calibrate`, whose ruler takes the place of the detector's own.
     zoom, gsd_hint : resampling factor (detector pixels per picture pixel), or the expected metres per pixel, instead of
     the search for it. refine : look at every vehicle four times more, turned and at neighbouring zooms.
@@ -68,7 +76,8 @@ def estimate(
     images : folder of a model's frames, when not beside it. mode : how a model is measured, one of `requests.MODES`;
     by default in every way that there is evidence for.
     projection, estimator : other ways than the usual, see `measuring.method.Method`. known_distance, ground_control :
-    what is known besides, see `actions.control`. surroundings : whether parking rows and standard objects count.
+    what is known besides, see `actions.control`. anchors : which things of exact size are looked for, and anchor : your
+    own standards for them, see `actions.anchors`.
 
     How much is looked at, and with what (`detect.find.Effort`)
     target, exhaustive, seed, workers, scheduler, cache.
@@ -84,6 +93,7 @@ class Opened:
     """What a request speaks of, opened and found to fit together, before anything is measured.
 
     fleet : whose vehicles they are, and why, where that was not asked for. given : what the user knows of the scale.
+    own : the user's standards for anchors, by kind.
     """
 
     source: Source
@@ -91,19 +101,21 @@ class Opened:
     why: tuple[str, ...]
     calibration: Calibration | None
     given: tuple[Evidence, ...]
+    own: Mapping[str, tuple[Standard, ...]]
 
 
 def opened(path: str | Path | Source, request: EstimateRequest) -> Opened:
     """All that `request` names for the input at `path`. Raises InputError, UsageError."""
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
-    fleet, why = named_fleet(request.fleet, known), tuple[str, ...]()
+    named = named_fleet(request.fleet, known)
     from_file = request.detections is not None
-    source = open_source(path, request.images, not from_file) if isinstance(path, (str, Path)) else path
-    if fleet is None:
-        fleet, why = fleet_at(location_of(source))
+    needs_pictures = not from_file or request.measures is not None
+    source = open_source(path, request.images, needs_pictures) if isinstance(path, (str, Path)) else path
+    fleet, why = (named, ()) if named is not None else fleet_at(location_of(source))
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
-    return Opened(source, fleet, why, known, tuple(given))
+    own = own_standards(request.anchor)
+    return Opened(source, fleet, why, known, tuple(given), own)
 
 
 def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
@@ -111,40 +123,89 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     started = time.perf_counter()
     log.info("measuring %s", path)
     asked = opened(path, request)
-    source, fleet, given = asked.source, asked.fleet, asked.given
+    source, fleet = asked.source, asked.fleet
     method = Method(
         request.projection,
         request.estimator,
-        evidence=given,
-        standards=standards() if request.surroundings else None,
+        evidence=asked.given,
+        standards=standards(kinds_of_boxes(request.anchors)),
+        country=country_of(source, fleet),
+        own=asked.own,
     )
-    choice = None
-    if request.detections is not None:
-        found = load_detections(Path(request.detections), source, request.vehicle_classes)
-    else:
-        found, choice = _looked_for(source, request, fleet, progress)
-    found = replace(found, notes=(*asked.why, *found.notes))
-    log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
-    if asked.calibration is not None:
-        found = asked.calibration.applied(found, Path(str(request.calibration)))
+    choice, searched = None, Searched()
+    found = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found")
     try:
-        answer = measure_source(source, found, fleet, method, request.mode)
+        if request.detections is not None:
+            found = load_detections(Path(request.detections), source, request.vehicle_classes)
+        else:
+            found, choice = _looked_for(source, request, fleet, progress)
+        found = measured_anew(source, found, request, effort_of(request), progress)
+        log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
+        if asked.calibration is not None:
+            found = asked.calibration.applied(found, Path(str(request.calibration)))
+        answer = _by_vehicles(source, found, fleet, method, request)
+        if request.estimator == "robust" and not answer.scale.conflict:
+            searched = look_for_anchors(
+                source, answer.scale, request.anchors, asked.own, method.country, effort_of(request), progress
+            )
+        if searched.votes:
+            method = replace(method, anchors=searched.votes)
+            answer = measure_source(source, found, fleet, method, request.mode)
+    except TooLittleEvidence as error:
+        searched = at_any_scale(
+            source, _rough(source, request), request.anchors, asked.own, method.country, effort_of(request), progress
+        )
+        method = replace(method, anchors=searched.votes)
+        answer = _by_anchors(source, fleet, method, doubts(found), error)
+    log.info("%d anchors, seen %d times", len(searched.votes), len(searched.anchors))
+    found = replace(found, notes=(*asked.why, *found.notes, *searched.notes))
+    seconds = time.perf_counter() - started
+    log.info("%.6g %s by %d vehicles in %.1f s", answer.scale.value, source.unit, answer.scale.vehicles_used, seconds)
+    return Result(source, fleet, found, choice, seconds, answer, method, request.settings(), searched)
+
+
+def _by_vehicles(
+    source: Source, found: Detections, fleet: Fleet, method: Method, request: EstimateRequest
+) -> Measurement:
+    try:
+        return measure_source(source, found, fleet, method, request.mode)
     except TooLittleEvidence as error:
         raise TooLittleEvidence(
             f"{source.path}: {error.message} (resampling factor {found.zoom:.2f}, {_typical_length(found)})",
             "Try the fleet of the country (--fleet), another resampling factor (--gsd-hint METRES_PER_PIXEL or "
             "--zoom FACTOR), or a scene with more vehicles.",
         ) from error
-    seconds = time.perf_counter() - started
-    log.info("%.6g %s by %d vehicles in %.1f s", answer.scale.value, source.unit, answer.scale.vehicles_used, seconds)
-    return Result(source, fleet, found, choice, seconds, answer, method, request.settings())
+
+
+def _by_anchors(
+    source: Source, fleet: Fleet, method: Method, lost: Mapping[str, int], error: TooLittleEvidence
+) -> Measurement:
+    """What anchors give, where vehicles gave only the `error`; it is raised where anchors do not suffice either."""
+    if not method.anchors:
+        raise error
+    evidence = (*method.evidence, *evidence_of(method.anchors, method.country))
+    dims = 2 if source.plan is not None else 3
+    try:
+        return measured_without_vehicles(evidence, source.unit, fleet.code, dims, lost)
+    except TooLittleEvidence as also:
+        raise TooLittleEvidence(f"{error.message}; {also.message}", error.hint) from error
+
+
+def _rough(source: Source, request: EstimateRequest) -> tuple[float, float] | None:
+    """Metres per unit and one sigma of it, from what the user or the source says; None where neither does."""
+    if request.gsd_hint is not None and source.plan is not None:
+        return request.gsd_hint, HINT_SD
+    claimed = source.claimed
+    if claimed is None or claimed.gsd_m is None or not claimed.usable:
+        return None
+    return claimed.gsd_m, CLAIM_SD
 
 
 def _looked_for(
     source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles that a detector finds. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
-    effort = Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
+    effort = effort_of(request)
     # Somebody else's network looks at one image at a time, with all cores.
     threads = 0 if request.detector else effort.threads_each
     network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads)
@@ -167,6 +228,11 @@ def _looked_for(
         ruler = (found.zoom, found.ruler.noise)
         found = replace(found, boxes=refined(source.pictures, found.boxes, *ruler, network, workers, progress))
     return replace(found, notes=(*found.notes, *network.notes)), choice
+
+
+def effort_of(request: EstimateRequest) -> Effort:
+    """How much `request` wants to be looked at, and with what."""
+    return Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
 
 
 def _given(source: Source, known_distance: Sequence[str], ground_control: str | Path | None) -> list[Evidence]:

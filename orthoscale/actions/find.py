@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.detections import Detections
@@ -12,7 +13,10 @@ from ..core.measuring.ways import BOTH, OBLIQUE, PLANAR
 from ..core.source import Picture, PosedSet, Source
 from ..detect.detector import Detector
 from ..detect.find import Effort, Progress, find_vehicles, find_zoom
+from ..detect.measurer import Measurer
+from ..detect.remeasure import remeasured
 from ..errors import EvidenceDisagrees, TooLittleEvidence
+from .requests import BUILT_IN, EstimateRequest
 
 if TYPE_CHECKING:
     from ..detect.zoom import ZoomChoice
@@ -113,6 +117,29 @@ def _plans(source: PosedSet, needed: bool) -> list[Picture]:
             f"no frame of {source.path} sees the ground from near the nadir", "Measure obliquely: --mode oblique."
         )
     return plans
+
+
+def measured_anew(
+    source: Source,
+    found: Detections,
+    request: EstimateRequest,
+    effort: Effort | None = None,
+    progress: Progress | None = None,
+) -> Detections:
+    """`found` with what is seen from above measured by the measurer that is asked for; as it is, if none is.
+
+    In frames it is not: seen at a slant, the measurer's edges are those of what is bright, not of the body that the
+    projection takes off. Raises InputError.
+    """
+    if request.measures is None:
+        return found
+    measurer = Measurer(None if request.measures == BUILT_IN else Path(request.measures))
+    if source.posed is None:
+        return remeasured(source.pictures, found, measurer, effort, progress)
+    if found.planar is None:
+        return found
+    plans = _plans(source.posed, False)
+    return replace(found, planar=remeasured(plans, found.planar, measurer, effort, _named(progress, "from above")))
 
 
 def _named(progress: Progress | None, where: str) -> Progress | None:

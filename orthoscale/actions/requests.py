@@ -9,11 +9,12 @@ from __future__ import annotations
 import difflib
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
+from ..anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
 from ..core.source import Source
 from ..errors import UsageError
 
@@ -26,6 +27,9 @@ ESTIMATORS = ("robust", "iqr")
 GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options in --help, in this order
 EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
+BUILT_IN = "built-in"
+BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")  # anchors that boxes alone may show
+ANCHORS = (ALL, NO_KIND, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))
 
 
 @dataclass(frozen=True)
@@ -148,6 +152,10 @@ class VehicleRequest:
                 raise UsageError(f"no option is called {name!r}", _nearest(name, known))
         return cls(**keywords)
 
+    def refuse_others(self, names: Collection[str], why: str) -> None:
+        """Raise UsageError where an option that is none of `names` says something: `why` it does nothing."""
+        self._refuse([each.name for each in fields(self) if each.name not in names], why)
+
     def without(self, names: Iterable[str], **other: Any) -> Self:
         """The same with the options `names` at their defaults, and `other` ones as they are named."""
         changed: dict[str, Any] = {each.name: each.default for each in fields(self) if each.name in names}
@@ -173,6 +181,14 @@ class EstimateRequest(VehicleRequest):
         bool,
         "Detector",
         "Detect every vehicle four more times and take the median box; for inputs with few vehicles.",
+    )
+    measurer: str | Path | None = option(
+        None,
+        str,
+        "Detector",
+        "Network that measures vehicles seen from above once more: 'built-in', 'none' or an .onnx file. Default: "
+        "built-in where the built-in detector finds them and there is no --calibration, else none.",
+        metavar="NAME",
     )
     mode: str | None = option(
         None,
@@ -223,25 +239,54 @@ class EstimateRequest(VehicleRequest):
         "Text file with lines POINT EAST NORTH [UP] in metres; points as for --known-distance.",
         metavar="FILE",
     )
-    surroundings: bool = option(
-        True,
-        bool,
+    anchors: Sequence[str] = option(
+        (PROVEN,),
+        str,
         "Evidence",
-        "Use parking rows and objects of standard size as evidence, where detected.",
-        flag="--surroundings/--no-surroundings",
+        "Things of exact size to look for, beside the vehicles: all, none, or kinds of them; by default those whose "
+        "false finds are known to be rare. Repeatable.",
+        choices=ANCHORS,
+        metavar="KIND",
+    )
+    anchor: Sequence[str] = option(
+        (),
+        str,
+        "Evidence",
+        "Your own standard for a kind of anchor: bay=2.5, in metres, or a JSON file of such. Repeatable.",
+        metavar="KIND=M",
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.mode == "planar":
             self._refuse(("projection", "refine"), "--mode planar measures no boxes in frames")
+        if self.mode == "oblique":
+            self._refuse(("measurer",), "--mode oblique measures nothing from above")
+        if self.calibration is not None and self.measures is not None:
+            raise UsageError(
+                "--calibration is of a detector's boxes, and --measurer replaces these", "Give one of them."
+            )
         if self.exhaustive:
             self._refuse(("target",), "--exhaustive visits every tile")
+        if self.estimator == "iqr":
+            self._refuse(("anchors", "anchor"), "--estimator iqr is the paper's, for vehicles only")
+        if NO_KIND in self.anchors:
+            self._refuse(("anchor",), "--anchors none looks for none")
+            if len(self.anchors) > 1:
+                raise UsageError("--anchors none and kinds of anchors contradict each other", "Give one of them.")
         if self.estimator == "iqr" and (self.known_distance or self.ground_control is not None):
             raise UsageError(
                 "the estimator 'iqr' is the paper's, for vehicles only",
                 "Remove known distances and ground control, or use --estimator robust.",
             )
+
+    @property
+    def measures(self) -> str | None:
+        """BUILT_IN or the file of the network that measures vehicles once more; None where none does."""
+        if self.measurer is None:
+            own = self.detections is None and self.detector is None and self.calibration is None
+            return BUILT_IN if own else None
+        return None if self.measurer == "none" else str(self.measurer)
 
     @property
     def of_detector(self) -> Iterable[str]:
@@ -325,6 +370,7 @@ class EstimateOptions(VehicleOptions, total=False):
 
     images: str | Path | None
     refine: bool
+    measurer: str | Path | None
     mode: str | None
     target: float
     exhaustive: bool
@@ -336,7 +382,8 @@ class EstimateOptions(VehicleOptions, total=False):
     estimator: str
     known_distance: Sequence[str]
     ground_control: str | Path | None
-    surroundings: bool
+    anchors: Sequence[str]
+    anchor: Sequence[str]
 
 
 class FixOptions(EstimateOptions, total=False):

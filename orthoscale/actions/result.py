@@ -19,6 +19,7 @@ from ..core.source import Source
 from ..core.verdicts import UNUSABLE
 from ..core.votes import Votes
 from ..errors import EvidenceDisagrees, TooLittleEvidence
+from .anchors import Searched
 
 if TYPE_CHECKING:
     from ..detect.zoom import ZoomChoice
@@ -42,6 +43,7 @@ class Result(Brief):
     measured: Measurement = field(repr=False)
     method: Method = field(default_factory=Method)
     settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
+    anchors: Searched = field(default_factory=Searched, repr=False)
 
     @property
     def projection(self) -> str:
@@ -82,6 +84,7 @@ class Result(Brief):
             self.settings,
             self.seconds,
             self.remarks,
+            self.anchors,
         )
 
     @property

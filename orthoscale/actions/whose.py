@@ -1,4 +1,4 @@
-"""Whose vehicles an input shows: those of the fleet that was named, or else of the country that it lies in."""
+"""Whose vehicles and standards an input shows: of the fleet that was named, or else of the country that it lies in."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.fleet import Fleet
+from ..core.source import Source
 from ..countries import country_at, country_name
 from ..fleets import load_fleet, local_fleet
 
 if TYPE_CHECKING:
     from ..core.calibration import Calibration
     from ..sources.location import Location
+
+UNIONS = {"EU"}  # codes of fleets that are no country's
 
 
 def named_fleet(name: str | Path | None, known: Calibration | None) -> Fleet | None:
@@ -27,3 +30,15 @@ def fleet_at(location: Location | None) -> tuple[Fleet, tuple[str, ...]]:
     if code is None:
         return load_fleet("world"), (f"{location.told_by} is in no country: fleet world",)
     return load_fleet(code), (f"fleet {code}: {location.told_by} is in {country_name(code)}; --fleet names another",)
+
+
+def country_of(source: Source, fleet: Fleet | None) -> str:
+    """ISO code of the country whose standards hold in `source`: where it lies, else that of its `fleet`; empty where
+    neither says."""
+    from ..sources.location import location_of
+
+    location = location_of(source)
+    if location is not None and (code := country_at(location.longitude, location.latitude)) is not None:
+        return code
+    code = "" if fleet is None else fleet.code.split("_")[0]
+    return code if len(code) == 2 and code.isupper() and code not in UNIONS else ""

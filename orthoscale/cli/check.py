@@ -33,7 +33,7 @@ from .options import (
     "  orthoscale check archive/ --summary claims.csv --jobs 2\n"
     "  orthoscale check ortho.tif --model sparse/0 --images frames/ --fleet US\n\n"
     "\b\nExit codes: 0 agrees, or too close to call; 2 usage, or INPUT claims no scale;\n"
-    "3 too little evidence; 4 disagrees by more than three sigma; 5 input unreadable or damaged."
+    "3 too little evidence; 4 disagrees by more than three sigma;\n5 input unreadable or damaged."
 )
 @inputs
 @options_of(EstimateRequest)
@@ -74,7 +74,7 @@ def check(
     from ..sources.opening import open_source
     from ..system.outputs import Outputs
 
-    refuse_idle_overwrite(overwrite, save_detections)
+    refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summary)
     request = EstimateRequest.of(options)
     if many is not None:
         for name, value in (("--save-detections", save_detections), ("--model", model)):
@@ -105,7 +105,7 @@ def check(
         click.echo(json.dumps(outcome.to_dict()))
     else:
         click.echo(
-            f"vehicles   {result.scale.value:.5g} {result.scale.unit}, 90 % {low:.5g} to {high:.5g}, "
+            f"vehicles   {result.scale.text()}, 90 % {result.scale.text(low, high)}, "
             f"{result.scale.vehicles_used} of fleet {result.scale.fleet}"
         )
         for comparison in found:

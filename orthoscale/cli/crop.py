@@ -26,9 +26,9 @@ from .photo_options import lens_options
 
 @command(
     epilog="\b\nExamples:\n"
-    "  orthoscale crop DJI_21.JPG --satellite sat.tif --at 8.54,47.38 --radius 400 --out crops/\n"
-    "  orthoscale crop DJI_21.JPG --satellite sat.tif --square --size 384 --out crops/\n"
-    "  orthoscale crop frame.jpg --satellite sat.tif --gsd 0.08 --at 8.54,47.38 --out crops/\n\n" + EXIT_CODES
+    "  orthoscale crop a.jpg --satellite sat.tif --at 8.54,47.38 \\\n      --radius 400 --out crops/\n"
+    "  orthoscale crop a.jpg --satellite sat.tif --square --size 384 --out crops/\n"
+    "  orthoscale crop a.jpg --satellite sat.tif --gsd 0.08 \\\n      --at 8.54,47.38 --out crops/\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="PHOTO", type=PATH)
 @option("--satellite", required=True, type=PATH, group="Input", help="Georeferenced satellite picture.")

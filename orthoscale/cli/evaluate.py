@@ -27,8 +27,8 @@ from .options import (
 
 @command(
     epilog="\b\nExamples:\n  orthoscale evaluate DenseUAV/test/query_drone --fleet CN\n"
-    "  orthoscale evaluate UAVVisLoc_plus/ --fleet CN --ablations --sensitivity --out visloc.json\n"
-    "  orthoscale evaluate photos.csv --fleet DE --detections boxes.json --out errors.csv\n\n" + EXIT_CODES
+    "  orthoscale evaluate UAVVisLoc_plus/ --fleet CN --ablations --out visloc.json\n"
+    "  orthoscale evaluate photos.csv --fleet DE --detections b.json --out e.csv\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="DATASET", type=PATH)
 @option(

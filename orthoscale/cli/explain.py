@@ -12,7 +12,7 @@ from .options import PATH, command, debug_option, json_option
 
 @command(
     epilog="\b\nExamples:\n  orthoscale explain scaled.tif.json\n"
-    "  orthoscale estimate ortho.tif --fleet DE --json > report.json; orthoscale explain report.json"
+    "  orthoscale estimate ortho.tif --fleet DE --json > report.json\n  orthoscale explain report.json"
 )
 @click.argument("report", metavar="REPORT", type=PATH)
 @json_option("the explanation")

@@ -23,9 +23,10 @@ from .options import (
 
 @command(
     epilog="\b\nExamples:\n"
-    "  orthoscale layout scaled.tif --lot lot.geojson --facility basketball --facility tennis:2 --out layout/\n"
-    "  orthoscale layout scaled.tif --lot lot.gpkg --facility parking-DE:24 --avoid trees.geojson --out layout/\n"
-    "  orthoscale layout scaled.tif --lot lot.geojson --facility pool25@120,80,90 --out layout/\n"
+    "  orthoscale layout scaled.tif --lot lot.gpkg --facility tennis:2 --out plan/\n"
+    "  orthoscale layout scaled.tif --lot lot.gpkg --avoid trees.gpkg \\\n"
+    "      --facility parking-DE:24 --facility basketball --out layout/\n"
+    "  orthoscale layout scaled.tif --lot lot.gpkg --facility pool25@120,80,90 \\\n      --out layout/\n"
     "  orthoscale layout --list\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="SCALED.tif", required=False, type=PATH)

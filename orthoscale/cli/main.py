@@ -21,6 +21,7 @@ COMMANDS = {  # name: module of this package; the function in it has the command
     "fix": "scale",
     "explain": "explain",
     "check": "check",
+    "anchors": "anchors",
     "apply": "apply",
     "photo": "photo",
     "crop": "crop",

@@ -20,7 +20,7 @@ def _print_schema(context: click.Context, parameter: click.Parameter, asked: boo
 
 @command(
     epilog="\b\nExamples:\n  orthoscale report scaled.tif.json\n"
-    "  orthoscale estimate ortho.tif --fleet DE --json > estimate.json && orthoscale report estimate.json\n\n"
+    "  orthoscale estimate ortho.tif --fleet DE --json > estimate.json\n  orthoscale report estimate.json\n\n"
     + EXIT_CODES
 )
 @click.argument("path", metavar="REPORT.json", type=PATH)

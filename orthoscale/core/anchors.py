@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+SAMPLED = 0.05  # [anchors' reference lengths] between the points of lines that are compared
+NEAR_LINES = 0.1  # [anchors' reference lengths] within which two lines are the same; neighbours are farther apart
+SHARED_LINES = 0.5  # of either's lines, from which two anchors are one thing
 
 
 @dataclass(frozen=True)
@@ -75,17 +82,24 @@ class AnchorVote:
     window: float = 1.0
     views: int = 1
 
+    def of(self, standards: tuple[Standard, ...] | None) -> AnchorVote:
+        """The same, were it of one of these `standards`; itself for None."""
+        return self if standards is None else replace(self, anchor=replace(self.anchor, standards=standards))
+
 
 class AnchorFinder(Protocol):
     """Finds one kind of anchor.
 
-    kind : as its anchors'. extent : the largest that one is [m]; windows overlap by so much.
+    kind : as its anchors'. standards : all that its anchors may be of.
+    extent : the largest that one is [m]; windows overlap by so much.
     finest, coarsest : between which ground sampling distances [m/px] it can work: a finer picture is shrunk to
     `finest` first, a coarser one than `coarsest` is not searched.
     """
 
     @property
     def kind(self) -> str: ...
+    @property
+    def standards(self) -> tuple[Standard, ...]: ...
     @property
     def extent(self) -> float: ...
     @property
@@ -100,3 +114,46 @@ class AnchorFinder(Protocol):
         Coordinates are those of `image`. Never raises for a picture, however odd.
         """
         ...
+
+
+def alike(lines: Sequence[np.ndarray], size: Sequence[float], blur: float = 0.0) -> np.ndarray:
+    """(N,) numbers that are the same for anchors of one kind that are one thing: their lines lie on one another.
+
+    lines : of each, (L, 2, D) from end to end. size : its reference length, and blur : how far the same line may lie
+    from itself in another picture, in the same units.
+    """
+    number = np.arange(len(lines))
+    if len(lines) < 2:
+        return number
+    points = [_along(one, SAMPLED * length) for one, length in zip(lines, size, strict=True)]
+    low, high = (np.array([f(p, axis=0) for p in points]) for f in (np.min, np.max))
+    reach = np.maximum(NEAR_LINES * np.asarray(size), blur)
+    trees = [cKDTree(p) for p in points]
+    pairs = []
+    for k in range(len(lines)):
+        beside = (low[k + 1 :] <= high[k] + reach[k]).all(1) & (high[k + 1 :] >= low[k] - reach[k]).all(1)
+        for other in (k + 1 + np.flatnonzero(beside)).tolist():
+            near = min(reach[k], reach[other])
+            shares = [
+                np.isfinite(trees[b].query(points[a], distance_upper_bound=near)[0]).mean()
+                for a, b in ((k, other), (other, k))
+            ]
+            if max(shares) > SHARED_LINES:
+                pairs.append((k, other))
+    if not pairs:
+        return number
+    i, j = np.array(pairs).T
+    graph = coo_array((np.ones(len(i)), (i, j)), shape=(len(lines), len(lines)))
+    joined: np.ndarray = connected_components(graph, directed=False)[1]
+    return joined
+
+
+def _along(lines: np.ndarray, step: float) -> np.ndarray:
+    """(P, D) points about `step` apart on lines (L, 2, D)."""
+    counts = np.ceil(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1) / step).astype(int) + 1
+    return np.concatenate(
+        [
+            start + np.linspace(0, 1, count)[:, None] * (end - start)
+            for (start, end), count in zip(lines, counts.tolist(), strict=True)
+        ]
+    )

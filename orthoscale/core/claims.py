@@ -29,6 +29,7 @@ class Comparison:
 
     claimed_by : what claims it, for people. claimed, recovered : metres per unit.
     sd : relative one sigma of the recovered scale (and of the claim, where it has one).
+    by : what recovered it.
     believed : False when the claim itself says that nothing ties it to the ground. why : where the claim comes from.
     """
 
@@ -38,6 +39,7 @@ class Comparison:
     sd: float
     believed: bool = True
     why: str = ""
+    by: str = "vehicles"
 
     @property
     def ratio(self) -> float:
@@ -81,7 +83,7 @@ class Comparison:
         """One line for a person."""
         percent = f"{abs(100 * (self.ratio - 1)):.1f} % {'more' if self.ratio > 1 else 'less'}"
         text = (
-            f"{self.verdict}: vehicles give {self.recovered:.4g}, {percent} "
+            f"{self.verdict}: {self.by} give {self.recovered:.4g}, {percent} "
             f"than the {self.claimed:.4g} that {self.claimed_by} ({self.sigmas:.1f} sigma)"
         )
         return text + "".join(f"; perhaps {guess}" for guess in self.guesses)
@@ -99,4 +101,5 @@ def own_claim(source: Source, scale: Scale) -> Comparison | None:
         scale.relative_sd,
         claimed.usable,
         claimed.why,
+        "vehicles" if scale.vehicles_used else "anchors",
     )

@@ -11,17 +11,18 @@ same.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .pooling.posterior import Z90, Posterior
 from .remarks import CAUTION, REFUSAL, Remark
 
+CONFLICT_HINT = "Check the given evidence, the anchors (--anchors) and the boxes (--save-detections)"
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
-REACH = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
-SAME = 2.0  # sigmas within which two measurements support each other
+ALONE = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
+SUPPORTS = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
 SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
@@ -32,8 +33,9 @@ CONTROL_SD = 0.05  # of a ground control point's position, where its residuals d
 class Evidence:
     """One measurement of the scale: metres per unit of the source, with a relative one-sigma; `says` where from.
 
-    modes : where it may mean several scales, all of them; `value` is the likeliest one.
+    modes, words : where it may mean several scales, all of them, and what it says of each; `value` is one of them.
     doubt : probability that it is a mistake, and may mean any scale of a range as wide as `window` (in logarithms).
+    common : one sigma of what vehicles, and all else that was seen on the same ground, err by alike; not in `modes`.
     """
 
     kind: str
@@ -41,18 +43,50 @@ class Evidence:
     relative_sd: float
     says: str
     modes: Posterior | None = None
+    words: tuple[str, ...] = ()
     doubt: float = 0.0
     window: float = 1.0
+    common: float = 0.0
 
     @classmethod
-    def mixed(cls, kind: str, modes: Posterior, says: str, doubt: float = 0.0, window: float = 1.0) -> Evidence:
-        """That of a mixture of scales."""
-        best = int(np.argmax(modes.weight))
-        return cls(kind, float(np.exp(modes.mean[best])), float(modes.sd[best]), says, modes, doubt, window)
+    def mixed(
+        cls,
+        kind: str,
+        modes: Posterior,
+        words: Sequence[str],
+        doubt: float = 0.0,
+        window: float = 1.0,
+        common: float = 0.0,
+    ) -> Evidence:
+        """That of a mixture of scales; its `value` is the likeliest."""
+        return cls(kind, 1.0, 1.0, "", modes, tuple(words), doubt, window, common)._meaning(modes.weight)
+
+    def meant(self, scale: Posterior) -> Evidence:
+        """The same, its `value` the one that it means if the scale is known to be `scale`."""
+        if self.modes is None:
+            return self
+        variance = self.modes.sd**2 + scale.spread**2
+        off = (self.modes.mean - scale.centre) ** 2 / variance
+        return self._meaning(self.modes.weight * np.exp(-0.5 * (off - off.min())) / np.sqrt(variance))
+
+    def only(self, which: np.ndarray) -> Evidence:
+        """That of those of its modes that are `which` (K,) bool."""
+        words = [word for word, keep in zip(self.words, which, strict=True) if keep]
+        return replace(self, modes=self.own.only(which), words=tuple(words))._meaning(self.own.only(which).weight)
+
+    def _meaning(self, likely: np.ndarray) -> Evidence:
+        best, modes = int(np.argmax(likely)), self.posterior
+        value, sd = float(np.exp(modes.mean[best])), float(modes.sd[best])
+        return replace(self, value=value, relative_sd=sd, says=self.words[best])
 
     @property
     def posterior(self) -> Posterior:
         """The same as a distribution of the scale's logarithm, were it no mistake."""
+        return self.own.blurred(self.common**2)
+
+    @property
+    def own(self) -> Posterior:
+        """The same without what it has in common with others."""
         return self.modes or Posterior.normal(float(np.log(self.value)), self.relative_sd)
 
 
@@ -62,6 +96,7 @@ class Combined:
 
     conflict : sigmas between the two that contradict each other most, 0 where none do.
     summary : value and the ends of its 90 % interval. Where measurements conflict, the interval spans them all.
+    evidence : what entered, each as what it means at that scale.
     """
 
     posterior: Posterior
@@ -69,6 +104,7 @@ class Combined:
     conflict: float
     remarks: list[Remark]
     summary: tuple[float, float, float]
+    evidence: tuple[Evidence, ...] = ()
 
 
 def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
@@ -77,7 +113,7 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
     In a conflict the surest measurement that is no anchor gives the value, and the interval reaches over those of all.
     """
     heard, remarks = _within_reach(vehicles, evidence)
-    strong = [e for e in evidence if e.doubt <= STRONG]
+    strong = [e.meant(vehicles) for e in evidence if e.doubt <= STRONG]
     # Of a mixture, each what is nearest to the other counts.
     sources = [
         ("vehicles", Posterior.normal(vehicles.centre, vehicles.spread)),
@@ -89,11 +125,9 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
             sigmas, here, there = _nearest(one, other)
             if sigmas > CONFLICT_LIMIT:
                 conflict = max(conflict, sigmas)
-                text = (
-                    f"conflict: {name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}, "
-                    f"{sigmas:.1f} sigmas apart"
-                )
-                conflicts.append(Remark(REFUSAL, text, "Check the given evidence and the boxes (--save-detections)"))
+                these = f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}"
+                text = f"conflict: {these}, {sigmas:.1f} sigmas apart"
+                conflicts.append(Remark(REFUSAL, text, CONFLICT_HINT))
     if conflict:
         certain = [vehicles, *(e.posterior for e in evidence if not e.doubt)]
         every = [vehicles, *(e.posterior for e in strong)]
@@ -103,18 +137,28 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
         spread = max((high - low) / (2 * Z90), surest.spread)
         wide = Posterior.normal(surest.centre, spread)
         summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
-        return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary)
-    posterior = vehicles
+        told = tuple(e.meant(vehicles) for e in evidence)
+        return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary, told)
+    # What all that was seen on one ground has in common is left aside while it is compared, and remains.
+    common = max((e.common**2 for e in heard), default=0.0)
+    posterior = vehicles.blurred(-common) if common else vehicles
     for e in heard:
-        posterior = posterior.times_doubted(e.posterior, e.doubt, e.window)
+        if e.common:
+            posterior = posterior.times_doubted(e.own, e.doubt, e.window)
+    posterior = posterior.blurred(common) if common else posterior
+    for e in heard:
+        if not e.common:
+            posterior = posterior.times_doubted(e.own, e.doubt, e.window)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
-    return Combined(posterior, _shares(vehicles, parts, heard, posterior), 0.0, remarks, (value, low, high))
+    shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior)
+    told = tuple(e.meant(posterior) for e in evidence)
+    return Combined(posterior, shares, 0.0, remarks, (value, low, high), told)
 
 
 def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[list[Evidence], list[Remark]]:
-    """The evidence that counts, mixtures without what it says outside of the vehicles' REACH and nothing else does; and
-    remarks on what does not count at all."""
-    low, high = ((1 - REACH) / 2, (1 + REACH) / 2)
+    """The evidence that counts, each without the scales outside of the vehicles' interval that nothing else supports;
+    and remarks on what does not count at all."""
+    low, high = (1 - ALONE) / 2, (1 + ALONE) / 2
     heard, remarks, interval = [], [], None
     for e in evidence:
         if not e.doubt:
@@ -127,12 +171,13 @@ def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[li
             if other.kind != e.kind and other.doubt <= STRONG:
                 there = other.posterior
                 apart = np.abs(modes.mean[:, None] - there.mean) / np.hypot(modes.sd[:, None], there.sd)
-                counts |= (apart < SAME).any(1)
+                counts |= (apart < SUPPORTS).any(1)
         if counts.any():
-            heard.append(Evidence.mixed(e.kind, modes.only(counts), e.says, e.doubt, e.window))
+            heard.append(e.only(counts))
         else:
+            e = e.meant(vehicles)
             text = (
-                f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * REACH:.0f} % interval "
+                f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * ALONE:.0f} % interval "
                 f"({np.exp(interval[0]):.5g} to {np.exp(interval[1]):.5g}); it does not count"
             )
             remarks.append(Remark(CAUTION, text))

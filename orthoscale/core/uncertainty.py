@@ -16,8 +16,9 @@ MEANINGS = {
     "conflict": "measurements that contradict each other",
     "known distance": "the known distance itself",
     "ground control": "the control points themselves",
-    "parking bay": "the width of parking bays at one place",
+    "parking bays": "the width of parking bays at one place",
 }
+OF_AN_ANCHOR = "how well its size is known, and measured in the pictures"  # of a kind of anchor
 WITHOUT_COUNTRY = ("WORLD", "auto")
 # A country's mean is known about twice as well as the world's (fleet table: 2 to 3 % against 5.6 %).
 COUNTRY_SHARE = 0.5
@@ -64,7 +65,7 @@ def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str) -> Expla
         raise ValueError("there is no uncertainty to explain")
     share = {name: sd**2 / variance for name, sd in parts.items()}
     named = tuple(
-        Part(name, parts[name], share[name], MEANINGS.get(name, f"the {name} itself"))
+        Part(name, parts[name], share[name], MEANINGS.get(name, OF_AN_ANCHOR))
         for name in sorted(parts, key=lambda name: -parts[name])
         if parts[name] > 0
     )

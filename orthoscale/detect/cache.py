@@ -7,10 +7,11 @@ import json
 import os
 import sqlite3
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 
@@ -22,7 +23,8 @@ from .tiles import CONFIRMING_ZOOM, TILE, TILE_BORDER, Looks
 
 KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
 CODE = ("boxes.py", "detect/*.py", "sources/raster.py", "sources/picture_file.py")  # what decides over the looks
-NO_MATTER = {"cache.py", "find.py", "order.py", "promise.py", "sweep.py", "workers.py", "zoom.py"}  # what does not
+# What does not.
+NO_MATTER = {"cache.py", "find.py", "order.py", "promise.py", "remeasure.py", "sweep.py", "workers.py", "zoom.py"}
 
 
 def cache_folder() -> Path:
@@ -37,35 +39,40 @@ def cache_folder() -> Path:
 def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> str | None:
     """SHA-256 over the pictures' content and all that decides over the boxes found in them; None when a picture cannot
     say what its content is."""
-    prints = [getattr(picture, "fingerprint", None) for picture in pictures]
-    if None in prints:
-        return None
     settings = {
-        "pictures": [[picture.name, of()] for picture, of in zip(pictures, prints, strict=True) if of],
         "detector": [detector.sha256, repr(detector.card), repr(detector.layout)],
         "zoom": [zoom, CONFIRMING_ZOOM],
         "tiles": [TILE, OVERLAP, TILE_BORDER],
-        "code": _code_hash(),
     }
-    return hashlib.sha256(json.dumps(settings).encode()).hexdigest()
+    return content_key(pictures, settings)
+
+
+def content_key(pictures: Sequence[Picture], settings: Mapping[str, Any], code: tuple[str, ...] = CODE) -> str | None:
+    """SHA-256 over the pictures' content, `settings` as JSON, and the files of the package that match the patterns
+    `code`; None when a picture cannot say what its content is."""
+    prints = [getattr(picture, "fingerprint", None) for picture in pictures]
+    if None in prints:
+        return None
+    content = [[picture.name, of()] for picture, of in zip(pictures, prints, strict=True) if of]
+    return hashlib.sha256(json.dumps({"pictures": content, **settings, "code": _code_hash(code)}).encode()).hexdigest()
 
 
 @lru_cache
-def _code_hash() -> str:
+def _code_hash(code: tuple[str, ...]) -> str:
     package = Path(__file__).parent.parent
     digest = hashlib.sha256()
-    for pattern in CODE:
+    for pattern in code:
         for path in sorted(package.glob(pattern)):
             if path.name not in NO_MATTER:
                 digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
-class TileCache:
-    """The looks at tiles of one input with one choice of settings, in an SQLite file that survives a kill at any time.
+class Kept:
+    """Looks at parts of one input with one choice of settings, in an SQLite file that survives a kill at any time.
 
-    Each look carries a checksum: what is damaged is looked at again. A file that SQLite cannot read is begun anew;
-    where none can be written, nothing is kept, and the sweep does not suffer.
+    Each look has a name and carries a checksum: what is damaged is looked at again. A file that SQLite cannot read is
+    begun anew; where none can be written, nothing is kept, and the sweep does not suffer.
     """
 
     def __init__(self, key: str, folder: Path | None = None):
@@ -82,17 +89,16 @@ class TileCache:
         except sqlite3.Error:
             self._begin_anew()
 
-    def __enter__(self) -> TileCache:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exc: object) -> None:
         self._close()
 
-    def get(self, picture: Picture, tile: Tile) -> Looks | None:
-        """What was seen of `tile` before, or None: never looked at, or the entry is damaged. Raises nothing."""
+    def content(self, name: str) -> bytes | None:
+        """What was kept under `name`, or None: nothing, or the entry is damaged. Raises nothing."""
         if self._file is None:
             return None
-        name = _name(picture, tile)
         try:
             row = self._file.execute("SELECT content, checksum FROM looks WHERE tile = ?", (name,)).fetchone()
         except sqlite3.Error:
@@ -100,13 +106,12 @@ class TileCache:
             return None
         if row is None or not isinstance(row[0], bytes) or row[1] != _checksum(name, row[0]):
             return None
-        return _looks(row[0])
+        return row[0]
 
-    def put(self, picture: Picture, tile: Tile, looks: Looks) -> None:
-        """Keep what was seen of `tile`. Raises nothing: what cannot be written is looked at again next time."""
+    def keep(self, name: str, content: bytes) -> None:
+        """Keep `content` under `name`. Raises nothing: what cannot be written is looked at again next time."""
         if self._file is None:
             return
-        name, content = _name(picture, tile), _content(looks)
         try:
             with self._file:
                 row = (name, content, _checksum(name, content))
@@ -130,6 +135,19 @@ class TileCache:
                 file.close()
 
 
+class TileCache(Kept):
+    """The looks at tiles."""
+
+    def get(self, picture: Picture, tile: Tile) -> Looks | None:
+        """What was seen of `tile` before, or None. Raises nothing."""
+        content = self.content(tile_name(picture, tile))
+        return None if content is None else _looks(content)
+
+    def put(self, picture: Picture, tile: Tile, looks: Looks) -> None:
+        """Keep what was seen of `tile`. Raises nothing."""
+        self.keep(tile_name(picture, tile), _content(looks))
+
+
 def _open(path: Path) -> sqlite3.Connection:
     file = sqlite3.connect(path, timeout=30)
     try:
@@ -151,9 +169,14 @@ def _forget_old(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _name(picture: Picture, tile: Tile) -> str:
-    name = picture.name.encode(errors="backslashreplace").decode()  # file names need not be UTF-8; SQLite's text must
-    return f"{name}:{tile.x},{tile.y},{tile.width},{tile.height}"
+def tile_name(picture: Picture, tile: Tile) -> str:
+    """What a look at `tile` is kept under."""
+    return f"{as_text(picture)}:{tile.x},{tile.y},{tile.width},{tile.height}"
+
+
+def as_text(picture: Picture) -> str:
+    """A picture's name as SQLite can have it: file names need not be UTF-8."""
+    return picture.name.encode(errors="backslashreplace").decode()
 
 
 def _checksum(name: str, content: bytes) -> bytes:

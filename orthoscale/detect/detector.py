@@ -45,7 +45,7 @@ class Card:
     usable_length : (low, high) vehicle lengths that it finds well [px of its input].
     best_length : the length at which it does best; the zoom search aims there [px].
     score : the confidence above which a box counts in one look.
-    sure : the mean confidence of two looks above which a vehicle counts; 0 where both looks' showing it is enough.
+    sure : the mean confidence of two passes above which a vehicle counts; 0 where it is enough that both show it.
     effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
     stride : height and width of its input must be multiples of this [px].
     body : what the vehicles that it finds are shaped like, one of `core.projection.exact.BODIES`.
@@ -116,17 +116,8 @@ class Detector:
         """
         self.settings = (path, decoder, tuple(vehicle_classes))
         self.notes: list[str] = []
-        shipped = path is None
-        if path is None:
-            path = Path(str(resources.files(__package__) / "weights" / SHIPPED))
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise InputError(
-                f"{path}: cannot be read ({error.strerror})", "Give a detector as an .onnx file."
-            ) from error
-        self.path = path
-        self._network = _Shipped(content, threads) if shipped else _foreign(path, content, threads)
+        self.path, content, self._network = load_network(path, SHIPPED, threads)
+        path = self.path
         inputs, outputs, meta = self._network.said
         if len(inputs) != 1:
             raise InputError(f"{path}: a network with {len(inputs)} inputs, not one image")
@@ -211,8 +202,19 @@ class Detector:
         return boxes[np.sort(np.argsort(-boxes.score, kind="stable")[:MOST_BOXES])]
 
 
+def load_network(path: Path | None, shipped: str, threads: int) -> tuple[Path, bytes, _Shipped | Worker]:
+    """The network in the file at `path`, or the one of our weights that is called `shipped`: its file, that file's
+    content, and what runs it. Raises InputError."""
+    file = path or Path(str(resources.files(__package__) / "weights" / shipped))
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror})", "Give a network as an .onnx file.") from error
+    return file, content, _Shipped(content, threads) if path is None else _foreign(file, content, threads)
+
+
 class _Shipped:
-    """The shipped network, in this process; as `foreign.Worker`."""
+    """A network of ours, in this process; as `foreign.Worker`."""
 
     def __init__(self, content: bytes, threads: int):
         settings = {"threads": threads, "operators": None, "arena": True}

@@ -1,4 +1,4 @@
-"""The measurer: a second network that looks at each found vehicle once more and says where its four edges are.
+"""The measurer: a second network that looks at a found vehicle once more and says where its four edges are.
 
 It sees a crop along the vehicle's axis, `CROP_LENGTHS` times as long as its box and half as wide, at `CROP_WIDTH` x
 `CROP_HEIGHT` px whatever the picture's resolution. The exported network averages over the crop's mirrors, so that it
@@ -8,18 +8,23 @@ the last one found, so that the answer does not follow the box that was proposed
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from ..core.boxes import KINDS, Boxes
+from ..core.ruler import Ruler
+from ..core.source import NO_DATA_GREY, Picture
+from ..errors import InputError
+from ..formats.reading import checked, parsed
+from .detector import load_network
+from .foreign import ForeignError
 
-if TYPE_CHECKING:
-    from ..sources.picture import Picture
+SHIPPED_MEASURER = "measurer.onnx"
 
 CROP_WIDTH, CROP_HEIGHT = 96, 48  # of the crop that the network sees [px]
 CROP_LENGTHS = 1.7  # length of the crop in lengths of the proposed box
@@ -27,8 +32,48 @@ AROUND = 0.85  # of the window that is read, from the box's centre either way, i
 BATCH = 32  # crops a run
 # Each look leaves a quarter to a half of what the answer had of the proposed box; after four it has nothing.
 PASSES_EACH = 4
-NO_DATA = (114, 114, 114)  # beyond the picture's edge
+NO_DATA = (NO_DATA_GREY,) * 3  # beyond the picture's edge
 ANSWERS = (*KINDS, "none")
+
+OUTPUTS = ("edges", "sigma", "turn", "seen", "kind")
+MEASURER_CARD, MEASURER_HINT = (
+    "a measurer with an orthoscale card that can be read",
+    "Export it with training.measurer.export.",
+)
+
+
+@dataclass(frozen=True)
+class MeasurerCard:
+    """What a measurer says of itself, kept in the ONNX file's metadata under ``orthoscale``.
+
+    ruler : of its boxes, in pixels of the picture, for it looks at that as it is.
+    sigma_times : (2,) how many times what it states the errors of its lengths and widths are.
+    effective_height : up to where its boxes enclose a vehicle seen obliquely, along length and width [m].
+    body : what they enclose there, one of `core.projection.exact.BODIES`.
+    """
+
+    name: str
+    ruler: Ruler
+    sigma_times: tuple[float, float]
+    effective_height: tuple[float, float]
+    body: str
+    training: str = ""
+    licence: str = ""
+
+    @classmethod
+    def from_json(cls, text: str, origin: str) -> MeasurerCard:
+        """From the text in a file's metadata; `origin` names it in the message. Raises InputError for what is none."""
+        from ..formats.schemas import MeasurerCardEntry
+
+        entry = checked(
+            parsed(text, origin, MEASURER_CARD, MEASURER_HINT),
+            MeasurerCardEntry,
+            origin,
+            MEASURER_CARD,
+            MEASURER_HINT,
+        )
+        values = {name: getattr(entry, name) for name in entry.__struct_fields__}
+        return cls(**{**values, "ruler": entry.ruler.ruler})
 
 
 @dataclass(frozen=True)
@@ -92,25 +137,30 @@ def placed(box: np.ndarray, edges: np.ndarray, turn: float) -> np.ndarray:
 
 
 class Measurer:
-    """The network in an ONNX file; `training.measurer` makes them.
+    """Holds one network; safe to call from several threads.
 
-    threads : of one run.
+    card : what it says of itself. sha256 : of its file.
     """
 
-    def __init__(self, file: str | Path, threads: int = 1) -> None:
-        import onnxruntime
+    def __init__(self, path: Path | None = None, threads: int = 1) -> None:
+        """Load a network that `training.measurer` made, by default the shipped one.
 
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        self._session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+        threads : of one run. Raises InputError for a file that cannot be read or is none.
+        """
+        self._path, content, self._network = load_network(path, SHIPPED_MEASURER, threads)
+        inputs, outputs, metadata = self._network.said
+        if [name for name, *_ in inputs] != ["crops"] or tuple(name for name, *_ in outputs) != OUTPUTS:
+            raise InputError(f"{self._path}: not a measurer", MEASURER_HINT)
+        self.card = MeasurerCard.from_json(metadata.get("orthoscale", ""), str(self._path))
+        self.sha256 = hashlib.sha256(content).hexdigest()
 
     def _run(self, crops: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Edges (N, 4) and their sigmas (N, 4) [crop px], turn (N,) [rad], seen (N, 4), kind (N, 5)."""
-        parts = [
-            self._session.run(None, {"crops": np.stack(crops[k : k + BATCH]).transpose(0, 3, 1, 2).astype(np.float32)})
-            for k in range(0, len(crops), BATCH)
-        ]
+        batches = [np.stack(crops[k : k + BATCH]).transpose(0, 3, 1, 2) for k in range(0, len(crops), BATCH)]
+        try:
+            parts = [self._network.run(batch.astype(np.float32)) for batch in batches]
+        except ForeignError as error:
+            raise InputError(f"{self._path}: the network fails on a crop ({error})", MEASURER_HINT) from error
         return [np.concatenate(part).astype(float) for part in zip(*parts, strict=True)]
 
     def __call__(self, picture: Picture, boxes: Boxes, looks: int = PASSES_EACH) -> Measured:

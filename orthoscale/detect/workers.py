@@ -1,4 +1,4 @@
-"""Who looks at the tiles: threads of this process, or a Dask cluster. The looks are the same, only the time differs."""
+"""Who detects in the tiles: threads of this process, or a Dask cluster. Boxes are the same, only the time differs."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ..core.detections import Tile
 from ..core.source import Picture
@@ -17,6 +17,7 @@ from ..errors import OrthoscaleError, UsageError
 from .detector import Detector
 from .tiles import Detect, Looks, look_twice
 
+Done = TypeVar("Done")
 Jobs = Mapping[int, tuple[Picture, Tile]]
 Settings = tuple[Path | None, str | None, tuple[str, ...]]
 Visit = Callable[[Jobs], Iterator[tuple[int, Looks]]]
@@ -41,14 +42,20 @@ def worker_count(asked: int | None) -> int:
 
 def on_threads(jobs: Jobs, detect: Detect, count: int) -> Iterator[tuple[int, Looks]]:
     """Each thread reads, detects and decodes its own tile, so that one reads while another computes."""
-    waiting = iter(jobs.items())
+    work = {number: partial(look_twice, picture, tile, detect) for number, (picture, tile) in jobs.items()}
+    return done_on_threads(work, count)
+
+
+def done_on_threads(work: Mapping[int, Callable[[], Done]], count: int) -> Iterator[tuple[int, Done]]:
+    """What each piece of `work` gives, with its number, as soon as it is done by one of `count` threads."""
+    waiting = iter(work.items())
     pool = ThreadPoolExecutor(count)
     try:
-        running: dict[Future[Looks], int] = {}
+        running: dict[Future[Done], int] = {}
         while True:
             # Few are handed out at a time: an error or Ctrl-C has only those to wait for.
-            for number, (picture, tile) in islice(waiting, 2 * count - len(running)):
-                running[pool.submit(look_twice, picture, tile, detect)] = number
+            for number, piece in islice(waiting, 2 * count - len(running)):
+                running[pool.submit(piece)] = number
             if not running:
                 return
             for done in wait(running, return_when=FIRST_COMPLETED).done:

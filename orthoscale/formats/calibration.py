@@ -10,7 +10,7 @@ from typing import Any
 from ..core.calibration import Calibration
 from .reading import checked, read_plain
 
-KIND = "orthoscale calibration 1"
+CALIBRATION_FORMAT = "orthoscale calibration 1"
 
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
@@ -21,7 +21,7 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
 def calibration_values(calibration: Calibration) -> dict[str, Any]:
     """Plain values, as in the file."""
     return {
-        "kind": KIND,
+        "kind": CALIBRATION_FORMAT,
         "detector": calibration.detector,
         "detector_sha256": calibration.detector_sha256,
         "ruler": asdict(calibration.ruler),

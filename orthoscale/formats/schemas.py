@@ -91,6 +91,21 @@ class CardEntry(Struct, forbid_unknown_fields=True):
             raise ValueError("usable_length: expected the shorter of two lengths first")
 
 
+class MeasurerCardEntry(Struct, forbid_unknown_fields=True):
+    """`detect.measurer.MeasurerCard`."""
+
+    name: Name
+    ruler: RulerEntry
+    sigma_times: tuple[Annotated[float, Meta(gt=0, le=100)], Annotated[float, Meta(gt=0, le=100)]]
+    effective_height: tuple[Height, Height]
+    body: Name = "car"
+    training: Text = ""
+    licence: Text = ""
+
+    def __post_init__(self) -> None:
+        _check_body(self.body)
+
+
 class Task(Struct):
     """One step of MMDeploy's pipeline; among its transforms is the normalisation."""
 
@@ -346,6 +361,26 @@ class Standard(Struct):
     source: Text
 
 
+class AnchorStandard(Struct, forbid_unknown_fields=True):
+    """The size that things of one kind of anchor have somewhere, and one sigma of it [m]."""
+
+    kind: Name
+    metres: Annotated[float, Meta(gt=0, lt=1e4)]
+    name: Name = "your own"
+    sd: Annotated[float, Meta(gt=0, lt=1e4)] | None = None
+    source: Text = ""
+
+    def __post_init__(self) -> None:
+        if self.sd is not None and self.sd >= self.metres:
+            raise ValueError("sd: expected less than the metres")
+
+
+class AnchorStandards(Struct):
+    """A user's file of standards."""
+
+    standards: list[AnchorStandard]
+
+
 class ObjectTable(Struct):
     """``data/objects.json``."""
 
@@ -541,6 +576,22 @@ class ReportEvidence(Struct):
     says: Text
 
 
+class ReportAnchor(Struct):
+    """A thing of standard size that was found: its fitted lines in a picture [px], and what it says of the scale."""
+
+    kind: Text
+    standard: Text
+    metres: Positive
+    scale: Positive
+    relative_sd: Finite
+    counted: bool
+    count: Count
+    views: Count
+    picture: Text
+    lines_px: list[tuple[tuple[Px, Px], tuple[Px, Px]]]
+    residual_cm: Finite
+
+
 class Report(Explained, kw_only=True):
     """A report from which a page is drawn; findings of one kind of source, ``drift`` among them, are left open."""
 
@@ -558,6 +609,8 @@ class Report(Explained, kw_only=True):
     pictures: dict[str, tuple[Count, Count]]
     vehicles: list[ReportVehicle]
     evidence: list[ReportEvidence] = []
+    anchors: list[ReportAnchor] = []
+    without_anchors: Measured | None = None
     fleets: dict[str, Finite] = {}
     claim: dict[str, Any] | None = None
     drift: dict[str, Any] | None = None

@@ -131,11 +131,12 @@ def place_map(vehicles: np.ndarray, regions: Sequence[Region], label: str) -> Ma
     for region in regions:
         x, y = px(region.x, region.y)
         wide, tall = max(region.width * zoom, BADGE[0]), max(region.height * zoom, BADGE[1])
-        sigmas = min(abs(region.deviation) / region.sd / FULL_COLOUR, 1.0) if region.sd > 0 else 0.0
         colour = "larger" if region.deviation > 0 else "smaller"
         box = {"x": x - wide / 2, "y": y - tall / 2, "width": wide, "height": tall, "rx": 3}
         parts.append(_tag("rect", **box, class_="ground"))
-        parts.append(_tag("rect", **box, class_=colour, fill_opacity=f"{0.7 * sigmas**2:.2f}"))
+        parts.append(
+            _tag("rect", **box, class_=colour, fill_opacity=f"{0.7 * strength(region.deviation, region.sd):.2f}")
+        )
     for vehicle in vehicles:
         x, y = px(*vehicle)
         parts.append(_tag("circle", cx=x, cy=y, r=2, class_="dot"))
@@ -144,6 +145,11 @@ def place_map(vehicles: np.ndarray, regions: Sequence[Region], label: str) -> Ma
         parts.append(_text(x, y - 2, f"{100 * region.deviation:+.1f}".replace("-", "−"), class_="strong halo"))
         parts.append(_text(x, y + 12, f"± {100 * Z90 * region.sd:.1f}", class_="halo"))
     return _svg(height, parts, label)
+
+
+def strength(deviation: float, sd: float) -> float:
+    """Of a place's colour, 0 to 1: pale for what chance gives, full from FULL_COLOUR sigmas on."""
+    return min(abs(deviation) / sd / FULL_COLOUR, 1.0) ** 2 if sd > 0 else 0.0
 
 
 def frames(rows: Sequence[Frame], label: str) -> Markup:

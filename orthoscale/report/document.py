@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..actions.anchors import Searched
 from ..core.claims import own_claim
 from ..core.detections import Detections
 from ..core.fleet import Fleet
@@ -21,13 +22,14 @@ from ..core.measuring.judgement import judgements
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.model_drift import ModelDrift
 from ..core.remarks import CAUTION, INFO, Remark
-from ..core.scale import PER_PIXEL
+from ..core.scale import PER_PIXEL, Scale
 from ..core.source import Source
 from ..core.verdicts import FIT
 from ..detect.zoom import ZoomChoice
 from ..errors import InputError, shown
 from ..formats.reading import LARGE, checked, read_plain
 from ..version import __version__
+from .anchors import entries
 
 FORMAT = "orthoscale report 2"
 FIRST_FORMAT = (
@@ -40,6 +42,8 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("fleets",): {},
     ("fleet_source",): "",
     ("evidence",): [],
+    ("anchors",): [],
+    ("without_anchors",): None,
     ("remarks",): [],
     ("judgements",): [],
     ("vehicles_rejected",): {},
@@ -81,6 +85,7 @@ def document(
     settings: Mapping[str, Any],
     seconds: float,
     remarks: Sequence[Remark],
+    searched: Searched,
 ) -> dict[str, Any]:
     """The parts of a `Result` as plain values. Lengths in metres unless a name says px or unit; intervals are 90 %.
 
@@ -110,6 +115,7 @@ def document(
         "evidence": [
             {"kind": e.kind, "scale": e.value, "relative_sd": e.relative_sd, "says": e.says} for e in scale.evidence
         ],
+        **_anchors(searched, scale),
         "method": {"projection": measured.projection, "estimator": estimator},
         "fleet_sizes": _fleet_sizes(fleet),
         "uncertainty": dict(scale.parts),
@@ -144,6 +150,14 @@ def document(
         "seconds": round(seconds, 2),
         "vehicles": _vehicles(measured, plan),
     }
+
+
+def _anchors(searched: Searched, scale: Scale) -> dict[str, Any]:
+    """The anchors that were looked for in the pictures, and the scale before they were."""
+    values: dict[str, Any] = {"anchors": entries(searched.votes, scale.value, scale.parts)}
+    if searched.votes and (before := searched.without) is not None:
+        values["without_anchors"] = {"scale": before.value, "interval90": list(before.interval90)}
+    return values
 
 
 def _vehicles(measured: Measurement, plan: np.ndarray) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""A map of the scale by place: cells coloured by how far their vehicles' scale is from the whole picture's."""
+"""A map of the scale by place: cells coloured by how surely their vehicles' scale differs from the whole picture's."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 
 from ..core.pooling.posterior import Z90
+from .charts import strength
 from .lettering import BLACK, WHITE, text_width, write_on
 
-FULL = 0.1  # relative deviation with full colour
-SMALLER_RGB, NEUTRAL_RGB, LARGER_RGB = np.array([70, 110, 220]), np.array([245, 245, 245]), np.array([220, 90, 60])
+SMALLER_RGB, NEUTRAL_RGB, LARGER_RGB = np.array([47, 127, 209]), np.array([250, 250, 250]), np.array([217, 115, 13])
 SMALLEST_LETTERS = 8  # letters that can be read [px]
 
 
@@ -28,12 +28,12 @@ def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) ->
     judged = "not judged" if drifts is None else "the scale drifts" if drifts else "no significant drift"
     change = f"{100 * drift['tilt']:.1f} % from side to side, +- {100 * Z90 * drift['tilt_sd']:.1f} (90 %)"
     write_on(panel, (10, 22), f"Scale by place: {judged}; {change}", 17)
-    write_on(panel, (10, 45), "Each cell: per cent from the overall scale, +- 90 %, and its number of vehicles", 14)
+    key = "Per cent from the overall scale, +- 90 %. Pale: chance. Orange: larger, blue: smaller, full from 3 sigma"
+    write_on(panel, (10, 45), key, 14)
     half = np.array(drift["cell_px"]) / 2
     for cell in drift["cells"]:
         x, y, count, deviation, sd = (cell[name] for name in ("x_px", "y_px", "vehicles", "deviation", "sd"))
-        share = float(np.clip(deviation / FULL, -1, 1))
-        colour = NEUTRAL_RGB + abs(share) * ((LARGER_RGB if share > 0 else SMALLER_RGB) - NEUTRAL_RGB)
+        colour = NEUTRAL_RGB + strength(deviation, sd) * ((LARGER_RGB if deviation > 0 else SMALLER_RGB) - NEUTRAL_RGB)
         low = np.round((np.array([x, y]) - half) * zoom).astype(int) + (0, title)
         high = np.round((np.array([x, y]) + half) * zoom).astype(int) + (0, title)
         cv2.rectangle(panel, low.tolist(), high.tolist(), colour.tolist(), -1)

@@ -14,6 +14,7 @@ from ..core.source import Placement, Plan
 from ..errors import OutputError, UsageError
 from ..formats.detections.geo import LAYER
 from ..formats.vector import write_layer
+from .anchors import entries, write_anchor_layer
 
 # Used green, others red, as in the picture; what a QGIS layer loads as its default style from the table layer_styles.
 STYLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
@@ -75,15 +76,21 @@ def outlines(result: Result, place: Placement) -> np.ndarray:
 
 
 def write_geopackage(result: Result, place: Placement, path: Path) -> None:
-    """Vehicles as polygons in the CRS of the scaled copy, layer ``vehicles``. Raises OutputError."""
+    """Vehicles as polygons in the CRS of the scaled copy, layer ``vehicles``; anchors as lines, layer ``anchors``.
+
+    Raises OutputError.
+    """
     import shapely
 
     columns = {name: values.tolist() for name, values in table(result).items()}
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     crs = place.crs if isinstance(place.crs, str) else place.crs.to_wkt()
     try:
-        write_layer(path, LAYER, shapely.polygons(outlines(result, place)), rows, "Polygon", crs)
-        _add_style(path)
+        if rows:
+            write_layer(path, LAYER, shapely.polygons(outlines(result, place)), rows, "Polygon", crs)
+            _add_style(path)
+        if result.anchors.votes:
+            write_anchor_layer(entries(result.anchors.votes, result.scale.value, result.scale.parts), place, path)
     except (OSError, sqlite3.Error, RuntimeError) as error:  # pyogrio's other errors are RuntimeErrors
         raise OutputError(f"{path} could not be written ({error})", "Check the free space on its disk.") from error
 

@@ -52,8 +52,11 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
         overviews=[_picture(panel) for panel in scene.overviews],
         used=[_picture(panel) for panel in scene.used],
         rejected=[_picture(panel) for panel in scene.rejected],
+        anchors=[_picture(panel) for panel in scene.anchors],
+        found=[_anchor(anchor, report) for anchor in report["anchors"]],
+        narrowed=wording.narrowed(report),
         reasons={**report["vehicles_rejected"], **report["boxes_rejected"]},
-        histograms=[_histogram(report, axis) for axis in ("length", "width")],
+        histograms=[_histogram(report, axis) for axis in ("length", "width") if report["vehicles_used"]],
         estimates=_estimates(report),
         modes={name: _mode(mode, report) for name, mode in _modes(report).items()},
         calibration=_calibration(report),
@@ -87,6 +90,7 @@ def _picture(panel: Panel) -> dict[str, Any]:
         "height": height,
         "href": _jpeg(panel.image),
         "bar": panel.bar,
+        "fine": panel.fine,
         "outlines": [
             {
                 "points": " ".join(f"{x:.1f},{y:.1f}" for x, y in outline.points),
@@ -132,6 +136,13 @@ def _estimates(report: Mapping[str, Any]) -> Markup:
     rows = [row for row in rows if abs(row.value) < FARTHEST_CHECK]
     label = "; ".join(f"{row.name} {signed(row.value)}" for row in rows[1:])
     return charts.estimates(rows, (low, high), f"Other estimates of the scale, relative to the answer: {label}")
+
+
+def _anchor(anchor: Mapping[str, Any], report: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page says of one anchor."""
+    alone = f"{signed(relative(anchor['scale'], report))} ± {percent(Z90 * anchor['relative_sd'])}"
+    pictures = f"{anchor['views']} pictures" if anchor["views"] > 1 else anchor["picture"]
+    return {**anchor, "alone": alone, "pictures": pictures, "residual": f"{anchor['residual_cm']:.1f} cm"}
 
 
 def _modes(report: Mapping[str, Any]) -> dict[str, Mapping]:

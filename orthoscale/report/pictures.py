@@ -13,6 +13,7 @@ from ..formats.pictures import write_png
 from .drift_map import drift_panel
 from .lettering import BLACK, WHITE, write_on
 from .scene import CHIP, Outline, Panel, Scene
+from .wording import quantity
 
 USED_RGB, REJECTED_RGB = (0, 214, 255), (255, 106, 0)  # RGB; told apart by people who do not tell green from red
 SHEET_WIDTH = 1100  # of the sheet [px]
@@ -21,7 +22,7 @@ SHEET_COLUMNS = 6  # of the contact sheet
 
 def draw(report: Mapping[str, Any], scene: Scene, path: Path) -> None:
     """Write a PNG: the answer, the scene with used (blue) and rejected (orange) vehicles, and a contact sheet."""
-    panels = [_title(report), *(_drawn(panel, SHEET_WIDTH / panel.image.shape[1]) for panel in scene.overviews)]
+    panels = [_title(report), *(drawn(panel, SHEET_WIDTH / panel.image.shape[1]) for panel in scene.overviews)]
     if scene.used:
         panels.append(_contact_sheet(scene.used))
     if "cells" in (report.get("drift") or {}):
@@ -32,10 +33,10 @@ def draw(report: Mapping[str, Any], scene: Scene, path: Path) -> None:
 
 
 def _title(report: Mapping[str, Any]) -> np.ndarray:
-    low, high = report["interval90"]
+    (value, low, high), unit = quantity(report, report["scale"], *report["interval90"])
     used, rejected = report["vehicles_used"], sum(report["vehicles_rejected"].values())
     lines = [
-        f"{report['scale']:.5g} {report['unit']}   90 %: {low:.5g} to {high:.5g}   {report['verdict']}",
+        f"{value} {unit}   90 %: {low} to {high}   {report['verdict']}",
         f"{used} vehicles used (blue), {rejected} rejected (orange), fleet {report['fleet']}; "
         f"{Path(report['input']['path']).name}",
     ]
@@ -45,12 +46,13 @@ def _title(report: Mapping[str, Any]) -> np.ndarray:
     return panel
 
 
-def _drawn(panel: Panel, zoom: float) -> np.ndarray:
+def drawn(panel: Panel, zoom: float) -> np.ndarray:
+    """RGB of a panel enlarged by `zoom`, with its outlines and its bar."""
     height, width = panel.image.shape[:2]
     size = max(1, round(width * zoom)), max(1, round(height * zoom))
     image = cv2.resize(panel.image, size, interpolation=cv2.INTER_AREA if zoom < 1 else cv2.INTER_CUBIC)
     for outline in sorted(panel.outlines, key=lambda o: o.used):
-        _outlined(image, outline, zoom)
+        _outlined(image, outline, zoom, 1 if panel.fine else 2)
     if panel.bar is not None:
         metres, length = panel.bar
         end, y = 20 + round(length * zoom), size[1] - 16
@@ -60,11 +62,11 @@ def _drawn(panel: Panel, zoom: float) -> np.ndarray:
     return image
 
 
-def _outlined(image: np.ndarray, outline: Outline, zoom: float) -> None:
+def _outlined(image: np.ndarray, outline: Outline, zoom: float, width: int) -> None:
     # Sixteenths of a pixel (shift=4); OpenCV's pixel centres are integers, ours end in .5.
     points = np.round((outline.points * zoom - 0.5) * 16).astype(np.int32)
     colour = USED_RGB if outline.used else REJECTED_RGB
-    cv2.polylines(image, [points], True, colour, 2, cv2.LINE_AA, shift=4)
+    cv2.polylines(image, [points], True, colour, width, cv2.LINE_AA, shift=4)
 
 
 def _contact_sheet(panels: Sequence[Panel]) -> np.ndarray:
@@ -74,7 +76,7 @@ def _contact_sheet(panels: Sequence[Panel]) -> np.ndarray:
     chips = []
     for panel in panels:
         chip = np.full((cell, cell, 3), 255, np.uint8)
-        image = _drawn(panel, zoom)
+        image = drawn(panel, zoom)
         chip[2 : 2 + image.shape[0], 2 : 2 + image.shape[1]] = image
         write_on(chip, (8, cell - 10), panel.title.replace("×", "x"), 15, WHITE, BLACK)
         chips.append(chip)

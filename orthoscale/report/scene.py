@@ -20,6 +20,9 @@ OVERVIEW = 1600  # longest side of an overview [px]
 CHIPS, REJECTED_CHIPS = 24, 8  # vehicles shown one by one
 CHIP = 180  # side of one [px]
 CHIP_SPAN = 1.7  # side of a chip in vehicle lengths
+ANCHOR_CROPS = 12  # anchors shown one by one
+ANCHOR_CROP = 420  # longer side of one [px]
+ANCHOR_BORDER = 0.12  # of its longer side, about an anchor
 PAPER = 245  # grey of a plan's background
 SMALLEST_MARK = 7  # radius of a vehicle on a plan, at least [px]
 
@@ -35,13 +38,17 @@ class Outline:
 
 @dataclass(frozen=True)
 class Panel:
-    """image : (h, w, 3) uint8 RGB. bar : a round number of metres and its length [px], where there is one scale."""
+    """image : (h, w, 3) uint8 RGB. bar : a round number of metres and its length [px], where there is one scale.
+
+    fine : whether its outlines lie on lines that must show beside them.
+    """
 
     title: str
     image: np.ndarray
     outlines: Sequence[Outline]
     bar: tuple[float, float] | None = None
     reason: str = ""
+    fine: bool = False
 
 
 @dataclass(frozen=True)
@@ -51,15 +58,18 @@ class Scene:
     overviews: Sequence[Panel] = ()
     used: Sequence[Panel] = ()
     rejected: Sequence[Panel] = ()
+    anchors: Sequence[Panel] = ()
 
     @classmethod
     def of(cls, report: Mapping[str, Any], source: Source | None) -> Scene:
         """The scene of a report, with the pixels of the `source` that it came from, as far as they are there."""
         vehicles = report["vehicles"]
-        pictures = _pictures(source, vehicles) if source else {}
+        anchors = report.get("anchors") or []
+        pictures = _pictures(source, vehicles, anchors) if source else {}
         overviews = []
         if not of_plan(report):
-            overviews.append(_plan(report, source.posed if source else None))
+            if vehicles or source:
+                overviews.append(_plan(report, source.posed if source else None))
             name = _busiest(vehicles, pictures)
         else:
             name = _busiest(vehicles, report["pictures"])
@@ -71,16 +81,23 @@ class Scene:
             overviews,
             _chips(_evenly(sorted(used, key=lambda v: v["length"]), CHIPS), pictures),
             _chips(_evenly(sorted(rejected, key=lambda v: v["reason"]), REJECTED_CHIPS), pictures),
+            anchor_panels(_evenly(anchors, ANCHOR_CROPS), pictures),
         )
 
 
-def _pictures(source: Source, vehicles: Sequence[Mapping]) -> dict[str, Picture]:
-    """The pictures at hand that the vehicles' boxes lie in: the source's own, or its frames warped onto the ground."""
-    pictures: dict[str, Picture] = {p.name: p for p in source.pictures}
+def _pictures(source: Source, vehicles: Sequence[Mapping], anchors: Sequence[Mapping]) -> dict[str, Picture]:
+    """The pictures at hand that vehicles' boxes and anchors lie in: the source's own, or its frames warped onto the
+    ground."""
     names = {box["picture"] for vehicle in vehicles for box in vehicle["boxes"]}
-    if pictures and not names <= set(source.picture_names):
-        plans = source.posed.ground_pictures if source.posed is not None else ()
-        pictures |= {p.name: p for p in plans if p.frame is not None}
+    names |= {anchor["picture"] for anchor in anchors}
+    return pictures_of(source, ground=not names <= set(source.picture_names))
+
+
+def pictures_of(source: Source, ground: bool = True) -> dict[str, Picture]:
+    """The pictures of `source` that are at hand, by name, with those of the `ground` under its frames if asked for."""
+    pictures: dict[str, Picture] = {p.name: p for p in source.pictures}
+    if pictures and ground and source.posed is not None:
+        pictures |= {p.name: p for p in source.posed.ground_pictures if p.frame is not None}
     return pictures
 
 
@@ -117,14 +134,14 @@ def _overview(report: Mapping[str, Any], name: str, picture: Picture | None) -> 
 def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
     """A model's sparse points from above, in metres, with the vehicles where they stand."""
     scale = float(report["scale"])
-    vehicles = np.array([v["place_m"] for v in report["vehicles"]], float)
+    vehicles = np.array([v["place_m"] for v in report["vehicles"]], float).reshape(-1, 2)
     points, colours = vehicles, np.full((len(vehicles), 3), PAPER, np.uint8)
     if source is not None:
         xyz, colours = source.sparse
         order = np.argsort(source.ground.height_above(xyz))  # what stands higher is drawn later
         points, colours = source.from_above(xyz[order]) * scale, colours[order]
     low, high = np.percentile(points, [1, 99], axis=0)
-    low, high = np.minimum(low, vehicles.min(0)), np.maximum(high, vehicles.max(0))
+    low, high = np.minimum(low, vehicles.min(0, initial=np.inf)), np.maximum(high, vehicles.max(0, initial=-np.inf))
     border = 0.02 * (high - low).max()
     low, high = low - border, high + border
     zoom = OVERVIEW / (high - low).max()  # px per metre
@@ -179,6 +196,28 @@ def _chip(vehicle: Mapping, box: Mapping, picture: Picture) -> Panel:
     image[: pixels.shape[0], : pixels.shape[1]] = pixels
     title = f"{vehicle['length']:.2f} × {vehicle['width']:.2f} m"
     return Panel(title, image, [_outline(vehicle, box, zoom, (-x * zoom, -y * zoom))], reason=vehicle["reason"])
+
+
+def anchor_panels(anchors: Sequence[Mapping], pictures: Mapping[str, Picture]) -> list[Panel]:
+    """Each of a report's `anchors` by itself, with its fitted lines; those whose picture is at hand."""
+    return [_crop(anchor, pictures[anchor["picture"]]) for anchor in anchors if anchor["picture"] in pictures]
+
+
+def _crop(anchor: Mapping, picture: Picture) -> Panel:
+    lines = np.array(anchor["lines_px"], float).reshape(-1, 2, 2)
+    low, high = lines.min((0, 1)), lines.max((0, 1))
+    border = max(4.0, ANCHOR_BORDER * float((high - low).max()))
+    frame = np.array([picture.width, picture.height])
+    first = np.clip(np.floor(low - border), 0, frame - 1).astype(int)
+    size = np.maximum(np.clip(np.ceil(high + border), 1, frame).astype(int) - first, 1)
+    zoom = ANCHOR_CROP / int(size.max())
+    out = np.maximum(np.round(size * zoom).astype(int), 1)
+    image = picture.read(*first.tolist(), *size.tolist(), *out.tolist())
+    title = f"{anchor['kind']}: {anchor['standard']}, {anchor['metres']:g} m"
+    if anchor["count"] > 1:
+        title += f", {anchor['count']} in a row"
+    outlines = [Outline((line - first) * zoom, anchor["counted"], title) for line in lines]
+    return Panel(title, image, outlines, fine=True)
 
 
 def _outline(vehicle: Mapping, box: Mapping, zoom: float, shift: tuple[float, float] = (0.0, 0.0)) -> Outline:

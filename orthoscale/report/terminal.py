@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -50,7 +51,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     scale = result.scale
     checks = (f"{name.replace('_', ' ')} {100 * (v / scale.value - 1):+.1f} %" for name, v in scale.checks.items())
     parts = (f"{name} {percent(sd)}" for name, sd in scale.parts.items() if sd > 0)
-    seen = f", in {int(result.votes.views[scale.used].sum())} views" if result.votes.views.max() > 1 else ""
+    seen = f", in {int(result.votes.views[scale.used].sum())} views" if result.votes.views.max(initial=0) > 1 else ""
     rejected = {**scale.rejected, **result.rejected_boxes}
     table = [
         *result.answer(),
@@ -58,7 +59,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
         ("rejected", ", ".join(f"{count} {reason}" for reason, count in rejected.items()) or "none"),
         ("fleet", f"{scale.fleet} ({result.fleet.name})"),
         *_fleets(scale.fleets),
-        ("checks", "scale from " + ", ".join(checks)),
+        *([("checks", "scale from " + ", ".join(checks))] if scale.checks else []),
         ("uncertain", ", ".join(parts) + " (1 sigma each)"),
         (
             "detector",
@@ -74,6 +75,12 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     table += [
         ("also", f"{e.value:.5g} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)") for e in scale.evidence
     ]
+    if result.anchors.votes:
+        kinds = Counter(vote.anchor.kind for vote in result.anchors.votes)
+        found = ", ".join(f"{count} x {kind}" for kind, count in kinds.items())
+        before = result.anchors.without
+        without = "" if before is None else f"; without them +- {percent(before.half_width)} (90 %)"
+        table.append(("anchors", found + without))
     table += [(remark.label, remark.text) for remark in result.remarks]
     table += [(label, str(path)) for label, path in written.items()]
     return [(label, shown(value, LONGEST_MESSAGE)) for label, value in table]

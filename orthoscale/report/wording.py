@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from math import exp, log
 from typing import Any
 
+from ..core.remarks import percent, signed
 from ..core.scale import decimals
 from .document import of_plan
 
@@ -36,3 +37,14 @@ def metres_of(report: Mapping[str, Any], length: float = 10.0) -> str:
     """What the interval means for a length of so many metres in the copy."""
     half = log(report["interval90"][1] / report["interval90"][0]) / 2
     return f"{length:g} m in the copy are {length * exp(-half):.1f} to {length * exp(half):.1f} m on the ground"
+
+
+def narrowed(report: Mapping[str, Any]) -> str:
+    """What anchors did to the interval, in words."""
+    before = report.get("without_anchors")
+    if not before:
+        return "the scale rests on them"
+    low, high = before["interval90"]
+    half = percent((high - low) / 2 / before["scale"])
+    moved = signed(report["scale"] / before["scale"] - 1)
+    return f"90 % interval ± {percent(half_width(report))} with, ± {half} without; the scale moved by {moved}"

@@ -70,8 +70,9 @@ def report_scale(report, feedback):
         f"{report['scale']:.5g} {report['unit']}, 90 % from {low:.5g} to {high:.5g}: "
         f"{report.get('verdict', '')}, {report['vehicles_used']} vehicles of fleet {report['fleet']}"
     )
-    for remark in report.get("remarks", report.get("notes", ())):  # a check has notes only
-        feedback.pushInfo(remark)
+    for remark in report["remarks"]:
+        tell = feedback.pushInfo if remark["severity"] == "info" else feedback.pushWarning
+        tell(remark["text"])
     return {
         "SCALE": report["scale"],
         "LOW90": low,

@@ -157,6 +157,7 @@ def settings(bench: Bench, rng: Rng) -> Attempt:
             *((f, (*ask, "--fleet", f"in/{f}")) for f in ("fleet.json", "mixture.json", "shares.json")),
             ("calibration.json", (*ask, "--calibration", "in/calibration.json")),
             ("control.txt", (*ask, "--fleet", "DE", "--ground-control", "in/control.txt")),
+            ("standards.json", (*ask, "--fleet", "DE", "--anchor", "in/standards.json")),
             ("sim3.json", ("apply", "in/sim3.json", "in/ascii.ply", "--out", "out")),
             ("sim3.txt", ("apply", "in/sim3.txt", "in/ascii.ply", "--out", "out")),
             ("catalogue.json", ("layout", "in/scaled.tif", "--lot", "in/lot.geojson", "--facility", "boules")),
@@ -345,7 +346,7 @@ def onnx_files(bench: Bench, rng: Rng) -> Attempt:
 
 OPTIONS = (
     *("--zoom", "--gsd-hint", "--target", "--seed", "--workers", "--fleet", "--vehicle-class", "--known-distance"),
-    *("--decoder", "--calibration", "--mode", "--images", "--scheduler"),
+    *("--anchors", "--anchor", "--decoder", "--calibration", "--mode", "--images", "--scheduler"),
 )
 
 

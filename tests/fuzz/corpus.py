@@ -209,6 +209,8 @@ def _settings(folder: Path) -> None:
     (folder / "catalogue.json").write_text(
         json.dumps({"facilities": {"boules": {**own, "lines": [["line", 0, 0, 5, 0]]}}})
     )
+    bays = {"kind": "parking bays", "metres": 2.5, "sd": 0.02, "name": "ours", "source": "a plan"}
+    (folder / "standards.json").write_text(json.dumps({"standards": [bays]}))
     (folder / "control.txt").write_text("40,40 4 -4\n360,40 36 -4\n40,360 4 -36\n360,360 36 -36\n")
     said = in_process.run("estimate", folder / "ortho.tif", "--detections", folder / "boxes.json", "--json")
     (folder / "report.json").write_text(said.stdout)

@@ -37,21 +37,28 @@ def judgements(measured: Measurement, claim: Comparison | None = None) -> tuple[
 def _vehicles(measured: Measurement) -> Judgement:
     scale = measured.scale
     used, rejected = scale.vehicles_used, sum(scale.rejected.values())
-    sampling = scale.parts.get("sampling", 0.0)
-    few, many = sampling > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
+    if not used:
+        return Judgement(CAUTION, "No vehicles", "the scale rests on things of standard size alone")
+    sampling = scale.parts.get("sampling")  # not known where measurements contradict each other
+    few, many = (sampling or 0.0) > SAMPLING, rejected > MANY_REJECTED * (used + rejected)
     what = "Few vehicles" if few else "Many rejected" if many else "Enough vehicles"
-    detail = f"{used} used, {rejected} rejected; sampling error {percent(sampling)}"
-    return Judgement(CAUTION if few or many else SUPPORT, what, detail)
+    known = "" if sampling is None else f"; sampling error {percent(sampling)} (1 sigma)"
+    severity = CAUTION if few or many else INFO if sampling is None else SUPPORT
+    return Judgement(severity, what, f"{used} used, {rejected} rejected{known}")
 
 
-def _shapes(measured: Measurement) -> Judgement:
-    checks, tension = measured.scale.checks, measured.scale.tension
-    ok = tension <= CHECK_LIMIT
-    severity = SUPPORT if ok else REFUSAL if tension > SHAPE_LIMIT else CAUTION
-    what = "Lengths and widths agree" if ok else "Lengths and widths disagree"
-    return Judgement(
-        severity, what, f"lengths give {signed(checks['length'] / checks['width'] - 1)} ({tension:.1f} sigma)"
-    )
+def _shapes(measured: Measurement) -> Judgement | None:
+    scale = measured.scale
+    if "length" not in scale.checks:
+        return None  # no vehicles
+    difference = scale.checks["length"] / scale.checks["width"] - 1
+    detail = f"lengths give {signed(difference)} ({scale.tension:.1f} sigma)"
+    if scale.tension > CHECK_LIMIT:
+        severity = REFUSAL if scale.tension > SHAPE_LIMIT else CAUTION
+        return Judgement(severity, "Lengths and widths disagree", detail)
+    if abs(difference) > max(scale.half_width, ROUGH):
+        return Judgement(INFO, "Lengths and widths differ within their uncertainty", detail)
+    return Judgement(SUPPORT, "Lengths and widths agree", detail)
 
 
 def _modes(measured: Measurement) -> Judgement | None:
@@ -81,14 +88,14 @@ def _claim(claim: Comparison | None) -> Iterator[Judgement]:
     if claim is not None and claim.believed:
         severity, what = CLAIMS[claim.verdict]
         guess = "".join(f"; perhaps {why}" for why in claim.guesses)
-        yield Judgement(severity, what, f"vehicles give {signed(claim.ratio - 1)} ({claim.sigmas:.1f} sigma){guess}")
+        yield Judgement(severity, what, f"{claim.by} give {signed(claim.ratio - 1)} ({claim.sigmas:.1f} sigma){guess}")
 
 
 def _places(measured: Measurement) -> Judgement | None:
     drift = measured.drift
     if isinstance(drift, Drift):
         change = drift.tilt
-        figures = f"{100 * drift.tilt:.1f} ± {100 * Z90 * drift.tilt_sd:.1f} % from side to side"
+        figures = f"{100 * drift.tilt:.1f} ± {100 * Z90 * drift.tilt_sd:.1f} % (90 %) from side to side"
         figures += f", bent by {percent(drift.bend)}" if drift.bends else ""
     elif isinstance(drift, ModelDrift) and drift.trend is not None:
         change = drift.trend.percent_across / 100

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..anchors import AnchorVote
+from ..anchors import AnchorVote, Standard
 from ..boxes import Boxes
 from ..evidence import Evidence
 from ..fleet import Fleet
@@ -40,6 +40,7 @@ class Method:
     evidence : what is known of the scale besides the vehicles. anchors : what was found in the pictures.
     standards : by which parking rows and objects of standard size count, where the boxes show them;
     None leaves them out. country : ISO code of two letters, by which anchors are told apart; empty where not known.
+    own : a user's standards by kind, which take the place of others.
     `requests.EstimateRequest` has checked them.
     """
 
@@ -49,6 +50,7 @@ class Method:
     anchors: tuple[AnchorVote, ...] = ()
     standards: Standards | None = None
     country: str = ""
+    own: Mapping[str, tuple[Standard, ...]] = field(default_factory=dict)
 
     def sizes(
         self, boxes: Boxes, views: Views, metres_per_unit: float, height: Sequence[float] | np.ndarray, fleet: Fleet
@@ -77,6 +79,6 @@ class Method:
         """The scale; `more` are anchors that the boxes themselves show."""
         if self.estimator == "iqr":
             return pool_paper(votes, fleet, unit)
-        return pool(
-            votes, fleet, ruler, unit, geometry, (*self.evidence, *evidence_of([*self.anchors, *more], self.country))
-        )
+        seen = [vote.of(self.own.get(vote.anchor.kind)) for vote in (*self.anchors, *more)]
+        evidence = (*self.evidence, *evidence_of(seen, self.country))
+        return pool(votes, fleet, ruler, unit, geometry, evidence)

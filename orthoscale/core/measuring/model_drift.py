@@ -18,7 +18,7 @@ from ..votes import Votes
 from .drift import CHANCE, NOTABLE
 
 MIN_SHARED = 3  # vehicles that a frame must share with others before it is judged
-ODD_SIGMAS, ODD = 4.0, 0.05  # a frame is odd that strays by so many sigmas, and by so much of the scale
+ODD_SIGMAS, ODD_STRAY = 4.0, 0.05  # a frame is odd that strays by so many sigmas, and by so much of the scale
 CELLS = 3  # regions across the longer side of the model
 MIN_IN_REGION = 5
 MIN_FOR_TREND = 12
@@ -127,7 +127,7 @@ def by_frame(
             continue
         middle, sd = float(np.median(mine)), 1.2533 * spread / np.sqrt(len(mine))
         frames[str(name)] = FrameScale(float(scale.value * np.exp(middle)), float(scale.value * sd), len(mine))
-        if abs(middle) > max(ODD, ODD_SIGMAS * sd):
+        if abs(middle) > max(ODD_STRAY, ODD_SIGMAS * sd):
             odd.append((str(name), float(np.expm1(middle))))
     return frames, sorted(odd, key=lambda item: -abs(item[1]))
 

@@ -14,11 +14,13 @@ import numpy as np
 
 from ..anchors import Anchor, AnchorVote, Standard
 
-KIND = "parking bay"
+ROWS_KIND = "parking bays"
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
 ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another
 PITCHES = (1.15, 1.75)  # of a vehicle's width: 2.2 m for the widest cars to 2.8 m for the narrowest
-REACH = 6  # stalls over which distances are compared; parking jitter does not grow with them, an error of pitch does
+STALLS_COMPARED = (
+    6  # stalls over which distances are compared; parking jitter does not grow with them, an error of pitch does
+)
 NEIGHBOURS = 256  # within that reach at most; twice as many as fit, if no two boxes show one vehicle
 MIN_ROW = 3  # vehicles side by side make a row
 MIN_IN_ROWS = 8  # in rows, below which no pitch is read
@@ -75,7 +77,7 @@ def parking_pitch(
     width = stall["width"]
     standard = Standard("stalls, by the vehicles in them", width, float(own / width), stall["source"])
     lines, residual = np.empty((0, 2, 2)), np.empty(0)
-    anchor = Anchor(KIND, middle, lines, pitch, sd, residual, (standard,), 0.0, count=vehicles)
+    anchor = Anchor(ROWS_KIND, middle, lines, pitch, sd, residual, (standard,), 0.0, count=vehicles)
     return AnchorVote(anchor, middle, pitch, sd)
 
 
@@ -104,7 +106,7 @@ def _rows(place: np.ndarray, along: np.ndarray, length: float, width: float) -> 
     # One vehicle of those that are said to stand in the very same place; a tree could not tell them apart.
     single = np.sort(np.unique(place, axis=0, return_index=True)[1])
     tree = cKDTree(place[single])
-    reach = REACH * PITCHES[1] * width
+    reach = STALLS_COMPARED * PITCHES[1] * width
     parts = []
     for k in range(0, len(single), AT_ONCE):
         i = single[k : k + AT_ONCE]

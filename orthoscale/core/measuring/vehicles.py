@@ -66,4 +66,4 @@ def _kind(votes: Votes) -> list[str]:
 def _deviation(size: np.ndarray, scale: Scale) -> np.ndarray:
     """(N,) log of the scale that each vehicle of `size` (N, 2) alone would give, over the mean of those that count."""
     log_scale = -np.log(size) @ np.asarray(scale.weights)
-    return log_scale - log_scale[scale.used].mean()
+    return log_scale - log_scale[scale.used].mean() if scale.used.any() else log_scale

@@ -22,9 +22,9 @@ from .posterior import Posterior
 # 0.40 % each (one sigma) and by 0.29 % together (90 % within 0.47 %), half of the variance: `docs/anchors.md`.
 SHARED = 0.5
 FOREIGN = 0.05  # of a standard's prior that is left where it is another country's: what is built abroad is copied
-ODD = 0.02  # probability that an anchor, however sure that it is one, is of no standard of its kind
-LEAST_SD = 2e-4  # of any anchor's fit
-STEPS = 30  # of a mean of the anchors that mean one scale; it settles in about five
+OF_NO_STANDARD = 0.02  # probability that an anchor, however sure that it is one, is of no standard of its kind
+LEAST_FIT = 2e-4  # of any anchor's fit
+MEAN_STEPS = 30  # of a mean of the anchors that mean one scale; it settles in about five
 SETTLED_LOG = 1e-7
 ONE_SCALE = 0.5  # sigmas within which two such means are one
 LEAST_WEIGHT = 1e-4  # of a scale that a kind may mean, below which it is not carried on
@@ -58,7 +58,7 @@ class _Reading:
         apart = ONE_SCALE * float(np.sqrt(self.own.min()))
         found: list[float] = []
         for mean in self.log_scale[np.unique(np.round(self.log_scale / apart), return_index=True)[1]].tolist():
-            for _ in range(STEPS):
+            for _ in range(MEAN_STEPS):
                 weight = self.members(mean) / self.own
                 before, mean = mean, float(weight @ self.log_scale / weight.sum())
                 if abs(mean - before) < SETTLED_LOG:
@@ -70,7 +70,7 @@ class _Reading:
 
 def evidence_of(votes: Sequence[AnchorVote], country: str = "") -> list[Evidence]:
     """What `votes` say, a piece of evidence for each kind, in the order in which the kinds come. Of a kind of which
-    some were found by their lines, those that were only seen as boxes do not count: they measure the same things worse.
+    some were found by their lines, what was only seen as boxes does not count: it measures the same things worse.
 
     country : ISO code of two letters, empty where it is not known; standards of other countries are less likely there.
     """
@@ -84,7 +84,6 @@ def evidence_of(votes: Sequence[AnchorVote], country: str = "") -> list[Evidence
 
 
 def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:
-    common = max(vote.shared_sd for vote in votes) ** 2
     rows, supporters = [], []
     for standard in dict.fromkeys(standard for vote in votes for standard in vote.anchor.standards):
         these = [k for k, vote in enumerate(votes) if standard in vote.anchor.standards]
@@ -94,21 +93,17 @@ def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:
             number = member.sum()
             # A lone anchor has all of its variance; what is each one's own falls with their number.
             fit = float(member @ reading.fit / number) * (SHARED + (1 - SHARED) / max(number, 1.0))
-            rows.append(
-                (float(member @ reading.probability) * number, mean, np.sqrt(fit + reading.rule + common), standard)
-            )
+            rows.append((float(member @ reading.probability) * number, mean, np.sqrt(fit + reading.rule), standard))
             supporters.append([k for k, share in zip(these, member, strict=True) if share > 0.5] or these)
-    weight, mean, sd = (np.array(column) for column in list(zip(*rows, strict=True))[:3])
+    columns = list(zip(*rows, strict=True))
+    weight, means, sds = (np.array(column, float) for column in columns[:3])
     weight = weight / weight.sum()
-    best = int(np.argmax(weight))
-    those = [votes[k] for k in supporters[best]]
-    return Evidence.mixed(
-        kind,
-        Posterior(weight, mean, sd).only(weight > LEAST_WEIGHT),
-        _in_words(kind, those, rows[best][3]),
-        min(vote.anchor.false for vote in those),
-        float(np.median([vote.window for vote in those])),
-    )
+    those = [votes[k] for k in supporters[int(np.argmax(weight))]]
+    words = [_in_words(kind, [votes[k] for k in s], row[3]) for s, row in zip(supporters, rows, strict=True)]
+    doubt, window = min(vote.anchor.false for vote in those), float(np.median([vote.window for vote in those]))
+    common = max(vote.shared_sd for vote in votes)
+    found = Evidence.mixed(kind, Posterior(weight, means, sds), words, doubt, window, common)
+    return found.only(weight > LEAST_WEIGHT)
 
 
 def _reading(votes: Sequence[AnchorVote], standard: Standard, country: str) -> _Reading:
@@ -116,9 +111,9 @@ def _reading(votes: Sequence[AnchorVote], standard: Standard, country: str) -> _
     false = np.array([vote.anchor.false for vote in votes])
     return _Reading(
         log_scale=np.log(standard.metres) - np.log([vote.units for vote in votes]),
-        fit=np.maximum([vote.relative_sd for vote in votes], LEAST_SD) ** 2,
+        fit=np.maximum([vote.relative_sd for vote in votes], LEAST_FIT) ** 2,
         probability=(1 - false) * share,
-        mistaken=(false + ODD * (1 - false)) / np.array([vote.window for vote in votes]),
+        mistaken=(false + OF_NO_STANDARD * (1 - false)) / np.array([vote.window for vote in votes]),
         rule=standard.relative_sd**2,
     )
 

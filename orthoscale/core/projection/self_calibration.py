@@ -24,7 +24,7 @@ Trends = dict[str, dict[str, list[float]]]  # see `trends`
 
 MIN_VIEWS = 3  # views of one vehicle from which its own mean is taken off
 MIN_RESIDUALS = 20  # observations below which nothing is fitted
-STEPS = 16
+RULER_STEPS = 16
 HEIGHT, MARGIN, UNDERCUT, LEAN, CORNER = range(5)  # columns of `OwnRuler.value`
 STRIDE = (0.3, 3.0, 0.3, 0.08, 0.08)  # of one step, at most: far from the answer the slopes are another body's
 DIFFERENCES = (0.05, 0.25, 0.05, 0.05, 0.05)  # that give the slopes: [m], [detector px], [m], [1/m], share of the width
@@ -220,7 +220,7 @@ def own_ruler(
 
 
 def _undercut(ruler: OwnRuler) -> OwnRuler:
-    """With an undercut to begin with: from none, boxes would not feel a little more or less of it."""
+    """With an undercut to begin with: the search starts above zero, where the gradient vanishes."""
     value = ruler.value.copy()
     value[:, UNDERCUT] += UNDERCUT_SD
     value[:, HEIGHT] += UNDERCUT_SD / USUAL_LEAN
@@ -240,7 +240,7 @@ def _settled(
     """From `ruler`, that for which each `vehicle` (N,) has one size; by axis, what is not `free` is as shipped."""
     prior = _with_undercut(shipped.covariance) if UNDERCUT in free[0] else shipped.covariance
     change, slopes = np.inf, np.empty(0)
-    for _ in range(STEPS):
+    for _ in range(RULER_STEPS):
         size = ruler.size(boxes, views, zoom, metres_per_unit)
         if change > SAME_SLOPES:
             slopes = ruler.slopes(boxes, views, zoom, metres_per_unit, {*free[0], *free[1]})

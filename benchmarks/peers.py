@@ -1,18 +1,23 @@
-"""Throughput of the exhaustive sweep against the bare network, and against SAHI's and GeoDeep's slicing loops.
+"""orthoscale's sweep side by side with SAHI's and GeoDeep's slicing loops: speed, memory and boxes.
 
-    pip install sahi geodeep     # perhaps in an environment of their own
-    python benchmarks/throughput.py RASTER.tif [--rounds 3] [--workers 2]
+    python -m venv peers && peers/bin/pip install sahi geodeep -e .      # as the package index has them
+    peers/bin/python benchmarks/peers.py RASTER.tif [--rounds 3]
 
-All use the shipped detector on the same raster at zoom 1, tiles of 1024 px, an eighth of them shared by neighbours, and
-as many threads. `bare` is what no program could beat: the same tiles, decoded, resampled and normalised beforehand, go
-through the ONNX sessions of as many threads. orthoscale looks twice (one and a half times the pixels); SAHI and GeoDeep
-look once, so network pixels per second are what can be compared. SAHI reads the whole raster into memory first.
-Rounds take turns; the median is told. Processor seconds matter where others use the machine too.
+The same network (the shipped detector), the same raster at zoom 1, tiles of 1024 px with an eighth shared by
+neighbours, as many threads as cores, each side in a process of its own, in turns. `bare` is what no program could beat:
+the same tiles, decoded, resampled and normalised beforehand, go through the ONNX sessions of as many threads.
+orthoscale looks twice (one and a half times the pixels) and has oriented boxes; SAHI and GeoDeep look once, at upright
+ones. The anytime sweep stops when the sampling error is small enough. Mpx are those of the raster; memory is the
+process's peak, imports included; processor seconds matter where others use the machine too.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import resource
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -22,11 +27,17 @@ import cv2
 import numpy as np
 import onnxruntime
 
+from orthoscale.core.detections import Detections
+from orthoscale.core.measuring.measure import measure
+from orthoscale.core.measuring.plan import PlanGeometry
 from orthoscale.detect.decoders import decode_maps
 from orthoscale.detect.detector import SHIPPED, Detector
+from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import CONFIRMING_ZOOM, OVERLAP, TILE, read, tiles
 from orthoscale.detect.workers import cores, on_threads
+from orthoscale.errors import TooLittleEvidence
+from orthoscale.fleets import load_fleet
 from orthoscale.sources.raster import RasterSource
 
 WEIGHTS = Path(__file__).parent.parent / "orthoscale" / "detect" / "weights" / SHIPPED
@@ -54,7 +65,7 @@ def rows_of(maps: np.ndarray) -> np.ndarray:
     return np.column_stack([low, high, boxes.score, np.ones(len(boxes))]).astype(np.float32)
 
 
-def bare(source: RasterSource, workers: int) -> tuple[Callable[[], int], float]:
+def bare(source: RasterSource, workers: int) -> Callable[[], int]:
     inputs = []
     for tile in tiles(source, 1.0):
         image = read(source, tile)
@@ -64,12 +75,13 @@ def bare(source: RasterSource, workers: int) -> tuple[Callable[[], int], float]:
 
     def run() -> int:
         with ThreadPoolExecutor(workers) as pool:
-            return len(list(pool.map(lambda x: net.run(None, {"image": x})[0].shape, inputs)))
+            list(pool.map(lambda x: net.run(None, {"image": x})[0].shape, inputs))
+        return 0
 
-    return run, sum(x.shape[2] * x.shape[3] for x in inputs) / 1e6
+    return run
 
 
-def ours(source: RasterSource, workers: int) -> tuple[Callable[[], int], float]:
+def ours(source: RasterSource, workers: int) -> Callable[[], int]:
     jobs = [(source, tile) for tile in tiles(source, 1.0)]
     detector = Detector(threads=max(1, cores() // workers))
 
@@ -80,17 +92,15 @@ def ours(source: RasterSource, workers: int) -> tuple[Callable[[], int], float]:
         found = sweep_twice(own, np.arange(len(own)), lambda some: on_threads(some, detector, workers))
         return sum(map(len, found.boxes.values()))
 
-    pixels = sum(t.out_width * t.out_height * (1 + CONFIRMING_ZOOM**2) for _, t in jobs)
-    return run, pixels / 1e6
+    return run
 
 
-def sahi(source: RasterSource, workers: int) -> tuple[Callable[[], int], float]:
+def sahi(source: RasterSource, workers: int) -> Callable[[], int]:
     from sahi.models.base import DetectionModel
     from sahi.predict import get_sliced_prediction
     from sahi.prediction import ObjectPrediction
 
     net = session(cores())
-    looked = []
 
     class Model(DetectionModel):
         def load_model(self) -> None:
@@ -99,7 +109,6 @@ def sahi(source: RasterSource, workers: int) -> tuple[Callable[[], int], float]:
 
         def perform_inference(self, image: np.ndarray) -> None:
             x = tensor(image)
-            looked.append(x.shape[2] * x.shape[3])
             self._original_predictions = [rows_of(self.model.run(None, {"image": x})[0][0])]
 
         def _create_object_prediction_list_from_original_predictions(self, shift_amount_list, full_shape_list=None):
@@ -120,18 +129,16 @@ def sahi(source: RasterSource, workers: int) -> tuple[Callable[[], int], float]:
 
     def run() -> int:
         share = OVERLAP / TILE
-        looked.clear()
         result = get_sliced_prediction(
             str(source.path), model, TILE, TILE, share, share, perform_standard_pred=False, postprocess_type="NMS",
             postprocess_match_metric="IOU", verbose=0,
         )  # fmt: skip
         return len(result.object_prediction_list)
 
-    run()
-    return run, sum(looked) / 1e6
+    return run
 
 
-def geodeep(source: RasterSource, workers: int) -> tuple[Callable[[], int], float]:
+def geodeep(source: RasterSource, workers: int) -> Callable[[], int]:
     import geodeep.geodeep as loop
     from geodeep.detection import non_max_suppression_fast, preprocess
 
@@ -140,10 +147,8 @@ def geodeep(source: RasterSource, workers: int) -> tuple[Callable[[], int], floa
         "resolution": 1.0, "class_names": {"0": "vehicle"}, "model_type": "Detector",
         "tiles_overlap": 100 * OVERLAP / TILE, "tiles_size": TILE, "input_name": "image",
     }  # fmt: skip
-    looked = []
 
     def detect(image: np.ndarray, net, config: dict) -> np.ndarray:
-        looked.append(TILE * TILE)
         rows = rows_of(net.run(None, {"image": preprocess(image)})[0][0])
         return non_max_suppression_fast(rows, config) if len(rows) else rows
 
@@ -152,42 +157,66 @@ def geodeep(source: RasterSource, workers: int) -> tuple[Callable[[], int], floa
     loop.execute_detection = detect
 
     def run() -> int:
-        looked.clear()
         return len(loop.run(str(source.path), "shipped", output_type="raw", max_threads=cores()))
 
-    run()
-    return run, sum(looked) / 1e6
+    return run
+
+
+def anytime(source: RasterSource, workers: int) -> Callable[[], int]:
+    detector, fleet = Detector(threads=max(1, cores() // workers)), load_fleet("world")
+
+    def sampling(found: Detections) -> float:
+        try:
+            return measure(PlanGeometry.of(source, found), fleet).scale.parts["sampling"]
+        except TooLittleEvidence:
+            return np.inf
+
+    def run() -> int:
+        effort = Effort(workers=workers, cache=False)
+        found, _ = find_vehicles([source], detector, 1.0, effort=effort, sampling=sampling)
+        print(f"{len(found.swept.tiles)} of {found.swept.total} tiles", file=sys.stderr)
+        return len(found)
+
+    return run
+
+
+SIDES = {"bare": bare, "orthoscale": ours, "orthoscale, anytime": anytime, "SAHI": sahi, "GeoDeep": geodeep}
+
+
+def one(name: str, raster: Path) -> dict[str, float]:
+    """One run of a side in this process: seconds by the clock and of the processor, peak memory [MB], boxes."""
+    run = SIDES[name](RasterSource.open(raster), cores())
+    start, used = time.perf_counter(), time.process_time()
+    boxes = run()
+    wall, processor = time.perf_counter() - start, time.process_time() - used
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {"wall": wall, "processor": processor, "memory": memory, "boxes": boxes}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("raster", type=Path)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--workers", type=int, default=cores())
+    parser.add_argument("--only", help=argparse.SUPPRESS)
     a = parser.parse_args()
-    source = RasterSource.open(a.raster)
-    sides: dict[str, tuple[Callable[[], int], float]] = {}
-    for make in (bare, ours, sahi, geodeep):
-        try:
-            sides[make.__name__] = make(source, a.workers)
-        except ImportError as error:
-            print(f"{make.__name__}: left out ({error})")
-    wall: dict[str, list[float]] = {name: [] for name in sides}
-    processor: dict[str, list[float]] = {name: [] for name in sides}
+    if a.only:
+        print(json.dumps(one(a.only, a.raster)))
+        return
+    found: dict[str, list[dict[str, float]]] = {name: [] for name in SIDES}
     for _ in range(a.rounds):
-        for name, (run, _) in sides.items():
-            start = time.perf_counter(), time.process_time()
-            found = run()
-            wall[name].append(time.perf_counter() - start[0])
-            processor[name].append(time.process_time() - start[1])
-            print(f"  {name}: {wall[name][-1]:.1f} s, {processor[name][-1]:.1f} processor s, {found}", flush=True)
-    print(f"{a.raster.name}, {source.width} x {source.height} px, {a.workers} workers")
-    print("| | network Mpx | Mpx/s | Mpx per processor second | of bare, wall | of bare, processor |")
-    print("|---|---|---|---|---|---|")
-    speed = {n: (mpx / np.median(wall[n]), mpx / np.median(processor[n])) for n, (_, mpx) in sides.items()}
-    for name, (_, mpx) in sides.items():
-        s, bare_s = speed[name], speed["bare"]
-        print(f"| {name} | {mpx:.0f} | {s[0]:.2f} | {s[1]:.2f} | {s[0] / bare_s[0]:.2f} | {s[1] / bare_s[1]:.2f} |")
+        for name, runs in found.items():
+            command = [sys.executable, __file__, str(a.raster), "--only", name]
+            done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+            runs.append(json.loads(done.stdout.splitlines()[-1]))
+            print(f"  {name}: {runs[-1]}", file=sys.stderr, flush=True)
+    source = RasterSource.open(a.raster)
+    mpx = source.width * source.height / 1e6
+    print(f"{a.raster.name}, {source.width} x {source.height} px, {cores()} cores, median of {a.rounds}")
+    print("| | Mpx/s | Mpx per processor second | peak memory [MB] | boxes |")
+    print("|---|---|---|---|---|")
+    for name, runs in found.items():
+        wall, processor, memory, boxes = (np.median([r[k] for r in runs]) for k in runs[0])
+        print(f"| {name} | {mpx / wall:.2f} | {mpx / processor:.2f} | {memory:.0f} | {boxes:.0f} |")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,142 @@
+"""Painted courts against known scales: ``python benchmarks/anchors_courts.py [HALF] [KIND]``.
+
+Reads ``../shared/data`` or ``ORTHOSCALE_DATA``. The chips are split by the MD5 of their names: `building` are those
+that thresholds and certainties were chosen with, `other` those that nothing was chosen with (default). Finer pictures
+are drawn, coarser ones shrunk from the chips. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %).
+CPU seconds are those of one thread, without what others take.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from orthoscale.anchors import courts
+from orthoscale.core.anchors import Anchor
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from support.courts import BLUE, CLAY, GRASS, GREEN, court_picture, tennis  # noqa: E402
+
+DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
+CHIP_GSD = 0.3048
+SD = 0.08
+Z90 = 1.645
+
+
+@dataclass
+class Tally:
+    """What was found in pictures of one kind: (error, stated sd) of each anchor by picture; pixels; seconds."""
+
+    pictures: int = 0
+    megapixels: float = 0.0
+    seconds: float = 0.0
+    found: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    false: list[tuple[str, float]] = field(default_factory=list)
+
+    def look(self, finder: courts.CourtFinder, name: str, picture: np.ndarray, gsd: float, off: float) -> None:
+        start = time.process_time()
+        anchors: list[Anchor] = list(finder.find(picture, gsd * off, SD, ""))
+        self.seconds += time.process_time() - start
+        self.pictures += 1
+        self.megapixels += picture.shape[0] * picture.shape[1] / 1e6
+        for anchor in anchors:
+            error = float(anchor.metres_per_pixel()[0] / gsd - 1)
+            sd = float(np.hypot(anchor.relative_sd, anchor.standards[0].relative_sd))
+            self.found.setdefault(name, []).append((error, sd))
+            self.false.append((name, anchor.false))
+
+    def row(self, name: str) -> str:
+        cost = f"{self.seconds / self.megapixels:.2f}"
+        if not self.found:
+            return f"| {name} | {self.pictures} | {self.megapixels:.1f} | 0 | 0 | | | | | {cost} |"
+        each = np.array([pair for pairs in self.found.values() for pair in pairs])
+        places = np.array([np.average([e for e, _ in p], weights=[s**-2 for _, s in p]) for p in self.found.values()])
+        size, z = np.abs(each[:, 0]), np.abs(each[:, 0] / each[:, 1])
+        return (
+            f"| {name} | {self.pictures} | {self.megapixels:.1f} | {len(each)} | {len(self.found)} | "
+            f"{100 * np.median(each[:, 0]):+.2f} | {100 * np.quantile(size, 0.9):.2f} / {100 * size.max():.1f} | "
+            f"{100 * np.mean(np.abs(places) <= 0.005):.0f} | {100 * np.mean(z <= Z90):.0f} | {cost} |"
+        )
+
+
+HEAD = (
+    "| pictures | number | Mpx | anchors | in pictures | error: median [%] | 90 % / worst [%] | "
+    "places within 0.5 % [%] | in the 90 % interval [%] | CPU s/Mpx |\n|---|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def half_of(path: Path) -> str:
+    """Which half a chip belongs to."""
+    return ("building", "other")[int(hashlib.md5(path.name.encode()).hexdigest(), 16) % 2]
+
+
+def chips(half: str, kind: str | None) -> Iterator[tuple[str, np.ndarray]]:
+    """RGB chips of a half, with `kind` in their names or, if None, without tennis courts."""
+    for path in sorted((DATA / "vehicles" / "chips").glob("*.jpg")):
+        if half_of(path) == half and (path.stem.startswith(kind) if kind else not path.stem.startswith("tennis")):
+            yield path.name, cv2.imread(str(path))[..., ::-1]
+
+
+def off(rng: np.random.Generator) -> float:
+    """What the vehicles' scale is wrong by, a factor."""
+    return float(np.exp(np.clip(rng.normal(0, SD), -1.5 * SD, 1.5 * SD)))
+
+
+def scenes() -> Iterator[tuple[str, np.ndarray, float]]:
+    """Orthophotos without courts, RGB, and their ground sampling distances."""
+    for folder in ("places", "orthophotos"):
+        for name, known in json.loads((DATA / folder / "truth.json").read_text()).items():
+            if "gsd_m" in known:
+                yield name, cv2.imread(str(DATA / folder / name))[..., ::-1], known["gsd_m"]
+
+
+def drawn(gsd: float, count: int, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray]]:
+    """Pictures of one tennis court each, in all looks, with trees and shade."""
+    for number in range(count):
+        surface = (GREEN, BLUE, CLAY, (120, 120, 120))[number % 4]
+        paint = tennis(line=rng.uniform(0.04, 0.05), base=rng.uniform(0.05, 0.10))
+        yield str(number), court_picture(
+            [(paint, (18 + rng.uniform(-1, 1), 18 + rng.uniform(-1, 1)), rng.uniform(0, np.pi))], gsd,
+            2 * [round(36 / gsd)], ground=(GREEN, GRASS)[number % 2], surface=surface,
+            white=int(rng.uniform(150, 230)), wear=rng.uniform(0, 0.4), blur_px=rng.uniform(0.5, 1.0),
+            noise=rng.uniform(1, 5), shade=rng.choice([0, 0.4]), trees=int(rng.integers(0, 4)), seed=number,
+        )  # fmt: skip
+
+
+def main(half: str = "other") -> None:
+    finder = courts.TENNIS
+    print(HEAD)
+    for zoom in (1.0, 1.333, 1.64):
+        tally, rng = Tally(), np.random.default_rng(0)
+        for name, chip in chips(half, "tennis"):
+            side = round(256 / zoom)
+            small = cv2.resize(chip, (side, side), interpolation=cv2.INTER_AREA) if zoom > 1 else chip
+            tally.look(finder, name, small, CHIP_GSD * chip.shape[1] / small.shape[1], off(rng))
+        print(tally.row(f"chips with tennis courts, {CHIP_GSD * zoom:.2f} m/px"), flush=True)
+    for gsd in (0.05, 0.1, 0.2, 0.3, 0.5):
+        tally, rng = Tally(), np.random.default_rng(1)
+        for name, picture in drawn(gsd, 40, rng):
+            tally.look(finder, name, picture, gsd, off(rng))
+        print(tally.row(f"drawn, one tennis court each, {gsd:.2f} m/px"), flush=True)
+    for what, pictures in (
+        ("chips without", ((name, chip, CHIP_GSD) for name, chip in chips(half, None))),
+        ("orthophotos without", scenes()),
+    ):
+        tally, rng = Tally(), np.random.default_rng(2)
+        for name, picture, gsd in pictures:
+            tally.look(finder, name, picture, gsd, off(rng))
+        print(tally.row(what), *(f"{name}: {false:.2f}" for name, false in tally.false), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,153 @@
+"""Crossings, bays and lane lines against known scales: ``python benchmarks/anchors_periodic.py``.
+
+Reads ``../shared/data`` or ``ORTHOSCALE_DATA``. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %);
+of an anchor's standards the one nearest to the truth counts. Which finds are false was counted by eye, on pictures that
+``--draw FOLDER`` writes. CPU seconds are those of one thread, shrinking to the finder's resolution included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from orthoscale.anchors.bays import ParkingBays
+from orthoscale.anchors.crossings import ZebraCrossings
+from orthoscale.anchors.dashes import LaneDashes
+from orthoscale.core.anchors import Anchor, AnchorFinder
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from support.markings import PAINT, picture, stroke  # noqa: E402
+
+DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
+CHIP_GSD = 0.3048
+SD = 0.08
+Z90 = 1.645
+HEAD = (
+    "| pictures | kind | number | Mpx | anchors | in pictures | error: median [%] | 68 % / 90 % / worst [%] | "
+    "in the 90 % interval [%] | CPU s/Mpx |\n|---|---|---|---|---|---|---|---|---|---|"
+)
+
+
+@dataclass
+class Tally:
+    """What one finder found in pictures of one sort: (error, stated sd) of each anchor by picture; pixels; seconds."""
+
+    finder: AnchorFinder
+    draw: Path | None = None
+    pictures: int = 0
+    megapixels: float = 0.0
+    seconds: float = 0.0
+    found: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+
+    def look(self, name: str, image: np.ndarray, gsd: float, country: str, off: float) -> None:
+        start = time.process_time()
+        zoom = min(1.0, gsd * off / self.finder.finest)
+        small = cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_AREA) if zoom < 1 else image
+        anchors = list(self.finder.find(np.ascontiguousarray(small), gsd * off / zoom, SD, country))
+        self.seconds += time.process_time() - start
+        self.pictures += 1
+        self.megapixels += image.shape[0] * image.shape[1] / 1e6
+        for anchor in anchors:
+            errors = np.log(anchor.metres_per_pixel() * zoom / gsd)
+            k = int(np.abs(errors).argmin())
+            sd = float(np.hypot(anchor.relative_sd, anchor.standards[k].relative_sd))
+            self.found.setdefault(name, []).append((float(errors[k]), sd))
+        if self.draw and anchors:
+            drawn(small, anchors, self.draw / f"{self.finder.kind}-{name}.png")
+
+    def row(self, sort: str) -> str:
+        start = f"| {sort} | {self.finder.kind} | {self.pictures} | {self.megapixels:.1f} |"
+        cost = f"{self.seconds / max(self.megapixels, 1e-9):.2f} |"
+        if not self.found:
+            return f"{start} 0 | 0 | | | | {cost}"
+        each = np.array([pair for pairs in self.found.values() for pair in pairs])
+        size = np.abs(each[:, 0])
+        parts = " / ".join(f"{100 * value:.1f}" for value in (*np.quantile(size, [0.68, 0.9]), size.max()))
+        held = 100 * np.mean(size <= Z90 * each[:, 1])
+        median = 100 * np.median(each[:, 0])
+        return f"{start} {len(each)} | {len(self.found)} | {median:+.1f} | {parts} | {held:.0f} | {cost}"
+
+
+def drawn(image: np.ndarray, anchors: list[Anchor], path: Path) -> None:
+    """`image` with the lines of `anchors`."""
+    canvas = image[..., ::-1].copy()
+    for anchor in anchors:
+        for line in np.round((anchor.lines + 0.5) * 8).astype(int).tolist():
+            cv2.line(canvas, line[0], line[1], (0, 255, 255), 1, cv2.LINE_AA, 3)
+    cv2.imwrite(str(path), canvas)
+
+
+def scenes() -> Iterator[tuple[str, np.ndarray, float, str]]:
+    """Orthophotos and straight-down frames, RGB; their ground sampling distances and countries. Montages are left out:
+    they are made of chips."""
+    for folder in ("places", "orthophotos"):
+        for name, known in json.loads((DATA / folder / "truth.json").read_text()).items():
+            if "gsd_m" in known and not name.startswith("us_"):
+                yield name, cv2.imread(str(DATA / folder / name))[..., ::-1], known["gsd_m"], known["country"]
+
+
+def chips() -> Iterator[tuple[str, np.ndarray, float, str]]:
+    """American pictures of a foot per pixel."""
+    for path in sorted((DATA / "vehicles" / "chips").glob("*.jpg")):
+        yield path.stem, cv2.imread(str(path))[..., ::-1], CHIP_GSD, "US"
+
+
+def painted(kind: str, gsd: float, count: int) -> Iterator[tuple[str, np.ndarray, float, str]]:
+    """Drawn ones, one a picture, in all directions, worn, partly under vehicles, blurred, in noise."""
+    rng = np.random.default_rng(4)
+    for number in range(count):
+        white = tuple(int(level * rng.uniform(0.7, 1.0)) for level in PAINT[:1]) * 3
+        if kind == ZebraCrossings.kind:
+            shapes = [(stroke(20 + k, 22, rng.uniform(3, 6) if k < 0 else 4, 0.5, 90), white) for k in range(12)]
+            under = stroke(20 + rng.uniform(0, 11), 23, 4.5, 1.8, 90)
+        elif kind == ParkingBays.kind:
+            slant = rng.choice([90, 90, 60, 45])
+            step = 2.5 / np.sin(np.radians(slant))
+            shapes = [(stroke(12 + step * k, 22, 5, rng.uniform(0.1, 0.15), slant), white) for k in range(12)]
+            under = stroke(12 + step * (rng.integers(1, 10) + 0.5), 22, 4.5, 1.8, slant)
+        else:
+            shapes = [(stroke(5 + 9 * k, 22, 3, 0.15), white) for k in range(7)]
+            under = stroke(5 + 9 * rng.integers(1, 6), 22, 4.5, 1.8)
+        yield str(number), picture(
+            [*shapes, (under, (40, 44, 60))], gsd, (72, 72), turn=rng.uniform(0, 180), blur=rng.uniform(0.5, 0.9),
+            noise=rng.uniform(1, 5), seed=number,
+        ), gsd, "DE"  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--draw", type=Path)
+    draw = parser.parse_args().draw
+    if draw:
+        draw.mkdir(parents=True, exist_ok=True)
+    finders: tuple[AnchorFinder, ...] = (ZebraCrossings(), ParkingBays(), LaneDashes())
+    print(HEAD)
+    for finder in finders:
+        for sort, pictures in (("orthophotos and frames of 7 places", scenes()), ("American chips", chips())):
+            tally, rng = Tally(finder, draw), np.random.default_rng(0)
+            for name, image, gsd, country in pictures:
+                off = float(np.exp(np.clip(rng.normal(0, SD), -1.5 * SD, 1.5 * SD)))
+                if gsd * off <= finder.coarsest:
+                    tally.look(name, image, gsd, country, off)
+            print(tally.row(sort), flush=True)
+        for gsd in (0.06, 0.12, 0.2, 0.3):
+            tally, rng = Tally(finder), np.random.default_rng(1)
+            for name, image, gsd_, country in painted(finder.kind, gsd, 30):
+                off = float(np.exp(np.clip(rng.normal(0, SD), -1.5 * SD, 1.5 * SD)))
+                if gsd * off <= finder.coarsest:
+                    tally.look(name, image, gsd_, country, off)
+            print(tally.row(f"drawn, one each, {gsd:.2f} m/px"), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,232 @@
+"""Anchors of exact size in a source: which are looked for, at what scale, and what was found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ..anchors import kinds
+from ..core.anchors import Anchor, AnchorVote, Standard
+from ..core.measuring.anchors import votes_in_model, votes_in_plan
+from ..core.pooling.posterior import Z90
+from ..core.scale import Scale
+from ..core.source import GroundView, Picture, Source
+from ..detect.find import Effort, Progress
+from ..detect.workers import worker_count
+from ..errors import UsageError, shown
+from ..formats.points import number
+from ..formats.reading import reason
+from .requests import BOXED
+
+BEYOND_SIGMAS = 2.0  # sigmas beyond the ends of the vehicles' 90 % interval to which sizes are searched
+LEAST_SOUGHT, MOST_SOUGHT = 0.02, 0.2  # of the scale that finders are told, one sigma: what they are made for
+OWN_SD = 0.005  # of a user's own standard, one sigma as a share of it: bays are painted to a centimetre or two
+FRAMES_EACH = 4  # of a model that show one anchor before another is looked for: the more, the less it matters which
+LADDER = (0.03, 0.6)  # [m/px] between which scales are tried where nothing tells it: what drones and planes give
+RUNG_SD = 0.1  # of each, one sigma: finders look two of them to either side
+SAME_ON_RUNGS = 0.03  # relative difference of what two rungs of the ladder make of one thing
+STANDARD_HINT = (
+    "Expected a kind and its size in metres: bay=2.5, or with its sigma bay=2.5,0.02; or a JSON file of standards, "
+    "see docs/anchors.md."
+)
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What was found: anchors in their pictures, and the votes that they make on the ground. without : the scale
+    before any of that was known."""
+
+    anchors: tuple[Anchor, ...] = ()
+    votes: tuple[AnchorVote, ...] = ()
+    without: Scale | None = None
+    notes: tuple[str, ...] = ()
+
+
+def kinds_of_boxes(choices: Sequence[str]) -> set[str]:
+    """The kinds that may be told from boxes, as `choices` of `--anchors` allow."""
+    every = {name.replace("-", " ") for name in BOXED}
+    if kinds.NO_KIND in choices:
+        return set()
+    whole = {kinds.ALL, kinds.PROVEN} & set(choices)
+    return every if whole else {kind for kind in every if kinds.slug(kind) in choices}
+
+
+def own_standards(told: Sequence[str]) -> dict[str, tuple[Standard, ...]]:
+    """A user's standards by kind, of options KIND=METRES[,SIGMA] and of files. Raises UsageError, InputError."""
+    found: dict[str, tuple[Standard, ...]] = {}
+    for text in told:
+        more = _of_file(Path(text)) if text.lower().endswith(".json") else _of_words(text)
+        for kind, standard in more:
+            found[kind] = (*found.get(kind, ()), standard)
+    return found
+
+
+def look_for_anchors(
+    source: Source,
+    scale: Scale,
+    choices: Sequence[str],
+    own: Mapping[str, tuple[Standard, ...]],
+    country: str,
+    effort: Effort,
+    progress: Progress | None = None,
+) -> Searched:
+    """The anchors in `source`, whose vehicles give `scale`; see `anchors_at`."""
+    low, high = scale.interval90
+    sd = float(np.log(high / low)) / (2 * Z90)
+    # Finders search two of their sigmas to either side.
+    sd = float(np.clip((Z90 + BEYOND_SIGMAS) / 2 * sd, LEAST_SOUGHT, MOST_SOUGHT))
+    return replace(anchors_at(source, scale.value, sd, choices, own, country, effort, progress), without=scale)
+
+
+def anchors_at(
+    source: Source,
+    metres_per_unit: float,
+    sd: float,
+    choices: Sequence[str],
+    own: Mapping[str, tuple[Standard, ...]],
+    country: str,
+    effort: Effort,
+    progress: Progress | None = None,
+    share: float = 1.0,
+) -> Searched:
+    """The anchors in `source`, of roughly `metres_per_unit`, within twice the relative one-sigma `sd` of it.
+
+    choices : of `--anchors`. own : a user's standards by kind, which take the place of the finders'. country : ISO
+    code, empty where not known. An orthophoto is looked at as it is, a reconstruction in its pictures of the ground.
+    share : of the usual effort.
+    """
+    from ..anchors.search import ENOUGH_ANCHORS, MOST_PIXELS, Sought, search
+
+    wanted = kinds.chosen(choices, own)
+    views = _views(source) if wanted else {}
+    if not views:
+        return Searched()
+    pictures = [(picture, metres_per_unit * unit) for picture, unit in views.values()]
+    sought, notes = [], []
+    for kind in wanted:
+        finder = kinds.finder(kind, own)
+        if min(gsd for _, gsd in pictures) > finder.coarsest:
+            notes.append(f"{kind}: too small to be seen at {pictures[0][1]:.2g} m/px, not looked for")
+        else:
+            sought.append(Sought(finder, pictures))
+    found = search(
+        sought,
+        sd,
+        country,
+        worker_count(effort.workers),
+        effort.cache,
+        effort.exhaustive,
+        effort.seed,
+        share * MOST_PIXELS,
+        ENOUGH_ANCHORS * (1 if source.posed is None else FRAMES_EACH),
+        None if progress is None else partial(progress, "Looking for anchors"),
+    )
+    if source.posed is not None:
+        ground: dict[str, GroundView] = {view.name: view for view in source.posed.ground_pictures}
+        votes = votes_in_model(found, ground, 4 * sd)
+    else:
+        votes = votes_in_plan(found, 4 * sd)
+    votes = [vote.of(own.get(vote.anchor.kind)) for vote in votes]
+    return Searched(tuple(found), tuple(votes), notes=tuple(notes))
+
+
+def at_any_scale(
+    source: Source,
+    rough: tuple[float, float] | None,
+    choices: Sequence[str],
+    own: Mapping[str, tuple[Standard, ...]],
+    country: str,
+    effort: Effort,
+    progress: Progress | None = None,
+) -> Searched:
+    """The anchors in `source`, of which nobody knows the scale: looked for on a ladder of them.
+
+    rough : metres per unit and its relative one-sigma, where something tells; else all of LADDER is tried.
+    """
+    units = [unit for _, unit in _views(source).values()]
+    if not units or not kinds.chosen(choices, own):
+        return Searched()
+    if rough is None:
+        low, high = (math.log(gsd / float(np.median(units))) for gsd in LADDER)
+    else:
+        low, high = (math.log(rough[0]) + k * rough[1] for k in (-2, 2))
+    count = max(1, math.ceil((high - low) / (4 * RUNG_SD)))
+    edges = np.linspace(low, high, count + 1)
+    found: dict[str, list[AnchorVote]] = {}
+    notes: list[str] = []
+    every: list[Anchor] = []
+    for middle in (edges[:-1] + edges[1:]) / 2:
+        rung = anchors_at(
+            source, float(np.exp(middle)), RUNG_SD, choices, own, country, effort, progress, share=1 / count
+        )
+        every += rung.anchors
+        for vote in rung.votes:
+            found.setdefault(vote.anchor.kind, []).append(vote)
+    votes = [vote for these in found.values() for vote in _one_thing_once(these, high - low)]
+    return Searched(tuple(every), tuple(votes), notes=tuple(notes))
+
+
+def _one_thing_once(votes: Sequence[AnchorVote], window: float) -> list[AnchorVote]:
+    """Of anchors of one kind that several scales show in one place and of one size, one, with the standards of all."""
+    kept: list[AnchorVote] = []
+    for vote in sorted(votes, key=lambda v: (v.anchor.false, v.relative_sd)):
+        for k, other in enumerate(kept):
+            near = float(np.linalg.norm(vote.place - other.place)) < other.units / 2
+            if near and abs(np.log(vote.units / other.units)) < SAME_ON_RUNGS:
+                both = tuple(dict.fromkeys([*other.anchor.standards, *vote.anchor.standards]))
+                kept[k] = replace(other, anchor=replace(other.anchor, standards=both))
+                break
+        else:
+            kept.append(replace(vote, window=window))
+    return kept
+
+
+def _views(source: Source) -> dict[str, tuple[Picture, float]]:
+    """By name, the pictures that show the ground from above, and source units per pixel of each."""
+    if source.plan is not None:
+        return {source.plan.name: (source.plan, 1.0)}
+    assert source.posed is not None, "it is one of the two"
+    return {view.name: (view, view.unit_per_pixel) for view in source.posed.ground_pictures if view.frame is not None}
+
+
+def _of_words(text: str) -> list[tuple[str, Standard]]:
+    name, _, figures = text.partition("=")
+    try:
+        metres, *sd = (number(word) for word in figures.split(","))
+        if not 0 < metres < 1e4 or len(sd) > 1 or (sd and not 0 < sd[0] < metres):
+            raise ValueError("expected positive metres, and at most one sigma")
+    except (ValueError, OverflowError) as error:
+        raise UsageError(f"--anchor {shown(text)!r}: {reason(error)}", STANDARD_HINT) from error
+    return [(_kind(name), _standard("your own", metres, sd[0] if sd else None, "given by --anchor"))]
+
+
+def _of_file(path: Path) -> list[tuple[str, Standard]]:
+    from ..formats.reading import read
+    from ..formats.schemas import AnchorStandards
+
+    entries = read(path, AnchorStandards, "a file of standards", STANDARD_HINT).standards
+    return [(_kind(e.kind), _standard(e.name, e.metres, e.sd, e.source or str(path))) for e in entries]
+
+
+def _standard(name: str, metres: float, sd: float | None, source: str) -> Standard:
+    return Standard(name, metres, OWN_SD if sd is None else sd / metres, source)
+
+
+def _kind(name: str) -> str:
+    """The kind that a user's word means: its name, or a part of it that no other has. Raises UsageError."""
+    word = name.strip().lower().replace("-", " ").replace("_", " ")
+    known = [*kinds.ANCHOR_KINDS]
+    meant = [kind for kind in known if kind == word] or [kind for kind in known if word and word in kind]
+    if len(meant) != 1:
+        raise UsageError(
+            f"--anchor: no kind of anchor is called {shown(name)!r}"
+            if not meant
+            else f"--anchor: {shown(name)!r} may be {' or '.join(meant)}",
+            f"Kinds: {', '.join(map(kinds.slug, known))}.",
+        )
+    return meant[0]

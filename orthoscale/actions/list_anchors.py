@@ -1,0 +1,81 @@
+"""All anchors of a source, for a person to judge: listed, drawn, and as a layer."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ..core.scale import Scale
+from ..core.source import Source
+from ..detect.find import Progress
+from ..errors import UsageError
+from ..report.anchor_sheet import draw_anchors
+from ..report.anchors import entries, write_anchor_layer
+from ..report.document import write_json
+from ..sources.opening import open_source
+from .anchors import MOST_SOUGHT, Searched, anchors_at, look_for_anchors, own_standards
+from .estimate import effort_of, measured
+from .requests import EstimateRequest
+from .whose import country_of, named_fleet
+
+WITH_A_SCALE = ("fleet", "images", "anchors", "anchor", "workers", "cache")  # options that matter where it is told
+FORMAT_OF_LISTS = "orthoscale anchors 1"
+
+
+@dataclass(frozen=True)
+class AnchorList:
+    """What was found in a source, and at what scale [m per unit]; `scale` is None where that was told."""
+
+    source: Source
+    searched: Searched
+    metres_per_unit: float
+    scale: Scale | None
+
+    def document(self) -> dict[str, Any]:
+        """Plain values; the anchors as in a report."""
+        kinds = {vote.anchor.kind for vote in self.searched.votes}
+        return {
+            "format": FORMAT_OF_LISTS,
+            "input": str(self.source.path),
+            "unit": self.source.unit,
+            "scale": self.metres_per_unit,
+            "told": self.scale is None,
+            "anchors": entries(self.searched.votes, self.metres_per_unit, kinds),
+            "notes": [*self.searched.notes],
+        }
+
+    def write(self, folder: Path) -> None:
+        """anchors.json, anchors.png, and of an orthophoto anchors.gpkg, into an empty folder. Raises OutputError."""
+        told = self.document()
+        write_json(told, folder / "anchors.json")
+        draw_anchors(told["anchors"], self.source, folder / "anchors.png")
+        if self.source.plan is not None and told["anchors"]:
+            place = self.source.plan.place(self.metres_per_unit, keep_origin=True)
+            write_anchor_layer(told["anchors"], place, folder / "anchors.gpkg")
+
+
+def list_anchors(
+    path: str | Path | Source, request: EstimateRequest, scale: float | None = None, progress: Progress | None = None
+) -> AnchorList:
+    """All anchors in the input at `path` of the kinds that `request` names, everywhere in it.
+
+    scale : rough metres per unit of the source, good to a tenth; by default its vehicles are measured. Raises as
+    `estimate` does.
+    """
+    own = own_standards(request.anchor)
+    effort = replace(effort_of(request), exhaustive=True)
+    if scale is None:
+        result = measured(path, replace(request, anchors=("none",), anchor=()), progress)
+        country = result.method.country
+        found = look_for_anchors(result.source, result.scale, request.anchors, own, country, effort, progress)
+        return AnchorList(result.source, found, result.scale.value, result.scale)
+    if not (scale > 0 and math.isfinite(scale)):
+        raise UsageError(f"--scale must be a positive number, not {scale}")
+    request.refuse_others(WITH_A_SCALE, "--scale says how large the input is: no vehicles are measured")
+    source = open_source(path, request.images) if isinstance(path, (str, Path)) else path
+    request.check_for(source)
+    country = country_of(source, named_fleet(request.fleet, None))
+    found = anchors_at(source, scale, MOST_SOUGHT / 4, request.anchors, own, country, effort, progress)
+    return AnchorList(source, found, scale, None)

@@ -1,0 +1,123 @@
+"""Rows of painted parking bays, by the pitch of their lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from ..core.anchors import Anchor, Standard
+from ..tables import standards as tables
+from .ladders import Ladder, crowded, find_ladders, levels, refined
+from .rules import LOCAL_STRETCH, holding, sizes, within_reach
+from .strokes import find_strokes, paint_light, painted
+
+FOOT = 0.3048  # [m]
+BAY_BUILT = 0.013  # one sigma of a row's mean pitch about its feet: American lots, 2.55 to 2.64 m and 2.69 to 2.78 m
+BAY_PLACE_SD = 0.05  # of one place's bays about its country's mean, beside what the table says [m]
+
+IN_FEET = tuple(
+    Standard(
+        f"bays of {feet:g} ft",
+        feet * FOOT,
+        BAY_BUILT,
+        "9 x 18 ft usual, 8.5 to 9 ft wide (easycivil.com); American lots of a foot per pixel show these four",
+        share,
+        ("US",),
+    )
+    for feet, share in ((8.5, 0.25), (9.0, 0.5), (9.5, 0.15), (10.0, 0.1))
+)
+
+BAY_FALSE = 0.03  # none of 37 rows on 62 Mpx of American chips was something else; one more is reckoned
+
+BAY_LINE_SIGMA = 0.09  # of the ridges' smoothing [m]: lines are 0.10 to 0.15 m wide
+BAY_THINNEST = 0.8  # of that smoothing [px]
+BAY_SHORTEST, BAY_LONGEST = 2.2, 13.0  # of lines [m]: part of one under a vehicle, and two rows nose to nose
+BAY_FEWEST = 6  # lines
+BAY_REGULAR = 4.5  # natural logarithm of how much likelier such a row is as one than by chance
+BAY_FILLED = 0.7  # of the places taken
+BAY_UNEVEN = 0.35  # of their length: one sigma of the lines' lengths
+BAY_CROWDED = 0.15  # of the bays with a line through their middle
+BAY_ASKEW = 0.3  # of their length: how far lines are shifted along themselves, rms; vehicles hide ends
+BAY_FANNED = np.sin(np.radians(6))  # at most from the first line to the last: rows in a bend have no pitch
+BAY_AMONG = 0.7  # of the mean curvature around: vehicles' edges are stronger than lines
+BAY_SAME_GROUND = 0.5  # of the contrast, by which the ground past one end may differ from that beside: the aisle
+BAY_CONTRAST = 8.0  # grey levels between lines and the ground beside them
+BAY_ASIDE, BAY_PAST = 0.45, 1.2  # of the lines and of their ends, where that ground is seen [m]
+
+
+BAY_REGIONS: dict[str, tuple[str, ...]] = {"WORLD": (), "GCC": ("AE", "BH", "KW", "OM", "QA", "SA")}
+"""Rows of the table that are not countries."""
+
+
+@cache
+def bay_standards() -> tuple[Standard, ...]:
+    """Those in feet, and the table's of the other countries; the world's is everywhere's."""
+    rows = [
+        Standard(
+            f"bays of {row['width']:.2f} m",
+            row["width"],
+            float(np.hypot(row["width_sd"], BAY_PLACE_SD) / row["width"]),
+            row["source"],
+            countries=BAY_REGIONS.get(code, (code,)),
+        )
+        for code, row in tables().stalls.items()
+        if code != "US"
+    ]
+    return (*IN_FEET, *rows)
+
+
+@dataclass(frozen=True)
+class ParkingBays:
+    """Finds rows of painted parking bays (an `AnchorFinder`) of any of the `standards`."""
+
+    standards: tuple[Standard, ...] = field(default_factory=bay_standards)
+    kind = "parking bays"
+    extent = 60.0
+    finest = 0.10
+    coarsest = 0.32
+
+    def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
+        """See `AnchorFinder.find`."""
+        standards = holding(self.standards, country)
+        if min(image.shape[:2]) < BAY_SHORTEST / gsd:
+            return []
+        low, high = sizes(standards, gsd, gsd_sd)
+        light = paint_light(image)
+        strokes = find_strokes(light, max(BAY_LINE_SIGMA / gsd, BAY_THINNEST), BAY_SHORTEST / gsd, BAY_AMONG)
+        found = []
+        for ladder in find_ladders(strokes[strokes.length < BAY_LONGEST / gsd], low, high, BAY_FEWEST):
+            meant = within_reach(standards, ladder.row.period, gsd, gsd_sd)
+            if meant and crowded(ladder, strokes) <= BAY_CROWDED and _are_bays(image, ladder, gsd):
+                found.append(_anchor(refined(light, ladder, max(BAY_ASIDE / gsd, 2.0)), meant))
+        return found
+
+
+def _are_bays(image: np.ndarray, ladder: Ladder, gsd: float) -> bool:
+    """Whether its lines are equal and painted, with the same ground left, right and in the aisle."""
+    if ladder.row.filled < BAY_FILLED or ladder.row.regularity < BAY_REGULAR or ladder.fanned > BAY_FANNED:
+        return False
+    if np.std(ladder.strokes.length) > BAY_UNEVEN * ladder.length or ladder.askew > BAY_ASKEW:
+        return False
+    seen = levels(image, ladder, BAY_ASIDE / gsd, BAY_PAST / gsd)
+    paint, sides, past = (np.median(place, axis=-2) for place in (seen.paint, seen.beside, seen.beyond))
+    contrast = (paint - sides)[:, :2].mean(1).min()
+    aisle = np.abs(past - sides.mean(0))[:, :2].mean(1).min() < BAY_SAME_GROUND * contrast
+    return contrast > BAY_CONTRAST and bool(aisle) and all(painted(paint, side) for side in sides)
+
+
+def _anchor(ladder: Ladder, meant: tuple[Standard, ...]) -> Anchor:
+    row = ladder.row
+    return Anchor(
+        kind=ParkingBays.kind,
+        place=ladder.strokes.centre.mean(0),
+        lines=ladder.lines(),
+        pixels=row.period,
+        relative_sd=float(np.hypot(ladder.relative_sd, LOCAL_STRETCH)),
+        residual=row.residual,
+        standards=meant,
+        false=BAY_FALSE,
+        count=len(row.number),
+    )

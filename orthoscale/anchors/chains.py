@@ -1,0 +1,122 @@
+"""Chains: equal strokes one behind the other at one period, as broken lane lines are painted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from .periods import Row, find_row
+from .strokes import Strokes, values
+
+IN_LANE = np.sin(np.radians(4))  # of a stroke's own direction, the next lies within
+LANE_TURN = np.cos(np.radians(8))  # from one stroke to the next, lanes bend no more
+UNLIKE_DASHES = 1.5  # ratio of lengths of neighbours
+LINKED = 3.1  # periods: two dashes under vehicles are missing
+
+
+@dataclass(frozen=True)
+class Chain:
+    """strokes : (M,) those of one chain in order. row : their places along it, corners counted along the chords."""
+
+    strokes: Strokes
+    row: Row
+
+    @property
+    def length(self) -> float:
+        """Of its strokes [px]."""
+        return float(np.median(self.strokes.length))
+
+    @property
+    def relative_sd(self) -> float:
+        """One sigma of the period, of the fit."""
+        return self.row.sd / self.row.period
+
+    def lines(self) -> np.ndarray:
+        """(M, 2, 2) the strokes at their fitted places, each as long as their median, from end to end [px]."""
+        along = _forward(self.strokes)
+        centre = self.strokes.centre - self.row.residual[:, None] * along
+        return np.stack([centre - along * self.length / 2, centre + along * self.length / 2], 1)
+
+
+def find_chains(strokes: Strokes, low: float, high: float, fewest: int) -> Iterator[Chain]:
+    """Chains of `strokes` with a period from `low` to `high` [px] and at least `fewest` strokes."""
+    if len(strokes) < fewest:
+        return
+    for path in _paths(strokes, low, high):
+        rest = path
+        while len(rest) >= fewest:
+            steps = np.linalg.norm(np.diff(strokes.centre[rest], axis=0), axis=1)
+            row = find_row(np.concatenate([[0.0], np.cumsum(steps)]), low, high, fewest)
+            if row is None:
+                break
+            yield Chain(strokes[rest[row.member]], row)
+            rest = np.delete(rest, row.member)
+
+
+def _paths(strokes: Strokes, low: float, high: float) -> list[np.ndarray]:
+    """Strokes in line, each linked to the nearest before and behind it."""
+    pairs = cKDTree(strokes.centre).query_pairs(LINKED * high, output_type="ndarray")
+    if not len(pairs):
+        return []
+    i, j = pairs.T
+    apart = strokes.centre[j] - strokes.centre[i]
+    distance = np.linalg.norm(apart, axis=1)
+    unit = apart / distance[:, None]
+    off = [np.abs(unit[:, 0] * strokes.along[k, 1] - unit[:, 1] * strokes.along[k, 0]) for k in (i, j)]
+    shorter = np.minimum(strokes.length[i], strokes.length[j])
+    longer = np.maximum(strokes.length[i], strokes.length[j])
+    linked = (np.maximum(*off) < IN_LANE) & (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > LANE_TURN)
+    linked &= (longer < UNLIKE_DASHES * shorter) & (distance > 0.9 * low) & (distance > 1.2 * longer)
+    i, j = np.concatenate([i[linked], j[linked]]), np.concatenate([j[linked], i[linked]])
+    distance, unit = np.tile(distance[linked], 2), np.concatenate([unit[linked], -unit[linked]])
+    # Of all that lie before, or behind, a stroke the nearest: a link is one on which both ends agree.
+    side = ((unit * strokes.along[i]).sum(1) > 0).astype(int)
+    nearest = np.full((len(strokes), 2), -1)
+    order = np.argsort(-distance)  # the nearest is written last
+    nearest[i[order], side[order]] = j[order]
+    mutual = (nearest[i, side] == j) & (nearest[j] == i[:, None]).any(1)
+    i, j, n = i[mutual], j[mutual], len(strokes)
+    label = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)[1]
+    order = np.argsort(label, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+    return [_in_order(strokes, group) for group in groups if len(group) > 1]
+
+
+def _in_order(strokes: Strokes, group: np.ndarray) -> np.ndarray:
+    """`group` along its longest extent: lanes bend, but do not turn back within a chain."""
+    off = strokes.centre[group] - strokes.centre[group].mean(0)
+    return group[np.argsort(off @ np.linalg.svd(off, full_matrices=False)[2][0])]
+
+
+def _forward(strokes: Strokes) -> np.ndarray:
+    """(M, 2) unit vectors along the strokes, each towards the next."""
+    step = np.gradient(strokes.centre, axis=0)
+    way = np.sign((step * strokes.along).sum(1))
+    return strokes.along * np.where(way == 0, 1, way)[:, None]
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Colours on and around a chain, medians over each stroke. paint : (M, 3) on the strokes. gap : (M - 1, 3) on the
+    line between neighbours. side : (2, M, 3) beside the strokes, left and right."""
+
+    paint: np.ndarray
+    gap: np.ndarray
+    side: np.ndarray
+
+
+def levels(image: np.ndarray, chain: Chain, aside: float) -> Levels:
+    """Of RGB uint8 `image`; `aside` : how far beside the strokes [px]."""
+    lines = chain.lines()
+    along = _forward(chain.strokes)
+    across = np.stack([-along[:, 1], along[:, 0]], -1)
+    share = np.linspace(0.15, 0.85, 15)[:, None, None]
+    on = lines[:, 0] * (1 - share) + lines[:, 1] * share
+    between = lines[:-1, 1] * (1 - share) + lines[1:, 0] * share
+    beside = np.stack([on - aside * across, on + aside * across], 1)
+    return Levels(*(np.median(values(image, place), axis=0) for place in (on, between, beside)))

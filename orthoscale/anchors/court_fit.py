@@ -1,0 +1,246 @@
+"""The fit of a court's strokes to the centres of bright lines, in the picture's own pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from ..core.pooling.posterior import ROBUST_SD
+from .court_models import Court, Pieces
+
+WINDOWS = (0.9, 0.65, 0.5, 0.4)  # [m] about a stroke where its paint is looked for, round by round
+LEAST_WINDOW = 1.3  # [px] but never closer than this
+PAINT_SD = 0.05  # [m] one sigma of the ridge filter, of the width of the paint ...
+LINE_SD = 0.75  # [px] ... and at least of what a camera leaves of a line
+BLURRED_SD = 0.7  # [px] one sigma of what lens and pixels make of a thin line
+BESIDE = 2.0  # [m] from a stroke, where another one may disturb it
+PIECE = 1.2  # [m] of strokes, and of so many pixels at least:
+PIECE_PX = 5.0
+FREE = 1.0  # [m] and [px] from any paint: there the picture must be blank
+FREE_PX = 2.2
+CLOSE = 0.16  # [m] and [px]: a stroke is seen where a ridge is so close to it
+CLOSE_PX = 0.6
+CLEAR_NOISES = 2.5  # noises: a ridge this strong is one, and is that of a stroke ...
+FAINT = 0.25  # ... if it has this share of the typical stroke's strength;
+MARRING = 0.5  # with this share it contradicts a blank
+ROUNDING = 0.1  # [grey levels] of noise at least
+FEWEST_PIECES = 12  # on ridges, that a fit needs
+HOPELESS = 0.45  # of the pieces on ridges after the first round: less becomes no court
+SAMPLES_PX = 0.8  # [px] along a piece
+SEEN = 0.5  # of a stroke's pieces on ridges: the stroke is seen
+LEAST_SD = 0.01  # [m] of the ridges about a fit
+PRIOR_SD = 0.1  # [ln] by which a round may change a pixel size
+
+
+@dataclass(frozen=True)
+class CourtFit:
+    """court : what was fitted. place : (2,) [px]. angle : of the court's length [rad] from +x, clockwise on screen. along, across : pixels per
+    metre. along_sd, across_sd : their relative one sigma by the scatter about the fit alone.
+    residual : (M,) of the ridges that were found, across the strokes [px]. lit : share of the painted length that lies
+    on ridges. seen : (S,) the same of each stroke. marred : share of the blank places that ridges cross.
+    scatter : root mean square of `residual`, as a share of the most it may be; 0.58 if ridges are anywhere.
+    contrast : of the paint, in units of the noise."""
+
+    court: Court
+    place: np.ndarray
+    angle: float
+    along: float
+    across: float
+    along_sd: float
+    across_sd: float
+    residual: np.ndarray
+    lit: float
+    seen: np.ndarray
+    marred: float
+    scatter: float
+    contrast: float
+
+    def points(self, metres: np.ndarray) -> np.ndarray:
+        """(..., 2) [px] of points (..., 2) of the court [m]."""
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        return self.place + metres * (self.along, self.across) @ np.array([[c, s], [-s, c]])
+
+
+@lru_cache(maxsize=64)
+def _pieces(court: Court, length: float, free: float) -> tuple[Pieces, Pieces]:
+    return court.pieces(length), court.blanks(length, free)
+
+
+@lru_cache(maxsize=64)
+def _neighbours(court: Court, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the pieces that a stroke beside them runs along, and how far off it is, to the normal's side [m]."""
+    pieces = court.pieces(length)
+    along = np.stack([np.cos(pieces.direction), np.sin(pieces.direction)], -1)
+    gap = pieces.middle[None] - pieces.middle[:, None]
+    beside = np.abs((gap * along[:, None]).sum(-1)) <= pieces.length[:, None] / 2
+    off = gap[..., 1] * along[:, None, 0] - gap[..., 0] * along[:, None, 1]
+    parallel = np.abs(np.sin(pieces.direction - pieces.direction[:, None])) < 0.1
+    one, other = np.nonzero(beside & parallel & (np.abs(off) < BESIDE) & (pieces.stroke != pieces.stroke[:, None]))
+    return one, off[one, other]
+
+
+def _pushed(court: Court, length: float, size: float) -> np.ndarray:
+    """(P,) how far [px] the ridge of each piece is moved by that of a stroke beside it: the peak of the sum of two
+    second derivatives of Gaussians, to first order. Only where strokes are a few pixels apart."""
+    one, off = _neighbours(court, length)
+    variance = max(LINE_SD, PAINT_SD * size) ** 2 + BLURRED_SD**2
+    r = off * size
+    slope = (r**3 / variance**2 - 3 * r / variance) * np.exp(-0.5 * r**2 / variance)
+    return np.bincount(one, -slope * variance / 3, len(court.pieces(length).length))
+
+
+@lru_cache(maxsize=64)
+def _kernel(count: int, step: float, sd: float, core: int) -> np.ndarray:
+    """(count, 2 core + 1): second derivative of a Gaussian at the middle offsets of a band, unit sum of its size."""
+    offset = (np.arange(count) - count // 2) * step
+    r = (offset[:, None] - offset[None, count // 2 - core : count // 2 + core + 1]) / sd
+    kernel = (1 - r**2) * np.exp(-0.5 * r**2)
+    kernel -= kernel.mean(0)
+    return kernel / np.abs(kernel).sum(0)
+
+
+@dataclass
+class _Bands:
+    """Ridge responses (P, O) across pieces at offsets (O,) [px]; inside (P,) whether the picture shows all of it."""
+
+    response: np.ndarray
+    offset: np.ndarray
+    inside: np.ndarray
+
+    def noise(self) -> float:
+        """One sigma of the response where nothing is painted."""
+        return ROBUST_SD * float(np.median(np.abs(self.response))) + ROUNDING
+
+    def peaks(self, window: float) -> tuple[np.ndarray, np.ndarray]:
+        """Offset [px] and strength (P,) of the strongest ridge within `window` [px]; strength 0 where there is none."""
+        core = np.abs(self.offset) <= window
+        inner = self.response[:, core]
+        best = inner.argmax(1) + np.argmax(core)
+        row = np.arange(len(best))
+        last = len(self.offset) - 1
+        left, middle, right = (self.response[row, np.clip(best + d, 0, last)] for d in (-1, 0, 1))
+        bend = left - 2 * middle + right
+        shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, -1), 0)
+        peak = (middle >= left) & (middle >= right) & (best > 0) & (best < last) & self.inside
+        step = self.offset[1] - self.offset[0]
+        return self.offset[best] + np.clip(shift, -1, 1) * step, np.where(peak, np.maximum(middle, 0), 0)
+
+
+def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float) -> _Bands:
+    x, y, angle, along, across = pose
+    size = np.sqrt(along * across)
+    sd = max(LINE_SD, PAINT_SD * size)
+    step = sd / 3
+    core = int(np.ceil(window / step)) + 1
+    reach = core + int(np.ceil(3.5 * sd / step))
+    offset = np.arange(-reach, reach + 1) * step
+    inner = int(np.clip(np.ceil(pieces.length.max() * size / SAMPLES_PX), 3, 12))
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, s], [-s, c]]) * [[along], [across]]
+    middle = np.array([x, y]) + pieces.middle @ turn
+    step_along = np.stack([np.cos(pieces.direction), np.sin(pieces.direction)], -1) @ turn
+    unit = step_along / np.hypot(*step_along.T)[:, None]
+    part = (np.arange(inner) + 0.5) / inner - 0.5
+    base = middle[:, None] + (pieces.length[:, None] * part)[..., None] * step_along[:, None]
+    normal = np.stack([-unit[:, 1], unit[:, 0]], -1)
+    grid = base[:, :, None] + offset[:, None] * normal[:, None, None]
+    grid = grid.reshape(-1, len(offset), 2).astype(np.float32)
+    band = cv2.remap(light, grid[..., 0], grid[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    profile = band.reshape(len(middle), inner, -1).mean(1)
+    height, width = light.shape
+    edge = window / 2
+    inside = (
+        (base[..., 0] >= edge) & (base[..., 0] <= width - 1 - edge)
+        & (base[..., 1] >= edge) & (base[..., 1] <= height - 1 - edge)
+    ).all(1)  # fmt: skip
+    response = profile @ _kernel(len(offset), round(step, 6), round(sd, 6), core)
+    return _Bands(response, offset[reach - core : reach + core + 1], inside)
+
+
+def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: float) -> np.ndarray:
+    """The change [m] by robust least squares (Tukey's weights) of offset = rows @ change [m]."""
+    held = np.diag([1e-4, 1e-4, 1e-2, 0.05**2 / PRIOR_SD**2, 0.05**2 / PRIOR_SD**2])
+    change = np.zeros(rows.shape[1])
+    scale = width / 2
+    robust = weight
+    for _ in range(8):
+        left = offset - rows @ change
+        robust = np.clip(1 - (left / (3 * scale)) ** 2, 0, None) ** 2 * weight
+        by = rows * robust[:, None]
+        change = np.linalg.solve(by.T @ rows + held, by.T @ offset)
+        left = np.abs(offset - rows @ change)
+        scale = float(np.clip(ROBUST_SD * np.average(left, weights=robust + 1e-9), 0.02, width / 2))
+    return change
+
+
+def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, size: float) -> CourtFit | None:
+    """The court near `place` [px], `angle` [rad] and `size` [px/m], in `light` (H, W) float32 grey levels. None where
+    too little of it is seen to fit anything, or the fit leaves the place."""
+    length = round(max(PIECE, PIECE_PX / size), 1)
+    pieces, blanks = _pieces(court, length, round(max(FREE, FREE_PX / size), 1))
+    pushed = _pushed(court, length, size)
+    reach = court.extent * size * 0.6 + 8
+    corner = np.maximum(np.floor(place - reach), 0).astype(int)
+    upper = np.maximum(np.ceil(place + reach), 0).astype(int)
+    light = np.ascontiguousarray(light[corner[1] : upper[1], corner[0] : upper[0]])
+    if min(light.shape) < 8:
+        return None
+    pose = np.array([*(place - corner), angle, size, size])
+    u, v = pieces.middle.T
+    nu, nv = -np.sin(pieces.direction), np.cos(pieces.direction)
+    rows = np.stack([nu, nv, u * nv - v * nu, u * nu, v * nv], 1)
+    for window in WINDOWS:
+        now = float(np.sqrt(pose[3] * pose[4]))
+        window_px = max(window * now, LEAST_WINDOW)
+        if window in WINDOWS[:2]:
+            noise = _measure(light, pose, blanks, CLOSE_PX).noise()
+        bands = _measure(light, pose, pieces, window_px)
+        offset, strength = bands.peaks(window_px)
+        weight = np.clip((strength / noise - 1.5) / 3, 0, 1)
+        if (weight > 0).sum() < FEWEST_PIECES or (
+            window < WINDOWS[0] and (strength > CLEAR_NOISES * noise).mean() < HOPELESS
+        ):
+            return None
+        change = _solve(rows, (offset - pushed) / now, weight, window_px / now)
+        change = np.clip(change, -1, 1)
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        pose[:2] += change[0] * pose[3] * np.array([c, s]) + change[1] * pose[4] * np.array([-s, c])
+        pose[2] += np.clip(change[2], -0.1, 0.1)
+        pose[3:] *= np.exp(np.clip(change[3:], -0.2, 0.2))
+        if not (np.abs(np.log(pose[3:] / size)) < 0.25).all():
+            return None
+    return _judged(light, court, pose, pieces, blanks, rows, pushed, corner)
+
+
+def _judged(light, court, pose, pieces, blanks, rows, pushed, corner) -> CourtFit:
+    size = float(np.sqrt(pose[3] * pose[4]))
+    close = max(CLOSE * size, CLOSE_PX)
+    empty = _measure(light, pose, blanks, close)
+    noise = empty.noise()
+    bands = _measure(light, pose, pieces, max(2 * close, LEAST_WINDOW))
+    offset, strength = bands.peaks(max(2 * close, LEAST_WINDOW))
+    offset = offset - pushed
+    strong = strength[(strength > CLEAR_NOISES * noise) & (np.abs(offset) <= close)]
+    typical = float(np.median(strong)) if len(strong) else 0.0
+    limit = max(CLEAR_NOISES * noise, FAINT * typical)
+    hit = (strength > limit) & (np.abs(offset) <= close)
+    count = np.bincount(pieces.stroke, minlength=len(court.strokes))
+    seen = np.bincount(pieces.stroke, hit, len(court.strokes)) / count
+    across = empty.response[:, np.abs(empty.offset) <= close].max(1)
+    marring = max(CLEAR_NOISES * noise, MARRING * typical)
+    marred = float((across > marring)[empty.inside].mean()) if empty.inside.any() else 1.0
+    sds, scatter = np.ones(2), 1.0
+    if hit.sum() > 8:
+        left = offset[hit] / size
+        by = rows[hit]
+        covariance = np.linalg.pinv(by.T @ by) * max(float((left**2).mean()), LEAST_SD**2)
+        sds = np.sqrt(np.diag(covariance)[3:])
+        scatter = float(np.sqrt((offset[hit] ** 2).mean())) / close
+    return CourtFit(
+        court,
+        corner + pose[:2], float(pose[2]), float(pose[3]), float(pose[4]), float(sds[0]), float(sds[1]),
+        offset[hit], float(np.average(hit, weights=pieces.weight)), seen, marred, scatter, typical / noise,
+    )  # fmt: skip

@@ -1,0 +1,271 @@
+"""Painted courts in metres: their strokes at the centres of the paint.
+
+Rules measure courts to an edge of the paint, tennis to the outer one, FIBA to the inner one; a line of 5 cm makes 0.2
+to 0.5 % of a court. Pictures show its centre. x runs along the court, y across, the origin is in its middle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..core.anchors import Standard
+
+NEXT_TO = 2.1  # [m] beside a stroke, where mostly nothing else is painted
+BEYOND_END = 2.4  # [m] beyond the end of a stroke, up to where it may not go on
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A painted line from `start` to `end`, or, with a `radius` [m], an arc about `start` between two angles [rad] that
+    `end` holds. `weight` : of a metre of it; less for what is often left out. `ends` : whether it stops at its ends."""
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    radius: float = 0.0
+    weight: float = 1.0
+    ends: tuple[bool, bool] = (True, True)
+
+    @property
+    def length(self) -> float:
+        """Of the paint [m]."""
+        if self.radius:
+            return self.radius * abs(self.end[1] - self.end[0])
+        return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]))
+
+    def at(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (N, 2) [m] at `along` [m] from its start, and the directions (N,) [rad] it has there."""
+        if self.radius:
+            turn = self.end[0] + np.sign(self.end[1] - self.end[0]) * along / self.radius
+            return np.array(self.start) + self.radius * np.stack([np.cos(turn), np.sin(turn)], -1), turn + np.pi / 2
+        start, step = np.array(self.start), np.subtract(self.end, self.start) / self.length
+        return start + along[:, None] * step, np.full(len(along), np.arctan2(step[1], step[0]))
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Short pieces of strokes: middle (N, 2) [m], direction, length [m], weight (of the whole piece) and number of the
+    stroke (N,); -1 where nothing is painted."""
+
+    middle: np.ndarray
+    direction: np.ndarray
+    length: np.ndarray
+    weight: np.ndarray
+    stroke: np.ndarray
+
+
+@dataclass(frozen=True)
+class Court:
+    """strokes : what is painted. standard : the rule, and the length by which a court built to it is known.
+    symmetric : by half a turn."""
+
+    strokes: tuple[Stroke, ...]
+    standard: Standard
+    symmetric: bool = True
+
+    @cached_property
+    def extent(self) -> float:
+        """Diameter of all that is painted [m]."""
+        points = self.pieces(1.0).middle
+        return float(2 * np.hypot(*(points - points.mean(0)).T).max() + 1.0)
+
+    @cached_property
+    def groups(self) -> tuple[np.ndarray, ...]:
+        """Numbers of the straight strokes, those of one direction together."""
+        found: dict[float, list[int]] = {}
+        for number, stroke in enumerate(self.strokes):
+            if not stroke.radius:
+                found.setdefault(round(float(stroke.at(np.zeros(1))[1][0]) % np.pi, 6), []).append(number)
+        return tuple(np.array(numbers) for numbers in found.values())
+
+    @cached_property
+    def size(self) -> np.ndarray:
+        """(2,) along and across all that is painted [m]."""
+        return np.ptp(self.pieces(1.0).middle, axis=0)
+
+    def pieces(self, length: float) -> Pieces:
+        """Every stroke cut into equal pieces of about `length` [m]."""
+        parts: list[tuple[np.ndarray, ...]] = []
+        for number, stroke in enumerate(self.strokes):
+            count = max(1, round(stroke.length / length))
+            own = stroke.length / count
+            middle, direction = stroke.at((np.arange(count) + 0.5) * own)
+            same = np.ones(count)
+            parts.append((middle, direction, same * own, same * own * stroke.weight, same * number))
+        middle, direction, own_length, weight, number_ = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return Pieces(middle, direction, own_length, weight, number_.astype(int))
+
+    def blanks(self, length: float, free: float) -> Pieces:
+        """Where nothing is painted: beside the strokes and beyond their ends, in pieces of `length` [m] that are at
+        least `free` [m] from all paint."""
+        painted, fine = self.pieces(length), self.pieces(0.3).middle
+        normal = np.stack([-np.sin(painted.direction), np.cos(painted.direction)], -1)
+        middles, directions = [], []
+        for first, away in enumerate((NEXT_TO, -NEXT_TO)):  # every other piece to each side is enough
+            middles.append((painted.middle + away * normal)[first::2])
+            directions.append(painted.direction[first::2])
+        for stroke in self.strokes:
+            if stroke.radius:
+                continue
+            for end, stops in enumerate(stroke.ends):
+                if stops:
+                    beyond = np.arange(free + length / 2, BEYOND_END, length)
+                    place, direction = stroke.at(stroke.length + beyond if end else -beyond)
+                    middles.append(place)
+                    directions.append(direction)
+        middle, direction = np.concatenate(middles), np.concatenate(directions)
+        step = np.stack([np.cos(direction), np.sin(direction)], -1) * length / 2
+        blank = np.ones(len(middle), bool)
+        for share in (-1, -0.5, 0, 0.5, 1):
+            gap = middle[:, None] + share * step[:, None] - fine
+            blank &= (gap**2).sum(-1).min(1) > free**2
+        middle, direction = middle[blank], direction[blank]
+        same = np.full(len(middle), length)
+        return Pieces(middle, direction, same, same, np.full(len(middle), -1))
+
+    def drawing(self) -> np.ndarray:
+        """(N, 2, 2) all strokes as straight lines from end to end [m]."""
+        lines = []
+        for stroke in self.strokes:
+            count = 1 if not stroke.radius else max(4, int(stroke.length))
+            points, _ = stroke.at(np.linspace(0, stroke.length, count + 1))
+            lines.append(np.stack([points[:-1], points[1:]], 1))
+        return np.concatenate(lines)
+
+
+def _along(y: float, start: float, end: float, weight: float = 1.0, ends: tuple[bool, bool] = (True, True)) -> Stroke:
+    return Stroke((start, y), (end, y), 0.0, weight, ends)
+
+
+def _across(x: float, start: float, end: float, weight: float = 1.0, ends: tuple[bool, bool] = (True, True)) -> Stroke:
+    return Stroke((x, start), (x, end), 0.0, weight, ends)
+
+
+def _arc(x: float, y: float, radius: float, start: float, end: float, weight: float = 0.5) -> Stroke:
+    """Angles in degrees."""
+    return Stroke((x, y), (float(np.radians(start)), float(np.radians(end))), radius, weight)
+
+
+def _box(x: float, y: float) -> list[Stroke]:
+    """The outline of a court, 2 x long and 2 y wide."""
+    return [_along(side * y, -x, x) for side in (-1, 1)] + [_across(side * x, -y, y) for side in (-1, 1)]
+
+
+def _tennis() -> Court:
+    paint, base = 0.05, 0.075  # [m] widths that are painted: 2.5 to 5 cm by the rules, the base line 5 to 10 cm
+    x, y = 23.77 / 2 - base / 2, 10.97 / 2 - paint / 2
+    single, service = 8.23 / 2 - paint / 2, 6.40 - paint / 2
+    lines = [_along(side * at, -x, x) for at in (y, single) for side in (-1, 1)]
+    lines += [_across(side * x, -y, y) for side in (-1, 1)]
+    lines += [_across(side * service, -single, single) for side in (-1, 1)]
+    lines += [_along(0.0, -service, service)]
+    rule = Standard(
+        "ITF tennis court",
+        23.77,
+        0.002,
+        "ITF Rules of Tennis 2024, rule 1: 23.77 x 10.97 m to the outside of the lines, singles 8.23 m, service lines "
+        "6.40 m from the net; the spread is ours, for how exactly they are painted",
+    )
+    return Court(tuple(lines), rule)
+
+
+def _volleyball() -> Court:
+    half = 0.025  # [m] of the paint's width
+    x, y, attack = 9.0 - half, 4.5 - half, 3.0 - half
+    lines = _box(x, y) + [_across(side * attack, -y, y, ends=(False, False)) for side in (-1, 1)]
+    lines += [_across(0.0, -y, y)]
+    rule = Standard(
+        "FIVB volleyball court",
+        18.0,
+        0.004,
+        "FIVB Official Volleyball Rules, rule 1: 18 x 9 m to the outside of the lines of 5 cm, attack lines' rear edges "
+        "3 m from the middle of the centre line; the spread is ours",
+    )
+    return Court(tuple(lines), rule)
+
+
+def _basketball(length: float, width: float, key: float, depth: float, name: str, source: str) -> Court:
+    """length x width [m] to the inside of the lines; the key is `key` wide to its outside, its far edge `depth` from
+    the end line's inner edge."""
+    half = 0.025
+    x, y, k, free = length / 2 + half, width / 2 + half, key / 2 - half, length / 2 - depth + half
+    lines = [*_box(x, y), _across(0.0, -y, y), _arc(0, 0, 1.8 - half, 0, 360)]
+    for side in (-1, 1):
+        lines += [_across(side * free, -k, k)]
+        lines += [_along(at, *sorted((side * free, side * x)), ends=(side > 0, side < 0)) for at in (-k, k)]
+        lines += [_arc(side * free, 0, 1.8 - half, 90 if side > 0 else -90, 270 if side > 0 else 90)]
+    return Court(tuple(lines), Standard(name, length, 0.006, source))
+
+
+def _handball() -> Court:
+    half, post = 0.025, 1.5  # [m] of the paint; of the goal
+    x, y, area = 20.0 - half, 10.0 - half, 6.0 - half
+    lines = [*_box(x, y), _across(0.0, -y, y)]
+    for side in (-1, 1):
+        lines += [_across(side * (x - area), -post, post, ends=(False, False))]
+        for to in (-1, 1):
+            end = {(1, 1): (90, 180), (1, -1): (180, 270), (-1, 1): (0, 90), (-1, -1): (270, 360)}[side, to]
+            lines += [_arc(side * x, to * post, area, *end, weight=1.0)]
+    rule = Standard(
+        "IHF handball court",
+        40.0,
+        0.005,
+        "IHF Rules of the Game, rule 1: 40 x 20 m to the outside of the lines of 5 cm, goal areas of 6 m about the posts "
+        "of a goal of 3 m; futsal (FIFA) is marked alike; the spread is ours",
+    )
+    return Court(tuple(lines), rule)
+
+
+def _padel() -> Court:
+    half = 0.025
+    service, y = 6.95 - half, 5.0
+    lines = [_across(side * service, -y, y, ends=(False, False)) for side in (-1, 1)]
+    lines += [_along(0.0, -service - 0.2, service + 0.2)]
+    rule = Standard(
+        "FIP padel court",
+        13.90,
+        0.004,
+        "FIP Rules of Padel, rule 1: 20 x 10 m between walls, service lines 6.95 m from the net, the centre line 20 cm "
+        "beyond them; the spread is ours",
+    )
+    return Court(tuple(lines), rule)
+
+
+def _penalty_area() -> Court:
+    half = 0.05  # [m] of lines of 10 cm, 12 at most
+    outer = 8.25  # [m] of the goal line's outer edge, from the middle of the area
+    goal, front, near = outer - half, outer - 16.5 + half, outer - 5.5 + half
+    wide, goal_wide = 40.32 / 2 - half, 18.32 / 2 - half
+    lines = [_across(goal, -wide, wide, ends=(False, False)), _across(front, -wide, wide)]
+    lines += [_across(near, -goal_wide, goal_wide)]
+    lines += [_along(at, front, goal, ends=(True, False)) for at in (-wide, wide)]
+    lines += [_along(at, near, goal, ends=(True, False)) for at in (-goal_wide, goal_wide)]
+    spot, radius = outer - 11.0, 9.15 - half
+    reach = float(np.degrees(np.arccos((16.5 - 11.0) / 9.15)))
+    lines += [_arc(spot, 0, radius, 180 - reach, 180 + reach)]
+    rule = Standard(
+        "IFAB penalty area",
+        40.32,
+        0.006,
+        "IFAB Laws of the Game, law 1: 16.5 m into the field and beyond the posts of a goal of 7.32 m, goal area 5.5 m, "
+        "arc of 9.15 m about the mark at 11 m, to the outside of lines of at most 12 cm; the spread is ours",
+    )
+    return Court(tuple(lines), rule, symmetric=False)
+
+
+TENNIS_COURT = _tennis()
+VOLLEYBALL_COURT = _volleyball()
+HANDBALL_COURT = _handball()
+PADEL_COURT = _padel()
+PENALTY_AREA = _penalty_area()
+BASKETBALL_COURTS = (
+    _basketball(28.0, 15.0, 4.9, 5.8, "FIBA basketball court", "FIBA Official Basketball Rules, art. 2: 28 x 15 m to the "
+                "inside of the lines of 5 cm, key 4.9 x 5.8 m, circles of 1.8 m; the spread is ours"),
+    _basketball(28.651, 15.24, 3.66, 5.79, "US college basketball court", "NCAA Basketball Rules, rule 1: 94 x 50 ft to "
+                "the inside of the lines, key 12 ft wide, free-throw line 19 ft from the end line; the spread is ours"),
+    _basketball(25.603, 15.24, 3.66, 5.79, "US high school basketball court", "NFHS Basketball Rules, rule 1: 84 x 50 "
+                "ft to the inside of the lines, key 12 ft wide, free-throw line 19 ft from the end line; the spread is "
+                "ours"),
+)  # fmt: skip

@@ -1,0 +1,229 @@
+"""Where courts may lie: frames on pairs of long parallel ridges, and in each the best place along them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from .court_models import Court
+from .ridges import CLEAR_RIDGE, DIRECTIONS, SEED_PX, Segments, segments, steered
+
+SEED = 0.35  # least mean ridge of a seed
+SEEDS_APART = np.radians(2.5)  # largest angle between two seeds
+LONG_STROKES = 0.6  # of the longest stroke, and of the widest pair of such: what seeds lie on
+SEED_SLACK = 6  # [px] by which a seed may reach beyond its stroke
+ABOUT = np.linspace(-4, 4, 9)  # [m] along a pair, where all the long strokes are asked for
+PROMISING_FRAME = 0.3  # least mean ridge there
+STROKE_ENOUGH = 0.7  # of a clear ridge: no stroke counts for more
+TOGETHER = 64  # frames that are placed at once: for speed and memory
+SAME_SIZE = 0.03  # [ln] and, across the seeds, [px]: frames so near each other say the same
+SAME_PX = 2.0
+FRAMES = 3000  # per megapixel, the most promising; at least:
+FEWEST_FRAMES = 50
+COARSE_PIECE = 1.0  # [m] of strokes whose ridge is asked for once
+APART = 6  # [px] between two places along a pair, and steps of what changes little along it
+PLACES = 2  # along a pair
+LIKELY_PLACE = 0.45  # least mean ridge of a place that is worth a fit
+OTHER_ANGLE = 0.2  # [rad] from which on two poses in one place are two
+NEAR = 0.25  # of a court's width: places so near each other end at the same fit
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where courts may lie: place (N, 2) [px], angle (N,) of their length [rad], px per metre (N,), mean ridge (N,)."""
+
+    place: np.ndarray
+    angle: np.ndarray
+    size: np.ndarray
+    score: np.ndarray
+
+    def only(self, which: np.ndarray) -> Poses:
+        """Those of a mask, or by their numbers."""
+        return Poses(self.place[which], self.angle[which], self.size[which], self.score[which])
+
+
+class Ridges:
+    """The steered ridges of one picture, to be looked up. light : (H, W) float32 grey levels."""
+
+    def __init__(self, light: np.ndarray) -> None:
+        self.maps = steered(light)
+        self.height, self.width = light.shape
+
+    @cached_property
+    def seeds(self) -> Segments:
+        """Straight pieces, of crossing ones the clearest."""
+        return segments(self.maps, SEED)
+
+    def at(self, x: np.ndarray, y: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Ridge that runs in `direction` [rad] at (x, y) [px], CLEAR_RIDGE if clear; 0 outside. Shapes agree."""
+        k = np.rint(direction * (DIRECTIONS / np.pi)).astype(np.int32) % DIRECTIONS
+        column, row = np.floor(x + 0.5).astype(np.int32), np.floor(y + 0.5).astype(np.int32)
+        inside = (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
+        index = (k * self.height + row) * self.width + column
+        return np.where(inside, self.maps.ravel()[np.where(inside, index, 0)], 0)
+
+
+@dataclass(frozen=True)
+class _Family:
+    """Long parallel strokes of a court. direction [rad]. at (L,) across it [m]; low, high (L,) along it [m]."""
+
+    direction: float
+    at: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+@lru_cache(maxsize=64)
+def _families(court: Court) -> tuple[_Family, ...]:
+    """The long strokes of `court` by direction; those of a court without half-turn symmetry both ways round."""
+    lines = [stroke for stroke in court.strokes if not stroke.radius]
+    lines = [line for line in lines if line.length >= LONG_STROKES * max(one.length for one in lines)]
+    found: dict[float, list[tuple[float, float, float]]] = {}
+    for line in lines:
+        points, direction = line.at(np.array([0.0, line.length]))
+        for turn in (0.0,) if court.symmetric else (0.0, np.pi):
+            angle = round(float(direction[0]) % np.pi + turn, 6)
+            c, s = np.cos(angle), np.sin(angle)
+            low, high = sorted(points @ (c, s))
+            found.setdefault(angle, []).append((float(points[0] @ (-s, c)), low, high))
+    return tuple(_Family(angle, *np.array(sorted(rows)).T) for angle, rows in found.items() if len(rows) > 1)
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """Courts whose place along the seeds is not known, (N,) each. angle : of the seeds [rad]. size : px per metre.
+    middle : of the court across the seeds; low, high : between which it lies along them; about : where the seeds are
+    along them [px]; from the picture's origin. promise : mean ridge."""
+
+    angle: np.ndarray
+    size: np.ndarray
+    middle: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    about: np.ndarray
+    promise: np.ndarray
+
+    def only(self, which: np.ndarray | slice) -> _Frames:
+        return _Frames(*(each[which] for each in vars(self).values()))
+
+
+def search(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
+    """Where `court` may lie, one of those near each other, best first, if a metre is `size` [px] within a factor
+    exp(spread)."""
+    found = [Poses(np.zeros((0, 2)), *np.zeros((3, 0)))]
+    for family in _families(court):
+        frames = _framed(ridges, family, size, spread)
+        if len(frames.angle):
+            for start in range(0, len(frames.angle), TOGETHER):
+                found.append(_placed(ridges, court, family, frames.only(np.s_[start : start + TOGETHER])))
+    names = ("place", "angle", "size", "score")
+    poses = Poses(*(np.concatenate([getattr(one, name) for one in found]) for name in names))
+    return _alone(poses.only(np.argsort(-poses.score, kind="stable")), court)
+
+
+def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Frames:
+    seeds = ridges.seeds
+    longest, widest = float((family.high - family.low).max()), float(np.ptp(family.at))
+    reach = size * np.exp(spread) * np.array([longest / 2, widest])
+    pair = cKDTree(seeds.middle).query_pairs(float(np.hypot(*reach)), output_type="ndarray")
+    turn = (seeds.angle[pair[:, 1]] - seeds.angle[pair[:, 0]] + np.pi / 2) % np.pi - np.pi / 2
+    pair, turn = pair[np.abs(turn) <= SEEDS_APART], turn[np.abs(turn) <= SEEDS_APART]
+    angle = seeds.angle[pair[:, 0]] + turn / 2
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    x, y = seeds.middle[pair, 0], seeds.middle[pair, 1]
+    along, across = x * c + y * s, y * c - x * s
+    first = np.argsort(across, axis=1)
+    along, across = np.take_along_axis(along, first, 1), np.take_along_axis(across, first, 1)
+    near = np.abs(np.diff(along, axis=1)[:, 0]) <= reach[0]
+    angle, along, across = angle[near], along[near], across[near]
+    half = SEED_PX / 2 - SEED_SLACK
+    rows = []
+    for p in range(len(family.at)):
+        for q in range(p + 1, len(family.at)):
+            gap = family.at[q] - family.at[p]
+            if gap < LONG_STROKES * widest:  # says little of the size
+                continue
+            own = (across[:, 1] - across[:, 0]) / gap
+            low = (along + half - own[:, None] * family.high[[p, q]]).max(1)
+            high = (along - half - own[:, None] * family.low[[p, q]]).min(1)
+            middle = (across - own[:, None] * family.at[[p, q]]).mean(1)
+            fits = (np.abs(np.log(np.maximum(own, 1e-9) / size)) <= spread) & (high >= low)
+            rows.append(np.stack([angle, own, middle, low, high, along.mean(1), 0 * angle])[:, fits])
+    frames = _Frames(*np.concatenate(rows, 1))
+    promise = _promise(ridges, family, frames)
+    order = np.argsort(-promise, kind="stable")
+    frames = replace(frames, promise=promise).only(order[promise[order] >= PROMISING_FRAME])
+    # of frames that say the same the most promising
+    turn = np.rint(frames.angle / SEEDS_APART)
+    c, s = np.cos(frames.angle - turn * SEEDS_APART), np.sin(frames.angle - turn * SEEDS_APART)
+    scale = np.rint(np.log(frames.size / size) / SAME_SIZE)
+    key = [turn, scale, (frames.middle * c + frames.about * s) // SAME_PX, frames.about // (longest * size / 2)]
+    alone = np.sort(np.unique(np.stack(key, 1), axis=0, return_index=True)[1])
+    return frames.only(alone[: max(FEWEST_FRAMES, round(FRAMES * ridges.width * ridges.height / 1e6))])
+
+
+def _promise(ridges: Ridges, family: _Family, frames: _Frames) -> np.ndarray:
+    """(N,) mean ridge of all the long strokes about the seeds."""
+    c, s = np.cos(frames.angle)[:, None], np.sin(frames.angle)[:, None]
+    along = frames.about[:, None] + frames.size[:, None] * ABOUT
+    total = np.zeros(len(frames.angle))
+    for at in family.at:
+        across = (frames.middle + frames.size * at)[:, None]
+        ridge = ridges.at(along * c - across * s, along * s + across * c, frames.angle[:, None])
+        total += np.minimum(ridge.mean(1) / CLEAR_RIDGE, STROKE_ENOUGH)
+    return total / len(family.at)
+
+
+def _placed(ridges: Ridges, court: Court, family: _Family, frames: _Frames) -> Poses:
+    """The best places along the seeds, a few of each frame."""
+    pieces = court.pieces(COARSE_PIECE)
+    steps = int(np.ceil((frames.high - frames.low).max())) + 1
+    shift = frames.low[:, None] + np.arange(steps)  # (N, T) [px]
+    angle = frames.angle - family.direction
+    c, s = np.cos(family.direction), np.sin(family.direction)
+    weight = (pieces.weight / pieces.weight.sum() / CLEAR_RIDGE).astype(np.float32)
+    turn = frames.angle[:, None, None].astype(np.float32)
+    cos, sin = np.cos(turn), np.sin(turn)
+    size = frames.size[:, None, None]
+    score = np.zeros(shift.shape, np.float32)
+    parallel = np.abs(np.sin(pieces.direction - family.direction)) < 0.1
+    # strokes that cross the seeds need every pixel along them, those beside them only some
+    for which, every in ((~parallel, 1), (parallel, APART)):
+        u, v = pieces.middle[which] @ (c, s), pieces.middle[which] @ (-s, c)
+        along = (shift[:, ::every, None] + size * u).astype(np.float32)
+        across = (frames.middle[:, None, None] + size * v).astype(np.float32)
+        direction = (angle[:, None, None] + pieces.direction[which]).astype(np.float32)
+        ridge = ridges.at(along * cos - across * sin, along * sin + across * cos, direction)
+        part = ridge.astype(np.float32) @ weight[which]
+        place = np.arange(steps) / every
+        left = np.minimum(place.astype(int), part.shape[1] - 1)
+        right = np.minimum(left + 1, part.shape[1] - 1)
+        rest = (place - left).astype(np.float32)
+        score += part[:, left] * (1 - rest) + part[:, right] * rest
+    score[shift > frames.high[:, None] + 1] = -1
+    row, found = np.arange(len(score)), []
+    for _ in range(PLACES):
+        column = score.argmax(1)
+        found.append(np.stack([row, column, score[row, column]], 1))
+        score[np.abs(np.arange(steps) - column[:, None]) < APART] = -1
+    best = np.concatenate(found)
+    best = best[best[:, 2] >= LIKELY_PLACE]
+    row, column = best[:, :2].astype(int).T
+    along, across, cos, sin = shift[row, column], frames.middle[row], cos[row, 0, 0], sin[row, 0, 0]
+    place = np.stack([along * cos - across * sin, along * sin + across * cos], 1)
+    return Poses(place, angle[row], frames.size[row], best[:, 2])
+
+
+def _alone(poses: Poses, court: Court) -> Poses:
+    """Of poses near each other the first."""
+    kept: list[int] = []
+    for i in range(len(poses.score)):
+        gap = np.hypot(*(poses.place[kept] - poses.place[i]).T)
+        turn = poses.angle[kept] - poses.angle[i]
+        turn = np.abs(np.sin(turn)) if court.symmetric else np.abs(np.sin(turn / 2)) * 2
+        if not ((gap < NEAR * min(court.size) * poses.size[i]) & (turn < OTHER_ANGLE)).any():
+            kept.append(i)
+    return poses.only(np.array(kept, int))

@@ -1,0 +1,168 @@
+"""Finders of painted courts: searched where lines are just seen, measured in the picture's own pixels.
+
+What is found counts only if nearly all that the rules say is painted is seen, and little where nothing should be:
+a car park has many parallel lines, but none where a service line would have to be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..core.anchors import Anchor, Standard
+from .court_fit import CourtFit, fit_court
+from .court_models import (
+    BASKETBALL_COURTS,
+    HANDBALL_COURT,
+    PADEL_COURT,
+    PENALTY_AREA,
+    TENNIS_COURT,
+    VOLLEYBALL_COURT,
+    Court,
+)
+from .court_search import Ridges, search
+from .ridges import lightness
+
+SEARCHED = 0.3  # [m/px] of the search, where a line of 5 cm is just seen and a court is small
+ENLARGED = 2.0  # at most: a coarser picture is searched coarser
+SMALLEST_PX = 16  # [px] of a picture's shorter side
+SURE = 0.8  # of a fit's paint is seen: no other court lies on it
+COURTS_OVERLAP = 0.8  # of both sides: courts whose middles are nearer than this overlap
+MARS_TAKE = 1.0  # evidence that a blank which is none takes, per share of all
+PAINT_SCATTER, SCATTER_TAKES = 0.25, 1.5  # of paint hardly more than the first; what more of it takes
+ACCEPTED = 0.01  # above EVEN: least evidence of a court
+STRETCHED = 0.03  # |ln| of the ratio of both pixel sizes, at most
+# From 61 chips with tennis courts and 409 without (`benchmarks/anchors_courts.py`): fits to other things become ten
+# times rarer with every 0.1 of evidence (one in 27 Mpx reaches 0.44), and at EVEN they are as frequent as courts are.
+STEEPNESS = 25.0
+EVEN = 0.54
+NEVER_SURE = 0.002  # what looks like a court to the last line may still be something else
+# One sigma of the pixels per metre along and across a court, beyond the scatter about the fit: what orthophotos
+# distort, and, by the squared GSD [m/px], what a coarse picture leaves of lines. STRETCH_REMAINS is the share of the
+# disagreement of both that remains in their mean. From 148 courts on 61 chips, at 0.30, 0.41 and 0.50 m/px.
+ALONG_SD, ALONG_COARSE = 0.002, 0.016
+ACROSS_SD, ACROSS_COARSE = 0.003, 0.035
+STRETCH_REMAINS = 0.5
+
+
+def evidence(fit: CourtFit) -> float:
+    """What speaks for a court, 1 if all of it is seen and nothing else: half by the length of what is seen, half by the
+    strokes of that direction in which fewer are; less what is seen where nothing should be, and less where the ridges
+    do not lie on straight lines."""
+    seen = 0.5 * fit.lit + 0.5 * min(float(fit.seen[group].mean()) for group in fit.court.groups)
+    return seen - MARS_TAKE * fit.marred - SCATTER_TAKES * max(0.0, fit.scatter - PAINT_SCATTER)
+
+
+def size_of(fit: CourtFit) -> tuple[float, float]:
+    """Pixels per metre, the mean of both directions by their certainty, and its relative one sigma."""
+    sd = np.array([
+        np.sqrt(own**2 + least**2 + (coarse / size**2) ** 2)
+        for own, size, least, coarse in (
+            (fit.along_sd, fit.along, ALONG_SD, ALONG_COARSE),
+            (fit.across_sd, fit.across, ACROSS_SD, ACROSS_COARSE),
+        )
+    ])  # fmt: skip
+    share = sd**-2 / (sd**-2).sum()
+    size = np.log([fit.along, fit.across])
+    own = float(np.sqrt(((share * sd) ** 2).sum() + (STRETCH_REMAINS * (size[0] - size[1])) ** 2))
+    return float(np.exp(share @ size)), own
+
+
+def _resized(light: np.ndarray, gsd: float) -> np.ndarray:
+    factor = min(gsd / SEARCHED, ENLARGED)
+    if abs(np.log(factor)) < 0.05:
+        return light
+    size = [max(1, round(side * factor)) for side in light.shape[::-1]]
+    return cv2.resize(light, size, interpolation=cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC)
+
+
+def _overlap(fit: CourtFit, place: np.ndarray) -> bool:
+    """Whether a court like `fit` with its middle at `place` [px] would lie on it."""
+    c, s = np.cos(fit.angle), np.sin(fit.angle)
+    gap = np.abs(np.array([[c, s], [-s, c]]) @ (place - fit.place)) / (fit.along, fit.across)
+    return bool((gap < COURTS_OVERLAP * fit.court.size).all())
+
+
+@dataclass(frozen=True)
+class CourtFinder:
+    """Finds one kind of painted court, built to any of some rules; see `AnchorFinder`.
+
+    courts : by the rules, each with the standard it is. even : evidence at which what is found is as often something else
+    as a court; more of it is accepted. Other fields are those of the protocol.
+    """
+
+    kind: str
+    courts: tuple[Court, ...]
+    even: float = EVEN
+    finest: float = 0.05
+    coarsest: float = 0.55
+
+    @property
+    def standards(self) -> tuple[Standard, ...]:
+        """That of each court."""
+        return tuple(court.standard for court in self.courts)
+
+    @property
+    def extent(self) -> float:
+        """Diameter of the largest court [m]."""
+        return max(court.extent for court in self.courts)
+
+    def fits(self, image: np.ndarray, gsd: float, gsd_sd: float) -> list[CourtFit]:
+        """The fits of all likely places, court or not, that with most evidence first; arguments as of `find`."""
+        light = lightness(image)
+        small = _resized(light, gsd)
+        factor = np.array(small.shape[::-1]) / light.shape[::-1]
+        zoom = float(np.sqrt(factor.prod()))
+        ridges = Ridges(small)
+        found: list[CourtFit] = []
+        for court in self.courts:
+            own: list[CourtFit] = []
+            poses = search(ridges, court, zoom / gsd, 2 * gsd_sd)
+            for place, angle, size in zip((poses.place + 0.5) / factor - 0.5, poses.angle, poses.size, strict=True):
+                if any(fit.lit > SURE and _overlap(fit, place) for fit in own):
+                    continue
+                fit = fit_court(light, court, place, float(angle), float(size / zoom))
+                if fit is not None:
+                    own.append(fit)
+            found += own
+        return sorted(found, key=evidence, reverse=True)
+
+    def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
+        """The courts in `image`, RGB uint8 (H, W, 3), that do not overlap; see `AnchorFinder`."""
+        if image.ndim != 3 or min(image.shape[:2]) < SMALLEST_PX:
+            return []
+        kept: list[CourtFit] = []
+        for fit in self.fits(image, gsd, gsd_sd):
+            if (
+                evidence(fit) >= self.even + ACCEPTED
+                and abs(np.log(fit.along / fit.across)) <= STRETCHED
+                and abs(np.log(size_of(fit)[0] * gsd)) <= 2 * gsd_sd + STRETCHED / 2
+                and not any(_overlap(other, fit.place) for other in kept)
+            ):
+                kept.append(fit)
+        return [self._anchor(fit) for fit in kept]
+
+    def _anchor(self, fit: CourtFit) -> Anchor:
+        size, sd = size_of(fit)
+        false = 1 / (1 + np.exp(STEEPNESS * (evidence(fit) - self.even)))
+        return Anchor(
+            kind=self.kind,
+            place=fit.place,
+            lines=fit.points(fit.court.drawing()),
+            pixels=size * fit.court.standard.metres,
+            relative_sd=sd,
+            residual=fit.residual,
+            standards=(fit.court.standard,),
+            false=float(max(false, NEVER_SURE)),
+        )
+
+
+TENNIS = CourtFinder("tennis court", (TENNIS_COURT,))
+VOLLEYBALL = CourtFinder("volleyball court", (VOLLEYBALL_COURT,))
+BASKETBALL = CourtFinder("basketball court", BASKETBALL_COURTS)
+HANDBALL = CourtFinder("handball court", (HANDBALL_COURT,))
+PADEL = CourtFinder("padel court", (PADEL_COURT,))
+FOOTBALL = CourtFinder("football penalty area", (PENALTY_AREA,))

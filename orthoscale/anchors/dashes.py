@@ -1,0 +1,153 @@
+"""Broken lane lines, by the period of their dashes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.anchors import Anchor, Standard
+from .chains import Chain, find_chains, levels
+from .rules import LOCAL_STRETCH, holding, sizes, within_reach
+from .strokes import find_strokes, paint_light, painted
+
+LANE_PAINTED = 0.01  # one sigma of a line's mean period about its rule: 66 of 78 American lines are within 1.2 %
+LANE_FALSE = 0.07  # five of 78 American lines are off by 3 to 10 %: painted to no rule, or two lines taken for one
+
+
+def _line(dash: float, gap: float, where: str, source: str, countries: str, prior: float = 1.0) -> Standard:
+    name = f"dashes {dash:g} m, gaps {gap:g} m: {where}"
+    return Standard(name, dash + gap, LANE_PAINTED, source, prior, tuple(countries.split()))
+
+
+LANE_LINES = (
+    (3.048, _line(3.048, 9.144, "lane and centre lines", "MUTCD 2009 3A.06: 10 ft and 30 ft", "US CA")),
+    (6.0, _line(6, 12, "motorways", "RMS (Germany), colliseum.eu; BoMaVO (Austria), helmutobermayer.at", "DE AT")),
+    (4.0, _line(4, 8, "rural roads", "RMS (Germany), stroke to gap 1:2", "DE", 0.7)),
+    (3.0, _line(3, 6, "towns", "RMS (Germany), colliseum.eu: strokes of 3 m in towns, 1:2", "DE")),
+    (3.0, _line(3, 3, "junctions, towns", "RMS (Germany): 1:1 at junctions; BoMaVO (Austria)", "DE AT", 0.7)),
+    (1.5, _line(1.5, 1.5, "through junctions", "RMS (Germany), as lines of Munich show", "DE", 0.4)),
+    (6.0, _line(6, 9, "rural roads", "BoMaVO (Austria), helmutobermayer.at", "AT")),
+    (6.0, _line(6, 9, "60 km/h and more", "GB 51038-2015 12.3.2 (China)", "CN")),
+    (2.0, _line(2, 4, "below 60 km/h", "GB 51038-2015 12.3.2 (China)", "CN")),
+    (3.0, _line(3, 6, "elevated and fast urban roads", "hold-in.cn on Chinese practice", "CN", 0.3)),
+    (8.0, _line(8, 12, "expressways", "order on road signs (Japan), driveplaza.com", "JP KR", 0.7)),
+    (5.0, _line(5, 5, "other roads", "order on road signs (Japan), bike-news.jp", "JP")),
+    (3.0, _line(3, 5, "towns", "road marking manual (Korea), wiki1.kr", "KR")),
+    (5.0, _line(5, 8, "rural roads", "road marking manual (Korea), wiki1.kr", "KR", 0.7)),
+    (10.0, _line(10, 10, "motorways", "road marking manual (Korea), recalled", "KR", 0.7)),
+    (2.0, _line(2, 4, "centre lines to 40 mph", "Traffic Signs Manual 5 table 4-1, diagram 1008", "GB")),
+    (1.0, _line(1, 5, "lane lines to 40 mph", "Traffic Signs Manual 5 table 4-2, diagram 1005", "GB", 0.7)),
+    (3.0, _line(3, 6, "centre lines above 40 mph", "Traffic Signs Manual 5 table 4-1, diagram 1008.1", "GB")),
+    (2.0, _line(2, 7, "lane lines above 40 mph", "Traffic Signs Manual 5 table 4-2, diagram 1005.1", "GB")),
+    (4.0, _line(4, 2, "warning to 40 mph", "Traffic Signs Manual 5 para 4.4: the inverse of 1008", "GB", 0.7)),
+    (6.0, _line(6, 3, "warning above 40 mph", "Traffic Signs Manual 5 para 4.4: the inverse of 1008.1", "GB", 0.7)),
+    (4.5, _line(4.5, 7.5, "above 110 km/h", "DPR 495/1992 art. 138 (Italy)", "IT")),
+    (3.0, _line(3, 4.5, "50 to 110 km/h", "DPR 495/1992 art. 138 (Italy)", "IT")),
+    (3.0, _line(3, 3, "to 50 km/h", "DPR 495/1992 art. 138 (Italy)", "IT")),
+    (5.0, _line(5, 12, "above 100 km/h", "Norma 8.2-IC M-1.1 (Spain)", "ES")),
+    (3.5, _line(3.5, 9, "60 to 100 km/h", "Norma 8.2-IC M-1.2 (Spain)", "ES")),
+    (2.0, _line(2, 5.5, "to 60 km/h", "Norma 8.2-IC M-1.3 (Spain)", "ES")),
+    (3.0, _line(3, 10, "T1", "IISR part 7 art. 113 (France): multiples of 13 m", "FR")),
+    (1.5, _line(1.5, 5, "T'1", "IISR part 7 art. 113 (France): multiples of 13 m", "FR", 0.7)),
+    (3.0, _line(3, 9, "roads", "RONA (Netherlands), wegenwiki.nl; 164/1992 (Finland) 26; Sweden 1:3", "NL FI SE NO")),
+    (1.0, _line(1, 3, "towns", "164/1992 (Finland) 26; theoriecursus.nl", "NL FI", 0.7)),
+    (3.0, _line(3, 7, "roads", "NZTA TCD manual part 5 table 2-28", "NZ")),
+    (3.0, _line(3, 9, "roads", "AS 1742.2, recalled", "AU")),
+    (2.0, _line(2, 6, "to 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 1 to 3 m", "RU BY UA KZ", 0.5)),
+    (1.0, _line(1, 3, "to 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 1 to 3 m", "RU BY UA KZ", 0.5)),
+    (3.0, _line(3, 9, "above 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 3 to 4 m", "RU BY UA KZ")),
+    (4.0, _line(4, 12, "above 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 3 to 4 m", "RU BY UA KZ", 0.5)),
+    (4.0, _line(4, 8, "P-1a, above 70 km/h", "regulation on signs (Poland), recalled", "PL")),
+    (2.0, _line(2, 4, "P-1b, to 70 km/h", "regulation on signs (Poland), recalled", "PL")),
+)
+"""Length of the dash [m] and standard."""
+
+PAINTED_SHARE = {standard: dash / standard.metres for dash, standard in LANE_LINES}
+ANY_SHARE = 0.12, 0.7  # of paint, where a standard does not say
+
+LANE_LINE_SIGMA = 0.09  # of the ridges' smoothing [m]: lines are 0.10 to 0.15 m wide
+LANE_THINNEST = 0.8  # of that smoothing [px]
+LANE_FEWEST = 5  # dashes
+LANE_FILLED = 0.55  # of the places taken: vehicles hide dashes
+LANE_REGULAR = 3.5  # natural logarithm of how much likelier such a row is as one than by chance
+LANE_UNEVEN = 0.2  # of their length: one sigma of the dashes' lengths
+DASH_SD, DASH_DOUBT_PX = 0.12, 1.0  # of its rule: how far a dash's length is off, relative, and in pixels more
+LANE_CONTRAST = 12.0  # grey levels between dashes and the ground beside them
+LANE_SAME_GROUND = 0.35  # of the contrast, by which the ground in the gaps may differ from that beside the dashes
+LANE_ASIDE = 0.5  # of the dashes, where that ground is seen [m]
+
+
+@dataclass(frozen=True)
+class LaneDashes:
+    """Finds broken lane lines (an `AnchorFinder`) of any of the `standards`."""
+
+    standards: tuple[Standard, ...] = tuple(PAINTED_SHARE)
+    kind = "lane dashes"
+    extent = 120.0
+    finest = 0.10
+    coarsest = 0.32
+
+    def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
+        """See `AnchorFinder.find`."""
+        standards = holding(self.standards, country)
+        low, high = sizes(standards, gsd, gsd_sd)
+        slack = low * gsd / min(standard.metres for standard in standards)
+        dashes = [each.metres * share for each in standards for share in _shares(each)]
+        shortest, longest = min(dashes) * 0.8 * slack / gsd, max(dashes) * 1.2 / slack / gsd
+        if min(image.shape[:2]) < shortest:
+            return []
+        strokes = find_strokes(paint_light(image), max(LANE_LINE_SIGMA / gsd, LANE_THINNEST), shortest)
+        found = []
+        for chain in find_chains(strokes[strokes.length < longest], low, high, LANE_FEWEST):
+            meant = within_reach(_like(standards, chain), chain.row.period, gsd, gsd_sd)
+            if meant and _is_line(image, chain, gsd):
+                found.append(_anchor(chain, meant))
+        return found
+
+
+def _shares(standard: Standard) -> tuple[float, float]:
+    """The least and the greatest share of paint that a line built to `standard` has."""
+    share = PAINTED_SHARE.get(standard)
+    return ANY_SHARE if share is None else (share, share)
+
+
+def _like(standards: Sequence[Standard], chain: Chain) -> list[Standard]:
+    """Those whose share of paint is the chain's, which needs no scale."""
+    seen, doubt = chain.length / chain.row.period, DASH_DOUBT_PX / chain.row.period
+    like = []
+    for standard in standards:
+        least, greatest = _shares(standard)
+        if least * (1 - 2 * DASH_SD) - doubt < seen < greatest * (1 + 2 * DASH_SD) + doubt:
+            like.append(standard)
+    return like
+
+
+def _is_line(image: np.ndarray, chain: Chain, gsd: float) -> bool:
+    """Whether its dashes are equal and painted, with the same ground in the gaps as left and right of them."""
+    if chain.row.filled < LANE_FILLED or chain.row.regularity < LANE_REGULAR:
+        return False
+    if np.std(chain.strokes.length) > LANE_UNEVEN * chain.length:
+        return False
+    seen = levels(image, chain, LANE_ASIDE / gsd)
+    paint, gap, sides = np.median(seen.paint, axis=0), np.median(seen.gap, axis=0), np.median(seen.side, axis=1)
+    ground = sides.mean(0)
+    contrast = float((paint - ground)[:2].mean())
+    off = max(float(np.abs(gap - side)[:2].mean()) for side in sides)
+    return contrast > LANE_CONTRAST and off < LANE_SAME_GROUND * contrast and painted(paint, ground)
+
+
+def _anchor(chain: Chain, meant: tuple[Standard, ...]) -> Anchor:
+    row = chain.row
+    return Anchor(
+        kind=LaneDashes.kind,
+        place=chain.strokes.centre.mean(0),
+        lines=chain.lines(),
+        pixels=row.period,
+        relative_sd=float(np.hypot(chain.relative_sd, LOCAL_STRETCH)),
+        residual=row.residual,
+        standards=meant,
+        false=LANE_FALSE,
+        count=len(row.number),
+    )

@@ -1,0 +1,206 @@
+"""Ladders: equal strokes side by side at one pitch, as zebra crossings and parking bays are painted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from .periods import MISSING_IN_A_ROW, Row, find_row, fit_row
+from .strokes import Strokes, values
+
+RUNGS_PARALLEL = np.cos(np.radians(5))
+STEEPEST_SLANT = 1.3  # tangent: how far ahead of one another neighbours stand, in pitches
+RUNGS_BESIDE = 0.5  # of the shorter: neighbours lie side by side for so much of it
+UNLIKE_RUNGS = 1.7  # ratio of lengths of neighbours: a vehicle hides part of one
+BETWEEN_RUNGS = 0.27  # of a pitch from either stroke; two lines drawn for one stand closer
+LEAN_PX = 0.1  # over its length, one sigma by which all strokes lean towards the pixels' axes [px]
+PROFILES = 12  # across each stroke
+LADDERS = 8  # ladders in one cluster of strokes, at most
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """strokes : (M,) those of one ladder in order. row : their places along `across`.
+    along, across : (2,) unit vectors of the strokes and of the pitch."""
+
+    strokes: Strokes
+    row: Row
+    along: np.ndarray
+    across: np.ndarray
+
+    @property
+    def length(self) -> float:
+        """Of its strokes [px]."""
+        return float(np.median(self.strokes.length))
+
+    @property
+    def relative_sd(self) -> float:
+        """One sigma of the pitch: of the fit, and of the direction in which it is measured.
+
+        A slanted row's pitch is taken across the strokes, so an error of their direction tells by the tangent.
+        """
+        step = self.strokes.centre[-1] - self.strokes.centre[0]
+        slant = float(step @ self.along) / max(abs(float(step @ self.across)), 1.0)
+        turn = (self.strokes.along * self.across).sum(1)  # (M,) sines
+        direction = np.hypot(float(np.std(turn)) / np.sqrt(len(turn)), LEAN_PX / self.length)
+        return float(np.hypot(self.row.sd / self.row.period, slant * direction))
+
+    @property
+    def askew(self) -> float:
+        """How far the strokes are shifted along themselves from a straight row, rms, as a share of their length."""
+        ahead = self.strokes.centre @ self.along
+        off = ahead - np.polyval(np.polyfit(self.row.number, ahead, 1), self.row.number)
+        return float(np.sqrt((off**2).mean())) / self.length
+
+    @property
+    def fanned(self) -> float:
+        """How far the strokes turn from the first to the last, sine of the angle."""
+        turn = (self.strokes.along * self.across).sum(1) * np.sign((self.strokes.along * self.along).sum(1))
+        return float(abs(np.polyfit(self.row.number, turn, 1)[0]) * self.row.number[-1])
+
+    def lines(self) -> np.ndarray:
+        """(M, 2, 2) the strokes at their fitted places, from end to end [px]."""
+        centre = self.strokes.centre - self.row.residual[:, None] * self.across
+        half = self.along * self.strokes.length[:, None] / 2
+        return np.stack([centre - half, centre + half], 1)
+
+
+def find_ladders(strokes: Strokes, low: float, high: float, fewest: int) -> Iterator[Ladder]:
+    """Ladders of `strokes` with a pitch from `low` to `high` [px] and at least `fewest` strokes."""
+    if len(strokes) < fewest:
+        return
+    for cluster in _clusters(strokes, low, high, fewest):
+        rest = cluster
+        for _ in range(LADDERS):
+            ladder, used = _ladder(strokes[rest], low, high, fewest)
+            if ladder is None:
+                break
+            yield ladder
+            rest = np.delete(rest, used)
+
+
+def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np.ndarray]:
+    """Strokes that are linked by being side by side, a few pitches apart at most."""
+    reach = (MISSING_IN_A_ROW + 1) * high
+    pairs = cKDTree(strokes.centre).query_pairs(reach * np.hypot(1, STEEPEST_SLANT), output_type="ndarray")
+    if not len(pairs):
+        return []
+    i, j = pairs.T
+    apart = strokes.centre[j] - strokes.centre[i]
+    ahead = np.abs((apart * strokes.along[i]).sum(1))
+    across = np.sqrt(np.maximum((apart**2).sum(1) - ahead**2, 0))
+    shorter = np.minimum(strokes.length[i], strokes.length[j])
+    longer = np.maximum(strokes.length[i], strokes.length[j])
+    overlap = (shorter + longer) / 2 - ahead
+    linked = (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > RUNGS_PARALLEL) & (across > 0.8 * low)
+    linked &= (across < 1.05 * reach) & (longer < UNLIKE_RUNGS * shorter)
+    linked &= (overlap > RUNGS_BESIDE * shorter) | ((ahead < STEEPEST_SLANT * across) & (overlap > 0.25 * shorter))
+    n = len(strokes)
+    graph = coo_array((np.ones(linked.sum()), (i[linked], j[linked])), shape=(n, n))
+    label = connected_components(graph, directed=False)[1]
+    order = np.argsort(label, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+    return [group for group in groups if len(group) >= fewest]
+
+
+def _ladder(strokes: Strokes, low: float, high: float, fewest: int) -> tuple[Ladder | None, np.ndarray]:
+    """The best ladder in a cluster, and which strokes it took."""
+    if len(strokes) < fewest:
+        return None, np.zeros(0, int)
+    along = _direction(strokes)
+    row = find_row(strokes.centre @ _across(along), low, high, fewest)
+    if row is None:
+        return None, np.zeros(0, int)
+    along = _direction(strokes[row.member])  # of its own strokes alone
+    again = find_row(strokes.centre @ _across(along), low, high, fewest)
+    row = again if again is not None else row
+    own = strokes[row.member]
+    return Ladder(own, row, along, _across(along)), row.member
+
+
+def _direction(strokes: Strokes) -> np.ndarray:
+    """(2,) mean direction of the strokes, which have no front: by doubled angles."""
+    turn = 2 * np.arctan2(strokes.along[:, 1], strokes.along[:, 0])
+    mean = np.arctan2((strokes.length * np.sin(turn)).sum(), (strokes.length * np.cos(turn)).sum()) / 2
+    return np.array([np.cos(mean), np.sin(mean)])
+
+
+def _across(along: np.ndarray) -> np.ndarray:
+    return np.array([-along[1], along[0]])
+
+
+def refined(light: np.ndarray, ladder: Ladder, reach: float) -> Ladder:
+    """`ladder` with the centres of its strokes by the centroid of `light` (H, W) across them, to `reach` [px] on either
+    side, and one direction for all: ridges of lines that are a pixel wide lean towards the pixels' axes."""
+    strokes = ladder.strokes
+    share = np.linspace(-0.42, 0.42, PROFILES)
+    offset = np.linspace(-reach, reach, 2 * int(np.ceil(2 * reach)) + 1)
+    t = strokes.length[:, None] * share
+    place = (strokes.centre[:, None] + t[..., None] * ladder.along)[:, :, None] + offset[:, None] * ladder.across
+    seen = values(light, place)  # (M, PROFILES, O)
+    rise = np.linspace(0, 1, len(offset))
+    over = np.maximum(seen - seen[..., :1] * (1 - rise) - seen[..., -1:] * rise, 0)
+    mass = over.sum(-1)
+    centroid = (over * offset).sum(-1) / np.maximum(mass, 1e-6)
+    # Each stroke's line by weighted least squares about its middle; the slope of all is their median.
+    weight = mass / np.maximum(mass.sum(1, keepdims=True), 1e-6)
+    middle, height = (weight * t).sum(1), (weight * centroid).sum(1)
+    off = t - middle[:, None]
+    slope = (weight * off * centroid).sum(1) / np.maximum((weight * off**2).sum(1), 1e-6)
+    common = float(np.median(slope))
+    centre = strokes.centre + (height - common * middle)[:, None] * ladder.across
+    along = ladder.along + common * ladder.across
+    along /= np.linalg.norm(along)
+    own = ladder.along + slope[:, None] * ladder.across
+    own /= np.linalg.norm(own, axis=1, keepdims=True)
+    across = _across(along)
+    row = fit_row(centre @ across, ladder.row.number)
+    return Ladder(Strokes(centre, own, strokes.length, strokes.strength), row, along, across)
+
+
+def crowded(ladder: Ladder, strokes: Strokes) -> float:
+    """Share of the gaps of `ladder` in which another of `strokes` runs beside its own: then the pitch is another."""
+    off = strokes.centre - ladder.strokes.centre[0]
+    first = float(ladder.strokes.centre[0] @ ladder.across)
+    place = (strokes.centre @ ladder.across - ladder.row.start) / ladder.row.period
+    number, phase = np.floor(place).astype(int), place % 1
+    among = (
+        (np.abs(strokes.along @ ladder.along) > RUNGS_PARALLEL) & (phase > BETWEEN_RUNGS) & (phase < 1 - BETWEEN_RUNGS)
+    )
+    among &= (number >= 0) & (number < ladder.row.number[-1]) & (strokes.length > 0.5 * ladder.length)
+    # Where the ladder's own strokes are at that place, for a slanted row.
+    own = (ladder.strokes.centre - ladder.strokes.centre[0]) @ ladder.along
+    there = np.interp(strokes.centre @ ladder.across - first, (ladder.strokes.centre @ ladder.across) - first, own)
+    among &= np.abs(off @ ladder.along - there) < RUNGS_BESIDE * ladder.length
+    return len(np.unique(number[among])) / ladder.row.number[-1]
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Colours on and around a ladder, medians along each stroke. paint, ground : (M, 3) and (M - 1, 3) on the strokes
+    and midway between neighbours. beside : (2, M, 3) left and right of the strokes. beyond : (2, M, 3) on their axes
+    past both ends."""
+
+    paint: np.ndarray
+    ground: np.ndarray
+    beside: np.ndarray
+    beyond: np.ndarray
+
+
+def levels(image: np.ndarray, ladder: Ladder, aside: float, past: float) -> Levels:
+    """Of RGB uint8 `image`; how far `aside` of the strokes and `past` their ends [px]."""
+    lines = ladder.lines()
+    middle = (lines[1:] + lines[:-1]) / 2
+    ends = np.stack([lines[:, 0] - past * ladder.along, lines[:, 1] + past * ladder.along])
+    share = np.linspace(0.1, 0.9, 16)[:, None, None]
+    spot = np.linspace(-0.3, 0.3, 5)[:, None, None, None] * past * ladder.along
+
+    on = lines[:, 0] * (1 - share) + lines[:, 1] * share
+    between = middle[:, 0] * (1 - share) + middle[:, 1] * share
+    beside = np.stack([on - aside * ladder.across, on + aside * ladder.across], 1)
+    return Levels(*(np.median(values(image, place), axis=0) for place in (on, between, beside, ends + spot)))

@@ -1,0 +1,103 @@
+"""The period of things in a row: places on a line, some of them missing, some of them others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+NEAR_PLACE = 0.12  # of the period: what is further from its place in the row is none of the row
+ROW_ROUNDS = 3  # of fitting, each with what the one before put in the row
+FINEST_SCATTER = 0.005  # of the period: what scatters less was not built, or measured, better
+MISSING_IN_A_ROW = 2  # in a row at most; beyond, it is another row
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of things. period : [px]. start : the place of number 0 [px]. member : (M,) which things. number : (M,)
+    their numbers, ascending, from 0. residual : (M,) how far they are from their places [px]. sd : of the period [px].
+    """
+
+    period: float
+    start: float
+    member: np.ndarray
+    number: np.ndarray
+    residual: np.ndarray
+    sd: float
+
+    @property
+    def filled(self) -> float:
+        """Share of the row's places that are taken."""
+        return len(self.number) / (self.number[-1] + 1)
+
+    @property
+    def scatter(self) -> float:
+        """Root mean square of the residuals, as a share of the period, two parameters having been fitted."""
+        return float(np.sqrt((self.residual**2).sum() / max(len(self.residual) - 2, 1))) / self.period
+
+    @property
+    def regularity(self) -> float:
+        """How much less likely chance is to put so many things so near their places, natural logarithm of the ratio.
+
+        By chance a thing is anywhere among those taken for near, of which one sigma is the half width over sqrt(3).
+        """
+        return (len(self.number) - 2) * float(np.log(NEAR_PLACE / np.sqrt(3) / max(self.scatter, FINEST_SCATTER)))
+
+
+def find_row(place: np.ndarray, low: float, high: float, fewest: int) -> Row | None:
+    """The longest row in `place` (N,) [px] of a period from `low` to `high` [px]; None of fewer than `fewest` things.
+
+    The period starts where the places' spectrum, mean of exp(2 pi i place / period), is strongest; least squares over
+    the numbered places follow. A row ends where more than two are missing.
+    """
+    if len(place) < fewest:
+        return None
+    middle = np.median(place)
+    off = place - middle
+    span = max(float(np.ptp(place)), low)
+    rate = np.arange(1 / high, 1 / low, 1 / (6 * span))
+    spectrum = np.exp(2j * np.pi * off[:, None] * rate).sum(0)
+    best = None
+    for k in np.argsort(-np.abs(spectrum))[:3]:
+        row = _fitted(off, 1 / rate[k], float(np.angle(spectrum[k]) / (2 * np.pi * rate[k])), fewest)
+        if row is not None and low <= row.period <= high and (best is None or _worth(row) > _worth(best)):
+            best = row
+    if best is None:
+        return None
+    return Row(best.period, best.start + middle, best.member, best.number, best.residual, best.sd)
+
+
+def _worth(row: Row) -> float:
+    """Of two rows in the same things the better: more things, fewer missing, closer to their places."""
+    return len(row.number) * row.filled * (1 - (row.scatter / NEAR_PLACE))
+
+
+def _fitted(place: np.ndarray, period: float, start: float, fewest: int) -> Row | None:
+    for _ in range(ROW_ROUNDS):
+        number = np.round((place - start) / period).astype(int)
+        away = np.abs(place - start - period * number) / period
+        near = np.flatnonzero(away < NEAR_PLACE)
+        if len(near) < fewest:
+            return None
+        near = near[np.lexsort((away[near], number[near]))]
+        near = near[np.unique(number[near], return_index=True)[1]]  # of those at one place the closest
+        run = np.concatenate([[0], np.cumsum(np.diff(number[near]) > MISSING_IN_A_ROW + 1)])
+        near = near[run == np.bincount(run).argmax()]
+        if len(near) < fewest:
+            return None
+        row = fit_row(place[near], number[near])
+        period, start = row.period, row.start
+        if period <= 0:
+            return None
+    return Row(period, start, near, row.number, row.residual, row.sd)
+
+
+def fit_row(place: np.ndarray, number: np.ndarray) -> Row:
+    """The row of all things at `place` (M,) [px] whose numbers (M,) are known, by least squares."""
+    k = number - number[0]
+    spread = ((k - k.mean()) ** 2).sum()
+    period = float(((k - k.mean()) * place).sum() / spread)
+    start = float(place.mean() - period * k.mean())
+    residual = place - start - period * k
+    sd = float(np.sqrt((residual**2).sum() / max(len(k) - 2, 1) / spread))
+    return Row(period, start, np.arange(len(k)), k, residual, sd)

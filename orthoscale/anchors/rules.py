@@ -1,0 +1,34 @@
+"""Which of a kind's standards can be meant: by country, and by a size that is roughly known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..core.anchors import Standard
+
+SIGMAS_SEARCHED = 2.0  # sigmas of the scale within which sizes are searched
+LOCAL_STRETCH = 0.004  # one sigma by which orthophotos stretch locally: tennis courts on 100 American ones
+
+
+def holding(standards: Sequence[Standard], country: str) -> list[Standard]:
+    """Those that name `country`; where none does those of everywhere, and where there are none of these all."""
+    own = [standard for standard in standards if country in standard.countries]
+    return own or [standard for standard in standards if not standard.countries] or list(standards)
+
+
+def sizes(standards: Sequence[Standard], gsd: float, gsd_sd: float) -> tuple[float, float]:
+    """The smallest and the largest that is searched [px]."""
+    slack = np.exp(SIGMAS_SEARCHED * gsd_sd)
+    metres = [standard.metres for standard in standards]
+    return min(metres) / gsd / slack, max(metres) / gsd * slack
+
+
+def within_reach(standards: Sequence[Standard], pixels: float, gsd: float, gsd_sd: float) -> tuple[Standard, ...]:
+    """Those that something of `pixels` can be, within two sigma of the scale and of the standard."""
+    return tuple(
+        standard
+        for standard in standards
+        if abs(np.log(standard.metres / (pixels * gsd))) <= SIGMAS_SEARCHED * np.hypot(gsd_sd, standard.relative_sd)
+    )

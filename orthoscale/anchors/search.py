@@ -1,0 +1,232 @@
+"""Looks for anchors in pictures of roughly known scale: window by window, each kind at the resolution that it needs."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..core.anchors import Anchor, AnchorFinder, Standard, alike
+from ..core.detections import Tile
+from ..core.source import Picture
+from ..detect.cache import Kept, content_key, tile_name
+from ..detect.order import visiting_order
+from ..detect.tiles import read, tiles
+from ..detect.workers import done_on_threads
+from ..system import budget
+
+WINDOW_SIDE = 1024  # [px that a finder sees] side of a window, where anchors are small
+WINDOW_EXTENTS = 4.0  # least side of a window in anchors' extents: a quarter of each side is seen twice
+LARGEST_WINDOW = 2048  # [px that a finder sees]
+BYTES_EACH = 80  # [byte] that a finder takes for a pixel: eight maps of directions, and some of floating point
+SPARE = 16  # [px that a finder sees] by which windows overlap beyond the extent
+FIRST_WINDOWS = 16  # of each kind that are looked at before asking whether they are enough
+ENOUGH_ANCHORS = 8  # anchors of a kind after which more of them hardly help: half of their variance they share
+# Pixels of a kind, as a finder sees them, after which no more are looked at: some 20 s on two cores at 1 s/Mpx. The
+# windows are spread evenly, so that what is common is found.
+MOST_PIXELS = 20e6
+CODE_OF_FINDERS = (
+    "anchors/*.py",
+    "core/anchors.py",
+    "sources/raster.py",
+    "sources/picture_file.py",
+    "sources/ground_picture.py",
+)
+
+
+@dataclass(frozen=True)
+class Sought:
+    """What is looked for, and where: a finder, and pictures with their rough ground sampling distances [m/px]."""
+
+    finder: AnchorFinder
+    pictures: Sequence[tuple[Picture, float]]
+
+
+def search(
+    sought: Sequence[Sought],
+    gsd_sd: float,
+    country: str = "",
+    workers: int = 1,
+    cache: bool = True,
+    exhaustive: bool = False,
+    seed: int = 0,
+    most_pixels: float = MOST_PIXELS,
+    enough: int = ENOUGH_ANCHORS,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Anchor]:
+    """The anchors in pictures whose ground sampling distances are known to a relative one-sigma of `gsd_sd`, each once
+    in each picture [px of the picture].
+
+    Unless the search is `exhaustive`, a kind that was found `enough` times, or looked for in `most_pixels`, is looked
+    for no more; where depends on nothing but the pictures, the scale and the `seed`.
+    `progress(done, total)` counts windows, the total being the most there may be.
+    """
+    parts = [_Part(one, gsd_sd, country, np.inf if exhaustive else most_pixels, enough, seed) for one in sought]
+    with ExitStack() as open_things:
+        for part in parts:
+            part.cache = open_things.enter_context(AnchorCache(key)) if cache and (key := part.key()) else None
+        while not all(part.done for part in parts):
+            batch = [(part, number) for part in parts for number in part.next()]
+            work = {}
+            for k, (part, number) in enumerate(batch):
+                if not part.had(number):
+                    work[k] = part.work(number)
+            largest = max((tile.out_width * tile.out_height for tile in (p.jobs[n][1] for p, n in batch)), default=1)
+            at_once = max(1, min(workers, budget.memory() // (BYTES_EACH * largest)))
+            for k, found in done_on_threads(work, at_once):
+                part, number = batch[k]
+                part.put(number, found)
+                if progress:
+                    progress(sum(len(p.looks) for p in parts), sum(len(p.jobs) for p in parts))
+    return [anchor for part in parts for anchor in part.found()]
+
+
+class _Part:
+    """The search of one kind: its windows in the order in which they are looked at, and what was found."""
+
+    def __init__(self, sought: Sought, gsd_sd: float, country: str, most_pixels: float, enough: int, seed: int):
+        self.finder, self.gsd_sd, self.country, self.most_pixels = sought.finder, gsd_sd, country, most_pixels
+        self.exhaustive, self.enough = not np.isfinite(most_pixels), enough
+        self.gsd = {picture.name: gsd for picture, gsd in sought.pictures}
+        self.pictures = [picture for picture, gsd in sought.pictures if gsd <= self.finder.coarsest]
+        windows = [(p, tile) for p in self.pictures for tile in windows_of(p, self.gsd[p.name], self.finder)]
+        order = range(len(windows))
+        if len(self.pictures) == 1 and not self.exhaustive:
+            order = visiting_order([tile for _, tile in windows], np.ones(len(windows)), seed).tolist()
+        elif not self.exhaustive:
+            order = np.random.default_rng(seed).permutation(len(windows)).tolist()
+        self.jobs = [windows[k] for k in order]
+        self.looks: dict[int, list[Anchor]] = {}
+        self.cache: AnchorCache | None = None
+
+    @property
+    def done(self) -> bool:
+        if len(self.looks) == len(self.jobs):
+            return True
+        if self.exhaustive or len(self.looks) < FIRST_WINDOWS:
+            return False
+        seen = sum(self.jobs[k][1].out_width * self.jobs[k][1].out_height for k in self.looks)
+        return seen >= self.most_pixels or len(self.found()) >= self.enough
+
+    def next(self) -> range:
+        """Numbers of the windows to look at next."""
+        if self.done:
+            return range(0)
+        count = len(self.jobs) if self.exhaustive else FIRST_WINDOWS
+        return range(len(self.looks), min(len(self.looks) + count, len(self.jobs)))
+
+    def had(self, number: int) -> bool:
+        """Whether window `number` was looked at in another run."""
+        found = self.cache.get(*self.jobs[number]) if self.cache else None
+        if found is not None:
+            self.looks[number] = found
+        return found is not None
+
+    def work(self, number: int) -> Callable[[], list[Anchor]]:
+        """The look at window `number`."""
+        picture, tile = self.jobs[number]
+        return partial(look, self.finder, picture, tile, self.gsd[picture.name], self.gsd_sd, self.country)
+
+    def put(self, number: int, found: list[Anchor]) -> None:
+        """Keep what window `number` showed."""
+        self.looks[number] = found
+        if self.cache:
+            self.cache.put(*self.jobs[number], found)
+
+    def found(self) -> list[Anchor]:
+        """All that was seen so far, each anchor once in each picture."""
+        every = [anchor for number in sorted(self.looks) for anchor in self.looks[number]]
+        return [
+            anchor
+            for picture in self.pictures
+            for anchor in each_once([anchor for anchor in every if anchor.picture == picture.name])
+        ]
+
+    def key(self) -> str | None:
+        # What says only where in memory it is would never be found again.
+        settled = repr(self.finder) if is_dataclass(self.finder) else repr(vars(self.finder))
+        settings = {
+            "finder": [type(self.finder).__name__, self.finder.kind, settled],
+            "between": [self.finder.extent, self.finder.finest, self.finder.coarsest],
+            "gsd": [sorted(self.gsd.items()), self.gsd_sd],
+            "country": self.country,
+        }
+        return content_key(self.pictures, settings, CODE_OF_FINDERS)
+
+
+def windows_of(picture: Picture, gsd: float, finder: AnchorFinder) -> list[Tile]:
+    """Windows that cover a picture of `gsd` m/px, so that every anchor is whole in one; shrunk to the finder's
+    `finest` where the picture is finer."""
+    zoom = min(1.0, gsd / finder.finest)
+    extent = finder.extent * zoom / gsd
+    side = min(max(WINDOW_SIDE, math.ceil(WINDOW_EXTENTS * extent)), LARGEST_WINDOW)
+    overlap = min(math.ceil(extent) + SPARE, side // 2)
+    return tiles(picture, zoom, side, overlap)
+
+
+def look(
+    finder: AnchorFinder, picture: Picture, tile: Tile, gsd: float, gsd_sd: float, country: str = ""
+) -> list[Anchor]:
+    """The anchors in one window of a picture of `gsd` m/px, in the picture's pixels. A window of one colour (no data)
+    is not looked at."""
+    image = read(picture, tile)
+    if image.min() == image.max():
+        return []
+    factor = np.array([tile.width / tile.out_width, tile.height / tile.out_height])
+    mean = float(np.sqrt(factor.prod()))
+    corner = np.array([tile.x, tile.y])
+    return [
+        replace(
+            anchor,
+            place=anchor.place * factor + corner,
+            lines=anchor.lines * factor + corner,
+            pixels=anchor.pixels * mean,
+            residual=anchor.residual * mean,
+            picture=picture.name,
+        )
+        for anchor in finder.find(image, gsd * mean, gsd_sd, country)
+    ]
+
+
+def each_once(anchors: Sequence[Anchor]) -> list[Anchor]:
+    """Of anchors of one kind and picture that are one thing, the surest."""
+    number = alike([anchor.lines for anchor in anchors], [anchor.pixels for anchor in anchors])
+    best: dict[int, Anchor] = {}
+    for k, anchor in zip(number.tolist(), anchors, strict=True):
+        if k not in best or (anchor.false, anchor.relative_sd) < (best[k].false, best[k].relative_sd):
+            best[k] = anchor
+    return list(best.values())
+
+
+class AnchorCache(Kept):
+    """Anchors that were found in windows, as a list of objects in JSON."""
+
+    def get(self, picture: Picture, tile: Tile) -> list[Anchor] | None:
+        """What was found in `tile` before, or None. Raises nothing."""
+        content = self.content(tile_name(picture, tile))
+        return None if content is None else [_anchor(values) for values in json.loads(content)]
+
+    def put(self, picture: Picture, tile: Tile, anchors: Sequence[Anchor]) -> None:
+        """Keep what was found in `tile`. Raises nothing."""
+        self.keep(tile_name(picture, tile), json.dumps([_plain(anchor) for anchor in anchors]).encode())
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Anchor | Standard):
+        return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
+    return [_plain(v) for v in value] if isinstance(value, tuple) else value
+
+
+def _anchor(values: Mapping[str, Any]) -> Anchor:
+    lines = np.array(values["lines"], float).reshape(-1, 2, 2)
+    standards = tuple(Standard(**{**s, "countries": tuple(s["countries"])}) for s in values["standards"])
+    arrays = {name: np.array(values[name], float) for name in ("place", "residual")}
+    return Anchor(**{**values, **arrays, "lines": lines, "standards": standards})

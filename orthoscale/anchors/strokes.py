@@ -1,0 +1,150 @@
+"""Painted strokes: straight bright bars on darker ground, with their ends, to a fraction of a pixel.
+
+Ridges of brightness (Steger, "An unbiased detector of curvilinear structures", PAMI 1998) whose points head alike are
+joined; what is straight is a stroke.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+JOINED_HEADING = np.cos(np.radians(20))  # neighbouring ridge points of one stroke head alike
+ROUND_STROKE = 0.6  # of the curvature across: more along, and it is a blob
+BENT_PX, BENT_WIDE = 0.1, 0.3  # across, one sigma: what strays more is not straight [px], [of the smoothing]
+ASTRAY_PX = 1.3  # from a first line, beyond which a point is none of its stroke [px]
+FAINTEST_STROKE = 1.2  # grey levels of curvature across, below which a ridge is noise
+LOOKED_UP = 32000  # places that are looked up in one call
+AS_PAINT = 0.65  # of the channel that gains most red and green gain at least so much where paint is
+STROKE_SURROUNDINGS = 30.0  # how far around, in units of the smoothing
+
+
+@dataclass(frozen=True)
+class Strokes:
+    """(N,) strokes. centre : (N, 2) [px]. along : (N, 2) unit vector. length : from end to end [px]. strength : mean
+    curvature across [grey levels]."""
+
+    centre: np.ndarray
+    along: np.ndarray
+    length: np.ndarray
+    strength: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.length)
+
+    def __getitem__(self, which: np.ndarray) -> Strokes:
+        return Strokes(self.centre[which], self.along[which], self.length[which], self.strength[which])
+
+
+def paint_light(image: np.ndarray) -> np.ndarray:
+    """RGB uint8 (H, W, 3) to float32 (H, W): how bright white and yellow paint show, mean of red and green."""
+    return (image[..., 0].astype(np.float32) + image[..., 1]) / 2
+
+
+def values(picture: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """(...) of `picture` (H, W), or (..., C) of one of C channels, at `place` (..., 2) [px], linear between pixels."""
+    flat = place.reshape(-1, 1, 2).astype(np.float32)
+    # One call may hold no more than 32767 places.
+    parts = [
+        cv2.remap(picture, flat[k : k + LOOKED_UP], None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+        for k in range(0, len(flat), LOOKED_UP)
+    ]
+    return np.concatenate(parts).reshape(*place.shape[:-1], *picture.shape[2:]).astype(float)
+
+
+def painted(paint: np.ndarray, ground: np.ndarray) -> bool:
+    """Whether `paint` (3,) differs from `ground` (3,) as white or yellow does: brighter, in red and green alike."""
+    more = paint - ground
+    return bool(more[:2].min() > AS_PAINT * max(more.max(), 1.0))
+
+
+def find_strokes(light: np.ndarray, sigma: float, shortest: float, among: float = 1.0) -> Strokes:
+    """The strokes in `light` (H, W), of about ``2 * sigma`` in width and at least `shortest` in length [px].
+
+    among : of the mean curvature around, the least of theirs; what stands out no more is texture.
+    """
+    gx, gy, hxx, hxy, hyy = _derivatives(light, sigma)
+    # The eigenvalue of the Hessian that is most negative, and its direction: across the ridge.
+    half, mixed = (hxx - hyy) / 2, np.hypot((hxx - hyy) / 2, hxy)
+    least, most = (hxx + hyy) / 2 - mixed, (hxx + hyy) / 2 + mixed
+    turn = 0.5 * np.arctan2(hxy, half) + np.pi / 2
+    nx, ny = np.cos(turn), np.sin(turn)
+    shift = -(gx * nx + gy * ny) / np.minimum(least, -1e-6)
+    around = 2 * int(STROKE_SURROUNDINGS * sigma) + 1
+    energy = cv2.blur(least * least + most * most, (around, around), borderType=cv2.BORDER_REFLECT)
+    strength = -least * sigma**2
+    ridge = (np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6) & (np.abs(most) < ROUND_STROKE * -least)
+    ridge &= strength > np.maximum(FAINTEST_STROKE, among * sigma**2 * np.sqrt(np.maximum(energy, 0)))
+    y, x = np.nonzero(ridge)
+    if len(x) < 2:
+        return Strokes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    point = np.stack([x + (shift * nx)[y, x], y + (shift * ny)[y, x]], -1)
+    head = np.stack([-ny[y, x], nx[y, x]], -1)
+    return _straight(point, _joined(ridge, y, x, head), strength[y, x], shortest, BENT_PX + BENT_WIDE * sigma)
+
+
+def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
+    """First and second derivatives of `light`, smoothed by `sigma`: gx, gy, hxx, hxy, hyy."""
+    reach = int(np.ceil(4 * sigma))
+    t = np.arange(-reach, reach + 1, dtype=np.float64)
+    g0 = np.exp(-(t**2) / (2 * sigma**2))
+    g0 /= g0.sum()
+    g1 = t / sigma**2 * g0
+    g1 /= (g1 * t).sum()  # a ramp's slope is exact
+    g2 = (t**2 / sigma**4 - 1 / sigma**2) * g0
+    g2 -= g2.mean()
+    g2 /= (g2 * t**2).sum() / 2  # a parabola's curvature too
+
+    def filtered(kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+        return cv2.sepFilter2D(light, cv2.CV_32F, kx, ky, borderType=cv2.BORDER_REPLICATE)
+
+    return filtered(g1, g0), filtered(g0, g1), filtered(g2, g0), filtered(g1, g1), filtered(g0, g2)
+
+
+def _joined(ridge: np.ndarray, y: np.ndarray, x: np.ndarray, head: np.ndarray) -> np.ndarray:
+    """(P,) number of the stroke that each ridge point belongs to."""
+    number = np.full((ridge.shape[0] + 2, ridge.shape[1] + 2), -1, np.int64)
+    number[1:-1, 1:-1][ridge] = np.arange(len(x))
+    ends = []
+    for dy, dx in ((0, 1), (1, -1), (1, 0), (1, 1)):
+        other = number[y + 1 + dy, x + 1 + dx]
+        own = np.flatnonzero(other >= 0)
+        other = other[own]
+        alike = np.abs((head[own] * head[other]).sum(1)) > JOINED_HEADING
+        ends.append(np.stack([own[alike], other[alike]]))
+    i, j = np.concatenate(ends, axis=1)
+    return connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(x), len(x))), directed=False)[1]
+
+
+def _straight(point: np.ndarray, member: np.ndarray, strength: np.ndarray, shortest: float, bent: float) -> Strokes:
+    """Lines through the points of each group that is long and straight enough.
+
+    Twice: at its ends a wide bar's ridge spreads sideways, and what lies off the first line is left out of the second.
+    """
+    size = np.bincount(member)
+    kept = size[member] >= 0.6 * shortest
+    for _ in range(2):
+        point, strength = point[kept], strength[kept]
+        number = np.unique(member[kept], return_inverse=True)[1]
+        member = number
+        n = np.bincount(number)
+        centre = np.stack([np.bincount(number, point[:, k]) for k in (0, 1)], -1) / n[:, None]
+        off = point - centre[number]
+        xx, xy, yy = (np.bincount(number, a * b) / n for a, b in ((off[:, 0],) * 2, off.T, (off[:, 1],) * 2))
+        turn = 0.5 * np.arctan2(2 * xy, xx - yy)
+        along = np.stack([np.cos(turn), np.sin(turn)], -1)
+        side = np.abs(off[:, 0] * along[number, 1] - off[:, 1] * along[number, 0])
+        kept = side < ASTRAY_PX
+    t = (off * along[number]).sum(1)
+    across = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    first, last = np.full(len(n), np.inf), np.full(len(n), -np.inf)
+    np.minimum.at(first, number, t)
+    np.maximum.at(last, number, t)
+    centre = centre + along * ((first + last) / 2)[:, None]
+    mean = np.bincount(number, strength) / n
+    good = (last - first >= shortest) & (across < bent**2) & (n > 0.7 * (last - first))
+    return Strokes(centre, along, last - first, mean)[good]

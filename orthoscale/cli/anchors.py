@@ -1,0 +1,83 @@
+"""`orthoscale anchors`: the things of standard size in an orthophoto or a model, listed and drawn."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..actions.requests import EstimateRequest
+from .options import (
+    EXIT_CODES,
+    PATH,
+    command,
+    debug_option,
+    json_option,
+    option,
+    options_of,
+    overwrite_option,
+    progress_bars,
+    refuse_idle_overwrite,
+    say,
+)
+
+
+@command(
+    epilog="\b\nExamples:\n  orthoscale anchors ortho.tif --fleet DE\n"
+    "  orthoscale anchors ortho.tif --scale 0.1 --anchors tennis-court --out found/\n\n" + EXIT_CODES
+)
+@click.argument("path", metavar="INPUT", type=PATH)
+@options_of(EstimateRequest)
+@option(
+    "--scale",
+    type=float,
+    metavar="M",
+    group="Input",
+    help="Rough metres per pixel, or per model unit, instead of measuring the vehicles.",
+)
+@option("--out", type=PATH, group="Output", help="Folder to write: anchors.json, anchors.png, anchors.gpkg.")
+@overwrite_option
+@json_option("the anchors")
+@debug_option
+def anchors(
+    path: Path, scale: float | None, out: Path | None, overwrite: bool, as_json: bool, debug: bool, **options: Any
+) -> None:
+    """List and draw the things of standard size in INPUT.
+
+    Courts, pitches, lane dashes, crossings, parking bays ...: all of them, with the lines that were fitted. They are
+    looked for at the scale that the vehicles give, or at --scale.
+    """
+    from ..actions.list_anchors import list_anchors
+    from ..system.outputs import Outputs
+
+    request = EstimateRequest.of(options)
+    refuse_idle_overwrite(overwrite, out)
+    with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
+        folder = None if out is None else outputs.folder(out)
+        found = list_anchors(path, request, scale, progress)
+        outputs.protect(*found.source.files)
+        if folder is not None:
+            found.write(folder)
+    told = found.document()
+    if as_json:
+        click.echo(json.dumps(told))
+        return
+    by = "as told" if found.scale is None else f"by the vehicles, +- {100 * found.scale.half_width:.1f} %"
+    lines = [f"scale      {told['scale']:.5g} {told['unit']} ({by})"]
+    for a in told["anchors"]:
+        where = ",".join(f"{v:.0f}" for v in a["place_px"])
+        repeated = f", {a['count']} in a row" if a["count"] > 1 else ""
+        seen = f" and {a['views'] - 1} more" if a["views"] > 1 else ""
+        lines += [
+            f"{a['kind']}: {a['standard']}, {a['metres']:.4g} m{repeated}, at {where} in {a['picture']}{seen}",
+            f"           alone {a['scale']:.5g} {told['unit']} ({100 * (a['scale'] / told['scale'] - 1):+.1f} %), "
+            f"+- {100 * a['relative_sd']:.2f} % (1 sigma); lines off by {a['residual_cm']:.1f} cm",
+        ]
+    if not told["anchors"]:
+        lines.append("anchors    none")
+    lines += [f"note       {note}" for note in told["notes"]]
+    if out is not None:
+        lines.append(f"written    {out}")
+    say("\n".join(lines))

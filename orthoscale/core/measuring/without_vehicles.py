@@ -1,0 +1,71 @@
+"""The scale of a source with too few vehicles: by anchors of two kinds, or more, that agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ...errors import TooLittleEvidence
+from ..boxes import Boxes
+from ..evidence import SUPPORTS, Combined, Evidence, combined
+from ..pooling.posterior import Posterior
+from ..remarks import CAUTION, Remark
+from ..scale import Scale
+from ..verdicts import UNUSABLE, verdict
+from ..votes import gather
+from .measurement import Measurement
+
+FEWEST_KINDS = 2  # that must agree: one kind alone may be a mistake, or another standard's
+ANYTHING = 3.0  # one sigma of the logarithm of a scale of which nothing is known: a factor of 20
+
+
+def measured_without_vehicles(
+    evidence: Sequence[Evidence], unit: str, fleet: str, dims: int, lost: Mapping[str, int]
+) -> Measurement:
+    """The scale that `evidence` gives where no vehicles do, with no vehicles in it.
+
+    unit : the scale's. fleet : code of the one that would have been measured with. dims : of places in the source.
+    lost : boxes that are no vehicles, by reason. Raises TooLittleEvidence where not two kinds agree on a useful scale.
+    """
+    if len({e.kind for e in evidence}) < FEWEST_KINDS:
+        kinds = ", ".join(e.says for e in evidence) or "none"
+        raise TooLittleEvidence(f"without vehicles, two kinds of anchors that agree are needed; found: {kinds}")
+    surest = min(evidence, key=lambda e: e.relative_sd)
+    nothing_known = Posterior.normal(float(np.log(surest.value)), ANYTHING)
+    together = combined(nothing_known, {}, evidence)
+    value, low, high = together.summary
+    said = verdict(together.posterior.spread, odd_shape=False, conflict=together.conflict > 0)
+    agreeing = _agreeing(together)
+    if not together.conflict and (said == UNUSABLE or len(agreeing) < FEWEST_KINDS):
+        kinds = "; ".join(f"{e.says}: {e.value:.4g} {unit}" for e in evidence)
+        raise TooLittleEvidence(f"without vehicles, two kinds of anchors that agree are needed; found: {kinds}")
+    remark = Remark(CAUTION, f"no vehicles: the scale rests on {' and '.join(agreeing)}")
+    scale = Scale(
+        value=value,
+        unit=unit,
+        interval90=(low, high),
+        parts=together.parts,
+        checks={},
+        weights=(0.5, 0.5),
+        tension=0.0,
+        fleet=fleet,
+        verdict=said,
+        used=np.empty(0, bool),
+        reasons=[],
+        remarks=(*together.remarks, *(() if together.conflict else (remark,))),
+        evidence=together.evidence,
+        conflict=together.conflict,
+    )
+    none = np.empty((0, 2))
+    votes = gather(none, np.empty(0), np.empty((0, dims)), np.empty(0), repeated=False)
+    return Measurement(Boxes.empty(), np.empty(0, str), votes, scale, dict(lost), none, projection="none")
+
+
+def _agreeing(together: Combined) -> list[str]:
+    """What of the evidence is in the answer, in words."""
+    sigmas = [
+        abs(np.log(e.value / together.summary[0])) / np.hypot(e.relative_sd, together.posterior.spread)
+        for e in together.evidence
+    ]
+    return [e.says for e, apart in zip(together.evidence, sigmas, strict=True) if apart < SUPPORTS]

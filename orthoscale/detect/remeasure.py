@@ -1,0 +1,180 @@
+"""Found vehicles are measured once more: the measurer's edges take the place of the detector's.
+
+The detector looks at all of a picture at one zoom; the measurer at each vehicle, in the picture's own pixels. It costs
+50 times more for one, so where there are more than MOST boxes, MOST of them are measured, evenly over pictures and
+scores, and these tell by how much the detector's boxes of this scene are too large; the others are corrected by that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..core.boxes import Boxes, distinct, overlap
+from ..core.detections import Detections
+from ..core.pooling.posterior import ROBUST_SD
+from ..core.ruler import Ruler
+from ..core.source import Picture
+from .cache import Kept, as_text, content_key
+from .find import Effort, Progress
+from .measurer import Measured, Measurer
+from .workers import worker_count
+
+MOST = 400  # boxes that are measured; what a scale then gains from more is less than its margin leaves open
+AT_A_TIME = 8  # boxes that one thread measures at a time
+NONE = 0.5  # probability of being no vehicle from which a box does not count
+SAME = 0.4  # overlap with the proposed box below which another thing was measured; boxes 30 % too large share 0.59
+
+
+@dataclass(frozen=True)
+class _Change:
+    """What measuring does to the sizes of one scene's boxes: (2,) median of the log ratio of lengths and of widths, and
+    their one-sigma scatter."""
+
+    log_ratio: np.ndarray
+    scatter: np.ndarray
+
+
+def remeasured(
+    pictures: Sequence[Picture],
+    found: Detections,
+    measurer: Measurer,
+    effort: Effort | None = None,
+    progress: Progress | None = None,
+) -> Detections:
+    """`found` with the boxes that `measurer` makes of it in `pictures`, and its ruler.
+
+    What it takes for no vehicle becomes doubtful. Each box has a sigma of its own, and kinds where it was looked at.
+    effort : its workers and cache.
+    """
+    effort = effort or Effort()
+    by_name = {picture.name: picture for picture in pictures}
+    chosen = _chosen({name: boxes for name, boxes in found.boxes.items() if name in by_name})
+    if not chosen and len(found):
+        return found  # nothing that was found is at hand
+    proposed = {name: found.boxes[name][index] for name, index in chosen.items()}
+    key = content_key([by_name[name] for name in chosen], {"measurer": measurer.sha256}) if effort.cache else None
+    with ExitStack() as open_things:
+        kept = open_things.enter_context(Kept(key)) if key else None
+        told = _looked_at(by_name, proposed, measurer, worker_count(effort.workers), kept, progress)
+    change = _change(
+        Boxes.concatenate(list(proposed.values())), Boxes.concatenate([told[name].boxes for name in proposed])
+    )
+    boxes, doubtful, count = {}, dict(found.doubtful), 0
+    for name, before in found.boxes.items():
+        index = chosen.get(name, np.empty(0, int))
+        rest = np.setdiff1d(np.arange(len(before)), index)
+        parts = [_corrected(before[rest], change)]
+        if len(index):
+            parts.append(_of(told[name], measurer))
+            vehicle = _is_vehicle(told[name], proposed[name])
+            count += int((~vehicle).sum())
+            if not vehicle.all():
+                unlike = proposed[name][~vehicle]
+                doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), unlike])
+            parts[1] = parts[1][vehicle]
+        boxes[name] = distinct(Boxes.concatenate(parts))
+    notes = found.notes
+    if count:
+        notes = (*notes, f"{count} boxes do not count: a second look saw no vehicle in them")
+    card = measurer.card
+    return replace(
+        found,
+        boxes=boxes,
+        doubtful=doubtful,
+        ruler=_in_detector_pixels(card.ruler, found.zoom),
+        effective_height=card.effective_height,
+        body=card.body,
+        detector=f"{found.detector}, measured by {card.name}",
+        detector_sha256=measurer.sha256,
+        notes=notes,
+    )
+
+
+def _chosen(boxes: Mapping[str, Boxes]) -> dict[str, np.ndarray]:
+    """Which boxes of each picture are measured: all, or MOST of them, evenly over pictures and scores."""
+    order = [(name, k) for name, some in boxes.items() for k in np.argsort(-some.score, kind="stable").tolist()]
+    if len(order) > MOST:
+        order = [order[k] for k in np.linspace(0, len(order) - 1, MOST).astype(int)]
+    chosen: dict[str, list[int]] = {}
+    for name, k in order:
+        chosen.setdefault(name, []).append(k)
+    return {name: np.array(index) for name, index in chosen.items()}
+
+
+def _looked_at(
+    pictures: Mapping[str, Picture],
+    proposed: Mapping[str, Boxes],
+    measurer: Measurer,
+    workers: int,
+    kept: Kept | None,
+    progress: Progress | None,
+) -> dict[str, Measured]:
+    """What the measurer says of the `proposed` boxes of each picture; what was `kept` is not looked at again."""
+    rows: dict[str, list[np.ndarray | None]] = {}
+    jobs = []
+    for name, boxes in proposed.items():
+        rows[name] = [_kept(kept, pictures[name], box) for box in boxes.xylwa]
+        new = [k for k, row in enumerate(rows[name]) if row is None]
+        jobs += [(name, np.array(new[k : k + AT_A_TIME])) for k in range(0, len(new), AT_A_TIME)]
+    with ThreadPoolExecutor(workers) as pool:
+        looks = pool.map(lambda job: measurer(pictures[job[0]], proposed[job[0]][job[1]]), jobs)
+        for done, ((name, index), look) in enumerate(zip(jobs, looks, strict=True), 1):
+            for k, row in zip(index, np.hstack([look.boxes.xylwa, look.sigma, look.seen, look.kind]), strict=True):
+                rows[name][k] = row
+                if kept is not None:
+                    kept.keep(_row_name(pictures[name], proposed[name].xylwa[k]), row.astype("<f8").tobytes())
+            if progress:
+                progress("Measuring vehicles", done, len(jobs))
+    told = {}
+    for name, boxes in proposed.items():
+        xylwa, sigma, seen, kind = np.split(np.array(rows[name]), [5, 9, 13], axis=1)
+        told[name] = Measured(Boxes(xylwa, boxes.score), sigma, seen, kind)
+    return told
+
+
+def _row_name(picture: Picture, box: np.ndarray) -> str:
+    return f"{as_text(picture)}:{','.join(map(repr, box.tolist()))}"
+
+
+def _kept(kept: Kept | None, picture: Picture, box: np.ndarray) -> np.ndarray | None:
+    content = None if kept is None else kept.content(_row_name(picture, box))
+    return None if content is None else np.frombuffer(content, "<f8")
+
+
+def _is_vehicle(told: Measured, proposed: Boxes) -> np.ndarray:
+    """(N,) bool: a vehicle, and the one that was proposed."""
+    return (told.kind[:, -1] < NONE) & (overlap(told.boxes.xylwa, proposed.xylwa) >= SAME)
+
+
+def _of(told: Measured, measurer: Measurer) -> Boxes:
+    """The boxes that were measured, with the errors that their sizes have and what they are if they are vehicles."""
+    sigma = told.size_sigma * measurer.card.sigma_times / told.boxes.xylwa[:, 2:4]
+    kinds = told.kind[:, :-1] / np.maximum(told.kind[:, :-1].sum(1, keepdims=True), 1e-9)
+    return replace(told.boxes, sigma=sigma, kinds=kinds)
+
+
+def _change(before: Boxes, after: Boxes) -> _Change:
+    if not len(after):
+        return _Change(np.zeros(2), np.zeros(2))
+    log_ratio = np.log(after.xylwa[:, 2:4] / before.xylwa[:, 2:4])
+    middle = np.median(log_ratio, axis=0)
+    return _Change(middle, ROBUST_SD * np.median(np.abs(log_ratio - middle), axis=0))
+
+
+def _corrected(boxes: Boxes, change: _Change) -> Boxes:
+    xylwa = boxes.xylwa.copy()
+    xylwa[:, 2:4] *= np.exp(change.log_ratio)
+    return replace(boxes, xylwa=xylwa, sigma=np.repeat(change.scatter[None], len(boxes), 0))
+
+
+def _in_detector_pixels(ruler: Ruler, zoom: float) -> Ruler:
+    """A ruler in pixels of the picture, as `Detections` has it."""
+    margin, margin_sd, noise = (
+        tuple((zoom * np.array(value)).tolist()) for value in (ruler.margin, ruler.margin_sd, ruler.noise)
+    )
+    return replace(ruler, margin=margin, margin_sd=margin_sd, noise=noise)

@@ -1,0 +1,74 @@
+"""The anchors of a report: as plain values, and as a layer for GIS."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.anchors import AnchorVote
+from ..core.source import Placement
+from ..formats.vector import write_layer
+
+COLUMNS_OF_LAYER = ("kind", "standard", "metres", "scale", "relative_sd", "count", "residual_cm")
+FITS = 3.0  # sigmas of an anchor from the scale up to which it is one of those that gave it
+
+
+def entries(votes: Sequence[AnchorVote], metres_per_unit: float, counted: Collection[str] = ()) -> list[dict[str, Any]]:
+    """One object for each anchor, at the scale `metres_per_unit`. counted : the kinds that entered that scale.
+
+    ``standard`` is the likeliest one there, ``standards`` are all that it may be; ``scale`` is what the anchor alone
+    would give, ``relative_sd`` one sigma of it with the standard's. ``lines_px`` lie in ``picture``, end to end.
+    """
+    return [_entry(vote, metres_per_unit, vote.anchor.kind in counted) for vote in votes]
+
+
+def _entry(vote: AnchorVote, metres_per_unit: float, of_use: bool) -> dict[str, Any]:
+    anchor = vote.anchor
+    metres = np.array([standard.metres for standard in anchor.standards])
+    rule = np.array([standard.relative_sd for standard in anchor.standards])
+    sd = np.sqrt(vote.relative_sd**2 + vote.shared_sd**2 + rule**2)
+    off = np.log(metres / vote.units / metres_per_unit) / sd
+    share = np.array([standard.prior for standard in anchor.standards]) * np.exp(-0.5 * (off**2 - (off**2).min())) / sd
+    best = int(np.argmax(share))
+    centimetres = 100 * anchor.residual * vote.units / anchor.pixels * metres_per_unit
+    return {
+        "kind": anchor.kind,
+        "standard": anchor.standards[best].name,
+        "source": anchor.standards[best].source,
+        "metres": float(metres[best]),
+        "standards": [
+            {"name": s.name, "metres": s.metres, "share": float(p)}
+            for s, p in zip(anchor.standards, share / share.sum(), strict=True)
+        ],
+        "scale": float(metres[best] / vote.units),
+        "relative_sd": float(sd[best]),
+        "false": anchor.false,
+        "counted": of_use and bool(abs(off[best]) <= FITS),
+        "count": anchor.count,
+        "views": vote.views,
+        "picture": anchor.picture,
+        "place_px": [round(float(v), 2) for v in anchor.place],
+        "pixels": float(anchor.pixels),
+        "lines_px": np.round(anchor.lines, 2).tolist(),
+        "residual_cm": float(np.sqrt(np.mean(centimetres**2))) if len(centimetres) else 0.0,
+        "place_unit": [float(v) for v in vote.place],
+    }
+
+
+def write_anchor_layer(anchors: Sequence[Mapping[str, Any]], place: Placement, path: Path) -> None:
+    """A report's `anchors` of an orthophoto as lines in the coordinates of `place`: the layer ``anchors`` of the
+    GeoPackage at `path`, which may have others. Raises OSError."""
+    import shapely
+
+    t = place.transform
+    shapes, rows = [], []
+    for anchor in anchors:
+        x, y = np.moveaxis(np.array(anchor["lines_px"], float).reshape(-1, 2, 2), -1, 0)
+        lines = np.stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f], -1)
+        shapes.append(shapely.multilinestrings(shapely.linestrings(lines)))
+        rows.append({name: anchor[name] for name in COLUMNS_OF_LAYER})
+    crs = place.crs if isinstance(place.crs, str) else place.crs.to_wkt()
+    write_layer(path, "anchors", shapes, rows, "MultiLineString", crs)

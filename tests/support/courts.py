@@ -1,0 +1,114 @@
+"""Pictures of painted courts with exact truth, drawn from the edges that the rules give."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+FINE = 0.11  # [m/px] that pictures are drawn at, at most
+GREEN, BLUE, CLAY, ASPHALT, GRASS = (70, 110, 85), (60, 95, 150), (150, 85, 60), (105, 105, 108), (85, 105, 60)
+
+
+def tennis(line=0.05, base=0.075):
+    """Painted rectangles (x0, y0, x1, y1) [m] about the middle of a court of 23.77 x 10.97 m to the outside."""
+    x, y, single, service = 23.77 / 2, 10.97 / 2, 8.23 / 2, 6.40
+    along = [(-x, s * e - line if s > 0 else -e, x, e if s > 0 else -e + line) for e in (y, single) for s in (-1, 1)]
+    across = [(s * x - (base if s > 0 else 0), -y, s * x + (0 if s > 0 else base), y) for s in (-1, 1)]
+    boxes = [(s * service - (line if s > 0 else 0), -single, s * service + (0 if s > 0 else line), single)
+             for s in (-1, 1)]  # fmt: skip
+    return [*along, *across, *boxes, (-service, -line / 2, service, line / 2)]
+
+
+def outline(x, y, line=0.05):
+    """Four lines inside a rectangle of 2 x by 2 y [m]."""
+    return [(-x, -y, x, -y + line), (-x, y - line, x, y), (-x, -y, -x + line, y), (x - line, -y, x, y)]
+
+
+def volleyball():
+    """18 x 9 m to the outside, attack lines 3 m from the middle to their rear edges."""
+    return [*outline(9, 4.5), (-0.025, -4.5, 0.025, 4.5), (-3, -4.5, -2.95, 4.5), (2.95, -4.5, 3, 4.5)]
+
+
+def basketball(length=28.0, width=15.0, key=4.9, depth=5.8):
+    """To the inside of the lines; keys to their outside, with their circles."""
+    x, y, k = length / 2, width / 2, key / 2
+    boxes = [*outline(x + 0.05, y + 0.05), (-0.025, -y, 0.025, y), (0, 0, 1.75, 1.8, 0)]
+    for side in (-1, 1):
+        free = x - depth  # the far edge of the free-throw line is there
+        boxes += [tuple(sorted((side * free, side * (free + 0.05))))]
+        boxes[-1] = (boxes[-1][0], -k, boxes[-1][1], k)
+        low, high = sorted((side * free, side * x))
+        boxes += [(low, k - 0.05, high, k), (low, -k, high, -k + 0.05), (side * free, 0, 1.75, 1.8, -side)]
+    return boxes
+
+
+def padel():
+    """Service lines 6.95 m from the net to their outer edges, the centre line 20 cm beyond them."""
+    return [(-6.95, -5, -6.9, 5), (6.9, -5, 6.95, 5), (-7.15, -0.025, 7.15, 0.025)]
+
+
+def penalty_area(line=0.10):
+    """16.5 x 40.32 m and 5.5 x 18.32 m to the outside of the lines; the goal line runs on for 10 m."""
+    boxes = [(8.25 - line, -30, 8.25, 30), (-8.25, -20.16, -8.25 + line, 20.16), (2.75, -9.16, 2.75 + line, 9.16)]
+    for low, at in ((-8.25, 20.16), (2.75, 9.16)):
+        boxes += [(low, at - line, 8.25, at), (low, -at, 8.25, -at + line)]
+    return boxes
+
+
+def _cover(x, y, gsd, box):
+    """Share of each pixel, at (x, y) [m] in the court's frame, that the rectangle covers; exact if parallel."""
+    if len(box) == 5:  # a ring: its middle, both radii, and on which side of the middle it is, 0 for both
+        gap = np.hypot(x - box[0], y - box[1])
+        inside = np.clip(np.minimum(box[3], gap + gsd / 2) - np.maximum(box[2], gap - gsd / 2), 0, gsd) / gsd
+        return inside * ((x - box[0]) * box[4] >= 0)
+    x0, y0, x1, y1 = box
+    part = [np.clip(np.minimum(high, at + gsd / 2) - np.maximum(low, at - gsd / 2), 0, gsd) / gsd
+            for at, low, high in ((x, x0, x1), (y, y0, y1))]  # fmt: skip
+    return part[0] * part[1]
+
+
+def court_picture(
+    courts, gsd, shape, *, ground=ASPHALT, surface=GREEN, run_off=3.0, white=200, wear=0.0, blur_px=0.6, noise=2.5,
+    shade=0.0, trees=0, seed=0,
+):  # fmt: skip
+    """RGB uint8 of `shape` (H, W) [px]. courts : (painted rectangles, (x, y) of the middle [m] from the outer corner of
+    the upper left pixel, angle [rad]). wear : share of the paint that is gone, in patches. shade : how dark half of the
+    picture is, with an oblique edge. trees : blobs of 2 to 4 m on the courts."""
+    rng = np.random.default_rng(seed)
+    fine = int(np.ceil(gsd / FINE))  # a lens blurs before pixels sum up: else a thin line anywhere in one looks alike
+    height, width, gsd = shape[0] * fine, shape[1] * fine, gsd / fine
+    x, y = np.meshgrid((np.arange(width) + 0.5) * gsd, (np.arange(height) + 0.5) * gsd)
+    x, y = x.astype(np.float32), y.astype(np.float32)
+
+    def patches(size):
+        coarse = rng.normal(size=(max(4, int(height * gsd / size)), max(4, int(width * gsd / size)))).astype(np.float32)
+        return cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+
+    picture = np.array(ground, np.float32) + 6 * patches(3.0)[..., None]
+    for boxes, (cx, cy), angle in courts:
+        c, s = np.cos(angle), np.sin(angle)
+        u, v = (x - cx) * c + (y - cy) * s, (y - cy) * c - (x - cx) * s
+        straight = [box for box in boxes if len(box) == 4]
+        low, high = np.min(straight, 0)[:2] - run_off, np.max(straight, 0)[2:] + run_off
+        flat = _cover(u, v, gsd, (*low, *high))[..., None]
+        picture = picture * (1 - flat) + flat * (np.array(surface, np.float32) + 3 * patches(2.0)[..., None])
+        paint = np.zeros((height, width), np.float32)
+        for box in boxes:
+            edge = box if len(box) == 4 else (*np.subtract(box[:2], box[3]), *np.add(box[:2], box[3]))
+            corners = np.array([(bx, by) for bx in edge[::2] for by in edge[1::2]]) @ [[c, s], [-s, c]] + (cx, cy)
+            left, top = np.clip(np.floor(corners.min(0) / gsd - 1), 0, (width, height)).astype(int)
+            right, bottom = np.clip(np.ceil(corners.max(0) / gsd + 1), 0, (width, height)).astype(int)
+            part = np.s_[top:bottom, left:right]
+            paint[part] = np.maximum(paint[part], _cover(u[part], v[part], gsd, box))
+        paint = paint * (1 - np.clip(wear + 0.5 * wear * patches(0.8), 0, 1))
+        picture = picture + paint[..., None] * (white - picture)
+        for _ in range(trees):
+            at = rng.uniform(low, high)
+            gap = np.hypot(u - at[0], v - at[1]) / rng.uniform(1.0, 2.0) + 0.25 * patches(0.6)
+            picture = np.where((gap < 1)[..., None], np.array([40, 60, 35]) + 12 * patches(0.4)[..., None], picture)
+    if shade:
+        dark = (x * 0.8 + y * 0.6 > (width * 0.8 + height * 0.6) * gsd * 0.55).astype(np.float32)
+        picture = picture * (1 - shade * dark[..., None])
+    picture = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), blur_px * fine)
+    picture = cv2.resize(picture, shape[::-1], interpolation=cv2.INTER_AREA)
+    return np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8)

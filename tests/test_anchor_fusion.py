@@ -1,0 +1,157 @@
+"""What anchors do to a scale: right ones narrow it honestly, wrong ones never move it far, contradictions are said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.anchors import vote
+
+from orthoscale.core.anchors import Standard
+from orthoscale.core.evidence import Evidence, combined
+from orthoscale.core.pooling.anchors import SHARED, evidence_of
+from orthoscale.core.pooling.posterior import Posterior
+from orthoscale.core.remarks import REFUSAL
+
+SD = 0.05  # of the vehicles
+COURT = (Standard("court", 23.77, 0.003, "written here"),)
+BAYS = tuple(Standard(f"bays of {m} m", m, 0.01, "written here", p) for m, p in ((2.3, 0.2), (2.5, 0.5), (2.7, 0.3)))
+INTERVAL99 = 2.5758
+
+
+def together(votes, centre=0.0, country="", **more):
+    return combined(Posterior.normal(centre, SD), {"sampling": SD}, [*evidence_of(votes, country), *more.values()])
+
+
+def seen(rng, kind, standards, count, sd, false, centre):
+    """Anchors of one kind that err as they say: all of them are none with probability `false`, and half of their
+    variance is common to them. The truth is 0."""
+    prior = np.array([s.prior for s in standards])
+    meant = int(rng.choice(len(standards), p=prior / prior.sum()))
+    wrong = rng.random() < false
+    middle = centre + rng.uniform(-0.2, 0.2) if wrong else rng.normal(0, standards[meant].relative_sd)
+    middle += rng.normal(0, sd * np.sqrt(SHARED))
+    each = middle + rng.normal(0, sd * np.sqrt(1 - SHARED), count)
+    return [vote(kind, x, sd, standards, meant, false, at=1e4 * k) for k, x in enumerate(each)]
+
+
+@pytest.mark.parametrize("kinds", [("court",), ("bays",), ("court", "bays")])
+@pytest.mark.parametrize("false", [0.001, 0.03, 0.2])
+def test_nine_intervals_of_ten_hold_the_truth_and_no_answer_leaves_the_vehicles(kinds, false):
+    rng, inside, beyond = np.random.default_rng(4), [], 0
+    for _ in range(400):
+        centre = rng.normal(0, SD)
+        votes = []
+        if "court" in kinds:
+            votes += seen(rng, "tennis court", COURT, rng.integers(1, 7), 0.004, false, centre)
+        if "bays" in kinds:
+            votes += seen(rng, "parking bays", BAYS, rng.integers(1, 5), 0.006, false, centre)
+        got = together(votes, centre)
+        value, low, high = np.log(got.summary)
+        beyond += abs(value - centre) > INTERVAL99 * SD
+        if not got.conflict:
+            inside.append(low <= 0 <= high)
+    assert len(inside) > 370, "true anchors seldom contradict"
+    assert 0.87 - 0.015 <= np.mean(inside) <= 0.93 + 0.015  # one sigma of the draws is 0.015
+    assert beyond <= (4 if len(kinds) == 2 else 0), "only two kinds that agree may leave the vehicles' 99 %"
+
+
+def test_a_court_narrows_the_interval_and_says_how_much_of_it_is_left():
+    got = together([vote("tennis court", 0.03, 0.004, COURT)])
+    value, low, high = np.log(got.summary)
+    assert value == pytest.approx(0.03, abs=0.002) and high - low < 0.2 * 2 * 1.645 * SD
+    assert max(got.parts, key=got.parts.get) == "tennis court" and not got.remarks
+
+
+@pytest.mark.parametrize("off", [-0.19, -0.14, 0.14, 0.16, 0.19])
+@pytest.mark.parametrize("false", [0.001, 0.05, 0.3])
+@pytest.mark.parametrize("count", [1, 30])
+def test_a_wrong_kind_never_moves_the_answer_out_of_the_vehicles_interval(off, false, count):
+    votes = [vote("tennis court", off, 0.004, COURT, false=false, at=1e4 * k) for k in range(count)]
+    got = together(votes)
+    assert abs(np.log(got.summary[0])) < INTERVAL99 * SD
+    if abs(off) > 3.02 * SD and false <= 0.05:
+        assert got.conflict > 3 and got.remarks[0].text.startswith("conflict: vehicles: 1")
+    else:
+        assert not got.conflict and "it does not count" in got.remarks[0].text
+        assert got.summary == pytest.approx(together([]).summary, rel=1e-12)
+
+
+def test_two_kinds_that_contradict_each_other_are_said_and_not_averaged():
+    got = together([vote("tennis court", 0.04, 0.004, COURT), vote("lane dashes", -0.04, 0.004, COURT)])
+    assert got.conflict > 3 and got.remarks[0].severity == REFUSAL
+    assert "tennis court" in got.remarks[0].text and "lane dashes" in got.remarks[0].text
+    assert got.summary[1] < np.exp(-0.04) and got.summary[2] > np.exp(0.04)
+    weak = together([vote("tennis court", 0.04, 0.004, COURT), vote("lane dashes", -0.04, 0.004, COURT, false=0.4)])
+    assert not weak.conflict and np.log(weak.summary[0]) == pytest.approx(0.04, abs=0.004)
+
+
+def test_two_kinds_that_agree_are_believed_where_one_alone_is_not():
+    dashes, court = vote("lane dashes", 0.14, 0.004, COURT), vote("tennis court", 0.142, 0.004, COURT)
+    assert abs(np.log(together([court]).summary[0])) < 0.001
+    both = together([court, dashes])
+    assert not both.conflict and np.log(both.summary[0]) == pytest.approx(0.141, abs=0.003)
+
+
+def test_the_vehicles_tell_which_standard_it_is():
+    for meant, standard in enumerate(BAYS):
+        alone = evidence_of([vote("parking bays", 0.0, 0.003, BAYS, meant)])[0]
+        assert len(alone.posterior.mean) == 3 and alone.value == pytest.approx(2.5 / standard.metres)
+        known = combined(Posterior.normal(0.0, 0.02), {"sampling": 0.02}, [alone])
+        assert np.log(known.summary[0]) == pytest.approx(0.0, abs=0.01)
+        (told,) = known.evidence
+        assert told.value == pytest.approx(1.0) and standard.name in told.says
+
+
+def test_standards_of_the_country_come_first():
+    there = (Standard("ours", 2.5, 0.001, "s", countries=("DE",)), Standard("theirs", 2.7, 0.001, "s", 3.0, ("US",)))
+    bays = [vote("parking bays", 0.0, 0.003, there)]
+    assert evidence_of(bays)[0].value == pytest.approx(2.7 / 2.5)
+    assert evidence_of(bays, "DE")[0].value == pytest.approx(1.0)
+
+
+def test_many_of_a_kind_are_not_independent():
+    sds = [evidence_of([vote("c", 0.0, 0.01, COURT, at=1e4 * k) for k in range(n)])[0].relative_sd for n in (1, 4, 400)]
+    assert sds[0] == pytest.approx(np.hypot(0.01, 0.003))
+    assert sds[1] == pytest.approx(np.sqrt(0.01**2 * (SHARED + (1 - SHARED) / 4) + 0.003**2), rel=0.01)
+    assert sds[2] == pytest.approx(np.sqrt(0.01**2 * SHARED + 0.003**2), rel=0.01)
+
+
+def test_what_all_on_one_ground_have_in_common_stays_however_many_kinds_there_are():
+    """Vehicles and anchors of a model err alike by its ground, by 1 %; a tape does not."""
+    kinds = [replace(vote(kind, 0.01, 0.002, COURT), shared_sd=0.01) for kind in ("court", "dashes", "bays")]
+    (one, *_) = evidence_of(kinds)
+    assert one.relative_sd == pytest.approx(np.sqrt(0.002**2 + 0.003**2 + 0.01**2))
+    got = together(kinds)
+    assert 0.01 < got.posterior.spread < 0.0105 and np.log(got.summary[0]) == pytest.approx(0.01, abs=0.0003)
+    taped = together(kinds, tape=Evidence("known distance", 1.0, 0.001, "a tape"))
+    assert taped.posterior.spread < 0.001 and np.log(taped.summary[0]) == pytest.approx(0.0, abs=0.0003)
+
+
+def test_an_odd_one_among_many_does_not_count():
+    votes = [vote("tennis court", x, 0.004, COURT, at=1e4 * k) for k, x in enumerate([0.0, 0.002, -0.001, 0.08])]
+    (found,) = evidence_of(votes)
+    assert abs(np.log(found.value)) < 0.002 and found.says.startswith("3 of kind tennis court")
+    value, low, high = np.log(together(votes).summary)
+    assert abs(value) < 0.003 and high < 0.06
+
+
+def test_what_is_drawn_stands_for_what_is_only_boxed():
+    drawn, boxed = vote("tennis court", 0.0, 0.004, COURT), vote("tennis court", 0.05, 0.001, COURT, false=0.0)
+    boxed.anchor.lines.resize((0, 2, 2), refcheck=False)
+    (found,) = evidence_of([drawn, boxed])
+    assert abs(np.log(found.value)) < 1e-9
+
+
+def test_without_anchors_nothing_changes():
+    """What was computed before there were anchors: a product of normal distributions."""
+    tape = Evidence("tape", 1.02, 0.01, "a tape")
+    value, low, high = np.log(together([], tape=tape).summary)
+    precision = SD**-2 + 0.01**-2
+    mean, sd = np.log(1.02) * 0.01**-2 / precision, precision**-0.5
+    assert [value, low, high] == pytest.approx([mean, mean - 1.6448536 * sd, mean + 1.6448536 * sd], abs=1e-9)
+
+
+def test_a_known_distance_that_agrees_with_a_far_court_makes_it_count():
+    tape = Evidence("known distance", np.exp(0.135), 0.01, "a tape")
+    got = together([vote("tennis court", 0.14, 0.004, COURT)], tape=tape)
+    assert np.log(got.summary[0]) == pytest.approx(0.14, abs=0.006) and not got.remarks

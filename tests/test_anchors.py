@@ -1,0 +1,265 @@
+"""Anchors in pictures of known truth: looked for at the vehicles' scale, found once each, and used."""
+
+from __future__ import annotations
+
+import json
+import re
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from support.anchors import SIDE, SQUARE, SquareFinder, squares
+from support.in_process import run
+from support.reports import GSD, car_park
+
+import orthoscale
+from orthoscale.actions.anchors import own_standards
+from orthoscale.anchors import kinds
+from orthoscale.anchors.kinds import Kind
+from orthoscale.anchors.search import ENOUGH_ANCHORS, Sought, look, search, windows_of
+from orthoscale.core.anchors import Anchor, alike
+from orthoscale.core.measuring.anchors import votes_in_model
+from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+
+MIDDLES = np.array([[1120.3, 150.7], [1300.8, 320.2], [1150.1, 520.6]])
+
+
+class Sheet:
+    """A picture in memory."""
+
+    name = "sheet.png"
+
+    def __init__(self, image):
+        self.image = image
+        self.height, self.width = image.shape[:2]
+
+    def read(self, x, y, width, height, out_width, out_height):
+        part = self.image[y : y + height, x : x + width]
+        return cv2.resize(part, (out_width, out_height), interpolation=cv2.INTER_AREA)
+
+
+@pytest.fixture
+def square_finder(monkeypatch, tmp_path):
+    """The table of kinds with the tests' finder alone, and an empty cache."""
+    monkeypatch.setenv("ORTHOSCALE_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(kinds, "ANCHOR_KINDS", {"painted square": Kind("support.anchors:SquareFinder", proven=True)})
+
+
+def park_with(folder, side=SIDE):
+    """A car park, and beside it squares of so many metres."""
+    folder.mkdir(exist_ok=True)
+    car_park(folder)
+    park = cv2.imread(str(folder / "park.png"))
+    park = np.minimum(park, 200)  # no vehicle is as bright as a square
+    beside = squares(400, len(park), GSD, MIDDLES - [1000, 0], side)
+    cv2.imwrite(str(folder / "park.png"), np.concatenate([park, beside], axis=1))
+    return folder / "park.png", {"fleet": "DE", "detections": folder / "detections.json"}
+
+
+def test_squares_narrow_the_scale_of_their_orthophoto(square_finder, tmp_path):
+    path, options = park_with(tmp_path / "park")
+    without = orthoscale.estimate(path, anchors=["none"], **options)
+    found = orthoscale.estimate(path, **options)
+    assert found.scale.value == pytest.approx(GSD, rel=0.004)
+    assert found.scale.half_width < 0.2 * without.scale.half_width
+    places = np.array([anchor.place for anchor in found.anchors.anchors])
+    assert places[np.argsort(places[:, 1])] == pytest.approx(MIDDLES, abs=1.0)
+    assert found.anchors.without.value == without.scale.value
+    (evidence,) = [e for e in found.scale.evidence if e.kind == "painted square"]
+    assert evidence.says == "3 of kind painted square (squares of 10 m, 10 m)"
+
+
+def test_where_there_are_none_nothing_changes(square_finder, tmp_path):
+    car_park(tmp_path)
+    options = {"fleet": "DE", "detections": tmp_path / "detections.json"}
+    a, b = (orthoscale.estimate(tmp_path / "park.png", anchors=[which], **options) for which in ("none", "all"))
+    assert b.scale.value == pytest.approx(a.scale.value, rel=1e-12) and b.scale.interval90 == a.scale.interval90
+    assert not b.anchors.anchors
+
+
+def test_squares_that_contradict_the_vehicles_end_with_exit_code_4(square_finder, tmp_path):
+    path, options = park_with(tmp_path / "park", side=1.1 * SIDE)
+    words = ["--fleet", "DE", "--detections", options["detections"]]
+    done = run("estimate", path, *words)
+    assert done.returncode == 4 and "painted square" in done.stderr and "conflict: vehicles" in done.stderr
+    assert run("estimate", path, *words, "--anchors", "none").returncode == 0
+
+
+def test_a_users_own_standard_takes_the_place_of_the_finders(square_finder, tmp_path):
+    path, options = park_with(tmp_path / "park", side=1.05 * SIDE)
+    told = orthoscale.estimate(path, anchor=["square=10.5"], **options)
+    assert told.scale.value == pytest.approx(GSD, rel=0.006)
+    (tmp_path / "own.json").write_text(
+        json.dumps({"standards": [{"kind": "painted square", "metres": 10.5, "sd": 0.02, "name": "ours"}]})
+    )
+    again = orthoscale.estimate(path, anchor=[str(tmp_path / "own.json")], **options)
+    assert again.scale.value == pytest.approx(told.scale.value, rel=1e-3)
+    assert "ours" in [e for e in again.scale.evidence if e.kind == "painted square"][0].says
+
+
+@pytest.mark.parametrize("text", ["circle=3", "square", "square=-1", "square=1,2,3", "square=10,11", "square=nan"])
+def test_a_standard_that_makes_no_sense_is_refused(square_finder, text):
+    with pytest.raises(UsageError, match="--anchor"):
+        own_standards([text])
+
+
+def test_a_damaged_file_of_standards_is_refused(square_finder, tmp_path):
+    (tmp_path / "s.json").write_text('{"standards": [{"kind": "painted square", "metres": -1}]}')
+    with pytest.raises(InputError, match="metres"):
+        own_standards([str(tmp_path / "s.json")])
+
+
+def test_a_second_run_looks_at_nothing_again(square_finder, tmp_path, monkeypatch):
+    path, options = park_with(tmp_path / "park")
+    first = orthoscale.estimate(path, **options)
+    monkeypatch.setattr(SquareFinder, "find", lambda *arguments: pytest.fail("looked again"))
+    again = orthoscale.estimate(path, **options)
+    assert again.scale.interval90 == first.scale.interval90
+    (a, *_), (b, *_) = first.anchors.anchors, again.anchors.anchors
+    assert a.standards == b.standards and np.array_equal(a.lines, b.lines) and a.picture == b.picture
+
+
+@pytest.mark.parametrize("gsd", [0.05, 0.13, 0.3])
+def test_every_anchor_is_whole_in_a_window_of_the_resolution_that_the_finder_needs(gsd):
+    picture = SimpleNamespace(width=5200, height=1700)
+    finder = SquareFinder()
+    tiles = windows_of(picture, gsd, finder)
+    reach = finder.extent / gsd
+    assert {round(tile.width / tile.out_width * gsd, 2) for tile in tiles} == {max(gsd, finder.finest)}
+    for x in np.linspace(0, picture.width - reach, 60):
+        for y in np.linspace(0, picture.height - reach, 20):
+            assert any(t.x <= x and t.y <= y and x + reach <= t.x + t.width and y + reach <= t.y + t.height
+                       for t in tiles)  # fmt: skip
+
+
+def test_an_anchor_of_a_window_has_the_pictures_pixels():
+    sheet = Sheet(squares(900, 900, 0.1, [[640.3, 455.9]]))
+    for tile in windows_of(sheet, 0.1, SquareFinder()):
+        (found,) = look(SquareFinder(), sheet, tile, 0.1, 0.05)
+        assert tile.out_width < tile.width and found.picture == "sheet.png"
+        assert found.place == pytest.approx([640.3, 455.9], abs=0.7)
+        assert found.pixels == pytest.approx(100, rel=0.01)
+        assert found.lines.reshape(-1, 2).mean(0) == pytest.approx([640.3, 455.9], abs=2)
+
+
+def test_what_overlapping_windows_show_counts_once_and_enough_is_enough():
+    x, y = np.meshgrid(np.arange(100, 6000, 160), np.arange(100, 6000, 160))
+    sheet = Sheet(squares(6100, 6100, 0.2, np.stack([x, y], -1)))
+    finder = SquareFinder()
+    every = search([Sought(finder, [(sheet, 0.2)])], 0.05, exhaustive=True, cache=False)
+    assert len(every) == x.size
+    some = search([Sought(finder, [(sheet, 0.2)])], 0.05, cache=False)
+    assert ENOUGH_ANCHORS <= len(some) < x.size
+    again = search([Sought(finder, [(sheet, 0.2)])], 0.05, cache=False, workers=3)
+    assert [tuple(a.place) for a in some] == [tuple(a.place) for a in again]
+
+
+def test_lines_that_lie_on_one_another_are_one_thing():
+    court = np.array([[[0, 0], [24, 0]], [[0, 11], [24, 11]], [[0, 0], [0, 11]], [[24, 0], [24, 11.0]]])
+    moved = [court, court + [0.5, 0.3], court + [0, 14.0], court[:1] + [0.2, 0.1]]
+    number = alike(moved, [24.0] * 4)
+    assert number[0] == number[1] == number[3] != number[2]
+
+
+class FlatView:
+    """A picture of level ground, `unit` model units a pixel, whose first pixel is at `corner`."""
+
+    camera_height = 10.0
+
+    def __init__(self, corner, unit):
+        self.corner, self.unit = np.array(corner), unit
+
+    def ground(self, points):
+        return np.pad(self.corner + points * self.unit, ((0, 0), (0, 1)))
+
+
+def test_an_anchor_in_many_frames_is_one_vote():
+    views = {"a": FlatView([0.0, 0.0], 0.02), "b": FlatView([-3.0, 1.0], 0.04), "c": FlatView([9.0, 0.0], 0.02)}
+    square = np.array([[[0, 0], [1, 0]], [[1, 0], [1, 1]], [[1, 1], [0, 1]], [[0, 1], [0, 0.0]]])  # [units]
+    anchors = []
+    for name, corner, size in (("a", [2.0, 2.0], 1.0), ("b", [2.05, 1.98], 1.02), ("c", [11.0, 2.0], 1.0)):
+        view = views[name]
+        lines = (square * size + corner - view.corner) / view.unit
+        anchors.append(Anchor("painted square", lines.mean((0, 1)), lines, size / view.unit, 0.01, np.zeros(4),
+                              (SQUARE,), 0.01, picture=name))  # fmt: skip
+    one, two = votes_in_model(anchors, views, 0.2)
+    assert (one.views, two.views) == (2, 1)
+    assert one.units == pytest.approx(np.sqrt(1.02), rel=1e-6) and two.units == pytest.approx(1.0)
+    assert one.place == pytest.approx([2.5, 2.5, 0], abs=0.1)
+    assert one.relative_sd == pytest.approx(0.01 * np.sqrt(0.75)) and one.shared_sd == 0.01
+
+
+@pytest.fixture
+def two_kinds(square_finder, monkeypatch):
+    """A second kind beside it."""
+    more = {"small square": Kind("support.anchors:small_squares", proven=True)}
+    monkeypatch.setattr(kinds, "ANCHOR_KINDS", kinds.ANCHOR_KINDS | more)
+
+
+def empty_lot(folder, small):
+    """A picture without vehicles, of squares of 10 m and of 6 m or not, and a file without boxes."""
+    image = squares(1500, 900, GSD, MIDDLES)
+    if small:
+        image = np.minimum(image, 255)
+        beside = squares(1500, 900, GSD, [[300.2, 200.7], [500.4, 500.1]], 6.0)
+        image[:, :800] = beside[:, :800]
+    cv2.imwrite(str(folder / "lot.png"), image)
+    (folder / "none.json").write_text(json.dumps({"lot.png": []}))
+    return folder / "lot.png", {"fleet": "DE", "detections": folder / "none.json"}
+
+
+def test_two_kinds_that_agree_give_a_scale_without_vehicles(two_kinds, tmp_path):
+    path, options = empty_lot(tmp_path, small=True)
+    found = orthoscale.fix(path, tmp_path / "out.tif", also=["gpkg", "tiles"], **options)
+    assert found.scale.value == pytest.approx(GSD, rel=0.005) and found.scale.half_width < 0.01
+    assert "no vehicles: the scale rests on" in found.remarks[0].text and "small square" in found.remarks[0].text
+    assert found.scale.vehicles_used == 0 and found.scale.verdict == "good"
+    page = re.sub(r"base64,[^\"]+", "", (tmp_path / "out.tif.html").read_text())
+    assert "No vehicles" in page and "squares of 6 m" in page and "nan" not in page.lower()
+    done = run("estimate", path, "--fleet", "DE", "--detections", options["detections"])
+    assert done.returncode == 0 and "painted square" in done.stdout
+
+
+def test_one_kind_gives_none_without_vehicles(square_finder, tmp_path):
+    path, options = empty_lot(tmp_path, small=False)
+    with pytest.raises(TooLittleEvidence, match="two kinds of anchors that agree are needed; found: .*painted square"):
+        orthoscale.estimate(path, **options)
+
+
+def test_the_command_lists_and_draws_them(two_kinds, tmp_path):
+    path, _ = empty_lot(tmp_path, small=True)
+    done = run("anchors", path, "--scale", "0.101", "--out", tmp_path / "list", "--json")
+    told = json.loads(done.stdout)
+    assert [a["kind"] for a in told["anchors"]].count("painted square") == 3
+    assert all(a["scale"] == pytest.approx(GSD, rel=0.005) and a["residual_cm"] < 5 for a in told["anchors"])
+    assert json.loads((tmp_path / "list" / "anchors.json").read_text()) == told
+    assert cv2.imread(str(tmp_path / "list" / "anchors.png")) is not None
+    layer = read_dataframe(tmp_path / "list" / "anchors.gpkg", "anchors")
+    assert layer == ["painted square"] * 3 + ["small square"] * 2
+    few = run("anchors", path, "--scale", "0.101", "--anchors", "all", "--json")
+    assert len(json.loads(few.stdout)["anchors"]) == 5
+    assert run("anchors", path, "--scale", "-1").returncode == 2
+
+
+def read_dataframe(path, layer):
+    """The kinds of a layer's features."""
+    import pyogrio
+
+    _, _, _, (kinds_there, *_) = pyogrio.raw.read(path, layer, columns=["kind"])
+    return kinds_there.tolist()
+
+
+def test_a_report_says_what_each_anchor_is_and_how_much_it_helps(square_finder, tmp_path):
+    path, options = park_with(tmp_path / "park")
+    orthoscale.fix(path, tmp_path / "out.tif", also=["gpkg"], **options)
+    report = json.loads((tmp_path / "out.tif.json").read_text())
+    (one, *_) = report["anchors"]
+    assert (one["standard"], one["counted"], len(one["lines_px"])) == ("squares of 10 m", True, 4)
+    low, high = report["without_anchors"]["interval90"]
+    assert high - low > 5 * (report["interval90"][1] - report["interval90"][0])
+    page = (tmp_path / "out.tif.html").read_text()
+    assert "What else has a known size?" in page and "painted square: squares of 10 m" in page
+    assert read_dataframe(tmp_path / "out.tif.gpkg", "anchors") == ["painted square"] * 3
+    done = run("report", tmp_path / "out.tif.json", "--out", tmp_path / "again.html")
+    assert done.returncode == 0 and "What else has a known size?" in (tmp_path / "again.html").read_text()

@@ -1,0 +1,163 @@
+"""Painted courts: found where they are, measured to what was drawn, and not where other lines are."""
+
+import cv2
+import numpy as np
+import pytest
+from support.courts import ASPHALT, BLUE, CLAY, GRASS, GREEN, court_picture, tennis
+
+from orthoscale.anchors.courts import TENNIS
+
+SD = 0.08  # relative one sigma of what the vehicles say
+
+
+def court(gsd, angle=0.4, off=1.07, seed=0, paint=None, **looks):
+    """A picture of one court and what is found in it, if the vehicles are wrong by the factor `off`."""
+    side = 38.0
+    picture = court_picture([(paint or tennis(), (side / 2, side / 2), angle)], gsd, 2 * [round(side / gsd)],
+                            seed=seed, **looks)  # fmt: skip
+    return picture, TENNIS.find(picture, gsd * off, SD, "")
+
+
+def error(anchor, gsd):
+    return float(anchor.metres_per_pixel()[0] / gsd - 1)
+
+
+@pytest.mark.parametrize("gsd", [0.06, 0.15, 0.3, 0.5])
+@pytest.mark.parametrize("angle", [0.0, 0.4, 2.3])
+def test_a_court_is_found_and_measured(gsd, angle):
+    _, found = court(gsd, angle, noise=2.0 if gsd > 0.4 else 2.5)  # a tenth of a pixel is paint there
+    assert len(found) == 1
+    assert abs(error(found[0], gsd)) < (0.003 if gsd < 0.4 else 0.006)
+    middle = np.array([19.0, 19.0]) / gsd - 0.5  # pixel coordinates count from the middle of the first pixel
+    assert np.abs(found[0].place - middle).max() < 0.15 / gsd
+    assert found[0].false < 0.1 and 0.001 < found[0].relative_sd < 0.008
+    assert np.sqrt(np.mean(found[0].residual ** 2)) * gsd < 0.15
+
+
+@pytest.mark.parametrize(
+    "looks",
+    [
+        {"surface": CLAY, "ground": GRASS},
+        {"surface": BLUE, "ground": GREEN, "white": 150},
+        {"wear": 0.45},
+        {"shade": 0.5},
+        {"trees": 4},
+        {"blur_px": 1.0},
+        {"noise": 7.0},
+    ],
+    ids=lambda looks: next(iter(looks)),
+)
+@pytest.mark.parametrize("gsd", [0.1, 0.3])
+def test_it_is_found_in_other_looks(gsd, looks):
+    _, found = court(gsd, seed=3, **looks)
+    assert len(found) == 1
+    assert abs(error(found[0], gsd)) < 0.006
+
+
+@pytest.mark.parametrize("off", [0.86, 1.15])
+def test_what_the_vehicles_say_does_not_move_it(off):
+    assert abs(error(court(0.3, off=off)[1][0], 0.3)) < 0.003
+
+
+@pytest.mark.parametrize("off", [0.7, 1.4])
+def test_a_court_of_another_size_than_the_vehicles_allow_is_none(off):
+    assert not court(0.3, off=off)[1]
+
+
+def test_courts_side_by_side_are_each_found_once():
+    paint = tennis()
+    places = [(12.0 + 16.5 * k, 19.0) for k in range(4)]
+    picture = court_picture([(paint, place, np.pi / 2) for place in places], 0.3, (127, 250))
+    found = TENNIS.find(picture, 0.31, SD, "")
+    assert sorted(round(float(a.place[0] * 0.3 + 0.15 - 12.0) / 16.5) for a in found) == [0, 1, 2, 3]
+    assert max(abs(error(a, 0.3)) for a in found) < 0.004
+
+
+def test_the_width_of_the_base_line_matters_little():
+    errors = [error(court(0.1, paint=tennis(base=base))[1][0], 0.1) for base in (0.05, 0.1)]
+    assert max(np.abs(errors)) < 0.003
+
+
+def turned(picture):
+    return {
+        "mirrored": picture[:, ::-1],
+        "turned": np.rot90(picture),
+        "upside down": picture[::-1, ::-1],
+        "not contiguous": np.asfortranarray(picture),
+    }
+
+
+@pytest.mark.parametrize("how", ["mirrored", "turned", "upside down", "not contiguous"])
+def test_the_answer_does_not_depend_on_how_the_picture_lies(how):
+    picture, found = court(0.3, angle=0.3)
+    other = TENNIS.find(turned(picture)[how], 0.3 * 1.07, SD, "")
+    assert len(other) == 1
+    assert other[0].pixels == pytest.approx(found[0].pixels, rel=1e-3)
+
+
+def bays(gsd, rows=5, pitch=2.6, depth=5.0):
+    boxes = []
+    for row in range(rows):
+        y = row * 11.0
+        boxes += [(k * pitch, y, k * pitch + 0.1, y + depth) for k in range(17)] + [(0, y, 16 * pitch, y + 0.1)]
+    return boxes
+
+
+def pitch_lines():
+    """A field of 60 x 40 m with its outline, halves and boxes; none of it is a court's."""
+    boxes = [(0, 0, 60, 0.1), (0, 39.9, 60, 40), (0, 0, 0.1, 40), (59.9, 0, 60, 40), (29.95, 0, 30.05, 40)]
+    return boxes + [(0, 10, 12, 10.1), (0, 30, 12, 30.1), (12, 10, 12.1, 30)]
+
+
+def lanes():
+    """A road with the spacing of a court's long lines: sides and singles are there, what crosses them is not."""
+    return [(-30, at - 0.05, 30, at + 0.05) for at in (-5.46, -4.09, 0, 4.09, 5.46)]
+
+
+def net():
+    return [(k * 3.0, 0, k * 3.0 + 0.1, 36) for k in range(15)] + [(0, k * 3.0, 42, k * 3.0 + 0.1) for k in range(13)]
+
+
+@pytest.mark.parametrize("paint", [bays(0.3), pitch_lines(), lanes(), net()], ids=["bays", "pitch", "lanes", "net"])
+@pytest.mark.parametrize("gsd", [0.12, 0.3])
+def test_other_lines_are_no_court(paint, gsd):
+    low, high = np.min(paint, 0)[:2], np.max(paint, 0)[2:]
+    middle = np.array([35.0, 35.0])
+    centred = [tuple(np.subtract(box, np.tile((low + high) / 2, 2))) for box in paint]
+    picture = court_picture([(centred, middle, 0.2)], gsd, 2 * [round(70 / gsd)], surface=ASPHALT)
+    assert not TENNIS.find(picture, gsd, 0.12, "")
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        np.zeros((1, 1, 3), np.uint8),
+        np.zeros((5, 900, 3), np.uint8),
+        np.full((200, 200, 3), 255, np.uint8),
+        np.random.default_rng(0).integers(0, 256, (250, 240, 3), np.uint8),
+        np.kron(np.indices((40, 40)).sum(0) % 2, np.ones((6, 6)))[..., None].repeat(3, 2).astype(np.uint8) * 255,
+    ],
+    ids=["one pixel", "a strip", "white", "noise", "chequered"],
+)
+@pytest.mark.parametrize("gsd", [0.05, 0.3, 0.55, 5.0])
+def test_an_odd_picture_has_no_court(picture, gsd):
+    assert list(TENNIS.find(picture, gsd, 0.1, "US")) == []
+
+
+@pytest.mark.real
+def test_courts_of_american_cities(data):
+    """Of five pictures of exactly 0.3048 m/px with 15 whole courts by eye at least 14 are found, to half a percent."""
+    found = []
+    for number, _whole in (("23", 6), ("30", 2), ("42", 3), ("52", 4)):
+        picture = cv2.imread(str(data / "vehicles" / "chips" / f"tenniscourt{number}.jpg"))
+        found.append(TENNIS.find(picture[..., ::-1], 0.3048 * 0.94, SD, "US"))
+    assert sum(map(len, found)) in (14, 15)
+    places = [np.median([error(a, 0.3048) for a in anchors]) for anchors in found]
+    assert max(np.abs(places)) < 0.005
+
+
+@pytest.mark.real
+def test_no_court_in_a_car_park(data):
+    for number in ("00", "01", "02"):
+        picture = cv2.imread(str(data / "vehicles" / "chips" / f"parkinglot{number}.jpg"))
+        assert not TENNIS.find(picture[..., ::-1], 0.3048, 0.1, "US")
