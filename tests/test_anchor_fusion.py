@@ -123,6 +123,9 @@ def test_what_all_on_one_ground_have_in_common_stays_however_many_kinds_there_ar
     assert one.relative_sd == pytest.approx(np.sqrt(0.002**2 + 0.003**2 + 0.01**2))
     got = together(kinds)
     assert 0.01 < got.posterior.spread < 0.0105 and np.log(got.summary[0]) == pytest.approx(0.01, abs=0.0003)
+    assert got.parts["geometry"] == pytest.approx(0.01, rel=0.01) and sum(v**2 for v in got.parts.values()) == (
+        pytest.approx(got.posterior.spread**2)
+    )
     taped = together(kinds, tape=Evidence("known distance", 1.0, 0.001, "a tape"))
     assert taped.posterior.spread < 0.001 and np.log(taped.summary[0]) == pytest.approx(0.0, abs=0.0003)
 

@@ -73,6 +73,7 @@ def search(
             part.cache = open_things.enter_context(AnchorCache(key)) if cache and (key := part.key()) else None
         while not all(part.done for part in parts):
             batch = [(part, number) for part in parts for number in part.next()]
+            batch.sort(key=lambda one: one[0].place(one[1]))  # files are read fastest from the top, many only so
             work = {}
             for k, (part, number) in enumerate(batch):
                 if not part.had(number):
@@ -120,6 +121,11 @@ class _Part:
             return range(0)
         count = len(self.jobs) if self.exhaustive else FIRST_WINDOWS
         return range(len(self.looks), min(len(self.looks) + count, len(self.jobs)))
+
+    def place(self, number: int) -> tuple[str, int, int]:
+        """By which windows are read in order."""
+        picture, tile = self.jobs[number]
+        return picture.name, tile.y, tile.x
 
     def had(self, number: int) -> bool:
         """Whether window `number` was looked at in another run."""

@@ -22,6 +22,7 @@ CONFLICT_HINT = "Check the given evidence, the anchors (--anchors) and the boxes
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
 ALONE = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
+COMMON_AT_MOST = 0.99  # share of a scale's variance that may be what all its sources have in common
 SUPPORTS = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
@@ -150,7 +151,7 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
         if not e.common:
             posterior = posterior.times_doubted(e.own, e.doubt, e.window)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
-    shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior)
+    shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior, common)
     told = tuple(e.meant(posterior) for e in evidence)
     return Combined(posterior, shares, 0.0, remarks, (value, low, high), told)
 
@@ -192,18 +193,26 @@ def _nearest(one: Posterior, other: Posterior) -> tuple[float, float, float]:
 
 
 def _shares(
-    vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence[Evidence], posterior: Posterior
+    vehicles: Posterior,
+    parts: Mapping[str, float],
+    evidence: Sequence[Evidence],
+    posterior: Posterior,
+    common: float,
 ) -> dict[str, float]:
-    """One-sigmas that each source contributes to the combination; their squares add up to its variance."""
+    """One-sigmas that each source contributes to the combination; their squares add up to its variance. What all have
+    in common (a variance) is the geometry's."""
     if not evidence:
         return dict(parts)
-    precision = np.array([vehicles.spread**-2, *(e.relative_sd**-2 for e in evidence)])
+    spreads = [vehicles.blurred(-common).spread, *(np.sqrt(e.relative_sd**2 - e.common**2) for e in evidence)]
+    precision = np.array(spreads) ** -2.0
     weight = precision / precision.sum()
     out = {name: float(sd * weight[0]) for name, sd in parts.items()}
-    for e, w in zip(evidence, weight[1:], strict=True):
-        out[e.kind] = float(np.hypot(out.get(e.kind, 0.0), e.relative_sd * w))
-    adjust = posterior.spread / np.sqrt(sum(sd**2 for sd in out.values()))
-    return {name: float(sd * adjust) for name, sd in out.items()}
+    for e, spread, w in zip(evidence, spreads[1:], weight[1:], strict=True):
+        out[e.kind] = float(np.hypot(out.get(e.kind, 0.0), spread * w))
+    common = min(common, COMMON_AT_MOST * posterior.spread**2)
+    adjust = np.sqrt((posterior.spread**2 - common) / sum(sd**2 for sd in out.values()))
+    out = {name: float(sd * adjust) for name, sd in out.items()}
+    return out | {"geometry": float(np.hypot(out.get("geometry", 0.0), np.sqrt(common)))} if common else out
 
 
 def known_distance(points: np.ndarray, metres: float, sd: float | None = None, where: str = "") -> Evidence:
