@@ -175,13 +175,13 @@ def _volleyball() -> Court:
     half = 0.025  # [m] of the paint's width
     x, y, attack = 9.0 - half, 4.5 - half, 3.0 - half
     lines = _box(x, y) + [_across(side * attack, -y, y, ends=(False, False)) for side in (-1, 1)]
-    lines += [_across(0.0, -y, y)]
+    lines += [_across(0.0, -y, y, weight=0.3)]  # under the net, often left out
     rule = Standard(
         "FIVB volleyball court",
         18.0,
         0.004,
-        "FIVB Official Volleyball Rules, rule 1: 18 x 9 m to the outside of the lines of 5 cm, attack lines' rear edges "
-        "3 m from the middle of the centre line; the spread is ours",
+        "FIVB Official Volleyball Rules, rule 1: 18 x 9 m to the outside of the lines of 5 cm, attack lines' rear "
+        "edges 3 m from the middle of the centre line; the spread is ours",
     )
     return Court(tuple(lines), rule)
 
@@ -194,7 +194,8 @@ def _basketball(length: float, width: float, key: float, depth: float, name: str
     lines = [*_box(x, y), _across(0.0, -y, y), _arc(0, 0, 1.8 - half, 0, 360)]
     for side in (-1, 1):
         lines += [_across(side * free, -k, k)]
-        lines += [_along(at, *sorted((side * free, side * x)), ends=(side > 0, side < 0)) for at in (-k, k)]
+        low, high = sorted((side * free, side * x))
+        lines += [_along(at, low, high, ends=(side > 0, side < 0)) for at in (-k, k)]
         lines += [_arc(side * free, 0, 1.8 - half, 90 if side > 0 else -90, 270 if side > 0 else 90)]
     return Court(tuple(lines), Standard(name, length, 0.006, source))
 
@@ -212,23 +213,8 @@ def _handball() -> Court:
         "IHF handball court",
         40.0,
         0.005,
-        "IHF Rules of the Game, rule 1: 40 x 20 m to the outside of the lines of 5 cm, goal areas of 6 m about the posts "
-        "of a goal of 3 m; futsal (FIFA) is marked alike; the spread is ours",
-    )
-    return Court(tuple(lines), rule)
-
-
-def _padel() -> Court:
-    half = 0.025
-    service, y = 6.95 - half, 5.0
-    lines = [_across(side * service, -y, y, ends=(False, False)) for side in (-1, 1)]
-    lines += [_along(0.0, -service - 0.2, service + 0.2)]
-    rule = Standard(
-        "FIP padel court",
-        13.90,
-        0.004,
-        "FIP Rules of Padel, rule 1: 20 x 10 m between walls, service lines 6.95 m from the net, the centre line 20 cm "
-        "beyond them; the spread is ours",
+        "IHF Rules of the Game, rule 1: 40 x 20 m to the outside of the lines of 5 cm, goal areas of 6 m about the "
+        "posts of a goal of 3 m; futsal (FIFA) is marked alike; the spread is ours",
     )
     return Court(tuple(lines), rule)
 
@@ -249,8 +235,8 @@ def _penalty_area() -> Court:
         "IFAB penalty area",
         40.32,
         0.006,
-        "IFAB Laws of the Game, law 1: 16.5 m into the field and beyond the posts of a goal of 7.32 m, goal area 5.5 m, "
-        "arc of 9.15 m about the mark at 11 m, to the outside of lines of at most 12 cm; the spread is ours",
+        "IFAB Laws of the Game, law 1: 16.5 m into the field and beyond the posts of a goal of 7.32 m, goal area "
+        "5.5 m, arc of 9.15 m about the mark at 11 m, to the outside of lines of at most 12 cm; the spread is ours",
     )
     return Court(tuple(lines), rule, symmetric=False)
 
@@ -258,14 +244,20 @@ def _penalty_area() -> Court:
 TENNIS_COURT = _tennis()
 VOLLEYBALL_COURT = _volleyball()
 HANDBALL_COURT = _handball()
-PADEL_COURT = _padel()
 PENALTY_AREA = _penalty_area()
+_AMERICAN = "to the inside of the lines, key 12 ft wide, free-throw line 19 ft from the end line; the spread is ours"
 BASKETBALL_COURTS = (
-    _basketball(28.0, 15.0, 4.9, 5.8, "FIBA basketball court", "FIBA Official Basketball Rules, art. 2: 28 x 15 m to the "
-                "inside of the lines of 5 cm, key 4.9 x 5.8 m, circles of 1.8 m; the spread is ours"),
-    _basketball(28.651, 15.24, 3.66, 5.79, "US college basketball court", "NCAA Basketball Rules, rule 1: 94 x 50 ft to "
-                "the inside of the lines, key 12 ft wide, free-throw line 19 ft from the end line; the spread is ours"),
-    _basketball(25.603, 15.24, 3.66, 5.79, "US high school basketball court", "NFHS Basketball Rules, rule 1: 84 x 50 "
-                "ft to the inside of the lines, key 12 ft wide, free-throw line 19 ft from the end line; the spread is "
-                "ours"),
+    _basketball(
+        28.0, 15.0, 4.9, 5.8, "FIBA basketball court",
+        "FIBA Official Basketball Rules, art. 2: 28 x 15 m to the inside of the lines of 5 cm, key 4.9 x 5.8 m, "
+        "circles of 1.8 m; the spread is ours",
+    ),
+    _basketball(
+        28.651, 15.24, 3.66, 5.79, "US college basketball court",
+        f"NCAA Basketball Rules, rule 1: 94 x 50 ft {_AMERICAN}",
+    ),
+    _basketball(
+        25.603, 15.24, 3.66, 5.79, "US high school basketball court",
+        f"NFHS Basketball Rules, rule 1: 84 x 50 ft {_AMERICAN}",
+    ),
 )  # fmt: skip
