@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.anchors import Standard
 
-NEXT_TO = 2.1  # [m] beside a stroke, where mostly nothing else is painted
+NETS = (2.1, 3.0, 4.0)  # [m] beside strokes, where joints and bays have their next line
 BEYOND_END = 2.4  # [m] beyond the end of a stroke, up to where it may not go on
 
 
@@ -59,11 +59,14 @@ class Pieces:
 @dataclass(frozen=True)
 class Court:
     """strokes : what is painted. standard : the rule, and the length by which a court built to it is known.
-    symmetric : by half a turn."""
+    symmetric : by half a turn. beside : how far [m] beside strokes blanks are looked for. bare : evidence that all of
+    them being marred would take: more where few strokes have to tell a court from a net of lines."""
 
     strokes: tuple[Stroke, ...]
     standard: Standard
     symmetric: bool = True
+    beside: tuple[float, ...] = (2.1,)
+    bare: float = 1.0
 
     @cached_property
     def extent(self) -> float:
@@ -103,9 +106,10 @@ class Court:
         painted, fine = self.pieces(length), self.pieces(0.3).middle
         normal = np.stack([-np.sin(painted.direction), np.cos(painted.direction)], -1)
         middles, directions = [], []
-        for first, away in enumerate((NEXT_TO, -NEXT_TO)):  # every other piece to each side is enough
-            middles.append((painted.middle + away * normal)[first::2])
-            directions.append(painted.direction[first::2])
+        for away in self.beside:
+            for first, side in enumerate((away, -away)):  # every other piece to each side is enough
+                middles.append((painted.middle + side * normal)[first::2])
+                directions.append(painted.direction[first::2])
         for stroke in self.strokes:
             if stroke.radius:
                 continue
@@ -183,7 +187,7 @@ def _volleyball() -> Court:
         "FIVB Official Volleyball Rules, rule 1: 18 x 9 m to the outside of the lines of 5 cm, attack lines' rear "
         "edges 3 m from the middle of the centre line; the spread is ours",
     )
-    return Court(tuple(lines), rule)
+    return Court(tuple(lines), rule, beside=NETS, bare=2.0)
 
 
 def _basketball(length: float, width: float, key: float, depth: float, name: str, source: str) -> Court:
@@ -197,7 +201,7 @@ def _basketball(length: float, width: float, key: float, depth: float, name: str
         low, high = sorted((side * free, side * x))
         lines += [_along(at, low, high, ends=(side > 0, side < 0)) for at in (-k, k)]
         lines += [_arc(side * free, 0, 1.8 - half, 90 if side > 0 else -90, 270 if side > 0 else 90)]
-    return Court(tuple(lines), Standard(name, length, 0.006, source))
+    return Court(tuple(lines), Standard(name, length, 0.006, source), beside=NETS, bare=2.0)
 
 
 def _handball() -> Court:
@@ -216,7 +220,7 @@ def _handball() -> Court:
         "IHF Rules of the Game, rule 1: 40 x 20 m to the outside of the lines of 5 cm, goal areas of 6 m about the "
         "posts of a goal of 3 m; futsal (FIFA) is marked alike; the spread is ours",
     )
-    return Court(tuple(lines), rule)
+    return Court(tuple(lines), rule, beside=NETS, bare=2.0)
 
 
 def _penalty_area() -> Court:
@@ -238,7 +242,7 @@ def _penalty_area() -> Court:
         "IFAB Laws of the Game, law 1: 16.5 m into the field and beyond the posts of a goal of 7.32 m, goal area "
         "5.5 m, arc of 9.15 m about the mark at 11 m, to the outside of lines of at most 12 cm; the spread is ours",
     )
-    return Court(tuple(lines), rule, symmetric=False)
+    return Court(tuple(lines), rule, symmetric=False, beside=NETS, bare=2.0)
 
 
 TENNIS_COURT = _tennis()

@@ -30,7 +30,6 @@ ENLARGED = 2.0  # at most: a coarser picture is searched coarser
 SMALLEST_PX = 16  # [px] of a picture's shorter side
 SURE = 0.8  # of a fit's paint is seen: no other court lies on it
 COURTS_OVERLAP = 0.8  # of both sides: courts whose middles are nearer than this overlap
-MARS_TAKE = 1.0  # evidence that a blank which is none takes, per share of all
 PAINT_SCATTER, SCATTER_TAKES = 0.25, 1.5  # of paint hardly more than the first; what more of it takes
 STRETCHED = 0.03  # |ln| of the ratio of both pixel sizes, at most
 # From 61 chips with tennis courts and 409 without (`benchmarks/anchors_courts.py`): fits to other things become ten
@@ -52,7 +51,12 @@ def evidence(fit: CourtFit) -> float:
     do not lie on straight lines."""
     weight = np.array([stroke.weight for stroke in fit.court.strokes])
     fewer = min(float(np.average(fit.seen[group], weights=weight[group])) for group in fit.court.groups)
-    return 0.5 * fit.lit + 0.5 * fewer - MARS_TAKE * fit.marred - SCATTER_TAKES * max(0.0, fit.scatter - PAINT_SCATTER)
+    return (
+        0.5 * fit.lit
+        + 0.5 * fewer
+        - fit.court.bare * fit.marred
+        - SCATTER_TAKES * max(0.0, fit.scatter - PAINT_SCATTER)
+    )
 
 
 def size_of(fit: CourtFit) -> tuple[float, float]:
