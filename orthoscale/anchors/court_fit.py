@@ -37,8 +37,8 @@ PRIOR_SD = 0.1  # [ln] by which a round may change a pixel size
 
 @dataclass(frozen=True)
 class CourtFit:
-    """court : what was fitted. place : (2,) [px]. angle : of the court's length [rad] from +x, clockwise on screen. along, across : pixels per
-    metre. along_sd, across_sd : their relative one sigma by the scatter about the fit alone.
+    """court : what was fitted. place : (2,) [px]. angle : of its length [rad] from +x, clockwise on screen. along,
+    across : pixels per metre. along_sd, across_sd : their relative one sigma by the scatter about the fit alone.
     residual : (M,) of the ridges that were found, across the strokes [px]. lit : share of the painted length that lies
     on ridges. seen : (S,) the same of each stroke. marred : share of the blank places that ridges cross.
     scatter : root mean square of `residual`, as a share of the most it may be; 0.58 if ridges are anywhere.

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.anchors import Standard
 
-NEXT_TO = 2.1  # [m] beside a stroke, where mostly nothing else is painted
+NETS = (2.1, 3.0, 4.0)  # [m] beside strokes, where joints and bays have their next line
 BEYOND_END = 2.4  # [m] beyond the end of a stroke, up to where it may not go on
 
 
@@ -59,11 +59,14 @@ class Pieces:
 @dataclass(frozen=True)
 class Court:
     """strokes : what is painted. standard : the rule, and the length by which a court built to it is known.
-    symmetric : by half a turn."""
+    symmetric : by half a turn. beside : how far [m] beside strokes blanks are looked for. bare : evidence that all of
+    them being marred would take: more where few strokes have to tell a court from a net of lines."""
 
     strokes: tuple[Stroke, ...]
     standard: Standard
     symmetric: bool = True
+    beside: tuple[float, ...] = (2.1,)
+    bare: float = 1.0
 
     @cached_property
     def extent(self) -> float:
@@ -103,9 +106,10 @@ class Court:
         painted, fine = self.pieces(length), self.pieces(0.3).middle
         normal = np.stack([-np.sin(painted.direction), np.cos(painted.direction)], -1)
         middles, directions = [], []
-        for first, away in enumerate((NEXT_TO, -NEXT_TO)):  # every other piece to each side is enough
-            middles.append((painted.middle + away * normal)[first::2])
-            directions.append(painted.direction[first::2])
+        for away in self.beside:
+            for first, side in enumerate((away, -away)):  # every other piece to each side is enough
+                middles.append((painted.middle + side * normal)[first::2])
+                directions.append(painted.direction[first::2])
         for stroke in self.strokes:
             if stroke.radius:
                 continue
@@ -175,15 +179,15 @@ def _volleyball() -> Court:
     half = 0.025  # [m] of the paint's width
     x, y, attack = 9.0 - half, 4.5 - half, 3.0 - half
     lines = _box(x, y) + [_across(side * attack, -y, y, ends=(False, False)) for side in (-1, 1)]
-    lines += [_across(0.0, -y, y)]
+    lines += [_across(0.0, -y, y, weight=0.3)]  # under the net, often left out
     rule = Standard(
         "FIVB volleyball court",
         18.0,
         0.004,
-        "FIVB Official Volleyball Rules, rule 1: 18 x 9 m to the outside of the lines of 5 cm, attack lines' rear edges "
-        "3 m from the middle of the centre line; the spread is ours",
+        "FIVB Official Volleyball Rules, rule 1: 18 x 9 m to the outside of the lines of 5 cm, attack lines' rear "
+        "edges 3 m from the middle of the centre line; the spread is ours",
     )
-    return Court(tuple(lines), rule)
+    return Court(tuple(lines), rule, beside=NETS, bare=2.0)
 
 
 def _basketball(length: float, width: float, key: float, depth: float, name: str, source: str) -> Court:
@@ -194,9 +198,10 @@ def _basketball(length: float, width: float, key: float, depth: float, name: str
     lines = [*_box(x, y), _across(0.0, -y, y), _arc(0, 0, 1.8 - half, 0, 360)]
     for side in (-1, 1):
         lines += [_across(side * free, -k, k)]
-        lines += [_along(at, *sorted((side * free, side * x)), ends=(side > 0, side < 0)) for at in (-k, k)]
+        low, high = sorted((side * free, side * x))
+        lines += [_along(at, low, high, ends=(side > 0, side < 0)) for at in (-k, k)]
         lines += [_arc(side * free, 0, 1.8 - half, 90 if side > 0 else -90, 270 if side > 0 else 90)]
-    return Court(tuple(lines), Standard(name, length, 0.006, source))
+    return Court(tuple(lines), Standard(name, length, 0.006, source), beside=NETS, bare=2.0)
 
 
 def _handball() -> Court:
@@ -212,25 +217,10 @@ def _handball() -> Court:
         "IHF handball court",
         40.0,
         0.005,
-        "IHF Rules of the Game, rule 1: 40 x 20 m to the outside of the lines of 5 cm, goal areas of 6 m about the posts "
-        "of a goal of 3 m; futsal (FIFA) is marked alike; the spread is ours",
+        "IHF Rules of the Game, rule 1: 40 x 20 m to the outside of the lines of 5 cm, goal areas of 6 m about the "
+        "posts of a goal of 3 m; futsal (FIFA) is marked alike; the spread is ours",
     )
-    return Court(tuple(lines), rule)
-
-
-def _padel() -> Court:
-    half = 0.025
-    service, y = 6.95 - half, 5.0
-    lines = [_across(side * service, -y, y, ends=(False, False)) for side in (-1, 1)]
-    lines += [_along(0.0, -service - 0.2, service + 0.2)]
-    rule = Standard(
-        "FIP padel court",
-        13.90,
-        0.004,
-        "FIP Rules of Padel, rule 1: 20 x 10 m between walls, service lines 6.95 m from the net, the centre line 20 cm "
-        "beyond them; the spread is ours",
-    )
-    return Court(tuple(lines), rule)
+    return Court(tuple(lines), rule, beside=NETS, bare=2.0)
 
 
 def _penalty_area() -> Court:
@@ -249,23 +239,29 @@ def _penalty_area() -> Court:
         "IFAB penalty area",
         40.32,
         0.006,
-        "IFAB Laws of the Game, law 1: 16.5 m into the field and beyond the posts of a goal of 7.32 m, goal area 5.5 m, "
-        "arc of 9.15 m about the mark at 11 m, to the outside of lines of at most 12 cm; the spread is ours",
+        "IFAB Laws of the Game, law 1: 16.5 m into the field and beyond the posts of a goal of 7.32 m, goal area "
+        "5.5 m, arc of 9.15 m about the mark at 11 m, to the outside of lines of at most 12 cm; the spread is ours",
     )
-    return Court(tuple(lines), rule, symmetric=False)
+    return Court(tuple(lines), rule, symmetric=False, beside=NETS, bare=2.0)
 
 
 TENNIS_COURT = _tennis()
 VOLLEYBALL_COURT = _volleyball()
 HANDBALL_COURT = _handball()
-PADEL_COURT = _padel()
 PENALTY_AREA = _penalty_area()
+_AMERICAN = "to the inside of the lines, key 12 ft wide, free-throw line 19 ft from the end line; the spread is ours"
 BASKETBALL_COURTS = (
-    _basketball(28.0, 15.0, 4.9, 5.8, "FIBA basketball court", "FIBA Official Basketball Rules, art. 2: 28 x 15 m to the "
-                "inside of the lines of 5 cm, key 4.9 x 5.8 m, circles of 1.8 m; the spread is ours"),
-    _basketball(28.651, 15.24, 3.66, 5.79, "US college basketball court", "NCAA Basketball Rules, rule 1: 94 x 50 ft to "
-                "the inside of the lines, key 12 ft wide, free-throw line 19 ft from the end line; the spread is ours"),
-    _basketball(25.603, 15.24, 3.66, 5.79, "US high school basketball court", "NFHS Basketball Rules, rule 1: 84 x 50 "
-                "ft to the inside of the lines, key 12 ft wide, free-throw line 19 ft from the end line; the spread is "
-                "ours"),
+    _basketball(
+        28.0, 15.0, 4.9, 5.8, "FIBA basketball court",
+        "FIBA Official Basketball Rules, art. 2: 28 x 15 m to the inside of the lines of 5 cm, key 4.9 x 5.8 m, "
+        "circles of 1.8 m; the spread is ours",
+    ),
+    _basketball(
+        28.651, 15.24, 3.66, 5.79, "US college basketball court",
+        f"NCAA Basketball Rules, rule 1: 94 x 50 ft {_AMERICAN}",
+    ),
+    _basketball(
+        25.603, 15.24, 3.66, 5.79, "US high school basketball court",
+        f"NFHS Basketball Rules, rule 1: 84 x 50 ft {_AMERICAN}",
+    ),
 )  # fmt: skip

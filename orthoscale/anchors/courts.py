@@ -17,7 +17,6 @@ from .court_fit import CourtFit, fit_court
 from .court_models import (
     BASKETBALL_COURTS,
     HANDBALL_COURT,
-    PADEL_COURT,
     PENALTY_AREA,
     TENNIS_COURT,
     VOLLEYBALL_COURT,
@@ -31,9 +30,7 @@ ENLARGED = 2.0  # at most: a coarser picture is searched coarser
 SMALLEST_PX = 16  # [px] of a picture's shorter side
 SURE = 0.8  # of a fit's paint is seen: no other court lies on it
 COURTS_OVERLAP = 0.8  # of both sides: courts whose middles are nearer than this overlap
-MARS_TAKE = 1.0  # evidence that a blank which is none takes, per share of all
 PAINT_SCATTER, SCATTER_TAKES = 0.25, 1.5  # of paint hardly more than the first; what more of it takes
-ACCEPTED = 0.01  # above EVEN: least evidence of a court
 STRETCHED = 0.03  # |ln| of the ratio of both pixel sizes, at most
 # From 61 chips with tennis courts and 409 without (`benchmarks/anchors_courts.py`): fits to other things become ten
 # times rarer with every 0.1 of evidence (one in 27 Mpx reaches 0.44), and at EVEN they are as frequent as courts are.
@@ -52,8 +49,14 @@ def evidence(fit: CourtFit) -> float:
     """What speaks for a court, 1 if all of it is seen and nothing else: half by the length of what is seen, half by the
     strokes of that direction in which fewer are; less what is seen where nothing should be, and less where the ridges
     do not lie on straight lines."""
-    seen = 0.5 * fit.lit + 0.5 * min(float(fit.seen[group].mean()) for group in fit.court.groups)
-    return seen - MARS_TAKE * fit.marred - SCATTER_TAKES * max(0.0, fit.scatter - PAINT_SCATTER)
+    weight = np.array([stroke.weight for stroke in fit.court.strokes])
+    fewer = min(float(np.average(fit.seen[group], weights=weight[group])) for group in fit.court.groups)
+    return (
+        0.5 * fit.lit
+        + 0.5 * fewer
+        - fit.court.bare * fit.marred
+        - SCATTER_TAKES * max(0.0, fit.scatter - PAINT_SCATTER)
+    )
 
 
 def size_of(fit: CourtFit) -> tuple[float, float]:
@@ -90,12 +93,14 @@ def _overlap(fit: CourtFit, place: np.ndarray) -> bool:
 class CourtFinder:
     """Finds one kind of painted court, built to any of some rules; see `AnchorFinder`.
 
-    courts : by the rules, each with the standard it is. even : evidence at which what is found is as often something else
-    as a court; more of it is accepted. Other fields are those of the protocol.
+    courts : by the rules. rivals : what parts of look like these courts; where more speaks for one of them, there is no
+    court of this kind. even : evidence at which what is found is as often something else as a court; more of it is
+    accepted. Other fields are those of the protocol.
     """
 
     kind: str
     courts: tuple[Court, ...]
+    rivals: tuple[Court, ...] = ()
     even: float = EVEN
     finest: float = 0.05
     coarsest: float = 0.55
@@ -110,40 +115,19 @@ class CourtFinder:
         """Diameter of the largest court [m]."""
         return max(court.extent for court in self.courts)
 
-    def fits(self, image: np.ndarray, gsd: float, gsd_sd: float) -> list[CourtFit]:
-        """The fits of all likely places, court or not, that with most evidence first; arguments as of `find`."""
-        light = lightness(image)
-        small = _resized(light, gsd)
-        factor = np.array(small.shape[::-1]) / light.shape[::-1]
-        zoom = float(np.sqrt(factor.prod()))
-        ridges = Ridges(small)
-        found: list[CourtFit] = []
-        for court in self.courts:
-            own: list[CourtFit] = []
-            poses = search(ridges, court, zoom / gsd, 2 * gsd_sd)
-            for place, angle, size in zip((poses.place + 0.5) / factor - 0.5, poses.angle, poses.size, strict=True):
-                if any(fit.lit > SURE and _overlap(fit, place) for fit in own):
-                    continue
-                fit = fit_court(light, court, place, float(angle), float(size / zoom))
-                if fit is not None:
-                    own.append(fit)
-            found += own
-        return sorted(found, key=evidence, reverse=True)
-
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """The courts in `image`, RGB uint8 (H, W, 3), that do not overlap; see `AnchorFinder`."""
         if image.ndim != 3 or min(image.shape[:2]) < SMALLEST_PX:
             return []
+        look = _Look(image, gsd, gsd_sd)
+        fits = [fit for court in self.courts for fit in look.fits(court) if evidence(fit) > self.even]
+        if fits:
+            fits += [fit for court in self.rivals for fit in look.fits(court)]
         kept: list[CourtFit] = []
-        for fit in self.fits(image, gsd, gsd_sd):
-            if (
-                evidence(fit) >= self.even + ACCEPTED
-                and abs(np.log(fit.along / fit.across)) <= STRETCHED
-                and abs(np.log(size_of(fit)[0] * gsd)) <= 2 * gsd_sd + STRETCHED / 2
-                and not any(_overlap(other, fit.place) for other in kept)
-            ):
+        for fit in sorted(fits, key=evidence, reverse=True):
+            if not any(_overlap(fit, other.place) or _overlap(other, fit.place) for other in kept):
                 kept.append(fit)
-        return [self._anchor(fit) for fit in kept]
+        return [self._anchor(fit) for fit in kept if fit.court in self.courts]
 
     def _anchor(self, fit: CourtFit) -> Anchor:
         size, sd = size_of(fit)
@@ -160,9 +144,39 @@ class CourtFinder:
         )
 
 
+class _Look:
+    """One picture with its ridges, searched for courts between two sizes; arguments as of `AnchorFinder.find`."""
+
+    def __init__(self, image: np.ndarray, gsd: float, gsd_sd: float) -> None:
+        self.gsd, self.spread = gsd, 2 * gsd_sd
+        self.light = lightness(image)
+        small = _resized(self.light, gsd)
+        self.factor = np.array(small.shape[::-1]) / self.light.shape[::-1]
+        self.ridges = Ridges(small)
+
+    def fits(self, court: Court) -> list[CourtFit]:
+        """All fits of `court` of a likely size and shape, court or not, in the order of the search."""
+        zoom = float(np.sqrt(self.factor.prod()))
+        poses = search(self.ridges, court, zoom / self.gsd, self.spread)
+        places = (poses.place + 0.5) / self.factor - 0.5
+        found: list[CourtFit] = []
+        for place, angle, size in zip(places, poses.angle, poses.size / zoom, strict=True):
+            if any(fit.lit > SURE and _overlap(fit, place) for fit in found):
+                continue
+            fit = fit_court(self.light, court, place, float(angle), float(size))
+            if fit is not None:
+                found.append(fit)
+        return [
+            fit
+            for fit in found
+            if abs(np.log(fit.along / fit.across)) <= STRETCHED
+            and abs(np.log(size_of(fit)[0] * self.gsd)) <= self.spread + STRETCHED / 2
+        ]
+
+
 TENNIS = CourtFinder("tennis court", (TENNIS_COURT,))
-VOLLEYBALL = CourtFinder("volleyball court", (VOLLEYBALL_COURT,))
-BASKETBALL = CourtFinder("basketball court", BASKETBALL_COURTS)
-HANDBALL = CourtFinder("handball court", (HANDBALL_COURT,))
-PADEL = CourtFinder("padel court", (PADEL_COURT,))
-FOOTBALL = CourtFinder("football penalty area", (PENALTY_AREA,))
+# The others' EVEN is higher: tennis courts, and nets of joints and roofs, have more of their strokes.
+VOLLEYBALL = CourtFinder("volleyball court", (VOLLEYBALL_COURT,), (TENNIS_COURT,), even=0.6)
+BASKETBALL = CourtFinder("basketball court", BASKETBALL_COURTS, (TENNIS_COURT,), even=0.58)
+HANDBALL = CourtFinder("handball court", (HANDBALL_COURT,), (TENNIS_COURT, *BASKETBALL_COURTS), even=0.6)
+FOOTBALL = CourtFinder("football penalty area", (PENALTY_AREA,), (TENNIS_COURT,), even=0.6)

@@ -32,19 +32,24 @@ def volleyball():
 def basketball(length=28.0, width=15.0, key=4.9, depth=5.8):
     """To the inside of the lines; keys to their outside, with their circles."""
     x, y, k = length / 2, width / 2, key / 2
-    boxes = [*outline(x + 0.05, y + 0.05), (-0.025, -y, 0.025, y), (0, 0, 1.75, 1.8, 0)]
+    boxes = [*outline(x + 0.05, y + 0.05), (-0.025, -y, 0.025, y), (0, 0, 1.75, 1.8, 0, 0)]
     for side in (-1, 1):
         free = x - depth  # the far edge of the free-throw line is there
         boxes += [tuple(sorted((side * free, side * (free + 0.05))))]
         boxes[-1] = (boxes[-1][0], -k, boxes[-1][1], k)
         low, high = sorted((side * free, side * x))
-        boxes += [(low, k - 0.05, high, k), (low, -k, high, -k + 0.05), (side * free, 0, 1.75, 1.8, -side)]
+        boxes += [(low, k - 0.05, high, k), (low, -k, high, -k + 0.05), (side * free, 0, 1.75, 1.8, -side, 0)]
     return boxes
 
 
-def padel():
-    """Service lines 6.95 m from the net to their outer edges, the centre line 20 cm beyond them."""
-    return [(-6.95, -5, -6.9, 5), (6.9, -5, 6.95, 5), (-7.15, -0.025, 7.15, 0.025)]
+def handball():
+    """40 x 20 m to the outside; goal areas of 6 m about the posts of a goal of 3 m."""
+    boxes = [*outline(20, 10), (-0.025, -10, 0.025, 10)]
+    for side in (-1, 1):
+        low, high = sorted((side * 14, side * 14.05))
+        boxes += [(low, -1.5, high, 1.5)]
+        boxes += [(side * 20, to * 1.5, 5.95, 6.0, -side, to) for to in (-1, 1)]
+    return boxes
 
 
 def penalty_area(line=0.10):
@@ -57,10 +62,10 @@ def penalty_area(line=0.10):
 
 def _cover(x, y, gsd, box):
     """Share of each pixel, at (x, y) [m] in the court's frame, that the rectangle covers; exact if parallel."""
-    if len(box) == 5:  # a ring: its middle, both radii, and on which side of the middle it is, 0 for both
+    if len(box) == 6:  # a ring: its middle, both radii, and on which sides of the middle it is, 0 for both
         gap = np.hypot(x - box[0], y - box[1])
         inside = np.clip(np.minimum(box[3], gap + gsd / 2) - np.maximum(box[2], gap - gsd / 2), 0, gsd) / gsd
-        return inside * ((x - box[0]) * box[4] >= 0)
+        return inside * ((x - box[0]) * box[4] >= 0) * ((y - box[1]) * box[5] >= 0)
     x0, y0, x1, y1 = box
     part = [np.clip(np.minimum(high, at + gsd / 2) - np.maximum(low, at - gsd / 2), 0, gsd) / gsd
             for at, low, high in ((x, x0, x1), (y, y0, y1))]  # fmt: skip
