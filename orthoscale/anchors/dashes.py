@@ -9,11 +9,12 @@ import numpy as np
 
 from ..core.anchors import Anchor, Standard
 from .chains import Chain, find_chains, levels
-from .rules import LOCAL_STRETCH, holding, sizes, within_reach
+from .rules import LOCAL_STRETCH, holding, ruled, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 
 LANE_PAINTED = 0.01  # one sigma of a line's mean period about its rule: 66 of 78 American lines are within 1.2 %
 LANE_FALSE = 0.07  # five of 78 American lines are off by 3 to 10 %: painted to no rule, or two lines taken for one
+LANE_FOREIGN = 0.5  # where no rule of the country is known: Manila's lines are like others', Banepa's are not
 
 
 def _line(dash: float, gap: float, where: str, source: str, countries: str, prior: float = 1.0) -> Standard:
@@ -73,7 +74,7 @@ LANE_FEWEST = 5  # dashes
 LANE_FILLED = 0.55  # of the places taken: vehicles hide dashes
 LANE_REGULAR = 3.5  # natural logarithm of how much likelier such a row is as one than by chance
 LANE_UNEVEN = 0.2  # of their length: one sigma of the dashes' lengths
-DASH_SD, DASH_DOUBT_PX = 0.12, 1.0  # of its rule: how far a dash's length is off, relative, and in pixels more
+DASH_SD, DASH_DOUBT_PX = 0.06, 1.5  # how far a dash's length is off its rule: one sigma, and of measuring it at most
 LANE_CONTRAST = 12.0  # grey levels between dashes and the ground beside them
 LANE_SAME_GROUND = 0.35  # of the contrast, by which the ground in the gaps may differ from that beside the dashes
 LANE_ASIDE = 0.5  # of the dashes, where that ground is seen [m]
@@ -103,7 +104,7 @@ class LaneDashes:
         for chain in find_chains(strokes[strokes.length < longest], low, high, LANE_FEWEST):
             meant = within_reach(_like(standards, chain), chain.row.period, gsd, gsd_sd)
             if meant and _is_line(image, chain, gsd):
-                found.append(_anchor(chain, meant))
+                found.append(_anchor(chain, meant, LANE_FALSE if ruled(self.standards, country) else LANE_FOREIGN))
         return found
 
 
@@ -138,7 +139,7 @@ def _is_line(image: np.ndarray, chain: Chain, gsd: float) -> bool:
     return contrast > LANE_CONTRAST and off < LANE_SAME_GROUND * contrast and painted(paint, ground)
 
 
-def _anchor(chain: Chain, meant: tuple[Standard, ...]) -> Anchor:
+def _anchor(chain: Chain, meant: tuple[Standard, ...], false: float) -> Anchor:
     row = chain.row
     return Anchor(
         kind=LaneDashes.kind,
@@ -148,6 +149,6 @@ def _anchor(chain: Chain, meant: tuple[Standard, ...]) -> Anchor:
         relative_sd=float(np.hypot(chain.relative_sd, LOCAL_STRETCH)),
         residual=row.residual,
         standards=meant,
-        false=LANE_FALSE,
+        false=false,
         count=len(row.number),
     )

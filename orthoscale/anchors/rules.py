@@ -18,6 +18,11 @@ def holding(standards: Sequence[Standard], country: str) -> list[Standard]:
     return own or [standard for standard in standards if not standard.countries] or list(standards)
 
 
+def ruled(standards: Sequence[Standard], country: str) -> bool:
+    """Whether any of `standards` names `country`, or is the user's own."""
+    return any(country in standard.countries for standard in standards) or not any(s.countries for s in standards)
+
+
 def sizes(standards: Sequence[Standard], gsd: float, gsd_sd: float) -> tuple[float, float]:
     """The smallest and the largest that is searched [px]."""
     slack = np.exp(SIGMAS_SEARCHED * gsd_sd)
