@@ -255,9 +255,9 @@ def test_thousands_of_votes_decide_and_the_rest_are_judged_by_them(monkeypatch):
         mixture._Problem, "_members", lambda self, *at: seen.append(self.gap.shape[1]) or real(self, *at)
     )
     false = 0.05
-    votes = scene(np.random.default_rng(0), load_fleet("DE"), 4 * mixture.MOST, false=false, surprise=False)
+    votes = scene(np.random.default_rng(0), load_fleet("DE"), 4 * mixture.MOST_VOTES, false=false, surprise=False)
     scale = pool(votes, load_fleet("DE"), RULER, "m/px")
-    assert max(seen) <= mixture.MOST
+    assert max(seen) <= mixture.MOST_VOTES
     assert scale.value == pytest.approx(0.12, rel=0.02) and scale.parts["sampling"] < 0.003
     assert len(scale.used) == len(votes)
     for part in np.split(scale.used, 4):
