@@ -79,7 +79,10 @@ def test_where_there_are_none_nothing_changes(square_finder, tmp_path):
 
 
 def test_squares_that_contradict_the_vehicles_end_with_exit_code_4(square_finder, tmp_path):
-    path, options = park_with(tmp_path / "park", side=1.1 * SIDE)
+    path, options = park_with(tmp_path / "park")
+    alone = orthoscale.estimate(path, anchors=["none"], **options).scale
+    # Such that they say 3.3 sigmas less than the vehicles: that is still looked for.
+    path, options = park_with(tmp_path / "park", side=SIDE * GSD / alone.value * np.exp(3.3 * alone.relative_sd))
     words = ["--fleet", "DE", "--detections", options["detections"]]
     done = run("estimate", path, *words)
     assert done.returncode == 4 and "painted square" in done.stderr and "conflict: vehicles" in done.stderr
@@ -221,10 +224,17 @@ def test_two_kinds_that_agree_give_a_scale_without_vehicles(two_kinds, tmp_path)
     assert done.returncode == 0 and "painted square" in done.stdout
 
 
-def test_one_kind_gives_none_without_vehicles(square_finder, tmp_path):
+def test_one_kind_gives_none_without_vehicles_but_one_and_a_known_distance_do(square_finder, tmp_path):
     path, options = empty_lot(tmp_path, small=False)
-    with pytest.raises(TooLittleEvidence, match="two kinds of anchors that agree are needed; found: .*painted square"):
+    with pytest.raises(TooLittleEvidence, match="0 usable vehicles"):
         orthoscale.estimate(path, **options)
+    found = orthoscale.estimate(path, known_distance=["10,20 310,420 50.2 0.4"], **options)
+    assert found.scale.value == pytest.approx(GSD, rel=0.005) and found.scale.vehicles_used == 0
+    assert {e.kind for e in found.scale.evidence} == {"known distance", "painted square"}
+    image = np.zeros((300, 400, 3), np.uint8)
+    cv2.imwrite(str(path), image)
+    with pytest.raises(TooLittleEvidence, match="0 usable vehicles"):
+        orthoscale.estimate(path, known_distance=["10,20 310,420 50.2 0.4"], **options)
 
 
 def test_the_command_lists_and_draws_them(two_kinds, tmp_path):
