@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -15,12 +17,16 @@ from support.reports import GSD, car_park
 
 import orthoscale
 from orthoscale.actions.anchors import own_standards
+from orthoscale.actions.requests import EstimateRequest
+from orthoscale.actions.whose import country_of
 from orthoscale.anchors import kinds
 from orthoscale.anchors.kinds import Kind
 from orthoscale.anchors.search import ENOUGH_ANCHORS, Sought, look, search, windows_of
 from orthoscale.core.anchors import Anchor, alike
 from orthoscale.core.measuring.anchors import votes_in_model
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+from orthoscale.fleets import load_fleet
+from orthoscale.sources.opening import open_source
 
 MIDDLES = np.array([[1120.3, 150.7], [1300.8, 320.2], [1150.1, 520.6]])
 
@@ -273,3 +279,40 @@ def test_a_report_says_what_each_anchor_is_and_how_much_it_helps(square_finder, 
     assert read_dataframe(tmp_path / "out.tif.gpkg", "anchors") == ["painted square"] * 3
     done = run("report", tmp_path / "out.tif.json", "--out", tmp_path / "again.html")
     assert done.returncode == 0 and "What else has a known size?" in (tmp_path / "again.html").read_text()
+
+
+@pytest.mark.parametrize(
+    "code, country", [("US_cars", "US"), ("DE", "DE"), ("WORLD", ""), ("auto", ""), ("EU", ""), ("R_WEU", "")]
+)
+def test_the_country_is_the_fleets_where_the_picture_does_not_say(tmp_path, code, country):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((40, 40, 3), np.uint8))
+    source = open_source(tmp_path / "a.png")
+    assert country_of(source, replace(load_fleet("DE"), code=code)) == country
+    assert country_of(source, None) == ""
+
+
+def test_as_many_look_at_once_as_memory_allows(monkeypatch):
+    sheet, busy, most = Sheet(squares(3000, 1500, 0.2, [[300, 300]])), [0], [0]
+
+    class Slow(SquareFinder):
+        def find(self, *arguments):
+            busy[0] += 1
+            most[0] = max(most[0], busy[0])
+            time.sleep(0.02)
+            busy[0] -= 1
+            return []
+
+    for memory, threads in ((2**30, 3), (2**26, 1)):
+        monkeypatch.setattr("orthoscale.system.budget._budget", memory)
+        most[0] = 0
+        search([Sought(Slow(), [(sheet, 0.2)])], 0.05, workers=3, cache=False)
+        assert most[0] == threads
+
+
+def test_none_and_a_kind_contradict_each_other():
+    with pytest.raises(UsageError, match="contradict each other"):
+        EstimateRequest(anchors=("none", "tennis-court"))
+    with pytest.raises(UsageError, match="--anchor does nothing here: --anchors none"):
+        EstimateRequest(anchors=("none",), anchor=("bay=2.5",))
+    with pytest.raises(UsageError, match="for vehicles only"):
+        EstimateRequest(estimator="iqr", anchors=("all",))
