@@ -1,4 +1,4 @@
-"""Painted courts against known scales: ``python benchmarks/anchors_courts.py [HALF] [KIND]``.
+"""Painted courts against known scales: ``python benchmarks/anchors_courts.py [KIND] [HALF]``.
 
 Reads ``../shared/data`` or ``ORTHOSCALE_DATA``. The chips are split by the MD5 of their names: `building` are those
 that thresholds and certainties were chosen with, `other` those that nothing was chosen with (default). Finer pictures
@@ -13,7 +13,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,7 +25,18 @@ from orthoscale.core.anchors import Anchor
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from support.courts import BLUE, CLAY, GRASS, GREEN, court_picture, tennis  # noqa: E402
+from support.courts import (  # noqa: E402
+    BLUE,
+    CLAY,
+    GRASS,
+    GREEN,
+    basketball,
+    court_picture,
+    handball,
+    penalty_area,
+    tennis,
+    volleyball,
+)
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
 CHIP_GSD = 0.3048
@@ -100,23 +111,37 @@ def scenes() -> Iterator[tuple[str, np.ndarray, float]]:
                 yield name, cv2.imread(str(DATA / folder / name))[..., ::-1], known["gsd_m"]
 
 
-def drawn(gsd: float, count: int, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray]]:
-    """Pictures of one tennis court each, in all looks, with trees and shade."""
+# Each finder, and what draws its courts: from the edges that the rules give.
+KINDS: dict[str, tuple[courts.CourtFinder, tuple[Callable[[], list], ...]]] = {
+    "tennis": (courts.TENNIS, (tennis, lambda: tennis(0.04, 0.05), lambda: tennis(0.05, 0.10))),
+    "volleyball": (courts.VOLLEYBALL, (volleyball,)),
+    "basketball": (
+        courts.BASKETBALL,
+        (basketball, lambda: basketball(28.651, 15.24, 3.66, 5.79), lambda: basketball(25.603, 15.24, 3.66, 5.79)),
+    ),
+    "handball": (courts.HANDBALL, (handball,)),
+    "football": (courts.FOOTBALL, (penalty_area,)),
+}
+
+
+def drawn(kind: str, gsd: float, count: int, rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray]]:
+    """Pictures of one court each, in many looks, with worn paint, trees and shade."""
+    finder, paints = KINDS[kind]
+    side = finder.extent + 8
     for number in range(count):
-        surface = (GREEN, BLUE, CLAY, (120, 120, 120))[number % 4]
-        paint = tennis(line=rng.uniform(0.04, 0.05), base=rng.uniform(0.05, 0.10))
+        place = (side / 2 + rng.uniform(-1, 1), side / 2 + rng.uniform(-1, 1))
         yield str(number), court_picture(
-            [(paint, (18 + rng.uniform(-1, 1), 18 + rng.uniform(-1, 1)), rng.uniform(0, np.pi))], gsd,
-            2 * [round(36 / gsd)], ground=(GREEN, GRASS)[number % 2], surface=surface,
-            white=int(rng.uniform(150, 230)), wear=rng.uniform(0, 0.4), blur_px=rng.uniform(0.5, 1.0),
-            noise=rng.uniform(1, 5), shade=rng.choice([0, 0.4]), trees=int(rng.integers(0, 4)), seed=number,
+            [(paints[number % len(paints)](), place, rng.uniform(0, np.pi))], gsd, 2 * [round(side / gsd)],
+            ground=(GREEN, GRASS)[number % 2], surface=(GREEN, BLUE, CLAY)[number % 3],
+            white=int(rng.uniform(190, 240)), wear=rng.uniform(0, 0.3), blur_px=rng.uniform(0.5, 0.9),
+            noise=rng.uniform(1, 3), shade=rng.choice([0, 0.3]), trees=int(rng.integers(0, 4)), seed=number,
         )  # fmt: skip
 
 
-def main(half: str = "other") -> None:
-    finder = courts.TENNIS
+def main(kind: str = "tennis", half: str = "other") -> None:
+    finder, _ = KINDS[kind]
     print(HEAD)
-    for zoom in (1.0, 1.333, 1.64):
+    for zoom in (1.0, 1.333, 1.64) if kind == "tennis" else ():
         tally, rng = Tally(), np.random.default_rng(0)
         for name, chip in chips(half, "tennis"):
             side = round(256 / zoom)
@@ -125,13 +150,16 @@ def main(half: str = "other") -> None:
         print(tally.row(f"chips with tennis courts, {CHIP_GSD * zoom:.2f} m/px"), flush=True)
     for gsd in (0.05, 0.1, 0.2, 0.3, 0.5):
         tally, rng = Tally(), np.random.default_rng(1)
-        for name, picture in drawn(gsd, 40, rng):
+        for name, picture in drawn(kind, gsd, 24, rng):
             tally.look(finder, name, picture, gsd, off(rng))
-        print(tally.row(f"drawn, one tennis court each, {gsd:.2f} m/px"), flush=True)
+        print(tally.row(f"drawn, a {kind} court each, {gsd:.2f} m/px"), flush=True)
     for what, pictures in (
-        ("chips without", ((name, chip, CHIP_GSD) for name, chip in chips(half, None))),
-        ("orthophotos without", scenes()),
+        ("chips without tennis courts", ((name, chip, CHIP_GSD) for name, chip in chips(half, None))),
+        ("chips with tennis courts", ((name, chip, CHIP_GSD) for name, chip in chips(half, "tennis"))),
+        ("orthophotos", scenes()),
     ):
+        if kind == "tennis" and what == "chips with tennis courts":
+            continue
         tally, rng = Tally(), np.random.default_rng(2)
         for name, picture, gsd in pictures:
             tally.look(finder, name, picture, gsd, off(rng))

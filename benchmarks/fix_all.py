@@ -1,8 +1,11 @@
-"""`fix`, with its report, on every reconstruction and the examples: ``python benchmarks/fix_all.py [DATA]``.
+"""`fix`, with its report, on every reconstruction and the examples.
 
-DATA is the folder of the real data (see CONTRIBUTING.md). Each scene is fixed in each measuring mode and each order of
-imports, every run a process of its own; what the detector saw is kept between them. What is written is opened again and
-measured against what `fix` said. Prints Markdown, and ends with 1 if anything is missing, wrong or different.
+    python benchmarks/fix_all.py [DATA [SCENE ...]]
+
+DATA is the folder of the real data (see CONTRIBUTING.md), SCENE names of its reconstructions. Each scene is fixed in
+each measuring mode and each order of imports, every run a process of its own; what the detector saw is kept between
+them. What is written is opened again and measured against what `fix` said. Prints Markdown, and ends with 1 if anything
+is missing, wrong or different.
 """
 
 from __future__ import annotations
@@ -87,12 +90,15 @@ def _extent(folder: Path) -> float:
 
 def main() -> int:
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE.parent / "shared" / "data"
+    wanted = sys.argv[2:]
     print("| scene | mode | m per unit | error | 90 % interval | vehicles | verdict | written | orders of import |")
     print("|---|---|---|---|---|---|---|---|---|")
     bad = 0
     with tempfile.TemporaryDirectory() as scratch:
         os.environ.setdefault("ORTHOSCALE_CACHE", f"{scratch}/cache")
         for name, (source, truth, options) in scenes(data).items():
+            if wanted and name not in wanted:
+                continue
             plan = source.is_file()
             for mode in (None,) if plan else MODES:
                 said, faults = [], []

@@ -1,14 +1,14 @@
 """orthoscale's sweep side by side with SAHI's and GeoDeep's slicing loops: speed, memory and boxes.
 
     python -m venv peers && peers/bin/pip install sahi geodeep -e .      # as the package index has them
-    peers/bin/python benchmarks/peers.py RASTER.tif --fleet DE [--rounds 3]
+    peers/bin/python benchmarks/peers.py RASTER.tif [--rounds 3]
 
 The same network (the shipped detector), the same raster at zoom 1, tiles of 1024 px with an eighth shared by
 neighbours, as many threads as cores, each side in a process of its own, in turns. `bare` is what no program could beat:
 the same tiles, decoded, resampled and normalised beforehand, go through the ONNX sessions of as many threads.
 orthoscale looks twice (one and a half times the pixels) and has oriented boxes; SAHI and GeoDeep look once, at upright
-ones. `anytime` is all of `orthoscale estimate`, which stops when enough is seen. Mpx are those of the raster; memory is
-the process's peak, imports included; processor seconds matter where others use the machine too.
+ones. The anytime sweep stops when the sampling error is small enough. Mpx are those of the raster; memory is the
+process's peak, imports included; processor seconds matter where others use the machine too.
 """
 
 from __future__ import annotations
@@ -27,12 +27,17 @@ import cv2
 import numpy as np
 import onnxruntime
 
-import orthoscale
+from orthoscale.core.detections import Detections
+from orthoscale.core.measuring.measure import measure
+from orthoscale.core.measuring.plan import PlanGeometry
 from orthoscale.detect.decoders import decode_maps
 from orthoscale.detect.detector import SHIPPED, Detector
+from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import CONFIRMING_ZOOM, OVERLAP, TILE, read, tiles
 from orthoscale.detect.workers import cores, on_threads
+from orthoscale.errors import TooLittleEvidence
+from orthoscale.fleets import load_fleet
 from orthoscale.sources.raster import RasterSource
 
 WEIGHTS = Path(__file__).parent.parent / "orthoscale" / "detect" / "weights" / SHIPPED
@@ -157,17 +162,30 @@ def geodeep(source: RasterSource, workers: int) -> Callable[[], int]:
     return run
 
 
-def anytime(source: RasterSource, fleet: str) -> int:
-    return len(orthoscale.estimate(source.path, fleet=fleet, zoom=1.0, cache=False).boxes)
+def anytime(source: RasterSource, workers: int) -> Callable[[], int]:
+    detector, fleet = Detector(threads=max(1, cores() // workers)), load_fleet("world")
+
+    def sampling(found: Detections) -> float:
+        try:
+            return measure(PlanGeometry.of(source, found), fleet).scale.parts["sampling"]
+        except TooLittleEvidence:
+            return np.inf
+
+    def run() -> int:
+        effort = Effort(workers=workers, cache=False)
+        found, _ = find_vehicles([source], detector, 1.0, effort=effort, sampling=sampling)
+        print(f"{len(found.swept.tiles)} of {found.swept.total} tiles", file=sys.stderr)
+        return len(found)
+
+    return run
 
 
-SIDES = {"bare": bare, "orthoscale": ours, "SAHI": sahi, "GeoDeep": geodeep}
+SIDES = {"bare": bare, "orthoscale": ours, "orthoscale, anytime": anytime, "SAHI": sahi, "GeoDeep": geodeep}
 
 
-def one(name: str, raster: Path, fleet: str) -> dict[str, float]:
+def one(name: str, raster: Path) -> dict[str, float]:
     """One run of a side in this process: seconds by the clock and of the processor, peak memory [MB], boxes."""
-    source = RasterSource.open(raster)
-    run = (lambda: anytime(source, fleet)) if name == "anytime" else SIDES[name](source, cores())
+    run = SIDES[name](RasterSource.open(raster), cores())
     start, used = time.perf_counter(), time.process_time()
     boxes = run()
     wall, processor = time.perf_counter() - start, time.process_time() - used
@@ -178,17 +196,16 @@ def one(name: str, raster: Path, fleet: str) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("raster", type=Path)
-    parser.add_argument("--fleet", default="world")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--only", help=argparse.SUPPRESS)
     a = parser.parse_args()
     if a.only:
-        print(json.dumps(one(a.only, a.raster, a.fleet)))
+        print(json.dumps(one(a.only, a.raster)))
         return
-    found: dict[str, list[dict[str, float]]] = {name: [] for name in (*SIDES, "anytime")}
+    found: dict[str, list[dict[str, float]]] = {name: [] for name in SIDES}
     for _ in range(a.rounds):
         for name, runs in found.items():
-            command = [sys.executable, __file__, str(a.raster), "--fleet", a.fleet, "--only", name]
+            command = [sys.executable, __file__, str(a.raster), "--only", name]
             done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
             runs.append(json.loads(done.stdout.splitlines()[-1]))
             print(f"  {name}: {runs[-1]}", file=sys.stderr, flush=True)

@@ -1,9 +1,16 @@
-"""The whole program on every real scene of known scale, with three fleets: ``python benchmarks/places.py [BOXES]``.
+"""The whole program on every real scene of known scale, with three fleets.
 
-The scenes are read from ``../shared/data`` or ``ORTHOSCALE_DATA``. With the folder BOXES, the detector runs once on
-each and its boxes are kept there. ``places/``, `boruszyn` and `weedon` had no part in anything that was fitted or
-chosen up to detector version 5; the other four had (README). Coverage comes with its own 90 % interval
-(Clopper and Pearson 1934).
+    python benchmarks/places.py [BOXES [MEASURER]]
+
+The scenes are read from ``../shared/data`` or ``ORTHOSCALE_DATA``. With the folder BOXES, detector and measurer run
+once on each and the boxes are kept there. MEASURER is that of ``--measurer``, none for boxes of the detector alone.
+``places/``, `boruszyn` and `weedon` had no part in anything that was fitted or chosen up to detector version 5; the
+other four had (README). Coverage comes with its own 90 % interval (Clopper and Pearson 1934).
+
+The last table is for the detector's card: how far the box bias of a place strays from the ruler's, which no number of
+boxes of that place tells. It is what the errors with the country's own fleet scatter by beyond sampling, fleet and
+geometry, by maximum likelihood, each place left out in turn; `common_sd` of the card is to be that (`bias_sd` is within
+it), and its mean says how far the margin is off.
 """
 
 from __future__ import annotations
@@ -16,9 +23,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import minimize
 from scipy.stats import beta
 
 import orthoscale
+from orthoscale.core.pooling.posterior import Z90
 from orthoscale.errors import EvidenceDisagrees, OrthoscaleError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -55,22 +64,52 @@ def scenes() -> list[Scene]:
     return sorted(found, key=lambda scene: (scene.name in CHOSEN_WITH, scene.name))
 
 
-def measured(scene: Scene, fleet: str, boxes: Path) -> tuple[float, float, float] | str:
-    """Relative error of the scale and of both ends of its 90 % interval; or why there is none."""
+def measured(scene: Scene, fleet: str, boxes: Path) -> tuple[float, float, float, float] | str:
+    """Relative error of the scale and of both ends of its 90 % interval, and one sigma of it without the margin's part;
+    or why there is none."""
     try:
         result = orthoscale.estimate(scene.path, fleet=fleet, detections=boxes)
         result.require_useful()
     except OrthoscaleError as error:
         return "contradiction" if isinstance(error, EvidenceDisagrees) else "too little"
-    return tuple(float(v / scene.truth - 1) for v in (result.scale.value, *result.scale.interval90))
+    scale = result.scale
+    rest = np.sqrt(sum(v**2 for name, v in scale.parts.items() if name != "margin"))
+    return (*(float(v / scene.truth - 1) for v in (scale.value, *scale.interval90)), float(rest))
 
 
-def main(folder: Path) -> None:
-    rows, errors = [], {}
+def of_places(error: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
+    """Mean and standard deviation of places' box bias, from errors (N,) [log] with one sigma (N,) of other causes."""
+
+    def cost(unknown: np.ndarray) -> float:
+        variance = sd**2 + unknown[1] ** 2
+        return float((np.log(variance) + (error - unknown[0]) ** 2 / variance).sum())
+
+    best = minimize(cost, [error.mean(), error.std()], method="Nelder-Mead").x
+    return float(best[0]), float(abs(best[1]))
+
+
+def margins(own: dict[str, tuple[float, float]]) -> str:
+    """What a card should say of the margin, each of the places `own` (log error, sigma without margin) left out."""
+    error, sd = map(np.array, zip(*own.values(), strict=True))
+    rows, hits = [], 0
+    for k, name in enumerate(own):
+        mean, between = of_places(np.delete(error, k), np.delete(sd, k))
+        inside = abs(error[k]) <= Z90 * np.hypot(sd[k], np.hypot(between, mean))
+        hits += inside
+        rows.append(
+            [name, *(f"{100 * v:+.1f}" for v in (error[k], mean)), f"{100 * between:.1f}", "yes" if inside else "no"]
+        )
+    mean, between = of_places(error, sd)
+    rows.append(["all", "", f"{100 * mean:+.1f}", f"{100 * between:.1f}", f"{hits} of {len(own)}"])
+    return table(("left out", "error [%]", "mean of the others [%]", "between places [%]", "would hold (90 %)"), rows)
+
+
+def main(folder: Path, measurer: str | None = None) -> None:
+    rows, errors, own = [], {}, {}
     for scene in scenes():
         boxes = folder / f"{scene.name}.det.json"
         if not boxes.exists():
-            found = orthoscale.estimate(scene.path, fleet=scene.country).detections
+            found = orthoscale.estimate(scene.path, fleet=scene.country, measurer=measurer).detections
             orthoscale.save_detections(found, boxes)
         row = [scene.name, scene.country]
         for fleet in FLEETS:
@@ -78,7 +117,9 @@ def main(folder: Path) -> None:
             if isinstance(got, str):
                 row.append(got)
                 continue
-            error, low, high = got
+            error, low, high, rest = got
+            if fleet == "own":
+                own[scene.name] = float(np.log1p(error)), rest
             errors.setdefault((fleet, scene.name in CHOSEN_WITH), []).append((error, low <= 0 <= high))
             row.append(
                 f"{100 * error:+.1f} ({100 * low:+.0f} to {100 * high:+.0f}){'' if low <= 0 <= high else ' **out**'}"
@@ -104,11 +145,12 @@ def main(folder: Path) -> None:
         )
     columns = ("scenes", "fleet", "n", "mean error [%]", "median of sizes [%]", "worst [%]", "interval holds (90 %)")
     print("\n" + table(columns, summary))
+    print("\n" + margins(own))
 
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        main(Path(sys.argv[1]))
+        main(Path(sys.argv[1]), *sys.argv[2:])
     else:
         with tempfile.TemporaryDirectory() as scratch:
             main(Path(scratch))

@@ -14,6 +14,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -39,11 +40,11 @@ SECTIONS = {  # picture: report, and the heading of its section
 
 
 def reports(folder: Path, data: Path) -> dict[str, Path]:
-    """An orthophoto, a reconstruction, and one whose boxes are half as long again as its vehicles."""
+    """An orthophoto, a reconstruction, and one whose boxes are a quarter longer than its vehicles."""
     found = json.loads((EXAMPLES / "sheffield" / "detections.json").read_text())
-    for boxes in found["pictures"].values():
-        for box in boxes:
-            box["length"] *= 1.5
+    for part in (found, found["planar"]):
+        for box in chain.from_iterable(part["pictures"].values()):
+            box["length"] *= 1.25
     (folder / "stretched.json").write_text(json.dumps(found))
     model = data / "reconstructions" / "sheffield"
     boxes = EXAMPLES / "sheffield" / "detections.json"

@@ -11,6 +11,7 @@ What it does is told to the logger ``orthoscale``.
 from __future__ import annotations
 
 import logging
+import os
 from typing import TYPE_CHECKING, Any
 
 from .system import libz
@@ -38,6 +39,9 @@ __all__ = [
 ]
 
 libz.settle()
+# onnxruntime's wheels (1.31 at least) report their use to their maker's server, from the first import on. Pictures and
+# their names are nobody's business: whoever wants that sets the variable to 0.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 if TYPE_CHECKING:
     from .actions.apply import apply

@@ -17,10 +17,10 @@ from .formats.reading import checked, read_plain
 FLEET_HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
 AUTO = "auto"
 WORLD = "WORLD"
-# A place of which nothing is known has a country all the same. Half of the prior goes to the world's average, whose
-# uncertainty is the scatter of the countries about it; half to the countries as they are: their vehicles' shapes may
-# tell which it is. The average alone takes a country of small cars with some vans for one of ordinary cars.
-AVERAGE_SHARE = 0.5
+# A place of which nothing is known has a country all the same: one of those that have fleets of their own, for the
+# world's average with its many sizes is no country. A country of ten times as many vehicles is three times as likely
+# (square roots, as in the region rows). The average has a share for countries unlike all of those.
+AVERAGE_SHARE = 0.1
 REGION = "R_"  # codes of regions, which stand in for their countries that have no row
 
 
@@ -29,19 +29,19 @@ def load_fleet(name: str | Path) -> Fleet:
     table (``US_pickup``, ``world``), or from a JSON file of one such entry.
 
     A country without a fleet of its own takes its neighbours' or its region's, less certain, and its name says so.
-    ``world`` and ``auto`` have the fleets of countries all over the world and its average as candidates (the table
-    names them; to try every country moved the scales of 12 places by 2 % at most, and took three times as long):
-    half of the prior is the average's, or all are equally likely. Raises UsageError for an unknown name, InputError
-    for a file that is no fleet.
+    ``world`` and ``auto`` have the fleets of all countries as candidates, and the world's average: ``world`` weighs
+    them by the vehicles that are there, for ``auto`` all are equally likely. Raises UsageError for an unknown name,
+    InputError for a file that is no fleet.
     """
     if str(name).upper() in (WORLD, AUTO.upper()):
-        average = _row(WORLD)
-        countries = [_row(code) for code in _document()["world"]]
+        average, vehicles = _row(WORLD), _document()["world"]
+        candidates = (average, *(_row(code) for code in vehicles))
         if str(name).upper() == WORLD:
-            share = (AVERAGE_SHARE, *[(1 - AVERAGE_SHARE) / len(countries)] * len(countries))
-            return replace(average, candidates=(average, *countries), prior=share)
-        name, share = "inferred from the vehicles' shapes", (1 / (1 + len(countries)),) * (1 + len(countries))
-        return replace(average, code=AUTO, name=name, candidates=(average, *countries), prior=share)
+            share = np.sqrt(list(vehicles.values()))
+            prior = (AVERAGE_SHARE, *((1 - AVERAGE_SHARE) * share / share.sum()).tolist())
+            return replace(average, candidates=candidates, prior=prior)
+        name, prior = "inferred from the vehicles' shapes", (1 / len(candidates),) * len(candidates)
+        return replace(average, code=AUTO, name=name, candidates=candidates, prior=prior)
     known = {code.lower(): code for code in fleet_codes()}
     if str(name).lower() in known:
         return _row(known[str(name).lower()])

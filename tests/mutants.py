@@ -1,4 +1,5 @@
-"""Changes of the program that a test must notice: `python -m tests.mutants` makes each in turn and runs that test.
+"""Changes of the program that a test must notice: `python -m tests.mutants` makes each in turn and runs that test;
+`python -m tests.mutants drift.py` only those of files whose path has that in it.
 
 Most were once made by hand and noticed by no fitting test. The program is put back as it was after each, also when the
 run is stopped. `tests/test_mutants.py` keeps the table up to date with the program.
@@ -71,8 +72,8 @@ MUTANTS = (
     ),
     Mutant(
         "core/fleet.py",
-        "LOCAL_SD = np.array([0.025, 0.012])",
-        "LOCAL_SD = np.array([0.005, 0.0024])",
+        "self._country_covariance + self.log_covariance * PLACE_SCATTER",
+        "self._country_covariance + self.log_covariance * PLACE_SCATTER / 25",
         f"{CHOICES}test_vehicles_of_one_place_stray_from_their_countrys_mean",
     ),
     Mutant("core/verdicts.py", '("good", 0.03)', '("good", 0.06)', VERDICTS),
@@ -153,7 +154,8 @@ def caught(mutant: Mutant) -> bool:
 def main() -> None:
     """Prints each with whether it was noticed; exit code 1 if one was not."""
     survived = 0
-    for mutant in MUTANTS:
+    wanted = sys.argv[1:] or [""]
+    for mutant in (each for each in MUTANTS if any(word in each.file for word in wanted)):
         noticed = caught(mutant)
         survived += not noticed
         print(f"{'caught  ' if noticed else 'SURVIVED'}  {mutant.file}: {mutant.was} -> {mutant.becomes}", flush=True)

@@ -1,5 +1,7 @@
 """What anchors do to a scale: right ones narrow it honestly, wrong ones never move it far, contradictions are said."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.anchors import vote
@@ -8,6 +10,7 @@ from orthoscale.core.anchors import Standard
 from orthoscale.core.evidence import Evidence, combined
 from orthoscale.core.pooling.anchors import SHARED, evidence_of
 from orthoscale.core.pooling.posterior import Posterior
+from orthoscale.core.remarks import REFUSAL
 
 SD = 0.05  # of the vehicles
 COURT = (Standard("court", 23.77, 0.003, "written here"),)
@@ -67,15 +70,16 @@ def test_a_wrong_kind_never_moves_the_answer_out_of_the_vehicles_interval(off, f
     got = together(votes)
     assert abs(np.log(got.summary[0])) < INTERVAL99 * SD
     if abs(off) > 3.02 * SD and false <= 0.05:
-        assert got.conflict > 3 and got.remarks[0].startswith("conflict: vehicles: 1")
+        assert got.conflict > 3 and got.remarks[0].text.startswith("conflict: vehicles: 1")
     else:
-        assert not got.conflict and "it does not count" in got.remarks[0]
+        assert not got.conflict and "it does not count" in got.remarks[0].text
         assert got.summary == pytest.approx(together([]).summary, rel=1e-12)
 
 
 def test_two_kinds_that_contradict_each_other_are_said_and_not_averaged():
     got = together([vote("tennis court", 0.04, 0.004, COURT), vote("lane dashes", -0.04, 0.004, COURT)])
-    assert got.conflict > 3 and "tennis court" in got.remarks[0] and "lane dashes" in got.remarks[0]
+    assert got.conflict > 3 and got.remarks[0].severity == REFUSAL
+    assert "tennis court" in got.remarks[0].text and "lane dashes" in got.remarks[0].text
     assert got.summary[1] < np.exp(-0.04) and got.summary[2] > np.exp(0.04)
     weak = together([vote("tennis court", 0.04, 0.004, COURT), vote("lane dashes", -0.04, 0.004, COURT, false=0.4)])
     assert not weak.conflict and np.log(weak.summary[0]) == pytest.approx(0.04, abs=0.004)
@@ -110,6 +114,20 @@ def test_many_of_a_kind_are_not_independent():
     assert sds[0] == pytest.approx(np.hypot(0.01, 0.003))
     assert sds[1] == pytest.approx(np.sqrt(0.01**2 * (SHARED + (1 - SHARED) / 4) + 0.003**2), rel=0.01)
     assert sds[2] == pytest.approx(np.sqrt(0.01**2 * SHARED + 0.003**2), rel=0.01)
+
+
+def test_what_all_on_one_ground_have_in_common_stays_however_many_kinds_there_are():
+    """Vehicles and anchors of a model err alike by its ground, by 1 %; a tape does not."""
+    kinds = [replace(vote(kind, 0.01, 0.002, COURT), shared_sd=0.01) for kind in ("court", "dashes", "bays")]
+    (one, *_) = evidence_of(kinds)
+    assert one.relative_sd == pytest.approx(np.sqrt(0.002**2 + 0.003**2 + 0.01**2))
+    got = together(kinds)
+    assert 0.01 < got.posterior.spread < 0.0105 and np.log(got.summary[0]) == pytest.approx(0.01, abs=0.0003)
+    assert got.parts["geometry"] == pytest.approx(0.01, rel=0.01) and sum(v**2 for v in got.parts.values()) == (
+        pytest.approx(got.posterior.spread**2)
+    )
+    taped = together(kinds, tape=Evidence("known distance", 1.0, 0.001, "a tape"))
+    assert taped.posterior.spread < 0.001 and np.log(taped.summary[0]) == pytest.approx(0.0, abs=0.0003)
 
 
 def test_an_odd_one_among_many_does_not_count():

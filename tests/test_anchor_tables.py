@@ -25,7 +25,7 @@ def test_every_kind_is_what_the_table_says(kind):
     assert made.standards
     for standard in made.standards:
         assert standard.name and standard.source and standard.metres > 0 and 0 < standard.relative_sd < 0.2
-        assert standard.prior > 0 and all(len(code) == 2 and code.isupper() for code in standard.countries)
+        assert standard.prior > 0 and all(code.isupper() for code in standard.countries)
 
 
 def test_no_finder_is_imported_before_it_is_needed():

@@ -213,7 +213,7 @@ def test_two_kinds_that_agree_give_a_scale_without_vehicles(two_kinds, tmp_path)
     path, options = empty_lot(tmp_path, small=True)
     found = orthoscale.fix(path, tmp_path / "out.tif", also=["gpkg", "tiles"], **options)
     assert found.scale.value == pytest.approx(GSD, rel=0.005) and found.scale.half_width < 0.01
-    assert "no vehicles: the scale rests on" in found.remarks[0] and "small square" in found.remarks[0]
+    assert "no vehicles: the scale rests on" in found.remarks[0].text and "small square" in found.remarks[0].text
     assert found.scale.vehicles_used == 0 and found.scale.verdict == "good"
     page = re.sub(r"base64,[^\"]+", "", (tmp_path / "out.tif.html").read_text())
     assert "No vehicles" in page and "squares of 6 m" in page and "nan" not in page.lower()

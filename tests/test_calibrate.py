@@ -11,7 +11,7 @@ import orthoscale
 from orthoscale.actions.calibrate import box_noise, measure_ruler, same_vehicles
 from orthoscale.cli.main import cli
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.calibration import Calibration, fit_margin, scaled_fleet
+from orthoscale.core.calibration import Calibration, fit_margin, local_fleet_entry
 from orthoscale.core.detections import UNKNOWN_RULER
 from orthoscale.core.fleet import Fleet
 from orthoscale.core.ruler import Ruler
@@ -63,9 +63,9 @@ def test_the_margin_is_within_what_is_said_of_it(ruler):
         stray = np.exp(rng.multivariate_normal([0, 0], fleet.log_mean_covariance + ruler.common_sd**2))
         sizes = fleet.sample(rng, 80)[:, :2] * stray
         looks = looks_at(sizes, margin, np.array([2.0, 1.2]), rng)
-        got, fits, used, _ = measure_ruler(looks, ZOOMS, GSD, fleet, ruler)
+        got, fits, sizes = measure_ruler(looks, ZOOMS, GSD, fleet, ruler)
         pulls.append((np.array(got.margin) - margin) / got.margin_sd)
-        assert used > 60 and fits[0].margin == got.margin[0]
+        assert len(sizes) > 60 and fits[0].margin == got.margin[0]
     spread = np.sqrt(np.mean(np.square(pulls), axis=0))
     assert (spread > 0.5).all() and (spread < 1.4).all()
     assert np.abs(np.mean(pulls, axis=0)).max() < 0.6
@@ -91,14 +91,15 @@ def test_vehicles_of_another_scale_are_refused():
         measure_ruler(looks, ZOOMS, GSD, load_fleet("DE"), Ruler())
 
 
-def test_a_fleet_grows_class_by_class():
-    japan = load_fleet("JP")
-    entry = scaled_fleet(japan, np.array([1.1, 1.05]), np.array([0.01, 0.02]), "a place", "a test")
-    local = Fleet.from_entry("local", json.loads(json.dumps(entry)))
-    assert local.mean == pytest.approx(japan.mean * [1.1, 1.05, 1], abs=1e-3)
+def test_a_local_fleet_has_the_sizes_that_were_measured_without_their_noise():
+    rng, germany = np.random.default_rng(3), load_fleet("DE")
+    noise = np.array([0.2, 0.12])
+    size = 1.1 * germany.sample(rng, 4000)[:, :2] + rng.normal(0, noise, (4000, 2))
+    size[:100] = 6.5, 2.1  # lorries
+    local = Fleet.from_entry("x", local_fleet_entry(size, noise, np.array([0.01, 0.02]), load_fleet("US"), "n", "s"))
+    assert local.mean[:2] == pytest.approx(1.1 * germany.mean[:2], rel=0.02)
+    assert local.sd[:2] == pytest.approx(1.1 * germany.sd[:2], rel=0.3)  # a flat mixture has a wide middle
     assert local.mean_sd[:2] == pytest.approx(local.mean[:2] * [0.01, 0.02], rel=0.01)
-    assert len(local.classes) == len(japan.classes) == 3
-    assert local.classes[0].mean[0] == pytest.approx(1.1 * japan.classes[0].mean[0], abs=1e-3)
 
 
 @pytest.fixture(scope="module")

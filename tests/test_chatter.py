@@ -1,5 +1,6 @@
 """What libraries in C print does not reach the user; what Python prints does."""
 
+import os
 import subprocess
 import sys
 
@@ -29,3 +30,13 @@ def test_without_a_standard_error_nothing_breaks():
     line = "import os; os.close(2); from orthoscale.system import chatter\nwith chatter.unheard(): print('fine')"
     done = subprocess.run([sys.executable, "-c", line], stdout=subprocess.PIPE, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (0, "fine\n")
+
+
+def test_the_network_tells_nobody_that_it_is_used(tmp_path):
+    """onnxruntime keeps an identifier of the machine in the user's cache before it reports; there must be none."""
+    program = "from orthoscale.detect.detector import Detector; Detector()"
+    environment = {**os.environ, "HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    environment.pop("ORT_DISABLE_TELEMETRY", None)
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert not list(tmp_path.rglob("*"))

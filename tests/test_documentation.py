@@ -90,11 +90,13 @@ def test_files_that_a_page_names_are_there(page):
 
 
 def test_the_site_has_fewer_than_6000_words_of_prose():
-    """Beside the reference: tables, code, and what is made of docstrings and of the command line do not count."""
+    """Beside the reference, which is looked up and not read; tables and code do not count."""
+    read, _ = (ROOT / "mkdocs.yml").read_text().split("  - Reference:")
+    pages = [ROOT / "docs" / name for name in re.findall(r": (\S+\.md)$", read, re.MULTILINE)]
+    pages = [page for page in pages if page.exists()]  # the others are of other folders
+    assert len(pages) > 10
     prose = []
-    for page in (ROOT / "docs").rglob("*.md"):
-        if page.name == "pypi.md" or page.parent.name == "reference":
-            continue
+    for page in pages:
         text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
         prose += re.sub(r"^\|.*$", "", text, flags=re.MULTILINE).split()
     assert len(prose) < 6000

@@ -40,6 +40,7 @@ ASKED = {
     "gsd_hint": ("--gsd-hint", "0.2"),
     "images": ("--images", "frames"),
     "refine": ("--refine",),
+    "measurer": ("--measurer", "none"),
     "mode": ("--mode", "planar"),
     "target": ("--target", "0.02"),
     "exhaustive": ("--exhaustive",),
@@ -95,6 +96,8 @@ LINES = {
 }
 OTHER, REFUSED = "another outcome", "refused"
 CASES = {
+    ("fleets", "registrations"): (("--registrations", "REGISTER", "--out", "NEW.json"), OTHER, ("fleets",)),
+    ("fleets", "out"): (("--out", "NEW.json"), REFUSED),
     ("report", "schema"): (("--schema",), OTHER),
     **{(name, "dry_run"): (("--dry-run",), OTHER) for name in ("estimate", "fix", "check")},
     **{(name, "summary"): (("--summary", "NEW.csv"), OTHER) for name in ("estimate", "fix", "check")},
@@ -145,7 +148,8 @@ CASES = {
 }
 IDLE = {  # said beside what makes them idle
     "nothing is written": [
-        (*LINES[name], "--overwrite") for name in ("estimate", "check", "anchors", "photo", "layout", "evaluate")
+        (*LINES[name], "--overwrite")
+        for name in ("estimate", "check", "anchors", "photo", "layout", "evaluate", "fleets")
     ],
     "--list only lists": [("layout", "--list", *words) for words in (("--out", "NEW"), ("--facility", "tennis"))],
     "no vehicles are measured": [(*LINES["anchors"], "--zoom", "0.5"), (*LINES["anchors"], "--exhaustive")],
@@ -194,6 +198,7 @@ def places(tmp_path_factory):
         writer = csv.writer(file)
         writer.writerow(["image", "altitude_m", "focal_px", "pitch_deg"])
         writer.writerow(["a.jpg", ALTITUDE, FOCAL, -75])
+    (folder / "register.csv").write_text("Make;Model;Count\nFiat;Panda;6000\nFord;F-150;3000\n")
     (folder / "mesh.obj").write_text("v 1 2 3\nv 4 5 6\nv 7 8 1\nf 1 2 3\n")
     (folder / "lot").mkdir()
     shed = {"name": "Shed", "source": "made for this test", "length": 8, "width": 5}
@@ -201,6 +206,7 @@ def places(tmp_path_factory):
     report = fixed(folder).with_suffix(".json")
     save_calibration(calibrated(), folder / "calibration.json")
     return {
+        "REGISTER": folder / "register.csv",
         "CALIBRATION": folder / "calibration.json",
         "ORTHO": folder / "ortho.tif",
         "BOXES": folder / "ortho.json",
@@ -372,6 +378,7 @@ TO_WRITE = {  # what of each command may replace what an earlier run wrote
     "layout": (*LAYOUT, "--out", "NEW"),
     "evaluate": (*LINES["evaluate"], "--save-detections", "NEW.json"),
     "report": LINES["report"],
+    "fleets": ("fleets", "--registrations", "REGISTER", "--out", "NEW.json"),
 }
 
 

@@ -22,7 +22,7 @@ def measured(tmp_path_factory):
     """A sound measurement of a car park."""
     folder = tmp_path_factory.mktemp("park")
     car_park(folder)
-    options = {"fleet": "DE", "detections": folder / "detections.json", "surroundings": False}
+    options = {"fleet": "DE", "detections": folder / "detections.json", "anchors": ["none"]}
     return orthoscale.estimate(folder / "park.png", **options).measured
 
 

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from support.drawings import Drawing, car_park
 
-from orthoscale.core.boxes import Boxes
+import orthoscale
+from orthoscale.actions import find
+from orthoscale.actions.requests import EstimateRequest
+from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.detections import UNKNOWN_RULER, Detections
+from orthoscale.core.measuring.ways import measure_source
+from orthoscale.core.projection.exact import BODIES
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect.find import Effort
-from orthoscale.detect.measurer import Measured, MeasurerCard
+from orthoscale.detect.measurer import Measured, Measurer, MeasurerCard
 from orthoscale.detect.remeasure import MOST, remeasured
+from orthoscale.errors import InputError, UsageError
+from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections, save_detections
+from orthoscale.sources.opening import open_source
+from orthoscale.synthetic import make_scene, write_ortho
+
+WEIGHTS = Path(orthoscale.__file__).parent / "detect" / "weights"
 
 CARD = MeasurerCard("a measurer", Ruler(margin_sd=(0.4, 0.2), noise=(1.0, 0.5)), (2.0, 3.0), (0.8, 0.8), "cuboid")
 QUIET = Effort(workers=1, cache=False)
@@ -114,3 +129,68 @@ def test_a_second_run_looks_at_nothing_again(tmp_path, monkeypatch):
     other.sha256 = "another"
     remeasured([picture], found(proposed(truth)), other, Effort(workers=1))
     assert other.looks == len(truth)
+
+
+def test_in_a_model_only_what_is_seen_from_above_is_measured(monkeypatch):
+    """Boxes in frames stay the detector's; by default, with the detector's own boxes, and not with a calibration."""
+    truth = car_park(20, 1200, 900, 30)
+    picture = Drawing(1200, 900, truth)
+    picture.frame = picture
+    monkeypatch.setattr(find, "Measurer", lambda path: Sees(truth))
+    seen = found(proposed(truth))
+    model = SimpleNamespace(pictures=[picture], posed=SimpleNamespace(ground_pictures=[picture], path="model"))
+    got = find.measured_anew(model, replace(seen, planar=seen), EstimateRequest(), QUIET)
+    assert (got.boxes["drawing"].xylwa == seen.boxes["drawing"].xylwa).all() and got.ruler == UNKNOWN_RULER
+    assert got.planar.boxes["drawing"].xylwa == pytest.approx(truth.xylwa)
+    assert find.measured_anew(model, seen, EstimateRequest(), QUIET) is seen, "nothing is seen from above"
+
+    ortho = SimpleNamespace(pictures=[picture], posed=None)
+    for options, measures in (
+        ({}, True),
+        ({"measurer": "none"}, False),
+        ({"detector": "d.onnx"}, False),
+        ({"detector": "d.onnx", "measurer": "built-in"}, True),
+        ({"detections": "boxes.json"}, False),
+        ({"detections": "boxes.json", "measurer": "m.onnx"}, True),
+        ({"calibration": "c.json"}, False),
+    ):
+        got = find.measured_anew(ortho, seen, EstimateRequest(**options), QUIET)
+        assert (got is not seen) == measures, options
+    with pytest.raises(UsageError, match="--calibration is of a detector's boxes"):
+        EstimateRequest(calibration="c.json", measurer="built-in")
+
+
+def test_a_network_that_is_no_measurer_is_refused(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        Measurer(tmp_path / "missing.onnx")
+    with pytest.raises(InputError, match="not a measurer"):
+        Measurer(WEIGHTS / "small_vehicle.onnx")
+    card = Measurer().card
+    assert card.body in BODIES and min(card.sigma_times) >= 1 and "m" in card.name
+    with pytest.raises(InputError, match="card"):
+        MeasurerCard.from_json("", "a file")
+
+
+def test_measured_vehicles_are_as_long_as_they_are(tmp_path):
+    """The shipped measurer in a rendered suburb that it has not seen, with boxes too large and beside the mark; and a
+    file of what it measured gives the same scale."""
+    scene = make_scene(seed=77, fleet=load_fleet("DE"), extent_m=60, n_vehicles=30, style="suburb")
+    truth = write_ortho(scene, tmp_path / "town.png", 0.11, seed=7)
+    fields = ("cx", "cy", "length", "width", "angle")
+    true = np.array([[box[k] for k in fields] for box in truth["boxes"] if box["visible"] > 0.9])
+    boxes = Boxes(true * [1, 1, 1.1, 1.15, 1] + [2, -1, 0, 0, 0.05], np.ones(len(true)))
+    source = open_source(tmp_path / "town.png", None, True)
+    seen = Detections({"town.png": boxes}, 0.9, UNKNOWN_RULER, (0.7, 0.5), "a detector")
+    got = find.measured_anew(source, seen, EstimateRequest(), QUIET)
+    measured = got.boxes["town.png"]
+    i, j, _ = matched(measured, Boxes(true, np.ones(len(true))), 0.5)
+    error = np.log(measured.xylwa[i, 2:4] / true[j, 2:4])
+    assert len(i) > 0.85 * len(true) > 15
+    assert np.median(error, axis=0) == pytest.approx([0, 0], abs=0.03)
+    assert (np.median(np.abs(error) / measured.sigma[i], axis=0) < 1.4).all(), "0.67, if sigmas are right"
+
+    before = measure_source(source, got, load_fleet("DE")).scale
+    save_detections(got, tmp_path / "boxes.json")
+    again = orthoscale.estimate(tmp_path / "town.png", fleet="DE", detections=tmp_path / "boxes.json", anchors=["none"])
+    assert again.scale.value == pytest.approx(before.value, rel=1e-3)
+    assert before.value == pytest.approx(0.11, rel=0.06)

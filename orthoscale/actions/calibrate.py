@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.boxes import SAME_VEHICLE, Boxes, matched
-from ..core.calibration import Calibration, MarginFit, fit_margin, scaled_fleet
+from ..core.calibration import Calibration, MarginFit, fit_margin, local_fleet_entry
 from ..core.detections import UNKNOWN_RULER
 from ..core.fleet import Fleet
 from ..core.pooling.posterior import ROBUST_SD
@@ -29,6 +29,8 @@ from ..fleets import load_fleet
 LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms, as shares of the detector's best; a vehicle must show in all
 FEWEST_VEHICLES = 20  # vehicles; a mean length is then known to 2 %
 NO_PRIOR = (6.0, 4.0)  # how far the margin of a detector without a card may be from none, one sigma [detector px]
+MEDIAN_OF = 10_000  # vehicles that tell a fleet's median to 0.1 %
+SMALLEST_PX = 1.0  # of a box whose margin was taken off [detector px]
 DISAGREEMENT = 0.02  # between --gsd and the georeferencing, from which on it is worth a note
 
 
@@ -79,23 +81,24 @@ def calibrate(
             f"{FEWEST_VEHICLES} are needed for a calibration",
             "Give an orthophoto with more vehicles, and check its scale (--gsd).",
         )
-    ruler, fits, used, factor = measure_ruler(looks, zooms, gsd, prior, network.card.ruler)
+    ruler, fits, sizes = measure_ruler(looks, zooms, gsd, prior, network.card.ruler)
     entry = None
     if local_fleet:
         relative_sd = np.array([fit.size_sd / fit.size for fit in fits])
-        entry = scaled_fleet(
-            prior,
-            factor,
+        entry = local_fleet_entry(
+            sizes,
+            np.asarray(ruler.noise) * gsd / zooms[len(zooms) // 2],
             relative_sd,
-            f"vehicles of {path.name}",
-            f"orthoscale calibrate, {used} vehicles, {prior.code}",
+            prior,
+            f"{len(sizes)} vehicles of {path.name}",
+            f"orthoscale calibrate, {len(sizes)} vehicles, {prior.code}",
         )
     made_from = {
         "orthophoto": path.name,
         "sha256": source.content_hash(),
         "gsd_m": gsd,
         "fleet": prior.code,
-        "vehicles": used,
+        "vehicles": len(sizes),
         "zooms": [round(float(z), 4) for z in zooms],
         "size_m": [round(fit.size, 3) for fit in fits],
         "size_sd_m": [round(fit.size_sd, 3) for fit in fits],
@@ -129,18 +132,20 @@ def same_vehicles(looks: Sequence[Boxes]) -> list[Boxes]:
 
 def measure_ruler(
     looks: Sequence[Boxes], zooms: np.ndarray, gsd: float, fleet: Fleet, ruler: Ruler
-) -> tuple[Ruler, tuple[MarginFit, MarginFit], int, np.ndarray]:
+) -> tuple[Ruler, tuple[MarginFit, MarginFit], np.ndarray]:
     """The ruler that `looks` at the same vehicles ask for, beginning from the detector's own `ruler`.
 
     looks : boxes of the same vehicles [px of the picture] at `zooms` (K,) [detector px per picture px].
-    Returns the ruler, the fits of length and width, the vehicles used, and how many times the fleet's length and width
-    (2,) the vehicles have. Raises InputError when the vehicles' sizes do not belong to this scale.
+    Returns the ruler, the fits of length and width, and the vehicles' sizes (N, 2) [m] by that ruler. Raises InputError
+    when they do not belong to this scale.
     """
     middle = len(looks) // 2
-    used = _pooled(looks[middle], zooms[middle], fleet, ruler).used
-    pools = [_pooled(look[used], zoom, fleet, ruler) for look, zoom in zip(looks, zooms, strict=True)]
-    # Vehicles' mean sizes in metres, as boxes of each zoom have them with the detector's own margin taken off, (K, 2).
-    seen = fleet.mean[:2] * [[gsd / p.checks["length"], gsd / p.checks["width"]] for p in pools]
+    pooled = _pooled(looks[middle], zooms[middle], fleet, ruler)
+    looks = [look[pooled.used] for look in looks]
+    # The vehicles' mean sizes in metres, as boxes of each zoom have them with the detector's own margin taken off.
+    seen = np.array(
+        [_mean_size(_sizes(look, gsd, 1 / zoom, ruler), fleet) for look, zoom in zip(looks, zooms, strict=True)]
+    )
     if np.abs(np.log(seen[middle] / fleet.mean[:2])).max() > np.log(1.4):
         raise InputError(
             f"at {gsd:g} m/px these vehicles would be {seen[middle, 0]:.2f} x {seen[middle, 1]:.2f} m on average",
@@ -149,7 +154,7 @@ def measure_ruler(
     pixel = gsd / zooms
     bias_sd = np.asarray(ruler.bias_sd) * seen
     # The vehicles here stray from the fleet's mean, and all their boxes may be a little large together.
-    stray = np.diag(fleet.log_mean_covariance) + pools[middle].parts["sampling"] ** 2 + ruler.common_sd**2
+    stray = np.diag(fleet.log_mean_covariance) + pooled.parts["sampling"] ** 2 + ruler.common_sd**2
     fleet_sd = np.sqrt(stray) * fleet.mean[:2]
     margin_sd = NO_PRIOR if ruler == UNKNOWN_RULER else ruler.margin_sd
     fits = tuple(
@@ -166,11 +171,21 @@ def measure_ruler(
         ruler,
         margin=(fits[0].margin, fits[1].margin),
         margin_sd=(fits[0].margin_sd, fits[1].margin_sd),
-        noise=box_noise([look[used] for look in looks], zooms),
+        noise=box_noise(looks, zooms),
     )
-    final = _pooled(looks[middle][used], zooms[middle], fleet, new)
-    factor = gsd / np.array([final.checks["length"], final.checks["width"]])
-    return new, (fits[0], fits[1]), int(used.sum()), factor
+    return new, (fits[0], fits[1]), _sizes(looks[middle], gsd, 1 / zooms[middle], new)
+
+
+def _sizes(boxes: Boxes, gsd: float, pixel: float, ruler: Ruler) -> np.ndarray:
+    """(N, 2) lengths and widths [m] of vehicles whose detector pixels are `pixel` pixels of the picture each."""
+    return np.maximum(ground_size(boxes) - pixel * np.asarray(ruler.margin), SMALLEST_PX * pixel) * gsd
+
+
+def _mean_size(size: np.ndarray, fleet: Fleet) -> np.ndarray:
+    """(2,) mean length and width of a fleet that is like `fleet` and has the median of `size` (N, 2), which a few
+    larger vehicles do not move. The scale is known here: sizes are not to be explained by another mix of classes."""
+    usual = np.median(fleet.sample(np.random.default_rng(0), MEDIAN_OF)[:, :2], axis=0)
+    return fleet.mean[:2] * np.median(size, axis=0) / usual
 
 
 def _pooled(boxes: Boxes, zoom: float, fleet: Fleet, ruler: Ruler):

@@ -14,7 +14,7 @@ from dataclasses import Field, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
-from ..anchors.kinds import ALL, ANCHOR_KINDS, NONE, PROVEN, slug
+from ..anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
 from ..core.source import Source
 from ..errors import UsageError
 
@@ -29,7 +29,7 @@ EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
 BUILT_IN = "built-in"
 BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")  # anchors that boxes alone may show
-ANCHORS = (ALL, NONE, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))
+ANCHORS = (ALL, NO_KIND, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))
 
 
 @dataclass(frozen=True)
@@ -270,7 +270,7 @@ class EstimateRequest(VehicleRequest):
             self._refuse(("target",), "--exhaustive visits every tile")
         if self.estimator == "iqr":
             self._refuse(("anchors", "anchor"), "--estimator iqr is the paper's, for vehicles only")
-        if NONE in self.anchors:
+        if NO_KIND in self.anchors:
             self._refuse(("anchor",), "--anchors none looks for none")
             if len(self.anchors) > 1:
                 raise UsageError("--anchors none and kinds of anchors contradict each other", "Give one of them.")

@@ -19,7 +19,7 @@ BLURRED_SD = 0.7  # [px] one sigma of what lens and pixels make of a thin line
 BESIDE = 2.0  # [m] from a stroke, where another one may disturb it
 PIECE = 1.2  # [m] of strokes, and of so many pixels at least:
 PIECE_PX = 5.0
-FREE = 0.5  # [m] and [px] from any paint: there the picture must be blank
+FREE = 1.0  # [m] and [px] from any paint: there the picture must be blank
 FREE_PX = 2.2
 CLOSE = 0.16  # [m] and [px]: a stroke is seen where a ridge is so close to it
 CLOSE_PX = 0.6
@@ -37,13 +37,14 @@ PRIOR_SD = 0.1  # [ln] by which a round may change a pixel size
 
 @dataclass(frozen=True)
 class CourtFit:
-    """place : (2,) [px]. angle : of the court's length [rad] from +x, clockwise on screen. along, across : pixels per
-    metre. along_sd, across_sd : their relative one sigma by the scatter about the fit alone.
+    """court : what was fitted. place : (2,) [px]. angle : of its length [rad] from +x, clockwise on screen. along,
+    across : pixels per metre. along_sd, across_sd : their relative one sigma by the scatter about the fit alone.
     residual : (M,) of the ridges that were found, across the strokes [px]. lit : share of the painted length that lies
     on ridges. seen : (S,) the same of each stroke. marred : share of the blank places that ridges cross.
     scatter : root mean square of `residual`, as a share of the most it may be; 0.58 if ridges are anywhere.
     contrast : of the paint, in units of the noise."""
 
+    court: Court
     place: np.ndarray
     angle: float
     along: float
@@ -239,6 +240,7 @@ def _judged(light, court, pose, pieces, blanks, rows, pushed, corner) -> CourtFi
         sds = np.sqrt(np.diag(covariance)[3:])
         scatter = float(np.sqrt((offset[hit] ** 2).mean())) / close
     return CourtFit(
+        court,
         corner + pose[:2], float(pose[2]), float(pose[3]), float(pose[4]), float(sds[0]), float(sds[1]),
         offset[hit], float(np.average(hit, weights=pieces.weight)), seen, marred, scatter, typical / noise,
     )  # fmt: skip

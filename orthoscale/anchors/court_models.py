@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.anchors import Standard
 
-NEXT_TO = 0.7  # [m] beside a stroke, where nothing else may be painted: half of the tramlines of tennis
+NETS = (2.1, 3.0, 4.0)  # [m] beside strokes, where joints and bays have their next line
 BEYOND_END = 2.4  # [m] beyond the end of a stroke, up to where it may not go on
 
 
@@ -58,14 +58,15 @@ class Pieces:
 
 @dataclass(frozen=True)
 class Court:
-    """kind : as people call it. strokes : what is painted. standards : the sizes of `reference` [m], a length between
-    outer edges that the court is known by; metres of the first standard are those of the strokes.
-    needed : share of the strokes that must be seen. lean : largest |ln| of the ratio of both pixel sizes."""
+    """strokes : what is painted. standard : the rule, and the length by which a court built to it is known.
+    symmetric : by half a turn. beside : how far [m] beside strokes blanks are looked for. bare : evidence that all of
+    them being marred would take: more where few strokes have to tell a court from a net of lines."""
 
-    kind: str
     strokes: tuple[Stroke, ...]
-    standards: tuple[Standard, ...]
+    standard: Standard
     symmetric: bool = True
+    beside: tuple[float, ...] = (2.1,)
+    bare: float = 1.0
 
     @cached_property
     def extent(self) -> float:
@@ -105,26 +106,26 @@ class Court:
         painted, fine = self.pieces(length), self.pieces(0.3).middle
         normal = np.stack([-np.sin(painted.direction), np.cos(painted.direction)], -1)
         middles, directions = [], []
-        for k, away in enumerate((NEXT_TO, -NEXT_TO, 3 * NEXT_TO, -3 * NEXT_TO)):
-            # every other piece, by turns, is enough
-            middles.append((painted.middle + away * normal)[k % 2 :: 2])
-            directions.append(painted.direction[k % 2 :: 2])
+        for away in self.beside:
+            for first, side in enumerate((away, -away)):  # every other piece to each side is enough
+                middles.append((painted.middle + side * normal)[first::2])
+                directions.append(painted.direction[first::2])
         for stroke in self.strokes:
             if stroke.radius:
                 continue
             for end, stops in enumerate(stroke.ends):
                 if stops:
-                    beyond = np.arange(max(NEXT_TO, free) + length / 2, BEYOND_END, length)
+                    beyond = np.arange(free + length / 2, BEYOND_END, length)
                     place, direction = stroke.at(stroke.length + beyond if end else -beyond)
                     middles.append(place)
                     directions.append(direction)
         middle, direction = np.concatenate(middles), np.concatenate(directions)
         step = np.stack([np.cos(direction), np.sin(direction)], -1) * length / 2
-        free = np.ones(len(middle), bool)
+        blank = np.ones(len(middle), bool)
         for share in (-1, -0.5, 0, 0.5, 1):
             gap = middle[:, None] + share * step[:, None] - fine
-            free &= (gap**2).sum(-1).min(1) > free**2
-        middle, direction = middle[free], direction[free]
+            blank &= (gap**2).sum(-1).min(1) > free**2
+        middle, direction = middle[blank], direction[blank]
         same = np.full(len(middle), length)
         return Pieces(middle, direction, same, same, np.full(len(middle), -1))
 
@@ -146,6 +147,16 @@ def _across(x: float, start: float, end: float, weight: float = 1.0, ends: tuple
     return Stroke((x, start), (x, end), 0.0, weight, ends)
 
 
+def _arc(x: float, y: float, radius: float, start: float, end: float, weight: float = 0.5) -> Stroke:
+    """Angles in degrees."""
+    return Stroke((x, y), (float(np.radians(start)), float(np.radians(end))), radius, weight)
+
+
+def _box(x: float, y: float) -> list[Stroke]:
+    """The outline of a court, 2 x long and 2 y wide."""
+    return [_along(side * y, -x, x) for side in (-1, 1)] + [_across(side * x, -y, y) for side in (-1, 1)]
+
+
 def _tennis() -> Court:
     paint, base = 0.05, 0.075  # [m] widths that are painted: 2.5 to 5 cm by the rules, the base line 5 to 10 cm
     x, y = 23.77 / 2 - base / 2, 10.97 / 2 - paint / 2
@@ -157,11 +168,100 @@ def _tennis() -> Court:
     rule = Standard(
         "ITF tennis court",
         23.77,
-        0.003,
+        0.002,
         "ITF Rules of Tennis 2024, rule 1: 23.77 x 10.97 m to the outside of the lines, singles 8.23 m, service lines "
-        "6.40 m from the net; the spread is that of 253 courts of American cities about the mean of their picture",
+        "6.40 m from the net; the spread is ours, for how exactly they are painted",
     )
-    return Court("tennis court", tuple(lines), (rule,))
+    return Court(tuple(lines), rule)
+
+
+def _volleyball() -> Court:
+    half = 0.025  # [m] of the paint's width
+    x, y, attack = 9.0 - half, 4.5 - half, 3.0 - half
+    lines = _box(x, y) + [_across(side * attack, -y, y, ends=(False, False)) for side in (-1, 1)]
+    lines += [_across(0.0, -y, y, weight=0.3)]  # under the net, often left out
+    rule = Standard(
+        "FIVB volleyball court",
+        18.0,
+        0.004,
+        "FIVB Official Volleyball Rules, rule 1: 18 x 9 m to the outside of the lines of 5 cm, attack lines' rear "
+        "edges 3 m from the middle of the centre line; the spread is ours",
+    )
+    return Court(tuple(lines), rule, beside=NETS, bare=2.0)
+
+
+def _basketball(length: float, width: float, key: float, depth: float, name: str, source: str) -> Court:
+    """length x width [m] to the inside of the lines; the key is `key` wide to its outside, its far edge `depth` from
+    the end line's inner edge."""
+    half = 0.025
+    x, y, k, free = length / 2 + half, width / 2 + half, key / 2 - half, length / 2 - depth + half
+    lines = [*_box(x, y), _across(0.0, -y, y), _arc(0, 0, 1.8 - half, 0, 360)]
+    for side in (-1, 1):
+        lines += [_across(side * free, -k, k)]
+        low, high = sorted((side * free, side * x))
+        lines += [_along(at, low, high, ends=(side > 0, side < 0)) for at in (-k, k)]
+        lines += [_arc(side * free, 0, 1.8 - half, 90 if side > 0 else -90, 270 if side > 0 else 90)]
+    return Court(tuple(lines), Standard(name, length, 0.006, source), beside=NETS, bare=2.0)
+
+
+def _handball() -> Court:
+    half, post = 0.025, 1.5  # [m] of the paint; of the goal
+    x, y, area = 20.0 - half, 10.0 - half, 6.0 - half
+    lines = [*_box(x, y), _across(0.0, -y, y)]
+    for side in (-1, 1):
+        lines += [_across(side * (x - area), -post, post, ends=(False, False))]
+        for to in (-1, 1):
+            end = {(1, 1): (90, 180), (1, -1): (180, 270), (-1, 1): (0, 90), (-1, -1): (270, 360)}[side, to]
+            lines += [_arc(side * x, to * post, area, *end, weight=1.0)]
+    rule = Standard(
+        "IHF handball court",
+        40.0,
+        0.005,
+        "IHF Rules of the Game, rule 1: 40 x 20 m to the outside of the lines of 5 cm, goal areas of 6 m about the "
+        "posts of a goal of 3 m; futsal (FIFA) is marked alike; the spread is ours",
+    )
+    return Court(tuple(lines), rule, beside=NETS, bare=2.0)
+
+
+def _penalty_area() -> Court:
+    half = 0.05  # [m] of lines of 10 cm, 12 at most
+    outer = 8.25  # [m] of the goal line's outer edge, from the middle of the area
+    goal, front, near = outer - half, outer - 16.5 + half, outer - 5.5 + half
+    wide, goal_wide = 40.32 / 2 - half, 18.32 / 2 - half
+    lines = [_across(goal, -wide, wide, ends=(False, False)), _across(front, -wide, wide)]
+    lines += [_across(near, -goal_wide, goal_wide)]
+    lines += [_along(at, front, goal, ends=(True, False)) for at in (-wide, wide)]
+    lines += [_along(at, near, goal, ends=(True, False)) for at in (-goal_wide, goal_wide)]
+    spot, radius = outer - 11.0, 9.15 - half
+    reach = float(np.degrees(np.arccos((16.5 - 11.0) / 9.15)))
+    lines += [_arc(spot, 0, radius, 180 - reach, 180 + reach)]
+    rule = Standard(
+        "IFAB penalty area",
+        40.32,
+        0.006,
+        "IFAB Laws of the Game, law 1: 16.5 m into the field and beyond the posts of a goal of 7.32 m, goal area "
+        "5.5 m, arc of 9.15 m about the mark at 11 m, to the outside of lines of at most 12 cm; the spread is ours",
+    )
+    return Court(tuple(lines), rule, symmetric=False, beside=NETS, bare=2.0)
 
 
 TENNIS_COURT = _tennis()
+VOLLEYBALL_COURT = _volleyball()
+HANDBALL_COURT = _handball()
+PENALTY_AREA = _penalty_area()
+_AMERICAN = "to the inside of the lines, key 12 ft wide, free-throw line 19 ft from the end line; the spread is ours"
+BASKETBALL_COURTS = (
+    _basketball(
+        28.0, 15.0, 4.9, 5.8, "FIBA basketball court",
+        "FIBA Official Basketball Rules, art. 2: 28 x 15 m to the inside of the lines of 5 cm, key 4.9 x 5.8 m, "
+        "circles of 1.8 m; the spread is ours",
+    ),
+    _basketball(
+        28.651, 15.24, 3.66, 5.79, "US college basketball court",
+        f"NCAA Basketball Rules, rule 1: 94 x 50 ft {_AMERICAN}",
+    ),
+    _basketball(
+        25.603, 15.24, 3.66, 5.79, "US high school basketball court",
+        f"NFHS Basketball Rules, rule 1: 84 x 50 ft {_AMERICAN}",
+    ),
+)  # fmt: skip

@@ -18,6 +18,7 @@ SEED_SLACK = 6  # [px] by which a seed may reach beyond its stroke
 ABOUT = np.linspace(-4, 4, 9)  # [m] along a pair, where all the long strokes are asked for
 PROMISING_FRAME = 0.3  # least mean ridge there
 STROKE_ENOUGH = 0.7  # of a clear ridge: no stroke counts for more
+FRAMES_AT_ONCE = 64  # frames that are placed at once: for speed and memory
 SAME_SIZE = 0.03  # [ln] and, across the seeds, [px]: frames so near each other say the same
 SAME_PX = 2.0
 FRAMES = 3000  # per megapixel, the most promising; at least:
@@ -105,7 +106,7 @@ class _Frames:
     about: np.ndarray
     promise: np.ndarray
 
-    def only(self, which: np.ndarray) -> _Frames:
+    def only(self, which: np.ndarray | slice) -> _Frames:
         return _Frames(*(each[which] for each in vars(self).values()))
 
 
@@ -116,7 +117,8 @@ def search(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
     for family in _families(court):
         frames = _framed(ridges, family, size, spread)
         if len(frames.angle):
-            found.append(_placed(ridges, court, family, frames))
+            for start in range(0, len(frames.angle), FRAMES_AT_ONCE):
+                found.append(_placed(ridges, court, family, frames.only(np.s_[start : start + FRAMES_AT_ONCE])))
     names = ("place", "angle", "size", "score")
     poses = Poses(*(np.concatenate([getattr(one, name) for one in found]) for name in names))
     return _alone(poses.only(np.argsort(-poses.score, kind="stable")), court)
@@ -142,7 +144,7 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
     for p in range(len(family.at)):
         for q in range(p + 1, len(family.at)):
             gap = family.at[q] - family.at[p]
-            if gap < LONG_STROKES * widest:
+            if gap < LONG_STROKES * widest:  # says little of the size
                 continue
             own = (across[:, 1] - across[:, 0]) / gap
             low = (along + half - own[:, None] * family.high[[p, q]]).max(1)

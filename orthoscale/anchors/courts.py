@@ -12,20 +12,25 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..core.anchors import Anchor
+from ..core.anchors import Anchor, Standard
 from .court_fit import CourtFit, fit_court
-from .court_models import TENNIS_COURT, Court
+from .court_models import (
+    BASKETBALL_COURTS,
+    HANDBALL_COURT,
+    PENALTY_AREA,
+    TENNIS_COURT,
+    VOLLEYBALL_COURT,
+    Court,
+)
 from .court_search import Ridges, search
 from .ridges import lightness
 
 SEARCHED = 0.3  # [m/px] of the search, where a line of 5 cm is just seen and a court is small
 ENLARGED = 2.0  # at most: a coarser picture is searched coarser
-SMALLEST_PX = 16  # [px] of a picture's shorter side
+LEAST_SIDE_PX = 16  # [px] of a picture's shorter side
 SURE = 0.8  # of a fit's paint is seen: no other court lies on it
 COURTS_OVERLAP = 0.8  # of both sides: courts whose middles are nearer than this overlap
-MARS_TAKE = 1.0  # evidence that a blank which is none takes, per share of all
 PAINT_SCATTER, SCATTER_TAKES = 0.25, 1.5  # of paint hardly more than the first; what more of it takes
-ACCEPTED = 0.55  # least evidence of a court
 STRETCHED = 0.03  # |ln| of the ratio of both pixel sizes, at most
 # From 61 chips with tennis courts and 409 without (`benchmarks/anchors_courts.py`): fits to other things become ten
 # times rarer with every 0.1 of evidence (one in 27 Mpx reaches 0.44), and at EVEN they are as frequent as courts are.
@@ -40,12 +45,18 @@ ACROSS_SD, ACROSS_COARSE = 0.003, 0.035
 STRETCH_REMAINS = 0.5
 
 
-def evidence(court: Court, fit: CourtFit) -> float:
+def evidence(fit: CourtFit) -> float:
     """What speaks for a court, 1 if all of it is seen and nothing else: half by the length of what is seen, half by the
     strokes of that direction in which fewer are; less what is seen where nothing should be, and less where the ridges
     do not lie on straight lines."""
-    seen = 0.5 * fit.lit + 0.5 * min(float(fit.seen[group].mean()) for group in court.groups)
-    return seen - MARS_TAKE * fit.marred - SCATTER_TAKES * max(0.0, fit.scatter - PAINT_SCATTER)
+    weight = np.array([stroke.weight for stroke in fit.court.strokes])
+    fewer = min(float(np.average(fit.seen[group], weights=weight[group])) for group in fit.court.groups)
+    return (
+        0.5 * fit.lit
+        + 0.5 * fewer
+        - fit.court.bare * fit.marred
+        - SCATTER_TAKES * max(0.0, fit.scatter - PAINT_SCATTER)
+    )
 
 
 def size_of(fit: CourtFit) -> tuple[float, float]:
@@ -71,79 +82,101 @@ def _resized(light: np.ndarray, gsd: float) -> np.ndarray:
     return cv2.resize(light, size, interpolation=cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC)
 
 
+def _overlap(fit: CourtFit, place: np.ndarray) -> bool:
+    """Whether a court like `fit` with its middle at `place` [px] would lie on it."""
+    c, s = np.cos(fit.angle), np.sin(fit.angle)
+    gap = np.abs(np.array([[c, s], [-s, c]]) @ (place - fit.place)) / (fit.along, fit.across)
+    return bool((gap < COURTS_OVERLAP * fit.court.size).all())
+
+
 @dataclass(frozen=True)
 class CourtFinder:
-    """Finds one kind of painted court; see `AnchorFinder`."""
+    """Finds one kind of painted court, built to any of some rules; see `AnchorFinder`.
 
-    court: Court
+    courts : by the rules. rivals : what parts of look like these courts; where more speaks for one of them, there is no
+    court of this kind. even : evidence at which what is found is as often something else as a court; more of it is
+    accepted. Other fields are those of the protocol.
+    """
+
+    kind: str
+    courts: tuple[Court, ...]
+    rivals: tuple[Court, ...] = ()
+    even: float = EVEN
     finest: float = 0.05
     coarsest: float = 0.55
 
     @property
-    def kind(self) -> str:
-        """What people call it."""
-        return self.court.kind
+    def standards(self) -> tuple[Standard, ...]:
+        """That of each court."""
+        return tuple(court.standard for court in self.courts)
 
     @property
     def extent(self) -> float:
-        """Diameter of the court [m]."""
-        return self.court.extent
-
-    def fits(self, image: np.ndarray, gsd: float, gsd_sd: float) -> list[CourtFit]:
-        """The fits of all likely places, court or not, that with most evidence first; arguments as of `find`."""
-        light = lightness(image)
-        small = _resized(light, gsd)
-        factor = np.array(small.shape[::-1]) / light.shape[::-1]
-        zoom = float(np.sqrt(factor.prod()))
-        poses = search(Ridges(small), self.court, zoom / gsd, 2 * gsd_sd)
-        found: list[CourtFit] = []
-        for place, angle, size in zip((poses.place + 0.5) / factor - 0.5, poses.angle, poses.size, strict=True):
-            if any(fit.lit > SURE and self._overlap(fit, place) for fit in found):
-                continue
-            fit = fit_court(light, self.court, place, float(angle), float(size / zoom))
-            if fit is not None:
-                found.append(fit)
-        return sorted(found, key=self.evidence, reverse=True)
+        """Diameter of the largest court [m]."""
+        return max(court.extent for court in self.courts)
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """The courts in `image`, RGB uint8 (H, W, 3), that do not overlap; see `AnchorFinder`."""
-        if image.ndim != 3 or min(image.shape[:2]) < SMALLEST_PX:
+        if image.ndim != 3 or min(image.shape[:2]) < LEAST_SIDE_PX:
             return []
+        look = _Look(image, gsd, gsd_sd)
+        fits = [fit for court in self.courts for fit in look.fits(court) if evidence(fit) > self.even]
+        if fits:
+            fits += [fit for court in self.rivals for fit in look.fits(court)]
         kept: list[CourtFit] = []
-        for fit in self.fits(image, gsd, gsd_sd):
-            size = size_of(fit)[0]
-            if (
-                self.evidence(fit) >= ACCEPTED
-                and abs(np.log(fit.along / fit.across)) <= STRETCHED
-                and abs(np.log(size * gsd)) <= 2 * gsd_sd + STRETCHED / 2
-                and not any(self._overlap(other, fit.place) for other in kept)
-            ):
+        for fit in sorted(fits, key=evidence, reverse=True):
+            if not any(_overlap(fit, other.place) or _overlap(other, fit.place) for other in kept):
                 kept.append(fit)
-        return [self._anchor(fit) for fit in kept]
-
-    def evidence(self, fit: CourtFit) -> float:
-        """What speaks for a court at `fit`; see `evidence`."""
-        return evidence(self.court, fit)
-
-    def _overlap(self, fit: CourtFit, place: np.ndarray) -> bool:
-        """Whether a court like `fit` with its middle at `place` [px] would lie on it."""
-        c, s = np.cos(fit.angle), np.sin(fit.angle)
-        gap = np.abs(np.array([[c, s], [-s, c]]) @ (place - fit.place)) / (fit.along, fit.across)
-        return bool((gap < COURTS_OVERLAP * self.court.size).all())
+        return [self._anchor(fit) for fit in kept if fit.court in self.courts]
 
     def _anchor(self, fit: CourtFit) -> Anchor:
         size, sd = size_of(fit)
-        false = 1 / (1 + np.exp(STEEPNESS * (self.evidence(fit) - EVEN)))
+        false = 1 / (1 + np.exp(STEEPNESS * (evidence(fit) - self.even)))
         return Anchor(
             kind=self.kind,
             place=fit.place,
-            lines=fit.points(self.court.drawing()),
-            pixels=size * self.court.standards[0].metres,
+            lines=fit.points(fit.court.drawing()),
+            pixels=size * fit.court.standard.metres,
             relative_sd=sd,
             residual=fit.residual,
-            standards=self.court.standards,
+            standards=(fit.court.standard,),
             false=float(max(false, NEVER_SURE)),
         )
 
 
-TENNIS = CourtFinder(TENNIS_COURT)
+class _Look:
+    """One picture with its ridges, searched for courts between two sizes; arguments as of `AnchorFinder.find`."""
+
+    def __init__(self, image: np.ndarray, gsd: float, gsd_sd: float) -> None:
+        self.gsd, self.spread = gsd, 2 * gsd_sd
+        self.light = lightness(image)
+        small = _resized(self.light, gsd)
+        self.factor = np.array(small.shape[::-1]) / self.light.shape[::-1]
+        self.ridges = Ridges(small)
+
+    def fits(self, court: Court) -> list[CourtFit]:
+        """All fits of `court` of a likely size and shape, court or not, in the order of the search."""
+        zoom = float(np.sqrt(self.factor.prod()))
+        poses = search(self.ridges, court, zoom / self.gsd, self.spread)
+        places = (poses.place + 0.5) / self.factor - 0.5
+        found: list[CourtFit] = []
+        for place, angle, size in zip(places, poses.angle, poses.size / zoom, strict=True):
+            if any(fit.lit > SURE and _overlap(fit, place) for fit in found):
+                continue
+            fit = fit_court(self.light, court, place, float(angle), float(size))
+            if fit is not None:
+                found.append(fit)
+        return [
+            fit
+            for fit in found
+            if abs(np.log(fit.along / fit.across)) <= STRETCHED
+            and abs(np.log(size_of(fit)[0] * self.gsd)) <= self.spread + STRETCHED / 2
+        ]
+
+
+TENNIS = CourtFinder("tennis court", (TENNIS_COURT,))
+# The others' EVEN is higher: tennis courts, and nets of joints and roofs, have more of their strokes.
+VOLLEYBALL = CourtFinder("volleyball court", (VOLLEYBALL_COURT,), (TENNIS_COURT,), even=0.6)
+BASKETBALL = CourtFinder("basketball court", BASKETBALL_COURTS, (TENNIS_COURT,), even=0.58)
+HANDBALL = CourtFinder("handball court", (HANDBALL_COURT,), (TENNIS_COURT, *BASKETBALL_COURTS), even=0.6)
+FOOTBALL = CourtFinder("football penalty area", (PENALTY_AREA,), (TENNIS_COURT,), even=0.6)

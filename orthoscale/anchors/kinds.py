@@ -30,7 +30,7 @@ ANCHOR_KINDS: dict[str, Kind] = {
     "parking bays": Kind("bays:ParkingBays"),
 }
 
-ALL, NONE, PROVEN = "all", "none", "proven"  # choices beside kinds: of `--anchors`
+ALL, NO_KIND, PROVEN = "all", "none", "proven"  # choices beside kinds: of `--anchors`
 
 
 def slug(kind: str) -> str:
@@ -41,7 +41,7 @@ def slug(kind: str) -> str:
 def chosen(choices: Sequence[str], own: Collection[str] = ()) -> list[str]:
     """The kinds with a finder that `choices` of `--anchors` mean, and those of a user's `own` standards, in the order
     of the table."""
-    if NONE in choices:
+    if NO_KIND in choices:
         return []
     return [
         kind

@@ -31,7 +31,7 @@ def lightness(image: np.ndarray) -> np.ndarray:
 
 def steered(light: np.ndarray) -> np.ndarray:
     """(DIRECTIONS, H, W) int8: ridges that run at k * 180 / DIRECTIONS degrees from +x, clockwise on screen;
-    CLEAR_RIDGE is a clear one, negative a dark line or the flank of a bright one. light : (H, W) float32 grey levels."""
+    CLEAR_RIDGE is a clear one, negative a dark line or the flank of a bright one. light : (H, W) float32."""
     smooth = cv2.GaussianBlur(light, (0, 0), BLUR_PX)
     xx, xy, yy = (cv2.Sobel(smooth, cv2.CV_32F, dx, dy, ksize=3, scale=0.25) for dx, dy in ((2, 0), (1, 1), (0, 2)))
     size = cv2.sqrt(xx * xx + yy * yy + 2 * xy * xy)

@@ -19,10 +19,12 @@ from ..detect.cache import Kept, content_key, tile_name
 from ..detect.order import visiting_order
 from ..detect.tiles import read, tiles
 from ..detect.workers import done_on_threads
+from ..system import budget
 
 WINDOW_SIDE = 1024  # [px that a finder sees] side of a window, where anchors are small
 WINDOW_EXTENTS = 4.0  # least side of a window in anchors' extents: a quarter of each side is seen twice
-LARGEST_WINDOW = 4096  # [px that a finder sees]: 50 MB, and a finder's maps of it
+LARGEST_WINDOW = 2048  # [px that a finder sees]
+BYTES_EACH = 80  # [byte] that a finder takes for a pixel: eight maps of directions, and some of floating point
 SPARE = 16  # [px that a finder sees] by which windows overlap beyond the extent
 FIRST_WINDOWS = 16  # of each kind that are looked at before asking whether they are enough
 ENOUGH_ANCHORS = 8  # anchors of a kind after which more of them hardly help: half of their variance they share
@@ -71,11 +73,14 @@ def search(
             part.cache = open_things.enter_context(AnchorCache(key)) if cache and (key := part.key()) else None
         while not all(part.done for part in parts):
             batch = [(part, number) for part in parts for number in part.next()]
+            batch.sort(key=lambda one: one[0].place(one[1]))  # files are read fastest from the top, many only so
             work = {}
             for k, (part, number) in enumerate(batch):
                 if not part.had(number):
                     work[k] = part.work(number)
-            for k, found in done_on_threads(work, workers):
+            largest = max((tile.out_width * tile.out_height for tile in (p.jobs[n][1] for p, n in batch)), default=1)
+            at_once = max(1, min(workers, budget.memory() // (BYTES_EACH * largest)))
+            for k, found in done_on_threads(work, at_once):
                 part, number = batch[k]
                 part.put(number, found)
                 if progress:
@@ -116,6 +121,11 @@ class _Part:
             return range(0)
         count = len(self.jobs) if self.exhaustive else FIRST_WINDOWS
         return range(len(self.looks), min(len(self.looks) + count, len(self.jobs)))
+
+    def place(self, number: int) -> tuple[str, int, int]:
+        """By which windows are read in order."""
+        picture, tile = self.jobs[number]
+        return picture.name, tile.y, tile.x
 
     def had(self, number: int) -> bool:
         """Whether window `number` was looked at in another run."""

@@ -26,7 +26,7 @@ from .options import (
 
 @command(
     epilog="\b\nExamples:\n  orthoscale anchors ortho.tif --fleet DE\n"
-    "  orthoscale anchors ortho.tif --scale 0.1 --anchors tennis-court --out anchors/\n\n" + EXIT_CODES
+    "  orthoscale anchors ortho.tif --scale 0.1 --anchors tennis-court --out found/\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="INPUT", type=PATH)
 @options_of(EstimateRequest)

@@ -1,13 +1,16 @@
-"""`orthoscale fleets`: the vehicle sizes of each country."""
+"""`orthoscale fleets`: the vehicle sizes of each country, and those of a register."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import command, debug_option, json_option
+from ..core.market_segments import AXES
+from ..errors import UsageError
+from .options import PATH, command, debug_option, json_option, option, overwrite_option, refuse_idle_overwrite, say
 
 if TYPE_CHECKING:
     from ..core.fleet import Fleet
@@ -17,19 +20,40 @@ Examples:
   orthoscale fleets             all of them, with the shares of their segments
   orthoscale fleets JP India    two of them in full: classes, sizes, sources
   orthoscale fleets --json      for machines
+  orthoscale fleets --registrations district.csv --out district.json
+  orthoscale fix ortho.tif --fleet district.json --out scaled.tif
 """
+MOST_UNKNOWN = 10  # models of unknown size that are listed
 
 
 @command(epilog=EXAMPLES)
 @click.argument("codes", nargs=-1)
+@option(
+    "--registrations",
+    type=PATH,
+    metavar="CSV",
+    group="Input",
+    help="Make a fleet of a register: columns model and count, and make if it has one.",
+)
+@option("--out", type=PATH, group="Output", help="Where to write it, as JSON for --fleet.")
+@overwrite_option
 @json_option("the fleets")
 @debug_option
-def fleets(codes: tuple[str, ...], as_json: bool, debug: bool) -> None:
+def fleets(
+    codes: tuple[str, ...], registrations: Path | None, out: Path | None, overwrite: bool, as_json: bool, debug: bool
+) -> None:
     """List the vehicle fleets, with sizes and sources.
 
     CODES are codes or names of countries: these fleets in full. Without them all are listed, in short.
     """
     from ..fleets import fleet_codes, load_fleet
+
+    refuse_idle_overwrite(overwrite, out)
+    if (registrations is None) != (out is None) or (codes and out):
+        raise UsageError("--registrations and --out go together, and without codes")
+    if registrations is not None and out is not None:
+        _from_register(registrations, out, overwrite, as_json)
+        return
 
     table = [load_fleet(code) for code in codes or fleet_codes()]
     if as_json:
@@ -37,6 +61,30 @@ def fleets(codes: tuple[str, ...], as_json: bool, debug: bool) -> None:
         return
     for f in table:
         click.echo(_in_full(f) if codes else _in_short(f))
+
+
+def _from_register(path: Path, out: Path, overwrite: bool, as_json: bool) -> None:
+    from ..registrations import fleet_of_register
+    from ..system.outputs import Outputs
+
+    with Outputs(overwrite, (path,)) as outputs:
+        partial = outputs.file(out)
+        register = fleet_of_register(path)
+        text = json.dumps(register.entry, indent=1, ensure_ascii=False)
+        partial.write_text(text, encoding="utf-8")
+    if as_json:
+        click.echo(text)
+        return
+    sizes = ", ".join(f"{axis} {register.entry[axis][0]:.2f} +- {register.entry[axis][1]:.2f} m" for axis in AXES)
+    lines = [
+        f"vehicles   {register.vehicles:,.0f}, {100 * register.known:.0f} % of models whose size is known",
+        f"fleet      {sizes}; mean length known to {register.entry['mean_sd'][0]:.2f} m",
+    ]
+    lines += [f"not known  {name}: {100 * share:.1f} %" for name, share in register.unknown[:MOST_UNKNOWN]]
+    if len(register.unknown) > MOST_UNKNOWN:
+        rest = sum(share for _, share in register.unknown[MOST_UNKNOWN:])
+        lines.append(f"not known  {len(register.unknown) - MOST_UNKNOWN} more: {100 * rest:.1f} %")
+    say("\n".join([*lines, f"written    {out}"]))
 
 
 def _plain(fleet: Fleet) -> dict[str, Any]:

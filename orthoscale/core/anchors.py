@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 SAMPLED = 0.05  # [anchors' reference lengths] between the points of lines that are compared
-NEAR = 0.1  # [anchors' reference lengths] within which two lines are the same; neighbours are farther apart
+NEAR_LINES = 0.1  # [anchors' reference lengths] within which two lines are the same; neighbours are farther apart
 SHARED_LINES = 0.5  # of either's lines, from which two anchors are one thing
 
 
@@ -127,7 +127,7 @@ def alike(lines: Sequence[np.ndarray], size: Sequence[float], blur: float = 0.0)
         return number
     points = [_along(one, SAMPLED * length) for one, length in zip(lines, size, strict=True)]
     low, high = (np.array([f(p, axis=0) for p in points]) for f in (np.min, np.max))
-    reach = np.maximum(NEAR * np.asarray(size), blur)
+    reach = np.maximum(NEAR_LINES * np.asarray(size), blur)
     trees = [cKDTree(p) for p in points]
     pairs = []
     for k in range(len(lines)):

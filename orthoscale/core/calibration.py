@@ -17,7 +17,11 @@ import numpy as np
 from ..errors import UsageError
 from .detections import Detections
 from .fleet import Fleet
+from .market_segments import AXES
+from .pooling.posterior import ROBUST_SD
 from .ruler import Ruler
+
+LEAST_SPREAD = 0.5  # of the country's, of the vehicles of a place: noise is known too badly to say that they are alike
 
 
 @dataclass(frozen=True)
@@ -83,23 +87,29 @@ def fit_margin(
     return MarginFit(float(estimate[0]), float(np.sqrt(size_var)), float(estimate[1]), float(np.sqrt(margin_var)))
 
 
-def scaled_fleet(fleet: Fleet, factor: np.ndarray, relative_sd: np.ndarray, name: str, source: str) -> dict[str, Any]:
-    """The entry of a fleet whose lengths and widths are `factor` (2,) times those of `fleet`, class by class, and whose
-    mean is known to `relative_sd` (2,)."""
-    grown = np.array([*factor, 1.0])
+def local_fleet_entry(
+    size: np.ndarray, noise: np.ndarray, relative_sd: np.ndarray, fleet: Fleet, name: str, source: str
+) -> dict[str, Any]:
+    """The entry of a fleet of one class whose sizes are those of `size` (N, 2) [m], lengths and widths that were
+    measured with the one-sigma `noise` (2,) [m].
 
-    def sizes(mean: np.ndarray, sd: np.ndarray) -> dict[str, list[float]]:
-        pairs = zip(("length", "width", "height"), (mean * grown).tolist(), (sd * grown).tolist(), strict=True)
-        return {axis: [round(m, 4), round(s, 4)] for axis, m, s in pairs}
-
-    mean_sd = fleet.mean * grown * [*relative_sd, fleet.mean_sd[2] / fleet.mean[2]]
+    By median and median absolute deviation, which a few larger vehicles do not move. relative_sd : (2,) how well the
+    mean is known. fleet : the country's, which gives the heights, and the spread where the noise hides it.
+    """
+    log = np.log(size)
+    middle = np.median(log, axis=0)
+    spread = ROBUST_SD * np.median(np.abs(log - middle), axis=0)
+    least = LEAST_SPREAD * np.sqrt(np.diag(fleet.log_covariance))
+    spread = np.maximum(np.sqrt(np.maximum(spread**2 - (noise / np.exp(middle)) ** 2, 0)), least)
+    mean = [*(np.exp(middle) * (1 + spread**2 / 2)), fleet.mean[2]]
+    sd = [*(mean[:2] * spread), fleet.sd[2]]
+    known = [*relative_sd, fleet.mean_sd[2] / fleet.mean[2]]
+    covariance = fleet.log_covariance
     return {
         "name": name,
         "source": source,
         "year": fleet.year,
-        **sizes(fleet.mean, fleet.sd),
-        "mean_sd": [round(float(v), 4) for v in mean_sd],
-        "mixture": [
-            {"class": c.name, "weight": c.weight, "corr_LW": c.corr_lw, **sizes(c.mean, c.sd)} for c in fleet.classes
-        ],
+        **{a: [round(float(m), 4), round(float(s), 4)] for a, m, s in zip(AXES, mean, sd, strict=True)},
+        "mean_sd": [round(float(m * k), 4) for m, k in zip(mean, known, strict=True)],
+        "corr_LW": round(float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])), 3),
     }

@@ -22,7 +22,8 @@ CONFLICT_HINT = "Check the given evidence, the anchors (--anchors) and the boxes
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
 ALONE = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
-SAME = 2.0  # sigmas within which two measurements support each other
+COMMON_AT_MOST = 0.99  # share of a scale's variance that may be what all its sources have in common
+SUPPORTS = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
 SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
@@ -35,6 +36,7 @@ class Evidence:
 
     modes, words : where it may mean several scales, all of them, and what it says of each; `value` is one of them.
     doubt : probability that it is a mistake, and may mean any scale of a range as wide as `window` (in logarithms).
+    common : one sigma of what vehicles, and all else that was seen on the same ground, err by alike; not in `modes`.
     """
 
     kind: str
@@ -45,13 +47,20 @@ class Evidence:
     words: tuple[str, ...] = ()
     doubt: float = 0.0
     window: float = 1.0
+    common: float = 0.0
 
     @classmethod
     def mixed(
-        cls, kind: str, modes: Posterior, words: Sequence[str], doubt: float = 0.0, window: float = 1.0
+        cls,
+        kind: str,
+        modes: Posterior,
+        words: Sequence[str],
+        doubt: float = 0.0,
+        window: float = 1.0,
+        common: float = 0.0,
     ) -> Evidence:
         """That of a mixture of scales; its `value` is the likeliest."""
-        return cls(kind, 1.0, 1.0, "", modes, tuple(words), doubt, window)._meaning(modes.weight)
+        return cls(kind, 1.0, 1.0, "", modes, tuple(words), doubt, window, common)._meaning(modes.weight)
 
     def meant(self, scale: Posterior) -> Evidence:
         """The same, its `value` the one that it means if the scale is known to be `scale`."""
@@ -64,7 +73,7 @@ class Evidence:
     def only(self, which: np.ndarray) -> Evidence:
         """That of those of its modes that are `which` (K,) bool."""
         words = [word for word, keep in zip(self.words, which, strict=True) if keep]
-        return Evidence.mixed(self.kind, self.posterior.only(which), words, self.doubt, self.window)
+        return replace(self, modes=self.own.only(which), words=tuple(words))._meaning(self.own.only(which).weight)
 
     def _meaning(self, likely: np.ndarray) -> Evidence:
         best, modes = int(np.argmax(likely)), self.posterior
@@ -74,6 +83,11 @@ class Evidence:
     @property
     def posterior(self) -> Posterior:
         """The same as a distribution of the scale's logarithm, were it no mistake."""
+        return self.own.blurred(self.common**2)
+
+    @property
+    def own(self) -> Posterior:
+        """The same without what it has in common with others."""
         return self.modes or Posterior.normal(float(np.log(self.value)), self.relative_sd)
 
 
@@ -126,11 +140,18 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
         summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
         told = tuple(e.meant(vehicles) for e in evidence)
         return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary, told)
-    posterior = vehicles
+    # What all that was seen on one ground has in common is left aside while it is compared, and remains.
+    common = max((e.common**2 for e in heard), default=0.0)
+    posterior = vehicles.blurred(-common) if common else vehicles
     for e in heard:
-        posterior = posterior.times_doubted(e.posterior, e.doubt, e.window)
+        if e.common:
+            posterior = posterior.times_doubted(e.own, e.doubt, e.window)
+    posterior = posterior.blurred(common) if common else posterior
+    for e in heard:
+        if not e.common:
+            posterior = posterior.times_doubted(e.own, e.doubt, e.window)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
-    shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior)
+    shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior, common)
     told = tuple(e.meant(posterior) for e in evidence)
     return Combined(posterior, shares, 0.0, remarks, (value, low, high), told)
 
@@ -151,7 +172,7 @@ def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[li
             if other.kind != e.kind and other.doubt <= STRONG:
                 there = other.posterior
                 apart = np.abs(modes.mean[:, None] - there.mean) / np.hypot(modes.sd[:, None], there.sd)
-                counts |= (apart < SAME).any(1)
+                counts |= (apart < SUPPORTS).any(1)
         if counts.any():
             heard.append(e.only(counts))
         else:
@@ -172,18 +193,26 @@ def _nearest(one: Posterior, other: Posterior) -> tuple[float, float, float]:
 
 
 def _shares(
-    vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence[Evidence], posterior: Posterior
+    vehicles: Posterior,
+    parts: Mapping[str, float],
+    evidence: Sequence[Evidence],
+    posterior: Posterior,
+    common: float,
 ) -> dict[str, float]:
-    """One-sigmas that each source contributes to the combination; their squares add up to its variance."""
+    """One-sigmas that each source contributes to the combination; their squares add up to its variance. What all have
+    in common (a variance) is the geometry's."""
     if not evidence:
         return dict(parts)
-    precision = np.array([vehicles.spread**-2, *(e.relative_sd**-2 for e in evidence)])
+    spreads = [vehicles.blurred(-common).spread, *(np.sqrt(e.relative_sd**2 - e.common**2) for e in evidence)]
+    precision = np.array(spreads) ** -2.0
     weight = precision / precision.sum()
     out = {name: float(sd * weight[0]) for name, sd in parts.items()}
-    for e, w in zip(evidence, weight[1:], strict=True):
-        out[e.kind] = float(np.hypot(out.get(e.kind, 0.0), e.relative_sd * w))
-    adjust = posterior.spread / np.sqrt(sum(sd**2 for sd in out.values()))
-    return {name: float(sd * adjust) for name, sd in out.items()}
+    for e, spread, w in zip(evidence, spreads[1:], weight[1:], strict=True):
+        out[e.kind] = float(np.hypot(out.get(e.kind, 0.0), spread * w))
+    common = min(common, COMMON_AT_MOST * posterior.spread**2)
+    adjust = np.sqrt((posterior.spread**2 - common) / sum(sd**2 for sd in out.values()))
+    out = {name: float(sd * adjust) for name, sd in out.items()}
+    return out | {"geometry": float(np.hypot(out.get("geometry", 0.0), np.sqrt(common)))} if common else out
 
 
 def known_distance(points: np.ndarray, metres: float, sd: float | None = None, where: str = "") -> Evidence:

@@ -12,16 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from .market_segments import AXES, Class, classes_of, told_apart
+from .market_segments import AXES, PLACE_SCATTER, Class, classes_of, told_apart
 
 # Correlation between the errors of a fleet's mean length and mean width: a country whose cars are longer than thought
 # has wider ones too. Between the means of the table's 29 national fleets it is 0.92; taken a little lower, because each
 # fleet's two means were also estimated apart.
 MEAN_CORRELATION = 0.85
-
-# How far the vehicles of one place (a car park, a district) stray from their country's mean, relative, one sigma, for
-# length and width. An assumption: pickups being 10 % more or less frequent move the US means by 2.2 % and 0.9 %.
-LOCAL_SD = np.array([0.025, 0.012])
 
 
 @dataclass(frozen=True)
@@ -73,8 +69,31 @@ class Fleet:
 
     @property
     def log_mean_covariance(self) -> np.ndarray:
-        """(2, 2) covariance of the error of `log_mean`, for the fleet of one place: what is not known about it."""
-        return _covariance(np.hypot(self.mean_sd[:2] / self.mean[:2], LOCAL_SD), MEAN_CORRELATION)
+        """(2, 2) covariance of the error of `log_mean`, for the vehicles of one place: what is not known of the
+        country's, and how far a place's stray from its country's."""
+        return self._country_covariance + self.log_covariance * PLACE_SCATTER
+
+    @property
+    def class_mean_covariance(self) -> np.ndarray:
+        """(2, 2) the part of `log_mean_covariance` that shares of the classes that are `told_apart` do not explain."""
+        classes = self.told_apart
+        total = sum(c.weight for c in classes)
+        within = sum((c.weight / total * c.log_covariance for c in classes), np.zeros((2, 2)))
+        return self._country_covariance + within * PLACE_SCATTER
+
+    @property
+    def log_covariance(self) -> np.ndarray:
+        """(2, 2) covariance of log length and log width between the vehicles of the whole fleet."""
+        total = sum(c.weight for c in self.classes)
+        out = np.zeros((2, 2))
+        for c in self.classes:
+            apart = c.log_mean - self.log_mean
+            out += c.weight / total * (c.log_covariance + np.outer(apart, apart))
+        return out
+
+    @property
+    def _country_covariance(self) -> np.ndarray:
+        return _covariance(self.mean_sd[:2] / self.mean[:2], MEAN_CORRELATION)
 
     def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
         """(n, 3) length, width, height [m] of random vehicles of this fleet."""

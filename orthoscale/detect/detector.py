@@ -45,7 +45,7 @@ class Card:
     usable_length : (low, high) vehicle lengths that it finds well [px of its input].
     best_length : the length at which it does best; the zoom search aims there [px].
     score : the confidence above which a box counts in one look.
-    sure : the mean confidence of two looks above which a vehicle counts; 0 where both looks' showing it is enough.
+    sure : the mean confidence of two passes above which a vehicle counts; 0 where it is enough that both show it.
     effective_height : the height up to which its boxes enclose a vehicle seen obliquely, along length and width [m].
     stride : height and width of its input must be multiples of this [px].
     body : what the vehicles that it finds are shaped like, one of `core.projection.exact.BODIES`.

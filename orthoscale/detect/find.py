@@ -1,4 +1,4 @@
-"""All vehicles of some pictures: the right zoom, then two looks at as many tiles as it takes."""
+"""All vehicles of some pictures: the right zoom, then two passes over as many tiles as it takes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Effort:
     target : stop when the sampling part of the scale's uncertainty (relative, one sigma) is at most this.
     exhaustive : look at every tile. seed : of the order of tiles, and of the pictures in the search for the zoom.
     workers : threads; None for one per core, eight at most. scheduler : address of a Dask scheduler instead of them.
-    cache : keep the looks at tiles, and use those that were kept.
+    cache : keep what was detected in tiles, and use what was kept.
     """
 
     target: float = 0.005

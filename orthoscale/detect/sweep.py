@@ -21,7 +21,7 @@ SMALLEST_BATCH = 4  # tiles of any later batch
 @dataclass(frozen=True)
 class Found:
     """Vehicles by picture name [px of the picture]: `boxes` that both looks show, `doubtful` that one alone does, or
-    both without being sure. A box's score is the mean of both looks'.
+    both without being sure. A box's score is the mean of both passes'.
 
     objects : those of a standard size that both looks show, by picture name and kind.
     """
@@ -109,7 +109,7 @@ def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], ca
 
 
 def _in_both(pairs: Sequence[tuple[Boxes, Boxes]], sure: float) -> tuple[Boxes, Boxes]:
-    """Boxes that both looks at some tiles show, `sure` enough together, and the others of the first look."""
+    """Boxes that both passes over some tiles show, `sure` enough together, and the others of the first one."""
     first, second = (suppress(Boxes.concatenate([pair[k] for pair in pairs])) for k in (0, 1))
     i, j, _ = matched(first, second, SAME_VEHICLE)
     xylwa = first.xylwa[i].copy()

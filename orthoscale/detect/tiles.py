@@ -28,7 +28,7 @@ Detect = Callable[[np.ndarray], Boxes]
 
 @dataclass(frozen=True)
 class Looks:
-    """Whole vehicles that two looks at one tile found, the second at CONFIRMING_ZOOM [px of the picture].
+    """Whole vehicles that two passes over one tile found, the second at CONFIRMING_ZOOM [px of the picture].
 
     objects : whole objects of a standard size, by kind, that the first and the second look found.
     """
@@ -79,7 +79,7 @@ def look(picture: Picture, tile: Tile, detect: Detect) -> Boxes:
 
 
 def look_twice(picture: Picture, tile: Tile, detect: Detect) -> Looks:
-    """Two looks at one tile, whose pixels are read once. A tile of one colour (no data) is not looked at."""
+    """Two passes over one tile, whose pixels are read once. A tile of one colour (no data) is left out."""
     image = read(picture, tile)
     if image.min() == image.max():
         return Looks(Boxes.empty(), Boxes.empty())

@@ -1,4 +1,4 @@
-"""Who looks at the tiles: threads of this process, or a Dask cluster. The looks are the same, only the time differs."""
+"""Who detects in the tiles: threads of this process, or a Dask cluster. Boxes are the same, only the time differs."""
 
 from __future__ import annotations
 

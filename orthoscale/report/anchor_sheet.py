@@ -24,7 +24,9 @@ def draw_anchors(anchors: Sequence[Mapping[str, Any]], source: Source, path: Pat
     cells = [np.full((60, SHEET_CELL * SHEET_CELLS, 3), 255, np.uint8)]
     write_on(cells[0], (10, 38), f"{len(anchors)} anchors in {Path(source.path).name}", 22)
     for start in range(0, len(panels), SHEET_CELLS):
-        cells.append(np.concatenate([_cell(panel) for panel in _row(panels[start : start + SHEET_CELLS])], axis=1))
+        row = [_cell(panel) for panel in _row(panels[start : start + SHEET_CELLS])]
+        used = max(int(np.flatnonzero((cell < 255).any((1, 2))).max(initial=0)) for cell in row) + 8
+        cells.append(np.concatenate(row, axis=1)[:used])
     write_png(path, np.concatenate(cells))
 
 

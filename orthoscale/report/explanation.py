@@ -10,7 +10,7 @@ from ..core import uncertainty
 from ..errors import InputError
 from ..formats.reading import reason
 
-HINT = "Give the report.json that `fix` wrote."
+REPORT_WANTED = "Give the report.json that `fix` wrote."
 
 
 def explain(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -24,11 +24,11 @@ def explain(report: Mapping[str, Any]) -> dict[str, Any]:
         used, fleet = int(report["vehicles_used"]), str(report["fleet"])
         said = [str(remark["text"]) for remark in report.get("remarks", [])]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"not a report of orthoscale: {reason(error)}", HINT) from error
+        raise InputError(f"not a report of orthoscale: {reason(error)}", REPORT_WANTED) from error
     try:
         found = asdict(uncertainty.explain(parts, used, fleet))
     except ValueError as error:
-        raise InputError(f"the report is of no use here: {error}", HINT) from error
+        raise InputError(f"the report is of no use here: {error}", REPORT_WANTED) from error
     return {"scale": scale, "unit": unit, "verdict": str(report.get("verdict", "")), **found, "remarks": said}
 
 

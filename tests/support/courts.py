@@ -19,8 +19,53 @@ def tennis(line=0.05, base=0.075):
     return [*along, *across, *boxes, (-service, -line / 2, service, line / 2)]
 
 
+def outline(x, y, line=0.05):
+    """Four lines inside a rectangle of 2 x by 2 y [m]."""
+    return [(-x, -y, x, -y + line), (-x, y - line, x, y), (-x, -y, -x + line, y), (x - line, -y, x, y)]
+
+
+def volleyball():
+    """18 x 9 m to the outside, attack lines 3 m from the middle to their rear edges."""
+    return [*outline(9, 4.5), (-0.025, -4.5, 0.025, 4.5), (-3, -4.5, -2.95, 4.5), (2.95, -4.5, 3, 4.5)]
+
+
+def basketball(length=28.0, width=15.0, key=4.9, depth=5.8):
+    """To the inside of the lines; keys to their outside, with their circles."""
+    x, y, k = length / 2, width / 2, key / 2
+    boxes = [*outline(x + 0.05, y + 0.05), (-0.025, -y, 0.025, y), (0, 0, 1.75, 1.8, 0, 0)]
+    for side in (-1, 1):
+        free = x - depth  # the far edge of the free-throw line is there
+        boxes += [tuple(sorted((side * free, side * (free + 0.05))))]
+        boxes[-1] = (boxes[-1][0], -k, boxes[-1][1], k)
+        low, high = sorted((side * free, side * x))
+        boxes += [(low, k - 0.05, high, k), (low, -k, high, -k + 0.05), (side * free, 0, 1.75, 1.8, -side, 0)]
+    return boxes
+
+
+def handball():
+    """40 x 20 m to the outside; goal areas of 6 m about the posts of a goal of 3 m."""
+    boxes = [*outline(20, 10), (-0.025, -10, 0.025, 10)]
+    for side in (-1, 1):
+        low, high = sorted((side * 14, side * 14.05))
+        boxes += [(low, -1.5, high, 1.5)]
+        boxes += [(side * 20, to * 1.5, 5.95, 6.0, -side, to) for to in (-1, 1)]
+    return boxes
+
+
+def penalty_area(line=0.10):
+    """16.5 x 40.32 m and 5.5 x 18.32 m to the outside of the lines; the goal line runs on for 10 m."""
+    boxes = [(8.25 - line, -30, 8.25, 30), (-8.25, -20.16, -8.25 + line, 20.16), (2.75, -9.16, 2.75 + line, 9.16)]
+    for low, at in ((-8.25, 20.16), (2.75, 9.16)):
+        boxes += [(low, at - line, 8.25, at), (low, -at, 8.25, -at + line)]
+    return boxes
+
+
 def _cover(x, y, gsd, box):
     """Share of each pixel, at (x, y) [m] in the court's frame, that the rectangle covers; exact if parallel."""
+    if len(box) == 6:  # a ring: its middle, both radii, and on which sides of the middle it is, 0 for both
+        gap = np.hypot(x - box[0], y - box[1])
+        inside = np.clip(np.minimum(box[3], gap + gsd / 2) - np.maximum(box[2], gap - gsd / 2), 0, gsd) / gsd
+        return inside * ((x - box[0]) * box[4] >= 0) * ((y - box[1]) * box[5] >= 0)
     x0, y0, x1, y1 = box
     part = [np.clip(np.minimum(high, at + gsd / 2) - np.maximum(low, at - gsd / 2), 0, gsd) / gsd
             for at, low, high in ((x, x0, x1), (y, y0, y1))]  # fmt: skip
@@ -48,12 +93,14 @@ def court_picture(
     for boxes, (cx, cy), angle in courts:
         c, s = np.cos(angle), np.sin(angle)
         u, v = (x - cx) * c + (y - cy) * s, (y - cy) * c - (x - cx) * s
-        low, high = np.min(boxes, 0)[:2] - run_off, np.max(boxes, 0)[2:] + run_off
+        straight = [box for box in boxes if len(box) == 4]
+        low, high = np.min(straight, 0)[:2] - run_off, np.max(straight, 0)[2:] + run_off
         flat = _cover(u, v, gsd, (*low, *high))[..., None]
         picture = picture * (1 - flat) + flat * (np.array(surface, np.float32) + 3 * patches(2.0)[..., None])
         paint = np.zeros((height, width), np.float32)
         for box in boxes:
-            corners = np.array([(bx, by) for bx in box[::2] for by in box[1::2]]) @ [[c, s], [-s, c]] + (cx, cy)
+            edge = box if len(box) == 4 else (*np.subtract(box[:2], box[3]), *np.add(box[:2], box[3]))
+            corners = np.array([(bx, by) for bx in edge[::2] for by in edge[1::2]]) @ [[c, s], [-s, c]] + (cx, cy)
             left, top = np.clip(np.floor(corners.min(0) / gsd - 1), 0, (width, height)).astype(int)
             right, bottom = np.clip(np.ceil(corners.max(0) / gsd + 1), 0, (width, height)).astype(int)
             part = np.s_[top:bottom, left:right]

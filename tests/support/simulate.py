@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.fleet import LOCAL_SD, MEAN_CORRELATION, Fleet
+from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
+from orthoscale.core.market_segments import PLACE_VEHICLES
 from orthoscale.core.projection.decoupled import simple_views
 from orthoscale.core.projection.exact import BODIES, Hull
 from orthoscale.core.projection.self_calibration import OwnRuler, own_ruler
@@ -171,6 +172,20 @@ def found_ruler(flights: list[Seen], body: str) -> OwnRuler:
     return own_ruler(boxes, views, 1.0, groups, UNIT, card)
 
 
+def place_of(rng: np.random.Generator, fleet: Fleet) -> Fleet:
+    """The vehicles of one place of a country: its own shares of the classes, and each class's own models."""
+    weight = np.array([c.weight for c in fleet.classes])
+    weight = weight / weight.sum()
+    numbers, probability = zip(*PLACE_VEHICLES, strict=True)
+    number = rng.choice(numbers, p=probability)
+    shares = rng.dirichlet(number * weight)
+    classes = []
+    for c, country, share in zip(fleet.classes, weight, shares, strict=True):
+        mean = rng.multivariate_normal(c.mean, c.covariance / (number * country + 1))
+        classes.append(replace(c, weight=float(share), mean=mean))
+    return replace(fleet, classes=tuple(classes))
+
+
 def car_park(
     rng: np.random.Generator,
     fleet: Fleet,
@@ -187,9 +202,9 @@ def car_park(
     fleet; `false`, a share of the boxes, are not vehicles. Scores are high for vehicles and low for false boxes, with
     much overlap.
     """
-    unknown = np.hypot(fleet.mean_sd[:2] / fleet.mean[:2], LOCAL_SD)
+    unknown = fleet.mean_sd[:2] / fleet.mean[:2]
     stray = np.sqrt(MEAN_CORRELATION) * rng.standard_normal() + np.sqrt(1 - MEAN_CORRELATION) * rng.standard_normal(2)
-    size = fleet.sample(rng, n)[:, :2] * np.exp(unknown * stray)
+    size = place_of(rng, fleet).sample(rng, n)[:, :2] * np.exp(unknown * stray)
     van = rng.random(n) < vans
     size[van] = rng.normal([5.9, 2.05], [0.35, 0.06], (int(van.sum()), 2))
     bias, margin = rng.normal(0, ruler.bias_sd), rng.normal(ruler.margin, ruler.margin_sd)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import TooLittleEvidence
 from ..boxes import Boxes
-from ..evidence import SAME, Combined, Evidence, combined
+from ..evidence import SUPPORTS, Combined, Evidence, combined
 from ..pooling.posterior import Posterior
 from ..remarks import CAUTION, Remark
 from ..scale import Scale
@@ -68,4 +68,4 @@ def _agreeing(together: Combined) -> list[str]:
         abs(np.log(e.value / together.summary[0])) / np.hypot(e.relative_sd, together.posterior.spread)
         for e in together.evidence
     ]
-    return [e.says for e, apart in zip(together.evidence, sigmas, strict=True) if apart < SAME]
+    return [e.says for e, apart in zip(together.evidence, sigmas, strict=True) if apart < SUPPORTS]

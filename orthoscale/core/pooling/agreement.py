@@ -12,8 +12,8 @@ from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
 from .posterior import ROBUST_SD, Z90
 
 CONTRADICTION = 2.6  # sigmas from which two measurements of one scale contradict each other; chance makes 1 %
-OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two looks at the same vehicles may differ
-# What one look of a detector differs by from another at the same vehicles (relative, one sigma). An assumption: on
+OWN = ("sampling", "margin", "geometry")  # parts of the uncertainty in which two passes over one place may differ
+# What one detection pass differs by from another over the same vehicles (relative, one sigma). An assumption: on
 # the two real scenes the vehicles measured both ways part by 3.5 % and 1.8 % at most.
 OWN_MARGIN = 0.015
 MIN_COMMON = 5  # vehicles measured in both ways from which these alone are compared
@@ -70,7 +70,7 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreem
 
     ratio : (K, 2) log of the size that the first gives a vehicle over what the second gives it, for lengths and widths
     of the vehicles that both measured. With enough of them the vehicles' own sizes cancel, and so do the fleet's.
-    Without, sampling is taken as independent, which lets the two differ by more than two looks at one place should.
+    Without, sampling is taken as independent, which lets the two differ by more than two passes over one place should.
     Most of the detector's error is the same in both; geometry is taken as independent.
     """
     a, b = scales.values()
@@ -108,7 +108,7 @@ def together(agreement: Agreement) -> Scale:
     own = np.array([sum(v**2 for k, v in s.parts.items() if k in OWN) for s in (a, b)])
     weight = (1 / own) / (1 / own).sum()
     log_value = float(weight @ np.log([a.value, b.value]))
-    names = {**a.parts, **b.parts}  # one look may see parking rows where the other does not
+    names = {**a.parts, **b.parts}  # one pass may see parking rows where the other does not
     parts = {name: float(weight @ [s.parts.get(name, 0.0) for s in (a, b)]) for name in names}
     sd = np.sqrt(sum(v**2 for v in parts.values()))
     return replace(

@@ -84,7 +84,6 @@ def evidence_of(votes: Sequence[AnchorVote], country: str = "") -> list[Evidence
 
 
 def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:
-    common = max(vote.shared_sd for vote in votes) ** 2
     rows, supporters = [], []
     for standard in dict.fromkeys(standard for vote in votes for standard in vote.anchor.standards):
         these = [k for k, vote in enumerate(votes) if standard in vote.anchor.standards]
@@ -94,9 +93,7 @@ def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:
             number = member.sum()
             # A lone anchor has all of its variance; what is each one's own falls with their number.
             fit = float(member @ reading.fit / number) * (SHARED + (1 - SHARED) / max(number, 1.0))
-            rows.append(
-                (float(member @ reading.probability) * number, mean, np.sqrt(fit + reading.rule + common), standard)
-            )
+            rows.append((float(member @ reading.probability) * number, mean, np.sqrt(fit + reading.rule), standard))
             supporters.append([k for k, share in zip(these, member, strict=True) if share > 0.5] or these)
     columns = list(zip(*rows, strict=True))
     weight, means, sds = (np.array(column, float) for column in columns[:3])
@@ -104,7 +101,9 @@ def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:
     those = [votes[k] for k in supporters[int(np.argmax(weight))]]
     words = [_in_words(kind, [votes[k] for k in s], row[3]) for s, row in zip(supporters, rows, strict=True)]
     doubt, window = min(vote.anchor.false for vote in those), float(np.median([vote.window for vote in those]))
-    return Evidence.mixed(kind, Posterior(weight, means, sds), words, doubt, window).only(weight > LEAST_WEIGHT)
+    common = max(vote.shared_sd for vote in votes)
+    found = Evidence.mixed(kind, Posterior(weight, means, sds), words, doubt, window, common)
+    return found.only(weight > LEAST_WEIGHT)
 
 
 def _reading(votes: Sequence[AnchorVote], standard: Standard, country: str) -> _Reading:

@@ -1,9 +1,11 @@
 """Which votes are vehicles of which class, when neither the scale nor the share of each class is known.
 
-A place has its own mix of vehicles. Most of all the share of vans, pickups and small trucks differs, and it is the one
-that the scale is confused with: many vans at a small scale look like cars at a larger one. So the fit is made for each
-share of larger vehicles that is possible, and each such fit counts as much as its likelihood and the prior say. What
-comes out is not one scale but several with weights: the interval is as wide, and as lopsided, as the confusion.
+A place is a sample of its country: it has its own mix of vehicles, and the scale is confused with it. Minis at one
+scale look much like compact cars at a smaller one, and many vans like cars at a larger one. So the scale is not sought
+but tried: for each one of a grid, the mix is fitted that would have to stand there, and each counts as much as its
+likelihood and the prior of the mix (a Dirichlet distribution about the country's) say. What comes out is not one scale
+but several with weights: the interval is as wide, and has as many humps, as the confusion. What tells mixes apart
+needs no scale: length against width, how much sizes spread, and groups of sizes with gaps between them.
 
 Detectors draw vehicles as the usual vehicle that they expect, more or less: small ones too large, large ones too small.
 So the classes are compared with boxes as the detector draws them (`Drawing`), and how strongly it does is one more
@@ -13,42 +15,40 @@ unknown: classes that stand apart (kei and ordinary cars) tell it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import digamma, gammaln, ndtr
 
-from ..market_segments import Class
+from ..market_segments import PLACE_VEHICLES, Class
 
 # Outlier class: uniform over a box in (log length, log width) as wide as anything a detector could call a vehicle.
 OUTLIER_DENSITY = 1 / (3.0 * 2.5)
-OUTLIER_SHARE = 0.1  # at the start; then estimated, between these bounds
-OUTLIER_BOUNDS = (0.01, 0.6)
-PRIOR_SHARES = 30.0  # votes that the national shares count for: a share of a third strays by 0.08 between places
+OUTLIER_SHARE = 0.1  # of the boxes, beforehand; known as a place's mix is
 # Vans, pickups, minivans and the largest SUVs, which a detector of small vehicles finds too: the mean and the spread
 # of those six segments of the fleet table (5.00 to 5.85 m long, 1.86 to 2.05 m wide). Which of them stand at a place is
 # not known, so their mean there is a parameter of its own, with the spread between the segments for a prior.
 LARGER = Class("larger", 1.0, np.array([5.39, 1.98, 2.0]), np.array([0.31, 0.065, 0.25]), 0.5, np.zeros(3))
-# Prior of their share at a place, beyond the fleet's own: Beta(1, b). Vans are 10 to 12 % of the light vehicles
-# registered in Europe (ACEA: 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long
-# vehicles already; some are left out all the same. A mean of 11 % has one place in ten above a quarter.
+# Their share at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe (ACEA:
+# 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long vehicles already; some are left
+# out all the same.
 LEFT_OUT = 0.11
 LEFT_OUT_AT_LEAST = 0.05
 LONG = 5.2  # [m] a third of LARGER is shorter than that
-LARGER_SHARES = np.arange(0.01, 0.61, 0.02)
-STARTERS = 300  # votes from which the starting point is searched
-MANY = 1000  # votes above which STARTERS of them rule out, first, what share of larger vehicles cannot be
-RULED_OUT = 1e-4
+# The tables' shapes (spreads, tails, shares of classes) are good to about 10 %, which is what 50 vehicles can tell of a
+# spread. More of them make neither a fleet nor a mix more likely than another: what they would tell apart is finer than
+# what is known.
+SHAPE_VEHICLES = 50
+SOUGHT, COARSE, FINE = 1.0, 0.04, 0.015  # of the grid about the votes' median, and its two steps [log scale]
+COARSE_VOTES = 60  # votes by which the coarse grid is judged
+MANY = 200  # votes above which so many of them tell first what the scale cannot be
 # Votes that the scale is fitted to, at most. Of a thousand vehicles the number leaves 0.4 % open, of 5,000 less than
 # 0.2 %, where fleet and margin leave 3 to 5 %: more of them cost time and memory, and tell nothing.
-MOST = 5000
+MOST_VOTES = 5000
+IMPOSSIBLE = 9.0  # log probability below the best from which a scale is not tried again
 LEAST_KEPT = 0.02  # share of the information that is left however much the classes overlap
-# The tables' shapes (spreads, tails, shares of classes) are good to about 10 %, which is what 50 vehicles can tell of a
-# spread. More of them make neither a fleet nor a share of larger vehicles more likely than another: what they would
-# tell apart is finer than what is known.
-SHAPE_VEHICLES = 50
-EM_ROUNDS = 120
-EM_SETTLED = 1e-4
+COARSE_STEPS, FINE_STEPS, STILL = 12, 40, 3e-4  # of fitting: at most so many, until nothing moves by more
 UNKNOWNS = 5
 
 
@@ -82,16 +82,15 @@ FAITHFUL = Drawing(np.zeros(2), np.zeros(2), np.ones(2))
 
 @dataclass(frozen=True)
 class Fits:
-    """One fit for each share of larger vehicles (V).
+    """One fit for each scale that is possible (V).
 
-    weight : (V,) posterior probability of each share; they sum to one.
+    weight : (V,) posterior probability of each; they sum to one.
     log_evidence : of the fleet as a whole, comparable between fleets for the same votes, SHAPE_VEHICLES at most.
     log_scale : (V, 2) by lengths and by widths.
-    covariance : (V, 2, 2) of these, from the votes' number, noise and unknown classes.
-    drawing : (V, 2, 2) the more of it that comes from not knowing how strongly the detector draws to the usual.
-    count : (V,) votes that are vehicles, the sum of their probabilities.
-    member : (K + 1, N) probability of each class, the larger vehicles last, over all shares; what is missing from one
-        is to be none.
+    covariance : (2, 2) of these at the likeliest, from the votes' number, noise and unknown classes.
+    drawing : (2, 2) the more of it that comes from not knowing how strongly the detector draws to the usual.
+    member : (K + 1, N) probability of each class over all scales, the larger vehicles last; what is missing from one is
+        to be none.
     """
 
     weight: np.ndarray
@@ -99,51 +98,7 @@ class Fits:
     log_scale: np.ndarray
     covariance: np.ndarray
     drawing: np.ndarray
-    count: np.ndarray
     member: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Likelihood:
-    """What N votes would say, were they of each of the classes (K + 1).
-
-    gap : (K + 1, N, 2) log scale by each. spread, inverse : (K + 1, N, 2, 2) its covariance, and the inverse. height :
-    (K + 1, N) of each normal distribution.
-    """
-
-    gap: np.ndarray
-    spread: np.ndarray
-    inverse: np.ndarray
-    height: np.ndarray
-
-    @classmethod
-    def of(
-        cls, log_size: np.ndarray, noise: np.ndarray, means: np.ndarray, covariances: np.ndarray, rough: float
-    ) -> _Likelihood:
-        """Of votes of `log_size` (N, 2) and `noise` (N, 2) [units] for classes with the log `means` (K + 1, 2) and
-        `covariances` (K + 1, 2, 2); `rough` is the log scale by lengths."""
-        # A box's noise is a share of what its vehicle should measure, not of what it does measure: else boxes that came
-        # out large by chance would count for more. The scale for it need only be rough, but it is one: by a scale of
-        # their own, widths that are far too small for any vehicle would be nothing but noise, and contradict nobody.
-        relative = (noise / np.exp(means - rough)[:, None]) ** 2
-        spread = covariances[:, None] + relative[..., None] * np.eye(2)
-        inverse = np.linalg.inv(spread)
-        height = np.sqrt(np.linalg.det(inverse)) / (2 * np.pi)
-        # Noise lowers a logarithm's mean by half its variance.
-        return cls((means[:, None] - 0.5 * relative) - log_size, spread, inverse, height)
-
-    def members(
-        self, moved: np.ndarray, weight: np.ndarray, outliers: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(V, K + 1, N) probability of each class, (V, N) density of each vote, (V, K + 1, N, 2) its pull upwards in
-        scale; at the log scales `moved` (V, K + 1, 2) that each class has, and the shares `weight` (V, K + 1) and
-        `outliers` (V,)."""
-        i00, i01, i11 = self.inverse[..., 0, 0], self.inverse[..., 0, 1], self.inverse[..., 1, 1]
-        r0, r1 = (moved[..., k, None] - self.gap[..., k] for k in (0, 1))  # (V, K + 1, N)
-        density = self.height * np.exp(-0.5 * (i00 * r0**2 + 2 * i01 * r0 * r1 + i11 * r1**2))
-        weighted = weight[..., None] * density
-        total = weighted.sum(1) + (outliers * OUTLIER_DENSITY)[:, None]
-        return weighted / total[:, None], total, -np.stack([i00 * r0 + i01 * r1, i01 * r0 + i11 * r1], -1)
 
 
 def fit(
@@ -151,127 +106,256 @@ def fit(
     noise: np.ndarray,
     classes: Sequence[Class],
     systematic: np.ndarray,
-    shares: np.ndarray = LARGER_SHARES,
+    weights: np.ndarray,
     drawing: Drawing = FAITHFUL,
 ) -> Fits:
     """Fits to votes of `log_size` (N, 2), whose boxes have the one-sigma `noise` (N, 2) [units of the sizes].
 
-    Expectation-maximisation over the scale, the shares of the classes and the share of outliers. The shares start at
-    the fleet's, which count as PRIOR_SHARES votes. Lengths and widths have a scale each, for fleet, margin and geometry
-    may be off; `systematic` (2, 2) says how far the two may part: that holds the vehicles to the shape of their class.
-    `shares` (V,) of larger vehicles are tried. `drawing` is how the detector draws sizes.
+    Lengths and widths have a scale each, for fleet, margin and geometry may be off; `systematic` (2, 2) says how far
+    the two may part: that holds the vehicles to the shape of their class. The grid is one of the sum of the two with
+    `weights` (2,). At each of its scales the shares of the classes are fitted by variational Bayes (Bishop, Pattern
+    Recognition and Machine Learning, 10.2, with the components known), and what else is unknown by Newton's steps.
+    `drawing` is how the detector draws sizes.
     """
-    if len(log_size) > MANY and len(shares) > 1:
-        some = np.linspace(0, len(log_size) - 1, STARTERS).astype(int)
-        first = fit(log_size[some], noise[some], classes, systematic, shares, drawing)
-        shares = shares[first.weight > RULED_OUT]
-    national = np.array([c.weight for c in classes]) / sum(c.weight for c in classes)
-    every = [*classes, LARGER]
-    means = np.array([drawing.log_mean(c) for c in every])
-    covariances = np.array([drawing.covariance(c.log_covariance) for c in every])
-    rough = float(np.median(np.median(means[:-1, 0]) - log_size[:, 0]))
-    few = np.linspace(0, len(log_size) - 1, min(len(log_size), MOST)).astype(int)
-    votes = _Likelihood.of(log_size[few], noise[few], means, covariances, rough)
-    tie = np.linalg.inv(systematic)  # holds the two scales to one another, and leaves what they share free
-    tie = tie - np.outer(tie.sum(0), tie.sum(0)) / tie.sum()
-
-    # Unknowns: two scales, the stray of the larger vehicles' mean here from LARGER's, and of the drawing's share [its
-    # one sigma]. They are solved for together: where most votes are larger vehicles, scales and stray move as one.
-    turn = np.zeros((len(every), 2, UNKNOWNS))  # (K + 1, 2, UNKNOWNS) of the residuals
-    turn[:, :, :2] = np.eye(2)
-    turn[-1, :, 2:4] = -np.eye(2)
-    turn[:, :, 4] = [-drawing.slope(c) for c in every]
-    prior = np.zeros((UNKNOWNS, UNKNOWNS))
-    prior[:2, :2], prior[4, 4] = tie, 1.0
-    prior[2:4, 2:4] = np.linalg.inv(drawing.covariance(LARGER.log_covariance))
-
-    v = shares
-    share = np.repeat(national[None], len(v), 0)
-    outliers = np.full(len(v), OUTLIER_SHARE)
-    unknown = np.zeros((len(v), UNKNOWNS))
-    unknown[:, :2] = _start(votes.gap, votes.spread + systematic, national, v)
-    i00, i01, i11 = votes.inverse[..., 0, 0], votes.inverse[..., 0, 1], votes.inverse[..., 1, 1]
-    for _ in range(EM_ROUNDS):
-        moved = np.einsum("kiu,vu->vki", turn, unknown)
-        weight = np.concatenate([share * (1 - v)[:, None], v[:, None]], 1) * (1 - outliers)[:, None]
-        at = moved, weight, outliers
-        p, total, pull = votes.members(*at)
-        a00, a01, a11 = ((p * i).sum(2) for i in (i00, i01, i11))  # (V, K + 1)
-        information = np.stack([np.stack([a00, a01], -1), np.stack([a01, a11], -1)], -2)
-        pulled = (p[..., None] * pull).sum(2)  # (V, K + 1, 2) upwards in scale
-        system = np.einsum("kiu,vkij,kjw->vuw", turn, information, turn) + prior
-        right = np.einsum("kiu,vki->vu", turn, pulled) - unknown @ prior
-        step = np.linalg.solve(system, right[..., None])[..., 0]
-        outliers = np.clip(1 - p.sum(1).mean(1), *OUTLIER_BOUNDS)
-        ordinary = p[:, :-1].sum(2) + PRIOR_SHARES * national
-        share = ordinary / ordinary.sum(1, keepdims=True)
-        unknown = unknown + step
-        if np.abs(step[:, :4]).max() < EM_SETTLED:
-            break
-
-    log_scale = unknown[:, :2]
-    each = [_covariances(p[k], pull[k], turn, system[k], share[k]) for k in range(len(v))]
-    covariance, known = (np.array(c) for c in zip(*each, strict=True))
-    # Laplace's approximation of the integral over the scales, at the best shares and stray.
-    log_posterior = np.log(total).sum(1) + 0.5 * np.linalg.slogdet(covariance)[1] + 0.5 * np.log(np.trace(tie))
-    log_posterior -= 0.5 * np.einsum("vi,ij,vj->v", unknown, prior, unknown)
-    log_posterior += PRIOR_SHARES * (national * np.log(share / national)).sum(1)
-    log_posterior = min(1.0, SHAPE_VEHICLES / len(few)) * log_posterior + _log_prior(classes, v)
-    likely = np.exp(log_posterior - log_posterior.max())
-    evidence = float(log_posterior.max() + np.log(likely.sum()))
-    likely /= likely.sum()
-    if len(few) == len(log_size):
-        member = np.einsum("v,vkn->kn", likely, p)
-    else:
-        blocks = np.array_split(np.arange(len(log_size)), -(-len(log_size) // MOST))
-        all_votes = (_Likelihood.of(log_size[k], noise[k], means, covariances, rough) for k in blocks)
-        member = np.hstack([np.einsum("v,vkn->kn", likely, some.members(*at)[0]) for some in all_votes])
-    return Fits(likely, evidence, log_scale, known, covariance - known, p.sum((1, 2)), member)
+    everyone = problem = _Problem.of(log_size, noise, classes, systematic, weights, drawing)
+    coarse = problem.middle + np.arange(-SOUGHT, SOUGHT, COARSE)
+    solved = problem.of_votes(COARSE_VOTES).solved(problem.start(coarse), COARSE_STEPS)
+    solved = problem.of_votes(MANY).solved(problem.start(_finer(solved)), FINE_STEPS)
+    if len(log_size) > MANY:
+        problem = problem.of_votes(MOST_VOTES)
+        solved = problem.solved(solved.where(solved.possible), FINE_STEPS)
+    return problem.fits(solved, everyone)
 
 
-def _log_prior(classes: Sequence[Class], larger: np.ndarray) -> np.ndarray:
-    """(V,) log density of each share of `larger` vehicles beyond those of `classes`."""
+@dataclass(frozen=True)
+class _Solved:
+    """What stands there for each of V hypotheses: the scale, and how much the place is like its country.
+
+    prior : (V, K + 2) vehicles of each class, and outliers, that a place has beforehand; counts : afterwards: those of
+    Dirichlet distributions of the shares. log_prior : (V,) log probability beforehand; log_probability : afterwards,
+    but for a constant. unknown : (V, UNKNOWNS). member : (V, K + 1, N).
+    """
+
+    prior: np.ndarray
+    log_prior: np.ndarray
+    counts: np.ndarray
+    unknown: np.ndarray
+    log_probability: np.ndarray
+    member: np.ndarray
+
+    @property
+    def possible(self) -> np.ndarray:
+        """(V,) bool."""
+        return self.log_probability > self.log_probability.max() - IMPOSSIBLE
+
+    def where(self, wanted: np.ndarray) -> _Solved:
+        """Only the hypotheses that are `wanted` (V,)."""
+        return _Solved(*(getattr(self, field.name)[wanted] for field in fields(self)))
+
+
+def _finer(solved: _Solved) -> np.ndarray:
+    """The grid of step FINE about those scales of a coarse one that are possible."""
+    coarse = solved.unknown[solved.possible, :2].mean(1)
+    fine = np.arange(coarse.min() - COARSE, coarse.max() + COARSE, FINE)
+    return fine[np.abs(fine[:, None] - coarse).min(1) < COARSE]
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """K classes and LARGER, N votes, and UNKNOWNS: two scales, the stray of the larger vehicles' mean here from
+    LARGER's (2), and of the drawing's share [its one sigma]. They are solved for together: where most votes are larger
+    vehicles, scales and stray move as one.
+
+    gap : (K + 1, N, 2) log scale by each vote, were it of each class. inverse : (K + 1, N, 2, 2) of its covariance.
+    turn : (K + 1, 2, UNKNOWNS) of the residuals. prior : (UNKNOWNS, UNKNOWNS) inverse covariance beforehand.
+    mix : (K + 2,) shares of the classes and of outliers in the country.
+    basis : (UNKNOWNS, UNKNOWNS - 1) along which the unknowns move while the sum of the scales with `weights` stays.
+    """
+
+    gap: np.ndarray
+    inverse: np.ndarray
+    turn: np.ndarray
+    prior: np.ndarray
+    mix: np.ndarray
+    weights: np.ndarray
+    basis: np.ndarray
+
+    @classmethod
+    def of(cls, log_size, noise, classes, systematic, weights, drawing) -> _Problem:
+        """That of `fit`."""
+        every = [*classes, LARGER]
+        means = np.array([drawing.log_mean(c) for c in every])
+        # A box's noise is a share of what its vehicle should measure, not of what it does measure: else boxes that came
+        # out large by chance would count for more. The scale for it need only be rough.
+        rough = np.median(np.median(means[:-1], axis=0) - log_size, axis=0)
+        noise = (noise / np.exp(means - rough)[:, None]) ** 2
+        spread = np.array([drawing.covariance(c.log_covariance) for c in every])[:, None] + noise[..., None] * np.eye(2)
+        tie = np.linalg.inv(systematic)  # holds the two scales to one another, and leaves what they share free
+        tie = tie - np.outer(tie.sum(0), tie.sum(0)) / tie.sum()
+        turn = np.zeros((len(every), 2, UNKNOWNS))
+        turn[:, :, :2] = np.eye(2)
+        turn[-1, :, 2:4] = -np.eye(2)
+        turn[:, :, 4] = [-drawing.slope(c) for c in every]
+        prior = np.zeros((UNKNOWNS, UNKNOWNS))
+        prior[:2, :2], prior[4, 4] = tie, 1.0
+        prior[2:4, 2:4] = np.linalg.inv(drawing.covariance(LARGER.log_covariance))
+        basis = np.zeros((UNKNOWNS, UNKNOWNS - 1))
+        basis[:2, 0] = weights[1], -weights[0]
+        basis[2:, 1:] = np.eye(UNKNOWNS - 2)
+        national = np.array([c.weight for c in classes]) / sum(c.weight for c in classes)
+        larger = _left_out(classes)
+        vehicles = np.array([*((1 - larger) * national), larger])
+        return cls(
+            # Noise lowers a logarithm's mean by half its variance.
+            gap=(means[:, None] - 0.5 * noise) - log_size,
+            inverse=np.linalg.inv(spread),
+            turn=turn,
+            prior=prior,
+            mix=np.array([*((1 - OUTLIER_SHARE) * vehicles), OUTLIER_SHARE]),
+            weights=weights,
+            basis=basis,
+        )
+
+    @property
+    def middle(self) -> float:
+        """The scale by the votes' median, were all ordinary."""
+        return float(np.median(self.gap[:-1].mean(0) @ self.weights))
+
+    def of_votes(self, number: int) -> _Problem:
+        """The same for `number` of the votes, if there are more."""
+        some = np.linspace(0, self.gap.shape[1] - 1, min(self.gap.shape[1], number)).astype(int)
+        return replace(self, gap=self.gap[:, some], inverse=self.inverse[:, some])
+
+    def start(self, grid: np.ndarray) -> _Solved:
+        """The scales of `grid` (V,), each once for each of PLACE_VEHICLES, with the country's mix."""
+        number, likely = np.array(PLACE_VEHICLES).repeat(len(grid), 0).T
+        unknown = np.zeros((len(number), UNKNOWNS))
+        unknown[:, :2] = np.tile(grid, len(PLACE_VEHICLES))[:, None]
+        prior = number[:, None] * self.mix
+        return _Solved(prior, np.log(likely), prior, unknown, np.log(likely), np.empty((len(number), 0, 0)))
+
+    @cached_property
+    def each(self) -> np.ndarray:
+        """(K + 1, N, 6) of each vote: all is linear or quadratic in how far the unknowns move each class."""
+        i00, i01, i11 = self.inverse[..., 0, 0], self.inverse[..., 0, 1], self.inverse[..., 1, 1]
+        g0, g1 = self.gap[..., 0], self.gap[..., 1]
+        return np.stack([i00, i01, i11, i00 * g0 + i01 * g1, i01 * g0 + i11 * g1, np.ones_like(g0)], -1)
+
+    def _moved(self, unknown: np.ndarray) -> np.ndarray:
+        """(2, K + 1, V) how far `unknown` (V, UNKNOWNS) moves each class."""
+        return np.einsum("kiu,vu->ikv", self.turn, unknown)
+
+    def _members(self, unknown: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K + 1, V, N) probability of each class for each hypothesis and vote, and (V, N) density of the vote."""
+        each, gap = self.each, self.gap
+        height = 0.5 * np.log(each[..., 0] * each[..., 2] - each[..., 1] ** 2) - np.log(2 * np.pi)
+        height -= 0.5 * (gap[..., 0] * each[..., 3] + gap[..., 1] * each[..., 4])
+        m0, m1 = self._moved(unknown)
+        along = np.stack([-0.5 * m0**2, -m0 * m1, -0.5 * m1**2, m0, m1], -1)
+        log_share = digamma(counts) - digamma(counts.sum(1, keepdims=True))
+        log_density = along @ each[..., :5].transpose(0, 2, 1) + height[:, None]
+        p = np.exp(log_density + log_share.T[:-1, :, None])
+        total = p.sum(0) + OUTLIER_DENSITY * np.exp(log_share[:, -1:])
+        p /= total
+        return p, total
+
+    def members(self, solved: _Solved, weight: np.ndarray) -> np.ndarray:
+        """(K + 1, N) probability of each class over all hypotheses `solved`, which have `weight` (V,)."""
+        count = self.gap.shape[1]
+        parts = np.array_split(np.arange(count), -(-count // MOST_VOTES))
+        some = (replace(self, gap=self.gap[:, k], inverse=self.inverse[:, k]) for k in parts)
+        return np.hstack(
+            [np.einsum("v,kvn->kn", weight, one._members(solved.unknown, solved.counts)[0]) for one in some]
+        )
+
+    def solved(self, start: _Solved, steps: int) -> _Solved:
+        """What stands there for each hypothesis of `start`, from where that is."""
+        each, count = self.each, self.gap.shape[1]
+        told = min(1.0, SHAPE_VEHICLES / count)
+        unknown, counts = start.unknown, start.counts
+        bends = np.einsum("kiu,kjw->kijuw", self.turn, self.turn).reshape(len(self.gap) * 4, UNKNOWNS**2)
+        for _ in range(steps):
+            m0, m1 = self._moved(unknown)
+            p, total = self._members(unknown, counts)
+            a00, a01, a11, b0, b1, found = np.moveaxis(p @ each, -1, 0)  # (K + 1, V) each
+            information = np.stack([a00, a01, a01, a11], -1).transpose(1, 0, 2).reshape(len(counts), -1)
+            system = (information @ bends).reshape(-1, UNKNOWNS, UNKNOWNS) + self.prior
+            pulled = np.stack([b0 - a00 * m0 - a01 * m1, b1 - a01 * m0 - a11 * m1])  # (2, K + 1, V) upwards in scale
+            right = np.einsum("kiu,ikv->vu", self.turn, pulled) - unknown @ self.prior
+            inside = self.basis.T @ system @ self.basis
+            step = np.linalg.solve(inside, (right @ self.basis)[..., None])[..., 0] @ self.basis.T
+            after = told * np.column_stack([found.T, count - found.sum(0)]) + start.prior
+            change = max(np.abs(step[:, :4]).max(), np.abs(after - counts).max() / count)
+            counts, unknown = after, unknown + step
+            if change < STILL:
+                break
+        probability = told * (np.log(total).sum(1) - 0.5 * np.einsum("vi,ij,vj->v", unknown, self.prior, unknown))
+        probability += start.log_prior - _divergence(counts, start.prior)
+        # Laplace's approximation of the integral over what else is unknown.
+        prior = self.basis.T @ self.prior @ self.basis
+        probability += 0.5 * (np.linalg.slogdet(prior)[1] - np.linalg.slogdet(told * (inside - prior) + prior)[1])
+        return _Solved(start.prior, start.log_prior, counts, unknown, probability, p.transpose(1, 0, 2))
+
+    def fits(self, solved: _Solved, everyone: _Problem) -> Fits:
+        """The posterior over the grid's scales, and what the votes leave uncertain at the likeliest; `everyone` has all
+        votes."""
+        best = float(solved.log_probability.max())
+        weight = np.exp(solved.log_probability - best)
+        evidence = best + float(np.log(weight.sum() * FINE))
+        weight /= weight.sum()
+        likeliest = int(np.argmax(weight))
+        covariance, known = self._covariances(solved, likeliest)
+        return Fits(
+            weight=weight,
+            log_evidence=evidence,
+            log_scale=solved.unknown[:, :2],
+            covariance=known,
+            drawing=covariance - known,
+            member=everyone.members(solved, weight),
+        )
+
+    def _covariances(self, solved: _Solved, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Two (2, 2) of the scales by length and width at the `k`-th: with every unknown, and with the drawing's share
+        known.
+
+        The information of votes that wore their classes, with the unknowns' priors, less what the guessing loses: the
+        covariance of each vote's score over the classes that it may be of (Louis 1982); the shares are unknown, too.
+        """
+        p, share = solved.member[k], solved.counts[k, :-2] / solved.counts[k, :-2].sum()
+        residual = np.einsum("kiu,u->ki", self.turn, solved.unknown[k])[:, None] - self.gap
+        pull = -np.einsum("knij,knj->kni", self.inverse, residual)
+        many = len(share)
+        score = np.zeros((*p.shape, UNKNOWNS + many))
+        score[..., :UNKNOWNS] = np.einsum("kiu,kni->knu", self.turn, pull)
+        score[:-1, :, UNKNOWNS:] = (np.eye(many) - share)[:, None]
+        expected = np.einsum("kn,knd->nd", p, score)
+        lost = np.einsum("kn,knd,kne->de", p, score, score) - expected.T @ expected
+        whole = np.zeros_like(lost)
+        information = np.einsum("kn,knij->kij", p, self.inverse)
+        whole[:UNKNOWNS, :UNKNOWNS] = np.einsum("kiu,kij,kjw->uw", self.turn, information, self.turn) + self.prior
+        whole[UNKNOWNS:, UNKNOWNS:] = solved.counts[k, :-2].sum() * (
+            np.diag(share) - np.outer(share, share)
+        ) + 1e-6 * np.eye(many)
+        without = np.delete(np.arange(len(whole)), UNKNOWNS - 1)
+        return _of_scales(whole, lost), _of_scales(whole[np.ix_(without, without)], lost[np.ix_(without, without)])
+
+
+def _left_out(classes: Sequence[Class]) -> float:
+    """Share of larger vehicles beyond those of `classes`."""
     own = sum(c.weight * ndtr((c.mean[0] - LONG) / c.sd[0]) for c in classes) / sum(c.weight for c in classes)
-    b = 1 / max(LEFT_OUT - own, LEFT_OUT_AT_LEAST) - 1
-    return np.log(b) + (b - 1) * np.log1p(-larger)
+    return float(max(LEFT_OUT - own, LEFT_OUT_AT_LEAST))
 
 
-def _start(gap: np.ndarray, spread: np.ndarray, national: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """(V, 2) the best scale of a grid, the same for lengths and widths, for each share of larger vehicles."""
-    some = np.linspace(0, gap.shape[1] - 1, min(gap.shape[1], STARTERS)).astype(int)
-    gap, inverse = gap[:, some], np.linalg.inv(spread[:, some])
-    grid = float(np.median(gap[:-1].mean((0, 2)))) + np.arange(-1.0, 1.0, 0.02)
-    r = grid[:, None, None, None] - gap
-    square = np.einsum("gkni,knij,gknj->gkn", r, inverse, r)
-    density = np.sqrt(np.linalg.det(inverse)) / (2 * np.pi) * np.exp(-0.5 * square)
-    ordinary = np.einsum("k,gkn->gn", national, density[:, :-1])
-    mixed = [(1 - v) * ordinary + v * density[:, -1] for v in shares]
-    likelihood = np.log((1 - OUTLIER_SHARE) * np.stack(mixed) + OUTLIER_SHARE * OUTLIER_DENSITY).sum(2)
-    return np.repeat(grid[np.argmax(likelihood, 1)][:, None], 2, 1)
-
-
-def _covariances(
-    p: np.ndarray, pull: np.ndarray, turn: np.ndarray, system: np.ndarray, share: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Two (2, 2) of the scales by length and width: with every unknown, and with the drawing's share known.
-
-    The information of votes that wore their classes, `system` with the unknowns' priors, less what the guessing loses:
-    the covariance of each vote's score over the classes that it may be of (Louis 1982). `pull` (K + 1, N, 2) is each
-    vote's derivative by the scales, were it of each class; `turn` as in `fit`; the classes' shares are unknown, too.
-    """
-    many = len(share)
-    score = np.zeros((*p.shape, UNKNOWNS + many))
-    score[..., :UNKNOWNS] = np.einsum("kiu,kni->knu", turn, pull)
-    score[:-1, :, UNKNOWNS:] = (np.eye(many) - share)[:, None]
-    expected = np.einsum("kn,knd->nd", p, score)
-    lost = np.einsum("kn,knd,kne->de", p, score, score) - expected.T @ expected
-    whole = np.zeros_like(lost)
-    whole[:UNKNOWNS, :UNKNOWNS] = system
-    whole[UNKNOWNS:, UNKNOWNS:] = (p[:-1].sum() + PRIOR_SHARES) * (
-        np.diag(share) - np.outer(share, share)
-    ) + 1e-6 * np.eye(many)
-    without = np.delete(np.arange(len(whole)), UNKNOWNS - 1)
-    return _of_scales(whole, lost), _of_scales(whole[np.ix_(without, without)], lost[np.ix_(without, without)])
+def _divergence(after: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """(V,) Kullback-Leibler divergence between Dirichlet distributions `after` and `before` (V, K) [nats]."""
+    total = after.sum(1)
+    return (
+        gammaln(total)
+        - gammaln(after).sum(1)
+        - gammaln(before.sum(1))
+        + gammaln(before).sum(1)
+        + ((after - before) * (digamma(after) - digamma(total)[:, None])).sum(1)
+    )
 
 
 def _of_scales(whole: np.ndarray, lost: np.ndarray) -> np.ndarray:

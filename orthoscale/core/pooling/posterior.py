@@ -79,6 +79,10 @@ class Posterior:
         kept = found.weight > NEGLIGIBLE * found.weight.max()
         return Posterior(found.weight[kept] / found.weight[kept].sum(), found.mean[kept], found.sd[kept])
 
+    def blurred(self, variance: float) -> Posterior:
+        """The same where all parts err alike by so much more, or less if it is negative; a tenth is always left."""
+        return Posterior(self.weight, self.mean, np.sqrt(np.maximum(self.sd**2 + variance, 0.1 * self.sd**2)))
+
     def only(self, which: np.ndarray) -> Posterior:
         """Given that one of the parts `which` (K,) bool holds, some of which must."""
         weight = self.weight[which]

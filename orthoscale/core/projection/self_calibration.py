@@ -220,7 +220,7 @@ def own_ruler(
 
 
 def _undercut(ruler: OwnRuler) -> OwnRuler:
-    """With an undercut to begin with: from none, boxes would not feel a little more or less of it."""
+    """With an undercut to begin with: the search starts above zero, where the gradient vanishes."""
     value = ruler.value.copy()
     value[:, UNDERCUT] += UNDERCUT_SD
     value[:, HEIGHT] += UNDERCUT_SD / USUAL_LEAN

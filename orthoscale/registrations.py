@@ -1,0 +1,181 @@
+"""A fleet from a register: how many vehicles of each model there are, and how large each model is.
+
+Sizes are those of ``data/models.json``: about 680 generations of models. A register names a model, seldom its
+generation, so a model has the mean of its generations, and their spread is not known better for many vehicles.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .core.market_segments import AXES
+from .errors import InputError, TooLittleEvidence, shown
+from .formats.reading import read_plain, read_text
+
+HEADINGS = {  # names of columns, in plain letters
+    "make": ("make", "brand", "marke", "hersteller", "marque", "marca", "merk", "manufacturer", "handelsbenaming merk"),
+    "model": ("model", "modell", "modelo", "modele", "modello", "type", "typ", "handelsbenaming", "name", "vehicle"),
+    "count": ("count", "number", "anzahl", "nombre", "cantidad", "numero", "aantal", "vehicles", "units", "total", "n"),
+}
+HINT = "Expected a table with a header and the columns model and count (and make), separated by commas, ; or tabs."
+CLASS_WORDS = {"klasse": "class", "classe": "class", "clase": "class"}  # Mercedes' C-Klasse
+LEAST_KNOWN = 0.6  # share of the vehicles whose model must be in the table
+# Within one model, between its versions [m]; and errors that all published sizes share [m]: as in the fleet table.
+VERSIONS = np.array([0.04, 0.015, 0.025])
+COMMON = np.array([0.025, 0.012, 0.015])
+CORRELATION = 0.6  # of length and width within a class; that of the fleet table's segments
+# What follows a model's name in the table for its generation, market or body: Golf5, Corolla E120, Camry old, HR-V TW.
+GENERATION = re.compile(r"old|new|mid|mx|us|kr|tw|th|tn|nz|eg|ec|ar|br|pk|in|hb|sd|i{1,3}|iv|mk\d|[a-z]\d{1,3}|v8|\d")
+
+
+@dataclass(frozen=True)
+class Registered:
+    """entry : a fleet as in a fleet file. vehicles : in the register. known : share of them whose model is known.
+    unknown : the other models with their shares, the commonest first."""
+
+    entry: dict[str, Any]
+    vehicles: float
+    known: float
+    unknown: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Model:
+    """class_ : of the market. size, spread : (3,) mean and standard deviation over its generations [m]."""
+
+    class_: str
+    size: np.ndarray
+    spread: np.ndarray
+
+
+def fleet_of_register(path: Path) -> Registered:
+    """The fleet that the register at `path`, a CSV file, counts.
+
+    Raises InputError for what is no such table, TooLittleEvidence where fewer than LEAST_KNOWN of the vehicles are of
+    models whose size is known.
+    """
+    counted = _counted(path)
+    total = sum(counted.values())
+    of = {name: model_called(name) for name in counted}
+    unknown = sorted(((n, c / total) for n, c in counted.items() if of[n] is None), key=lambda pair: -pair[1])
+    known = 1 - sum(share for _, share in unknown)
+    if known < LEAST_KNOWN:
+        some = ", ".join(f"{shown(name)} {100 * share:.0f} %" for name, share in unknown[:5])
+        raise TooLittleEvidence(
+            f"{path}: the sizes of {100 * known:.0f} % of {total:,.0f} vehicles are known, "
+            f"{100 * LEAST_KNOWN:.0f} % are needed",
+            f"Not known: {some}. Name models as their makers do, without engines and trims.",
+        )
+    pairs = [(model, counted[name]) for name, model in of.items() if model is not None]
+    models, weight = [m for m, _ in pairs], np.array([c for _, c in pairs])
+    mean, sd = _moments(models, weight)
+    generations = np.average([m.spread for m in models], axis=0, weights=weight)
+    # Vehicles of unknown models may be as different as two known ones; a register's are older or newer together.
+    mean_sd = np.sqrt(COMMON**2 + generations**2 + ((1 - known) * sd) ** 2 + sd**2 / weight.sum())
+    mixture = []
+    for name in sorted({m.class_ for m in models}):
+        own = np.array([m.class_ == name for m in models])
+        sizes = _moments([m for m in models if m.class_ == name], weight[own])
+        share = round(float(weight[own].sum() / weight.sum()), 5)
+        mixture.append({"class": name, "weight": share, "corr_LW": CORRELATION, **_plain(*sizes)})
+    entry = {
+        "name": f"vehicles of {path.name}",
+        "source": f"{path.name}: {total:,.0f} vehicles, of which {100 * known:.0f} % are of models of known size",
+        "shares_source": f"counted: {path.name}",
+        **_plain(mean, sd),
+        "mean_sd": [round(float(v), 4) for v in mean_sd],
+        "mixture": mixture,
+    }
+    return Registered(entry, total, known, tuple(unknown))
+
+
+def model_called(text: str) -> Model | None:
+    """The model that a register's `text` names, with or without its make and version: that of the table with the
+    longest name in it. None where there is none."""
+    words = _words(text)
+    found = [
+        name
+        for start in range(len(words))
+        for end in range(start + 1, len(words) + 1)
+        if (name := "".join(words[start:end])) in _models()
+    ]
+    return _models()[max(found, key=len)] if found else None
+
+
+def _counted(path: Path) -> dict[str, float]:
+    text = read_text(path, HINT)
+    head = text.partition("\n")[0]
+    separator = max(",;\t", key=head.count)
+    rows = list(csv.reader(text.splitlines(), delimiter=separator))
+    if not rows:
+        raise InputError(f"{path}: empty", HINT)
+    head_words = [" ".join(_words(cell)) for cell in rows[0]]
+    at = {what: next((head_words.index(n) for n in names if n in head_words), None) for what, names in HEADINGS.items()}
+    model, count, make = at["model"], at["count"], at["make"]
+    if model is None or count is None:
+        raise InputError(f"{path}, line 1: no column {'model' if model is None else 'count'}", HINT)
+    counted: dict[str, float] = {}
+    for number, row in enumerate(rows[1:], 2):
+        if not any(cell.strip() for cell in row):
+            continue
+        try:
+            vehicles = float(re.sub(r"[ '_\u00a0\u202f]", "", row[count]))
+            name = " ".join(row[k].strip() for k in (make, model) if k is not None)
+        except (ValueError, IndexError) as error:
+            raise InputError(f"{path}, line {number}: no number of vehicles", HINT) from error
+        if not (np.isfinite(vehicles) and vehicles >= 0):
+            raise InputError(f"{path}, line {number}: {shown(row[count])} is no number of vehicles", HINT)
+        counted[name] = counted.get(name, 0.0) + vehicles
+    if not sum(counted.values()) > 0:
+        raise InputError(f"{path}: counts no vehicle", HINT)
+    return counted
+
+
+@cache
+def _models() -> dict[str, Model]:
+    """By the name's words without their spaces, for a register writes CR-V, CRV or CR V."""
+    table = read_plain(Path(__file__).parent / "data" / "models.json", "the table of models")["models"]
+    generations: dict[str, list[Sequence[Any]]] = {}
+    for name, row in table.items():
+        for called in {"".join(_words(name)), _without_generation(name)}:
+            generations.setdefault(called, []).append(row)
+    out = {}
+    for called, rows in generations.items():
+        sizes = np.array([row[1:] for row in rows], float)
+        out[called] = Model(rows[0][0], sizes.mean(0), sizes.std(0))
+    return {called: model for called, model in out.items() if len(called) > 1}
+
+
+def _without_generation(name: str) -> str:
+    first, *rest = _words(name)
+    while rest and GENERATION.fullmatch(rest[-1]):
+        rest.pop()
+    if not rest and (numbered := re.fullmatch(r"([a-z]{4,})\d{1,2}", first)):
+        first = numbered[1]
+    return "".join([first, *rest])
+
+
+def _words(text: str) -> list[str]:
+    bare = (c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
+    words = re.findall(r"[a-z0-9]+", "".join(bare))
+    return [CLASS_WORDS.get(word, re.sub(r"^(\d)er$", r"\1", word)) for word in words]  # BMW's 3er is its 3 series
+
+
+def _moments(models: Sequence[Model], weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    sizes = np.array([m.size for m in models])
+    mean = np.average(sizes, axis=0, weights=weight)
+    within = VERSIONS**2 + np.array([m.spread for m in models]) ** 2
+    return mean, np.sqrt(np.average((sizes - mean) ** 2 + within, axis=0, weights=weight))
+
+
+def _plain(mean: np.ndarray, sd: np.ndarray) -> dict[str, list[float]]:
+    return {axis: [round(float(m), 4), round(float(s), 4)] for axis, m, s in zip(AXES, mean, sd, strict=True)}

@@ -1,0 +1,73 @@
+"""A register of models becomes a fleet."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from orthoscale.cli.main import cli
+from orthoscale.errors import InputError, TooLittleEvidence
+from orthoscale.fleets import load_fleet
+from orthoscale.registrations import fleet_of_register, model_called
+
+
+def written(folder, text, name="register.csv"):
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "length"),
+    [("Fiat Panda", 3.60), ("VOLKSWAGEN, VW GOLF VII", 4.17), ("Citro\u00ebn C3", 3.97), ("FORD F150", 5.62),
+     ("Honda CR-V 2.0", 4.60), ("Tesla Model Y", 4.75), ("Mercedes C-Klasse", 4.65), ("BMW 3er", 4.51)],
+)  # fmt: skip
+def test_a_model_is_known_by_whatever_a_register_calls_it(text, length):
+    assert model_called(text).size[0] == pytest.approx(length, abs=0.06)
+
+
+def test_a_name_that_is_in_no_model_is_not_known():
+    assert model_called("Trabant 601") is None and model_called("") is None
+
+
+def test_a_fleet_has_the_registers_mean_and_classes(tmp_path):
+    path = written(tmp_path, "Marke;Modell;Anzahl\nFiat;Panda;6 000\nFord;F-150;3000\nTrabant;601;1000\n")
+    register = fleet_of_register(path)
+    assert register.vehicles == 10_000 and register.known == pytest.approx(0.9)
+    assert register.unknown == (("Trabant 601", 0.1),)
+    length = (2 * 3.596 + 5.62) / 3
+    assert register.entry["length"][0] == pytest.approx(length, abs=0.03)
+    assert register.entry["length"][1] > 0.9, "two humps a long way apart"
+    assert {part["class"]: part["weight"] for part in register.entry["mixture"]} == pytest.approx(
+        {"mini": 2 / 3, "pickup": 1 / 3}, abs=1e-4
+    )
+    whole = fleet_of_register(written(tmp_path, "model,count\nPanda,6000\nF-150,3000\n", "whole.csv"))
+    assert register.entry["mean_sd"][0] > whole.entry["mean_sd"][0], "what is not known counts"
+
+
+def test_the_command_writes_a_fleet_that_loads_and_lists_what_it_does_not_know(tmp_path):
+    path, out = written(tmp_path, "make,model,count\nVW,Polo,700\nVW,Golf,200\nX,Nobody,100\n"), tmp_path / "town.json"
+    result = CliRunner().invoke(cli, ["fleets", "--registrations", str(path), "--out", str(out)])
+    assert result.exception is None, result.output
+    assert "90 % of models whose size is known" in result.output and "X Nobody: 10.0 %" in result.output
+    fleet = load_fleet(out)
+    assert fleet.mean[0] == pytest.approx(json.loads(out.read_text())["length"][0])
+    assert 3.9 < fleet.mean[0] < 4.1 and "900" not in fleet.name
+
+
+def test_too_little_known_is_refused_with_what_is_not(tmp_path):
+    path = written(tmp_path, "model,count\nPolo,50\nNobody,50\n")
+    with pytest.raises(TooLittleEvidence, match="50 % of 100"):
+        fleet_of_register(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("", "empty"), ("a,b\n1,2\n", "line 1: no column model"), ("model\nGolf\n", "line 1: no column count"),
+     ("model,count\nGolf,many\n", "line 2"), ("model,count\nGolf,-1\n", "line 2"),
+     ("model,count\nGolf,0\n", "no vehicle"),
+     ("model,count\nGolf\n", "line 2")],
+)  # fmt: skip
+def test_what_is_no_register(tmp_path, text, said):
+    with pytest.raises(InputError, match=said):
+        fleet_of_register(written(tmp_path, text))
