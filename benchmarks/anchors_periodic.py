@@ -1,4 +1,4 @@
-"""Crossings, bays and lane lines against known scales: ``python benchmarks/anchors_periodic.py``.
+"""Crossings, bays and lane lines against known scales: ``python benchmarks/anchors_periodic.py [--kind KIND]``.
 
 Reads ``../shared/data`` or ``ORTHOSCALE_DATA``. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %);
 of an anchor's standards the one nearest to the truth counts. Which finds are false was counted by eye, on pictures that
@@ -108,7 +108,7 @@ def painted(kind: str, gsd: float, count: int) -> Iterator[tuple[str, np.ndarray
     for number in range(count):
         white = tuple(int(level * rng.uniform(0.7, 1.0)) for level in PAINT[:1]) * 3
         if kind == ZebraCrossings.kind:
-            shapes = [(stroke(20 + k, 22, rng.uniform(3, 6) if k < 0 else 4, 0.5, 90), white) for k in range(12)]
+            shapes = [(stroke(20 + k, 22, 4, 0.5, 90), white) for k in range(12)]
             under = stroke(20 + rng.uniform(0, 11), 23, 4.5, 1.8, 90)
         elif kind == ParkingBays.kind:
             slant = rng.choice([90, 90, 60, 45])
@@ -127,12 +127,16 @@ def painted(kind: str, gsd: float, count: int) -> Iterator[tuple[str, np.ndarray
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draw", type=Path)
-    draw = parser.parse_args().draw
+    finders: tuple[AnchorFinder, ...] = (ZebraCrossings(), ParkingBays(), LaneDashes())
+    parser.add_argument("--kind", choices=[finder.kind for finder in finders])
+    chosen = parser.parse_args()
+    draw = chosen.draw
     if draw:
         draw.mkdir(parents=True, exist_ok=True)
-    finders: tuple[AnchorFinder, ...] = (ZebraCrossings(), ParkingBays(), LaneDashes())
     print(HEAD)
     for finder in finders:
+        if chosen.kind not in (None, finder.kind):
+            continue
         for sort, pictures in (("orthophotos and frames of 7 places", scenes()), ("American chips", chips())):
             tally, rng = Tally(finder, draw), np.random.default_rng(0)
             for name, image, gsd, country in pictures:
@@ -142,7 +146,7 @@ def main() -> None:
             print(tally.row(sort), flush=True)
         for gsd in (0.06, 0.12, 0.2, 0.3):
             tally, rng = Tally(finder), np.random.default_rng(1)
-            for name, image, gsd_, country in painted(finder.kind, gsd, 30):
+            for name, image, gsd_, country in painted(finder.kind, gsd, 20):
                 off = float(np.exp(np.clip(rng.normal(0, SD), -1.5 * SD, 1.5 * SD)))
                 if gsd * off <= finder.coarsest:
                     tally.look(name, image, gsd_, country, off)

@@ -179,3 +179,10 @@ def test_an_own_standard_takes_the_place_of_the_rules():
     )
     drawn = [(stroke(4 + 8 * k, 22, 2.4, 0.15), PAINT) for k in range(7)]
     assert one(LaneDashes((Standard("ours", 8.0, 0.005, "plan"),)).find(picture(drawn, 0.1), 0.1, 0.05, "US"), 8.0)
+
+
+def test_lane_lines_where_no_rule_is_known_say_nothing():
+    image = picture(dashes(), 0.1, (70, 45))
+    assert LaneDashes().find(image, 0.1, 0.08, "DE")
+    assert not LaneDashes().find(image, 0.1, 0.08, "NP")
+    assert not ZebraCrossings().find(picture(zebra(), 0.1), 0.1, 0.08, "US")

@@ -77,7 +77,7 @@ class ParkingBays:
     kind = "parking bays"
     extent = 60.0
     finest = 0.10
-    coarsest = 0.32
+    coarsest = 0.36
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""

@@ -14,7 +14,6 @@ from .strokes import find_strokes, paint_light, painted
 
 LANE_PAINTED = 0.01  # one sigma of a line's mean period about its rule: 66 of 78 American lines are within 1.2 %
 LANE_FALSE = 0.07  # five of 78 American lines are off by 3 to 10 %: painted to no rule, or two lines taken for one
-LANE_FOREIGN = 0.5  # where no rule of the country is known: Manila's lines are like others', Banepa's are not
 
 
 def _line(dash: float, gap: float, where: str, source: str, countries: str, prior: float = 1.0) -> Standard:
@@ -88,10 +87,12 @@ class LaneDashes:
     kind = "lane dashes"
     extent = 120.0
     finest = 0.10
-    coarsest = 0.32
+    coarsest = 0.36
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
+        if not ruled(self.standards, country):  # lines of other countries fit some rule or other: Banepa's, by 8 %
+            return []
         standards = holding(self.standards, country)
         low, high = sizes(standards, gsd, gsd_sd)
         slack = low * gsd / min(standard.metres for standard in standards)
@@ -104,7 +105,7 @@ class LaneDashes:
         for chain in find_chains(strokes[strokes.length < longest], low, high, LANE_FEWEST):
             meant = within_reach(_like(standards, chain), chain.row.period, gsd, gsd_sd)
             if meant and _is_line(image, chain, gsd):
-                found.append(_anchor(chain, meant, LANE_FALSE if ruled(self.standards, country) else LANE_FOREIGN))
+                found.append(_anchor(chain, meant))
         return found
 
 
@@ -139,7 +140,7 @@ def _is_line(image: np.ndarray, chain: Chain, gsd: float) -> bool:
     return contrast > LANE_CONTRAST and off < LANE_SAME_GROUND * contrast and painted(paint, ground)
 
 
-def _anchor(chain: Chain, meant: tuple[Standard, ...], false: float) -> Anchor:
+def _anchor(chain: Chain, meant: tuple[Standard, ...]) -> Anchor:
     row = chain.row
     return Anchor(
         kind=LaneDashes.kind,
@@ -149,6 +150,6 @@ def _anchor(chain: Chain, meant: tuple[Standard, ...], false: float) -> Anchor:
         relative_sd=float(np.hypot(chain.relative_sd, LOCAL_STRETCH)),
         residual=row.residual,
         standards=meant,
-        false=false,
+        false=LANE_FALSE,
         count=len(row.number),
     )

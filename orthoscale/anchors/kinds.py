@@ -25,9 +25,9 @@ class Kind:
 
 ANCHOR_KINDS: dict[str, Kind] = {
     "tennis court": Kind("courts:TENNIS", proven=True),
-    "zebra crossing": Kind("crossings:ZebraCrossings"),
-    "lane dashes": Kind("dashes:LaneDashes"),
-    "parking bays": Kind("bays:ParkingBays"),
+    "zebra crossing": Kind("crossings:ZebraCrossings", proven=True),
+    "lane dashes": Kind("dashes:LaneDashes", proven=True),
+    "parking bays": Kind("bays:ParkingBays", proven=True),
 }
 
 ALL, NO_KIND, PROVEN = "all", "none", "proven"  # choices beside kinds: of `--anchors`
