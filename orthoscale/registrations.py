@@ -21,7 +21,7 @@ from .core.market_segments import AXES
 from .errors import InputError, TooLittleEvidence, shown
 from .formats.reading import read_plain, read_text
 
-COLUMNS = {  # names of columns, in plain letters
+HEADINGS = {  # names of columns, in plain letters
     "make": ("make", "brand", "marke", "hersteller", "marque", "marca", "merk", "manufacturer", "handelsbenaming merk"),
     "model": ("model", "modell", "modelo", "modele", "modello", "type", "typ", "handelsbenaming", "name", "vehicle"),
     "count": ("count", "number", "anzahl", "nombre", "cantidad", "numero", "aantal", "vehicles", "units", "total", "n"),
@@ -119,7 +119,7 @@ def _counted(path: Path) -> dict[str, float]:
     if not rows:
         raise InputError(f"{path}: empty", HINT)
     head_words = [" ".join(_words(cell)) for cell in rows[0]]
-    at = {what: next((head_words.index(n) for n in names if n in head_words), None) for what, names in COLUMNS.items()}
+    at = {what: next((head_words.index(n) for n in names if n in head_words), None) for what, names in HEADINGS.items()}
     model, count, make = at["model"], at["count"], at["make"]
     if model is None or count is None:
         raise InputError(f"{path}, line 1: no column {'model' if model is None else 'count'}", HINT)

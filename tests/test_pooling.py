@@ -101,7 +101,7 @@ def of_shares(fleet, **shares):
      ("JP", {"kei": 0.1, "small (5-number)": 0.4, "ordinary (3-number)": 0.5})],
 )  # fmt: skip
 def test_an_odd_mix_is_recognised_and_not_taken_for_another_scale(code, shares):
-    """A street of pickups, a lot of vans and SUVs, kei cars or hardly any: their mean is 6 to 14 % off the country's."""
+    """A street of pickups, a lot of vans and SUVs, kei cars or hardly any: their mean is 6 to 14 % off."""
     fleet = load_fleet(code)
     place = of_shares(fleet, **shares)
     off = abs(float(np.log(sum(c.weight * c.mean[0] for c in place.classes) / fleet.mean[0])))
@@ -255,9 +255,9 @@ def test_thousands_of_votes_decide_and_the_rest_are_judged_by_them(monkeypatch):
         mixture._Problem, "_members", lambda self, *at: seen.append(self.gap.shape[1]) or real(self, *at)
     )
     false = 0.05
-    votes = scene(np.random.default_rng(0), load_fleet("DE"), 4 * mixture.MOST, false=false, surprise=False)
+    votes = scene(np.random.default_rng(0), load_fleet("DE"), 4 * mixture.MOST_VOTES, false=false, surprise=False)
     scale = pool(votes, load_fleet("DE"), RULER, "m/px")
-    assert max(seen) <= mixture.MOST
+    assert max(seen) <= mixture.MOST_VOTES
     assert scale.value == pytest.approx(0.12, rel=0.02) and scale.parts["sampling"] < 0.003
     assert len(scale.used) == len(votes)
     for part in np.split(scale.used, 4):

@@ -191,8 +191,6 @@ def test_measured_vehicles_are_as_long_as_they_are(tmp_path):
 
     before = measure_source(source, got, load_fleet("DE")).scale
     save_detections(got, tmp_path / "boxes.json")
-    again = orthoscale.estimate(
-        tmp_path / "town.png", fleet="DE", detections=tmp_path / "boxes.json", anchors=["none"]
-    )
+    again = orthoscale.estimate(tmp_path / "town.png", fleet="DE", detections=tmp_path / "boxes.json", anchors=["none"])
     assert again.scale.value == pytest.approx(before.value, rel=1e-3)
     assert before.value == pytest.approx(0.11, rel=0.06)

@@ -18,7 +18,7 @@ SEED_SLACK = 6  # [px] by which a seed may reach beyond its stroke
 ABOUT = np.linspace(-4, 4, 9)  # [m] along a pair, where all the long strokes are asked for
 PROMISING_FRAME = 0.3  # least mean ridge there
 STROKE_ENOUGH = 0.7  # of a clear ridge: no stroke counts for more
-TOGETHER = 64  # frames that are placed at once: for speed and memory
+FRAMES_AT_ONCE = 64  # frames that are placed at once: for speed and memory
 SAME_SIZE = 0.03  # [ln] and, across the seeds, [px]: frames so near each other say the same
 SAME_PX = 2.0
 FRAMES = 3000  # per megapixel, the most promising; at least:
@@ -117,8 +117,8 @@ def search(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
     for family in _families(court):
         frames = _framed(ridges, family, size, spread)
         if len(frames.angle):
-            for start in range(0, len(frames.angle), TOGETHER):
-                found.append(_placed(ridges, court, family, frames.only(np.s_[start : start + TOGETHER])))
+            for start in range(0, len(frames.angle), FRAMES_AT_ONCE):
+                found.append(_placed(ridges, court, family, frames.only(np.s_[start : start + FRAMES_AT_ONCE])))
     names = ("place", "angle", "size", "score")
     poses = Poses(*(np.concatenate([getattr(one, name) for one in found]) for name in names))
     return _alone(poses.only(np.argsort(-poses.score, kind="stable")), court)

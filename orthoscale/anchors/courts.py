@@ -27,7 +27,7 @@ from .ridges import lightness
 
 SEARCHED = 0.3  # [m/px] of the search, where a line of 5 cm is just seen and a court is small
 ENLARGED = 2.0  # at most: a coarser picture is searched coarser
-SMALLEST_PX = 16  # [px] of a picture's shorter side
+LEAST_SIDE_PX = 16  # [px] of a picture's shorter side
 SURE = 0.8  # of a fit's paint is seen: no other court lies on it
 COURTS_OVERLAP = 0.8  # of both sides: courts whose middles are nearer than this overlap
 PAINT_SCATTER, SCATTER_TAKES = 0.25, 1.5  # of paint hardly more than the first; what more of it takes
@@ -117,7 +117,7 @@ class CourtFinder:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """The courts in `image`, RGB uint8 (H, W, 3), that do not overlap; see `AnchorFinder`."""
-        if image.ndim != 3 or min(image.shape[:2]) < SMALLEST_PX:
+        if image.ndim != 3 or min(image.shape[:2]) < LEAST_SIDE_PX:
             return []
         look = _Look(image, gsd, gsd_sd)
         fits = [fit for court in self.courts for fit in look.fits(court) if evidence(fit) > self.even]

@@ -45,7 +45,7 @@ COARSE_VOTES = 60  # votes by which the coarse grid is judged
 MANY = 200  # votes above which so many of them tell first what the scale cannot be
 # Votes that the scale is fitted to, at most. Of a thousand vehicles the number leaves 0.4 % open, of 5,000 less than
 # 0.2 %, where fleet and margin leave 3 to 5 %: more of them cost time and memory, and tell nothing.
-MOST = 5000
+MOST_VOTES = 5000
 IMPOSSIBLE = 9.0  # log probability below the best from which a scale is not tried again
 LEAST_KEPT = 0.02  # share of the information that is left however much the classes overlap
 COARSE_STEPS, FINE_STEPS, STILL = 12, 40, 3e-4  # of fitting: at most so many, until nothing moves by more
@@ -122,7 +122,7 @@ def fit(
     solved = problem.of_votes(COARSE_VOTES).solved(problem.start(coarse), COARSE_STEPS)
     solved = problem.of_votes(MANY).solved(problem.start(_finer(solved)), FINE_STEPS)
     if len(log_size) > MANY:
-        problem = problem.of_votes(MOST)
+        problem = problem.of_votes(MOST_VOTES)
         solved = problem.solved(solved.where(solved.possible), FINE_STEPS)
     return problem.fits(solved, everyone)
 
@@ -262,7 +262,7 @@ class _Problem:
     def members(self, solved: _Solved, weight: np.ndarray) -> np.ndarray:
         """(K + 1, N) probability of each class over all hypotheses `solved`, which have `weight` (V,)."""
         count = self.gap.shape[1]
-        parts = np.array_split(np.arange(count), -(-count // MOST))
+        parts = np.array_split(np.arange(count), -(-count // MOST_VOTES))
         some = (replace(self, gap=self.gap[:, k], inverse=self.inverse[:, k]) for k in parts)
         return np.hstack(
             [np.einsum("v,kvn->kn", weight, one._members(solved.unknown, solved.counts)[0]) for one in some]
