@@ -87,7 +87,7 @@ def of_places(error: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
 
 
 def margins(own: dict[str, tuple[float, float]]) -> str:
-    """What a card should say of the margin, with each of the places `own` (log error, sigma without margin) left out."""
+    """What a card should say of the margin, each of the places `own` (log error, sigma without margin) left out."""
     error, sd = map(np.array, zip(*own.values(), strict=True))
     rows, hits = [], 0
     for k, name in enumerate(own):

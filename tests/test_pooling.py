@@ -101,7 +101,7 @@ def of_shares(fleet, **shares):
      ("JP", {"kei": 0.1, "small (5-number)": 0.4, "ordinary (3-number)": 0.5})],
 )  # fmt: skip
 def test_an_odd_mix_is_recognised_and_not_taken_for_another_scale(code, shares):
-    """A street of pickups, a lot of vans and SUVs, kei cars or hardly any: their mean is 6 to 14 % off the country's."""
+    """A street of pickups, vans and SUVs, kei cars or hardly any: their mean is 6 to 14 % off the country's."""
     fleet = load_fleet(code)
     place = of_shares(fleet, **shares)
     off = abs(float(np.log(sum(c.weight * c.mean[0] for c in place.classes) / fleet.mean[0])))

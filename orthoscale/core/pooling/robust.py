@@ -38,9 +38,9 @@ MIXTURE_SD = 0.013
 LIKELY = 0.01  # probability below which a fleet is not reported
 FEW = 60  # votes by which candidate fleets are compared; their shapes count for 50 at most (`mixture`)
 # How much of what shapes seem to say of the country is believed. In simulation they tell Japan from Germany; on 12
-# orthophotos of six countries the boxes of version 5 made the true one the less likely the more they were believed (mean
-# log probability -7.0 where all of it is, -4.3 at a tenth, -4.2 at nothing: benchmarks/country_from_shapes.py), for
-# boxes are too wide or too long together, as vehicles of another country are.
+# orthophotos of six countries the boxes of version 5 made the true one the less likely the more they were believed
+# (mean log probability -7.0 where all of it is, -4.3 at a tenth, -4.2 at nothing: benchmarks/country_from_shapes.py),
+# for boxes are too wide or too long together, as vehicles of another country are.
 SHAPES_TOLD = 0.1
 
 
