@@ -175,6 +175,11 @@ def test_vehicles_measured_both_ways_are_compared_themselves(flight, found):
     assert other.difference == pytest.approx(0, abs=0.02) and not other.contradicts
     wrong = compare({"oblique": a, "planar": replace(b, value=1.06 * a.value)}, noise + 0.25)
     assert wrong.contradicts and wrong.common == 20
+    parted = compare({"oblique": a, "planar": replace(b, value=1.11 * a.value)}, noise)
+    assert parted.by_others and not parted.contradicts and "vehicles that only one of them counts" in parted.sentence()
+    both, near = together(parted), together(other)
+    assert a.value < both.value < 1.11 * a.value and both.parts["fleet"] > 1.2 * near.parts["fleet"]
+    assert compare({"oblique": a, "planar": replace(b, value=1.5 * a.value)}, noise).contradicts
     few = compare({"oblique": a, "planar": replace(b, value=1.06 * a.value)}, noise[:3])
     assert few.common == 0 and few.difference == pytest.approx(np.log(1.06))
 

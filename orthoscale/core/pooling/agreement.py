@@ -25,6 +25,8 @@ class Agreement:
 
     common : vehicles that the difference was taken over, 0 where it is that of the scales.
     apart, apart_sd : log of second scale over first, by all vehicles of each, and one sigma of that.
+    mixes_sd : one sigma by which the scales may part besides, because the two count other vehicles of another mix; 0
+    unless the vehicles in common show that the two measure alike.
     """
 
     scales: dict[str, Scale]
@@ -33,11 +35,17 @@ class Agreement:
     apart: float
     apart_sd: float
     common: int = 0
+    mixes_sd: float = 0.0
 
     @property
     def tension(self) -> float:
         """Sigmas between the two: on the vehicles that both measured, or by all of each, whichever is more."""
-        return max(abs(self.difference) / self.sd, abs(self.apart) / self.apart_sd)
+        return max(abs(self.difference) / self.sd, abs(self.apart) / float(np.hypot(self.apart_sd, self.mixes_sd)))
+
+    @property
+    def by_others(self) -> bool:
+        """Whether the scales part by the vehicles that only one of the two counts, and not by how they measure."""
+        return self.mixes_sd > 0 and abs(self.apart) > CONTRADICTION * self.apart_sd
 
     @property
     def surer(self) -> str:
@@ -59,9 +67,12 @@ class Agreement:
         """In words."""
         (first, a), (second, b) = self.scales.items()
         same = f" on the {self.common} vehicles measured both ways" if self.common else ""
+        so = "; the two contradict each other" if self.contradicts else ""
+        if self.by_others and not self.contradicts:
+            so = "; they part by vehicles that only one of them counts"
         return (
             f"{second} gives {b.value:.5g} {b.unit}, {first} {a.value:.5g}: {100 * self.difference:+.1f} %{same}, "
-            f"{self.tension:.1f} sigma" + ("; the two contradict each other" if self.contradicts else "")
+            f"{self.tension:.1f} sigma{so}"
         )
 
 
@@ -70,6 +81,8 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreem
 
     ratio : (K, 2) log of the size that the first gives a vehicle over what the second gives it, for lengths and widths
     of the vehicles that both measured. With enough of them the vehicles' own sizes cancel, and so do the fleet's.
+    Where these agree, the two measure alike, and what still parts their scales are the other vehicles: which mix of
+    them stands there each way tells by its own (`mixes_sd`, the fleet's part of both).
     Without, sampling is taken as independent, which lets the two differ by more than two passes over one place should.
     Most of the detector's error is the same in both; geometry is taken as independent.
     """
@@ -82,14 +95,19 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreem
     each = ratio @ (np.add(a.weights, b.weights) / 2)
     spread = ROBUST_SD * np.median(np.abs(each - np.median(each)))
     own += 1.57 * spread**2 / len(each)  # of a median
-    return Agreement(scales, float(np.median(each)), float(np.sqrt(own)), *apart, len(each))
+    difference, sd = float(np.median(each)), float(np.sqrt(own))
+    mixes = (
+        np.hypot(*(scale.parts.get("fleet", 0.0) for scale in (a, b))) if abs(difference) < CONTRADICTION * sd else 0
+    )
+    return Agreement(scales, difference, sd, *apart, len(each), float(mixes))
 
 
 def together(agreement: Agreement) -> Scale:
     """The pooled scale: the first, moved towards the second by its weight.
 
     Weights are the inverse variances of what the two do not share. Vehicles, detector and ground are largely the same,
-    so no part of the uncertainty gets smaller than its weighted mean.
+    so no part of the uncertainty gets smaller than its weighted mean. By how much more the two part than their own
+    uncertainties explain is a part of not knowing the mix of vehicles (DerSimonian and Laird 1986).
     Two that contradict each other have no mean: the surer one gives the value, and the interval reaches over both, as
     with other evidence (`core.evidence`).
     """
@@ -110,6 +128,8 @@ def together(agreement: Agreement) -> Scale:
     log_value = float(weight @ np.log([a.value, b.value]))
     names = {**a.parts, **b.parts}  # one pass may see parking rows where the other does not
     parts = {name: float(weight @ [s.parts.get(name, 0.0) for s in (a, b)]) for name in names}
+    more = float(weight.prod() * max(agreement.apart**2 - agreement.apart_sd**2, 0.0))
+    parts["fleet"] = float(np.hypot(parts.get("fleet", 0.0), np.sqrt(more)))
     sd = np.sqrt(sum(v**2 for v in parts.values()))
     return replace(
         a,
