@@ -6,18 +6,21 @@ joined; what is straight is a stroke.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 JOINED_HEADING = np.cos(np.radians(20))  # neighbouring ridge points of one stroke head alike
 ROUND_STROKE = 0.6  # of the curvature across: more along, and it is a blob
 BENT_PX, BENT_WIDE = 0.1, 0.3  # across, one sigma: what strays more is not straight [px], [of the smoothing]
 ASTRAY_PX = 1.3  # from a first line, beyond which a point is none of its stroke [px]
 FAINTEST_STROKE = 1.2  # grey levels of curvature across, below which a ridge is noise
+PAIRED_AT_ONCE = 500  # strokes
 LOOKED_UP = 32000  # places that are looked up in one call
 AS_PAINT = 0.65  # of the channel that gains most red and green gain at least so much where paint is
 STROKE_SURROUNDINGS = 30.0  # how far around, in units of the smoothing
@@ -38,6 +41,17 @@ class Strokes:
 
     def __getitem__(self, which: np.ndarray) -> Strokes:
         return Strokes(self.centre[which], self.along[which], self.length[which], self.strength[which])
+
+
+def near_pairs(strokes: Strokes, reach: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of strokes whose centres are within `reach` [px], each once, some strokes' at a time: in a picture that is
+    all texture there are more than fit in memory."""
+    tree = cKDTree(strokes.centre)
+    for k in range(0, len(strokes), PAIRED_AT_ONCE):
+        some = cKDTree(strokes.centre[k : k + PAIRED_AT_ONCE])
+        found = some.sparse_distance_matrix(tree, reach, output_type="ndarray")
+        i, j = found["i"] + k, found["j"]
+        yield i[i < j], j[i < j]
 
 
 def paint_light(image: np.ndarray) -> np.ndarray:
