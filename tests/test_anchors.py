@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -15,12 +17,16 @@ from support.reports import GSD, car_park
 
 import orthoscale
 from orthoscale.actions.anchors import own_standards
+from orthoscale.actions.requests import EstimateRequest
+from orthoscale.actions.whose import country_of
 from orthoscale.anchors import kinds
 from orthoscale.anchors.kinds import Kind
 from orthoscale.anchors.search import ENOUGH_ANCHORS, Sought, look, search, windows_of
 from orthoscale.core.anchors import Anchor, alike
 from orthoscale.core.measuring.anchors import votes_in_model
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+from orthoscale.fleets import load_fleet
+from orthoscale.sources.opening import open_source
 
 MIDDLES = np.array([[1120.3, 150.7], [1300.8, 320.2], [1150.1, 520.6]])
 
@@ -79,7 +85,10 @@ def test_where_there_are_none_nothing_changes(square_finder, tmp_path):
 
 
 def test_squares_that_contradict_the_vehicles_end_with_exit_code_4(square_finder, tmp_path):
-    path, options = park_with(tmp_path / "park", side=1.1 * SIDE)
+    path, options = park_with(tmp_path / "park")
+    alone = orthoscale.estimate(path, anchors=["none"], **options).scale
+    # Such that they say 3.3 sigmas less than the vehicles: that is still looked for.
+    path, options = park_with(tmp_path / "park", side=SIDE * GSD / alone.value * np.exp(3.3 * alone.relative_sd))
     words = ["--fleet", "DE", "--detections", options["detections"]]
     done = run("estimate", path, *words)
     assert done.returncode == 4 and "painted square" in done.stderr and "conflict: vehicles" in done.stderr
@@ -221,10 +230,17 @@ def test_two_kinds_that_agree_give_a_scale_without_vehicles(two_kinds, tmp_path)
     assert done.returncode == 0 and "painted square" in done.stdout
 
 
-def test_one_kind_gives_none_without_vehicles(square_finder, tmp_path):
+def test_one_kind_gives_none_without_vehicles_but_one_and_a_known_distance_do(square_finder, tmp_path):
     path, options = empty_lot(tmp_path, small=False)
-    with pytest.raises(TooLittleEvidence, match="two kinds of anchors that agree are needed; found: .*painted square"):
+    with pytest.raises(TooLittleEvidence, match="0 usable vehicles"):
         orthoscale.estimate(path, **options)
+    found = orthoscale.estimate(path, known_distance=["10,20 310,420 50.2 0.4"], **options)
+    assert found.scale.value == pytest.approx(GSD, rel=0.005) and found.scale.vehicles_used == 0
+    assert {e.kind for e in found.scale.evidence} == {"known distance", "painted square"}
+    image = np.zeros((300, 400, 3), np.uint8)
+    cv2.imwrite(str(path), image)
+    with pytest.raises(TooLittleEvidence, match="0 usable vehicles"):
+        orthoscale.estimate(path, known_distance=["10,20 310,420 50.2 0.4"], **options)
 
 
 def test_the_command_lists_and_draws_them(two_kinds, tmp_path):
@@ -263,3 +279,40 @@ def test_a_report_says_what_each_anchor_is_and_how_much_it_helps(square_finder, 
     assert read_dataframe(tmp_path / "out.tif.gpkg", "anchors") == ["painted square"] * 3
     done = run("report", tmp_path / "out.tif.json", "--out", tmp_path / "again.html")
     assert done.returncode == 0 and "What else has a known size?" in (tmp_path / "again.html").read_text()
+
+
+@pytest.mark.parametrize(
+    "code, country", [("US_cars", "US"), ("DE", "DE"), ("WORLD", ""), ("auto", ""), ("EU", ""), ("R_WEU", "")]
+)
+def test_the_country_is_the_fleets_where_the_picture_does_not_say(tmp_path, code, country):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((40, 40, 3), np.uint8))
+    source = open_source(tmp_path / "a.png")
+    assert country_of(source, replace(load_fleet("DE"), code=code)) == country
+    assert country_of(source, None) == ""
+
+
+def test_as_many_look_at_once_as_memory_allows(monkeypatch):
+    sheet, busy, most = Sheet(squares(3000, 1500, 0.2, [[300, 300]])), [0], [0]
+
+    class Slow(SquareFinder):
+        def find(self, *arguments):
+            busy[0] += 1
+            most[0] = max(most[0], busy[0])
+            time.sleep(0.02)
+            busy[0] -= 1
+            return []
+
+    for memory, threads in ((2**30, 3), (2**26, 1)):
+        monkeypatch.setattr("orthoscale.system.budget._budget", memory)
+        most[0] = 0
+        search([Sought(Slow(), [(sheet, 0.2)])], 0.05, workers=3, cache=False)
+        assert most[0] == threads
+
+
+def test_none_and_a_kind_contradict_each_other():
+    with pytest.raises(UsageError, match="contradict each other"):
+        EstimateRequest(anchors=("none", "tennis-court"))
+    with pytest.raises(UsageError, match="--anchor does nothing here: --anchors none"):
+        EstimateRequest(anchors=("none",), anchor=("bay=2.5",))
+    with pytest.raises(UsageError, match="for vehicles only"):
+        EstimateRequest(estimator="iqr", anchors=("all",))

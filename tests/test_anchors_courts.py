@@ -107,6 +107,19 @@ def test_the_answer_does_not_depend_on_how_the_picture_lies(how):
     assert other[0].pixels == pytest.approx(found[0].pixels, rel=1e-3)
 
 
+def test_a_bare_rectangle_is_none():
+    """Nor the outline of a court, nor one with its centre line."""
+    outline = [tennis()[k] for k in (0, 1, 4, 5)]
+    assert len(court(0.2, paint=tennis())[1]) == 1
+    assert not court(0.2, paint=outline)[1]
+    assert not court(0.2, paint=[*outline, tennis()[8]])[1]
+
+
+def test_half_a_court_is_none():
+    half = [(max(x0, 0), y0, x1, y1) for x0, y0, x1, y1 in tennis() if x1 > 0]
+    assert not court(0.2, paint=half)[1]
+
+
 OTHERS = [
     (VOLLEYBALL, volleyball(), "FIVB volleyball court", 18.0),
     (BASKETBALL, basketball(), "FIBA basketball court", 28.0),

@@ -159,6 +159,9 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(parks, tmp_path):
         assert said in done.stdout, said
     done = run("fix", parks / "pictures", "--out", tmp_path, *options(parks, "--dry-run"))
     assert done.returncode == 5 and "b.tif.json" in done.stdout and sorted(tmp_path.rglob("*")) == before
+    new = tmp_path / "new"
+    done = run("fix", parks / "pictures", "--out", new, *options(parks, "--dry-run"))
+    assert done.returncode == 5 and f"{new}/b.tif.json" in done.stdout and not new.exists()
     words = ["fix", parks / "pictures/a.png", "--out", parks / "pictures/a.png", *options(parks, "--dry-run")]
     assert run(*words).returncode == 2
     assert run("check", parks / "pictures/a.png", *options(parks, "--dry-run")).returncode == 0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.simulate import place_of
 
-from orthoscale.core.pooling import mixture, robust
+from orthoscale.core.pooling import robust
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
@@ -101,7 +101,7 @@ def of_shares(fleet, **shares):
      ("JP", {"kei": 0.1, "small (5-number)": 0.4, "ordinary (3-number)": 0.5})],
 )  # fmt: skip
 def test_an_odd_mix_is_recognised_and_not_taken_for_another_scale(code, shares):
-    """A street of pickups, a lot of vans and SUVs, kei cars or hardly any: their mean is 6 to 14 % off."""
+    """A street of pickups, vans and SUVs, kei cars or hardly any: their mean is 6 to 14 % off the country's."""
     fleet = load_fleet(code)
     place = of_shares(fleet, **shares)
     off = abs(float(np.log(sum(c.weight * c.mean[0] for c in place.classes) / fleet.mean[0])))
@@ -220,7 +220,7 @@ def test_widths_that_contradict_lengths_lower_the_verdict_and_widen_the_interval
     honest = pool(scene(np.random.default_rng(4), fleet, 300, surprise=False), fleet, RULER, "m/px")
     scale = pool(votes, fleet, RULER, "m/px")
     assert scale.relative_sd > 1.5 * honest.relative_sd
-    assert scale.remarks and "lengths give a larger scale than widths" in scale.remarks[0].text
+    assert scale.remarks and "lengths give a larger scale than widths" in scale.remarks[0]
 
 
 @pytest.mark.parametrize("n", [0, 1, 4])
@@ -234,34 +234,8 @@ def test_boxes_without_a_common_scale_are_refused():
     rng = np.random.default_rng(6)
     size = np.exp(rng.uniform(0, 5, (9, 2)))
     votes = gather(size, np.full(9, 1e-3), rng.uniform(0, 9, (9, 2)), np.ones(9), repeated=False)
-    with pytest.raises(TooLittleEvidence, match="no boxes have the shape of vehicles"):
+    with pytest.raises(TooLittleEvidence, match="9 boxes, but only"):
         pool(votes, load_fleet("DE"), RULER, "m/px")
-
-
-@pytest.mark.parametrize("stretch", [0.05, 0.1, 0.25, 0.5, 2.0])
-@pytest.mark.parametrize("equal", [True, False])
-def test_lengths_and_widths_of_no_vehicle_are_refused(stretch, equal):
-    """Also where the widths are so small that they are all noise."""
-    cars = np.full((50, 2), [50.0, 20.0]) * (1 if equal else np.random.default_rng(0).lognormal(0, 0.05, (50, 1)))
-    votes = gather(cars * [1, stretch], np.ones(50), np.arange(100.0).reshape(50, 2) * 90, np.ones(50), repeated=False)
-    with pytest.raises(TooLittleEvidence):
-        pool(votes, load_fleet("DE"), Ruler(margin=(0.5, 0.3), margin_sd=(0.5, 0.5), noise=(1.5, 1.0)), "m/px")
-
-
-def test_thousands_of_votes_decide_and_the_rest_are_judged_by_them(monkeypatch):
-    seen = []
-    real = mixture._Problem._members
-    monkeypatch.setattr(
-        mixture._Problem, "_members", lambda self, *at: seen.append(self.gap.shape[1]) or real(self, *at)
-    )
-    false = 0.05
-    votes = scene(np.random.default_rng(0), load_fleet("DE"), 4 * mixture.MOST_VOTES, false=false, surprise=False)
-    scale = pool(votes, load_fleet("DE"), RULER, "m/px")
-    assert max(seen) <= mixture.MOST_VOTES
-    assert scale.value == pytest.approx(0.12, rel=0.02) and scale.parts["sampling"] < 0.003
-    assert len(scale.used) == len(votes)
-    for part in np.split(scale.used, 4):
-        assert (~part).mean() == pytest.approx(false, abs=0.02)
 
 
 def test_the_unit_of_the_source_cancels():

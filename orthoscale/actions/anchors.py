@@ -13,6 +13,7 @@ import numpy as np
 from ..anchors import kinds
 from ..core.anchors import Anchor, AnchorVote, Standard
 from ..core.measuring.anchors import votes_in_model, votes_in_plan
+from ..core.measuring.without_vehicles import FEWEST_KINDS
 from ..core.pooling.posterior import Z90
 from ..core.scale import Scale
 from ..core.source import GroundView, Picture, Source
@@ -143,13 +144,15 @@ def at_any_scale(
     country: str,
     effort: Effort,
     progress: Progress | None = None,
+    known: int = 0,
 ) -> Searched:
     """The anchors in `source`, of which nobody knows the scale: looked for on a ladder of them.
 
     rough : metres per unit and its relative one-sigma, where something tells; else all of LADDER is tried.
+    known : kinds of evidence that there are besides. Nothing is looked for where not enough kinds could be found.
     """
     units = [unit for _, unit in _views(source).values()]
-    if not units or not kinds.chosen(choices, own):
+    if not units or not kinds.chosen(choices, own) or len(kinds.chosen(choices, own)) + known < FEWEST_KINDS:
         return Searched()
     if rough is None:
         low, high = (math.log(gsd / float(np.median(units))) for gsd in LADDER)

@@ -153,7 +153,14 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
             answer = measure_source(source, found, fleet, method, request.mode)
     except TooLittleEvidence as error:
         searched = at_any_scale(
-            source, _rough(source, request), request.anchors, asked.own, method.country, effort_of(request), progress
+            source,
+            _rough(source, request),
+            request.anchors,
+            asked.own,
+            method.country,
+            effort_of(request),
+            progress,
+            known=len({e.kind for e in asked.given}),
         )
         method = replace(method, anchors=searched.votes)
         answer = _by_anchors(source, fleet, method, doubts(found), error)

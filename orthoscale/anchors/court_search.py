@@ -128,7 +128,10 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
     seeds = ridges.seeds
     longest, widest = float((family.high - family.low).max()), float(np.ptp(family.at))
     reach = size * np.exp(spread) * np.array([longest / 2, widest])
-    pair = cKDTree(seeds.middle).query_pairs(float(np.hypot(*reach)), output_type="ndarray")
+    # near in place and in direction: a turn by SEEDS_APART counts as much as the whole reach
+    most = float(np.hypot(*reach))
+    around = most / (2 * np.sin(SEEDS_APART)) * np.stack([np.cos(2 * seeds.angle), np.sin(2 * seeds.angle)], 1)
+    pair = cKDTree(np.hstack([seeds.middle, around])).query_pairs(most * np.sqrt(2), output_type="ndarray")
     turn = (seeds.angle[pair[:, 1]] - seeds.angle[pair[:, 0]] + np.pi / 2) % np.pi - np.pi / 2
     pair, turn = pair[np.abs(turn) <= SEEDS_APART], turn[np.abs(turn) <= SEEDS_APART]
     angle = seeds.angle[pair[:, 0]] + turn / 2

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -144,6 +145,12 @@ class CourtFinder:
         )
 
 
+@lru_cache(maxsize=1)
+def _ridges(light: bytes, height: int, width: int) -> Ridges:
+    """Those of a picture (height, width) of float32; kept for the finders of other kinds, which look at it next."""
+    return Ridges(np.frombuffer(light, np.float32).reshape(height, width))
+
+
 class _Look:
     """One picture with its ridges, searched for courts between two sizes; arguments as of `AnchorFinder.find`."""
 
@@ -152,7 +159,7 @@ class _Look:
         self.light = lightness(image)
         small = _resized(self.light, gsd)
         self.factor = np.array(small.shape[::-1]) / self.light.shape[::-1]
-        self.ridges = Ridges(small)
+        self.ridges = _ridges(small.astype(np.float32).tobytes(), *small.shape)
 
     def fits(self, court: Court) -> list[CourtFit]:
         """All fits of `court` of a likely size and shape, court or not, in the order of the search."""

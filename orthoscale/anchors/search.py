@@ -24,6 +24,7 @@ from ..system import budget
 WINDOW_SIDE = 1024  # [px that a finder sees] side of a window, where anchors are small
 WINDOW_EXTENTS = 4.0  # least side of a window in anchors' extents: a quarter of each side is seen twice
 LARGEST_WINDOW = 2048  # [px that a finder sees]
+SHARE_OF_MEMORY = 0.5  # of the budget, for all finders at once
 BYTES_EACH = 80  # [byte] that a finder takes for a pixel: eight maps of directions, and some of floating point
 SPARE = 16  # [px that a finder sees] by which windows overlap beyond the extent
 FIRST_WINDOWS = 16  # of each kind that are looked at before asking whether they are enough
@@ -79,7 +80,7 @@ def search(
                 if not part.had(number):
                     work[k] = part.work(number)
             largest = max((tile.out_width * tile.out_height for tile in (p.jobs[n][1] for p, n in batch)), default=1)
-            at_once = max(1, min(workers, budget.memory() // (BYTES_EACH * largest)))
+            at_once = max(1, min(workers, int(SHARE_OF_MEMORY * budget.memory() / (BYTES_EACH * largest))))
             for k, found in done_on_threads(work, at_once):
                 part, number = batch[k]
                 part.put(number, found)

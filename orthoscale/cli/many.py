@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -56,8 +57,16 @@ def inputs(function: Callable) -> Callable:
     return decorated
 
 
-def rehearse(paths: Sequence[Path], request: EstimateRequest, outs: Sequence[Path | None] | None = None) -> NoReturn:
-    """Say what would be done with each of `paths`, copies written at `outs`; end with the exit code of the worst."""
+def rehearse(
+    paths: Sequence[Path],
+    request: EstimateRequest,
+    outs: Sequence[Path | None] | None = None,
+    shown: Callable[[str], str] = str,
+) -> NoReturn:
+    """Say what would be done with each of `paths`, copies written at `outs`; end with the exit code of the worst.
+
+    shown : changes what is said.
+    """
     from ..actions.rehearsal import rehearsal
 
     codes = []
@@ -70,7 +79,7 @@ def rehearse(paths: Sequence[Path], request: EstimateRequest, outs: Sequence[Pat
                 raise
             rows = [("input", str(path)), ("error", f"{error.message} (exit code {error.exit_code})")]
             codes.append(error.exit_code)
-        say("\n".join(f"{label:10s} {text}" for label, text in rows))
+        say(shown("\n".join(f"{label:10s} {text}" for label, text in rows)))
     sys.exit(max(codes))
 
 
@@ -95,7 +104,11 @@ def run(
     found = inputs_of(many.words)
     if dry_run:
         request.check_for_many()
-        rehearse(found, request, None if out is None else outputs_of(found, out))
+        places = None if out is None else outputs_of(found, out)
+        if out is None or out.exists():
+            rehearse(found, request, places)
+        with tempfile.TemporaryDirectory() as stand_in:  # for the folder that would be made
+            rehearse(found, request, outputs_of(found, Path(stand_in)), lambda text: text.replace(stand_in, str(out)))
     with Outputs(overwrite, found) as outputs, progress_bars() as progress:
         if many.summary is not None:
             check_summary(many.summary)
