@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from .periods import Row, find_row
-from .strokes import Strokes, values
+from .strokes import Strokes, near_pairs, values
 
 IN_LANE = np.sin(np.radians(4))  # of a stroke's own direction, the next lies within
 LANE_TURN = np.cos(np.radians(8))  # from one stroke to the next, lanes bend no more
@@ -60,22 +59,13 @@ def find_chains(strokes: Strokes, low: float, high: float, fewest: int) -> Itera
 
 def _paths(strokes: Strokes, low: float, high: float) -> list[np.ndarray]:
     """Strokes in line, each linked to the nearest before and behind it."""
-    pairs = cKDTree(strokes.centre).query_pairs(LINKED * high, output_type="ndarray")
-    if not len(pairs):
-        return []
-    i, j = pairs.T
+    parts = [_in_line(strokes, i, j, low) for i, j in near_pairs(strokes, LINKED * high)]
+    i, j = (np.concatenate(each) for each in zip(*parts, strict=True))
+    i, j = np.concatenate([i, j]), np.concatenate([j, i])
     apart = strokes.centre[j] - strokes.centre[i]
     distance = np.linalg.norm(apart, axis=1)
-    unit = apart / distance[:, None]
-    off = [np.abs(unit[:, 0] * strokes.along[k, 1] - unit[:, 1] * strokes.along[k, 0]) for k in (i, j)]
-    shorter = np.minimum(strokes.length[i], strokes.length[j])
-    longer = np.maximum(strokes.length[i], strokes.length[j])
-    linked = (np.maximum(*off) < IN_LANE) & (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > LANE_TURN)
-    linked &= (longer < UNLIKE_DASHES * shorter) & (distance > 0.9 * low) & (distance > 1.2 * longer)
-    i, j = np.concatenate([i[linked], j[linked]]), np.concatenate([j[linked], i[linked]])
-    distance, unit = np.tile(distance[linked], 2), np.concatenate([unit[linked], -unit[linked]])
     # Of all that lie before, or behind, a stroke the nearest: a link is one on which both ends agree.
-    side = ((unit * strokes.along[i]).sum(1) > 0).astype(int)
+    side = ((apart * strokes.along[i]).sum(1) > 0).astype(int)
     nearest = np.full((len(strokes), 2), -1)
     order = np.argsort(-distance)  # the nearest is written last
     nearest[i[order], side[order]] = j[order]
@@ -85,6 +75,19 @@ def _paths(strokes: Strokes, low: float, high: float) -> list[np.ndarray]:
     order = np.argsort(label, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
     return [_in_order(strokes, group) for group in groups if len(group) > 1]
+
+
+def _in_line(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of the pairs (i, j) those that can be of one line: alike, one behind the other, and not too near."""
+    apart = strokes.centre[j] - strokes.centre[i]
+    distance = np.linalg.norm(apart, axis=1)
+    unit = apart / np.maximum(distance, 1e-9)[:, None]
+    off = [np.abs(unit[:, 0] * strokes.along[k, 1] - unit[:, 1] * strokes.along[k, 0]) for k in (i, j)]
+    shorter = np.minimum(strokes.length[i], strokes.length[j])
+    longer = np.maximum(strokes.length[i], strokes.length[j])
+    linked = (np.maximum(*off) < IN_LANE) & (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > LANE_TURN)
+    linked &= (longer < UNLIKE_DASHES * shorter) & (distance > 0.9 * low) & (distance > 1.2 * longer)
+    return i[linked], j[linked]
 
 
 def _in_order(strokes: Strokes, group: np.ndarray) -> np.ndarray:

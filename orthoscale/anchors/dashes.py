@@ -85,7 +85,7 @@ class LaneDashes:
 
     standards: tuple[Standard, ...] = tuple(PAINTED_SHARE)
     kind = "lane dashes"
-    extent = 120.0
+    extent = 90.0
     finest = 0.10
     coarsest = 0.36
 

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from .periods import MISSING_IN_A_ROW, Row, find_row, fit_row
-from .strokes import Strokes, values
+from .strokes import Strokes, near_pairs, values
 
 RUNGS_PARALLEL = np.cos(np.radians(5))
 STEEPEST_SLANT = 1.3  # tangent: how far ahead of one another neighbours stand, in pitches
@@ -87,10 +86,18 @@ def find_ladders(strokes: Strokes, low: float, high: float, fewest: int) -> Iter
 def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np.ndarray]:
     """Strokes that are linked by being side by side, a few pitches apart at most."""
     reach = (MISSING_IN_A_ROW + 1) * high
-    pairs = cKDTree(strokes.centre).query_pairs(reach * np.hypot(1, STEEPEST_SLANT), output_type="ndarray")
-    if not len(pairs):
-        return []
-    i, j = pairs.T
+    parts = [_beside(strokes, i, j, low, reach) for i, j in near_pairs(strokes, reach * np.hypot(1, STEEPEST_SLANT))]
+    i, j = (np.concatenate(each) for each in zip(*parts, strict=True))
+    n = len(strokes)
+    graph = coo_array((np.ones(len(i)), (i, j)), shape=(n, n))
+    label = connected_components(graph, directed=False)[1]
+    order = np.argsort(label, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+    return [group for group in groups if len(group) >= fewest]
+
+
+def _beside(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of the pairs (i, j) those that can be of one ladder: alike, and side by side."""
     apart = strokes.centre[j] - strokes.centre[i]
     ahead = np.abs((apart * strokes.along[i]).sum(1))
     across = np.sqrt(np.maximum((apart**2).sum(1) - ahead**2, 0))
@@ -100,12 +107,7 @@ def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np
     linked = (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > RUNGS_PARALLEL) & (across > 0.8 * low)
     linked &= (across < 1.05 * reach) & (longer < UNLIKE_RUNGS * shorter)
     linked &= (overlap > RUNGS_BESIDE * shorter) | ((ahead < STEEPEST_SLANT * across) & (overlap > 0.25 * shorter))
-    n = len(strokes)
-    graph = coo_array((np.ones(linked.sum()), (i[linked], j[linked])), shape=(n, n))
-    label = connected_components(graph, directed=False)[1]
-    order = np.argsort(label, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
-    return [group for group in groups if len(group) >= fewest]
+    return i[linked], j[linked]
 
 
 def _ladder(strokes: Strokes, low: float, high: float, fewest: int) -> tuple[Ladder | None, np.ndarray]:

@@ -6,18 +6,22 @@ joined; what is straight is a stroke.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 JOINED_HEADING = np.cos(np.radians(20))  # neighbouring ridge points of one stroke head alike
 ROUND_STROKE = 0.6  # of the curvature across: more along, and it is a blob
 BENT_PX, BENT_WIDE = 0.1, 0.3  # across, one sigma: what strays more is not straight [px], [of the smoothing]
 ASTRAY_PX = 1.3  # from a first line, beyond which a point is none of its stroke [px]
 FAINTEST_STROKE = 1.2  # grey levels of curvature across, below which a ridge is noise
+STRIP_ROWS = 512  # of a picture that are worked on at a time
+PAIRED_AT_ONCE = 500  # strokes
 LOOKED_UP = 32000  # places that are looked up in one call
 AS_PAINT = 0.65  # of the channel that gains most red and green gain at least so much where paint is
 STROKE_SURROUNDINGS = 30.0  # how far around, in units of the smoothing
@@ -38,6 +42,17 @@ class Strokes:
 
     def __getitem__(self, which: np.ndarray) -> Strokes:
         return Strokes(self.centre[which], self.along[which], self.length[which], self.strength[which])
+
+
+def near_pairs(strokes: Strokes, reach: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of strokes whose centres are within `reach` [px], each once, some strokes' at a time: in a picture that is
+    all texture there are more than fit in memory."""
+    tree = cKDTree(strokes.centre)
+    for k in range(0, len(strokes), PAIRED_AT_ONCE):
+        some = cKDTree(strokes.centre[k : k + PAIRED_AT_ONCE])
+        found = some.sparse_distance_matrix(tree, reach, output_type="ndarray")
+        i, j = found["i"] + k, found["j"]
+        yield i[i < j], j[i < j]
 
 
 def paint_light(image: np.ndarray) -> np.ndarray:
@@ -67,6 +82,28 @@ def find_strokes(light: np.ndarray, sigma: float, shortest: float, among: float 
 
     among : of the mean curvature around, the least of theirs; what stands out no more is texture.
     """
+    height = light.shape[0]
+    margin = int(STROKE_SURROUNDINGS * sigma) + int(np.ceil(4 * sigma)) + 1
+    ridge, parts = np.zeros(light.shape, bool), []
+    for top in range(0, height, STRIP_ROWS):
+        low, end = max(top - margin, 0), min(top + STRIP_ROWS, height)
+        mask, *maps = _ridges(light[low : end + margin], sigma, among)
+        mask[: top - low] = mask[end - low :] = False
+        y, x = np.nonzero(mask)
+        nx, ny, shift, strength = (each[y, x] for each in maps)
+        ridge[top:end] = mask[top - low : end - low]
+        parts.append(np.column_stack([x, y + low, x + shift * nx, y + low + shift * ny, -ny, nx, strength]))
+    rows = np.concatenate(parts) if parts else np.zeros((0, 7))
+    if len(rows) < 2:
+        return Strokes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    x, y = rows[:, :2].astype(int).T
+    member = _joined(ridge, y, x, rows[:, 4:6])
+    return _straight(rows[:, 2:4], member, rows[:, 6], shortest, BENT_PX + BENT_WIDE * sigma)
+
+
+def _ridges(light: np.ndarray, sigma: float, among: float) -> tuple[np.ndarray, ...]:
+    """Where `light` (H, W) has ridges, the unit vector across them (x, y), how far off the pixel they are [px], and
+    their strength, each (H, W)."""
     gx, gy, hxx, hxy, hyy = _derivatives(light, sigma)
     # The eigenvalue of the Hessian that is most negative, and its direction: across the ridge.
     half, mixed = (hxx - hyy) / 2, np.hypot((hxx - hyy) / 2, hxy)
@@ -79,12 +116,7 @@ def find_strokes(light: np.ndarray, sigma: float, shortest: float, among: float 
     strength = -least * sigma**2
     ridge = (np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6) & (np.abs(most) < ROUND_STROKE * -least)
     ridge &= strength > np.maximum(FAINTEST_STROKE, among * sigma**2 * np.sqrt(np.maximum(energy, 0)))
-    y, x = np.nonzero(ridge)
-    if len(x) < 2:
-        return Strokes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
-    point = np.stack([x + (shift * nx)[y, x], y + (shift * ny)[y, x]], -1)
-    head = np.stack([-ny[y, x], nx[y, x]], -1)
-    return _straight(point, _joined(ridge, y, x, head), strength[y, x], shortest, BENT_PX + BENT_WIDE * sigma)
+    return ridge, nx, ny, shift, strength
 
 
 def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
@@ -107,7 +139,7 @@ def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
 
 def _joined(ridge: np.ndarray, y: np.ndarray, x: np.ndarray, head: np.ndarray) -> np.ndarray:
     """(P,) number of the stroke that each ridge point belongs to."""
-    number = np.full((ridge.shape[0] + 2, ridge.shape[1] + 2), -1, np.int64)
+    number = np.full((ridge.shape[0] + 2, ridge.shape[1] + 2), -1, np.int32)
     number[1:-1, 1:-1][ridge] = np.arange(len(x))
     ends = []
     for dy, dx in ((0, 1), (1, -1), (1, 0), (1, 1)):
