@@ -18,11 +18,11 @@ SEED_SLACK = 6  # [px] by which a seed may reach beyond its stroke
 ABOUT = np.linspace(-4, 4, 9)  # [m] along a pair, where all the long strokes are asked for
 PROMISING_FRAME = 0.3  # least mean ridge there
 STROKE_ENOUGH = 0.7  # of a clear ridge: no stroke counts for more
-TOGETHER = 64  # frames that are placed at once: for speed and memory
+FRAMES_AT_ONCE = 64  # frames that are placed at once: for speed and memory
 SAME_SIZE = 0.03  # [ln] and, across the seeds, [px]: frames so near each other say the same
 SAME_PX = 2.0
 FRAMES = 3000  # per megapixel, the most promising; at least:
-FEWEST_FRAMES = 50
+FEWEST_FRAMES = 100
 COARSE_PIECE = 1.0  # [m] of strokes whose ridge is asked for once
 APART = 6  # [px] between two places along a pair, and steps of what changes little along it
 PLACES = 2  # along a pair
@@ -117,8 +117,8 @@ def search(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
     for family in _families(court):
         frames = _framed(ridges, family, size, spread)
         if len(frames.angle):
-            for start in range(0, len(frames.angle), TOGETHER):
-                found.append(_placed(ridges, court, family, frames.only(np.s_[start : start + TOGETHER])))
+            for start in range(0, len(frames.angle), FRAMES_AT_ONCE):
+                found.append(_placed(ridges, court, family, frames.only(np.s_[start : start + FRAMES_AT_ONCE])))
     names = ("place", "angle", "size", "score")
     poses = Poses(*(np.concatenate([getattr(one, name) for one in found]) for name in names))
     return _alone(poses.only(np.argsort(-poses.score, kind="stable")), court)
@@ -159,13 +159,17 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
     promise = _promise(ridges, family, frames)
     order = np.argsort(-promise, kind="stable")
     frames = replace(frames, promise=promise).only(order[promise[order] >= PROMISING_FRAME])
-    # of frames that say the same the most promising
+    # of frames that say the same the most promising, along all that any of them allows
     turn = np.rint(frames.angle / SEEDS_APART)
     c, s = np.cos(frames.angle - turn * SEEDS_APART), np.sin(frames.angle - turn * SEEDS_APART)
     scale = np.rint(np.log(frames.size / size) / SAME_SIZE)
     key = [turn, scale, (frames.middle * c + frames.about * s) // SAME_PX, frames.about // (longest * size / 2)]
-    alone = np.sort(np.unique(np.stack(key, 1), axis=0, return_index=True)[1])
-    return frames.only(alone[: max(FEWEST_FRAMES, round(FRAMES * ridges.width * ridges.height / 1e6))])
+    _, alone, group = np.unique(np.stack(key, 1), axis=0, return_index=True, return_inverse=True)
+    low, high = frames.low[alone], frames.high[alone]
+    np.minimum.at(low, group.ravel(), frames.low)
+    np.maximum.at(high, group.ravel(), frames.high)
+    most_promising = np.argsort(alone)[: max(FEWEST_FRAMES, round(FRAMES * ridges.width * ridges.height / 1e6))]
+    return replace(frames.only(alone), low=low, high=high).only(most_promising)
 
 
 def _promise(ridges: Ridges, family: _Family, frames: _Frames) -> np.ndarray:
