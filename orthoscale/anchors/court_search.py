@@ -22,7 +22,7 @@ FRAMES_AT_ONCE = 64  # frames that are placed at once: for speed and memory
 SAME_SIZE = 0.03  # [ln] and, across the seeds, [px]: frames so near each other say the same
 SAME_PX = 2.0
 FRAMES = 3000  # per megapixel, the most promising; at least:
-FEWEST_FRAMES = 50
+FEWEST_FRAMES = 100
 COARSE_PIECE = 1.0  # [m] of strokes whose ridge is asked for once
 APART = 6  # [px] between two places along a pair, and steps of what changes little along it
 PLACES = 2  # along a pair
@@ -159,13 +159,17 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
     promise = _promise(ridges, family, frames)
     order = np.argsort(-promise, kind="stable")
     frames = replace(frames, promise=promise).only(order[promise[order] >= PROMISING_FRAME])
-    # of frames that say the same the most promising
+    # of frames that say the same the most promising, along all that any of them allows
     turn = np.rint(frames.angle / SEEDS_APART)
     c, s = np.cos(frames.angle - turn * SEEDS_APART), np.sin(frames.angle - turn * SEEDS_APART)
     scale = np.rint(np.log(frames.size / size) / SAME_SIZE)
     key = [turn, scale, (frames.middle * c + frames.about * s) // SAME_PX, frames.about // (longest * size / 2)]
-    alone = np.sort(np.unique(np.stack(key, 1), axis=0, return_index=True)[1])
-    return frames.only(alone[: max(FEWEST_FRAMES, round(FRAMES * ridges.width * ridges.height / 1e6))])
+    _, alone, group = np.unique(np.stack(key, 1), axis=0, return_index=True, return_inverse=True)
+    low, high = frames.low[alone], frames.high[alone]
+    np.minimum.at(low, group.ravel(), frames.low)
+    np.maximum.at(high, group.ravel(), frames.high)
+    most_promising = np.argsort(alone)[: max(FEWEST_FRAMES, round(FRAMES * ridges.width * ridges.height / 1e6))]
+    return replace(frames.only(alone), low=low, high=high).only(most_promising)
 
 
 def _promise(ridges: Ridges, family: _Family, frames: _Frames) -> np.ndarray:
