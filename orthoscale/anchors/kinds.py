@@ -25,6 +25,10 @@ class Kind:
 
 ANCHOR_KINDS: dict[str, Kind] = {
     "tennis court": Kind("courts:TENNIS", proven=True),
+    "volleyball court": Kind("courts:VOLLEYBALL"),
+    "basketball court": Kind("courts:BASKETBALL"),
+    "handball court": Kind("courts:HANDBALL"),
+    "football penalty area": Kind("courts:FOOTBALL"),
     "zebra crossing": Kind("crossings:ZebraCrossings", proven=True),
     "lane dashes": Kind("dashes:LaneDashes", proven=True),
     "parking bays": Kind("bays:ParkingBays", proven=True),
