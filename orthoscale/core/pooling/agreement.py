@@ -96,10 +96,9 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreem
     spread = ROBUST_SD * np.median(np.abs(each - np.median(each)))
     own += 1.57 * spread**2 / len(each)  # of a median
     difference, sd = float(np.median(each)), float(np.sqrt(own))
+    alike = abs(difference) < CONTRADICTION * sd
     mixes = float(np.hypot(a.parts.get("fleet", 0.0), b.parts.get("fleet", 0.0))) if alike else 0.0
-        np.hypot(*(scale.parts.get("fleet", 0.0) for scale in (a, b))) if abs(difference) < CONTRADICTION * sd else 0
-    )
-    return Agreement(scales, difference, sd, *apart, len(each), float(mixes))
+    return Agreement(scales, difference, sd, *apart, len(each), mixes)
 
 
 def together(agreement: Agreement) -> Scale:
