@@ -17,14 +17,11 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 # What the first version must reach, relative to the truth, with the fleet of the country.
 REAL = {
     "orthophotos/manila.tif": ("PH", 0.06),
-    "orthophotos/banepa.jpg": ("world", 0.15),
+    "orthophotos/banepa.jpg": ("NP", 0.13),
     "reconstructions/sheffield": ("US", 0.07),
     "reconstructions/brighton": ("US", 0.08),
 }
-NEPAL = pytest.param(
-    "orthophotos/banepa.jpg",
-    marks=pytest.mark.xfail(reason="vehicles there are shorter than any fleet says, and measured as they are"),
-)
+MISSED = ("orthophotos/banepa.jpg",)  # whose vehicles are shorter than any fleet says: one in ten intervals may miss
 
 # Boxes of rendered scenes stray by 2 % (RMS of ten) from one to the next.
 SYNTHETIC = 0.04
@@ -99,7 +96,7 @@ def test_a_reconstruction_gets_its_metres(flight, tmp_path):
         orthoscale.fix(out, tmp_path / "again", images=flight / "images")
 
 
-@pytest.mark.parametrize("name", [NEPAL if name == NEPAL.values[0] else name for name in REAL])
+@pytest.mark.parametrize("name", REAL)
 @pytest.mark.real
 @pytest.mark.slow
 def test_real_scenes_within_what_is_promised(data, name, capsys):
@@ -116,7 +113,7 @@ def test_real_scenes_within_what_is_promised(data, name, capsys):
             f"{high:.5g}, {result.scale.vehicles_used} vehicles, {result.seconds:.0f} s"
         )
     assert abs(error) <= tolerance
-    assert low <= true_scale <= high
+    assert (low <= true_scale <= high) == (name not in MISSED)
 
 
 def test_the_example_without_frames_gives_its_metres(tmp_path):
