@@ -36,8 +36,9 @@ def boxes(tmp_path_factory):
 
 
 def test_a_distance_narrows_the_interval_and_is_in_the_report(boxes):
-    without = orthoscale.estimate(TOWN, fleet="DE", detections=boxes)
-    given = orthoscale.estimate(TOWN, fleet="DE", detections=boxes, known_distance=["10,20 310,420 42.5 0.4"])
+    options = {"fleet": "DE", "detections": boxes, "anchors": ["none"]}
+    without = orthoscale.estimate(TOWN, **options)
+    given = orthoscale.estimate(TOWN, **options, known_distance=["10,20 310,420 42.5 0.4"])
     assert given.scale.value == pytest.approx(GSD, rel=0.01)
     assert given.scale.relative_sd < 0.4 * without.scale.relative_sd
     assert [e.kind for e in given.scale.evidence] == ["known distance"]
@@ -57,13 +58,14 @@ def test_a_distance_that_contradicts_the_vehicles_writes_nothing(boxes, tmp_path
 
 def test_a_court_among_the_boxes_counts_unless_told_otherwise(boxes):
     court = boxes.with_name("court.json")
-    seen = orthoscale.estimate(TOWN, fleet="world", detections=court)
+    kinds = {"anchors": ["tennis-court"]}
+    seen = orthoscale.estimate(TOWN, fleet="world", detections=court, **kinds)
     assert [e.kind for e in seen.scale.evidence] == ["tennis court"]
     assert seen.scale.value == pytest.approx(GSD, rel=0.02)
     blind = orthoscale.estimate(TOWN, fleet="world", detections=court, anchors=["none"])
     assert not blind.scale.evidence and blind.scale.relative_sd > 2 * seen.scale.relative_sd
     save_detections(seen.detections, boxes.with_name("again.json"))
-    again = orthoscale.estimate(TOWN, fleet="world", detections=boxes.with_name("again.json"))
+    again = orthoscale.estimate(TOWN, fleet="world", detections=boxes.with_name("again.json"), **kinds)
     assert again.scale.value == pytest.approx(seen.scale.value, rel=1e-3)
 
 
@@ -111,7 +113,7 @@ def test_distances_that_make_no_sense_say_what_is_expected(boxes, text, why):
 
 
 @pytest.mark.parametrize(
-    "projection, off", [("exact", 0.05), ("planar", 0.03), ("decoupled", 0.14), ("program", 0.08), ("naive", 0.03)]
+    "projection, off", [("exact", 0.05), ("planar", 0.03), ("decoupled", 0.14), ("program", 0.1), ("naive", 0.03)]
 )
 def test_every_projection_measures_a_model(projection, off):
     """As far off as on `sheffield` of benchmarks/README.md, no farther; the paper's text makes scales small there."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.detect.measurer import CROP_HEIGHT, CROP_WIDTH, Measurer, crop, pixels_per_crop_pixel, placed
 
 DARK = 60  # ground of drawn pictures; filters undershoot, and must not be cut off at black
+CARD = Path(__file__).parents[1] / "training/measurer/card_m1.json"
 FINE = 8  # samples per pixel that drawn pictures are averaged from
 
 
@@ -112,9 +116,12 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Measurer:
         for parameter in net.parameters():
             parameter.mul_(1.5)
     net(torch.rand(16, 3, CROP_HEIGHT, CROP_WIDTH) * 255)
+    from training.export import with_card
     from training.measurer.export import write
 
-    return Measurer(write(net, tmp_path_factory.mktemp("measurer") / "m.onnx"))
+    path = tmp_path_factory.mktemp("measurer") / "m.onnx"
+    with_card(write(net, path), json.loads(CARD.read_text()), path)
+    return Measurer(path)
 
 
 def test_mirrors_and_quarter_turns_of_a_picture_give_the_same_vehicle(untrained: Measurer) -> None:

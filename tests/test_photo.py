@@ -27,6 +27,8 @@ from orthoscale.photos.survey import measure_together, open_photos
 from orthoscale.photos.tags import Tags, read_tags
 from orthoscale.synthetic import Pose
 
+POOLED = 0.006  # of a scale, relative: what the mixture of classes may be off where all vehicles are as the fleet says
+
 
 @pytest.mark.parametrize(
     "xmp, pitch, roll, yaw",
@@ -212,7 +214,7 @@ def test_vehicles_have_the_body_of_the_detectors_card(tmp_path, fleet, body):
     off = {
         name: abs(measure([photo], replace(found, body=name), fleet).altitude.value / ALTITUDE - 1) for name in BODIES
     }
-    assert off[body] < 0.004 and all(off[name] > 0.01 for name in off if name != body)
+    assert off[body] < POOLED and all(off[name] > 0.01 for name in off if name != body)
 
 
 def test_photos_are_looked_at_by_as_many_threads_as_there_are_cores(monkeypatch, tmp_path):
@@ -237,10 +239,10 @@ def test_altitude_gsd_and_footprint_of_a_known_pose(tmp_path, fleet, pitch, roll
     got = measure([photo], detections_of({"a.jpg": boxes_in(view)}), fleet)
     s = ALTITUDE / FOCAL
     steepness = abs(view.pose.rotation[2, 2])
-    assert got.scale.value == pytest.approx(s, rel=0.004)
-    assert got.altitude.value == pytest.approx(ALTITUDE, rel=0.004)
-    assert got.gsd.value == pytest.approx(s / steepness, rel=0.004)
-    assert got.footprint[0].value == pytest.approx(s / steepness * SIZE[0], rel=0.004)
+    assert got.scale.value == pytest.approx(s, rel=POOLED)
+    assert got.altitude.value == pytest.approx(ALTITUDE, rel=POOLED)
+    assert got.gsd.value == pytest.approx(s / steepness, rel=POOLED)
+    assert got.footprint[0].value == pytest.approx(s / steepness * SIZE[0], rel=POOLED)
     for measured, truth in [(got.altitude, ALTITUDE), (got.gsd, s / steepness)]:
         assert measured.low < truth < measured.high
     corners = np.array([[0, 0], [SIZE[0], 0], SIZE, [0, SIZE[1]]])
@@ -248,7 +250,7 @@ def test_altitude_gsd_and_footprint_of_a_known_pose(tmp_path, fleet, pitch, roll
     if (rays[:, 2] / np.linalg.norm(rays, axis=1) < -np.sin(np.radians(11))).all():
         truth = -rays[:, :2] * ALTITUDE / rays[:, 2:]
         sides = np.linalg.norm(np.diff(got.outline(), axis=0, append=got.outline()[:1]), axis=1)
-        assert sides == pytest.approx(np.linalg.norm(np.diff(truth, axis=0, append=truth[:1]), axis=1), rel=0.005)
+        assert sides == pytest.approx(np.linalg.norm(np.diff(truth, axis=0, append=truth[:1]), axis=1), rel=POOLED)
 
 
 def test_what_is_not_known_widens_what_depends_on_it(tmp_path, fleet):

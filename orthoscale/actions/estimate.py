@@ -145,9 +145,12 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
             found = asked.calibration.applied(found, Path(str(request.calibration)))
         answer = _by_vehicles(source, found, fleet, method, request)
         if request.estimator == "robust" and not answer.scale.conflict:
-            searched = look_for_anchors(
-                source, answer.scale, request.anchors, asked.own, method.country, effort_of(request), progress
-            )
+            try:
+                searched = look_for_anchors(
+                    source, answer.scale, request.anchors, asked.own, method.country, effort_of(request), progress
+                )
+            except InputError as error:  # the vehicles' boxes may come from a file, and the pictures be damaged
+                searched = Searched(notes=(f"no anchors were looked for: {error.message}",))
         if searched.votes:
             method = replace(method, anchors=searched.votes)
             answer = measure_source(source, found, fleet, method, request.mode)
