@@ -30,7 +30,7 @@ from ..detect.find import Effort, Progress
 from ..detect.refine import refined
 from ..detect.workers import worker_count
 from ..detect.zoom import told_zoom
-from ..errors import EvidenceDisagrees, TooLittleEvidence
+from ..errors import EvidenceDisagrees, InputError, TooLittleEvidence
 from ..formats.calibration import load_calibration
 from ..formats.detections import load as load_detections
 from ..sources.location import location_of
