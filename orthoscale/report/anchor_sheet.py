@@ -35,9 +35,11 @@ def _row(panels: Sequence[Panel]) -> list[Panel | None]:
 
 
 def _cell(panel: Panel | None) -> np.ndarray:
-    cell = np.full((SHEET_CELL + 30, SHEET_CELL, 3), 255, np.uint8)
+    cell = np.full((SHEET_CELL + 50, SHEET_CELL, 3), 255, np.uint8)
     if panel is not None:
         drawn_image = drawn(panel, (SHEET_CELL - 8) / max(panel.image.shape[:2]))
         cell[4 : 4 + drawn_image.shape[0], 4 : 4 + drawn_image.shape[1]] = drawn_image
-        write_on(cell, (6, drawn_image.shape[0] + 22), panel.title, 14)
+        kind, _, standard = panel.title.partition(": ")
+        for k, words in enumerate((kind, standard)):
+            write_on(cell, (6, drawn_image.shape[0] + 22 + 18 * k), words, 14)
     return cell
