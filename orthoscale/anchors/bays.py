@@ -11,7 +11,8 @@ import numpy as np
 from ..core.anchors import Anchor, Standard
 from ..tables import standards as tables
 from .ladders import Ladder, crowded, find_ladders, levels, refined
-from .rules import LOCAL_STRETCH, holding, sizes, within_reach
+from .repeated import anchor_of
+from .rules import holding, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 
 FOOT = 0.3048  # [m]
@@ -91,7 +92,7 @@ class ParkingBays:
         for ladder in find_ladders(strokes[strokes.length < BAY_LONGEST / gsd], low, high, BAY_FEWEST):
             meant = within_reach(standards, ladder.row.period, gsd, gsd_sd)
             if meant and crowded(ladder, strokes) <= BAY_CROWDED and _are_bays(image, ladder, gsd):
-                found.append(_anchor(refined(light, ladder, max(BAY_ASIDE / gsd, 2.0)), meant))
+                found.append(anchor_of(refined(light, ladder, max(BAY_ASIDE / gsd, 2.0)), self.kind, meant, BAY_FALSE))
         return found
 
 
@@ -106,18 +107,3 @@ def _are_bays(image: np.ndarray, ladder: Ladder, gsd: float) -> bool:
     contrast = (paint - sides)[:, :2].mean(1).min()
     aisle = np.abs(past - sides.mean(0))[:, :2].mean(1).min() < BAY_SAME_GROUND * contrast
     return contrast > BAY_CONTRAST and bool(aisle) and all(painted(paint, side) for side in sides)
-
-
-def _anchor(ladder: Ladder, meant: tuple[Standard, ...]) -> Anchor:
-    row = ladder.row
-    return Anchor(
-        kind=ParkingBays.kind,
-        place=ladder.strokes.centre.mean(0),
-        lines=ladder.lines(),
-        pixels=row.period,
-        relative_sd=float(np.hypot(ladder.relative_sd, LOCAL_STRETCH)),
-        residual=row.residual,
-        standards=meant,
-        false=BAY_FALSE,
-        count=len(row.number),
-    )

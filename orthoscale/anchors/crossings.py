@@ -9,7 +9,8 @@ import numpy as np
 
 from ..core.anchors import Anchor, Standard
 from .ladders import Ladder, crowded, find_ladders, levels, refined
-from .rules import LOCAL_STRETCH, holding, ruled, sizes, within_reach
+from .repeated import anchor_of
+from .rules import holding, ruled, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 
 ZEBRA_PAINTED = 0.015  # one sigma of a crossing's period about its rule: those of two Chinese towns, 0.98 to 1.01 m
@@ -116,7 +117,7 @@ class ZebraCrossings:
         for ladder in find_ladders(stripes, low, high, ZEBRA_FEWEST):
             meant = within_reach(standards, ladder.row.period, gsd, gsd_sd)
             if meant and crowded(ladder, strokes) <= ZEBRA_CROWDED and _is_crossing(image, ladder, gsd):
-                found.append(_anchor(refined(light, ladder, ladder.row.period / 2), meant, false))
+                found.append(anchor_of(refined(light, ladder, ladder.row.period / 2), self.kind, meant, false))
         return found
 
 
@@ -130,18 +131,3 @@ def _is_crossing(image: np.ndarray, ladder: Ladder, gsd: float) -> bool:
     past = np.median(seen.beyond, axis=1)  # (2, 3)
     same = np.abs(past - ground)[:, :2].mean(1) < ZEBRA_SAME_GROUND * contrast
     return contrast > ZEBRA_CONTRAST and bool(same.all()) and painted(paint, ground)
-
-
-def _anchor(ladder: Ladder, meant: tuple[Standard, ...], false: float) -> Anchor:
-    row = ladder.row
-    return Anchor(
-        kind=ZebraCrossings.kind,
-        place=ladder.strokes.centre.mean(0),
-        lines=ladder.lines(),
-        pixels=row.period,
-        relative_sd=float(np.hypot(ladder.relative_sd, LOCAL_STRETCH)),
-        residual=row.residual,
-        standards=meant,
-        false=false,
-        count=len(row.number),
-    )

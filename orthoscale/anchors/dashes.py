@@ -9,7 +9,8 @@ import numpy as np
 
 from ..core.anchors import Anchor, Standard
 from .chains import Chain, find_chains, levels
-from .rules import LOCAL_STRETCH, holding, ruled, sizes, within_reach
+from .repeated import anchor_of
+from .rules import holding, ruled, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 
 LANE_PAINTED = 0.01  # one sigma of a line's mean period about its rule: 66 of 78 American lines are within 1.2 %
@@ -105,7 +106,7 @@ class LaneDashes:
         for chain in find_chains(strokes[strokes.length < longest], low, high, LANE_FEWEST):
             meant = within_reach(_like(standards, chain), chain.row.period, gsd, gsd_sd)
             if meant and _is_line(image, chain, gsd):
-                found.append(_anchor(chain, meant))
+                found.append(anchor_of(chain, self.kind, meant, LANE_FALSE))
         return found
 
 
@@ -138,18 +139,3 @@ def _is_line(image: np.ndarray, chain: Chain, gsd: float) -> bool:
     contrast = float((paint - ground)[:2].mean())
     off = max(float(np.abs(gap - side)[:2].mean()) for side in sides)
     return contrast > LANE_CONTRAST and off < LANE_SAME_GROUND * contrast and painted(paint, ground)
-
-
-def _anchor(chain: Chain, meant: tuple[Standard, ...]) -> Anchor:
-    row = chain.row
-    return Anchor(
-        kind=LaneDashes.kind,
-        place=chain.strokes.centre.mean(0),
-        lines=chain.lines(),
-        pixels=row.period,
-        relative_sd=float(np.hypot(chain.relative_sd, LOCAL_STRETCH)),
-        residual=row.residual,
-        standards=meant,
-        false=LANE_FALSE,
-        count=len(row.number),
-    )

@@ -9,7 +9,6 @@ import numpy as np
 from ..core.anchors import Standard
 
 SIGMAS_SEARCHED = 2.0  # sigmas of the scale within which sizes are searched
-LOCAL_STRETCH = 0.004  # one sigma by which orthophotos stretch locally: tennis courts on 100 American ones
 
 
 def holding(standards: Sequence[Standard], country: str) -> list[Standard]:
