@@ -316,3 +316,9 @@ def test_none_and_a_kind_contradict_each_other():
         EstimateRequest(anchors=("none",), anchor=("bay=2.5",))
     with pytest.raises(UsageError, match="for vehicles only"):
         EstimateRequest(estimator="iqr", anchors=("all",))
+
+
+def test_more_windows_than_memory_has_room_for_are_refused():
+    huge = SimpleNamespace(name="huge.vrt", width=2**28, height=2**28)
+    with pytest.raises(InputError, match="huge.vrt"):
+        windows_of(huge, 0.1, SquareFinder())

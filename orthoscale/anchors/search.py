@@ -17,7 +17,7 @@ from ..core.detections import Tile
 from ..core.source import Picture
 from ..detect.cache import Kept, content_key, tile_name
 from ..detect.order import visiting_order
-from ..detect.tiles import read, tiles
+from ..detect.tiles import check_number, read, tiles
 from ..detect.workers import done_on_threads
 from ..system import budget
 
@@ -27,6 +27,7 @@ LARGEST_WINDOW = 2048  # [px that a finder sees]
 SHARE_OF_MEMORY = 0.5  # of the budget, for all finders at once
 BYTES_EACH = 80  # [byte] that a finder takes for a pixel: eight maps of directions, and some of floating point
 SPARE = 16  # [px that a finder sees] by which windows overlap beyond the extent
+LISTS = 16  # of windows that there are at once: of every kind, and in the order of the visits
 FIRST_WINDOWS = 16  # of each kind that are looked at before asking whether they are enough
 ENOUGH_ANCHORS = 8  # anchors of a kind after which more of them hardly help: half of their variance they share
 # Pixels of a kind, as a finder sees them, after which no more are looked at: some 20 s on two cores at 1 s/Mpx. The
@@ -174,6 +175,7 @@ def windows_of(picture: Picture, gsd: float, finder: AnchorFinder) -> list[Tile]
     extent = finder.extent * zoom / gsd
     side = min(max(WINDOW_SIDE, math.ceil(WINDOW_EXTENTS * extent)), LARGEST_WINDOW)
     overlap = min(math.ceil(extent) + SPARE, side // 2)
+    check_number([picture], zoom, side, overlap, LISTS)
     return tiles(picture, zoom, side, overlap)
 
 

@@ -48,12 +48,15 @@ def tiles(picture: Picture, zoom: float, tile: int = TILE, overlap: int = OVERLA
     ]
 
 
-def check_number(pictures: Iterable[Picture], zoom: float) -> None:
-    """Raise InputError where `tiles` of all `pictures` would take more than the memory budget."""
+def check_number(
+    pictures: Iterable[Picture], zoom: float, tile: int = TILE, overlap: int = OVERLAP, lists: int = 1
+) -> None:
+    """Raise InputError where `lists` of the `tiles` of all `pictures` would take more than the memory budget."""
     for picture in pictures:
-        sides = (_division(side, zoom, TILE, OVERLAP)[1] for side in (picture.width, picture.height))
+        sides = (_division(side, zoom, tile, overlap)[1] for side in (picture.width, picture.height))
         require(
-            math.prod(sides) * TILE_SIZE, f"{picture.name}, {picture.width} x {picture.height} px, at zoom {zoom:.2g}"
+            lists * math.prod(sides) * TILE_SIZE,
+            f"{picture.name}, {picture.width} x {picture.height} px, at zoom {zoom:.2g}",
         )
 
 
