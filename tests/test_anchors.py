@@ -131,7 +131,7 @@ def test_a_second_run_looks_at_nothing_again(square_finder, tmp_path, monkeypatc
 
 @pytest.mark.parametrize("gsd", [0.05, 0.13, 0.3])
 def test_every_anchor_is_whole_in_a_window_of_the_resolution_that_the_finder_needs(gsd):
-    picture = SimpleNamespace(width=5200, height=1700)
+    picture = SimpleNamespace(name="a", width=5200, height=1700)
     finder = SquareFinder()
     tiles = windows_of(picture, gsd, finder)
     reach = finder.extent / gsd
