@@ -27,7 +27,7 @@ LARGEST_WINDOW = 2048  # [px that a finder sees]
 SHARE_OF_MEMORY = 0.5  # of the budget, for all finders at once
 BYTES_EACH = 80  # [byte] that a finder takes for a pixel: eight maps of directions, and some of floating point
 SPARE = 16  # [px that a finder sees] by which windows overlap beyond the extent
-LISTS = 16  # of windows that there are at once: of every kind, and in the order of the visits
+WINDOW_LISTS = 16  # of windows that there are at once: of every kind, and in the order of the visits
 FIRST_WINDOWS = 16  # of each kind that are looked at before asking whether they are enough
 ENOUGH_ANCHORS = 8  # anchors of a kind after which more of them hardly help: half of their variance they share
 # Pixels of a kind, as a finder sees them, after which no more are looked at: some 20 s on two cores at 1 s/Mpx. The
@@ -175,7 +175,7 @@ def windows_of(picture: Picture, gsd: float, finder: AnchorFinder) -> list[Tile]
     extent = finder.extent * zoom / gsd
     side = min(max(WINDOW_SIDE, math.ceil(WINDOW_EXTENTS * extent)), LARGEST_WINDOW)
     overlap = min(math.ceil(extent) + SPARE, side // 2)
-    check_number([picture], zoom, side, overlap, LISTS)
+    check_number([picture], zoom, side, overlap, WINDOW_LISTS)
     return tiles(picture, zoom, side, overlap)
 
 
