@@ -21,6 +21,7 @@ from ..core.source import Picture
 from .detector import OVERLAP, Detector
 from .tiles import CONFIRMING_ZOOM, TILE, TILE_BORDER, Looks
 
+BROKEN = (sqlite3.Error, UnicodeDecodeError)  # what a damaged file raises; SQLite's message may quote its bytes
 KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
 CODE = ("boxes.py", "detect/*.py", "sources/raster.py", "sources/picture_file.py")  # what decides over the looks
 # What does not.
@@ -86,7 +87,7 @@ class Kept:
             return
         try:
             self._file = _open(self.path)
-        except sqlite3.Error:
+        except BROKEN:
             self._begin_anew()
 
     def __enter__(self) -> Self:
@@ -101,7 +102,7 @@ class Kept:
             return None
         try:
             row = self._file.execute("SELECT content, checksum FROM looks WHERE tile = ?", (name,)).fetchone()
-        except sqlite3.Error:
+        except BROKEN:
             self._begin_anew()
             return None
         if row is None or not isinstance(row[0], bytes) or row[1] != _checksum(name, row[0]):
@@ -116,7 +117,7 @@ class Kept:
             with self._file:
                 row = (name, content, _checksum(name, content))
                 self._file.execute("INSERT OR REPLACE INTO looks VALUES (?, ?, ?)", row)
-        except sqlite3.Error:  # a full disk: what cannot be kept is looked at again another time
+        except BROKEN:  # a full disk: what cannot be kept is looked at again another time
             self._close()
 
     def _begin_anew(self) -> None:
@@ -125,13 +126,13 @@ class Kept:
             for path in (self.path, *(self.path.with_name(self.path.name + end) for end in ("-wal", "-shm"))):
                 path.unlink(missing_ok=True)
             self._file = _open(self.path)
-        except (OSError, sqlite3.Error):
+        except (OSError, *BROKEN):
             self._file = None
 
     def _close(self) -> None:
         file, self._file = self._file, None
         if file is not None:
-            with suppress(sqlite3.Error):
+            with suppress(*BROKEN):
                 file.close()
 
 

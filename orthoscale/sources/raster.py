@@ -477,7 +477,7 @@ class RasterSource:
                 # Whatever a GeoTIFF could not hold would be in here, and would not travel with a renamed file.
                 Path(f"{path}.aux.xml").unlink(missing_ok=True)
                 self._verify(path, place)
-        except (RasterioError, CPLE_BaseError, OSError) as error:
+        except (RasterioError, CPLE_BaseError, OSError, UnicodeDecodeError) as error:
             reason = _reason(error)
             raise OutputError(f"{path} could not be written ({reason})", "Check the free space on its disk.") from error
         finally:
@@ -718,7 +718,7 @@ def reading(path: Path, what: str, hint: str) -> Iterator[None]:
     try:
         with rasterio.Env(**_options()), _no_warnings():
             yield
-    except (RasterioError, CPLE_BaseError, OSError, UnicodeEncodeError) as error:  # its names must be UTF-8
+    except (RasterioError, CPLE_BaseError, OSError, UnicodeError) as error:  # its names and messages must be UTF-8
         raise InputError(f"{path} {what} ({_reason(error)})", hint) from error
 
 

@@ -20,7 +20,8 @@ def unheard() -> Iterator[None]:
     except OSError:  # there is none to be heard on
         yield
         return
-    python = sys.stderr
+    python, unraisable = sys.stderr, sys.unraisablehook
+    sys.unraisablehook = lambda _: None  # of a library's callback, such as rasterio's for GDAL's log
     if _is_the_descriptor(python):
         # Not closed at the end: handlers of logs keep it.
         sys.stderr = open(kept, "w", buffering=1, encoding=python.encoding, errors=python.errors)  # noqa: SIM115
@@ -31,6 +32,7 @@ def unheard() -> Iterator[None]:
         yield
     finally:
         os.dup2(kept, 2)
+        sys.unraisablehook = unraisable
         if sys.stderr is python:
             os.close(kept)
         else:
