@@ -11,10 +11,8 @@ resumed ends where an uninterrupted one would. The shipped weights are the expon
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
-import time
 from itertools import islice
 from pathlib import Path
 
@@ -23,6 +21,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from .augment import crops
 from .data import read_labels, split
+from .log import Log
 from .network import NETWORKS, Finder, loss
 from .unfold import unfolded
 
@@ -134,8 +133,7 @@ def main() -> None:
         Crops(training, options.seed + 1000 * step), batch_size=options.batch, num_workers=options.workers,
         prefetch_factor=8 if options.workers else None,
     )  # fmt: skip
-    totals: dict[str, float] = {}
-    started, first = time.time(), step
+    log = Log(options.run, 100, options.batch, step, options.steps)
     for batch in loader:
         if step >= options.steps:
             break
@@ -153,17 +151,7 @@ def main() -> None:
         step += 1
         keep = min(0.999, (1 + step) / (10 + step))
         follow(average, network, keep)
-        for name, value in parts.items():
-            totals[name] = totals.get(name, 0.0) + value.item()
-        if step % 100 == 0:
-            seconds = time.time() - started
-            line = {"step": step, **{k: round(v / 100, 4) for k, v in totals.items()}}
-            line["crops_per_s"] = round((step - first) * options.batch / seconds, 1)
-            line["minutes_left"] = round(seconds / (step - first) * (options.steps - step) / 60, 1)
-            print(json.dumps(line), flush=True)
-            with (options.run / "log.jsonl").open("a") as log:
-                log.write(json.dumps(line) + "\n")
-            totals.clear()
+        log.add(step, {name: value.item() for name, value in parts.items()})
         if step % 250 == 0:
             save()
     save()

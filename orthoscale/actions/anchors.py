@@ -108,11 +108,12 @@ def anchors_at(
     if not views:
         return Searched()
     pictures = [(picture, metres_per_unit * unit) for picture, unit in views.values()]
+    finest = min(gsd for _, gsd in pictures)
     sought, notes = [], []
     for kind in wanted:
         finder = kinds.finder(kind, own)
-        if min(gsd for _, gsd in pictures) > finder.coarsest:
-            notes.append(f"{kind}: too small to be seen at {pictures[0][1]:.2g} m/px, not looked for")
+        if finest > finder.coarsest:
+            notes.append(f"{kind}: too small to be seen at {finest:.2g} m/px, not looked for")
         else:
             sought.append(Sought(finder, pictures))
     found = search(
@@ -152,7 +153,8 @@ def at_any_scale(
     known : kinds of evidence that there are besides. Nothing is looked for where not enough kinds could be found.
     """
     units = [unit for _, unit in _views(source).values()]
-    if not units or not kinds.chosen(choices, own) or len(kinds.chosen(choices, own)) + known < FEWEST_KINDS:
+    wanted = kinds.chosen(choices, own)
+    if not units or not wanted or len(wanted) + known < FEWEST_KINDS:
         return Searched()
     if rough is None:
         low, high = (math.log(gsd / float(np.median(units))) for gsd in LADDER)

@@ -12,14 +12,13 @@ what `export` writes.
 from __future__ import annotations
 
 import argparse
-import json
-import time
 from itertools import islice
 from pathlib import Path
 
 import cv2
 import torch
 
+from training.log import Log
 from training.train import follow, learning_rate
 
 from .crops import Examples, batch
@@ -73,8 +72,7 @@ def main() -> None:
         partial.replace(file)
 
     examples = iter(Examples(options.bank, options.seed + 1000 * step))
-    totals: dict[str, float] = {}
-    started, first = time.time(), step
+    log = Log(options.run, 25, BATCH, step, options.steps)
     network.train()
     while step < options.steps:
         for group in optimiser.param_groups:
@@ -96,18 +94,7 @@ def main() -> None:
             exact = vehicle & (arrays["scene"] < 0)
             error = (outputs[0].float() - arrays["edges"]).abs()[exact]
         told = {**{k: v.item() for k, v in parts.items()}, "error_px": error.median().item()}
-        for name, value in told.items():
-            totals[name] = totals.get(name, 0.0) + value
-        if step % 25 == 0:
-            seconds = time.time() - started
-            line = {"step": step, **{k: round(v / 25, 4) for k, v in totals.items()}}
-            line["margin_px"] = [[round(v, 2) for v in row] for row in habits.margin.tolist()]
-            line["crops_per_s"] = round((step - first) * BATCH / seconds, 1)
-            line["minutes_left"] = round(seconds / (step - first) * (options.steps - step) / 60, 1)
-            print(json.dumps(line), flush=True)
-            with (options.run / "log.jsonl").open("a") as log:
-                log.write(json.dumps(line) + "\n")
-            totals.clear()
+        log.add(step, told, margin_px=[[round(v, 2) for v in row] for row in habits.margin.tolist()])
         if step % 100 == 0:
             save()
     save()

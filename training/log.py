@@ -1,0 +1,33 @@
+"""What a training says of itself while it runs: means over some steps, printed and kept in log.jsonl."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+
+class Log:
+    """Lines of `run`/log.jsonl, one for `every` steps of `batch` crops, from step `first` on until all `steps`."""
+
+    def __init__(self, run: Path, every: int, batch: int, first: int, steps: int) -> None:
+        self.path, self.every, self.batch, self.first, self.steps = run / "log.jsonl", every, batch, first, steps
+        self.totals: dict[str, float] = {}
+        self.started = time.time()
+
+    def add(self, step: int, told: Mapping[str, float], **more: Any) -> None:
+        """Add what step number `step` gave; `more` is said as it is when a line is due."""
+        for name, value in told.items():
+            self.totals[name] = self.totals.get(name, 0.0) + value
+        if step % self.every:
+            return
+        seconds, done = time.time() - self.started, step - self.first
+        line = {"step": step, **{name: round(value / self.every, 4) for name, value in self.totals.items()}, **more}
+        line["crops_per_s"] = round(done * self.batch / seconds, 1)
+        line["minutes_left"] = round(seconds / done * (self.steps - step) / 60, 1)
+        print(json.dumps(line), flush=True)
+        with self.path.open("a") as log:
+            log.write(json.dumps(line) + "\n")
+        self.totals.clear()
