@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .core.calibration import Calibration
-from .core.fleet import Fleet
+from .core.fleet import Fleet, class_of
 from .errors import InputError, UsageError, shown
 from .formats.reading import checked, read_plain
 
@@ -96,11 +96,20 @@ def _of_country(text: str) -> Fleet:
     # A neighbour's fleet is another country's; a region's spread between its countries is in its figures already.
     more = np.zeros(3) if stand_in.startswith(REGION) else np.array(_document()["fallback_add_sd"])
     name = f"{country_name(code)}: no fleet of its own, taken from {fleet.name}"
-    return replace(fleet, code=code, name=name, mean_sd=np.hypot(fleet.mean_sd, more))
+    return _with_three_wheelers(replace(fleet, code=code, name=name, mean_sd=np.hypot(fleet.mean_sd, more)))
 
 
 def _row(code: str) -> Fleet:
-    return Fleet.from_entry(code, _document()["fleets"][code], _document()["segments"])
+    entry = _document()["fleets"][code]
+    fleet = Fleet.from_entry(code, entry, _document()["segments"])
+    return _with_three_wheelers(replace(fleet, shares_sd=_document()["shares_sd"].get(entry.get("trust"), 0.0)))
+
+
+def _with_three_wheelers(fleet: Fleet) -> Fleet:
+    """The same with as many three-wheelers as its country has beside its cars."""
+    table = _document()["three_wheelers"]
+    share = table["shares"].get(fleet.code.split("_")[0], 0.0)
+    return replace(fleet, three_wheelers=class_of(table, share) if share else None)
 
 
 @cache

@@ -62,7 +62,7 @@ def hold_their_word(scales):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("code", ["US", "DE", "JP", "WORLD"])
+@pytest.mark.parametrize("code", ["US", "DE", "JP", "LK", "WORLD"])
 @pytest.mark.parametrize("vans, false", [(0, 0), (0.25, 0.1)])
 def test_nine_intervals_of_ten_hold_the_truth(code, vans, false):
     fleet, rng = load_fleet(code), np.random.default_rng(7)
@@ -112,6 +112,21 @@ def test_an_odd_mix_is_recognised_and_not_taken_for_another_scale(code, shares):
         for k in range(4)
     ]
     assert abs(np.mean(errors)) < 0.5 * off
+
+
+def test_three_wheelers_do_not_pull_the_scale_where_a_country_has_them():
+    """A third of the vehicles are three-wheelers: a fleet without them takes the whole place for smaller cars."""
+    fleet = load_fleet("NP")
+    many = replace(fleet, three_wheelers=replace(fleet.three_wheelers, weight=0.33))
+    place = replace(fleet, classes=many.every_class)
+    blind = replace(fleet, three_wheelers=None)
+    errors = {"with": [], "without": []}
+    for seed in range(6):
+        votes = scene(np.random.default_rng([8, seed]), place, 80, surprise=False)
+        for name, one in (("with", fleet), ("without", blind)):
+            errors[name].append(float(np.log(pool(votes, one, RULER, "").value / 0.12)))
+    assert abs(np.mean(errors["with"])) < 0.03
+    assert np.mean(errors["without"]) > 0.06
 
 
 def test_minis_in_a_sharp_picture_are_recognised_and_in_a_coarse_one_leave_the_interval_wide():
