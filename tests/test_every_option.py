@@ -38,6 +38,9 @@ ASKED = {
     "calibration": ("--calibration", "CALIBRATION"),
     "zoom": ("--zoom", "0.5"),
     "gsd_hint": ("--gsd-hint", "0.2"),
+    "depth": ("--depth", "DEPTH"),
+    "depth_kind": ("--depth-kind", "range"),
+    "depth_factor": ("--depth-factor", "2"),
     "images": ("--images", "frames"),
     "refine": ("--refine",),
     "measurer": ("--measurer", "none"),
@@ -112,6 +115,15 @@ CASES = {
     ("photo", "pitch"): (("--pitch", "-80"), OTHER),
     ("photo", "roll"): (("--roll", "8"), OTHER, (*PHOTOS, "--pitch", "-70")),
     ("photo", "together"): (("--together",), OTHER),
+    **{
+        (command, name): (("--depth", "DEPTH", *words), OTHER, (*line, *before))
+        for command, line in (("photo", PHOTOS), ("evaluate", ("evaluate", "TABLE", *MEASURED)))
+        for name, words, before in (
+            ("depth", (), ()),
+            ("depth_kind", ("--depth-kind", "range"), ("--depth", "DEPTH")),
+            ("depth_factor", ("--depth-factor", "1.1"), ("--depth", "DEPTH")),
+        )
+    },
     ("photo", "outputs"): (("--out", "NEW.csv"), OTHER),
     ("crop", "satellite"): (("--satellite", "COARSER"), OTHER),
     ("crop", "at"): (("--at", "9.0,60.0"), OTHER),
@@ -155,6 +167,7 @@ IDLE = {  # said beside what makes them idle
     "no vehicles are measured": [(*LINES["anchors"], "--zoom", "0.5"), (*LINES["anchors"], "--exhaustive")],
     "twice": [(*PHOTOS, "--lens", "LENS")],
     "looks straight down": [(*PHOTOS, "--roll", "8")],
+    "there is no --depth": [(*PHOTOS, "--depth-kind", "range"), (*PHOTOS, "--depth-factor", "2")],
     "is one crop": [(*GIVEN_GSD, "--at", "9.0,60.0", "--stride", "0.3")],
 }
 
@@ -193,6 +206,7 @@ def places(tmp_path_factory):
     boxes = boxes_in(view_from(-90))
     save_detections(detections_of({"a.jpg": boxes}), folder / "photo.json")
     (folder / "fleet.json").write_text(json.dumps(CARS))
+    np.save(folder / "depth.npy", np.full(SIZE[::-1], ALTITUDE, np.float32))
     (folder / "lens.json").write_text(json.dumps({"width": SIZE[0], "height": SIZE[1], "focal_px": 700}))
     with (folder / "photos/table.csv").open("w", newline="") as file:
         writer = csv.writer(file)
@@ -219,6 +233,7 @@ def places(tmp_path_factory):
         "COARSER": folder / "coarser.tif",
         "PHOTO": folder / "photos/a.jpg",
         "PHOTOBOXES": folder / "photo.json",
+        "DEPTH": folder / "depth.npy",
         "CARS": folder / "fleet.json",
         "LENS": folder / "lens.json",
         "TABLE": folder / "photos/table.csv",

@@ -27,6 +27,7 @@ ESTIMATORS = ("robust", "iqr")
 GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options in --help, in this order
 EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
+KINDS_OF_DEPTH = ("z", "range")
 BUILT_IN = "built-in"
 BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")  # anchors that boxes alone may show
 ANCHORS = (ALL, NO_KIND, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))
@@ -169,6 +170,35 @@ class VehicleRequest:
             for each in fields(self)
             if said[each.name] != each.default
         }
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoRequest(VehicleRequest):
+    """What single photos may be asked for: beside the altitude by vehicles, that by a depth network."""
+
+    depth: str | Path | None = option(
+        None,
+        Path,
+        "Evidence",
+        "Metric depth to compare with: of one photo (.npy, .tif, .png), a folder of such files named as the photos "
+        "are, or a network (.onnx).",
+    )
+    depth_kind: str = option(
+        "z", str, "Evidence", "Depth along the optical axis (z) or along each ray (range).", choices=KINDS_OF_DEPTH
+    )
+    depth_factor: str | None = option(
+        None,
+        str,
+        "Evidence",
+        "Metres in a unit of the depth, or whose it is: da3 (Depth Anything 3 metric), metric3d, unidepth. Default: "
+        "metres.",
+        metavar="M|NAME",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.depth is None:
+            self._refuse(("depth_kind", "depth_factor"), "there is no --depth")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -363,6 +393,14 @@ class VehicleOptions(TypedDict, total=False):
     calibration: str | Path | None
     zoom: float | None
     gsd_hint: float | None
+
+
+class PhotoOptions(VehicleOptions, total=False):
+    """The fields of `PhotoRequest` as keywords."""
+
+    depth: str | Path | None
+    depth_kind: str
+    depth_factor: str | None
 
 
 class EstimateOptions(VehicleOptions, total=False):
