@@ -16,15 +16,17 @@ from ..core.calibration import Calibration
 from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ..core.evidence import Evidence
 from ..core.fleet import Fleet
+from ..core.measuring.geometry import Geometry
 from ..core.measuring.measure import doubts, measure
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
+from ..core.measuring.oblique import FramesGeometry
 from ..core.measuring.plan import PlanGeometry
 from ..core.measuring.planar_sweep import SweepGeometry
 from ..core.measuring.ways import measure_source
 from ..core.measuring.without_vehicles import measured_without_vehicles
 from ..core.pooling.anchors import evidence_of
-from ..core.source import Plan, PosedSet, Source
+from ..core.source import Source
 from ..detect.detector import Detector
 from ..detect.find import Effort, Progress
 from ..detect.refine import refined
@@ -38,7 +40,7 @@ from ..sources.opening import open_source
 from ..tables import standards
 from .anchors import Searched, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
 from .control import read_control, read_distance
-from .find import find_in, measured_anew
+from .find import Sampling, find_in, measured_anew
 from .requests import EstimateRequest
 from .result import Result
 from .whose import country_of, fleet_at, named_fleet
@@ -228,8 +230,7 @@ def _looked_for(
             zoom,
             progress,
             effort,
-            _sampling(source.plan, fleet),
-            _enough(source.posed, fleet),
+            _sampling(source, fleet),
         )
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
@@ -257,35 +258,27 @@ def _path(value: str | Path | None) -> Path | None:
     return None if value is None else Path(value)
 
 
-def _sampling(plan: Plan | None, fleet: Fleet) -> Callable[[Detections], float] | None:
-    """The sampling part of the uncertainty after a part of an orthophoto's sweep. Frames are all looked at: they show
-    the same vehicles again, and need each other."""
-    if plan is None:
-        return None
+def _sampling(source: Source, fleet: Fleet) -> Sampling:
+    """The sampling part of the uncertainty after a part of the sweep of `source`."""
     one = replace(fleet, candidates=(), prior=())  # which fleet it is matters little here, and trying all takes time
+    plan, posed = source.plan, source.posed
 
-    def sampling(found: Detections) -> float:
-        try:
-            return measure(PlanGeometry.of(plan, found), one).scale.parts["sampling"]
-        except TooLittleEvidence:
-            return np.inf
+    def by(geometry: Callable[[Detections], Geometry]) -> Callable[[Detections], float]:
+        def sampling(found: Detections) -> float:
+            try:
+                scale = measure(geometry(found), one).scale
+            except TooLittleEvidence:
+                return np.inf
+            return scale.parts["sampling"] if scale.vehicles_used else np.inf
 
-    return sampling
+        return sampling
 
-
-def _enough(posed: PosedSet | None, fleet: Fleet) -> Callable[[Detections], bool] | None:
-    """Whether vehicles in a model's pictures of the ground are enough for a scale."""
+    if plan is not None:
+        return Sampling(by(lambda found: PlanGeometry.of(plan, found)))
     if posed is None:
-        return None
-    one = replace(fleet, candidates=(), prior=())
-
-    def enough(found: Detections) -> bool:
-        try:
-            return bool(measure(SweepGeometry.of(posed, found), one).scale.vehicles_used)
-        except TooLittleEvidence:
-            return False
-
-    return enough
+        return Sampling()
+    in_frames = by(lambda found: FramesGeometry.of(posed, found, one, Method()))
+    return Sampling(in_frames, by(lambda found: SweepGeometry.of(posed, found)))
 
 
 def _typical_length(found: Detections) -> str:

@@ -232,10 +232,10 @@ class EstimateRequest(VehicleRequest):
         0.005,
         float,
         "Advanced",
-        "Stop the sweep of an orthophoto at this sampling uncertainty (relative, 1 sigma).",
+        "Stop the sweep at this sampling uncertainty (relative, 1 sigma).",
         positive=True,
     )
-    exhaustive: bool = option(False, bool, "Advanced", "Sweep all of an orthophoto.")
+    exhaustive: bool = option(False, bool, "Advanced", "Sweep all of an orthophoto, or all frames of a model.")
     seed: int = option(0, int, "Advanced", "Seed of the order in which tiles are visited.")
     workers: int | None = option(
         None, int, "Advanced", "Number of threads; by default one per core, at most 8.", positive=True
@@ -339,7 +339,7 @@ class EstimateRequest(VehicleRequest):
             )
 
     def _for_posed(self, path: Path) -> None:
-        self._refuse(("target", "exhaustive"), f"all frames of a model are measured, and {path} is a model")
+        """A model takes every option of `estimate`."""
 
 
 OF_LOOKING = ("refine", "target", "exhaustive", "seed", "workers", "scheduler", "cache")

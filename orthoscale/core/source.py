@@ -169,9 +169,12 @@ class Ground(Protocol):
 class GroundView(Picture, Protocol):
     """What one frame shows of the ground, warped to a plan of `unit_per_pixel` model units per pixel.
 
-    size : (2,) width and height of the frame [px]. camera_height : over the ground [model units].
+    image : the frame's name. size : (2,) width and height of the frame [px]. camera_height : over the ground [model
+    units].
     """
 
+    @property
+    def image(self) -> str: ...
     @property
     def size(self) -> tuple[int, int]: ...
     @property

@@ -25,7 +25,17 @@ BROKEN = (sqlite3.Error, UnicodeDecodeError)  # what a damaged file raises; SQLi
 KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
 CODE = ("boxes.py", "detect/*.py", "sources/raster.py", "sources/picture_file.py")  # what decides over the looks
 # What does not.
-NO_MATTER = {"cache.py", "find.py", "order.py", "promise.py", "remeasure.py", "sweep.py", "workers.py", "zoom.py"}
+NO_MATTER = {
+    "cache.py",
+    "cover.py",
+    "find.py",
+    "order.py",
+    "promise.py",
+    "remeasure.py",
+    "sweep.py",
+    "workers.py",
+    "zoom.py",
+}
 
 
 def cache_folder() -> Path:

@@ -131,7 +131,13 @@ def document(
         },
         "sweep": None
         if found.swept is None
-        else {"tiles": len(found.swept.tiles), "of": found.swept.total, "from_cache": found.swept.from_cache},
+        else {
+            "tiles": len(found.swept.tiles),
+            "of": found.swept.total,
+            "from_cache": found.swept.from_cache,
+            "looked_at": found.swept.looked_at,
+            "why": found.swept.why,
+        },
         "claim": None if claim is None else claim.document(),
         "drift": _drift(measured.drift),
         "zoom_search": None
