@@ -40,9 +40,7 @@ class Worker:
     Memory is limited to the budget, on Linux.
     """
 
-    def __init__(
-        self, path: Path, content: bytes, threads: int, operators: str | None, seconds: float | None = None
-    ):
+    def __init__(self, path: Path, content: bytes, threads: int, operators: str | None, seconds: float | None = None):
         """Load the network `content` of the file at `path`, which has `seconds` for each look.
 
         Raises InputError; ForeignError for what it says itself.
