@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from ..anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
-from ..core.source import Source
 from ..errors import UsageError
 
 if TYPE_CHECKING:
     from typing import Self
+
+    from ..core.source import Source
 
 MODES = ("both", "oblique", "planar")
 PROJECTIONS = ("exact", "planar", "decoupled", "program", "naive")
