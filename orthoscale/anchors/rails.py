@@ -64,16 +64,15 @@ ALIKE_TRACKS = 0.02  # relative difference of their distances
 
 
 def _standards() -> tuple[Standard, ...]:
+    """Standard gauge everywhere but where main lines have another, and the others there."""
     found = []
     for gauge, prior, countries, source in GAUGES:
         metres = gauge + HEAD
         words = f"{source}; heads {HEAD:g} m wide (EN 13674-1) seen in their middle"
         name, sd = f"gauge {gauge:.3f} m", HEAD_SEEN / metres
-        found.append(Standard(name, metres, sd, words, prior))
-        if gauge == GAUGES[0][0]:
+        found.append(Standard(name, metres, sd, words, prior, tuple(countries.split())))
+        if not countries:
             found.append(Standard(f"{name}, new lines", metres, sd, words, 0.3, tuple(STANDARD_TOO.split())))
-        else:
-            found.append(Standard(f"{name}, main lines", metres, sd, words, 1.0, tuple(countries.split())))
     return tuple(found)
 
 
@@ -121,7 +120,7 @@ class RailTracks:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
-        standards = holding(self.standards, country)
+        standards = holding(self.standards, country) if country else list(self.standards)
         if min(image.shape[:2]) < 2 * SEED_PX:
             return []
         low, high = sizes(standards, gsd, gsd_sd)
