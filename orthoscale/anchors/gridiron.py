@@ -33,7 +33,7 @@ class Gridirons:
     """Finds the yard lines of American football (an `AnchorFinder`) of any of the `standards`."""
 
     standards: tuple[Standard, ...] = (YARD_LINES,)
-    kind = "American football field"
+    kind = "gridiron"
     extent = 80.0
     finest = 0.12
     coarsest = 0.5
