@@ -78,27 +78,35 @@ def fleet_codes() -> list[str]:
 
 def _of_country(text: str) -> Fleet:
     """The fleet of a country by any of its names; raises UsageError with the nearest ones for no country's."""
-    from .countries import country_code, country_name, nearest_names
+    from .countries import country_code, country_name
 
     code = country_code(text)
+    if code is None:
+        raise _unknown(text)
     if code in fleet_codes():
         return _row(code)
     if code in _document()["parts"]:
         return _part(code)
-    stand_in = None if code is None else _document()["fallback"].get(code)
-    if code is None or stand_in is None:
-        near = nearest_names(text)
-        hint = f"Did you mean {', '.join(near)}? " if near else ""
-        raise UsageError(
-            f"no fleet is called {text!r}",
-            f"{hint}Give a country's name or ISO 3166 code, {AUTO}, world, or a .json file; "
-            "`orthoscale fleets` lists them.",
-        )
+    if code not in _document()["fallback"]:
+        raise _unknown(text)
+    stand_in = _document()["fallback"][code]
     fleet = _row(stand_in)
     # A neighbour's fleet is another country's; a region's spread between its countries is in its figures already.
     more = np.zeros(3) if stand_in.startswith(REGION) else np.array(_document()["fallback_add_sd"])
     name = f"{country_name(code)}: no fleet of its own, taken from {fleet.name}"
     return _with_three_wheelers(replace(fleet, code=code, name=name, mean_sd=np.hypot(fleet.mean_sd, more)))
+
+
+def _unknown(text: str) -> UsageError:
+    from .countries import nearest_names
+
+    near = nearest_names(text)
+    hint = f"Did you mean {', '.join(near)}? " if near else ""
+    return UsageError(
+        f"no fleet is called {text!r}",
+        f"{hint}Give a country's name or ISO 3166 code, {AUTO}, world, or a .json file; "
+        "`orthoscale fleets` lists them.",
+    )
 
 
 def _row(code: str) -> Fleet:
