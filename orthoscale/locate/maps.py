@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from .features import Features
 TILE = 96  # [cells] side of what is described at once
 STEP = 2**0.5  # between the resolutions at which a map is described: photos of about one size share its features
 CODE = ("locate/maps.py", "locate/features.py", "sources/raster.py")  # what decides over a map's features
+IN_MEMORY = 64  # tiles; with 64 channels 75 MB
 SAMPLE = 24  # tiles that tell what is usual on a map
 
 
@@ -117,6 +118,7 @@ class MapFeatures:
 
     def __init__(self, grid: MapGrid, features: Features, channels: int, cache: bool = True):
         self.grid, self.features = grid, features
+        self._tile = lru_cache(IN_MEMORY)(self._made_tile)
         self._channels = channels
         key = content_key([grid.satellite.source], {"features": features.key, "gsd": grid.gsd}, CODE)
         self._kept = Kept(key) if cache and key is not None else None
@@ -152,7 +154,14 @@ class MapFeatures:
             return np.zeros((len(self.usual.basis), height, width), np.float32)
         return self.usual.of_features(first)
 
-    def _tile(self, row: int, column: int) -> np.ndarray:
+    def finer(self, coarsest: float) -> MapFeatures:
+        """The same map's features on the grid for `coarsest` [m/px], with what is usual taken from this one."""
+        grid = MapGrid.of(self.grid.satellite, coarsest)
+        fine = MapFeatures(grid, self.features, self._channels, self._kept is not None)
+        fine.usual = self.usual
+        return fine
+
+    def _made_tile(self, row: int, column: int) -> np.ndarray:
         """(C, TILE, TILE) features of one tile, in half precision as they are kept."""
         name = f"{row},{column}"
         content = self._kept.content(name) if self._kept is not None else None

@@ -8,7 +8,7 @@ reaches at wrong places of the same map.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -23,6 +23,8 @@ from .maps import MapFeatures, MapGrid
 from .verify import Similarity, Verified, needed, verified
 
 ACROSS = 320.0  # [px] to which the longer side of a picture is brought
+FINER = 640.0  # [px] the same for the last look at the best place, where the map has so much detail
+EVERY = 2  # cells across and down of the picture that the last look matches
 SMALLEST = 96.0  # [px] that the shorter side of a picture must have on the map
 SCALE_STEP = 1.1  # between the scales that are tried: the features still agree half of it off
 HEADING_STEP = np.radians(10.0)  # between the headings; half of it moves the edge of a picture by 4 % of its size
@@ -57,7 +59,9 @@ class Candidate:
 
     pose : from claimed metres of the picture, right and down of its own place, to pixels of `grid`. score : mean cosine
     of the search. inliers : matches that agree. middle : (2,) longitude and latitude of the middle of the picture's
-    ground [deg]. heading : of the picture's top, clockwise from north [rad]. scale : true metres per claimed metre.
+    ground [deg]. heading : of the picture's top, clockwise from north [rad]. scale : true metres per claimed metre;
+    scatter : its relative one-sigma, by how far the matches scatter. matches : (N, 4) those that agree: x, y of the
+    picture [claimed m right and down], x, y of the map [its pixels].
     """
 
     grid: MapGrid
@@ -67,6 +71,8 @@ class Candidate:
     middle: np.ndarray
     heading: float
     scale: float
+    scatter: float
+    matches: np.ndarray
 
     def map_pixels(self, places: np.ndarray) -> np.ndarray:
         """(N, 2) the map's own pixels, of places (N, 2) of the picture [claimed m right and down]."""
@@ -83,15 +89,13 @@ class Registration:
 
     candidates : the verified places, best first; none where nothing on the map resembles the picture. needed : matches
     that must agree. rival : the number of another candidate about as good as the first, None where there is none.
-    scale_sd : relative one-sigma of the first one's scale. matches : (N, 4) of the first, those that agree: x, y of the
-    picture [claimed m right and down], x, y of the map [its pixels].
+    scale_sd : relative one-sigma of the first one's scale, infinite where it is not good enough.
     """
 
     candidates: tuple[Candidate, ...]
     needed: int
     rival: int | None
     scale_sd: float
-    matches: np.ndarray
 
     @property
     def located(self) -> Candidate | None:
@@ -142,7 +146,9 @@ def register(
     looks = [(ways[peak.template], peak, verified(ways[peak.template].template, peak, mapped)) for peak in found]
     places = different(looks, image, mapped, apart)
     wrong = mirrored(ways, mapped, area) + [each.count for _, _, each in places[1:]]
-    return assembled(places, image, wrong, mapped)
+    enough = max(LEAST, needed(wrong, len(places)))
+    candidates = tuple(_candidate(*place, image, mapped) for place in places if place[2].fit is not None)
+    return judged(candidates, enough, seen, mapped)
 
 
 def grid_for(seen: Seen, satellite: Satellite, scales: tuple[float, float]) -> MapGrid:
@@ -259,24 +265,34 @@ def different(looks: Sequence[Look], image: GroundImage, mapped: MapFeatures, ap
     return kept
 
 
-def assembled(looks: Sequence[Look], image: GroundImage, wrong: Sequence[int], mapped: MapFeatures) -> Registration:
-    """The result of `looks`, best first; `wrong` are the counts of places where the picture is not."""
-    enough = max(LEAST, needed(wrong, len(looks)))
-    fitted = [(way, peak, each) for way, peak, each in looks if each.fit is not None]
-    candidates = tuple(_candidate(way, peak, each, image, mapped) for way, peak, each in fitted)
+def judged(candidates: Sequence[Candidate], enough: int, seen: Seen, mapped: MapFeatures) -> Registration:
+    """The result of `candidates`, best first, of which one with `enough` matches is right."""
     if not candidates:
-        return Registration((), enough, None, float("inf"), np.empty((0, 4)))
-    best, (way, _, first) = candidates[0].inliers, fitted[0]
-    rivals = [k for k, other in enumerate(candidates) if k and other.inliers >= RIVAL * best]
-    rival = rivals[0] if rivals and best >= enough else None
-    assert first.fit is not None
-    stride = mapped.features.stride
-    agreed = first.matches[first.fit.inliers] * stride
-    ours = way.pose.inverse(agreed[:, :2])
-    theirs = mapped.grid.map_pixel(agreed[:, 2:])
-    # Blocks that overlap are not independent: what block**2 of them say is worth one.
-    sd = float(np.hypot(first.fit.scale_sd * mapped.features.block, LEVELLING_SD))
-    return Registration(candidates, enough, rival, sd, np.hstack([ours, theirs]))
+        return Registration((), enough, None, float("inf"))
+    best = candidates[0]
+    rivals = [k for k, other in enumerate(candidates) if k and other.inliers >= RIVAL * best.inliers]
+    rival = rivals[0] if rivals and best.inliers >= enough else None
+    if best.inliers < enough:
+        return Registration(tuple(candidates), enough, None, float("inf"))
+    best, sd = refined(best, seen, mapped)
+    return Registration((best, *candidates[1:]), enough, rival, float(np.hypot(sd, LEVELLING_SD)))
+
+
+def refined(best: Candidate, seen: Seen, mapped: MapFeatures) -> tuple[Candidate, float]:
+    """`best` by one more look on a finer grid, turned and scaled as it was found; and what its matches' scatter leaves
+    of its scale, one sigma. Its count remains that of the first look."""
+    fine = mapped.finer(float(seen.size.max()) * best.scale / FINER)
+    own = best.pose.scale * best.grid.gsd  # of the grid's metres
+    image = seen.at(fine.grid.gsd / own)
+    way = Way.of(image, best.pose.turn, own, fine)
+    column, row = best.pose(image.middle[None])[0] * best.grid.gsd / (fine.grid.gsd * fine.features.stride)
+    peak = Peak(best.score, 0, int(np.rint(row)), int(np.rint(column)))
+    look = verified(way.template, peak, fine, EVERY)
+    if look.fit is None or look.count < LEAST:
+        return best, best.scatter
+    better = _candidate(way, peak, look, image, fine)
+    better = replace(better, inliers=best.inliers, scatter=better.scatter / EVERY)
+    return better, better.scatter
 
 
 def _candidate(way: Way, peak: Peak, look: Verified, image: GroundImage, mapped: MapFeatures) -> Candidate:
@@ -290,4 +306,8 @@ def _candidate(way: Way, peak: Peak, look: Verified, image: GroundImage, mapped:
     heading = float(np.radians(pyproj.Geod(ellps="WGS84").inv(*here, *above)[0]) % (2 * np.pi))
     # The grid's metres are those at the map's middle; projections stretch by place.
     local = float(np.sqrt((grid.satellite.pixel_size(middle[0]) / grid.pixel).prod()))
-    return Candidate(grid, pose, peak.score, look.count, here, heading, pose.scale * grid.gsd * local)
+    agreed = look.matches[look.fit.inliers] * stride
+    matches = np.hstack([way.pose.inverse(agreed[:, :2]), grid.map_pixel(agreed[:, 2:])])
+    # Blocks that overlap are not independent: what block**2 of them say is worth one.
+    scatter = look.fit.scale_sd * mapped.features.block
+    return Candidate(grid, pose, peak.score, look.count, here, heading, pose.scale * grid.gsd * local, scatter, matches)

@@ -90,15 +90,15 @@ class Verified:
         return self.fit.count if self.fit else 0
 
 
-def verified(template: Template, peak: Peak, mapped: MapFeatures) -> Verified:
-    """Match `template` with the map around `peak`."""
+def verified(template: Template, peak: Peak, mapped: MapFeatures, every: int = 1) -> Verified:
+    """Match `template` with the map around `peak`; `every` so many of its cells across and down."""
     block = mapped.features.block
     extent = np.array(template.features.shape[1:])
     more = np.ceil(MARGIN * extent).astype(int) + block
     corner = np.rint([peak.row, peak.column] - template.middle).astype(int) - more
     height, width = (int(v) for v in extent + 2 * more)
     ground = mapped.window(int(corner[0]), int(corner[1]), height, width)
-    matches = mutual_matches(template.features, ground, block)
+    matches = mutual_matches(template.features, ground, block, every)
     matches[:, 2:] += corner[::-1]
     return Verified(matches, agreeing(matches))
 
@@ -114,12 +114,12 @@ def needed(wrong: Sequence[int], looks: int) -> int:
     return int(np.ceil(mode + spread * np.log(max(looks, 1) / FALSE_RATE)))
 
 
-def mutual_matches(picture: np.ndarray, ground: np.ndarray, block: int) -> np.ndarray:
+def mutual_matches(picture: np.ndarray, ground: np.ndarray, block: int, every: int = 1) -> np.ndarray:
     """(N, 4) pairs of places (x, y in `picture`, x, y in `ground`) [cells] that are each other's best.
 
     picture, ground : (K, h, w) and (K, H, W) unit vectors, compared by blocks of `block` x `block` cells, all of which
-    must have a picture; a place is the middle of a block."""
-    mine, here = _blocks(picture, block)
+    must have a picture; a place is the middle of a block. every : of the picture's blocks, so many across and down."""
+    mine, here = _blocks(picture, block, every)
     theirs, there = _blocks(ground, block)
     if not len(mine) or not len(theirs):
         return np.empty((0, 4))
@@ -177,15 +177,16 @@ def _scale_sd(found: Similarity, z: np.ndarray, w: np.ndarray) -> float:
     return float(np.sqrt(variance / (np.abs(z - z.mean()) ** 2).sum()) / found.scale)
 
 
-def _blocks(features: np.ndarray, block: int) -> tuple[np.ndarray, np.ndarray]:
+def _blocks(features: np.ndarray, block: int, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """(N, K * block**2) unit vectors of all whole blocks with a picture, and (N, 2) their centres x, y [cells]."""
     channels, height, width = features.shape
     if min(height, width) < block:
         return np.empty((0, channels * block**2), np.float32), np.empty((0, 2))
-    parts = np.lib.stride_tricks.sliding_window_view(features, (block, block), (1, 2))
+    parts = np.lib.stride_tricks.sliding_window_view(features, (block, block), (1, 2))[:, ::every, ::every]
     rows = parts.transpose(1, 2, 0, 3, 4).reshape(-1, channels * block**2)
-    known = np.lib.stride_tricks.sliding_window_view(np.abs(features).sum(0) > 0, (block, block)).all((2, 3)).ravel()
-    y, x = np.indices((height - block + 1, width - block + 1)).reshape(2, -1) + block / 2
+    filled = np.lib.stride_tricks.sliding_window_view(np.abs(features).sum(0) > 0, (block, block))[::every, ::every]
+    known = filled.all((2, 3)).ravel()
+    y, x = np.indices(filled.shape[:2]).reshape(2, -1) * every + block / 2
     rows = rows[known]
     return rows / (np.linalg.norm(rows, axis=1, keepdims=True) + 1e-6), np.column_stack([x, y])[known]
 
