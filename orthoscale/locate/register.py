@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Protocol
 
 import numpy as np
 import pyproj
@@ -25,7 +26,7 @@ from .verify import Similarity, Verified, needed, verified
 ACROSS = 320.0  # [px] to which the longer side of a picture is brought
 FINER = 640.0  # [px] the same for the last look at the best place, where the map has so much detail
 EVERY = 2  # cells across and down of the picture that the last look matches
-SMALLEST = 96.0  # [px] that the shorter side of a picture must have on the map
+SMALLEST_ON_MAP = 96.0  # [px] that the shorter side of a picture must have on the map
 SCALE_STEP = 1.1  # between the scales that are tried: the features still agree half of it off
 HEADING_STEP = np.radians(10.0)  # between the headings; half of it moves the edge of a picture by 4 % of its size
 HEADING_SD = np.radians(8.0)  # to which a known heading is trusted, to both sides
@@ -33,9 +34,9 @@ MOST_STEPS = 12  # of scales; factor 3
 CHANNELS = 24  # that are correlated
 VERIFIED = 20  # candidates that are verified
 NEGATIVES = 20  # mirrored pictures that tell how many matches agree by chance
-LEAST = 12  # matches that must agree however few do elsewhere
+LEAST_MATCHES = 12  # matches that must agree however few do elsewhere
 RIVAL = 0.7  # share of the best candidate's matches from which another place is about as good
-ELSEWHERE = 0.25  # [pictures' diagonals] from which on a place is another one
+ANOTHER_PLACE = 0.25  # [pictures' diagonals] from which on a place is another one
 LEVELLING_SD = 0.005  # of the scale by one match: the lie of the land, and of the picture. An assumption.
 
 
@@ -127,10 +128,12 @@ def register(
     known: Known = Known(),  # noqa: B008 - a frozen value
     cache: bool = True,
     step: Callable[[str, int, int], None] | None = None,
+    finder: Finder | None = None,
 ) -> Registration:
     """Find `seen` on the map `satellite`.
 
-    cache : keep the map's features for the next picture. step : is told of the progress.
+    cache : keep the map's features for the next picture. step : is told of the progress. finder : finds the places
+    that are verified; by default correlation of `features`.
     Raises UsageError for a prior outside of the map, TooLittleEvidence for a picture that is too small on it.
     """
     grid = grid_for(seen, satellite, known.scales)
@@ -140,26 +143,38 @@ def register(
     image = seen.at(grid.gsd / max(scales))
     turns = heading_steps(known.heading, up_of(grid, area, features.stride))
     ways = [Way.of(image, turn, scale, mapped) for turn, scale in product(turns, scales)]
-    apart = ELSEWHERE * float(np.hypot(*(image.size * np.median(scales)))) / (grid.gsd * features.stride)
+    apart = ANOTHER_PLACE * float(np.hypot(*(image.size * np.median(scales)))) / (grid.gsd * features.stride)
     report = None if step is None else (lambda done, total: step("Searching the map", done, total))
-    found = search([way.template for way in ways], mapped.window, area, apart, VERIFIED, report)
+    found = (finder or correlation)(ways, mapped, area, apart, VERIFIED, report)
     looks = [(ways[peak.template], peak, verified(ways[peak.template].template, peak, mapped)) for peak in found]
     places = different(looks, image, mapped, apart)
     wrong = mirrored(ways, mapped, area) + [each.count for _, _, each in places[1:]]
-    enough = max(LEAST, needed(wrong, len(places)))
+    enough = max(LEAST_MATCHES, needed(wrong, len(places)))
     candidates = tuple(_candidate(*place, image, mapped) for place in places if place[2].fit is not None)
     return judged(candidates, enough, seen, mapped)
+
+
+def correlation(
+    ways: Sequence[Way],
+    mapped: MapFeatures,
+    area: tuple[int, int, int, int],
+    apart: float,
+    most: int,
+    step: Callable[[int, int], None] | None = None,
+) -> list[Peak]:
+    """The `Finder` that correlates dense features; see `correlate.search`."""
+    return search([way.template for way in ways], mapped.window, area, apart, most, step)
 
 
 def grid_for(seen: Seen, satellite: Satellite, scales: tuple[float, float]) -> MapGrid:
     """The grid on which `seen` has about ACROSS px. Raises TooLittleEvidence where the map is too coarse for it."""
     size = seen.size * float(np.sqrt(scales[0] * scales[1]))
     grid = MapGrid.of(satellite, float(size.max()) / ACROSS)
-    if size.min() / grid.gsd < SMALLEST:
+    if size.min() / grid.gsd < SMALLEST_ON_MAP:
         across, down = size / grid.gsd
         raise TooLittleEvidence(
             f"the picture shows {size[0]:.0f} x {size[1]:.0f} m, {across:.0f} x {down:.0f} px of "
-            f"{satellite.source.name}; each side needs {SMALLEST:.0f} px",
+            f"{satellite.source.name}; each side needs {SMALLEST_ON_MAP:.0f} px",
             "Take a finer map, or a picture from higher up.",
         )
     return grid
@@ -235,6 +250,23 @@ class Way:
         return cls(pose, Template(features, pose(image.middle[None])[0, ::-1] / mapped.features.stride, turned))
 
 
+class Finder(Protocol):
+    """Finds the places that are worth verifying."""
+
+    def __call__(
+        self,
+        ways: Sequence[Way],
+        mapped: MapFeatures,
+        area: tuple[int, int, int, int],
+        apart: float,
+        most: int,
+        step: Callable[[int, int], None] | None = None,
+    ) -> list[Peak]:
+        """The `most` best places of the pictures `ways` with their middles in `area` (row, column, height, width), no
+        two nearer than `apart` [cells], best first. Raises InputError."""
+        ...
+
+
 Look = tuple[Way, Peak, Verified]  # a way, where the search put it, and what the matches there say
 
 
@@ -288,7 +320,7 @@ def refined(best: Candidate, seen: Seen, mapped: MapFeatures) -> tuple[Candidate
     column, row = best.pose(image.middle[None])[0] * best.grid.gsd / (fine.grid.gsd * fine.features.stride)
     peak = Peak(best.score, 0, int(np.rint(row)), int(np.rint(column)))
     look = verified(way.template, peak, fine, EVERY)
-    if look.fit is None or look.count < LEAST:
+    if look.fit is None or look.count < LEAST_MATCHES:
         return best, best.scatter
     better = _candidate(way, peak, look, image, fine)
     better = replace(better, inliers=best.inliers, scatter=better.scatter / EVERY)

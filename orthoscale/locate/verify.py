@@ -10,13 +10,13 @@ import numpy as np
 from .correlate import Peak, Template
 from .maps import MapFeatures
 
-DRAWS = 2000  # pairs of matches that are tried; with a tenth of them right, 20 draws hit two right ones on average
-TOLERANCE = 1.5  # [cells] up to which a match agrees
-TURN = np.radians(20.0)  # a candidate's heading is at most this far off, its scale at most by this factor
-STRETCH = 1.35
+RANSAC_DRAWS = 2000  # pairs of matches that are tried; with a tenth of them right, 20 are of two right ones
+MATCH_TOLERANCE = 1.5  # [cells] up to which a match agrees
+MOST_TURNED = np.radians(20.0)  # a candidate's heading is at most this far off, its scale at most by this factor
+MOST_STRETCHED = 1.35
 SHORTEST_PAIR = 4.0  # [cells] between two matches that are to tell a similarity
-FITS = 5  # rounds of fitting and choosing anew
-MARGIN = 0.125  # by which the window of the map is larger than the picture, at each side
+REFITS = 5  # rounds of fitting and choosing anew
+WINDOW_MARGIN = 0.125  # by which the window of the map is larger than the picture, at each side
 FALSE_RATE = 1e-4  # probability that any of the places that are verified has as many matches as needed by chance
 GUMBEL_MEDIAN, GUMBEL_QUARTILES = -np.log(np.log(2)), np.log(np.log(4) / np.log(4 / 3))  # of the standard one
 
@@ -94,7 +94,7 @@ def verified(template: Template, peak: Peak, mapped: MapFeatures, every: int = 1
     """Match `template` with the map around `peak`; `every` so many of its cells across and down."""
     block = mapped.features.block
     extent = np.array(template.features.shape[1:])
-    more = np.ceil(MARGIN * extent).astype(int) + block
+    more = np.ceil(WINDOW_MARGIN * extent).astype(int) + block
     corner = np.rint([peak.row, peak.column] - template.middle).astype(int) - more
     height, width = (int(v) for v in extent + 2 * more)
     ground = mapped.window(int(corner[0]), int(corner[1]), height, width)
@@ -131,29 +131,31 @@ def mutual_matches(picture: np.ndarray, ground: np.ndarray, block: int, every: i
 
 
 def agreeing(matches: np.ndarray, seed: int = 0) -> Fit | None:
-    """The similarity near the identity's turn and scale (up to TURN and STRETCH) on which most `matches` (N, 4) agree,
-    by random pairs (RANSAC; Fischler and Bolles, CACM 1981), refitted to them; None for fewer than two."""
+    """The similarity on which most `matches` (N, 4) agree, of those with hardly a turn and stretch (MOST_TURNED,
+    MOST_STRETCHED): by random pairs (RANSAC; Fischler and Bolles, CACM 1981), refitted; None for fewer than two."""
     z, w = _complex(matches[:, :2]), _complex(matches[:, 2:])
     if len(z) < 2:
         return None
     draw = np.random.default_rng(seed)
-    first, second = draw.integers(0, len(z), (2, DRAWS))
+    first, second = draw.integers(0, len(z), (2, RANSAC_DRAWS))
     far = np.abs(z[first] - z[second]) >= SHORTEST_PAIR
     first, second = first[far], second[far]
     factor = (w[first] - w[second]) / (z[first] - z[second])
     with np.errstate(divide="ignore"):
-        plausible = (np.abs(np.log(np.abs(factor))) <= np.log(STRETCH)) & (np.abs(np.angle(factor)) <= TURN)
+        plausible = (np.abs(np.log(np.abs(factor))) <= np.log(MOST_STRETCHED)) & (
+            np.abs(np.angle(factor)) <= MOST_TURNED
+        )
     factor, first, second = factor[plausible], first[plausible], second[plausible]
     if not len(factor):
         return None
     shift = w[first] - factor * z[first]
-    votes = (np.abs(factor[:, None] * z + shift[:, None] - w) <= TOLERANCE).sum(1)
+    votes = (np.abs(factor[:, None] * z + shift[:, None] - w) <= MATCH_TOLERANCE).sum(1)
     best = int(votes.argmax())
     found = Similarity(complex(factor[best]), complex(shift[best]))
-    inliers = np.abs(found.factor * z + found.shift - w) <= TOLERANCE
-    for _ in range(FITS):
+    inliers = np.abs(found.factor * z + found.shift - w) <= MATCH_TOLERANCE
+    for _ in range(REFITS):
         found = _fitted(z[inliers], w[inliers])
-        chosen = np.abs(found.factor * z + found.shift - w) <= TOLERANCE
+        chosen = np.abs(found.factor * z + found.shift - w) <= MATCH_TOLERANCE
         if chosen.sum() < 2 or (chosen == inliers).all():
             break
         inliers = chosen
