@@ -12,7 +12,9 @@ import scipy.fft
 from .ground import GroundImage
 from .maps import MapFeatures
 
-BLOCK = 2.5  # side of a block of the map, in sides of the largest template: larger ones need more memory, not less time
+FFT_BLOCK = (
+    2.5  # side of a block of the map, in sides of the largest template: larger ones need more memory, not less time
+)
 GROUP_BYTES = 2**27  # of templates that are correlated in one pass over the map
 
 
@@ -76,7 +78,7 @@ def correlated(
     # Each template is shifted so that its middle lies at `pad`: then all agree on what a place is.
     starts = [pad - np.rint(t.middle).astype(int) for t in templates]
     reach = np.max([s + t.features.shape[1:] for s, t in zip(starts, templates, strict=True)], axis=0)
-    size = [scipy.fft.next_fast_len(int(min(BLOCK * r, r + extent)), real=True)
+    size = [scipy.fft.next_fast_len(int(min(FFT_BLOCK * r, r + extent)), real=True)
             for r, extent in zip(reach, (height, width), strict=True)]  # fmt: skip
     inner = [size[k] - int(reach[k]) + 1 for k in (0, 1)]
     best = np.full((height, width), -1.0, np.float32)

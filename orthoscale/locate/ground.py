@@ -11,7 +11,7 @@ import numpy as np
 from ..core.source import NO_DATA_GREY
 from ..sources.raster import RasterSource
 
-GREY = (NO_DATA_GREY,) * 3
+NO_PICTURE = (NO_DATA_GREY,) * 3
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class GroundImage:
         # OpenCV's coordinates are of pixel centres, ours of their corners.
         to_out = np.column_stack([turn, turn @ [0.5, 0.5] - low - 0.5])
         size = (int(out[0]), int(out[1]))
-        pixels = cv2.warpAffine(self.pixels, to_out, size, flags=cv2.INTER_LINEAR, borderValue=GREY)
+        pixels = cv2.warpAffine(self.pixels, to_out, size, flags=cv2.INTER_LINEAR, borderValue=NO_PICTURE)
         valid = cv2.warpAffine(self.valid.astype(np.uint8), to_out, size, flags=cv2.INTER_NEAREST) > 0
         from_metres = np.column_stack([turn / self.gsd, -turn @ self.origin / self.gsd - low])
         return GroundImage(pixels, valid, gsd, np.zeros(2)), from_metres

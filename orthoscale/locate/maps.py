@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -15,10 +15,11 @@ from ..errors import UsageError
 from ..sources.satellite import Satellite
 from .features import Features
 
-TILE = 96  # [cells] side of what is described at once
-STEP = 2**0.5  # between the resolutions at which a map is described: photos of about one size share its features
-CODE = ("locate/maps.py", "locate/features.py", "sources/raster.py")  # what decides over a map's features
-SAMPLE = 24  # tiles that tell what is usual on a map
+FEATURE_TILE = 96  # [cells] side of what is described at once
+GRID_STEP = 2**0.5  # between the resolutions at which a map is described: photos of about one size share its features
+FEATURE_CODE = ("locate/maps.py", "locate/features.py", "sources/raster.py")  # what decides over a map's features
+IN_MEMORY = 64  # tiles; with 64 channels 75 MB
+SAMPLED_TILES = 24  # tiles that tell what is usual on a map
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ class MapGrid:
             )
         pixel = satellite.pixel_size(np.array([satellite.source.width, satellite.source.height]) / 2)
         own = float(np.sqrt(pixel.prod()))
-        steps = max(0, int(np.ceil(np.log(coarsest / own) / np.log(STEP) - 1e-9)))
-        return cls(satellite, own * STEP**steps, pixel)
+        steps = max(0, int(np.ceil(np.log(coarsest / own) / np.log(GRID_STEP) - 1e-9)))
+        return cls(satellite, own * GRID_STEP**steps, pixel)
 
     @property
     def size(self) -> np.ndarray:
@@ -117,8 +118,9 @@ class MapFeatures:
 
     def __init__(self, grid: MapGrid, features: Features, channels: int, cache: bool = True):
         self.grid, self.features = grid, features
+        self._tile = lru_cache(IN_MEMORY)(self._made_tile)
         self._channels = channels
-        key = content_key([grid.satellite.source], {"features": features.key, "gsd": grid.gsd}, CODE)
+        key = content_key([grid.satellite.source], {"features": features.key, "gsd": grid.gsd}, FEATURE_CODE)
         self._kept = Kept(key) if cache and key is not None else None
 
     @property
@@ -130,16 +132,18 @@ class MapFeatures:
     @cached_property
     def usual(self) -> Usual:
         """What is usual on this map, from a sample of its tiles."""
-        rows, columns = (range(0, side, TILE) for side in self.shape)
+        rows, columns = (range(0, side, FEATURE_TILE) for side in self.shape)
         tiles = [(r, c) for r in rows for c in columns]
-        chosen = np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), SAMPLE)).astype(int))
+        chosen = np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), SAMPLED_TILES)).astype(int))
         return Usual.of([self._tile(*tiles[k]) for k in chosen], self._channels)
 
     def window(self, row: int, column: int, height: int, width: int) -> np.ndarray:
         """(K, height, width) unit vectors of a window [cells], which may reach beyond the map; nil there."""
         first = None
-        for r in range(max(row, 0) // TILE * TILE, min(row + height, self.shape[0]), TILE):
-            for c in range(max(column, 0) // TILE * TILE, min(column + width, self.shape[1]), TILE):
+        for r in range(max(row, 0) // FEATURE_TILE * FEATURE_TILE, min(row + height, self.shape[0]), FEATURE_TILE):
+            for c in range(
+                max(column, 0) // FEATURE_TILE * FEATURE_TILE, min(column + width, self.shape[1]), FEATURE_TILE
+            ):
                 tile = self._tile(r, c)
                 if first is None:
                     first = np.zeros((tile.shape[0], height, width), np.float32)
@@ -152,17 +156,24 @@ class MapFeatures:
             return np.zeros((len(self.usual.basis), height, width), np.float32)
         return self.usual.of_features(first)
 
-    def _tile(self, row: int, column: int) -> np.ndarray:
-        """(C, TILE, TILE) features of one tile, in half precision as they are kept."""
+    def finer(self, coarsest: float) -> MapFeatures:
+        """The same map's features on the grid for `coarsest` [m/px], with what is usual taken from this one."""
+        grid = MapGrid.of(self.grid.satellite, coarsest)
+        fine = MapFeatures(grid, self.features, self._channels, self._kept is not None)
+        fine.usual = self.usual
+        return fine
+
+    def _made_tile(self, row: int, column: int) -> np.ndarray:
+        """(C, FEATURE_TILE, FEATURE_TILE) features of one tile, in half precision as they are kept."""
         name = f"{row},{column}"
         content = self._kept.content(name) if self._kept is not None else None
         if content is not None:
-            return np.frombuffer(content, np.float16).reshape(-1, TILE, TILE)
+            return np.frombuffer(content, np.float16).reshape(-1, FEATURE_TILE, FEATURE_TILE)
         stride = self.features.stride
         edge = -(-self.features.border // stride)
-        side = (TILE + 2 * edge) * stride
+        side = (FEATURE_TILE + 2 * edge) * stride
         pixels, valid = self.grid.read((column - edge) * stride, (row - edge) * stride, side, side)
-        inner = slice(edge, edge + TILE)
+        inner = slice(edge, edge + FEATURE_TILE)
         made = self.features.of(pixels, valid)[:, inner, inner].astype(np.float16)
         if self._kept is not None:
             self._kept.keep(name, made.tobytes())

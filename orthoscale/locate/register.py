@@ -8,8 +8,9 @@ reaches at wrong places of the same map.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import Protocol
 
 import numpy as np
 import pyproj
@@ -23,7 +24,9 @@ from .maps import MapFeatures, MapGrid
 from .verify import Similarity, Verified, needed, verified
 
 ACROSS = 320.0  # [px] to which the longer side of a picture is brought
-SMALLEST = 96.0  # [px] that the shorter side of a picture must have on the map
+FINER = 640.0  # [px] the same for the last look at the best place, where the map has so much detail
+EVERY = 2  # cells across and down of the picture that the last look matches
+SMALLEST_ON_MAP = 96.0  # [px] that the shorter side of a picture must have on the map
 SCALE_STEP = 1.1  # between the scales that are tried: the features still agree half of it off
 HEADING_STEP = np.radians(10.0)  # between the headings; half of it moves the edge of a picture by 4 % of its size
 HEADING_SD = np.radians(8.0)  # to which a known heading is trusted, to both sides
@@ -31,9 +34,9 @@ MOST_STEPS = 12  # of scales; factor 3
 CHANNELS = 24  # that are correlated
 VERIFIED = 20  # candidates that are verified
 NEGATIVES = 20  # mirrored pictures that tell how many matches agree by chance
-LEAST = 12  # matches that must agree however few do elsewhere
+LEAST_MATCHES = 12  # matches that must agree however few do elsewhere
 RIVAL = 0.7  # share of the best candidate's matches from which another place is about as good
-ELSEWHERE = 0.25  # [pictures' diagonals] from which on a place is another one
+ANOTHER_PLACE = 0.25  # [pictures' diagonals] from which on a place is another one
 LEVELLING_SD = 0.005  # of the scale by one match: the lie of the land, and of the picture. An assumption.
 
 
@@ -57,7 +60,9 @@ class Candidate:
 
     pose : from claimed metres of the picture, right and down of its own place, to pixels of `grid`. score : mean cosine
     of the search. inliers : matches that agree. middle : (2,) longitude and latitude of the middle of the picture's
-    ground [deg]. heading : of the picture's top, clockwise from north [rad]. scale : true metres per claimed metre.
+    ground [deg]. heading : of the picture's top, clockwise from north [rad]. scale : true metres per claimed metre;
+    scatter : its relative one-sigma, by how far the matches scatter. matches : (N, 4) those that agree: x, y of the
+    picture [claimed m right and down], x, y of the map [its pixels].
     """
 
     grid: MapGrid
@@ -67,6 +72,8 @@ class Candidate:
     middle: np.ndarray
     heading: float
     scale: float
+    scatter: float
+    matches: np.ndarray
 
     def map_pixels(self, places: np.ndarray) -> np.ndarray:
         """(N, 2) the map's own pixels, of places (N, 2) of the picture [claimed m right and down]."""
@@ -83,15 +90,13 @@ class Registration:
 
     candidates : the verified places, best first; none where nothing on the map resembles the picture. needed : matches
     that must agree. rival : the number of another candidate about as good as the first, None where there is none.
-    scale_sd : relative one-sigma of the first one's scale. matches : (N, 4) of the first, those that agree: x, y of the
-    picture [claimed m right and down], x, y of the map [its pixels].
+    scale_sd : relative one-sigma of the first one's scale, infinite where it is not good enough.
     """
 
     candidates: tuple[Candidate, ...]
     needed: int
     rival: int | None
     scale_sd: float
-    matches: np.ndarray
 
     @property
     def located(self) -> Candidate | None:
@@ -123,10 +128,12 @@ def register(
     known: Known = Known(),  # noqa: B008 - a frozen value
     cache: bool = True,
     step: Callable[[str, int, int], None] | None = None,
+    finder: Finder | None = None,
 ) -> Registration:
     """Find `seen` on the map `satellite`.
 
-    cache : keep the map's features for the next picture. step : is told of the progress.
+    cache : keep the map's features for the next picture. step : is told of the progress. finder : finds the places
+    that are verified; by default correlation of `features`.
     Raises UsageError for a prior outside of the map, TooLittleEvidence for a picture that is too small on it.
     """
     grid = grid_for(seen, satellite, known.scales)
@@ -136,24 +143,38 @@ def register(
     image = seen.at(grid.gsd / max(scales))
     turns = heading_steps(known.heading, up_of(grid, area, features.stride))
     ways = [Way.of(image, turn, scale, mapped) for turn, scale in product(turns, scales)]
-    apart = ELSEWHERE * float(np.hypot(*(image.size * np.median(scales)))) / (grid.gsd * features.stride)
+    apart = ANOTHER_PLACE * float(np.hypot(*(image.size * np.median(scales)))) / (grid.gsd * features.stride)
     report = None if step is None else (lambda done, total: step("Searching the map", done, total))
-    found = search([way.template for way in ways], mapped.window, area, apart, VERIFIED, report)
+    found = (finder or correlation)(ways, mapped, area, apart, VERIFIED, report)
     looks = [(ways[peak.template], peak, verified(ways[peak.template].template, peak, mapped)) for peak in found]
     places = different(looks, image, mapped, apart)
     wrong = mirrored(ways, mapped, area) + [each.count for _, _, each in places[1:]]
-    return assembled(places, image, wrong, mapped)
+    enough = max(LEAST_MATCHES, needed(wrong, len(places)))
+    candidates = tuple(_candidate(*place, image, mapped) for place in places if place[2].fit is not None)
+    return judged(candidates, enough, seen, mapped)
+
+
+def correlation(
+    ways: Sequence[Way],
+    mapped: MapFeatures,
+    area: tuple[int, int, int, int],
+    apart: float,
+    most: int,
+    step: Callable[[int, int], None] | None = None,
+) -> list[Peak]:
+    """The `Finder` that correlates dense features; see `correlate.search`."""
+    return search([way.template for way in ways], mapped.window, area, apart, most, step)
 
 
 def grid_for(seen: Seen, satellite: Satellite, scales: tuple[float, float]) -> MapGrid:
     """The grid on which `seen` has about ACROSS px. Raises TooLittleEvidence where the map is too coarse for it."""
     size = seen.size * float(np.sqrt(scales[0] * scales[1]))
     grid = MapGrid.of(satellite, float(size.max()) / ACROSS)
-    if size.min() / grid.gsd < SMALLEST:
+    if size.min() / grid.gsd < SMALLEST_ON_MAP:
         across, down = size / grid.gsd
         raise TooLittleEvidence(
             f"the picture shows {size[0]:.0f} x {size[1]:.0f} m, {across:.0f} x {down:.0f} px of "
-            f"{satellite.source.name}; each side needs {SMALLEST:.0f} px",
+            f"{satellite.source.name}; each side needs {SMALLEST_ON_MAP:.0f} px",
             "Take a finer map, or a picture from higher up.",
         )
     return grid
@@ -229,6 +250,23 @@ class Way:
         return cls(pose, Template(features, pose(image.middle[None])[0, ::-1] / mapped.features.stride, turned))
 
 
+class Finder(Protocol):
+    """Finds the places that are worth verifying."""
+
+    def __call__(
+        self,
+        ways: Sequence[Way],
+        mapped: MapFeatures,
+        area: tuple[int, int, int, int],
+        apart: float,
+        most: int,
+        step: Callable[[int, int], None] | None = None,
+    ) -> list[Peak]:
+        """The `most` best places of the pictures `ways` with their middles in `area` (row, column, height, width), no
+        two nearer than `apart` [cells], best first. Raises InputError."""
+        ...
+
+
 Look = tuple[Way, Peak, Verified]  # a way, where the search put it, and what the matches there say
 
 
@@ -259,24 +297,34 @@ def different(looks: Sequence[Look], image: GroundImage, mapped: MapFeatures, ap
     return kept
 
 
-def assembled(looks: Sequence[Look], image: GroundImage, wrong: Sequence[int], mapped: MapFeatures) -> Registration:
-    """The result of `looks`, best first; `wrong` are the counts of places where the picture is not."""
-    enough = max(LEAST, needed(wrong, len(looks)))
-    fitted = [(way, peak, each) for way, peak, each in looks if each.fit is not None]
-    candidates = tuple(_candidate(way, peak, each, image, mapped) for way, peak, each in fitted)
+def judged(candidates: Sequence[Candidate], enough: int, seen: Seen, mapped: MapFeatures) -> Registration:
+    """The result of `candidates`, best first, of which one with `enough` matches is right."""
     if not candidates:
-        return Registration((), enough, None, float("inf"), np.empty((0, 4)))
-    best, (way, _, first) = candidates[0].inliers, fitted[0]
-    rivals = [k for k, other in enumerate(candidates) if k and other.inliers >= RIVAL * best]
-    rival = rivals[0] if rivals and best >= enough else None
-    assert first.fit is not None
-    stride = mapped.features.stride
-    agreed = first.matches[first.fit.inliers] * stride
-    ours = way.pose.inverse(agreed[:, :2])
-    theirs = mapped.grid.map_pixel(agreed[:, 2:])
-    # Blocks that overlap are not independent: what block**2 of them say is worth one.
-    sd = float(np.hypot(first.fit.scale_sd * mapped.features.block, LEVELLING_SD))
-    return Registration(candidates, enough, rival, sd, np.hstack([ours, theirs]))
+        return Registration((), enough, None, float("inf"))
+    best = candidates[0]
+    rivals = [k for k, other in enumerate(candidates) if k and other.inliers >= RIVAL * best.inliers]
+    rival = rivals[0] if rivals and best.inliers >= enough else None
+    if best.inliers < enough:
+        return Registration(tuple(candidates), enough, None, float("inf"))
+    best, sd = refined(best, seen, mapped)
+    return Registration((best, *candidates[1:]), enough, rival, float(np.hypot(sd, LEVELLING_SD)))
+
+
+def refined(best: Candidate, seen: Seen, mapped: MapFeatures) -> tuple[Candidate, float]:
+    """`best` by one more look on a finer grid, turned and scaled as it was found; and what its matches' scatter leaves
+    of its scale, one sigma. Its count remains that of the first look."""
+    fine = mapped.finer(float(seen.size.max()) * best.scale / FINER)
+    own = best.pose.scale * best.grid.gsd  # of the grid's metres
+    image = seen.at(fine.grid.gsd / own)
+    way = Way.of(image, best.pose.turn, own, fine)
+    column, row = best.pose(image.middle[None])[0] * best.grid.gsd / (fine.grid.gsd * fine.features.stride)
+    peak = Peak(best.score, 0, int(np.rint(row)), int(np.rint(column)))
+    look = verified(way.template, peak, fine, EVERY)
+    if look.fit is None or look.count < LEAST_MATCHES:
+        return best, best.scatter
+    better = _candidate(way, peak, look, image, fine)
+    better = replace(better, inliers=best.inliers, scatter=better.scatter / EVERY)
+    return better, better.scatter
 
 
 def _candidate(way: Way, peak: Peak, look: Verified, image: GroundImage, mapped: MapFeatures) -> Candidate:
@@ -290,4 +338,8 @@ def _candidate(way: Way, peak: Peak, look: Verified, image: GroundImage, mapped:
     heading = float(np.radians(pyproj.Geod(ellps="WGS84").inv(*here, *above)[0]) % (2 * np.pi))
     # The grid's metres are those at the map's middle; projections stretch by place.
     local = float(np.sqrt((grid.satellite.pixel_size(middle[0]) / grid.pixel).prod()))
-    return Candidate(grid, pose, peak.score, look.count, here, heading, pose.scale * grid.gsd * local)
+    agreed = look.matches[look.fit.inliers] * stride
+    matches = np.hstack([way.pose.inverse(agreed[:, :2]), grid.map_pixel(agreed[:, 2:])])
+    # Blocks that overlap are not independent: what block**2 of them say is worth one.
+    scatter = look.fit.scale_sd * mapped.features.block
+    return Candidate(grid, pose, peak.score, look.count, here, heading, pose.scale * grid.gsd * local, scatter, matches)

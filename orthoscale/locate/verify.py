@@ -10,13 +10,13 @@ import numpy as np
 from .correlate import Peak, Template
 from .maps import MapFeatures
 
-DRAWS = 2000  # pairs of matches that are tried; with a tenth of them right, 20 draws hit two right ones on average
-TOLERANCE = 1.5  # [cells] up to which a match agrees
-TURN = np.radians(20.0)  # a candidate's heading is at most this far off, its scale at most by this factor
-STRETCH = 1.35
+RANSAC_DRAWS = 2000  # pairs of matches that are tried; with a tenth of them right, 20 are of two right ones
+MATCH_TOLERANCE = 1.5  # [cells] up to which a match agrees
+MOST_TURNED = np.radians(20.0)  # a candidate's heading is at most this far off, its scale at most by this factor
+MOST_STRETCHED = 1.35
 SHORTEST_PAIR = 4.0  # [cells] between two matches that are to tell a similarity
-FITS = 5  # rounds of fitting and choosing anew
-MARGIN = 0.125  # by which the window of the map is larger than the picture, at each side
+REFITS = 5  # rounds of fitting and choosing anew
+WINDOW_MARGIN = 0.125  # by which the window of the map is larger than the picture, at each side
 FALSE_RATE = 1e-4  # probability that any of the places that are verified has as many matches as needed by chance
 GUMBEL_MEDIAN, GUMBEL_QUARTILES = -np.log(np.log(2)), np.log(np.log(4) / np.log(4 / 3))  # of the standard one
 
@@ -90,15 +90,15 @@ class Verified:
         return self.fit.count if self.fit else 0
 
 
-def verified(template: Template, peak: Peak, mapped: MapFeatures) -> Verified:
-    """Match `template` with the map around `peak`."""
+def verified(template: Template, peak: Peak, mapped: MapFeatures, every: int = 1) -> Verified:
+    """Match `template` with the map around `peak`; `every` so many of its cells across and down."""
     block = mapped.features.block
     extent = np.array(template.features.shape[1:])
-    more = np.ceil(MARGIN * extent).astype(int) + block
+    more = np.ceil(WINDOW_MARGIN * extent).astype(int) + block
     corner = np.rint([peak.row, peak.column] - template.middle).astype(int) - more
     height, width = (int(v) for v in extent + 2 * more)
     ground = mapped.window(int(corner[0]), int(corner[1]), height, width)
-    matches = mutual_matches(template.features, ground, block)
+    matches = mutual_matches(template.features, ground, block, every)
     matches[:, 2:] += corner[::-1]
     return Verified(matches, agreeing(matches))
 
@@ -114,12 +114,12 @@ def needed(wrong: Sequence[int], looks: int) -> int:
     return int(np.ceil(mode + spread * np.log(max(looks, 1) / FALSE_RATE)))
 
 
-def mutual_matches(picture: np.ndarray, ground: np.ndarray, block: int) -> np.ndarray:
+def mutual_matches(picture: np.ndarray, ground: np.ndarray, block: int, every: int = 1) -> np.ndarray:
     """(N, 4) pairs of places (x, y in `picture`, x, y in `ground`) [cells] that are each other's best.
 
     picture, ground : (K, h, w) and (K, H, W) unit vectors, compared by blocks of `block` x `block` cells, all of which
-    must have a picture; a place is the middle of a block."""
-    mine, here = _blocks(picture, block)
+    must have a picture; a place is the middle of a block. every : of the picture's blocks, so many across and down."""
+    mine, here = _blocks(picture, block, every)
     theirs, there = _blocks(ground, block)
     if not len(mine) or not len(theirs):
         return np.empty((0, 4))
@@ -131,29 +131,31 @@ def mutual_matches(picture: np.ndarray, ground: np.ndarray, block: int) -> np.nd
 
 
 def agreeing(matches: np.ndarray, seed: int = 0) -> Fit | None:
-    """The similarity near the identity's turn and scale (up to TURN and STRETCH) on which most `matches` (N, 4) agree,
-    by random pairs (RANSAC; Fischler and Bolles, CACM 1981), refitted to them; None for fewer than two."""
+    """The similarity on which most `matches` (N, 4) agree, of those with hardly a turn and stretch (MOST_TURNED,
+    MOST_STRETCHED): by random pairs (RANSAC; Fischler and Bolles, CACM 1981), refitted; None for fewer than two."""
     z, w = _complex(matches[:, :2]), _complex(matches[:, 2:])
     if len(z) < 2:
         return None
     draw = np.random.default_rng(seed)
-    first, second = draw.integers(0, len(z), (2, DRAWS))
+    first, second = draw.integers(0, len(z), (2, RANSAC_DRAWS))
     far = np.abs(z[first] - z[second]) >= SHORTEST_PAIR
     first, second = first[far], second[far]
     factor = (w[first] - w[second]) / (z[first] - z[second])
     with np.errstate(divide="ignore"):
-        plausible = (np.abs(np.log(np.abs(factor))) <= np.log(STRETCH)) & (np.abs(np.angle(factor)) <= TURN)
+        plausible = (np.abs(np.log(np.abs(factor))) <= np.log(MOST_STRETCHED)) & (
+            np.abs(np.angle(factor)) <= MOST_TURNED
+        )
     factor, first, second = factor[plausible], first[plausible], second[plausible]
     if not len(factor):
         return None
     shift = w[first] - factor * z[first]
-    votes = (np.abs(factor[:, None] * z + shift[:, None] - w) <= TOLERANCE).sum(1)
+    votes = (np.abs(factor[:, None] * z + shift[:, None] - w) <= MATCH_TOLERANCE).sum(1)
     best = int(votes.argmax())
     found = Similarity(complex(factor[best]), complex(shift[best]))
-    inliers = np.abs(found.factor * z + found.shift - w) <= TOLERANCE
-    for _ in range(FITS):
+    inliers = np.abs(found.factor * z + found.shift - w) <= MATCH_TOLERANCE
+    for _ in range(REFITS):
         found = _fitted(z[inliers], w[inliers])
-        chosen = np.abs(found.factor * z + found.shift - w) <= TOLERANCE
+        chosen = np.abs(found.factor * z + found.shift - w) <= MATCH_TOLERANCE
         if chosen.sum() < 2 or (chosen == inliers).all():
             break
         inliers = chosen
@@ -177,15 +179,16 @@ def _scale_sd(found: Similarity, z: np.ndarray, w: np.ndarray) -> float:
     return float(np.sqrt(variance / (np.abs(z - z.mean()) ** 2).sum()) / found.scale)
 
 
-def _blocks(features: np.ndarray, block: int) -> tuple[np.ndarray, np.ndarray]:
+def _blocks(features: np.ndarray, block: int, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """(N, K * block**2) unit vectors of all whole blocks with a picture, and (N, 2) their centres x, y [cells]."""
     channels, height, width = features.shape
     if min(height, width) < block:
         return np.empty((0, channels * block**2), np.float32), np.empty((0, 2))
-    parts = np.lib.stride_tricks.sliding_window_view(features, (block, block), (1, 2))
+    parts = np.lib.stride_tricks.sliding_window_view(features, (block, block), (1, 2))[:, ::every, ::every]
     rows = parts.transpose(1, 2, 0, 3, 4).reshape(-1, channels * block**2)
-    known = np.lib.stride_tricks.sliding_window_view(np.abs(features).sum(0) > 0, (block, block)).all((2, 3)).ravel()
-    y, x = np.indices((height - block + 1, width - block + 1)).reshape(2, -1) + block / 2
+    filled = np.lib.stride_tricks.sliding_window_view(np.abs(features).sum(0) > 0, (block, block))[::every, ::every]
+    known = filled.all((2, 3)).ravel()
+    y, x = np.indices(filled.shape[:2]).reshape(2, -1) * every + block / 2
     rows = rows[known]
     return rows / (np.linalg.norm(rows, axis=1, keepdims=True) + 1e-6), np.column_stack([x, y])[known]
 

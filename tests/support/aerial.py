@@ -57,6 +57,26 @@ class Shot:
         return cv2.remap(blurred, at[..., 0], at[..., 1], cv2.INTER_CUBIC)
 
 
+def town(seed: int = 0, side: int = 1600) -> np.ndarray:
+    """(side, side, 3) uint8: roofs, roads and trees at random, nowhere twice."""
+    draw = np.random.default_rng(seed)
+    ground = cv2.resize(draw.uniform(70, 130, (side // 40, side // 40, 3)), (side, side), interpolation=cv2.INTER_CUBIC)
+    for _ in range(side // 40):
+        ends = draw.uniform(-0.2, 1.2, (2, 2)) * side
+        cv2.line(ground, *(tuple(int(v) for v in e) for e in ends), (150, 150, 150), int(draw.uniform(18, 36)))
+    for _ in range(side**2 // 4000):
+        box = cv2.boxPoints((tuple(draw.uniform(0, side, 2)), tuple(draw.uniform(20, 80, 2)), draw.uniform(0, 90)))
+        colour = draw.uniform(40, 240, 3)
+        cv2.fillPoly(ground, [box.astype(np.int32)], colour.tolist())
+        ridge = [tuple(int(v) for v in (box[k] + box[k + 1]) / 2) for k in (0, 2)]
+        cv2.line(ground, *ridge, (colour * 0.7).tolist(), 3)
+    for _ in range(side**2 // 3000):
+        at = tuple(int(v) for v in draw.uniform(0, side, 2))
+        cv2.circle(ground, at, int(draw.uniform(5, 14)), draw.uniform([30, 70, 20], [70, 120, 60]).tolist(), -1)
+    noisy = ground + draw.normal(0, 4, ground.shape)
+    return np.clip(noisy, 0, 255).astype(np.uint8)
+
+
 def relit(picture: np.ndarray, draw: np.random.Generator) -> np.ndarray:
     """Another light: gamma, contrast, colour cast, and the shades of clouds."""
     height, width = picture.shape[:2]
