@@ -33,7 +33,9 @@ def town(seed: int = 0, side: int = SIDE) -> np.ndarray:
         box = cv2.boxPoints((tuple(draw.uniform(0, side, 2)), tuple(draw.uniform(20, 80, 2)), draw.uniform(0, 90)))
         colour = draw.uniform(40, 240, 3)
         cv2.fillPoly(ground, [box.astype(np.int32)], colour.tolist())
-        cv2.line(ground, *(tuple(int(v) for v in (box[k] + box[k + 1]) / 2) for k in (0, 2)), (colour * 0.7).tolist(), 3)
+        cv2.line(
+            ground, *(tuple(int(v) for v in (box[k] + box[k + 1]) / 2) for k in (0, 2)), (colour * 0.7).tolist(), 3
+        )
     for _ in range(side**2 // 3000):
         at = tuple(int(v) for v in draw.uniform(0, side, 2))
         cv2.circle(ground, at, int(draw.uniform(5, 14)), draw.uniform([30, 70, 20], [70, 120, 60]).tolist(), -1)
