@@ -8,8 +8,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from ..core.source import NO_DATA_GREY
-from ..sources.raster import RasterSource
+from ..core.source import NO_DATA_GREY, Picture
 
 NO_PICTURE = (NO_DATA_GREY,) * 3
 
@@ -79,19 +78,20 @@ class Seen(Protocol):
 
 @dataclass(frozen=True)
 class SeenPlan:
-    """An orthophoto of claimed `gsd` [m/px], in any unit if the scale is to be found."""
+    """An orthophoto, or a frame warped onto the ground, of claimed `gsd` [m/px], in any unit if the scale is to be
+    found."""
 
-    source: RasterSource
+    picture: Picture
     gsd: float
 
     @property
     def size(self) -> np.ndarray:
         """(2,) width and height [claimed m]."""
-        return self.gsd * np.array([self.source.width, self.source.height], float)
+        return self.gsd * np.array([self.picture.width, self.picture.height], float)
 
     def at(self, gsd: float) -> GroundImage:
         """The orthophoto at `gsd` claimed metres per pixel; its no-data pixels, which are grey, are not valid."""
         width, height = np.maximum(np.rint(self.size / gsd).astype(int), 1)
-        whole = self.source.width, self.source.height
-        pixels = self.source.read(0, 0, *whole, int(width), int(height))
+        whole = self.picture.width, self.picture.height
+        pixels = self.picture.read(0, 0, *whole, int(width), int(height))
         return GroundImage(pixels, (pixels != NO_DATA_GREY).any(-1), gsd, np.zeros(2))
