@@ -11,7 +11,7 @@ from .poses import Poses, Ridges
 from .ridges import CLEAR_RIDGE, DIRECTIONS
 
 VOTING = 0.3  # of a clear ridge, from which on a pixel votes
-CELL = 2  # [px] side of a cell of middles
+BIN = 2  # [px] side of a cell of middles
 RADII_APART = 1.5  # [px]
 CIRCLE_SEEN = 0.3  # of the circumference, of cells about a middle
 LINE_SEEN = 0.3  # mean ridge of the line through the middle
@@ -32,7 +32,7 @@ def circled(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
         votes = _votes(x, y, normal, r, (ridges.height, ridges.width))
         top = (votes >= CIRCLE_SEEN) & (votes >= cv2.dilate(votes, np.ones((5, 5), np.uint8)))
         row, column = np.nonzero(top)
-        rows.append(np.column_stack([(column + 0.5) * CELL - 0.5, (row + 0.5) * CELL - 0.5, 0 * row + r, votes[top]]))
+        rows.append(np.column_stack([(column + 0.5) * BIN - 0.5, (row + 0.5) * BIN - 0.5, 0 * row + r, votes[top]]))
     found = np.concatenate(rows)
     most = max(FEWEST_CIRCLES, round(CIRCLES * ridges.width * ridges.height / 1e6))
     found = found[np.argsort(-found[:, 3], kind="stable")][:most]
@@ -64,13 +64,13 @@ def _voters(ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _votes(x: np.ndarray, y: np.ndarray, normal: np.ndarray, radius: float, shape: tuple[int, int]) -> np.ndarray:
-    """(H / CELL, W / CELL) float32: how many voters are `radius` [px] from a middle in each cell or beside it, as a
+    """(H / BIN, W / BIN) float32: how many voters are `radius` [px] from a middle in each cell or beside it, as a
     share of the circumference."""
-    height, width = -(-shape[0] // CELL), -(-shape[1] // CELL)
+    height, width = -(-shape[0] // BIN), -(-shape[1] // BIN)
     cells = np.zeros(height * width, np.float32)
     for side in (-1, 1):
-        column = np.floor((x + side * radius * np.cos(normal) + 0.5) / CELL).astype(int)
-        row = np.floor((y + side * radius * np.sin(normal) + 0.5) / CELL).astype(int)
+        column = np.floor((x + side * radius * np.cos(normal) + 0.5) / BIN).astype(int)
+        row = np.floor((y + side * radius * np.sin(normal) + 0.5) / BIN).astype(int)
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         cells += np.bincount(row[inside] * width + column[inside], minlength=len(cells)).astype(np.float32)
     about = cv2.boxFilter(cells.reshape(height, width), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
