@@ -31,7 +31,7 @@ TRACK_FALSE_ROUND = 0.03  # where a bend is, too
 
 FEWEST_LINES, MOST_LINES = 6, 11
 LANE_BLOCK = 3.0  # [m] along the lanes
-BESIDE = 14.0  # [m] to either side
+TO_SIDES = 14.0  # [m] to either side
 LANE_LINE = 0.05  # [m] of paint
 TRACK_BEND = 26.0, 60.0  # [m] radius of a bend: 36.5 at the kerb
 ROUND_FOR = np.radians(40)  # turned in all
@@ -57,7 +57,7 @@ class RunningTracks:
             FEWEST_LINES,
             MOST_LINES,
             LANE_BLOCK / gsd,
-            BESIDE / gsd,
+            TO_SIDES / gsd,
             LANE_LINE / gsd,
         )
         found = []
