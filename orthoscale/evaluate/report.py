@@ -21,6 +21,8 @@ from . import score
 from .methods import METHODS
 from .readers import Sample, read_samples
 
+LOCATED_COLUMNS = ("scale", "photo", "error", "answered")  # of the rows of `evaluate.locating`
+
 
 def samples_of(
     path: Path, form: str | None, lens_file: Path | None, focal_px: float | None, max_pitch: float | None
@@ -76,9 +78,13 @@ def document(
     return text | {"version": __version__, "rows": score.photo_rows(rows)}
 
 
-def known(path: Path) -> Callable[[Path], bool] | None:
-    """Whether a table at `path` is orthoscale's, where its format has no room for a signature; see `Outputs.file`."""
-    return (lambda place: has_header(place, score.columns(METHODS))) if path.suffix.lower() == ".csv" else None
+def known(path: Path, locate: bool = False) -> Callable[[Path], bool] | None:
+    """Whether a table at `path` is orthoscale's, where its format has no room for a signature; see `Outputs.file`.
+
+    locate : it is one of `evaluate.locating`.
+    """
+    columns = LOCATED_COLUMNS if locate else score.columns(METHODS)
+    return (lambda place: has_header(place, columns)) if path.suffix.lower() == ".csv" else None
 
 
 def write(text: dict[str, Any], path: Path) -> None:
