@@ -15,7 +15,7 @@ import pytest
 import rasterio
 import shapely
 from rasterio.transform import from_origin
-from support.aerial import Shot, other_date, town
+from support.aerial import Shot, degraded, relit, town, vehicles_moved
 from support.in_process import run
 from support.photos import detections_of
 
@@ -68,8 +68,9 @@ def plan(path, rgb) -> RasterSource:
 
 
 def shown(ground, shot: Shot, seed: int = 0) -> np.ndarray:
-    """The photo of a `shot` at another date."""
-    return other_date(shot.of(ground, GSD), np.random.default_rng(seed), shot.altitude / shot.focal)
+    """The photo of a `shot` in another light, by another camera, with other vehicles."""
+    draw = np.random.default_rng(seed)
+    return degraded(relit(vehicles_moved(shot.of(ground, GSD), draw, shot.altitude / shot.focal), draw), draw)
 
 
 @pytest.mark.parametrize("claimed", [0.9, 1.0, 1.15])
