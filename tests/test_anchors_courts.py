@@ -10,6 +10,7 @@ from support.courts import (
     GRASS,
     GREEN,
     basketball,
+    centre_circle,
     court_picture,
     handball,
     penalty_area,
@@ -127,6 +128,7 @@ OTHERS = [
     (BASKETBALL, basketball(25.603, 15.24, 3.66, 5.79), "US high school basketball court", 25.603),
     (HANDBALL, handball(), "IHF handball court", 40.0),
     (FOOTBALL, penalty_area(), "IFAB penalty area", 40.32),
+    (FOOTBALL, centre_circle(), "IFAB centre circle", 18.30),
 ]
 
 
@@ -181,6 +183,15 @@ def test_other_lines_are_no_court(finder, paint, gsd):
     centred = [tuple(np.subtract(box, np.tile((low + high) / 2, 2))) for box in paint]
     picture = court_picture([(centred, middle, 0.2)], gsd, 2 * [round(70 / gsd)], surface=ASPHALT)
     assert not finder.find(picture, gsd, 0.12, "")
+
+
+def test_a_circle_without_a_halfway_line_is_none():
+    """A roundabout, a tank: also with a line that only touches it."""
+    line, ring = centre_circle()
+    for paint in ([ring, (-32, 9.1, 32, 9.2)], [ring, (9.15, -0.05, 32, 0.05)]):
+        picture = court_picture([(paint, (35, 35), 0.4)], 0.25, (280, 280), ground=GRASS)
+        assert not FOOTBALL.find(picture, 0.25, SD, "")
+    assert FOOTBALL.find(court_picture([([line, ring], (35, 35), 0.4)], 0.25, (280, 280), ground=GRASS), 0.25, SD, "")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from support.reports import EXAMPLE, car_park
 import orthoscale
 from orthoscale.actions import requests
 from orthoscale.actions.fix import REPORT_FILES
-from orthoscale.actions.requests import EstimateRequest, FixRequest, VehicleRequest, flag
+from orthoscale.actions.requests import EstimateRequest, FixRequest, PhotoRequest, VehicleRequest, flag
 from orthoscale.cli.main import COMMANDS, cli
 from orthoscale.core.measuring.method import VARIANTS_BY_NAME
 from orthoscale.errors import UsageError
@@ -52,6 +52,7 @@ SAID = {
     "estimator": "iqr",
     "known_distance": ("0,0 9,9 1",),
     "ground_control": "g.txt",
+    "against": "map.tif",
     "anchors": ("none",),
     "anchor": ("bay=2.5",),
     "overwrite": True,
@@ -133,7 +134,11 @@ def test_no_option_of_any_command_is_unknown_to_its_function(name):
     command = cli.get_command(None, name)
     taken = set(command.callback.__wrapped__.__code__.co_varnames if hasattr(command.callback, "__wrapped__") else
                 command.callback.__code__.co_varnames)  # fmt: skip
-    known = taken | {each.name for each in fields(FixRequest)} | {"fleet", "gsd", "local_fleet"}
+    known = (
+        taken
+        | {each.name for kind in (FixRequest, PhotoRequest) for each in fields(kind)}
+        | {"fleet", "gsd", "local_fleet"}
+    )
     known |= {"paths", "summary", "jobs"}  # of `cli.many.inputs`
     assert {option.name for option in command.params if option.expose_value} <= known
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ..errors import InputError, UsageError
-from ..sources.json_model import find_exchange
+from ..sources.exchange_files import find_exchange
 from ..system.outputs import ours
 from .several import models_in
 

@@ -10,7 +10,7 @@ from typing import Any
 from ..core.scale import Scale
 from ..core.source import Source
 from ..detect.find import Progress
-from ..errors import UsageError
+from ..errors import TooLittleEvidence, UsageError
 from ..report.anchor_sheet import draw_anchors
 from ..report.anchors import entries, write_anchor_layer
 from ..report.document import write_json
@@ -22,6 +22,10 @@ from .whose import country_of, named_fleet
 
 WITH_A_SCALE = ("fleet", "images", "anchors", "anchor", "workers", "cache")  # options that matter where it is told
 FORMAT_OF_LISTS = "orthoscale anchors 1"
+FILES_OF_LISTS = (".png", ".json", ".gpkg")
+OTHER_FORMS = (".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".pdf", ".svg", ".html", ".csv", ".txt",
+               ".geojson", ".shp", ".dxf", ".kml")  # fmt: skip
+"""Endings that nobody gives to a folder."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +52,36 @@ class AnchorList:
 
     def write(self, folder: Path) -> None:
         """anchors.json, anchors.png, and of an orthophoto anchors.gpkg, into an empty folder. Raises OutputError."""
+        for form in (".json", ".png", *([".gpkg"] if self.source.plan is not None and self.searched.votes else [])):
+            self.write_one(folder / f"anchors{form}")
+
+    def write_one(self, path: Path) -> None:
+        """The file that the ending of `path`, one of FILES_OF_LISTS, names. Raises OutputError; UsageError for a layer
+        of a model, TooLittleEvidence for one of nothing."""
         told = self.document()
-        write_json(told, folder / "anchors.json")
-        draw_anchors(told["anchors"], self.source, folder / "anchors.png")
-        if self.source.plan is not None and told["anchors"]:
+        if path.suffix.lower() == ".json":
+            write_json(told, path)
+        elif path.suffix.lower() == ".png":
+            draw_anchors(told["anchors"], self.source, path)
+        else:
+            if self.source.plan is None:
+                raise UsageError(f"{path.name}: only orthophotos have a layer of anchors", "Write .json or .png.")
+            if not told["anchors"]:
+                raise TooLittleEvidence(f"{path.name}: no anchors were found for the layer", "Write .json or .png.")
             place = self.source.plan.place(self.metres_per_unit, keep_origin=True)
-            write_anchor_layer(told["anchors"], place, folder / "anchors.gpkg")
+            write_anchor_layer(told["anchors"], place, path)
+
+
+def one_file(out: Path) -> bool:
+    """Whether `out` names one file of a list rather than a folder for all of them. Raises UsageError for a picture or
+    a table of another form."""
+    form = out.suffix.lower()
+    if form in OTHER_FORMS:
+        raise UsageError(
+            f"--out {out}: a list of anchors is not written as {form}",
+            f"Name a folder for all of its files, or one file: {', '.join(FILES_OF_LISTS)}.",
+        )
+    return form in FILES_OF_LISTS
 
 
 def list_anchors(

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ..actions.requests import VehicleRequest
+from ..actions.requests import PhotoRequest
 from .options import (
     EXIT_CODES,
     PATH,
@@ -28,7 +28,8 @@ from .options import (
 @command(
     epilog="\b\nExamples:\n  orthoscale evaluate DenseUAV/test/query_drone --fleet CN\n"
     "  orthoscale evaluate UAVVisLoc_plus/ --fleet CN --ablations --out visloc.json\n"
-    "  orthoscale evaluate photos.csv --fleet DE --detections b.json --out e.csv\n\n" + EXIT_CODES
+    "  orthoscale evaluate photos.csv --fleet DE --detections b.json --out e.csv\n"
+    "  orthoscale evaluate photos.csv --depth-folder depth/ --depth-factor da3\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="DATASET", type=PATH)
 @option(
@@ -39,7 +40,15 @@ from .options import (
 )
 @option("--focal-px", type=float, metavar="PX", group="Input", help="Focal length, instead of the data set's.")
 @option("--lens", "lens_file", type=PATH, group="Input", help="Camera calibration, instead of the data set's.")
-@options_of(VehicleRequest)
+@options_of(PhotoRequest, leave=("depth",))
+@option(
+    "--depth-folder",
+    "--depth",
+    "depth",
+    type=PATH,
+    group="Evidence",
+    help="Metric depth to compare with: a folder of .npy, .tif or .png named as the photos are, or a network (.onnx).",
+)
 @save_option
 @option("--max-pitch", type=float, metavar="DEG", group="Input", help="Skip photos with a flatter view (paper: -60).")
 @option("--ablations", is_flag=True, group="Advanced", help="Also vary the score threshold and the number of vehicles.")
@@ -81,6 +90,7 @@ def evaluate(
     from ..evaluate import report
     from ..formats.detections import check_name
     from ..photos import looking as boxes
+    from ..photos.depth.maps import Depths
     from ..photos.tables import check_ending
     from ..system.outputs import Outputs
 
@@ -95,13 +105,14 @@ def evaluate(
             saved = files.file(save_detections)
         samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
         photos = [sample.photo for sample in samples]
+        depths = Depths.asked(how, several=len(photos) > 1)
         ruler, why = how.ruler_fleet([photo.path for photo in photos])
         notes = [*notes, *why]
         found = boxes.boxes_of(photos, how, progress)
         if save_detections is not None:  # worth a look above all where they are too few
             boxes.save_boxes(found, saved, photos)
             files.deliver(saved)
-        text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress)
+        text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress, depths)
         for partial in partials:
             report.write(text, partial)
     click.echo(json.dumps(text)) if as_json else say(report.tables(text, outputs))

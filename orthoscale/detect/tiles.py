@@ -86,12 +86,15 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect) -> Looks:
     image = read(picture, tile)
     if image.min() == image.max():
         return Looks(Boxes.empty(), Boxes.empty())
+    # A plain function knows vehicles only.
+    see = detect.see if isinstance(detect, Detector) else lambda pixels: {VEHICLES: detect(pixels)}
+    first = see(image)
+    if not any(map(len, first.values())):  # only what both show counts, and most of many surveys is empty
+        return Looks(Boxes.empty(), Boxes.empty())
     width, height = (max(1, round(side * CONFIRMING_ZOOM)) for side in (tile.out_width, tile.out_height))
     coarse = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     coarse_tile = replace(tile, out_width=width, out_height=height)
-    # A plain function knows vehicles only.
-    see = detect.see if isinstance(detect, Detector) else lambda pixels: {VEHICLES: detect(pixels)}
-    first, second = see(image), see(coarse)
+    second = see(coarse)
     objects = {
         kind: (place(boxes, tile, CUT_OBJECT), place(second[kind], coarse_tile, CUT_OBJECT))
         for kind, boxes in first.items()

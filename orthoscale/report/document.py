@@ -319,7 +319,7 @@ def _fleet_sizes(fleet: Fleet) -> dict[str, Any]:
     }
     classes = [
         {"name": c.name, "weight": c.weight, "mean": c.mean[:2].tolist(), "sd": c.sd[:2].tolist()}
-        for c in fleet.classes
+        for c in fleet.every_class
     ]
     return {**axes, "classes": classes}
 
