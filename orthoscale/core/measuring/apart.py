@@ -13,7 +13,7 @@ from ..verdicts import UNUSABLE
 
 NEIGHBOURS = 5  # that are looked at; more boxes than that near one another stand in one another anyway
 # Share of the vehicles that count, from which it cannot be a mistake here and there. Of 4,649 labelled vehicles of five
-# places 0.16 % have their middle in another one's box, of those found in the plans of benchmarks/places.py 1.1 % at
+XX
 # most; random boxes of the size of vehicles that cover a tenth of a picture 9 %, those that cover it all 60 %.
 IN_ONE_ANOTHER = 0.1
 FEWEST = 20  # vehicles below which one pair is no share
