@@ -12,9 +12,9 @@ from ..scale import Scale
 from ..verdicts import UNUSABLE
 
 NEIGHBOURS = 5  # that are looked at; more boxes than that near one another stand in one another anyway
-# Share of the vehicles that count, from which it cannot be a mistake here and there. Of 4,649 labelled vehicles of five
-XX
-# most; random boxes of the size of vehicles that cover a tenth of a picture 9 %, those that cover it all 60 %.
+# Share of the vehicles that count, from which it cannot be a mistake here and there. Of the 4,649 labelled vehicles of
+# five places 0.0 to 0.16 % have their middle in another one's box; of random boxes of the size of vehicles 9 %, where
+# they cover 8 % of the picture, and 84 % where they cover it all.
 IN_ONE_ANOTHER = 0.1
 FEWEST = 20  # vehicles below which one pair is no share
 
