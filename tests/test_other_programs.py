@@ -13,7 +13,7 @@ from support.other_programs import LENS, nerfstudio, opensfm, rescaled, same_vie
 
 from orthoscale.actions.estimate import estimate
 from orthoscale.actions.fix import fix
-from orthoscale.actions.several import models_in
+from orthoscale.actions.workspace import models_in
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.sources.colmap import ColmapSource

@@ -39,7 +39,7 @@ from ..sources.location import location_of
 from ..sources.opening import open_source
 from ..tables import standards
 from .against import OnMap, on_map
-from .anchors import Searched, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
+from .anchors import Searched, Wanted, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
 from .control import read_control, read_distance
 from .find import Sampling, find_in, measured_anew
 from .requests import EstimateRequest
@@ -138,6 +138,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         country=country_of(source, fleet),
         own=asked.own,
     )
+    wanted = Wanted(request.anchors, asked.own, method.country, effort_of(request), progress)
     choice, searched, lies = None, Searched(), OnMap()
     found = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found")
     try:
@@ -158,9 +159,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
             answer = measure_source(source, found, fleet, method, request.mode)
         if request.estimator == "robust" and not answer.scale.conflict:
             try:
-                searched = look_for_anchors(
-                    source, answer.scale, request.anchors, asked.own, method.country, effort_of(request), progress
-                )
+                searched = look_for_anchors(source, answer.scale, wanted)
             except InputError as error:  # the vehicles' boxes may come from a file, and the pictures be damaged
                 searched = Searched(notes=(f"no anchors were looked for: {error.message}",))
         if searched.votes:
@@ -171,16 +170,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         if asked.satellite is not None and rough_scale is not None:
             lies = on_map(source, asked.satellite, rough_scale, request.cache, progress)
             method = replace(method, evidence=(*method.evidence, *lies.evidence))
-        searched = at_any_scale(
-            source,
-            rough_scale,
-            request.anchors,
-            asked.own,
-            method.country,
-            effort_of(request),
-            progress,
-            known=len({e.kind for e in method.evidence}),
-        )
+        searched = at_any_scale(source, rough_scale, wanted, known=len({e.kind for e in method.evidence}))
         method = replace(method, anchors=searched.votes)
         answer = _by_anchors(source, fleet, method, doubts(found), error)
     log.info("%d anchors, seen %d times", len(searched.votes), len(searched.anchors))

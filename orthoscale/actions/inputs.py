@@ -11,7 +11,7 @@ from pathlib import Path
 from ..errors import InputError, UsageError
 from ..sources.exchange_files import find_exchange
 from ..system.outputs import ours
-from .several import models_in
+from .workspace import models_in
 
 PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".vrt", ".webp", ".img", ".ecw", ".sid")
 """Endings by which a picture in a folder is known for one. One that is named itself may have any."""

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.alike import all_alike
+from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Tile
 from ..core.source import Picture
@@ -279,9 +279,7 @@ def _unlike(boxes: Boxes, zoom: float) -> Boxes:
     alike = all_alike(boxes) & (boxes.length * zoom >= WELL_SEEN)
     if not alike.any():
         return boxes
-    length = np.log(boxes.length)
-    same, other = (_about(length, np.sort(length[which])) for which in (alike, ~alike))
-    return boxes[~alike & (same < other)]
+    return boxes[~alike & ~more_of_the_same(boxes, alike)]
 
 
 def _reliability(agreed: np.ndarray, seen: np.ndarray) -> np.ndarray:
