@@ -29,7 +29,7 @@ APART = 6  # [px] between two places along a pair, and steps of what changes lit
 PLACES = 2  # along a pair
 LIKELY_PLACE = 0.45  # least mean ridge of a place that is worth a fit
 OTHER_ANGLE = 0.2  # [rad] from which on two poses in one place are two
-SAME_PLACE = 0.25  # of a court's width: places so near each other end at the same fit
+SAME_SEED = 0.25  # of a court's width: places so near each other end at the same fit
 
 
 @dataclass(frozen=True)
@@ -199,6 +199,6 @@ def _alone(poses: Poses, court: Court) -> Poses:
         gap = np.hypot(*(poses.place[kept] - poses.place[i]).T)
         turn = poses.angle[kept] - poses.angle[i]
         turn = np.abs(np.sin(turn)) if court.symmetric else np.abs(np.sin(turn / 2)) * 2
-        if not ((gap < SAME_PLACE * min(court.size) * poses.size[i]) & (turn < OTHER_ANGLE)).any():
+        if not ((gap < SAME_SEED * min(court.size) * poses.size[i]) & (turn < OTHER_ANGLE)).any():
             kept.append(i)
     return poses.only(np.array(kept, int))
