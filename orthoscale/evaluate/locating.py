@@ -135,8 +135,8 @@ def _found(each: PlacedSample, outcome: Any) -> Found:
 
 
 def summary(results: Sequence[Found], photos: int) -> dict[str, Any]:
-    """One line of the table, as shares of all `photos`: the best candidate within NEAR_M and FAR_M, whether or not it was
-    good enough; what was answered, and of that what was right; and how many answers were wrong (beyond FAR_M)."""
+    """One line of the table, as shares of all `photos`: the best candidate within NEAR_M and FAR_M, good enough or not;
+    what was answered, and of that what was right; and how many answers were wrong (beyond FAR_M)."""
     error = np.array([each.error for each in results])
     answered = np.array([each.answered for each in results], bool)
     return {
