@@ -14,7 +14,7 @@ VOTING = 0.3  # of a clear ridge, from which on a pixel votes
 BIN = 2  # [px] side of a cell of middles
 RADII_APART = 1.5  # [px]
 CIRCLE_SEEN = 0.3  # of the circumference, of cells about a middle
-LINE_SEEN = 0.3  # mean ridge of the line through the middle
+MIDDLE_LINE = 0.3  # mean ridge of the line through the middle
 CIRCLES = 60  # per megapixel, the clearest; at least:
 FEWEST_CIRCLES = 8
 TURNS = 120  # directions of the line that are tried
@@ -46,7 +46,7 @@ def circled(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
     line = np.clip(ridge / CLEAR_RIDGE, 0, 1).mean(-1)  # (N, TURNS)
     best = line.argmax(1) if len(found) else np.zeros(0, int)
     seen = line[np.arange(len(found)), best]
-    good = seen >= LINE_SEEN
+    good = seen >= MIDDLE_LINE
     score = (found[:, 3] + seen)[good] / 2
     order = np.argsort(-score, kind="stable")
     return Poses(found[good, :2][order], angle[best][good][order], (found[good, 2] / radius)[order], score[order])

@@ -154,7 +154,9 @@ def _check_locate(locate: bool, satellite: Path | None, of_altitudes: bool, **mo
     if locate and satellite is None:
         raise UsageError("--locate needs a map", "Give it: --satellite MAP.tif.")
     if locate and of_altitudes:
-        raise UsageError("--ablations, --sensitivity and --depth-folder are of altitudes, not --locate", "Remove them.")
+        raise UsageError(
+            "--ablations, --sensitivity and --depth-folder are of altitudes, not of --locate", "Remove them."
+        )
     for name, value in {"satellite": satellite, **more}.items():
         if value is not None and not locate:
             raise UsageError(f"--{name.replace('_', '-')} does nothing without --locate", "Add --locate.")

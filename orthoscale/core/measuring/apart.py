@@ -11,12 +11,12 @@ from ..remarks import REFUSAL, Remark, by_severity
 from ..scale import Scale
 from ..verdicts import UNUSABLE
 
-NEIGHBOURS = 5  # that are looked at; more boxes than that near one another stand in one another anyway
+LOOKED_AT = 5  # that are looked at; more boxes than that near one another stand in one another anyway
 # Share of the vehicles that count, from which it cannot be a mistake here and there. Of the 4,649 labelled vehicles of
 # five places 0.0 to 0.16 % have their middle in another one's box; of random boxes of the size of vehicles 9 %, where
 # they cover 8 % of the picture, and 84 % where they cover it all.
 IN_ONE_ANOTHER = 0.1
-FEWEST = 20  # vehicles below which one pair is no share
+FEWEST_OF_ALL = 20  # vehicles below which one pair is no share
 
 
 def standing_in_another(boxes: Boxes) -> np.ndarray:
@@ -26,7 +26,7 @@ def standing_in_another(boxes: Boxes) -> np.ndarray:
     inside = np.zeros(len(boxes), bool)
     if len(boxes) < 2:
         return inside
-    count = min(NEIGHBOURS + 1, len(boxes))
+    count = min(LOOKED_AT + 1, len(boxes))
     near = cKDTree(boxes.centre).query(boxes.centre, count)[1]
     one, other = np.repeat(np.arange(len(boxes)), count), near.ravel()
     one, other = one[one != other], other[one != other]
@@ -41,7 +41,7 @@ def standing_in_another(boxes: Boxes) -> np.ndarray:
 def only_apart(scale: Scale, boxes: Boxes) -> Scale:
     """`scale`, refused where its vehicles, those of `boxes` (N) that are used, stand in one another."""
     used = boxes[scale.used]
-    share = float(standing_in_another(used).mean()) if len(used) >= FEWEST else 0.0
+    share = float(standing_in_another(used).mean()) if len(used) >= FEWEST_OF_ALL else 0.0
     if share < IN_ONE_ANOTHER:
         return scale
     remark = Remark(
