@@ -16,13 +16,13 @@ from ..verdicts import one_step_below
 # pictures that follow. Eleven places of known scale have 0.5 to 0.9, one with 14 vehicles 0.2; five of six rendered
 # pictures without any vehicle 0.04 to 0.3, one 0.6.
 OF_MISTAKES = 0.3
-FEWEST = 20  # boxes of both kinds, below which a share says little
+LEAST_SEEN = 20  # boxes of both kinds, below which a share says little
 
 
 def as_agreed(scale: Scale, believed: int, doubtful: int) -> Scale:
     """`scale`, one step lower in its verdict where of all boxes only OF_MISTAKES or fewer are `believed`."""
     seen = believed + doubtful
-    if seen < FEWEST or believed > OF_MISTAKES * seen:
+    if seen < LEAST_SEEN or believed > OF_MISTAKES * seen:
         return scale
     remark = Remark(
         CAUTION,
