@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from .projection.view import LOWEST_ELEVATION, Views
+from .remarks import Remark
 
 NEAR_NADIR = 60.0  # [deg] elevation of the viewing ray from which a frame may pass for an orthophoto
 NO_DATA_GREY = 114  # of pixels without data in what `Picture.read` gives
@@ -38,13 +39,13 @@ class Picture(Protocol):
 class Pictures(Protocol):
     """Something with pictures.
 
-    path : of its file or folder. notes : what its user should know.
+    path : of its file or folder. notes : what its user should know of how it was read or written.
     """
 
     @property
     def path(self) -> Path: ...
     @property
-    def notes(self) -> list[str]: ...
+    def notes(self) -> list[Remark]: ...
     @property
     def pictures(self) -> Sequence[Picture]: ...
     @property

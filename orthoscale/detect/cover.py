@@ -25,8 +25,8 @@ FEW_FRAMES = 64
 # `sheffield` the scale of the frames alone is then 0.4 % from that of all of them, the pooled one 0.2 %, where their
 # sampling parts are 1.4 and 2.0 %; with 8 views 1.8 and 0.4 %, with 4 views 2.4 and 0.5 %.
 ENOUGH_VIEWS = 12
-PLACE_CELL = 0.25  # side of a place, in camera heights: so large that FRAME_SAMPLES of each frame that shows it hit it
-FRAME_SAMPLES = (24, 18)  # points across and down, at which a frame is asked what it sees
+PLACE_SIDE = 0.25  # side of a place, in camera heights: large enough to be hit by ASKED_AT of each frame that shows it
+ASKED_AT = (24, 18)  # points across and down, at which a frame is asked what it sees
 
 
 @dataclass(frozen=True)
@@ -70,10 +70,10 @@ def covering(places: Sequence[np.ndarray], views: int = ENOUGH_VIEWS, seed: int 
 def places_seen(source: PosedSet, names: Sequence[str]) -> dict[str, np.ndarray]:
     """By the names of frames (K, 3) the places that each sees: column and row on the ground's plane, and whether (1) or
     not (0) from near the nadir. A place that is seen both ways is two of them."""
-    side = PLACE_CELL * float(np.median(source.ground.height_above(np.array([source.centre(name) for name in names]))))
+    side = PLACE_SIDE * float(np.median(source.ground.height_above(np.array([source.centre(name) for name in names]))))
     places = {}
     for name in names:
-        x, y = (np.linspace(0.5, size - 0.5, n) for size, n in zip(source.image_size(name), FRAME_SAMPLES, strict=True))
+        x, y = (np.linspace(0.5, size - 0.5, n) for size, n in zip(source.image_size(name), ASKED_AT, strict=True))
         views, world, ok = source.views(name, np.stack(np.meshgrid(x, y), -1).reshape(-1, 2), LOWEST_ELEVATION)
         place = np.floor(source.ground.plane(world[ok]) / side).astype(int)
         steep = views.elevation[ok] >= np.radians(NEAR_NADIR)

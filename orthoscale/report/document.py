@@ -103,7 +103,7 @@ def document(
         "interval90": list(scale.interval90),
         "verdict": scale.verdict,
         "fit": FIT[scale.verdict],
-        "judgements": [asdict(judgement) for judgement in judgements(measured, claim)],
+        "judgements": [asdict(judgement) for judgement in judgements(measured, claim, remarks)],
         "vehicles_used": scale.vehicles_used,
         "vehicles_rejected": scale.rejected,
         "boxes_rejected": measured.rejected_boxes,

@@ -16,6 +16,7 @@ from ..detections import Detections
 from ..fleet import Fleet
 from ..pooling.agreement import compare, together
 from ..source import PosedSet, Source
+from .agreed import as_agreed
 from .apart import only_apart
 from .drift import with_drift
 from .measure import measure
@@ -38,7 +39,9 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
-        return _of_one_scale(replace(measured, scale=only_apart(measured.scale, measured.boxes)))
+        scale = only_apart(measured.scale, measured.boxes)
+        scale = as_agreed(scale, len(measured.boxes), sum(map(len, found.doubtful.values())))
+        return _of_one_scale(replace(measured, scale=scale))
     if source.posed is not None:
         return measure_posed(source.posed, found, fleet, method, mode)
     raise TypeError(f"{source!r} is neither a plan nor a posed set")
