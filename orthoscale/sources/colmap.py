@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.projection.view import LOWEST_ELEVATION, Views
+from ..core.source import FocalDoubt
 from ..errors import InputError, OutputError, UsageError
 from ..formats.geometry.dense import GEOMETRY, find_dense, scale_dense, sparse_folders
 from ..formats.geometry.files import reason_left
@@ -22,8 +23,9 @@ from ..formats.points import coordinates, number
 from ..system.outputs import FOLDER_MARK
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
-from .consistency import check_consistency, focal_notes
+from .consistency import check_consistency
 from .database import pose_priors
+from .focal import focal_doubt
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
@@ -76,7 +78,6 @@ class ColmapSource:
         model = read_model(files.folder, files.format)
         notes = [*files.notes, *check_consistency(files.folder, model, files.seen)]
         pictures = find_frames(model, files.folder, images, need_images, notes)
-        notes += focal_notes(model, pictures)
         if note := pose_priors(files.folder):
             notes.append(note)
         return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
@@ -88,6 +89,11 @@ class ColmapSource:
         if len(points) < FEW_POINTS:  # points that only two images see are the worst, but better than none
             points = self.sparse[0]
         return Ground.fit(points, np.array([image.projection_center() for image in self._images.values()]))
+
+    @cached_property
+    def focal(self) -> FocalDoubt:
+        """How far the focal length may be trusted."""
+        return focal_doubt(self._model, self.pictures)
 
     @cached_property
     def ground_pictures(self) -> list[GroundPicture]:

@@ -26,7 +26,7 @@ from ..formats.geometry.text_models import SUFFIXES
 from ..formats.reading import reason
 from .colmap import find_frames
 from .colmap_check import FARTHEST, model_folders
-from .consistency import Observations, check_consistency, focal_notes, observations, some_of_each
+from .consistency import Observations, check_consistency, observations, some_of_each
 from .one_file import OneFileSource
 
 if TYPE_CHECKING:
@@ -85,7 +85,6 @@ class ExchangeSource(OneFileSource):
         model, others, notes, tracks = _read(path)
         notes += check_consistency(path, model, _seen(path, model, tracks))
         pictures = find_frames(model, path.parent, images, need_images, notes)
-        notes += focal_notes(model, pictures)
         return cls(path, path.parent, "json", pictures, notes, (path, *others), model)
 
     @property

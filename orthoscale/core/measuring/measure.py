@@ -45,6 +45,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
             geometry.repeated,
             own.sigma,
             own.kinds,
+            None if seen.ground is None else seen.ground[solved],
         )
         vehicles = replace(votes, size=tight(votes, seen.ruler.margin))
         more: Sequence[AnchorVote] = ()

@@ -77,6 +77,8 @@ def measure_posed(
     if not modes:
         raise next(iter(failed.values()))
     notes = tuple(f"{name}: {error.message}" for name, error in failed.items())
+    if source.focal.said:
+        notes = (*notes, source.focal.said)
     return replace(_of_one_scale(_answer(modes)), modes=modes, notes=notes)
 
 
