@@ -60,7 +60,7 @@ class Conditions:
         return cls(
             kind=kind,
             points=int(np.exp(rng.uniform(np.log(120), np.log(6000)))),
-            crowns=rng.uniform(0, 0.5),
+            crowns=rng.uniform(0, 0.5) if rng.random() < 0.7 else rng.uniform(0.5, 1.5),
             roofs=rng.uniform(0, 0.35),
             slope=rng.uniform(0, 0.06),
             relief=rng.uniform(0, 1.5),
