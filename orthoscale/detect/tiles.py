@@ -81,23 +81,33 @@ def look(picture: Picture, tile: Tile, detect: Detect) -> Boxes:
     return place(detect(read(picture, tile)), tile)
 
 
-def look_twice(picture: Picture, tile: Tile, detect: Detect) -> Looks:
-    """Two passes over one tile, whose pixels are read once. A tile of one colour (no data) is left out."""
+def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | None = None) -> Looks:
+    """Two passes over one tile, whose pixels are read once. A tile of one colour (no data) is left out.
+
+    confirm : takes the second one; by default the detector that confirms `detect`, or `detect` itself. Two networks
+    seldom make the same mistake, so with a confirming detector the score in its card is enough in either pass.
+    """
     image = read(picture, tile)
     if image.min() == image.max():
         return Looks(Boxes.empty(), Boxes.empty())
     width, height = (max(1, round(side * CONFIRMING_ZOOM)) for side in (tile.out_width, tile.out_height))
     coarse = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     coarse_tile = replace(tile, out_width=width, out_height=height)
-    # A plain function knows vehicles only.
-    see = detect.see if isinstance(detect, Detector) else lambda pixels: {VEHICLES: detect(pixels)}
-    first, second = see(image), see(coarse)
+    if isinstance(detect, Detector) and detect.confirming is not None:
+        first, second = detect.see(image, detect.confirming.card.score), detect.confirming.see(coarse)
+    else:
+        first, second = _seen(detect, image), _seen(confirm or detect, coarse)
     objects = {
         kind: (place(boxes, tile, CUT_OBJECT), place(second[kind], coarse_tile, CUT_OBJECT))
         for kind, boxes in first.items()
-        if kind != VEHICLES
+        if kind != VEHICLES and kind in second
     }
     return Looks(place(first[VEHICLES], tile), place(second[VEHICLES], coarse_tile), objects)
+
+
+def _seen(detect: Detect, image: np.ndarray) -> dict[str, Boxes]:
+    """Boxes by kind; a plain function knows vehicles only."""
+    return detect.see(image) if isinstance(detect, Detector) else {VEHICLES: detect(image)}
 
 
 def read(picture: Picture, tile: Tile) -> np.ndarray:
