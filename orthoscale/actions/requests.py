@@ -224,8 +224,8 @@ class EstimateRequest(VehicleRequest):
         False,
         bool,
         "Detector",
-        "Let the small detector look twice at an orthophoto; by default a larger one takes the second look, which makes "
-        "fewer mistakes and takes half as long again.",
+        "Let the small detector look twice at an orthophoto; by default a larger one takes the second look, which "
+        "makes fewer mistakes and takes half as long again.",
     )
     mode: str | None = option(
         None,
