@@ -84,8 +84,7 @@ def look(picture: Picture, tile: Tile, detect: Detect) -> Boxes:
 def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | None = None) -> Looks:
     """Two passes over one tile, whose pixels are read once. A tile of one colour (no data) is left out.
 
-    confirm : takes the second one; by default the detector that confirms `detect`, or `detect` itself. Two networks
-    seldom make the same mistake, so with a confirming detector the score in its card is enough in either pass.
+    confirm : takes the second one; by default the detector that confirms `detect`, or `detect` itself.
     """
     image = read(picture, tile)
     if image.min() == image.max():
@@ -93,10 +92,8 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | N
     width, height = (max(1, round(side * CONFIRMING_ZOOM)) for side in (tile.out_width, tile.out_height))
     coarse = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     coarse_tile = replace(tile, out_width=width, out_height=height)
-    if isinstance(detect, Detector) and detect.confirming is not None:
-        first, second = detect.see(image, detect.confirming.card.score), detect.confirming.see(coarse)
-    else:
-        first, second = _seen(detect, image), _seen(confirm or detect, coarse)
+    confirm = confirm or (detect.confirming if isinstance(detect, Detector) else None) or detect
+    first, second = _seen(detect, image), _seen(confirm, coarse)
     objects = {
         kind: (place(boxes, tile, CUT_OBJECT), place(second[kind], coarse_tile, CUT_OBJECT))
         for kind, boxes in first.items()
