@@ -84,8 +84,8 @@ def test_names_are_case_blind_and_unknown_ones_are_refused_with_the_list():
 @pytest.mark.parametrize(
     ("text", "code"),
     [("usa", "US"), ("CHE", "CH"), ("Schweiz", "CH"), ("suisse", "CH"), ("日本", "JP"), ("Côte d'Ivoire", "CI"),
-     ("UK", "GB"), ("Texas", "US"), ("US-ca", "US"), ("Georgia", "GE"), ("hong kong", "HK"),
-     ("Mexico City", "MX_center"), ("turkey", "TR"), ("276", "DE"), ("deutschland", "DE")],
+     ("UK", "GB"), ("Texas", "US_TX"), ("US-ca", "US_CA"), ("tokyo", "JP_Tokyo"), ("Georgia", "GE"),
+     ("hong kong", "HK"), ("Mexico City", "MX_center"), ("turkey", "TR"), ("276", "DE"), ("deutschland", "DE")],
 )  # fmt: skip
 def test_a_country_resolves_by_any_of_its_names(text, code):
     assert load_fleet(text).code == code
@@ -202,3 +202,18 @@ def test_three_wheelers_stand_among_the_cars_of_the_countries_that_have_them():
     document = json.loads((Path(orthoscale.__file__).parent / "data" / "fleets.json").read_text())
     for code in document["three_wheelers"]["shares"]:
         assert load_fleet(code).three_wheelers is not None
+
+
+def test_parts_of_a_country_have_its_vehicles_in_other_shares():
+    country = load_fleet("US")
+    states = [load_fleet(code) for code in ("Wyoming", "Texas", "Ohio", "New York")]
+    lengths = [fleet.mean[0] for fleet in states]
+    assert lengths == sorted(lengths, reverse=True) and lengths[0] > country.mean[0] > lengths[-1]
+    for fleet in states:
+        assert sum(c.weight for c in fleet.classes) == pytest.approx(1)
+        assert sum(c.weight * c.mean for c in fleet.classes) == pytest.approx(fleet.mean)
+        assert (fleet.mean_sd == country.mean_sd).all()
+    # Tokyo has fewer kei cars than Japan, Okinawa more.
+    kei = [min(load_fleet(code).classes, key=lambda c: c.mean[0]).weight for code in ("Tokyo", "Japan", "Okinawa")]
+    assert kei == sorted(kei)
+    assert load_fleet("Bangkok").mean[0] == pytest.approx(load_fleet("TH").mean[0] - 0.12, abs=0.02)

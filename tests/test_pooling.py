@@ -55,9 +55,9 @@ def hold_their_word(scales):
     few = len(scales) < 80
     inside = np.mean([s.interval90[0] <= 0.12 <= s.interval90[1] for s in scales])
     assert inside >= 0.9 - 2.7 * np.sqrt(0.09 / len(scales))  # 2.7 sigmas of the draws
-    # By the median, for one mix in fifty is so odd that it is taken for another scale; the count above has those. In 100
-    # draws it strays by 0.12 (one sigma). The mixes of these scenes stray less than those of places are taken to, so
-    # errors may be smaller still.
+    # By the median, for one mix in fifty is so odd that it is taken for another scale; the count above has those. It
+    # strays by 0.12 (one sigma of 100 draws). The mixes of these scenes stray less than those of places are taken to,
+    # so errors may be smaller still.
     error = np.median([abs(np.log(s.value / 0.12)) / s.relative_sd for s in scales]) / 0.6745
     assert 0.5 < error < (1.5 if few else 1.35)
 

@@ -53,6 +53,7 @@ SAID = {
     "estimator": "iqr",
     "known_distance": ("0,0 9,9 1",),
     "ground_control": "g.txt",
+    "against": "map.tif",
     "anchors": ("none",),
     "anchor": ("bay=2.5",),
     "overwrite": True,

@@ -13,7 +13,7 @@ from support.geometry import dense_workspace
 
 from orthoscale.actions.fix import fix
 from orthoscale.actions.requests import FixRequest
-from orthoscale.actions.several import fix_all, models_in
+from orthoscale.actions.workspace import fix_all, models_in
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.sources.colmap import ColmapSource

@@ -74,17 +74,18 @@ def find_in_model(
     and more, and it says whether the pictures of the ground show enough for a scale; without it all are looked at, and
     what they show always is. Raises TooLittleEvidence.
     """
-    sampling = sampling or Sampling()
+    sampling, seed = sampling or Sampling(), (effort or Effort()).seed
     names = [picture.name for picture in source.pictures]
     seen = places_seen(source, names) if len(names) >= FEW_FRAMES else {}
-    cover = covering(list(seen.values())) if seen else None
+    cover = covering(list(seen.values()), seed=seed) if seen else None
 
     def searched() -> float:
         some = source.pictures if cover is None else [source.pictures[k] for k in cover.first(ZOOM_FRAMES)]
         return find_zoom(some, detector, _named(progress, "in the frames"), effort).zoom
 
     def planar(plans: Sequence[GroundView], shown: Progress | None, of_frames: Callable[[], float]) -> Found:
-        above = covering([seen_from_above(seen[plan.image]) for plan in plans]) if len(plans) >= FEW_FRAMES else None
+        places = [seen_from_above(seen[plan.image]) for plan in plans] if len(plans) >= FEW_FRAMES else []
+        above = covering(places, seed=seed) if places else None
         return _planar(plans, detector, zoom, shown, effort, sampling.from_above, above, of_frames)
 
     if mode == PLANAR:

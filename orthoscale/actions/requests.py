@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from ..anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
-from ..core.source import Source
 from ..errors import UsageError
 
 if TYPE_CHECKING:
     from typing import Self
+
+    from ..core.source import Source
 
 MODES = ("both", "oblique", "planar")
 PROJECTIONS = ("exact", "planar", "decoupled", "program", "naive")
@@ -276,6 +277,14 @@ class EstimateRequest(VehicleRequest):
         "Text file with lines POINT EAST NORTH [UP] in metres; points as for --known-distance.",
         metavar="FILE",
     )
+    against: str | Path | None = option(
+        None,
+        Path,
+        "Evidence",
+        "Georeferenced map of another date that shows the same ground: its scale counts beside the vehicles', and an "
+        "orthophoto takes its place and direction from it.",
+        metavar="MAP",
+    )
     anchors: Sequence[str] = option(
         (PROVEN,),
         str,
@@ -308,7 +317,7 @@ class EstimateRequest(VehicleRequest):
         if self.exhaustive:
             self._refuse(("target",), "--exhaustive visits every tile")
         if self.estimator == "iqr":
-            self._refuse(("anchors", "anchor"), "--estimator iqr is the paper's, for vehicles only")
+            self._refuse(("anchors", "anchor", "against"), "--estimator iqr is the paper's, for vehicles only")
         if NO_KIND in self.anchors:
             self._refuse(("anchor",), "--anchors none looks for none")
             if len(self.anchors) > 1:
@@ -387,6 +396,8 @@ class FixRequest(EstimateRequest):
     def _for_plan(self, path: Path) -> None:
         super()._for_plan(path)
         self._refuse(("dense",), f"it is for COLMAP models, and {path} is an image")
+        if self.against is not None:
+            self._refuse(("keep_origin",), "--against gives the orthophoto its place")
 
     def _for_posed(self, path: Path) -> None:
         super()._for_posed(path)
@@ -436,6 +447,7 @@ class EstimateOptions(VehicleOptions, total=False):
     estimator: str
     known_distance: Sequence[str]
     ground_control: str | Path | None
+    against: str | Path | None
     anchors: Sequence[str]
     anchor: Sequence[str]
 

@@ -10,6 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from ..core.boxes import Boxes
@@ -186,9 +187,10 @@ class Detector:
         std = np.array(how.std, np.float32)[:, None, None]
         shift = np.array(how.mean, np.float32)[:, None, None] / std
         padded = np.empty((1, 3, rows, columns), np.float32)
-        padded[:] = NO_DATA_GREY / std
-        pixels = image if how.channels == "RGB" else image[..., ::-1]
-        np.multiply(pixels.transpose(2, 0, 1), 1 / std, out=padded[0, :, :height, :width])
+        padded[..., height:, :] = padded[..., width:] = NO_DATA_GREY / std
+        channels = cv2.split(image)  # far faster than numpy's transposing
+        for k, channel in enumerate(channels if how.channels == "RGB" else channels[::-1]):
+            np.multiply(channel, (1 / std)[k], out=padded[0, k, :height, :width])
         if shift.any():
             padded -= shift
         failed = f"{self.path}: the network fails on an image of {columns} x {rows} px"

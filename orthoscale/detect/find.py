@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.alike import all_alike
+from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import Boxes
 from ..core.detections import Detections
 from ..errors import EvidenceDisagrees, TooLittleEvidence
@@ -131,11 +131,13 @@ def find_vehicles(
 
 
 def _without_equal_things(found: Detections) -> Detections:
-    """`found`, where boxes of things too much alike for vehicles are doubtful, and a note says how many."""
+    """`found`, where boxes of things too much alike for vehicles are doubtful, and what is probably more of the same; a
+    note says how many."""
     boxes, doubtful, count = dict(found.boxes), dict(found.doubtful), 0
     for name, seen in found.boxes.items():
         alike = all_alike(seen)
         if alike.any():
+            alike |= more_of_the_same(seen, alike)
             boxes[name] = seen[~alike]
             doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), seen[alike]])
             count += int(alike.sum())

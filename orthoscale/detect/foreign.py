@@ -40,15 +40,13 @@ class Worker:
     Memory is limited to the budget, on Linux.
     """
 
-    def __init__(
-        self, path: Path, content: bytes, threads: int, operators: str | None, seconds: float = LONGEST_SECONDS
-    ):
+    def __init__(self, path: Path, content: bytes, threads: int, operators: str | None, seconds: float | None = None):
         """Load the network `content` of the file at `path`, which has `seconds` for each look.
 
         Raises InputError; ForeignError for what it says itself.
         """
         self._path = path
-        self._seconds = seconds
+        self._seconds = LONGEST_SECONDS if seconds is None else seconds
         self._turn = threading.Lock()
         self._late = False
         # Nothing is imported from where the user happens to be, and no more threads are made than are asked for.

@@ -89,11 +89,13 @@ def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | N
     image = read(picture, tile)
     if image.min() == image.max():
         return Looks(Boxes.empty(), Boxes.empty())
+    first = _seen(detect, image)
+    if not any(map(len, first.values())):  # only what both show counts, and most of many surveys is empty
+        return Looks(Boxes.empty(), Boxes.empty())
     width, height = (max(1, round(side * CONFIRMING_ZOOM)) for side in (tile.out_width, tile.out_height))
     coarse = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     coarse_tile = replace(tile, out_width=width, out_height=height)
-    confirm = confirm or (detect.confirming if isinstance(detect, Detector) else None) or detect
-    first, second = _seen(detect, image), _seen(confirm, coarse)
+    second = _seen(confirm or (detect.confirming if isinstance(detect, Detector) else None) or detect, coarse)
     objects = {
         kind: (place(boxes, tile, CUT_OBJECT), place(second[kind], coarse_tile, CUT_OBJECT))
         for kind, boxes in first.items()

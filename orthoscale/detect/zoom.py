@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.alike import all_alike
+from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Tile
 from ..core.source import Picture
@@ -124,12 +124,13 @@ def search_zoom(
 
     def look_at(chosen: Sequence[_Level], budget: float) -> _Votes:
         with ThreadPoolExecutor(workers) as pool:
-            for k, level in enumerate(chosen):
-                windows = level.windows(pictures, order, budget)
-                looks = pool.map(lambda window: look(pictures[window[0]], window[1], detect), windows)
-                level.keep(windows, looks, card)
+            # All at once: coarse zooms have a window or two, for which most threads would wait.
+            work = [(level, level.windows(pictures, order, budget)) for level in chosen]
+            looks = [pool.map(lambda one: look(pictures[one[0]], one[1], detect), windows) for _, windows in work]
+            for k, ((level, windows), seen) in enumerate(zip(work, looks, strict=True), 1):
+                level.keep(windows, seen, card)
                 if progress:
-                    progress(k + 1, len(chosen))
+                    progress(k, len(chosen))
         return _votes(levels, card.usable_length[0])
 
     votes = look_at(levels, BUDGET)
@@ -278,9 +279,7 @@ def _unlike(boxes: Boxes, zoom: float) -> Boxes:
     alike = all_alike(boxes) & (boxes.length * zoom >= WELL_SEEN)
     if not alike.any():
         return boxes
-    length = np.log(boxes.length)
-    same, other = (_about(length, np.sort(length[which])) for which in (alike, ~alike))
-    return boxes[~alike & (same < other)]
+    return boxes[~alike & ~more_of_the_same(boxes, alike)]
 
 
 def _reliability(agreed: np.ndarray, seen: np.ndarray) -> np.ndarray:

@@ -87,7 +87,9 @@ class ColmapSource:
         points = np.array([p.xyz for p in self._model.points3D.values() if p.track.length() != 2])
         if len(points) < FEW_POINTS:  # points that only two images see are the worst, but better than none
             points = self.sparse[0]
-        return Ground.fit(points, np.array([image.projection_center() for image in self._images.values()]))
+        centres = np.array([self.centre(name) for name in self.picture_names])
+        # Which points the fit draws depends on their order, and that is another one in each program's files.
+        return Ground.fit(points[np.lexsort(points.T)], centres)
 
     @cached_property
     def ground_pictures(self) -> list[GroundPicture]:

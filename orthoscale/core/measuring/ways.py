@@ -16,6 +16,7 @@ from ..detections import Detections
 from ..fleet import Fleet
 from ..pooling.agreement import compare, together
 from ..source import PosedSet, Source
+from .apart import only_apart
 from .drift import with_drift
 from .measure import measure
 from .measurement import Measurement
@@ -36,7 +37,8 @@ def measure_source(
     Raises TooLittleEvidence, UsageError.
     """
     if source.plan is not None:
-        return _of_one_scale(measure(PlanGeometry.of(source.plan, found), fleet, method))
+        measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
+        return _of_one_scale(replace(measured, scale=only_apart(measured.scale, measured.boxes)))
     if source.posed is not None:
         return measure_posed(source.posed, found, fleet, method, mode)
     raise TypeError(f"{source!r} is neither a plan nor a posed set")

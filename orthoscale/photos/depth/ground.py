@@ -19,7 +19,7 @@ from ..measure import Measure, Photo
 
 # Where ground is looked for: outside a box grown by this, which still may show roofs and wheels, as far as so many
 # of the vehicle's widths from it; between vehicles in a row there is half a width.
-CLEAR, RINGS = 1.15, (0.3, 0.5, 0.7, 0.9)
+CLEARED, RINGS = 1.15, (0.3, 0.5, 0.7, 0.9)
 ALONG_SIDE = 6  # points on each side of a ring
 FEWEST_POINTS = 8  # of the ground around a vehicle
 # Depth of level ground grows across a picture that is not straight down. A metric depth grows as much, but for hills
@@ -126,11 +126,11 @@ def _rings(boxes: Boxes) -> np.ndarray:
 
 
 def _covered(photo: Photo, boxes: Boxes, pixels: np.ndarray) -> np.ndarray:
-    """(N, M) whether `pixels` (N, M, 2) lie in any of the boxes grown by CLEAR, or outside the photo."""
+    """(N, M) whether `pixels` (N, M, 2) lie in any of the boxes grown by CLEARED, or outside the photo."""
     shrink = min(1.0, 2000 / max(photo.tags.width, photo.tags.height))  # enough for the edges of vehicles
     size = np.ceil(np.array([photo.tags.width, photo.tags.height]) * shrink).astype(int)
     mask = np.zeros(size[::-1], np.uint8)
-    grown = boxes.centre[:, None] + CLEAR * (boxes.corners - boxes.centre[:, None])
+    grown = boxes.centre[:, None] + CLEARED * (boxes.corners - boxes.centre[:, None])
     for corners in (grown * shrink).round().astype(np.int32):
         cv2.fillConvexPoly(mask, corners, 1)
     place = np.floor(pixels * shrink).astype(int)
