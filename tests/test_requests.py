@@ -67,7 +67,7 @@ SAID = {
 OF_DETECTOR = {"detector", "decoder", "zoom", "gsd_hint"} | {
     *("refine", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
 }
-OF_MODEL = {"mode", "images", "projection", "dense"}
+OF_MODEL, OF_ORTHOPHOTO = {"mode", "images", "projection", "dense"}, {"target"}
 TO_WRITE_AN_ORTHOPHOTO = {"keep_origin", "cog", "also"}
 
 
@@ -98,7 +98,7 @@ def test_what_is_for_the_other_kind_of_input_is_refused(park, tmp_path, name, co
     request = kind(**{name: SAID[name]})
     for judge, refused in (
         (request._for_plan, OF_MODEL),
-        (request._for_posed, TO_WRITE_AN_ORTHOPHOTO),
+        (request._for_posed, OF_ORTHOPHOTO | TO_WRITE_AN_ORTHOPHOTO),
     ):
         if name in refused:
             with pytest.raises(UsageError):

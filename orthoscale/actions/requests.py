@@ -233,7 +233,7 @@ class EstimateRequest(VehicleRequest):
         0.005,
         float,
         "Advanced",
-        "Stop the sweep at this sampling uncertainty (relative, 1 sigma).",
+        "Stop the sweep of an orthophoto at this sampling uncertainty (relative, 1 sigma).",
         positive=True,
     )
     exhaustive: bool = option(False, bool, "Advanced", "Sweep all of an orthophoto, or all frames of a model.")
@@ -348,7 +348,7 @@ class EstimateRequest(VehicleRequest):
             )
 
     def _for_posed(self, path: Path) -> None:
-        """A model takes every option of `estimate`."""
+        self._refuse(("target",), f"frames are looked at until they repeat the ground, and {path} is a model")
 
 
 OF_LOOKING = ("refine", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
