@@ -127,13 +127,24 @@ class Located(Brief):
         write(self.outcomes, self.to_dict(), self.satellite, folder, self.top)
 
 
-def features_for(method: str) -> tuple[Features, tuple[str, ...]]:
-    """The features of `method`, and what to say of the choice. Raises UsageError where they are not installed."""
-    from ..locate import dense
-
+def features_for(method: str) -> Features:
+    """The features by which `method` verifies, and searches if it is not retrieval. Raises UsageError where they are
+    not installed."""
     if method == "dense":
-        return dense.DenseFeatures(), ()
-    return GradientFeatures(), ()
+        from ..locate.dense import DenseFeatures
+
+        return DenseFeatures()
+    return GradientFeatures()
+
+
+def finder_for(request: LocateRequest) -> tuple[str, Finder | None, tuple[str, ...]]:
+    """The method that `request` means, its finder where it is not correlation, and notes. Raises InputError."""
+    if request.embedding is None:
+        return "gradient" if request.method == "auto" else request.method, None, ()
+    from ..locate.retrieval import Retrieval
+
+    finder = Retrieval.open(request.embedding, request.embedding_map, request.cache)
+    return "retrieval", finder, finder.notes
 
 
 def locate(
@@ -145,17 +156,8 @@ def locate(
     is damaged or a single photo that cannot be read.
     """
     prior = request.prior_on(satellite)
-    method = request.method
-    if method == "auto":
-        method = "retrieval" if request.embedding is not None else "gradient"
-    features, notes = features_for(method)
-    finder = None
-    if method == "retrieval":
-        from ..locate.retrieval import Retrieval
-
-        assert request.embedding is not None
-        finder = Retrieval.open(request.embedding, request.embedding_map, request.cache)
-        notes = (*notes, *finder.notes)
+    method, finder, notes = finder_for(request)
+    features = features_for(method)
     claims = claimed_scales(find_photos(paths), request.gsd, request.looking, progress, **request.lens)
     outcomes = []
     for number, (name, claimed) in enumerate(claims.items(), 1):

@@ -87,7 +87,7 @@ def find_vehicles(
     card = detector.card
 
     def detections(found: Found) -> Detections:
-        ruler = (card.ruler, card.effective_height, card.name, detector.sha256)
+        ruler = (card.ruler, card.effective_height, detector.name, detector.sha256)
         return Detections(
             found.boxes,
             zoom,
@@ -123,8 +123,9 @@ def find_vehicles(
             (lambda found: sampling(detections(found))) if anytime and sampling else None,
             effort.target,
             step("Finding vehicles"),
-            card.sure,
+            detector.sure,
             None if cover is None else cover.enough,
+            detector.confirming is None,
         )
     return _without_equal_things(detections(found)), choice
 

@@ -23,6 +23,8 @@ from . import score
 from .methods import BY_DEPTH, METHODS, by_depth
 from .readers import Sample, read_samples
 
+LOCATED_COLUMNS = ("scale", "photo", "error", "answered")  # of the rows of `evaluate.locating`
+
 
 def samples_of(
     path: Path, form: str | None, lens_file: Path | None, focal_px: float | None, max_pitch: float | None
@@ -86,9 +88,12 @@ def document(
     return text | {"version": __version__, "rows": score.photo_rows(rows)}
 
 
-def known(path: Path) -> Callable[[Path], bool] | None:
-    """Whether a table at `path` is orthoscale's, where its format has no room for a signature; see `Outputs.file`."""
-    tables = [score.columns(methods) for methods in (METHODS, (*METHODS, BY_DEPTH))]
+def known(path: Path, locate: bool = False) -> Callable[[Path], bool] | None:
+    """Whether a table at `path` is orthoscale's, where its format has no room for a signature; see `Outputs.file`.
+
+    locate : it is one of `evaluate.locating`.
+    """
+    tables = [LOCATED_COLUMNS] if locate else [score.columns(methods) for methods in (METHODS, (*METHODS, BY_DEPTH))]
     return (lambda place: any(has_header(place, each) for each in tables)) if path.suffix.lower() == ".csv" else None
 
 

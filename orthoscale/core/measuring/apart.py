@@ -11,7 +11,7 @@ from ..remarks import REFUSAL, Remark, by_severity
 from ..scale import Scale
 from ..verdicts import UNUSABLE
 
-NEIGHBOURS = 5  # that are looked at; more boxes than that near one another stand in one another anyway
+LOOKED_AT = 5  # that are looked at; more boxes than that near one another stand in one another anyway
 # Share of the vehicles that count, from which it cannot be a mistake here and there. Of the 4,649 labelled vehicles of
 # five places 0.0 to 0.16 % have their middle in another one's box; of random boxes of the size of vehicles 9 %, where
 # they cover 8 % of the picture, and 84 % where they cover it all.
@@ -26,7 +26,7 @@ def standing_in_another(boxes: Boxes) -> np.ndarray:
     inside = np.zeros(len(boxes), bool)
     if len(boxes) < 2:
         return inside
-    count = min(NEIGHBOURS + 1, len(boxes))
+    count = min(LOOKED_AT + 1, len(boxes))
     near = cKDTree(boxes.centre).query(boxes.centre, count)[1]
     one, other = np.repeat(np.arange(len(boxes)), count), near.ravel()
     one, other = one[one != other], other[one != other]
