@@ -64,7 +64,8 @@ COVER = Cover(np.arange(80)[::-1], 40)
 
 
 class Rectangles(RectangleDetector):
-    sha256 = "a" * 64
+    sha256, sure, confirming = "a" * 64, 0.0, None
+    name = "rectangles"
 
 
 def looked_at(frames, sampling, cover=COVER, **effort):
