@@ -33,7 +33,7 @@ FEWEST_LINES, MOST_LINES = 6, 11
 LANE_BLOCK = 3.0  # [m] along the lanes
 ACROSS = 14.0  # [m] to either side
 LANE_LINE = 0.05  # [m] of paint
-BEND = 26.0, 60.0  # [m] radius of a bend: 36.5 at the kerb
+BEND_RADIUS = 26.0, 60.0  # [m] radius of a bend: 36.5 at the kerb
 ROUND_FOR = np.radians(40)  # turned in all
 
 
@@ -68,6 +68,6 @@ def _is_round(blocks: Sequence[Block], gsd: float) -> bool:
     """Whether the blocks go round a bend."""
     turn = np.diff(np.unwrap([2 * block.heading for block in blocks])) / 2
     step = np.linalg.norm(np.diff([block.place for block in blocks], axis=0), axis=1) * gsd
-    low, high = BEND
+    low, high = BEND_RADIUS
     bent = (np.abs(turn) * low < step) & (np.abs(turn) * high > step)
     return bool(np.abs(turn[bent].sum()) > ROUND_FOR)
