@@ -66,8 +66,8 @@ def _voters(ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _votes(x: np.ndarray, y: np.ndarray, normal: np.ndarray, radius: float, shape: tuple[int, int]) -> np.ndarray:
-    """(H / MIDDLE_PX, W / MIDDLE_PX) float32: how many voters are `radius` [px] from a middle in each cell or beside it, as a
-    share of the circumference."""
+    """(H / MIDDLE_PX, W / MIDDLE_PX) float32: how many voters are `radius` [px] from the middle of each cell,
+    or of one beside it, as a share of the circumference."""
     height, width = -(-shape[0] // MIDDLE_PX), -(-shape[1] // MIDDLE_PX)
     cells = np.zeros(height * width, np.float32)
     for side in (-1, 1):
