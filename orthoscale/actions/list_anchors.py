@@ -15,7 +15,7 @@ from ..report.anchor_sheet import draw_anchors
 from ..report.anchors import entries, write_anchor_layer
 from ..report.document import write_json
 from ..sources.opening import open_source
-from .anchors import MOST_SOUGHT, Searched, anchors_at, look_for_anchors, own_standards
+from .anchors import MOST_SOUGHT, Searched, Wanted, anchors_at, look_for_anchors, own_standards
 from .estimate import effort_of, measured
 from .requests import EstimateRequest
 from .whose import country_of, named_fleet
@@ -97,7 +97,8 @@ def list_anchors(
     if scale is None:
         result = measured(path, replace(request, anchors=("none",), anchor=()), progress)
         country = result.method.country
-        found = look_for_anchors(result.source, result.scale, request.anchors, own, country, effort, progress)
+        wanted = Wanted(request.anchors, own, country, effort, progress)
+        found = look_for_anchors(result.source, result.scale, wanted)
         return AnchorList(result.source, found, result.scale.value, result.scale)
     if not (scale > 0 and math.isfinite(scale)):
         raise UsageError(f"--scale must be a positive number, not {scale}")
@@ -105,5 +106,5 @@ def list_anchors(
     source = open_source(path, request.images) if isinstance(path, (str, Path)) else path
     request.check_for(source)
     country = country_of(source, named_fleet(request.fleet, None))
-    found = anchors_at(source, scale, MOST_SOUGHT / 4, request.anchors, own, country, effort, progress)
+    found = anchors_at(source, scale, MOST_SOUGHT / 4, Wanted(request.anchors, own, country, effort, progress))
     return AnchorList(source, found, scale, None)

@@ -11,10 +11,10 @@ from .poses import Poses, Ridges
 from .ridges import CLEAR_RIDGE, DIRECTIONS
 
 VOTING = 0.3  # of a clear ridge, from which on a pixel votes
-MIDDLE_PX = 2  # [px] side of a cell of middles
+BIN = 2  # [px] side of a cell of middles
 RADII_APART = 1.5  # [px]
 CIRCLE_SEEN = 0.3  # of the circumference, of cells about a middle
-HALFWAY_SEEN = 0.3  # mean ridge of the line through the middle
+MIDDLE_LINE = 0.3  # mean ridge of the line through the middle
 CIRCLES = 60  # per megapixel, the clearest; at least:
 FEWEST_CIRCLES = 8
 TURNS = 120  # directions of the line that are tried
@@ -32,9 +32,7 @@ def circled(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
         votes = _votes(x, y, normal, r, (ridges.height, ridges.width))
         top = (votes >= CIRCLE_SEEN) & (votes >= cv2.dilate(votes, np.ones((5, 5), np.uint8)))
         row, column = np.nonzero(top)
-        rows.append(
-            np.column_stack([(column + 0.5) * MIDDLE_PX - 0.5, (row + 0.5) * MIDDLE_PX - 0.5, 0 * row + r, votes[top]])
-        )
+        rows.append(np.column_stack([(column + 0.5) * BIN - 0.5, (row + 0.5) * BIN - 0.5, 0 * row + r, votes[top]]))
     found = np.concatenate(rows)
     most = max(FEWEST_CIRCLES, round(CIRCLES * ridges.width * ridges.height / 1e6))
     found = found[np.argsort(-found[:, 3], kind="stable")][:most]
@@ -48,7 +46,7 @@ def circled(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
     line = np.clip(ridge / CLEAR_RIDGE, 0, 1).mean(-1)  # (N, TURNS)
     best = line.argmax(1) if len(found) else np.zeros(0, int)
     seen = line[np.arange(len(found)), best]
-    good = seen >= HALFWAY_SEEN
+    good = seen >= MIDDLE_LINE
     score = (found[:, 3] + seen)[good] / 2
     order = np.argsort(-score, kind="stable")
     return Poses(found[good, :2][order], angle[best][good][order], (found[good, 2] / radius)[order], score[order])
@@ -66,13 +64,13 @@ def _voters(ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _votes(x: np.ndarray, y: np.ndarray, normal: np.ndarray, radius: float, shape: tuple[int, int]) -> np.ndarray:
-    """(H / MIDDLE_PX, W / MIDDLE_PX) float32: how many voters are `radius` [px] from the middle of each cell,
-    or of one beside it, as a share of the circumference."""
-    height, width = -(-shape[0] // MIDDLE_PX), -(-shape[1] // MIDDLE_PX)
+    """(H / BIN, W / BIN) float32: how many voters are `radius` [px] from a middle in each cell or beside it, as a
+    share of the circumference."""
+    height, width = -(-shape[0] // BIN), -(-shape[1] // BIN)
     cells = np.zeros(height * width, np.float32)
     for side in (-1, 1):
-        column = np.floor((x + side * radius * np.cos(normal) + 0.5) / MIDDLE_PX).astype(int)
-        row = np.floor((y + side * radius * np.sin(normal) + 0.5) / MIDDLE_PX).astype(int)
+        column = np.floor((x + side * radius * np.cos(normal) + 0.5) / BIN).astype(int)
+        row = np.floor((y + side * radius * np.sin(normal) + 0.5) / BIN).astype(int)
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         cells += np.bincount(row[inside] * width + column[inside], minlength=len(cells)).astype(np.float32)
     about = cv2.boxFilter(cells.reshape(height, width), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)

@@ -16,7 +16,7 @@ from .ridges import CLEAR_RIDGE, SEED_PX
 SEEDS_APART = np.radians(2.5)  # largest angle between two seeds
 LONG_STROKES = 0.6  # of the longest stroke, and of the widest pair of such: what seeds lie on
 SEED_SLACK = 6  # [px] by which a seed may reach beyond its stroke
-ABOUT = np.linspace(-4, 4, 9)  # [m] along a pair, where all the long strokes are asked for
+ALONG_PAIR = np.linspace(-4, 4, 9)  # [m] along a pair, where all the long strokes are asked for
 PROMISING_FRAME = 0.3  # least mean ridge there
 STROKE_ENOUGH = 0.7  # of a clear ridge: no stroke counts for more
 FRAMES_AT_ONCE = 64  # frames that are placed at once: for speed and memory
@@ -29,7 +29,7 @@ APART = 6  # [px] between two places along a pair, and steps of what changes lit
 PLACES = 2  # along a pair
 LIKELY_PLACE = 0.45  # least mean ridge of a place that is worth a fit
 OTHER_ANGLE = 0.2  # [rad] from which on two poses in one place are two
-NEAR = 0.25  # of a court's width: places so near each other end at the same fit
+SAME_SEED = 0.25  # of a court's width: places so near each other end at the same fit
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
 def _promise(ridges: Ridges, family: _Family, frames: _Frames) -> np.ndarray:
     """(N,) mean ridge of all the long strokes about the seeds."""
     c, s = np.cos(frames.angle)[:, None], np.sin(frames.angle)[:, None]
-    along = frames.about[:, None] + frames.size[:, None] * ABOUT
+    along = frames.about[:, None] + frames.size[:, None] * ALONG_PAIR
     total = np.zeros(len(frames.angle))
     for at in family.at:
         across = (frames.middle + frames.size * at)[:, None]
@@ -199,6 +199,6 @@ def _alone(poses: Poses, court: Court) -> Poses:
         gap = np.hypot(*(poses.place[kept] - poses.place[i]).T)
         turn = poses.angle[kept] - poses.angle[i]
         turn = np.abs(np.sin(turn)) if court.symmetric else np.abs(np.sin(turn / 2)) * 2
-        if not ((gap < NEAR * min(court.size) * poses.size[i]) & (turn < OTHER_ANGLE)).any():
+        if not ((gap < SAME_SEED * min(court.size) * poses.size[i]) & (turn < OTHER_ANGLE)).any():
             kept.append(i)
     return poses.only(np.array(kept, int))

@@ -34,7 +34,7 @@ RADII = 30.0, 45.0  # [m] of bends
 STRAIGHT = 1.5, 3.2  # of the radius: 2.31 by the rule
 VOTING_EDGE = 1.5  # of the mean gradient around
 AROUND_PX = 31  # [px]
-MIDDLES_PX = 3  # [px] side of a cell of middles
+OVAL_BIN = 3  # [px] side of a cell of middles
 BEND_SEEN = 0.16  # of a whole circle; a bend is half
 MOST_BENDS = 60
 OVAL_SAMPLES = 240  # along an oval
@@ -133,23 +133,21 @@ def _candidates(image: np.ndarray, low: float, high: float) -> list[Oval]:
     clear = size > VOTING_EDGE * cv2.blur(size, (AROUND_PX, AROUND_PX)) + 2.0
     y, x = np.nonzero(clear)
     nx, ny = gx[y, x] / size[y, x], gy[y, x] / size[y, x]
-    height, width = (-(-side // MIDDLES_PX) for side in image.shape[:2])
+    height, width = (-(-side // OVAL_BIN) for side in image.shape[:2])
     bends = []
     first, last = RADII[0] * low / KERB, RADII[1] * high / KERB
     for radius in np.arange(first, last, 1.5):
         cells = np.zeros(height * width, np.float32)
         for side in (-1, 1):
-            column = np.floor((x + side * radius * nx + 0.5) / MIDDLES_PX).astype(int)
-            row = np.floor((y + side * radius * ny + 0.5) / MIDDLES_PX).astype(int)
+            column = np.floor((x + side * radius * nx + 0.5) / OVAL_BIN).astype(int)
+            row = np.floor((y + side * radius * ny + 0.5) / OVAL_BIN).astype(int)
             inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
             cells += np.bincount(row[inside] * width + column[inside], minlength=len(cells)).astype(np.float32)
         about = cv2.boxFilter(cells.reshape(height, width), -1, (3, 3), normalize=False)
         votes = np.asarray(about / np.float32(2 * np.pi * radius), np.float32)
         top = (votes >= BEND_SEEN) & (votes >= cv2.dilate(votes, np.ones((5, 5), np.uint8)))
         for row, column in np.argwhere(top):
-            bends.append(
-                ((column + 0.5) * MIDDLES_PX - 0.5, (row + 0.5) * MIDDLES_PX - 0.5, radius, votes[row, column])
-            )
+            bends.append(((column + 0.5) * OVAL_BIN - 0.5, (row + 0.5) * OVAL_BIN - 0.5, radius, votes[row, column]))
     best = np.array(sorted(bends, key=lambda bend: -bend[3])[:MOST_BENDS]).reshape(-1, 4)
     ovals = []
     for i in range(len(best)):

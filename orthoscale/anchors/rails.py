@@ -50,12 +50,12 @@ RAIL_SD, RAIL_SD_PX = 0.045, 0.75  # of the ridge filter across [m] and [px]
 RAIL_WINDOW = 0.1  # of the distance: how far from their places rails are looked for
 RAIL_CLEAR = 2.5  # noises of the cross section
 RAIL_MISSING = 2  # blocks in a row
-RAIL_BLOCKS = 8
+FEWEST_RAIL_BLOCKS = 8
 RAIL_FILLED = 0.75  # of the blocks
 RAIL_UNEVEN = 0.02  # of the distance: scatter of the blocks' own, one sigma; rails keep it to some mm
 RAIL_ALONE = 0.6  # of the rails' ridge: what is stronger between them and beside is a third line ...
 RAIL_CROWDED = 0.35  # ... which so many of the blocks may have
-CLOSE_BESIDE, FAR_BESIDE = 0.9, 1.6  # distances from the middle, where that is asked
+CLOSE_BESIDE, FARTHEST_BESIDE = 0.9, 1.6  # distances from the middle, where that is asked
 RAIL_SAME_GROUND = 22.0  # [grey levels] by which the ground may differ between the rails and outside
 SLEEPERS = 0.48, 0.72  # [m] period: 0.60 to 0.65 in Europe, 0.50 to 0.55 under wood in America and Russia
 SLEEPER_PEAK = 5.0  # times the median of the spectrum of what lies between the rails
@@ -225,7 +225,7 @@ def _followed(light: np.ndarray, start: np.ndarray, angle: float, apart: float, 
         rows = (got[::-1] if way < 0 else rows) + (rows if way < 0 else got)
         if way > 0:
             rows = [first, *got]
-    if len(rows) < RAIL_BLOCKS:
+    if len(rows) < FEWEST_RAIL_BLOCKS:
         return None
     middle = np.array([row[0] for row in rows])
     along = np.gradient(middle, axis=0)
@@ -241,7 +241,7 @@ def _block(
     as `Track` has them; None where there are no two rails."""
     unit, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     sd = max(RAIL_SD / gsd, RAIL_SD_PX)
-    reach = np.ceil(FAR_BESIDE * apart * 4)
+    reach = np.ceil(FARTHEST_BESIDE * apart * 4)
     offset = np.arange(-reach, reach + 1) / 4
     t = np.linspace(-0.5, 0.5, max(8, int(length))) * length
     grid = place + t[:, None, None] * unit + offset[:, None] * across
@@ -271,7 +271,7 @@ def _block(
 
 def _is_track(track: Track) -> bool:
     """Whether two lines keep their distance, alone, on one ground."""
-    if len(track.apart) < RAIL_BLOCKS or len(track.apart) < RAIL_FILLED * track.tried:
+    if len(track.apart) < FEWEST_RAIL_BLOCKS or len(track.apart) < RAIL_FILLED * track.tried:
         return False
     ground = np.median(track.ground, axis=0)
     return (

@@ -31,9 +31,9 @@ TRACK_FALSE_ROUND = 0.03  # where a bend is, too
 
 FEWEST_LINES, MOST_LINES = 6, 11
 LANE_BLOCK = 3.0  # [m] along the lanes
-ACROSS = 14.0  # [m] to either side
+TO_SIDES = 14.0  # [m] to either side
 LANE_LINE = 0.05  # [m] of paint
-BEND_RADIUS = 26.0, 60.0  # [m] radius of a bend: 36.5 at the kerb
+TRACK_BEND = 26.0, 60.0  # [m] radius of a bend: 36.5 at the kerb
 ROUND_FOR = np.radians(40)  # turned in all
 
 
@@ -53,7 +53,12 @@ class RunningTracks:
         if min(image.shape[:2]) < 2 * SEED_PX:
             return []
         comb = Comb(
-            *sizes(standards, gsd, gsd_sd), FEWEST_LINES, MOST_LINES, LANE_BLOCK / gsd, ACROSS / gsd, LANE_LINE / gsd
+            *sizes(standards, gsd, gsd_sd),
+            FEWEST_LINES,
+            MOST_LINES,
+            LANE_BLOCK / gsd,
+            TO_SIDES / gsd,
+            LANE_LINE / gsd,
         )
         found = []
         for blocks in find_combs(image, lightness(image), comb):
@@ -68,6 +73,6 @@ def _is_round(blocks: Sequence[Block], gsd: float) -> bool:
     """Whether the blocks go round a bend."""
     turn = np.diff(np.unwrap([2 * block.heading for block in blocks])) / 2
     step = np.linalg.norm(np.diff([block.place for block in blocks], axis=0), axis=1) * gsd
-    low, high = BEND_RADIUS
+    low, high = TRACK_BEND
     bent = (np.abs(turn) * low < step) & (np.abs(turn) * high > step)
     return bool(np.abs(turn[bent].sum()) > ROUND_FOR)
