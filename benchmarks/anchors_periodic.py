@@ -1,4 +1,6 @@
-"""Crossings, bays and lane lines against known scales: ``python benchmarks/anchors_periodic.py [--kind KIND]``.
+"""Crossings, bays, lane lines, tracks and yard lines against known scales.
+
+``python benchmarks/anchors_periodic.py [--kind KIND]``.
 
 Reads ``../shared/data`` or ``ORTHOSCALE_DATA``. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %);
 of an anchor's standards the one nearest to the truth counts. Which finds are false was counted by eye, on pictures that
@@ -22,11 +24,17 @@ import numpy as np
 from orthoscale.anchors.bays import ParkingBays
 from orthoscale.anchors.crossings import ZebraCrossings
 from orthoscale.anchors.dashes import LaneDashes
+from orthoscale.anchors.gridiron import Gridirons
+from orthoscale.anchors.rails import RailTracks
+from orthoscale.anchors.running import RunningTracks
 from orthoscale.core.anchors import Anchor, AnchorFinder
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from support.gridiron import field_picture  # noqa: E402
 from support.markings import PAINT, picture, stroke  # noqa: E402
+from support.rails import RUST, railway, track  # noqa: E402
+from support.running import running_track  # noqa: E402
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
 CHIP_GSD = 0.3048
@@ -106,6 +114,25 @@ def painted(kind: str, gsd: float, count: int) -> Iterator[tuple[str, np.ndarray
     """Drawn ones, one a picture, in all directions, worn, partly under vehicles, blurred, in noise."""
     rng = np.random.default_rng(4)
     for number in range(count):
+        turn, looks = rng.uniform(0, np.pi), {"blur_px": rng.uniform(0.5, 0.9), "noise": rng.uniform(1, 5)}
+        if kind == RailTracks.kind:
+            bright = (RUST, (170, 165, 160), (215, 215, 215))[number % 3]
+            boxes = track(y=rng.uniform(-5, 5), bright=bright, sleeper=rng.choice([0.6, 0.65]))
+            yield (
+                str(number),
+                railway(boxes, gsd, 60, turn, bend=rng.choice([0, 1 / 900]), seed=number, **looks),
+                gsd,
+                "DE",
+            )
+            continue
+        if kind == RunningTracks.kind:
+            middle = ((0, 40), (60, 20), (-20, -40))[number % 3]
+            lanes = int(rng.choice([6, 8]))
+            yield str(number), running_track(gsd, 70, middle, turn, lanes=lanes, seed=number, **looks), gsd, "DE"
+            continue
+        if kind == Gridirons.kind:
+            yield str(number), field_picture(gsd, turn, wear=rng.uniform(0, 0.4), seed=number, **looks), gsd, "US"
+            continue
         white = tuple(int(level * rng.uniform(0.7, 1.0)) for level in PAINT[:1]) * 3
         if kind == ZebraCrossings.kind:
             shapes = [(stroke(20 + k, 22, 4, 0.5, 90), white) for k in range(12)]
@@ -127,7 +154,9 @@ def painted(kind: str, gsd: float, count: int) -> Iterator[tuple[str, np.ndarray
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draw", type=Path)
-    finders: tuple[AnchorFinder, ...] = (ZebraCrossings(), ParkingBays(), LaneDashes())
+    finders: tuple[AnchorFinder, ...] = (
+        ZebraCrossings(), ParkingBays(), LaneDashes(), RailTracks(), RunningTracks(), Gridirons()
+    )  # fmt: skip
     parser.add_argument("--kind", choices=[finder.kind for finder in finders])
     chosen = parser.parse_args()
     draw = chosen.draw

@@ -15,6 +15,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,10 @@ ORDERS = {
     "pycolmap first": "import pycolmap, cv2, orthoscale",
     "cv2 first": "import cv2, pycolmap, orthoscale",
     "orthoscale first": "import orthoscale, pycolmap, cv2",
+    "torch first": "import torch, pycolmap, orthoscale",
+    "open3d first": "import open3d, pycolmap, orthoscale",
 }
+ORDERS = {name: line for name, line in ORDERS.items() if find_spec(name.split()[0])}  # of what is installed
 RUN = """
 import json, sys
 {imports}

@@ -1,6 +1,6 @@
 """The whole program on every real scene of known scale, with three fleets.
 
-    python benchmarks/places.py [BOXES [MEASURER]]
+    python benchmarks/places.py [BOXES] [--detector NETWORK.onnx] [--measurer MEASURER] [--scenes NAMES]
 
 The scenes are read from ``../shared/data`` or ``ORTHOSCALE_DATA``. With the folder BOXES, detector and measurer run
 once on each and the boxes are kept there. MEASURER is that of ``--measurer``, none for boxes of the detector alone.
@@ -15,6 +15,7 @@ it), and its mean says how far the margin is off.
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import sys
@@ -104,12 +105,14 @@ def margins(own: dict[str, tuple[float, float]]) -> str:
     return table(("left out", "error [%]", "mean of the others [%]", "between places [%]", "would hold (90 %)"), rows)
 
 
-def main(folder: Path, measurer: str | None = None) -> None:
+def main(folder: Path, names: set[str], **networks: str | Path | None) -> None:
     rows, errors, own = [], {}, {}
     for scene in scenes():
+        if names and scene.name not in names:
+            continue
         boxes = folder / f"{scene.name}.det.json"
         if not boxes.exists():
-            found = orthoscale.estimate(scene.path, fleet=scene.country, measurer=measurer).detections
+            found = orthoscale.estimate(scene.path, fleet=scene.country, **networks).detections
             orthoscale.save_detections(found, boxes)
         row = [scene.name, scene.country]
         for fleet in FLEETS:
@@ -149,8 +152,12 @@ def main(folder: Path, measurer: str | None = None) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        main(Path(sys.argv[1]), *sys.argv[2:])
-    else:
-        with tempfile.TemporaryDirectory() as scratch:
-            main(Path(scratch))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("boxes", type=Path, nargs="?", help="folder in which boxes are kept")
+    parser.add_argument("--detector", type=Path)
+    parser.add_argument("--measurer")
+    parser.add_argument("--scenes", default="", help="comma separated; all by default")
+    options = parser.parse_args()
+    networks = {"detector": options.detector, "measurer": options.measurer}
+    with tempfile.TemporaryDirectory() as scratch:
+        main(options.boxes or Path(scratch), set(filter(None, options.scenes.split(","))), **networks)

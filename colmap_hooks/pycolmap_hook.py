@@ -21,7 +21,7 @@ import pycolmap
 
 import orthoscale
 from orthoscale.actions.requests import FixRequest
-from orthoscale.actions.several import fix_all, models_in
+from orthoscale.actions.workspace import fix_all, models_in
 from orthoscale.errors import OrthoscaleError
 
 

@@ -46,6 +46,9 @@ OTHER_NAMES = {
     "tijuana": "MX_north",
     "monterrey": "MX_north",
     "ciudad juarez": "MX_north",
+    "tokyo": "JP_Tokyo",
+    "okinawa": "JP_Okinawa",
+    "bangkok": "TH_Bangkok",
 }
 US_STATES = """AL Alabama AK Alaska AZ Arizona AR Arkansas CA California CO Colorado CT Connecticut DE Delaware FL
 Florida GA Georgia HI Hawaii ID Idaho IL Illinois IN Indiana IA Iowa KS Kansas KY Kentucky LA
@@ -57,10 +60,11 @@ West_Virginia WI Wisconsin WY Wyoming DC District_of_Columbia"""
 
 
 def country_code(text: str) -> str | None:
-    """The ISO 3166 code of two letters (or the code of a part of a country) that `text` means, None for none.
+    """The ISO 3166 code of two letters, or that of a part of a country (``US_TX``), that `text` means; None for none.
 
-    Codes of two and three letters, names in English and in the country's languages, US states by name or as ``US-TX``;
-    case, accents and punctuation do not matter. A name's beginning is enough where only one has it ("hong kong").
+    Codes of two and three letters, names in English and in the country's languages, US states by name or as ``US-TX``,
+    a few cities; case, accents and punctuation do not matter. A name's beginning is enough where only one has it
+    ("hong kong").
     """
     wanted = _plain(text)
     if not wanted:
@@ -110,7 +114,8 @@ def _names() -> dict[str, str]:
     english: Mapping[str, str] = Locale("en").territories
     codes = [code for code in english if len(code) == 2 and code.isalpha()]
     states = US_STATES.split()
-    found = {_plain(name): "US" for name in states[1::2]} | {f"us {code.lower()}": "US" for code in states[::2]}
+    found = {_plain(name): f"US_{code}" for code, name in zip(states[::2], states[1::2], strict=True)}
+    found |= {f"us {code.lower()}": f"US_{code}" for code in states[::2]}
     found |= OTHER_NAMES
     for code in codes:
         for language in get_official_languages(code, regional=True, de_facto=True):

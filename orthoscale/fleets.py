@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .core.calibration import Calibration
-from .core.fleet import Fleet
+from .core.fleet import Fleet, class_of
 from .errors import InputError, UsageError, shown
 from .formats.reading import checked, read_plain
 
@@ -25,8 +25,8 @@ REGION = "R_"  # codes of regions, which stand in for their countries that have 
 
 
 def load_fleet(name: str | Path) -> Fleet:
-    """A fleet by country (``US``, ``DEU``, ``Schweiz``, ``Texas``; see `countries.country_code`), by a code of the
-    table (``US_pickup``, ``world``), or from a JSON file of one such entry.
+    """A fleet by country or a part of one (``US``, ``DEU``, ``Schweiz``, ``Texas``; see `countries.country_code`), by a
+    code of the table (``US_pickup``, ``world``), or from a JSON file of one such entry.
 
     A country without a fleet of its own takes its neighbours' or its region's, less certain, and its name says so.
     ``world`` and ``auto`` have the fleets of all countries as candidates, and the world's average: ``world`` weighs
@@ -78,29 +78,69 @@ def fleet_codes() -> list[str]:
 
 def _of_country(text: str) -> Fleet:
     """The fleet of a country by any of its names; raises UsageError with the nearest ones for no country's."""
-    from .countries import country_code, country_name, nearest_names
+    from .countries import country_code, country_name
 
     code = country_code(text)
+    if code is None:
+        raise _unknown(text)
     if code in fleet_codes():
         return _row(code)
-    stand_in = None if code is None else _document()["fallback"].get(code)
-    if code is None or stand_in is None:
-        near = nearest_names(text)
-        hint = f"Did you mean {', '.join(near)}? " if near else ""
-        raise UsageError(
-            f"no fleet is called {text!r}",
-            f"{hint}Give a country's name or ISO 3166 code, {AUTO}, world, or a .json file; "
-            "`orthoscale fleets` lists them.",
-        )
+    if code in _document()["parts"]:
+        return _part(code)
+    if code not in _document()["fallback"]:
+        raise _unknown(text)
+    stand_in = _document()["fallback"][code]
     fleet = _row(stand_in)
     # A neighbour's fleet is another country's; a region's spread between its countries is in its figures already.
     more = np.zeros(3) if stand_in.startswith(REGION) else np.array(_document()["fallback_add_sd"])
     name = f"{country_name(code)}: no fleet of its own, taken from {fleet.name}"
-    return replace(fleet, code=code, name=name, mean_sd=np.hypot(fleet.mean_sd, more))
+    return _with_three_wheelers(replace(fleet, code=code, name=name, mean_sd=np.hypot(fleet.mean_sd, more)))
+
+
+def _unknown(text: str) -> UsageError:
+    from .countries import nearest_names
+
+    near = nearest_names(text)
+    hint = f"Did you mean {', '.join(near)}? " if near else ""
+    return UsageError(
+        f"no fleet is called {text!r}",
+        f"{hint}Give a country's name or ISO 3166 code, {AUTO}, world, or a .json file; "
+        "`orthoscale fleets` lists them.",
+    )
 
 
 def _row(code: str) -> Fleet:
-    return Fleet.from_entry(code, _document()["fleets"][code], _document()["segments"])
+    entry = _document()["fleets"][code]
+    fleet = Fleet.from_entry(code, entry, _document()["segments"])
+    return _with_three_wheelers(replace(fleet, shares_sd=_document()["shares_sd"].get(entry.get("trust"), 0.0)))
+
+
+def _part(code: str) -> Fleet:
+    """The fleet of a part of a country, where one class has another share than in all of it."""
+    part, source = _document()["parts"][code], _document()["parts_source"]
+    country = _row(part["of"])
+    own = np.array([c.weight if c.name == part["class"] else 0.0 for c in country.classes])
+    rest = np.array([c.weight for c in country.classes]) - own
+    share = part["share"] * own / own.sum() + (1 - part["share"]) * rest / rest.sum()
+    classes = tuple(replace(c, weight=float(w)) for c, w in zip(country.classes, share, strict=True))
+    means = np.array([c.mean for c in classes])
+    mean = share @ means
+    return replace(
+        country,
+        code=code,
+        name=part["name"],
+        mean=mean,
+        sd=np.sqrt(share @ (np.array([c.sd for c in classes]) ** 2 + (means - mean) ** 2)),
+        classes=classes,
+        shares_source=f"{country.name}, {part['class']}s {100 * part['share']:.0f} %: {source}",
+    )
+
+
+def _with_three_wheelers(fleet: Fleet) -> Fleet:
+    """The same with as many three-wheelers as its country has beside its cars."""
+    table = _document()["three_wheelers"]
+    share = table["shares"].get(fleet.code.split("_")[0], 0.0)
+    return replace(fleet, three_wheelers=class_of(table, share) if share else None)
 
 
 @cache

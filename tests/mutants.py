@@ -72,8 +72,8 @@ MUTANTS = (
     ),
     Mutant(
         "core/fleet.py",
-        "self._country_covariance + self.log_covariance * PLACE_SCATTER",
-        "self._country_covariance + self.log_covariance * PLACE_SCATTER / 25",
+        "self._country_covariance + self.log_covariance * place_scatter(self.place_vehicles)",
+        "self._country_covariance + self.log_covariance * place_scatter(self.place_vehicles) / 25",
         f"{CHOICES}test_vehicles_of_one_place_stray_from_their_countrys_mean",
     ),
     Mutant("core/verdicts.py", '("good", 0.03)', '("good", 0.06)', VERDICTS),

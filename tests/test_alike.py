@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orthoscale.core.alike import all_alike
+from orthoscale.core.alike import all_alike, more_of_the_same
 from orthoscale.core.boxes import Boxes
 from orthoscale.detect import zoom
 from orthoscale.detect.zoom import ZoomChoice
@@ -42,6 +42,34 @@ def test_only_the_equal_things_are_left_out_among_vehicles():
     alike = all_alike(Boxes.concatenate([panels, cars]))
     assert alike[: len(panels)].all() and not alike[len(panels) :].any()
     assert not all_alike(Boxes.empty()).any() and not all_alike(cars[:1]).any()
+
+
+def test_a_smaller_group_beside_equal_things_of_its_length_is_more_of_them():
+    """Scatter that would not do by itself; the same group of another length counts, and so do vehicles."""
+    rng = np.random.default_rng(4)
+    roof, cars = rows(rng, 12, 4, 27.0, 0.02), rows(rng, 10, 2, 27.0, 0.06, at=(900, 0))
+    share = {}
+    for length in (28.5, 55.0):
+        taken = []
+        for _ in range(60):
+            next_roof = rows(rng, 14, 1, length, 0.023, at=(0, 900))
+            alike = all_alike(Boxes.concatenate([roof, next_roof, cars]))
+            assert alike[: len(roof)].all() and not alike[-len(cars) :].any()
+            taken.append(alike[len(roof) : -len(cars)].all())
+        share[length] = np.mean(taken)
+    assert share[28.5] > 0.7 and share[55.0] < 0.4
+    assert not all_alike(Boxes.concatenate([roof, cars]))[len(roof) :].any()
+
+
+def test_what_is_as_long_as_most_equal_things_and_fewer_is_probably_one_of_them():
+    rng = np.random.default_rng(5)
+    panels, stray = rows(rng, 12, 4, 27.0, 0.02), rows(rng, 20, 1, 28.0, 0.1, at=(0, 900), gap=9.0)
+    cars = rows(rng, 20, 1, 55.0, 0.06, at=(0, 2000))
+    boxes = Boxes.concatenate([panels, stray, cars])
+    more = more_of_the_same(boxes, np.arange(len(boxes)) < len(panels))
+    assert more[len(panels) : -len(cars)].all() and not more[: len(panels)].any() and not more[-len(cars) :].any()
+    few = more_of_the_same(boxes, np.arange(len(boxes)) < 8)
+    assert not few.any(), "eight among seventy others"
 
 
 def test_equal_things_do_not_vote_for_a_size_and_neither_do_stragglers_among_them():

@@ -258,6 +258,32 @@ def test_the_command_lists_and_draws_them(two_kinds, tmp_path):
     assert run("anchors", path, "--scale", "-1").returncode == 2
 
 
+@pytest.mark.parametrize("form", ["png", "json", "gpkg"])
+def test_a_name_with_an_ending_is_one_file(two_kinds, tmp_path, form):
+    path, _ = empty_lot(tmp_path, True)
+    out = tmp_path / f"found.{form}"
+    done = run("anchors", path, "--scale", "0.101", "--out", out)
+    assert done.returncode == 0 and out.is_file(), done.stderr
+    if form == "png":
+        assert cv2.imread(str(out)) is not None
+    elif form == "json":
+        assert len(json.loads(out.read_text())["anchors"]) == 5
+    else:
+        assert len(read_dataframe(out, "anchors")) == 5
+    assert run("anchors", path, "--scale", "0.101", "--anchors", "small-square", "--out", out).returncode == 2
+    assert run("anchors", path, "--scale", "0.101", "--out", out, "--overwrite").returncode == 0
+    none = run("anchors", path, "--scale", "0.3", "--out", tmp_path / f"nothing.{form}")
+    assert none.returncode == (3 if form == "gpkg" else 0) and "Traceback" not in none.stderr
+
+
+def test_a_list_of_another_form_is_refused(two_kinds, tmp_path):
+    path, _ = empty_lot(tmp_path, False)
+    done = run("anchors", path, "--scale", "0.101", "--out", tmp_path / "found.jpg")
+    assert done.returncode == 2 and ".png" in done.stderr and not (tmp_path / "found.jpg").exists()
+    assert run("anchors", path, "--scale", "0.101", "--out", tmp_path / "found.v2").returncode == 0
+    assert (tmp_path / "found.v2" / "anchors.json").is_file()
+
+
 def read_dataframe(path, layer):
     """The kinds of a layer's features."""
     import pyogrio

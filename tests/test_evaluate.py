@@ -9,6 +9,7 @@ import pytest
 from support import in_process
 
 from orthoscale.errors import InputError
+from orthoscale.evaluate.methods import METHODS
 from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, changed, read_samples
 from orthoscale.evaluate.score import score, summary
 from orthoscale.evaluate.surface import Surface
@@ -105,7 +106,7 @@ def test_true_boxes_give_true_altitudes(folders, name, worst):
 
 def test_figures_of_a_table_by_hand(folders):
     samples, found, fleet = measured(folders, "dense")
-    rows = score(samples, found, fleet, ["exact"])
+    rows = score(samples, found, fleet, {"exact": METHODS["exact"]})
     error = np.array([100 * (r.estimates["exact"].altitude / r.sample.altitude - 1) for r in rows])
     got = summary(rows, "exact")
     assert got["mape"] == pytest.approx(np.abs(error).mean()) and got["bias"] == pytest.approx(error.mean())

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
+from support.aerial import Shot, town
 from support.in_process import run
 from support.lots import lot_file, orthophoto
 from support.photos import ALTITUDE, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
@@ -38,9 +39,13 @@ ASKED = {
     "calibration": ("--calibration", "CALIBRATION"),
     "zoom": ("--zoom", "0.5"),
     "gsd_hint": ("--gsd-hint", "0.2"),
+    "depth": ("--depth", "DEPTH"),
+    "depth_kind": ("--depth-kind", "range"),
+    "depth_factor": ("--depth-factor", "2"),
     "images": ("--images", "frames"),
     "refine": ("--refine",),
     "measurer": ("--measurer", "none"),
+    "fast": ("--fast",),
     "mode": ("--mode", "planar"),
     "target": ("--target", "0.02"),
     "exhaustive": ("--exhaustive",),
@@ -52,6 +57,7 @@ ASKED = {
     "estimator": ("--estimator", "iqr"),
     "known_distance": ("--known-distance", "0,0 9,9 1"),
     "ground_control": ("--ground-control", "g.txt"),
+    "against": ("--against", "SATELLITE"),
     "anchors": ("--anchors", "none"),
     "anchor": ("--anchor", "bay=2.5"),
     "override": ("--override",),
@@ -71,6 +77,7 @@ ACTIONS = {
     "photo": ("orthoscale.photos.survey.surveyed", ("PHOTO",)),
     "crop": ("orthoscale.photos.footprint.footprint_of", ("PHOTO", "--satellite", "SATELLITE", "--out", "NEW")),
     "evaluate": ("orthoscale.photos.looking.boxes_of", ("TABLE",)),
+    "locate": ("orthoscale.actions.locate.claimed_scales", ("VIEW", "--satellite", "TOWN", "--out", "NEW")),
     "calibrate": ("orthoscale.actions.calibrate.calibrate", ("ORTHO",)),
 }
 # A command line of each command that works, and for its own options more words with what comes of them: another
@@ -79,6 +86,7 @@ MEASURED = ("--detections", "PHOTOBOXES", "--fleet", "CARS")
 PHOTOS = ("photo", "PHOTO", "--focal-px", f"{FOCAL:g}", *MEASURED)
 CROP = ("crop", "PHOTO", "--satellite", "SATELLITE", "--size", "90", "--out", "NEW")
 GIVEN_GSD = (*CROP, "--gsd", "0.08")
+LOCATE = ("locate", "VIEW", "--satellite", "TOWN", "--gsd", "0.2", "--heading", "0", "--out", "NEW")
 LAYOUT = ("layout", "GROUND", "--lot", "LOT", "--facility", "badminton:2")
 LINES = {
     "estimate": ("estimate", "ORTHO", "--detections", "BOXES", "--fleet", "DE"),
@@ -89,6 +97,7 @@ LINES = {
     "apply": ("apply", "SIM3", "MESH", "--out", "NEW"),
     "photo": PHOTOS,
     "crop": GIVEN_GSD,
+    "locate": LOCATE,
     "layout": LAYOUT,
     "evaluate": ("evaluate", "TABLE", *MEASURED),
     "report": ("report", "REPORT", "--out", "NEW.html"),
@@ -112,6 +121,15 @@ CASES = {
     ("photo", "pitch"): (("--pitch", "-80"), OTHER),
     ("photo", "roll"): (("--roll", "8"), OTHER, (*PHOTOS, "--pitch", "-70")),
     ("photo", "together"): (("--together",), OTHER),
+    **{
+        (command, name): (("--depth", "DEPTH", *words), OTHER, (*line, *before))
+        for command, line in (("photo", PHOTOS), ("evaluate", ("evaluate", "TABLE", *MEASURED)))
+        for name, words, before in (
+            ("depth", (), ()),
+            ("depth_kind", ("--depth-kind", "range"), ("--depth", "DEPTH")),
+            ("depth_factor", ("--depth-factor", "1.1"), ("--depth", "DEPTH")),
+        )
+    },
     ("photo", "outputs"): (("--out", "NEW.csv"), OTHER),
     ("crop", "satellite"): (("--satellite", "COARSER"), OTHER),
     ("crop", "at"): (("--at", "9.0,60.0"), OTHER),
@@ -125,6 +143,19 @@ CASES = {
     ("crop", "lens_file"): (("--lens", "LENS"), REFUSED, (*CROP, *MEASURED, "--focal-px", "900")),
     ("crop", "pitch"): (("--pitch", "-80"), OTHER, (*CROP, *MEASURED, "--focal-px", "900")),
     ("crop", "roll"): (("--roll", "8"), OTHER, (*CROP, *MEASURED, "--focal-px", "900", "--pitch", "-70")),
+    ("locate", "satellite"): (("--satellite", "SATELLITE"), OTHER),
+    ("locate", "prior"): (("--prior", "500095,6651411,9"), OTHER),
+    ("locate", "heading"): (("--heading", "180"), OTHER),
+    ("locate", "gsd"): (("--gsd", "0.21"), OTHER),
+    ("locate", "method"): (("--method", "retrieval"), REFUSED),
+    ("locate", "embedding"): (("--embedding", "LENS", "--method", "gradient"), REFUSED),
+    ("locate", "embedding_map"): (("--embedding-map", "LENS"), REFUSED),
+    ("locate", "top"): (("--top", "1"), OTHER),
+    ("locate", "out"): (("--out", "ELSEWHERE"), OTHER),
+    ("locate", "focal_px"): (("--focal-px", "1100"), OTHER, (*LOCATE, "--focal-px", "600", "--pitch", "-85")),
+    ("locate", "lens_file"): (("--lens", "LENS"), REFUSED, (*LOCATE, "--focal-px", "600")),
+    ("locate", "pitch"): (("--pitch", "-80"), OTHER, (*LOCATE, "--focal-px", "600")),
+    ("locate", "roll"): (("--roll", "8"), OTHER, (*LOCATE, "--focal-px", "600", "--pitch", "-85")),
     ("layout", "lot"): (("--lot", "SMALLER"), OTHER),
     ("layout", "lot_pixels"): (("--lot-pixels",), OTHER),
     ("layout", "facilities"): (("--facility", "tennis"), OTHER),
@@ -141,6 +172,10 @@ CASES = {
     ("evaluate", "ablations"): (("--ablations", "--json"), OTHER, ("evaluate", "TABLE", *MEASURED, "--json")),
     ("evaluate", "sensitivity"): (("--sensitivity", "--json"), OTHER, ("evaluate", "TABLE", *MEASURED, "--json")),
     ("evaluate", "outputs"): (("--out", "NEW.csv"), OTHER),
+    ("evaluate", "locate"): (("--locate",), REFUSED),
+    ("evaluate", "satellite"): (("--satellite", "SATELLITE"), REFUSED),
+    ("evaluate", "method"): (("--method", "gradient"), REFUSED),
+    ("evaluate", "scale_errors"): (("--scale-errors", "-.1,.1"), REFUSED),
     ("report", "images"): (("--images", "FOLDER"), REFUSED),
     ("report", "out"): (("--out", "NEW.png"), OTHER),
     ("apply", "out"): (("--out", "ELSEWHERE"), OTHER),
@@ -155,6 +190,7 @@ IDLE = {  # said beside what makes them idle
     "no vehicles are measured": [(*LINES["anchors"], "--zoom", "0.5"), (*LINES["anchors"], "--exhaustive")],
     "twice": [(*PHOTOS, "--lens", "LENS")],
     "looks straight down": [(*PHOTOS, "--roll", "8")],
+    "there is no --depth": [(*PHOTOS, "--depth-kind", "range"), (*PHOTOS, "--depth-factor", "2")],
     "is one crop": [(*GIVEN_GSD, "--at", "9.0,60.0", "--stride", "0.3")],
 }
 
@@ -188,11 +224,15 @@ def places(tmp_path_factory):
     grey = np.full((260, 260, 3), 120, np.uint8)
     georeferenced(folder / "satellite.tif", 0.5, grey)
     georeferenced(folder / "coarser.tif", 0.7, grey)
+    ground = town(1, 900)
+    georeferenced(folder / "town.tif", 0.5, np.ascontiguousarray(ground[::2, ::2]))
+    cv2.imwrite(str(folder / "view.png"), Shot((105.0, 115.0), altitude=120.0, size=(600, 450)).of(ground, 0.25))
     (folder / "photos").mkdir()
     write_photo(folder / "photos/a.jpg")
     boxes = boxes_in(view_from(-90))
     save_detections(detections_of({"a.jpg": boxes}), folder / "photo.json")
     (folder / "fleet.json").write_text(json.dumps(CARS))
+    np.save(folder / "depth.npy", np.full(SIZE[::-1], ALTITUDE, np.float32))
     (folder / "lens.json").write_text(json.dumps({"width": SIZE[0], "height": SIZE[1], "focal_px": 700}))
     with (folder / "photos/table.csv").open("w", newline="") as file:
         writer = csv.writer(file)
@@ -217,8 +257,11 @@ def places(tmp_path_factory):
         "FOLDER": folder,
         "SATELLITE": folder / "satellite.tif",
         "COARSER": folder / "coarser.tif",
+        "TOWN": folder / "town.tif",
+        "VIEW": folder / "view.png",
         "PHOTO": folder / "photos/a.jpg",
         "PHOTOBOXES": folder / "photo.json",
+        "DEPTH": folder / "depth.npy",
         "CARS": folder / "fleet.json",
         "LENS": folder / "lens.json",
         "TABLE": folder / "photos/table.csv",
@@ -349,6 +392,7 @@ def test_debug_shows_where_an_error_comes_from(command):
         "apply": ("x.obj", "--out", "y"),
         "fix": ("--out", "y.tif"),
         "crop": ("--satellite", "no.tif", "--out", "y"),
+        "locate": ("--satellite", "no.tif", "--out", "y"),
         "layout": ("--lot", "no.json", "--facility", "tennis"),
     }
     line = (command, "no_such_thing", *more.get(command, ()))
@@ -375,6 +419,7 @@ TO_WRITE = {  # what of each command may replace what an earlier run wrote
     "apply": LINES["apply"],
     "photo": (*PHOTOS, "--save-detections", "NEW.json", "--out", "NEW.csv"),
     "crop": GIVEN_GSD,
+    "locate": LOCATE,
     "layout": (*LAYOUT, "--out", "NEW"),
     "evaluate": (*LINES["evaluate"], "--save-detections", "NEW.json"),
     "report": LINES["report"],

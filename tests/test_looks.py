@@ -202,7 +202,7 @@ def test_the_frames_zoom_is_tried_where_the_grounds_own_shows_too_little(
 ):
     asked = []
 
-    def find(pictures, detector, zoom, progress, effort):
+    def find(pictures, detector, zoom, progress, effort, stop, cover):
         asked.append(zoom)
         seen = frames if zoom == 0.5 else own
         if seen == "none":
@@ -210,5 +210,7 @@ def test_the_frames_zoom_is_tried_where_the_grounds_own_shows_too_little(
         return seen, "choice"
 
     monkeypatch.setattr(find_module, "find_vehicles", find)
-    found, _ = find_module._planar([], None, given, None, None, lambda seen: seen >= 5, lambda: 0.5)
+    found, _ = find_module._planar(
+        [], None, given, None, None, lambda seen: 0.01 if seen >= 5 else np.inf, None, lambda: 0.5
+    )
     assert (asked, found) == (zooms, number)

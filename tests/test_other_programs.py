@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.models import make_model, save
+from support.flights import found_by
+from support.models import make_model, put_frames, save
 from support.other_programs import LENS, nerfstudio, opensfm, rescaled, same_views
 
+from orthoscale.actions.estimate import estimate
 from orthoscale.actions.fix import fix
-from orthoscale.actions.several import models_in
+from orthoscale.actions.workspace import models_in
 from orthoscale.errors import InputError, OutputError, UsageError
+from orthoscale.formats.detections.own import save_detections
 from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.ground import Ground
 from orthoscale.sources.json_model import ExchangeSource
 from orthoscale.sources.opening import open_source
 
@@ -90,7 +95,7 @@ def test_several_reconstructions_and_gps(made, tmp_path):
     few = {**part, "shots": dict(list(part["shots"].items())[:3])}
     path.write_text(json.dumps([few, part]))
     source = open_source(path, need_images=False)
-    assert len(source.picture_names) == 12 and "2 reconstructions" in source.notes[0]
+    assert len(source.picture_names) == 12 and "2 reconstructions" in source.notes[0].text
     (tmp_path / "out").mkdir()
     source.write(tmp_path / "out", 2.0)
     assert len(json.loads((tmp_path / "out/reconstruction.json").read_text())) == 1
@@ -157,3 +162,49 @@ def test_a_write_that_fails_is_noticed(made, tmp_path, monkeypatch):
                         lambda a, b, s: b.write_text(a.read_text()))  # fmt: skip
     with pytest.raises(OutputError, match="differs"):
         source.write(tmp_path / "out", 2.0)
+
+
+@pytest.mark.parametrize("mode", ["oblique", "planar", "both"])
+def test_one_model_has_one_scale_in_every_form(made, tmp_path, mode):
+    """Points in another order, pictures under other names: the boxes are the same, and so is the scale."""
+    model, turn = made
+    colmap = save(model, tmp_path / "colmap", "bin")
+    put_frames(model, colmap / "images")
+    found = found_by(colmap, turn)
+    save_detections(found, tmp_path / "boxes.json")
+    scale = estimate(colmap, fleet="DE", detections=tmp_path / "boxes.json", mode=mode).scale
+
+    path = opensfm(model, tmp_path / "opensfm")
+    put_frames(model, path.parent / "images")
+    (part,) = json.loads(path.read_text())
+    part["points"] = {
+        key: part["points"][key] for key in np.random.default_rng(0).permutation(list(part["points"])).tolist()
+    }
+    part["shots"] = dict(reversed(part["shots"].items()))
+    path.write_text(json.dumps([part]))
+    other = estimate(path, fleet="DE", detections=tmp_path / "boxes.json", mode=mode)
+    assert other.scale.value == pytest.approx(scale.value, rel=1e-6)
+
+    path = nerfstudio(model, tmp_path / "nerfstudio")
+    put_frames(model, path.parent / "images")
+    renamed = {"boxes": {f"images/{name}": boxes for name, boxes in found.boxes.items()}}
+    above = {name.replace("/", "/images/"): boxes for name, boxes in found.planar.boxes.items()}
+    save_detections(replace(found, **renamed, planar=replace(found.planar, boxes=above)), tmp_path / "renamed.json")
+    assert estimate(path, fleet="DE", detections=tmp_path / "renamed.json", mode=mode).scale.value == pytest.approx(
+        scale.value, rel=1e-6
+    )
+
+
+def test_the_ground_does_not_depend_on_the_order_of_points_and_images(made, tmp_path, monkeypatch):
+    """Which points the fit draws follows from their order."""
+    model, _ = made
+    path = opensfm(model, tmp_path)
+    (part,) = json.loads(path.read_text())
+    asked = []
+    monkeypatch.setattr(Ground, "fit", lambda *given: asked.append(given))
+    for turn in (1, -1):
+        points, shots = (dict(list(part[what].items())[::turn]) for what in ("points", "shots"))
+        path.write_text(json.dumps([{**part, "points": points, "shots": shots}]))
+        open_source(path, need_images=False).ground  # noqa: B018
+    for one, other in zip(*asked, strict=True):
+        assert np.array_equal(one, other)

@@ -55,14 +55,15 @@ def hold_their_word(scales):
     few = len(scales) < 80
     inside = np.mean([s.interval90[0] <= 0.12 <= s.interval90[1] for s in scales])
     assert inside >= 0.9 - 2.7 * np.sqrt(0.09 / len(scales))  # 2.7 sigmas of the draws
-    error = np.array([np.log(s.value / 0.12) / s.relative_sd for s in scales])
-    # Of 100 draws the root mean square strays by 0.07, one sigma; three and a half of it to either side.
-    # The mixes of these scenes stray less than those of places are taken to, so errors may be smaller still.
-    assert (0.5 if few else 0.6) < np.sqrt(np.mean(error**2)) < (1.5 if few else 1.25)
+    # By the median, for one mix in fifty is so odd that it is taken for another scale; the count above has those. It
+    # strays by 0.12 (one sigma of 100 draws). The mixes of these scenes stray less than those of places are taken to,
+    # so errors may be smaller still.
+    error = np.median([abs(np.log(s.value / 0.12)) / s.relative_sd for s in scales]) / 0.6745
+    assert 0.5 < error < (1.5 if few else 1.35)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("code", ["US", "DE", "JP", "WORLD"])
+@pytest.mark.parametrize("code", ["US", "DE", "JP", "LK", "WORLD"])
 @pytest.mark.parametrize("vans, false", [(0, 0), (0.25, 0.1)])
 def test_nine_intervals_of_ten_hold_the_truth(code, vans, false):
     fleet, rng = load_fleet(code), np.random.default_rng(7)
@@ -112,6 +113,21 @@ def test_an_odd_mix_is_recognised_and_not_taken_for_another_scale(code, shares):
         for k in range(4)
     ]
     assert abs(np.mean(errors)) < 0.5 * off
+
+
+def test_three_wheelers_do_not_pull_the_scale_where_a_country_has_them():
+    """A third of the vehicles are three-wheelers: a fleet without them takes the whole place for smaller cars."""
+    fleet = load_fleet("NP")
+    many = replace(fleet, three_wheelers=replace(fleet.three_wheelers, weight=0.33))
+    place = replace(fleet, classes=many.every_class)
+    blind = replace(fleet, three_wheelers=None)
+    errors = {"with": [], "without": []}
+    for seed in range(6):
+        votes = scene(np.random.default_rng([8, seed]), place, 80, surprise=False)
+        for name, one in (("with", fleet), ("without", blind)):
+            errors[name].append(float(np.log(pool(votes, one, RULER, "").value / 0.12)))
+    assert abs(np.mean(errors["with"])) < 0.03
+    assert np.mean(errors["without"]) > 0.06
 
 
 def test_minis_in_a_sharp_picture_are_recognised_and_in_a_coarse_one_leave_the_interval_wide():

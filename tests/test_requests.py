@@ -14,7 +14,7 @@ from support.reports import EXAMPLE, car_park
 import orthoscale
 from orthoscale.actions import requests
 from orthoscale.actions.fix import REPORT_FILES
-from orthoscale.actions.requests import EstimateRequest, FixRequest, VehicleRequest, flag
+from orthoscale.actions.requests import EstimateRequest, FixRequest, PhotoRequest, VehicleRequest, flag
 from orthoscale.cli.main import COMMANDS, cli
 from orthoscale.core.measuring.method import VARIANTS_BY_NAME
 from orthoscale.errors import UsageError
@@ -41,6 +41,7 @@ SAID = {
     "gsd_hint": 0.1,
     "images": "frames",
     "refine": True,
+    "fast": True,
     "mode": "planar",
     "target": 0.01,
     "exhaustive": True,
@@ -52,6 +53,7 @@ SAID = {
     "estimator": "iqr",
     "known_distance": ("0,0 9,9 1",),
     "ground_control": "g.txt",
+    "against": "map.tif",
     "anchors": ("none",),
     "anchor": ("bay=2.5",),
     "overwrite": True,
@@ -64,10 +66,10 @@ SAID = {
     "report": "json",
 }
 OF_DETECTOR = {"detector", "decoder", "zoom", "gsd_hint"} | {
-    *("refine", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
+    *("refine", "fast", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
 }
-OF_MODEL, OF_ORTHOPHOTO = {"mode", "images", "projection", "dense"}, {"target", "exhaustive"}
-TO_WRITE_AN_ORTHOPHOTO = {"keep_origin", "cog", "also"}
+OF_MODEL = {"mode", "images", "projection", "dense"}
+OF_ORTHOPHOTO = {"fast", "keep_origin", "cog", "also"}
 
 
 def test_the_table_has_every_option():
@@ -97,7 +99,7 @@ def test_what_is_for_the_other_kind_of_input_is_refused(park, tmp_path, name, co
     request = kind(**{name: SAID[name]})
     for judge, refused in (
         (request._for_plan, OF_MODEL),
-        (request._for_posed, OF_ORTHOPHOTO | TO_WRITE_AN_ORTHOPHOTO),
+        (request._for_posed, OF_ORTHOPHOTO),
     ):
         if name in refused:
             with pytest.raises(UsageError):
@@ -133,7 +135,11 @@ def test_no_option_of_any_command_is_unknown_to_its_function(name):
     command = cli.get_command(None, name)
     taken = set(command.callback.__wrapped__.__code__.co_varnames if hasattr(command.callback, "__wrapped__") else
                 command.callback.__code__.co_varnames)  # fmt: skip
-    known = taken | {each.name for each in fields(FixRequest)} | {"fleet", "gsd", "local_fleet"}
+    known = (
+        taken
+        | {each.name for kind in (FixRequest, PhotoRequest) for each in fields(kind)}
+        | {"fleet", "gsd", "local_fleet"}
+    )
     known |= {"paths", "summary", "jobs"}  # of `cli.many.inputs`
     assert {option.name for option in command.params if option.expose_value} <= known
 

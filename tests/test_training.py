@@ -198,6 +198,22 @@ def test_what_was_judged_since_is_part_of_the_labels(tmp_path, monkeypatch):
     assert a.kinds.tolist() == ["vehicle"] * 3 and b.kinds.tolist() == ["vehicle", "candidate", "candidate"]
     margin = json.loads(MARGINS.read_text())["margin_px"]["judged"]
     assert a.vehicles[1:] == pytest.approx(np.array(judged["vehicle"]) - [0, 0, *margin, 0])
+    assert a.lookalikes.tolist() == judged["background"] and not len(b.lookalikes)
+
+
+def test_crops_show_what_was_taken_for_a_vehicle(monkeypatch):
+    monkeypatch.setattr(augment, "photometric", lambda pixels, rng: pixels.astype(np.float32) / 255)
+    pixels = np.full((4000, 4000, 3), 90, np.uint8)
+    pixels[2980:3020, 2980:3020] = 255  # what was taken for one, far from the only vehicle
+    image = data.LabelledImage(
+        Path("a.png"), "city", 4000, 4000, "", "", np.array([[500.0, 500, 40, 18, 0]]), np.array(["vehicle"], object),
+        lookalikes=np.array([[3000.0, 3000, 40, 18, 0]]), _levels=[pixels],
+    )  # fmt: skip
+    rng = np.random.default_rng(5)
+    drawn = [augment.crop(image, rng) for _ in range(60)]
+    heat, background = np.array([crop[1] for crop in drawn]), np.array([crop[2] for crop in drawn])
+    bright = np.array([crop[0].max() > 0.6 for crop in drawn])
+    assert 12 < bright.sum() < 45 and not heat[bright].any() and background[bright].all()
 
 
 def test_vehicles_that_labels_lack_are_proposed(tmp_path):
@@ -211,7 +227,8 @@ def test_vehicles_that_labels_lack_are_proposed(tmp_path):
         found = [(*c, max(s) + 1, min(s) + 1, np.radians(a if s[0] > s[1] else a + 90)) for c, s, a in rectangles]
         return Boxes(np.array(found).reshape(-1, 5), np.full(len(found), 0.8))
 
-    found = missing.proposals(image, detect, 36.0)
+    known = image.boxes[image.kinds != "candidate"]
+    found = missing.proposals(image, detect, 36.0, known)
     order = np.argsort(found.centre[:, 1])
     assert found.centre[order] == pytest.approx(boxes[1:, :2], abs=1.5)
     assert found.length == pytest.approx(36, abs=2.5)
@@ -620,12 +637,13 @@ def test_pictures_of_a_folder_have_its_labels(tmp_path, monkeypatch):
         cv2.imwrite(str(folder / f"{name}.png"), np.full((60, 64, 3), 50, np.uint8))
     (labels / "chips.json").write_text(json.dumps({
         "usual_length": 15.0, "source": "a test", "licence": "CC0",
-        "images": {"lot1.png": {"vehicle": [[30, 20, 15, 7, 0.5]], "ignore": [[50, 50, 14, 6, 0]]}, "roof2.png": {}},
+        "images": {"lot1.png": {"vehicle": [[30, 20, 15, 7, 0.5]], "ignore": [[50, 50, 14, 6, 0]]},
+                   "roof2.png": {"background": [[20, 20, 15, 7, 0]]}},
     }))  # fmt: skip
     monkeypatch.setattr(data, "LABELS", labels)
     lot, roof = read_labels(folder, tighten=False)
     assert lot.vehicles.tolist() == [[30, 20, 15, 7, 0.5]] and lot.kinds.tolist() == ["vehicle", "ignore"]
-    assert (lot.scene, roof.scene, len(roof.boxes)) == ("lot", "roof", 0)
+    assert (lot.scene, roof.scene, len(roof.boxes), len(roof.lookalikes)) == ("lot", "roof", 0, 1)
     assert (lot.height, lot.width, lot.usual_length) == (60, 64, 15.0)
 
 
@@ -638,9 +656,20 @@ def test_what_a_person_says_of_proposals_counts():
     kept = propose.judged(found, "lot vehicle 1\nlot background 2-3\n\nroof ignore 0\nroof1.jpg add 9 9 15 7 0.5\n")
     assert kept == {
         "lot1.jpg": {"vehicle": [[1, 1, 15, 7, 0], [2, 2, 15, 7, 0]]},
-        "lot2.jpg": {},
+        "lot2.jpg": {"background": [[3, 3, 15, 7, 0], [4, 4, 15, 7, 0]]},
         "roof1.jpg": {"vehicle": [[9, 9, 15, 7, 0.5]], "ignore": [[5, 5, 15, 7, 0]]},
     }
+
+
+def test_what_is_judged_is_ignored_no_more():
+    before = {"lot1.jpg": {"vehicle": [[1, 1, 15, 7, 0]], "ignore": [[20, 20, 15, 7, 0], [60, 60, 15, 7, 0]]}}
+    now = {"lot1.jpg": {"background": [[20.5, 20, 15, 7, 0]]}, "roof1.jpg": {"background": [[5, 5, 15, 7, 0]]}}
+    assert propose.added(before, now) == {
+        "lot1.jpg": {
+            "vehicle": [[1, 1, 15, 7, 0]], "ignore": [[60, 60, 15, 7, 0]], "background": [[20.5, 20, 15, 7, 0]],
+        },
+        "roof1.jpg": {"background": [[5, 5, 15, 7, 0]]},
+    }  # fmt: skip
 
 
 def test_looks_agree_on_what_most_of_them_show():

@@ -21,6 +21,7 @@ from .targets import CROP, encode
 BARE_RANGE = (11.0, 150.0)
 PASTED = 0.5  # share of the crops without vehicles that get some
 GLINTING = 0.5  # share of the crops without vehicles that get glints
+DECEIVING = 0.5  # share of the crops of pictures with lookalikes that are drawn about these, not about vehicles
 SHADED = 0.35  # share of the crops with shadows cast on them
 
 
@@ -48,8 +49,9 @@ def crop(
     scale = np.exp(rng.uniform(*np.log(lengths))) / (image.median_length or image.usual_length)
     if scale > MAX_ENLARGEMENT:
         scale = MAX_ENLARGEMENT * rng.uniform(0.6, 1.0)
-    if len(vehicles) and rng.random() < 0.7:
-        centre = vehicles[rng.integers(len(vehicles)), :2] + rng.uniform(-0.4, 0.4, 2) * CROP / scale
+    shown = image.lookalikes if len(image.lookalikes) and rng.random() < DECEIVING else vehicles
+    if len(shown) and rng.random() < 0.7:
+        centre = shown[rng.integers(len(shown)), :2] + rng.uniform(-0.4, 0.4, 2) * CROP / scale
     else:
         centre = rng.uniform(0, 1, 2) * (image.width, image.height)
     # Not much of a crop lies outside of the picture: there is nothing to learn there.

@@ -36,6 +36,7 @@ class LabelledImage:
     boxes: np.ndarray  # (N, 5) centre x, centre y, length, width [px], angle [rad]
     kinds: np.ndarray  # (N,) str
     usual_length: float = NOMINAL_LENGTH  # of vehicles in such pictures [px]
+    lookalikes: np.ndarray = field(default_factory=lambda: np.empty((0, 5)))  # (M, 5) judged to be no vehicles
     _levels: list[np.ndarray] = field(default_factory=list, repr=False)
 
     @classmethod
@@ -76,6 +77,7 @@ class LabelledImage:
 LABELS = Path(__file__).parent / "labels"
 MARGINS = LABELS / "margins.json"
 JUDGED = LABELS / "judged.json"
+BACKGROUND = "background"  # kind of a judged box that looks like a vehicle and is none
 LARGEST_SHARE = 0.25  # of the width that a margin may take away, so that tiny boxes stay boxes
 
 
@@ -84,7 +86,8 @@ def read_labels(label_file: Path, tighten: bool = True, complete: bool = True) -
 
     People and detectors draw boxes around a vehicle with some air, and each scene's labels have their own. A network
     that learns them as they are measures a vehicle by the scene that it resembles. `tighten=False`: the boxes as drawn.
-    What the labels lack and a person has judged since (labels/judged.json) is added; `complete=False`: it is not.
+    What the labels lack and a person has judged since (labels/judged.json) is added; `complete=False`: it is not. Boxes
+    judged to be background are no labels: they are the image's `lookalikes`.
 
     The boxes of a folder of pictures are in labels/FOLDER.json (see `propose`); all whose names differ only in digits
     are one scene.
@@ -101,11 +104,12 @@ def read_labels(label_file: Path, tighten: bool = True, complete: bool = True) -
         ).reshape(-1, 5)
         boxes = _freed(boxes, margins.get(entry["set"], 0.0))
         kinds = np.array([b["kind"] for b in entry["boxes"]], dtype=object)
-        boxes, kinds = _with_judged(boxes, kinds, judged.get(entry["file"], {}), margins.get("judged", 0.0))
+        since = judged.get(entry["file"], {})
+        boxes, kinds = _with_judged(boxes, kinds, since, margins.get("judged", 0.0))
         images.append(
             LabelledImage(
                 folder / entry["file"], entry["set"], entry["width"], entry["height"],
-                entry["source"], entry["licence"], boxes, kinds,
+                entry["source"], entry["licence"], boxes, kinds, lookalikes=_lookalikes(since),
             )
         )  # fmt: skip
     return images
@@ -114,13 +118,22 @@ def read_labels(label_file: Path, tighten: bool = True, complete: bool = True) -
 def _of_folder(folder: Path, margin: float | list[float]) -> list[LabelledImage]:
     """The pictures of a folder that labels/FOLDER.json names, with its boxes."""
     labels = json.loads((LABELS / f"{folder.name}.json").read_text())
-    return [
-        LabelledImage(
-            folder / file, group_of(file), *stored_size(folder / file), labels["source"], labels["licence"],
-            _freed(_stacked(kinds), margin), _kinds(kinds), labels["usual_length"],
-        )
-        for file, kinds in labels["images"].items()
-    ]  # fmt: skip
+    images = []
+    for file, rows in labels["images"].items():
+        boxes, kinds = _freed(_stacked(rows), margin), _kinds(rows)
+        labelled = kinds != BACKGROUND
+        images.append(
+            LabelledImage(
+                folder / file, group_of(file), *stored_size(folder / file), labels["source"], labels["licence"],
+                boxes[labelled], kinds[labelled], labels["usual_length"], _lookalikes(rows),
+            )
+        )  # fmt: skip
+    return images
+
+
+def _lookalikes(rows: dict[str, list[list[float]]]) -> np.ndarray:
+    """(N, 5) the boxes that were judged to be no vehicle."""
+    return np.array(rows.get(BACKGROUND, []), float).reshape(-1, 5)
 
 
 def group_of(picture: str) -> str:
@@ -151,7 +164,7 @@ def _with_judged(
     added, added_kinds = _freed(_stacked(judged), margin), _kinds(judged)
     away = boxes[:, None, :2] - added[None, :, :2]
     settled = (np.hypot(away[..., 0], away[..., 1]) < added[:, 3] / 2).any(1) & (kinds == "candidate")
-    kept = added_kinds != "background"
+    kept = added_kinds != BACKGROUND
     return np.r_[boxes[~settled], added[kept]], np.r_[kinds[~settled], added_kinds[kept]]
 
 

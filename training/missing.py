@@ -1,11 +1,15 @@
-"""Find vehicles that the labels lack, for a person to judge.
+"""Find vehicles that the labels lack, and what is taken for vehicles, for a person to judge.
 
     python -m training.missing --detector WEIGHTS.onnx --labels LABELS.json --out runs/missing
+    python -m training.missing --detector WEIGHTS.onnx --labels ../shared/data/vehicles/chips --unsure \\
+        --scenes buildings,harbor --out runs/negatives
+    python -m training.propose keep runs/negatives --as chips --add
 
-A vehicle that is in a training image but not in its labels is learnt as background. The previous detector proposes:
-boxes that it sees at two zooms and that overlap no label. Written are `proposals.json` (`{file: [[centre x, centre y,
-length, width, angle, score], ...]}`) and contact sheets of every proposal, numbered. What a person accepts or refuses
-there goes into `labels/judged.json`, which `data.read_labels` adds to the labels.
+A vehicle that is in a training image but not in its labels is learnt as background; what is none and is boxed all the
+same is what there is most to learn from. The previous detector proposes: boxes that it sees at two zooms and that
+overlap no label (``--unsure``: no vehicle; ignored ones are proposed again). Written are `proposals.json`, each box
+taken for background until a person says otherwise, and contact sheets of every proposal, numbered. `propose`
+tells how to write the judgement down and keeps it.
 """
 
 from __future__ import annotations
@@ -22,7 +26,8 @@ from orthoscale.detect.detector import Detector
 from orthoscale.detect.tiles import sweep
 from orthoscale.sources.picture_file import PictureFile
 
-from .data import LabelledImage, read_labels
+from .data import BACKGROUND, LabelledImage, group_of, read_labels, split
+from .geometry import MAX_ENLARGEMENT
 
 LENGTH = 36.0  # a scene's vehicles as long as that in the first look [px]; the second is half an octave coarser
 SAME = 0.5  # overlap of two looks at one vehicle
@@ -30,18 +35,18 @@ KNOWN = 0.15  # overlap with a label from which a box is that label's
 CELL, COLUMNS, ROWS = 110, 14, 9  # of a contact sheet [px, cells]
 
 
-def proposals(image: LabelledImage, detector: Detector, length: float) -> Boxes:
-    """Boxes seen at two zooms and not in the labels, geometric mean of both looks; pixels of the image."""
+def proposals(image: LabelledImage, detector: Detector, length: float, known: np.ndarray) -> Boxes:
+    """Boxes seen at two zooms and not among the `known` ones (N, 5), geometric mean of both looks; pixels of the
+    image."""
     picture = PictureFile(image.path.name, image.path, image.width, image.height)
-    zoom = min(LENGTH / length, 1.7)
+    zoom = min(LENGTH / length, MAX_ENLARGEMENT)
     first, second = (sweep([picture], z, detector)[picture.name] for z in (zoom, zoom / np.sqrt(2)))
     i, j, _ = matched(first, second, SAME)
     xylwa = first.xylwa[i].copy()
     xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
     both = Boxes(xylwa, (first.score[i] + second.score[j]) / 2)
-    known = Boxes(image.boxes[image.kinds != "candidate"], np.ones(int((image.kinds != "candidate").sum())))
     new = np.ones(len(both), bool)
-    new[overlapping(both, known, KNOWN)[0]] = False
+    new[overlapping(both, Boxes(known, np.ones(len(known))), KNOWN)[0]] = False
     return both[new]
 
 
@@ -78,24 +83,34 @@ def write_sheets(cells: dict[str, list[np.ndarray]], out: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--detector", type=Path, required=True)
-    parser.add_argument("--labels", type=Path, required=True)
+    parser.add_argument("--labels", type=Path, required=True, help="label file, or folder of pictures with one")
+    parser.add_argument("--scenes", default="", help="comma separated; all by default")
+    parser.add_argument("--unsure", action="store_true", help="propose boxes again that the labels ignore")
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     detector = Detector(options.detector)
+    scenes = set(filter(None, options.scenes.split(",")))
     images = read_labels(options.labels)
+    if scenes:
+        _, images = split(images, scenes)
     lengths: dict[str, list[float]] = {}
     for image in images:
         lengths.setdefault(image.scene, []).extend(image.vehicles[:, 2])
-    found: dict[str, list[list[float]]] = {}
+    found: dict[str, list[dict]] = {}
     cells: dict[str, list[np.ndarray]] = {}
     for image in images:
-        typical = image.median_length or np.median(lengths[image.scene] or [LENGTH])
-        boxes = proposals(image, detector, float(typical))
-        rows = np.c_[boxes.xylwa, boxes.score][np.argsort(-boxes.score)]
-        found[image.path.name] = rows.round(3).tolist()
-        sheet = cells.setdefault(image.scene, [])
-        sheet += [cell(image, row[:5], f"{len(sheet) + n} .{row[5] * 100:02.0f}") for n, row in enumerate(rows)]
+        typical = image.median_length or np.median(lengths[image.scene] or [image.usual_length])
+        known = image.vehicles if options.unsure else image.boxes[image.kinds != "candidate"]
+        boxes = proposals(image, detector, float(typical), np.concatenate([known, image.lookalikes]))
+        boxes = boxes[np.argsort(-boxes.score)]
+        found[image.path.name] = [
+            {"box": row.round(2).tolist(), "score": round(float(score), 3), "kind": BACKGROUND}
+            for row, score in zip(boxes.xylwa, boxes.score, strict=True)
+        ]
+        sheet = cells.setdefault(group_of(image.path.name), [])
+        for row, score in zip(boxes.xylwa, boxes.score, strict=True):
+            sheet.append(cell(image, row, f"{len(sheet)} .{score * 100:02.0f}"))
     (options.out / "proposals.json").write_text(json.dumps(found))
     write_sheets(cells, options.out)
 

@@ -13,7 +13,8 @@ one that few show as `ignore`: neither vehicle nor background. Sizes are medians
 A person looks at the sheets and writes ``judged.txt`` beside them, a line for each change of mind: ``SCENE
 vehicle|ignore|background NUMBERS``, as in ``harbor background 0-17 20 23``, and vehicles that are lacking as
 ``PICTURE add X Y LENGTH WIDTH ANGLE``. `keep` writes the outcome to ``labels/chips.json`` or ``labels/places.json``,
-which `data.read_labels` reads with the folder of that name.
+which `data.read_labels` reads with the folder of that name. ``keep --add`` adds it to what is there, as the proposals
+of `missing` need: a box that the labels ignored, and that is judged now, is ignored no more.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import numpy as np
 from orthoscale.core.boxes import Boxes, overlapping, suppress
 from orthoscale.detect.detector import Detector
 
-from .data import LABELS, LabelledImage, group_of
+from .data import BACKGROUND, LABELS, LabelledImage, group_of
 from .missing import cell, write_sheets
 
 LENGTHS = (27.0, 33.0, 39.0, 47.0)  # of a usual vehicle in the looks [px]
@@ -37,6 +38,7 @@ SAME = 0.3  # overlap of looks at one vehicle
 PART = 256.0  # side of the chips that some of the places are put together from [px]
 LOWEST = 0.1  # score of a look that counts at all
 SURE, MOST = 0.4, 0.6  # such a share of the looks with that score makes a vehicle
+KINDS = ("vehicle", "ignore", BACKGROUND)
 MARGIN = 0.2  # lengths; a vehicle whose middle is closer to the picture's edge is cut too much
 
 
@@ -104,7 +106,7 @@ def propose(pictures: dict[Path, tuple[float, float]], detectors: list[Detector]
 
 
 def judged(proposals: dict[str, list[dict]], verdicts: str) -> dict[str, dict[str, list[list[float]]]]:
-    """Boxes by picture and kind (vehicle, ignore), after what a person said of the proposals (see above)."""
+    """Boxes by picture and kind, after what a person said of the proposals (see above)."""
     by_group: dict[str, list[dict]] = {}
     for picture, found in proposals.items():
         by_group.setdefault(group_of(picture), []).extend(found)
@@ -117,11 +119,26 @@ def judged(proposals: dict[str, list[dict]], verdicts: str) -> dict[str, dict[st
             first, _, last = text.partition("-")
             for n in range(int(first), int(last or first) + 1):
                 by_group[name][n]["kind"] = verdict
-    kinds = ("vehicle", "ignore")
     return {
-        picture: {kind: boxes for kind in kinds if (boxes := [p["box"] for p in found if p["kind"] == kind])}
+        picture: {kind: boxes for kind in KINDS if (boxes := [p["box"] for p in found if p["kind"] == kind])}
         for picture, found in proposals.items()
     }
+
+
+def added(before: dict[str, dict], kept: dict[str, dict]) -> dict[str, dict]:
+    """Labels by picture and kind with those `kept` added; what they judge is ignored no more."""
+    together = {}
+    for picture in dict.fromkeys([*before, *kept]):
+        old, new = before.get(picture, {}), kept.get(picture, {})
+        unsure = old.get("ignore", [])
+        settled = overlapping(_boxes(unsure), _boxes([box for boxes in new.values() for box in boxes]), SAME)[0]
+        old = {**old, "ignore": [box for k, box in enumerate(unsure) if k not in settled]}
+        together[picture] = {kind: boxes for kind in KINDS if (boxes := [*old.get(kind, []), *new.get(kind, [])])}
+    return together
+
+
+def _boxes(rows: list[list[float]]) -> Boxes:
+    return Boxes(np.array(rows, float).reshape(-1, 5), np.ones(len(rows)))
 
 
 def write_kept(kept: dict[str, dict], file: Path) -> None:
@@ -147,12 +164,14 @@ def main() -> None:
     looking.add_argument("--out", type=Path, required=True)
     keeping = commands.add_parser("keep")
     keeping.add_argument("folder", type=Path)
-    keeping.add_argument("--as", dest="name", choices=("chips", "places"), required=True)
+    keeping.add_argument("--as", dest="name", choices=("chips", "places", "judged"), required=True)
+    keeping.add_argument("--add", action="store_true", help="to the labels that are there")
     options = parser.parse_args()
     if options.command == "keep":
         proposals = json.loads((options.folder / "proposals.json").read_text())
         kept = judged(proposals, (options.folder / "judged.txt").read_text())
-        write_kept(kept, LABELS / f"{options.name}.json")
+        file = LABELS / f"{options.name}.json"
+        write_kept(added(json.loads(file.read_text())["images"], kept) if options.add else kept, file)
         return
     detectors = [Detector(path, threads=1) for path in options.detector]
     if options.truth:

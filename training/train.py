@@ -30,7 +30,7 @@ SCENE_WEIGHTS = {
     "munich": 0.18, "minsk": 0.16, "bogota": 0.18, "warsaw": 0.3, "ohio": 0.08,
     "park": 0.14, "dunes": 0.06, "synthetic": 0.5, "lookalikes": 0.4,
     "parkinglot": 0.12, "intersection": 0.08, "freeway": 0.06, "overpass": 0.06, "mobilehomepark": 0.05,
-    "denseresidential": 0.06, "buildings": 0.06, "harbor": 0.05, "storagetanks": 0.05, "tenniscourt": 0.04,
+    "denseresidential": 0.06, "buildings": 0.1, "harbor": 0.1, "storagetanks": 0.07, "tenniscourt": 0.06,
 }  # fmt: skip
 PEAK_RATE = 1.5e-3
 WARM_UP = 300  # steps

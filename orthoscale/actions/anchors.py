@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -67,51 +67,60 @@ def own_standards(told: Sequence[str]) -> dict[str, tuple[Standard, ...]]:
     return found
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """What is looked for, and how.
+
+    choices : of `--anchors`. own : a user's standards by kind, which take the place of the finders'. country : ISO
+    code, empty where not known. effort, progress : as in `detect.find`.
+    """
+
+    choices: Sequence[str]
+    own: Mapping[str, tuple[Standard, ...]] = field(default_factory=dict)
+    country: str = ""
+    effort: Effort = Effort()
+    progress: Progress | None = None
+
+    @property
+    def kinds(self) -> list[str]:
+        """The kinds that the choices name."""
+        return kinds.chosen(self.choices, self.own)
+
+
 def look_for_anchors(
     source: Source,
     scale: Scale,
-    choices: Sequence[str],
-    own: Mapping[str, tuple[Standard, ...]],
-    country: str,
-    effort: Effort,
-    progress: Progress | None = None,
+    wanted: Wanted,
 ) -> Searched:
     """The anchors in `source`, whose vehicles give `scale`; see `anchors_at`."""
     low, high = scale.interval90
     sd = float(np.log(high / low)) / (2 * Z90)
     # Finders search two of their sigmas to either side.
     sd = float(np.clip((Z90 + BEYOND_SIGMAS) / 2 * sd, LEAST_SOUGHT, MOST_SOUGHT))
-    return replace(anchors_at(source, scale.value, sd, choices, own, country, effort, progress), without=scale)
+    return replace(anchors_at(source, scale.value, sd, wanted), without=scale)
 
 
 def anchors_at(
     source: Source,
     metres_per_unit: float,
     sd: float,
-    choices: Sequence[str],
-    own: Mapping[str, tuple[Standard, ...]],
-    country: str,
-    effort: Effort,
-    progress: Progress | None = None,
+    wanted: Wanted,
     share: float = 1.0,
 ) -> Searched:
     """The anchors in `source`, of roughly `metres_per_unit`, within twice the relative one-sigma `sd` of it.
 
-    choices : of `--anchors`. own : a user's standards by kind, which take the place of the finders'. country : ISO
-    code, empty where not known. An orthophoto is looked at as it is, a reconstruction in its pictures of the ground.
-    share : of the usual effort.
+    An orthophoto is looked at as it is, a reconstruction in its pictures of the ground. share : of the usual effort.
     """
     from ..anchors.search import ENOUGH_ANCHORS, MOST_PIXELS, Sought, search
 
-    wanted = kinds.chosen(choices, own)
-    views = _views(source) if wanted else {}
+    views = _views(source) if wanted.kinds else {}
     if not views:
         return Searched()
     pictures = [(picture, metres_per_unit * unit) for picture, unit in views.values()]
-    finest = min(gsd for _, gsd in pictures)
+    finest, effort = min(gsd for _, gsd in pictures), wanted.effort
     sought, notes = [], []
-    for kind in wanted:
-        finder = kinds.finder(kind, own)
+    for kind in wanted.kinds:
+        finder = kinds.finder(kind, wanted.own)
         if finest > finder.coarsest:
             notes.append(f"{kind}: too small to be seen at {finest:.2g} m/px, not looked for")
         else:
@@ -119,32 +128,28 @@ def anchors_at(
     found = search(
         sought,
         sd,
-        country,
+        wanted.country,
         worker_count(effort.workers),
         effort.cache,
         effort.exhaustive,
         effort.seed,
         share * MOST_PIXELS,
         ENOUGH_ANCHORS * (1 if source.posed is None else FRAMES_EACH),
-        None if progress is None else partial(progress, "Looking for anchors"),
+        None if wanted.progress is None else partial(wanted.progress, "Looking for anchors"),
     )
     if source.posed is not None:
         ground: dict[str, GroundView] = {view.name: view for view in source.posed.ground_pictures}
         votes = votes_in_model(found, ground, 4 * sd)
     else:
         votes = votes_in_plan(found, 4 * sd)
-    votes = [vote.of(own.get(vote.anchor.kind)) for vote in votes]
+    votes = [vote.of(wanted.own.get(vote.anchor.kind)) for vote in votes]
     return Searched(tuple(found), tuple(votes), notes=tuple(notes))
 
 
 def at_any_scale(
     source: Source,
     rough: tuple[float, float] | None,
-    choices: Sequence[str],
-    own: Mapping[str, tuple[Standard, ...]],
-    country: str,
-    effort: Effort,
-    progress: Progress | None = None,
+    wanted: Wanted,
     known: int = 0,
 ) -> Searched:
     """The anchors in `source`, of which nobody knows the scale: looked for on a ladder of them.
@@ -153,8 +158,7 @@ def at_any_scale(
     known : kinds of evidence that there are besides. Nothing is looked for where not enough kinds could be found.
     """
     units = [unit for _, unit in _views(source).values()]
-    wanted = kinds.chosen(choices, own)
-    if not units or not wanted or len(wanted) + known < FEWEST_KINDS:
+    if not units or not wanted.kinds or len(wanted.kinds) + known < FEWEST_KINDS:
         return Searched()
     if rough is None:
         low, high = (math.log(gsd / float(np.median(units))) for gsd in LADDER)
@@ -166,9 +170,7 @@ def at_any_scale(
     notes: list[str] = []
     every: list[Anchor] = []
     for middle in (edges[:-1] + edges[1:]) / 2:
-        rung = anchors_at(
-            source, float(np.exp(middle)), RUNG_SD, choices, own, country, effort, progress, share=1 / count
-        )
+        rung = anchors_at(source, float(np.exp(middle)), RUNG_SD, wanted, 1 / count)
         every += rung.anchors
         for vote in rung.votes:
             found.setdefault(vote.anchor.kind, []).append(vote)

@@ -16,15 +16,17 @@ from ..core.calibration import Calibration
 from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ..core.evidence import Evidence
 from ..core.fleet import Fleet
+from ..core.measuring.geometry import Geometry
 from ..core.measuring.measure import doubts, measure
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
+from ..core.measuring.oblique import FramesGeometry
 from ..core.measuring.plan import PlanGeometry
 from ..core.measuring.planar_sweep import SweepGeometry
 from ..core.measuring.ways import measure_source
 from ..core.measuring.without_vehicles import measured_without_vehicles
 from ..core.pooling.anchors import evidence_of
-from ..core.source import Plan, PosedSet, Source
+from ..core.source import Source
 from ..detect.detector import Detector
 from ..detect.find import Effort, Progress
 from ..detect.refine import refined
@@ -36,9 +38,10 @@ from ..formats.detections import load as load_detections
 from ..sources.location import location_of
 from ..sources.opening import open_source
 from ..tables import standards
-from .anchors import Searched, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
+from .against import OnMap, on_map
+from .anchors import Searched, Wanted, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
 from .control import read_control, read_distance
-from .find import find_in, measured_anew
+from .find import Sampling, find_in, measured_anew
 from .requests import EstimateRequest
 from .result import Result
 from .whose import country_of, fleet_at, named_fleet
@@ -47,6 +50,7 @@ if TYPE_CHECKING:
     from typing import Unpack
 
     from ..detect.zoom import ZoomChoice
+    from ..sources.satellite import Satellite
     from .requests import EstimateOptions
 
 HINT_SD, CLAIM_SD = 0.15, 0.1  # of --gsd-hint, and of georeferencing, relative one-sigma, where anchors must do alone
@@ -76,7 +80,8 @@ def estimate(
     images : folder of a model's frames, when not beside it. mode : how a model is measured, one of `requests.MODES`;
     by default in every way that there is evidence for.
     projection, estimator : other ways than the usual, see `measuring.method.Method`. known_distance, ground_control :
-    what is known besides, see `actions.control`. anchors : which things of exact size are looked for, and anchor : your
+    what is known besides, see `actions.control`. against : a georeferenced map that shows the same ground, see
+    `actions.against`. anchors : which things of exact size are looked for, and anchor : your
     own standards for them, see `actions.anchors`.
 
     How much is looked at, and with what (`detect.find.Effort`)
@@ -93,7 +98,7 @@ class Opened:
     """What a request speaks of, opened and found to fit together, before anything is measured.
 
     fleet : whose vehicles they are, and why, where that was not asked for. given : what the user knows of the scale.
-    own : the user's standards for anchors, by kind.
+    own : the user's standards for anchors, by kind. satellite : the map that the source is compared with.
     """
 
     source: Source
@@ -102,6 +107,7 @@ class Opened:
     calibration: Calibration | None
     given: tuple[Evidence, ...]
     own: Mapping[str, tuple[Standard, ...]]
+    satellite: Satellite | None = None
 
 
 def opened(path: str | Path | Source, request: EstimateRequest) -> Opened:
@@ -115,7 +121,7 @@ def opened(path: str | Path | Source, request: EstimateRequest) -> Opened:
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
     own = own_standards(request.anchor)
-    return Opened(source, fleet, why, known, tuple(given), own)
+    return Opened(source, fleet, why, known, tuple(given), own, _satellite(request.against))
 
 
 def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
@@ -132,7 +138,8 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         country=country_of(source, fleet),
         own=asked.own,
     )
-    choice, searched = None, Searched()
+    wanted = Wanted(request.anchors, asked.own, method.country, effort_of(request), progress)
+    choice, searched, lies = None, Searched(), OnMap()
     found = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found")
     try:
         if request.detections is not None:
@@ -144,34 +151,33 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         if asked.calibration is not None:
             found = asked.calibration.applied(found, Path(str(request.calibration)))
         answer = _by_vehicles(source, found, fleet, method, request)
+        if asked.satellite is not None:
+            rough = answer.scale.value, answer.scale.relative_sd
+            lies = on_map(source, asked.satellite, rough, request.cache, progress)
+        if lies.evidence:
+            method = replace(method, evidence=(*method.evidence, *lies.evidence))
+            answer = measure_source(source, found, fleet, method, request.mode)
         if request.estimator == "robust" and not answer.scale.conflict:
             try:
-                searched = look_for_anchors(
-                    source, answer.scale, request.anchors, asked.own, method.country, effort_of(request), progress
-                )
+                searched = look_for_anchors(source, answer.scale, wanted)
             except InputError as error:  # the vehicles' boxes may come from a file, and the pictures be damaged
                 searched = Searched(notes=(f"no anchors were looked for: {error.message}",))
         if searched.votes:
             method = replace(method, anchors=searched.votes)
             answer = measure_source(source, found, fleet, method, request.mode)
     except TooLittleEvidence as error:
-        searched = at_any_scale(
-            source,
-            _rough(source, request),
-            request.anchors,
-            asked.own,
-            method.country,
-            effort_of(request),
-            progress,
-            known=len({e.kind for e in asked.given}),
-        )
+        rough_scale = _rough(source, request)
+        if asked.satellite is not None and rough_scale is not None:
+            lies = on_map(source, asked.satellite, rough_scale, request.cache, progress)
+            method = replace(method, evidence=(*method.evidence, *lies.evidence))
+        searched = at_any_scale(source, rough_scale, wanted, known=len({e.kind for e in method.evidence}))
         method = replace(method, anchors=searched.votes)
         answer = _by_anchors(source, fleet, method, doubts(found), error)
     log.info("%d anchors, seen %d times", len(searched.votes), len(searched.anchors))
-    found = replace(found, notes=(*asked.why, *found.notes, *searched.notes))
+    found = replace(found, notes=(*asked.why, *found.notes, *searched.notes, *lies.notes))
     seconds = time.perf_counter() - started
     log.info("%.6g %s by %d vehicles in %.1f s", answer.scale.value, source.unit, answer.scale.vehicles_used, seconds)
-    return Result(source, fleet, found, choice, seconds, answer, method, request.settings(), searched)
+    return Result(source, fleet, found, choice, seconds, answer, method, request.settings(), searched, lies)
 
 
 def _by_vehicles(
@@ -218,7 +224,8 @@ def _looked_for(
     effort = effort_of(request)
     # Somebody else's network looks at one image at a time, with all cores.
     threads = 0 if request.detector else effort.threads_each
-    network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads)
+    confirmed = source.plan is not None and request.confirms
+    network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads, confirmed)
     zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
         found, choice = find_in(
@@ -228,8 +235,7 @@ def _looked_for(
             zoom,
             progress,
             effort,
-            _sampling(source.plan, fleet),
-            _enough(source.posed, fleet),
+            _sampling(source, fleet),
         )
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
@@ -253,39 +259,40 @@ def _given(source: Source, known_distance: Sequence[str], ground_control: str | 
     return given
 
 
+def _satellite(path: str | Path | None) -> Satellite | None:
+    """The map at `path`. Raises InputError, UsageError."""
+    if path is None:
+        return None
+    from ..sources.satellite import Satellite
+
+    return Satellite.open(Path(path))
+
+
 def _path(value: str | Path | None) -> Path | None:
     return None if value is None else Path(value)
 
 
-def _sampling(plan: Plan | None, fleet: Fleet) -> Callable[[Detections], float] | None:
-    """The sampling part of the uncertainty after a part of an orthophoto's sweep. Frames are all looked at: they show
-    the same vehicles again, and need each other."""
-    if plan is None:
-        return None
+def _sampling(source: Source, fleet: Fleet) -> Sampling:
+    """The sampling part of the uncertainty after a part of the sweep of `source`."""
     one = replace(fleet, candidates=(), prior=())  # which fleet it is matters little here, and trying all takes time
+    plan, posed = source.plan, source.posed
 
-    def sampling(found: Detections) -> float:
-        try:
-            return measure(PlanGeometry.of(plan, found), one).scale.parts["sampling"]
-        except TooLittleEvidence:
-            return np.inf
+    def by(geometry: Callable[[Detections], Geometry]) -> Callable[[Detections], float]:
+        def sampling(found: Detections) -> float:
+            try:
+                scale = measure(geometry(found), one).scale
+            except TooLittleEvidence:
+                return np.inf
+            return scale.parts["sampling"] if scale.vehicles_used else np.inf
 
-    return sampling
+        return sampling
 
-
-def _enough(posed: PosedSet | None, fleet: Fleet) -> Callable[[Detections], bool] | None:
-    """Whether vehicles in a model's pictures of the ground are enough for a scale."""
+    if plan is not None:
+        return Sampling(by(lambda found: PlanGeometry.of(plan, found)))
     if posed is None:
-        return None
-    one = replace(fleet, candidates=(), prior=())
-
-    def enough(found: Detections) -> bool:
-        try:
-            return bool(measure(SweepGeometry.of(posed, found), one).scale.vehicles_used)
-        except TooLittleEvidence:
-            return False
-
-    return enough
+        return Sampling()
+    in_frames = by(lambda found: FramesGeometry.of(posed, found, one, Method()))
+    return Sampling(in_frames, by(lambda found: SweepGeometry.of(posed, found)))
 
 
 def _typical_length(found: Detections) -> str:

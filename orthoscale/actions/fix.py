@@ -68,7 +68,7 @@ def written(
         result = measured(source, request.estimating(), progress)
         if not request.force:
             result.require_useful()
-        writer.write(begun.main, result.scale.value)
+        writer.write(begun.main, result)
         # The copy is verified: what fails from here on does not take it away.
         write_report(result, begun.parts, outputs.attempt)
         writer.write_more(result, outputs)
@@ -171,13 +171,13 @@ class _PlanWriter:
                 outputs.retire(extra.place(self.out), extra.known(self.out))
         return main, parts
 
-    def write(self, main: Path, scale: float) -> None:
-        self.plan.write(main, scale, self.request.keep_origin, self.request.cog)
+    def write(self, main: Path, result: Result) -> None:
+        self.plan.write(main, result.scale.value, result.place(self.request.keep_origin), self.request.cog)
 
     def write_more(self, result: Result, outputs: Outputs) -> None:
         for extra, partial in zip(self.extras, self.places_of_extras, strict=True):
             with outputs.attempt(partial, partial.name):
-                extra.write(result, self.plan.place(result.scale.value, self.request.keep_origin), partial)
+                extra.write(result, result.place(self.request.keep_origin), partial)
 
 
 class _PosedWriter:
@@ -191,7 +191,8 @@ class _PosedWriter:
         main = outputs.folder(self.out)
         return main, report_paths(main, self.posed, self.request.report)
 
-    def write(self, main: Path, scale: float) -> None:
+    def write(self, main: Path, result: Result) -> None:
+        scale = result.scale.value
         self.posed.write(main, scale)
         if self.request.dense:
             (main / "dense").mkdir()

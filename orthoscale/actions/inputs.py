@@ -9,9 +9,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ..errors import InputError, UsageError
-from ..sources.json_model import find_exchange
+from ..sources.exchange_files import find_exchange
 from ..system.outputs import ours
-from .several import models_in
+from .workspace import models_in
 
 PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".vrt", ".webp", ".img", ".ecw", ".sid")
 """Endings by which a picture in a folder is known for one. One that is named itself may have any."""

@@ -10,18 +10,22 @@ from typing import Any
 from ..core.scale import Scale
 from ..core.source import Source
 from ..detect.find import Progress
-from ..errors import UsageError
+from ..errors import TooLittleEvidence, UsageError
 from ..report.anchor_sheet import draw_anchors
 from ..report.anchors import entries, write_anchor_layer
 from ..report.document import write_json
 from ..sources.opening import open_source
-from .anchors import MOST_SOUGHT, Searched, anchors_at, look_for_anchors, own_standards
+from .anchors import MOST_SOUGHT, Searched, Wanted, anchors_at, look_for_anchors, own_standards
 from .estimate import effort_of, measured
 from .requests import EstimateRequest
 from .whose import country_of, named_fleet
 
 WITH_A_SCALE = ("fleet", "images", "anchors", "anchor", "workers", "cache")  # options that matter where it is told
 FORMAT_OF_LISTS = "orthoscale anchors 1"
+FILES_OF_LISTS = (".png", ".json", ".gpkg")
+OTHER_FORMS = (".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".pdf", ".svg", ".html", ".csv", ".txt",
+               ".geojson", ".shp", ".dxf", ".kml")  # fmt: skip
+"""Endings that nobody gives to a folder."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +52,36 @@ class AnchorList:
 
     def write(self, folder: Path) -> None:
         """anchors.json, anchors.png, and of an orthophoto anchors.gpkg, into an empty folder. Raises OutputError."""
+        for form in (".json", ".png", *([".gpkg"] if self.source.plan is not None and self.searched.votes else [])):
+            self.write_one(folder / f"anchors{form}")
+
+    def write_one(self, path: Path) -> None:
+        """The file that the ending of `path`, one of FILES_OF_LISTS, names. Raises OutputError; UsageError for a layer
+        of a model, TooLittleEvidence for one of nothing."""
         told = self.document()
-        write_json(told, folder / "anchors.json")
-        draw_anchors(told["anchors"], self.source, folder / "anchors.png")
-        if self.source.plan is not None and told["anchors"]:
+        if path.suffix.lower() == ".json":
+            write_json(told, path)
+        elif path.suffix.lower() == ".png":
+            draw_anchors(told["anchors"], self.source, path)
+        else:
+            if self.source.plan is None:
+                raise UsageError(f"{path.name}: only orthophotos have a layer of anchors", "Write .json or .png.")
+            if not told["anchors"]:
+                raise TooLittleEvidence(f"{path.name}: no anchors were found for the layer", "Write .json or .png.")
             place = self.source.plan.place(self.metres_per_unit, keep_origin=True)
-            write_anchor_layer(told["anchors"], place, folder / "anchors.gpkg")
+            write_anchor_layer(told["anchors"], place, path)
+
+
+def one_file(out: Path) -> bool:
+    """Whether `out` names one file of a list rather than a folder for all of them. Raises UsageError for a picture or
+    a table of another form."""
+    form = out.suffix.lower()
+    if form in OTHER_FORMS:
+        raise UsageError(
+            f"--out {out}: a list of anchors is not written as {form}",
+            f"Name a folder for all of its files, or one file: {', '.join(FILES_OF_LISTS)}.",
+        )
+    return form in FILES_OF_LISTS
 
 
 def list_anchors(
@@ -69,7 +97,8 @@ def list_anchors(
     if scale is None:
         result = measured(path, replace(request, anchors=("none",), anchor=()), progress)
         country = result.method.country
-        found = look_for_anchors(result.source, result.scale, request.anchors, own, country, effort, progress)
+        wanted = Wanted(request.anchors, own, country, effort, progress)
+        found = look_for_anchors(result.source, result.scale, wanted)
         return AnchorList(result.source, found, result.scale.value, result.scale)
     if not (scale > 0 and math.isfinite(scale)):
         raise UsageError(f"--scale must be a positive number, not {scale}")
@@ -77,5 +106,5 @@ def list_anchors(
     source = open_source(path, request.images) if isinstance(path, (str, Path)) else path
     request.check_for(source)
     country = country_of(source, named_fleet(request.fleet, None))
-    found = anchors_at(source, scale, MOST_SOUGHT / 4, request.anchors, own, country, effort, progress)
+    found = anchors_at(source, scale, MOST_SOUGHT / 4, Wanted(request.anchors, own, country, effort, progress))
     return AnchorList(source, found, scale, None)

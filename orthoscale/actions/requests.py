@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from ..anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
-from ..core.source import Source
 from ..errors import UsageError
 
 if TYPE_CHECKING:
     from typing import Self
+
+    from ..core.source import Source
 
 MODES = ("both", "oblique", "planar")
 PROJECTIONS = ("exact", "planar", "decoupled", "program", "naive")
@@ -27,6 +28,7 @@ ESTIMATORS = ("robust", "iqr")
 GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options in --help, in this order
 EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
+KINDS_OF_DEPTH = ("z", "range")
 BUILT_IN = "built-in"
 BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")  # anchors that boxes alone may show
 ANCHORS = (ALL, NO_KIND, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))
@@ -172,6 +174,35 @@ class VehicleRequest:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PhotoRequest(VehicleRequest):
+    """What single photos may be asked for: beside the altitude by vehicles, that by a depth network."""
+
+    depth: str | Path | None = option(
+        None,
+        Path,
+        "Evidence",
+        "Metric depth to compare with: of one photo (.npy, .tif, .png), a folder of such files named as the photos "
+        "are, or a network (.onnx).",
+    )
+    depth_kind: str = option(
+        "z", str, "Evidence", "Depth along the optical axis (z) or along each ray (range).", choices=KINDS_OF_DEPTH
+    )
+    depth_factor: str | None = option(
+        None,
+        str,
+        "Evidence",
+        "Metres in a unit of the depth, or whose it is: da3 (Depth Anything 3 metric), metric3d, unidepth. Default: "
+        "metres.",
+        metavar="M|NAME",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.depth is None:
+            self._refuse(("depth_kind", "depth_factor"), "there is no --depth")
+
+
+@dataclass(frozen=True, kw_only=True)
 class EstimateRequest(VehicleRequest):
     """What `estimate` may be asked for; see its fields' help. Raises UsageError when made of what makes no sense."""
 
@@ -190,6 +221,13 @@ class EstimateRequest(VehicleRequest):
         "built-in where the built-in detector finds them and there is no --calibration, else none.",
         metavar="NAME",
     )
+    fast: bool = option(
+        False,
+        bool,
+        "Detector",
+        "Let the small detector look twice at an orthophoto; by default a larger one takes the second look, which "
+        "makes fewer mistakes and takes half as long again.",
+    )
     mode: str | None = option(
         None,
         str,
@@ -202,10 +240,10 @@ class EstimateRequest(VehicleRequest):
         0.005,
         float,
         "Advanced",
-        "Stop the sweep of an orthophoto at this sampling uncertainty (relative, 1 sigma).",
+        "Stop the sweep at this sampling uncertainty (relative, 1 sigma).",
         positive=True,
     )
-    exhaustive: bool = option(False, bool, "Advanced", "Sweep all of an orthophoto.")
+    exhaustive: bool = option(False, bool, "Advanced", "Sweep all of an orthophoto, or all frames of a model.")
     seed: int = option(0, int, "Advanced", "Seed of the order in which tiles are visited.")
     workers: int | None = option(
         None, int, "Advanced", "Number of threads; by default one per core, at most 8.", positive=True
@@ -239,6 +277,14 @@ class EstimateRequest(VehicleRequest):
         "Text file with lines POINT EAST NORTH [UP] in metres; points as for --known-distance.",
         metavar="FILE",
     )
+    against: str | Path | None = option(
+        None,
+        Path,
+        "Evidence",
+        "Georeferenced map of another date that shows the same ground: its scale counts beside the vehicles', and an "
+        "orthophoto takes its place and direction from it.",
+        metavar="MAP",
+    )
     anchors: Sequence[str] = option(
         (PROVEN,),
         str,
@@ -266,10 +312,12 @@ class EstimateRequest(VehicleRequest):
             raise UsageError(
                 "--calibration is of a detector's boxes, and --measurer replaces these", "Give one of them."
             )
+        if self.detector is not None or self.measures is None:
+            self._refuse(("fast",), "only where the built-in networks find and measure do two look")
         if self.exhaustive:
             self._refuse(("target",), "--exhaustive visits every tile")
         if self.estimator == "iqr":
-            self._refuse(("anchors", "anchor"), "--estimator iqr is the paper's, for vehicles only")
+            self._refuse(("anchors", "anchor", "against"), "--estimator iqr is the paper's, for vehicles only")
         if NO_KIND in self.anchors:
             self._refuse(("anchor",), "--anchors none looks for none")
             if len(self.anchors) > 1:
@@ -287,6 +335,12 @@ class EstimateRequest(VehicleRequest):
             own = self.detections is None and self.detector is None and self.calibration is None
             return BUILT_IN if own else None
         return None if self.measurer == "none" else str(self.measurer)
+
+    @property
+    def confirms(self) -> bool:
+        """Whether vehicles in an orthophoto are confirmed by the finder: where they are measured once more, for it
+        measures badly, and the built-in detector proposes them."""
+        return self.measures is not None and self.detector is None and self.detections is None and not self.fast
 
     @property
     def of_detector(self) -> Iterable[str]:
@@ -309,10 +363,10 @@ class EstimateRequest(VehicleRequest):
             )
 
     def _for_posed(self, path: Path) -> None:
-        self._refuse(("target", "exhaustive"), f"all frames of a model are measured, and {path} is a model")
+        self._refuse(("fast",), f"it is for orthophotos, and {path} is a model")
 
 
-OF_LOOKING = ("refine", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
+OF_LOOKING = ("refine", "fast", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -342,6 +396,8 @@ class FixRequest(EstimateRequest):
     def _for_plan(self, path: Path) -> None:
         super()._for_plan(path)
         self._refuse(("dense",), f"it is for COLMAP models, and {path} is an image")
+        if self.against is not None:
+            self._refuse(("keep_origin",), "--against gives the orthophoto its place")
 
     def _for_posed(self, path: Path) -> None:
         super()._for_posed(path)
@@ -365,12 +421,21 @@ class VehicleOptions(TypedDict, total=False):
     gsd_hint: float | None
 
 
+class PhotoOptions(VehicleOptions, total=False):
+    """The fields of `PhotoRequest` as keywords."""
+
+    depth: str | Path | None
+    depth_kind: str
+    depth_factor: str | None
+
+
 class EstimateOptions(VehicleOptions, total=False):
     """The fields of `EstimateRequest` as keywords."""
 
     images: str | Path | None
     refine: bool
     measurer: str | Path | None
+    fast: bool
     mode: str | None
     target: float
     exhaustive: bool
@@ -382,6 +447,7 @@ class EstimateOptions(VehicleOptions, total=False):
     estimator: str
     known_distance: Sequence[str]
     ground_control: str | Path | None
+    against: str | Path | None
     anchors: Sequence[str]
     anchor: Sequence[str]
 

@@ -13,12 +13,13 @@ from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
-from ..core.remarks import INFO, REFUSAL, Remark
+from ..core.remarks import REFUSAL, Remark, informing
 from ..core.scale import Scale
-from ..core.source import Source
+from ..core.source import Placement, Source
 from ..core.verdicts import UNUSABLE
 from ..core.votes import Votes
 from ..errors import EvidenceDisagrees, TooLittleEvidence
+from .against import OnMap
 from .anchors import Searched
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ class Result(Brief):
     method: Method = field(default_factory=Method)
     settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
     anchors: Searched = field(default_factory=Searched, repr=False)
+    lies: OnMap = field(default_factory=OnMap, repr=False)  # where, on the map of --against
 
     @property
     def projection(self) -> str:
@@ -91,8 +93,14 @@ class Result(Brief):
     def remarks(self) -> list[Remark]:
         """What a reader should know beside the figures, each with its severity: what the core has to say, then what
         was chosen, left aside or could not be done in opening the source and finding vehicles."""
-        notes = (*self.source.notes, *self.detections.notes)
-        return [*self.measured.remarks, *(Remark(INFO, note) for note in notes)]
+        return [*self.measured.remarks, *self.source.notes, *informing(self.detections.notes)]
+
+    def place(self, keep_origin: bool = False) -> Placement:
+        """The georeferencing of an orthophoto's copy: by the map that it was found on, else local metres, or with
+        `keep_origin` the input's own place."""
+        assert self.source.plan is not None, "reconstructions have none"
+        metres_per_pixel = self.scale.value
+        return self.lies.place(metres_per_pixel) or self.source.plan.place(metres_per_pixel, keep_origin)
 
     @property
     def scale(self) -> Scale:

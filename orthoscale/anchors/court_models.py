@@ -245,10 +245,24 @@ def _penalty_area() -> Court:
     return Court(tuple(lines), rule, symmetric=False, beside=NETS, bare=2.0)
 
 
+def _centre_circle() -> Court:
+    half, radius, reach = 0.05, 9.15, 22.5  # [m] of lines of 10 cm; to their outside; of the halfway line at least
+    lines = [_along(0.0, -reach, reach, ends=(False, False)), _arc(0, 0, radius - half, 0, 360, weight=1.0)]
+    rule = Standard(
+        "IFAB centre circle",
+        2 * radius,
+        0.006,
+        "IFAB Laws of the Game, law 1: a circle of 9.15 m about the middle of the halfway line, which is 45 to 90 m "
+        "long; the spread is ours",
+    )
+    return Court(tuple(lines), rule, beside=NETS, bare=2.0)
+
+
 TENNIS_COURT = _tennis()
 VOLLEYBALL_COURT = _volleyball()
 HANDBALL_COURT = _handball()
 PENALTY_AREA = _penalty_area()
+CENTRE_CIRCLE = _centre_circle()
 _AMERICAN = "to the inside of the lines, key 12 ft wide, free-throw line 19 ft from the end line; the spread is ours"
 BASKETBALL_COURTS = (
     _basketball(

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from .circle_search import circled
 from .court_models import Court
-from .ridges import CLEAR_RIDGE, DIRECTIONS, SEED_PX, Segments, segments, steered
+from .poses import Poses, Ridges
+from .ridges import CLEAR_RIDGE, SEED_PX
 
-SEED = 0.35  # least mean ridge of a seed
 SEEDS_APART = np.radians(2.5)  # largest angle between two seeds
 LONG_STROKES = 0.6  # of the longest stroke, and of the widest pair of such: what seeds lie on
 SEED_SLACK = 6  # [px] by which a seed may reach beyond its stroke
-ABOUT = np.linspace(-4, 4, 9)  # [m] along a pair, where all the long strokes are asked for
+ALONG_PAIR = np.linspace(-4, 4, 9)  # [m] along a pair, where all the long strokes are asked for
 PROMISING_FRAME = 0.3  # least mean ridge there
 STROKE_ENOUGH = 0.7  # of a clear ridge: no stroke counts for more
 FRAMES_AT_ONCE = 64  # frames that are placed at once: for speed and memory
@@ -28,42 +29,7 @@ APART = 6  # [px] between two places along a pair, and steps of what changes lit
 PLACES = 2  # along a pair
 LIKELY_PLACE = 0.45  # least mean ridge of a place that is worth a fit
 OTHER_ANGLE = 0.2  # [rad] from which on two poses in one place are two
-NEAR = 0.25  # of a court's width: places so near each other end at the same fit
-
-
-@dataclass(frozen=True)
-class Poses:
-    """Where courts may lie: place (N, 2) [px], angle (N,) of their length [rad], px per metre (N,), mean ridge (N,)."""
-
-    place: np.ndarray
-    angle: np.ndarray
-    size: np.ndarray
-    score: np.ndarray
-
-    def only(self, which: np.ndarray) -> Poses:
-        """Those of a mask, or by their numbers."""
-        return Poses(self.place[which], self.angle[which], self.size[which], self.score[which])
-
-
-class Ridges:
-    """The steered ridges of one picture, to be looked up. light : (H, W) float32 grey levels."""
-
-    def __init__(self, light: np.ndarray) -> None:
-        self.maps = steered(light)
-        self.height, self.width = light.shape
-
-    @cached_property
-    def seeds(self) -> Segments:
-        """Straight pieces, of crossing ones the clearest."""
-        return segments(self.maps, SEED)
-
-    def at(self, x: np.ndarray, y: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Ridge that runs in `direction` [rad] at (x, y) [px], CLEAR_RIDGE if clear; 0 outside. Shapes agree."""
-        k = np.rint(direction * (DIRECTIONS / np.pi)).astype(np.int32) % DIRECTIONS
-        column, row = np.floor(x + 0.5).astype(np.int32), np.floor(y + 0.5).astype(np.int32)
-        inside = (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
-        index = (k * self.height + row) * self.width + column
-        return np.where(inside, self.maps.ravel()[np.where(inside, index, 0)], 0)
+SAME_SEED = 0.25  # of a court's width: places so near each other end at the same fit
 
 
 @dataclass(frozen=True)
@@ -114,6 +80,8 @@ def search(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
     """Where `court` may lie, one of those near each other, best first, if a metre is `size` [px] within a factor
     exp(spread)."""
     found = [Poses(np.zeros((0, 2)), *np.zeros((3, 0)))]
+    if not _families(court):
+        found.append(circled(ridges, court, size, spread))
     for family in _families(court):
         frames = _framed(ridges, family, size, spread)
         if len(frames.angle):
@@ -175,7 +143,7 @@ def _framed(ridges: Ridges, family: _Family, size: float, spread: float) -> _Fra
 def _promise(ridges: Ridges, family: _Family, frames: _Frames) -> np.ndarray:
     """(N,) mean ridge of all the long strokes about the seeds."""
     c, s = np.cos(frames.angle)[:, None], np.sin(frames.angle)[:, None]
-    along = frames.about[:, None] + frames.size[:, None] * ABOUT
+    along = frames.about[:, None] + frames.size[:, None] * ALONG_PAIR
     total = np.zeros(len(frames.angle))
     for at in family.at:
         across = (frames.middle + frames.size * at)[:, None]
@@ -231,6 +199,6 @@ def _alone(poses: Poses, court: Court) -> Poses:
         gap = np.hypot(*(poses.place[kept] - poses.place[i]).T)
         turn = poses.angle[kept] - poses.angle[i]
         turn = np.abs(np.sin(turn)) if court.symmetric else np.abs(np.sin(turn / 2)) * 2
-        if not ((gap < NEAR * min(court.size) * poses.size[i]) & (turn < OTHER_ANGLE)).any():
+        if not ((gap < SAME_SEED * min(court.size) * poses.size[i]) & (turn < OTHER_ANGLE)).any():
             kept.append(i)
     return poses.only(np.array(kept, int))

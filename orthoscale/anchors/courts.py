@@ -17,13 +17,15 @@ from ..core.anchors import Anchor, Standard
 from .court_fit import CourtFit, fit_court
 from .court_models import (
     BASKETBALL_COURTS,
+    CENTRE_CIRCLE,
     HANDBALL_COURT,
     PENALTY_AREA,
     TENNIS_COURT,
     VOLLEYBALL_COURT,
     Court,
 )
-from .court_search import Ridges, search
+from .court_search import search
+from .poses import Ridges
 from .ridges import lightness
 
 SEARCHED = 0.3  # [m/px] of the search, where a line of 5 cm is just seen and a court is small
@@ -186,4 +188,4 @@ TENNIS = CourtFinder("tennis court", (TENNIS_COURT,))
 VOLLEYBALL = CourtFinder("volleyball court", (VOLLEYBALL_COURT,), (TENNIS_COURT,), even=0.6)
 BASKETBALL = CourtFinder("basketball court", BASKETBALL_COURTS, (TENNIS_COURT,), even=0.58)
 HANDBALL = CourtFinder("handball court", (HANDBALL_COURT,), (TENNIS_COURT, *BASKETBALL_COURTS), even=0.6)
-FOOTBALL = CourtFinder("football penalty area", (PENALTY_AREA,), (TENNIS_COURT,), even=0.6)
+FOOTBALL = CourtFinder("football pitch", (PENALTY_AREA, CENTRE_CIRCLE), (TENNIS_COURT,), even=0.6)

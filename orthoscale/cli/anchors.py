@@ -26,6 +26,7 @@ from .options import (
 
 @command(
     epilog="\b\nExamples:\n  orthoscale anchors ortho.tif --fleet DE\n"
+    "  orthoscale anchors ortho.tif --fleet DE --out anchors.png\n"
     "  orthoscale anchors ortho.tif --scale 0.1 --anchors tennis-court --out found/\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="INPUT", type=PATH)
@@ -37,7 +38,12 @@ from .options import (
     group="Input",
     help="Rough metres per pixel, or per model unit, instead of measuring the vehicles.",
 )
-@option("--out", type=PATH, group="Output", help="Folder to write: anchors.json, anchors.png, anchors.gpkg.")
+@option(
+    "--out",
+    type=PATH,
+    group="Output",
+    help="What to write: a picture (.png), a list (.json), a layer (.gpkg), or a folder for all of them.",
+)
 @overwrite_option
 @json_option("the anchors")
 @debug_option
@@ -49,17 +55,18 @@ def anchors(
     Courts, pitches, lane dashes, crossings, parking bays ...: all of them, with the lines that were fitted. They are
     looked for at the scale that the vehicles give, or at --scale.
     """
-    from ..actions.list_anchors import list_anchors
+    from ..actions.list_anchors import list_anchors, one_file
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
     refuse_idle_overwrite(overwrite, out)
     with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
-        folder = None if out is None else outputs.folder(out)
+        single = out is not None and one_file(out)
+        place = None if out is None else outputs.file(out) if single else outputs.folder(out)
         found = list_anchors(path, request, scale, progress)
         outputs.protect(*found.source.files)
-        if folder is not None:
-            found.write(folder)
+        if place is not None:
+            (found.write_one if single else found.write)(place)
     told = found.document()
     if as_json:
         click.echo(json.dumps(told))

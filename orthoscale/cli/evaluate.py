@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..actions.requests import VehicleRequest
+from ..actions.requests import PhotoRequest
+from ..errors import UsageError
 from .options import (
     EXIT_CODES,
     PATH,
@@ -24,11 +26,20 @@ from .options import (
     say,
 )
 
+if TYPE_CHECKING:
+    from ..core.detections import Detections
+    from ..core.fleet import Fleet
+    from ..detect.find import Progress
+    from ..evaluate.readers import Sample
+
 
 @command(
     epilog="\b\nExamples:\n  orthoscale evaluate DenseUAV/test/query_drone --fleet CN\n"
     "  orthoscale evaluate UAVVisLoc_plus/ --fleet CN --ablations --out visloc.json\n"
-    "  orthoscale evaluate photos.csv --fleet DE --detections b.json --out e.csv\n\n" + EXIT_CODES
+    "  orthoscale evaluate photos.csv --fleet DE --detections b.json --out e.csv\n"
+    "  orthoscale evaluate photos.csv --depth-folder depth/ --depth-factor da3\n"
+    "  orthoscale evaluate DenseUAV/test/query_drone --fleet CN --locate \\\n"
+    "      --satellite city.tif --scale-errors -.5,...,.5\n\n" + EXIT_CODES
 )
 @click.argument("path", metavar="DATASET", type=PATH)
 @option(
@@ -39,9 +50,26 @@ from .options import (
 )
 @option("--focal-px", type=float, metavar="PX", group="Input", help="Focal length, instead of the data set's.")
 @option("--lens", "lens_file", type=PATH, group="Input", help="Camera calibration, instead of the data set's.")
-@options_of(VehicleRequest)
+@options_of(PhotoRequest, leave=("depth",))
+@option(
+    "--depth-folder",
+    "--depth",
+    "depth",
+    type=PATH,
+    group="Evidence",
+    help="Metric depth to compare with: a folder of .npy, .tif or .png named as the photos are, or a network (.onnx).",
+)
 @save_option
 @option("--max-pitch", type=float, metavar="DEG", group="Input", help="Skip photos with a flatter view (paper: -60).")
+@option("--locate", is_flag=True, group="Input", help="Evaluate `orthoscale locate` instead, on --satellite.")
+@option("--satellite", type=PATH, group="Input", help="Georeferenced map for --locate.")
+@option("--method", type=click.Choice(["auto", "dense", "gradient"]), group="Input", help="Of --locate.")
+@option(
+    "--scale-errors",
+    metavar="LIST",
+    group="Advanced",
+    help="For --locate: errors of the true scale to search with, such as -.5,...,.5.",
+)
 @option("--ablations", is_flag=True, group="Advanced", help="Also vary the score threshold and the number of vehicles.")
 @option("--sensitivity", is_flag=True, group="Advanced", help="Also with wrong pitch and wrong focal length.")
 @option(
@@ -62,6 +90,10 @@ def evaluate(
     lens_file: Path | None,
     save_detections: Path | None,
     max_pitch: float | None,
+    locate: bool,
+    satellite: Path | None,
+    method: str | None,
+    scale_errors: str | None,
     ablations: bool,
     sensitivity: bool,
     outputs: tuple[Path, ...],
@@ -76,32 +108,84 @@ def evaluate(
     000001/H80.JPG), a folder of regions with drone/, reference.txt, camera.xml and a *_dsm.tif (UAV-VisLoc+), or a
     CSV with the columns image, altitude_m and, where wanted, region, focal_px, pitch_deg, roll_deg. Three methods
     side by side: `exact` is this program's, `paper` the paper's formula, `program` what its authors' program
-    computes.
+    computes. With --locate, how often the photos are found on a map by the vehicles' scale, by the true one and by
+    wrong ones; their places come from Dense_GPS_*.txt, the CSV's longitude and latitude, or GPS tags.
     """
     from ..evaluate import report
     from ..formats.detections import check_name
     from ..photos import looking as boxes
+    from ..photos.depth.maps import Depths
     from ..photos.tables import check_ending
     from ..system.outputs import Outputs
 
     refuse_idle_overwrite(overwrite, outputs, save_detections)
+    of_altitudes = ablations or sensitivity or looking["depth"] is not None
+    _check_locate(locate, satellite, of_altitudes, method=method, scale_errors=scale_errors)
     how = boxes.Looking.of(looking)
-    with Outputs(overwrite, (path, lens_file, looking)) as files, progress_bars() as progress:
+    with Outputs(overwrite, (path, satellite, lens_file, looking)) as files, progress_bars() as progress:
         for output in outputs:
             check_ending(output, (".json", ".csv"))
-        partials = [files.file(output, report.known(output)) for output in outputs]
+        partials = [files.file(output, report.known(output, locate)) for output in outputs]
         if save_detections is not None:
             check_name(save_detections)
             saved = files.file(save_detections)
         samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
         photos = [sample.photo for sample in samples]
+        depths = Depths.asked(how, several=len(photos) > 1)
         ruler, why = how.ruler_fleet([photo.path for photo in photos])
         notes = [*notes, *why]
         found = boxes.boxes_of(photos, how, progress)
         if save_detections is not None:  # worth a look above all where they are too few
             boxes.save_boxes(found, saved, photos)
             files.deliver(saved)
-        text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress)
+        if satellite is None:
+            text = report.document(samples, found, ruler, notes, ablations, sensitivity, progress, depths)
+            shown = report.tables(text, outputs)
+        else:
+            text = _located(path, samples, found, ruler, satellite, method, scale_errors, notes, progress)
+            shown = "\n".join([_table(text), *(f"written    {output}" for output in outputs)])
         for partial in partials:
             report.write(text, partial)
-    click.echo(json.dumps(text)) if as_json else say(report.tables(text, outputs))
+    click.echo(json.dumps(text)) if as_json else say(shown)
+
+
+def _check_locate(locate: bool, satellite: Path | None, of_altitudes: bool, **more: object) -> None:
+    """Raise UsageError for options that do nothing."""
+    if locate and satellite is None:
+        raise UsageError("--locate needs a map", "Give it: --satellite MAP.tif.")
+    if locate and of_altitudes:
+        raise UsageError(
+            "--ablations, --sensitivity and --depth-folder are of altitudes, not of --locate", "Remove them."
+        )
+    for name, value in {"satellite": satellite, **more}.items():
+        if value is not None and not locate:
+            raise UsageError(f"--{name.replace('_', '-')} does nothing without --locate", "Add --locate.")
+
+
+def _located(
+    path: Path,
+    samples: Sequence[Sample],
+    found: Detections,
+    ruler: Fleet,
+    satellite: Path,
+    method: str | None,
+    errors: str | None,
+    notes: Sequence[str],
+    progress: Progress | None,
+) -> dict[str, Any]:
+    from ..actions.locate import LocateRequest
+    from ..evaluate import locating
+    from ..evaluate.places import placed
+    from ..sources.satellite import Satellite
+
+    wrong = [] if errors is None else locating.scale_errors(errors)
+    request = LocateRequest(method=method or "auto")
+    known, more = placed(path, samples)
+    sky = Satellite.open(satellite)
+    return locating.document(known, found, ruler, sky, request, wrong, [*notes, *more], progress)
+
+
+def _table(text: dict[str, Any]) -> str:
+    from ..evaluate.locating import table
+
+    return table(text)

@@ -105,7 +105,7 @@ def _plain(fleet: Fleet) -> dict[str, Any]:
                 "mean_sd": c.mean_sd.round(3).tolist(),
                 "corr_LW": round(c.corr_lw, 2),
             }
-            for c in fleet.classes
+            for c in fleet.every_class
         ],
         "shares_source": fleet.shares_source,
     }
@@ -114,7 +114,7 @@ def _plain(fleet: Fleet) -> dict[str, Any]:
 def _in_short(fleet: Fleet) -> str:
     sizes = " x ".join(f"{m:.2f}" for m in fleet.mean)
     known = 100 * fleet.mean_sd[0] / fleet.mean[0]
-    mix = ", ".join(f"{c.name} {100 * c.weight:.0f} %" for c in fleet.classes)
+    mix = ", ".join(f"{c.name} {100 * c.weight:.0f} %" for c in fleet.every_class)
     mix = mix if len(fleet.classes) > 1 else "one class: " + (fleet.shares_source or "no shares given")
     return f"{fleet.code:10s} {sizes} m  (mean length known to {known:.1f} %)  {fleet.name}\n{'':10s} {mix}"
 
@@ -125,10 +125,11 @@ def _in_full(fleet: Fleet) -> str:
         f"{fleet.code}: {fleet.name}, {fleet.year}",
         f"  {'class':22s} {'share':>6s}   {'length':>11s}  {'width':>11s}  {'height':>11s} m   length known to",
     ]
-    for c in fleet.classes:
+    for c in fleet.every_class:
         sizes = "  ".join(f"{m:.2f} +- {s:.2f}" for m, s in zip(c.mean, c.sd, strict=True))
         lines.append(f"  {c.name:22s} {100 * c.weight:5.1f} %  {sizes}     {100 * c.mean_sd[0] / c.mean[0]:.1f} %")
     sizes = "  ".join(f"{m:.2f} +- {s:.2f}" for m, s in zip(fleet.mean, fleet.sd, strict=True))
-    lines.append(f"  {'all':22s} {'':7s}  {sizes}     {100 * fleet.mean_sd[0] / fleet.mean[0]:.1f} %")
+    whole = "all" if fleet.three_wheelers is None else "all cars"
+    lines.append(f"  {whole:22s} {'':7s}  {sizes}     {100 * fleet.mean_sd[0] / fleet.mean[0]:.1f} %")
     lines += [f"  sizes: {fleet.source}", f"  shares: {fleet.shares_source or 'one class'}"]
     return "\n".join(lines)

@@ -25,6 +25,7 @@ COMMANDS = {  # name: module of this package; the function in it has the command
     "apply": "apply",
     "photo": "photo",
     "crop": "crop",
+    "locate": "locate",
     "layout": "layout",
     "evaluate": "evaluate",
     "report": "report",

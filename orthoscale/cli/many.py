@@ -17,7 +17,7 @@ from ..errors import OrthoscaleError, UsageError
 from .options import PATH, option, progress_bars, say
 
 if TYPE_CHECKING:
-    from ..actions.batch import Row
+    from ..actions.many import Row
     from ..actions.requests import EstimateRequest
 
 inputs_argument = click.argument("paths", metavar="INPUT...", type=PATH, nargs=-1, required=True)
@@ -96,8 +96,8 @@ def run(
 
     Raises UsageError, InputError for what makes no sense for all of them, before anything is done.
     """
-    from ..actions.batch import run_many, worst
     from ..actions.inputs import inputs_of, outputs_of
+    from ..actions.many import run_many, worst
     from ..report.summary import SUMMARY_FORMAT, check_summary, is_summary, write_summary
     from ..system.outputs import Outputs
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..actions.requests import VehicleRequest
+from ..actions.requests import PhotoRequest
 from .options import (
     EXIT_CODES,
     PATH,
@@ -36,10 +36,11 @@ if TYPE_CHECKING:
     epilog="\b\nExamples:\n  orthoscale photo DJI_0021.JPG --fleet DE\n"
     "  orthoscale photo flight/ --fleet US --out flight.csv --out flight.gpkg\n"
     "  orthoscale photo frame.png --focal-px 1080 --pitch -60 --json\n"
-    "  orthoscale photo flight/ --together       one altitude from all photos\n\n" + EXIT_CODES
+    "  orthoscale photo flight/ --together       one altitude from all photos\n"
+    "  orthoscale photo DJI_0021.JPG --depth DJI_0021.npy --depth-factor da3\n\n" + EXIT_CODES
 )
 @click.argument("paths", metavar="IMAGE...", nargs=-1, required=True, type=PATH)
-@options_of(VehicleRequest)
+@options_of(PhotoRequest)
 @lens_options
 @option("--together", is_flag=True, group="Evidence", help="Also one altitude for all photos, as of a level flight.")
 @save_option

@@ -31,7 +31,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ..actions.several import Outcome
+    from ..actions.workspace import Outcome
 
 
 @command(
@@ -63,7 +63,7 @@ def estimate(
     each gets its own scale, and one line.
     """
     from ..actions import estimate as pipeline
-    from ..actions import several as workspace
+    from ..actions import workspace
     from ..formats.detections import check_name, save
     from ..system.outputs import Outputs
 
@@ -98,6 +98,7 @@ def estimate(
 @command(
     epilog="\b\nExamples:\n  orthoscale fix ortho.tif --out scaled.tif --fleet PH\n"
     "  orthoscale fix utm.tif --out scaled.tif --override --keep-origin --also gpkg\n"
+    "  orthoscale fix ortho.tif --out placed.tif --fleet PH --against map.tif\n"
     "  orthoscale fix model/ --out scaled/ --fleet US\n"
     "  orthoscale fix model/ --out scaled/ --detections boxes.json\n"
     "  orthoscale fix surveys/ --out scaled/ --fleet US --summary out.csv --jobs 2\n\n" + EXIT_CODES
@@ -127,7 +128,7 @@ def fix(
     ...) each gets its own scale and its own folder in OUT. Of several INPUTs OUT is the folder for all copies.
     """
     from ..actions import fix as writing
-    from ..actions import several as workspace
+    from ..actions import workspace
 
     request = FixRequest.of(options)
     if many is not None:

@@ -29,12 +29,22 @@ class Swept:
     """Which tiles were looked at.
 
     tiles : (picture name, tile) of each that was, in reading order. total : how many there are.
-    from_cache : how many of the looks had been had before.
+    from_cache : how many of the looks had been had before. pictures : how many pictures there are.
+    why : why no more of them were looked at, in words; empty if all were.
     """
 
     tiles: list[tuple[str, Tile]] = field(repr=False)
     total: int
     from_cache: int = 0
+    pictures: int = 1
+    why: str = ""
+
+    @property
+    def looked_at(self) -> str:
+        """How many of how many, in words: frames where there are several pictures, else tiles."""
+        if self.pictures == 1:
+            return f"looked at {len(self.tiles):,} of {self.total:,} tiles"
+        return f"looked at {len({name for name, _ in self.tiles}):,} of {self.pictures:,} frames"
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,13 @@ The figures, and the source of each, are in ``data/fleets.json``, which `orthosc
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from .market_segments import AXES, PLACE_SCATTER, Class, classes_of, told_apart
+from .market_segments import AXES, Class, classes_of, place_scatter, place_vehicles, told_apart
 
 # Correlation between the errors of a fleet's mean length and mean width: a country whose cars are longer than thought
 # has wider ones too. Between the means of the table's 29 national fleets it is 0.92; taken a little lower, because each
@@ -26,6 +26,9 @@ class Fleet:
 
     mean, sd : (3,) length, width, height [m]: mean, and spread between vehicles.
     mean_sd : (3,) one-sigma uncertainty of the means [m]; more vehicles do not shrink it.
+    shares_sd : one sigma of the share of a class, relative: how well the country's mix is known.
+    three_wheelers : passenger three-wheelers, which stand among the cars of some countries; `mean` and `classes` are
+        without them, and their weight is the share that they have of both together.
     """
 
     code: str
@@ -39,6 +42,8 @@ class Fleet:
     shares_source: str = ""  # where the classes' shares come from
     candidates: tuple[Fleet, ...] = ()  # fleets of which one stands here, not known which
     prior: tuple[float, ...] = ()  # probability of each candidate
+    shares_sd: float = 0.0
+    three_wheelers: Class | None = None
 
     @classmethod
     def from_entry(cls, code: str, entry: Mapping[str, Any], segments: Mapping[str, Any] | None = None) -> Fleet:
@@ -59,8 +64,23 @@ class Fleet:
 
     @cached_property
     def told_apart(self) -> tuple[Class, ...]:
-        """The classes as far as boxes show which is which, for the pooling."""
-        return told_apart(self.classes)
+        """The classes as far as boxes show which is which, three-wheelers last, for the pooling."""
+        if self.three_wheelers is None:
+            return told_apart(self.classes)
+        return (*told_apart(self.every_class[:-1]), self.three_wheelers)
+
+    @property
+    def every_class(self) -> tuple[Class, ...]:
+        """The classes with their shares of all small vehicles, three-wheelers last."""
+        if self.three_wheelers is None:
+            return self.classes
+        total, left = sum(c.weight for c in self.classes), 1 - self.three_wheelers.weight
+        return (*(replace(c, weight=left * c.weight / total) for c in self.classes), self.three_wheelers)
+
+    @property
+    def place_vehicles(self) -> tuple[tuple[float, float], ...]:
+        """How much a place is like this fleet: see `market_segments.PLACE_VEHICLES`."""
+        return place_vehicles(self.shares_sd)
 
     @property
     def log_mean(self) -> np.ndarray:
@@ -71,7 +91,7 @@ class Fleet:
     def log_mean_covariance(self) -> np.ndarray:
         """(2, 2) covariance of the error of `log_mean`, for the vehicles of one place: what is not known of the
         country's, and how far a place's stray from its country's."""
-        return self._country_covariance + self.log_covariance * PLACE_SCATTER
+        return self._country_covariance + self.log_covariance * place_scatter(self.place_vehicles)
 
     @property
     def class_mean_covariance(self) -> np.ndarray:
@@ -79,7 +99,7 @@ class Fleet:
         classes = self.told_apart
         total = sum(c.weight for c in classes)
         within = sum((c.weight / total * c.log_covariance for c in classes), np.zeros((2, 2)))
-        return self._country_covariance + within * PLACE_SCATTER
+        return self._country_covariance + within * place_scatter(self.place_vehicles)
 
     @property
     def log_covariance(self) -> np.ndarray:
@@ -106,6 +126,12 @@ class Fleet:
             mine[:, 1] = c.corr_lw * mine[:, 0] + np.sqrt(1 - c.corr_lw**2) * mine[:, 1]
             sizes[pick == k] = c.mean + c.sd * np.clip(mine, -2.5, 2.5)
         return sizes
+
+
+def class_of(part: Mapping[str, Any], weight: float) -> Class:
+    """An entry with its own ``mean_sd``, as that of three-wheelers in ``data/fleets.json``, with that weight."""
+    mean, sd = np.array([part[axis] for axis in AXES], float).T
+    return Class(part["class"], weight, mean, sd, float(part["corr_LW"]), np.array(part["mean_sd"], float))
 
 
 def _class(part: Mapping[str, Any], total: float, mean_sd: np.ndarray, corr_lw: float) -> Class:

@@ -15,12 +15,14 @@ AXES = ("length", "width", "height")
 TOLD_APART = 0.05
 # A place (a car park, a district, a campus) has its own mix of vehicles: as if a few had been drawn from its country's
 # and all others there were like them (a Dirichlet process). So many, with so much probability: most places are much
-# like their country, some hardly. The means of places then scatter about the country's with PLACE_SCATTER times the
+# like their country, some hardly. The means of places then scatter about the country's with `place_scatter` times the
 # covariance of its vehicles: 2.9 % of length in Germany, 3.6 % in the USA. On 12 places read by eye it was 1.6 % (0 to
 # 6 %), what is not known of the countries included (training/between_places.py). How often a place is odd cannot be
 # told from 12.
 PLACE_VEHICLES = ((20.0, 0.8), (3.0, 0.2))
-PLACE_SCATTER = sum(share / (1 + vehicles) for vehicles, share in PLACE_VEHICLES)
+# Of classes as of a fleet's, of which it has about five that boxes tell apart, the share that stands for all of them
+# where one figure says how well the shares of a country are known.
+USUAL_SHARE = 0.2
 BOX_NOISE = 0.05  # of a box's length and width, relative: usual for the shipped detector
 
 
@@ -51,6 +53,21 @@ class Class:
     def log_covariance(self) -> np.ndarray:
         """(2, 2) covariance of log length and log width, to first order."""
         return self.covariance[:2, :2] / np.outer(self.mean[:2], self.mean[:2])
+
+
+def place_vehicles(shares_sd: float) -> tuple[tuple[float, float], ...]:
+    """PLACE_VEHICLES of a country of which the shares of the classes are known to `shares_sd` (one sigma, relative).
+
+    A share p of a Dirichlet process with n vehicles has the variance p (1 - p) / (n + 1); what is not known of the
+    country adds (shares_sd p)^2 to it, which is that of fewer vehicles.
+    """
+    country = shares_sd**2 * USUAL_SHARE / (1 - USUAL_SHARE)
+    return tuple((1 / (1 / (vehicles + 1) + country) - 1, share) for vehicles, share in PLACE_VEHICLES)
+
+
+def place_scatter(vehicles: Sequence[tuple[float, float]]) -> float:
+    """The covariance of places' means, as a share of that of the country's vehicles."""
+    return sum(share / (1 + number) for number, share in vehicles)
 
 
 def classes_of(

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from .projection.view import LOWEST_ELEVATION, Views
+from .remarks import Remark
 
 NEAR_NADIR = 60.0  # [deg] elevation of the viewing ray from which a frame may pass for an orthophoto
 NO_DATA_GREY = 114  # of pixels without data in what `Picture.read` gives
@@ -39,13 +40,13 @@ class Picture(Protocol):
 class Pictures(Protocol):
     """Something with pictures.
 
-    path : of its file or folder. notes : what its user should know.
+    path : of its file or folder. notes : what its user should know of how it was read or written.
     """
 
     @property
     def path(self) -> Path: ...
     @property
-    def notes(self) -> list[str]: ...
+    def notes(self) -> list[Remark]: ...
     @property
     def pictures(self) -> Sequence[Picture]: ...
     @property
@@ -146,8 +147,9 @@ class Plan(Source, Picture, Protocol):
         """Raise UsageError for a name of a file that `write` would refuse."""
         ...
 
-    def write(self, path: Path, metres_per_pixel: float, keep_origin: bool = False, cog: bool = False) -> None:
-        """Write a GeoTIFF of the same pixels in metres; what is worth knowing of that goes to `notes`."""
+    def write(self, path: Path, metres_per_pixel: float, place: Placement | None = None, cog: bool = False) -> None:
+        """Write a GeoTIFF of the same pixels in metres, at `place`, by default in local metres; what is worth knowing
+        of that goes to `notes`."""
         ...
 
 

@@ -16,6 +16,7 @@ MEANINGS = {
     "conflict": "measurements that contradict each other",
     "known distance": "the known distance itself",
     "ground control": "the control points themselves",
+    "map": "the match with the map, and what the map shows",
     "parking bays": "the width of parking bays at one place",
 }
 OF_AN_ANCHOR = "how well its size is known, and measured in the pictures"  # of a kind of anchor

@@ -25,7 +25,17 @@ BROKEN = (sqlite3.Error, UnicodeDecodeError)  # what a damaged file raises; SQLi
 KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
 CODE = ("boxes.py", "detect/*.py", "sources/raster.py", "sources/picture_file.py")  # what decides over the looks
 # What does not.
-NO_MATTER = {"cache.py", "find.py", "order.py", "promise.py", "remeasure.py", "sweep.py", "workers.py", "zoom.py"}
+NO_MATTER = {
+    "cache.py",
+    "cover.py",
+    "find.py",
+    "order.py",
+    "promise.py",
+    "remeasure.py",
+    "sweep.py",
+    "workers.py",
+    "zoom.py",
+}
 
 
 def cache_folder() -> Path:
@@ -40,8 +50,9 @@ def cache_folder() -> Path:
 def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> str | None:
     """SHA-256 over the pictures' content and all that decides over the boxes found in them; None when a picture cannot
     say what its content is."""
+    detectors = [detector, detector.confirming] if detector.confirming else [detector]
     settings = {
-        "detector": [detector.sha256, repr(detector.card), repr(detector.layout)],
+        "detector": [[each.sha256, repr(each.card), repr(each.layout)] for each in detectors],
         "zoom": [zoom, CONFIRMING_ZOOM],
         "tiles": [TILE, OVERLAP, TILE_BORDER],
     }

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.alike import all_alike
+from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import Boxes
 from ..core.detections import Detections
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from .cache import TileCache, cache_key
+from .cover import Cover
 from .detector import Detector
 from .order import visiting_order
 from .promise import promise
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from ..core.source import Picture
 
 Progress = Callable[[str, int, int], None]  # what, done, total
+ZOOM_FRAMES = 200  # of a model, in which the scale search looks: its windows are in as many at most but for the lowest
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class Effort:
     """How much to look at, and with what.
 
     target : stop when the sampling part of the scale's uncertainty (relative, one sigma) is at most this.
-    exhaustive : look at every tile. seed : of the order of tiles, and of the pictures in the search for the zoom.
+    exhaustive : look at every tile of every picture.
+    seed : of the order of tiles, and of the pictures in the search for the zoom.
     workers : threads; None for one per core, eight at most. scheduler : address of a Dask scheduler instead of them.
     cache : keep what was detected in tiles, and use what was kept.
     """
@@ -59,12 +62,14 @@ def find_vehicles(
     progress: Progress | None = None,
     effort: Effort | None = None,
     sampling: Callable[[Detections], float] | None = None,
+    cover: Cover | None = None,
 ) -> tuple[Detections, ZoomChoice | None]:
     """Sweep `pictures` at the right zoom (searched for unless given), looking twice; a vehicle must show in both looks.
 
     detector : the shipped one by default. zoom : detector pixels per picture pixel.
     sampling : gives the sampling part of the uncertainty that follows from what was found so far (infinite for too
-    little): the sweep ends when it reaches the effort's target. Without it, all tiles are looked at.
+    little): the sweep ends when it reaches the effort's target. Without it, all tiles are looked at. cover : of frames
+    that overlap: each is looked at as a whole, in this order, and where enough of them were the sweep ends too.
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
 
@@ -76,12 +81,13 @@ def find_vehicles(
     detector = detector or Detector(threads=effort.threads_each)
     choice = None
     if zoom is None:
-        choice = find_zoom(pictures, detector, progress, effort)
+        some = pictures if cover is None else [pictures[k] for k in cover.first(ZOOM_FRAMES)]
+        choice = find_zoom(some, detector, progress, effort)
         zoom = choice.zoom
     card = detector.card
 
     def detections(found: Found) -> Detections:
-        ruler = (card.ruler, card.effective_height, card.name, detector.sha256)
+        ruler = (card.ruler, card.effective_height, detector.name, detector.sha256)
         return Detections(
             found.boxes,
             zoom,
@@ -93,10 +99,14 @@ def find_vehicles(
         )
 
     check_number(pictures, zoom)
-    jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
+    each = [tiles(picture, zoom) for picture in pictures]
+    jobs = [(picture, tile) for picture, some in zip(pictures, each, strict=True) for tile in some]
     anytime = sampling is not None and not effort.exhaustive
-    order = np.arange(len(jobs))
-    if anytime:
+    order: Sequence[int | np.ndarray] | np.ndarray = np.arange(len(jobs))
+    if anytime and cover is not None:
+        of_picture = np.split(np.arange(len(jobs)), np.cumsum([len(some) for some in each])[:-1])
+        order = [of_picture[k] for k in cover.order]
+    elif anytime:
         places = [tile for _, tile in jobs]
         evenly = visiting_order(places, np.ones(len(jobs)), effort.seed)
         weight = promise(jobs, evenly, detector, count, step("Coarse pass"))
@@ -113,17 +123,21 @@ def find_vehicles(
             (lambda found: sampling(detections(found))) if anytime and sampling else None,
             effort.target,
             step("Finding vehicles"),
-            card.sure,
+            detector.sure,
+            None if cover is None else cover.enough,
+            detector.confirming is None,
         )
     return _without_equal_things(detections(found)), choice
 
 
 def _without_equal_things(found: Detections) -> Detections:
-    """`found`, where boxes of things too much alike for vehicles are doubtful, and a note says how many."""
+    """`found`, where boxes of things too much alike for vehicles are doubtful, and what is probably more of the same; a
+    note says how many."""
     boxes, doubtful, count = dict(found.boxes), dict(found.doubtful), 0
     for name, seen in found.boxes.items():
         alike = all_alike(seen)
         if alike.any():
+            alike |= more_of_the_same(seen, alike)
             boxes[name] = seen[~alike]
             doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), seen[alike]])
             count += int(alike.sum())

@@ -40,9 +40,13 @@ class Worker:
     Memory is limited to the budget, on Linux.
     """
 
-    def __init__(self, path: Path, content: bytes, threads: int, operators: str | None):
-        """Load the network `content` of the file at `path`. Raises InputError; ForeignError for what it says itself."""
+    def __init__(self, path: Path, content: bytes, threads: int, operators: str | None, seconds: float | None = None):
+        """Load the network `content` of the file at `path`, which has `seconds` for each look.
+
+        Raises InputError; ForeignError for what it says itself.
+        """
         self._path = path
+        self._seconds = LONGEST_SECONDS if seconds is None else seconds
         self._turn = threading.Lock()
         self._late = False
         # Nothing is imported from where the user happens to be, and no more threads are made than are asked for.
@@ -81,7 +85,7 @@ class Worker:
         with self._turn:
             stdin, stdout = self._process.stdin, self._process.stdout
             assert stdin is not None and stdout is not None  # pipes were asked for
-            clock = threading.Timer(LONGEST_SECONDS, self._too_late)
+            clock = threading.Timer(self._seconds, self._too_late)
             clock.start()
             try:
                 send(stdin, head, body)
@@ -112,7 +116,7 @@ class Worker:
     def _died(self, what: str) -> InputError:
         if self._late:
             return InputError(
-                f"{self._path}: the network takes more than {LONGEST_SECONDS:.0f} s to {what}",
+                f"{self._path}: the network takes more than {self._seconds:.0f} s to {what}",
                 "Take a smaller one, or a faster machine.",
             )
         return self._too_large(what, f" (its process ended with {self._process.returncode})")

@@ -19,9 +19,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.alike import all_alike
+from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Tile
+from ..core.measuring.agreed import OF_MISTAKES
 from ..core.source import Picture
 from ..errors import UsageError
 from .detector import Card
@@ -48,7 +49,10 @@ FEWEST_VOTES = 2.0  # votes below which no zoom is right; five vehicles that two
 # known scale the second best has 0.04 to 0.19, on rendered towns of panels and graves up to 0.7.
 AMBIGUOUS = 0.4
 NEAR_AND_FAR = 4.0  # factor between lengths that may be the same vehicles', in frames from nearer and farther
-AGREED = (0.3, 0.6)  # share of boxes that two zooms agree on, of mistakes and of vehicles: from none to all of a vote
+AGREED = (
+    OF_MISTAKES,
+    0.6,
+)  # share of boxes that two zooms agree on, of mistakes and of vehicles: from none to all of a vote
 LEAST_VOTE = 0.05  # that is left however few are agreed on
 MISTAKE_EVERY = 2e6  # network pixels, in which zooms agree on one by chance, where ground is busy
 WELL_SEEN = 20.0  # [px of the network] below which it says the usual size of whatever it sees: cars look all alike
@@ -124,12 +128,13 @@ def search_zoom(
 
     def look_at(chosen: Sequence[_Level], budget: float) -> _Votes:
         with ThreadPoolExecutor(workers) as pool:
-            for k, level in enumerate(chosen):
-                windows = level.windows(pictures, order, budget)
-                looks = pool.map(lambda window: look(pictures[window[0]], window[1], detect), windows)
-                level.keep(windows, looks, card)
+            # All at once: coarse zooms have a window or two, for which most threads would wait.
+            work = [(level, level.windows(pictures, order, budget)) for level in chosen]
+            looks = [pool.map(lambda one: look(pictures[one[0]], one[1], detect), windows) for _, windows in work]
+            for k, ((level, windows), seen) in enumerate(zip(work, looks, strict=True), 1):
+                level.keep(windows, seen, card)
                 if progress:
-                    progress(k + 1, len(chosen))
+                    progress(k, len(chosen))
         return _votes(levels, card.usable_length[0])
 
     votes = look_at(levels, BUDGET)
@@ -278,9 +283,7 @@ def _unlike(boxes: Boxes, zoom: float) -> Boxes:
     alike = all_alike(boxes) & (boxes.length * zoom >= WELL_SEEN)
     if not alike.any():
         return boxes
-    length = np.log(boxes.length)
-    same, other = (_about(length, np.sort(length[which])) for which in (alike, ~alike))
-    return boxes[~alike & (same < other)]
+    return boxes[~alike & ~more_of_the_same(boxes, alike)]
 
 
 def _reliability(agreed: np.ndarray, seen: np.ndarray) -> np.ndarray:

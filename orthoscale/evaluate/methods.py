@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -12,17 +13,18 @@ from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.pooling.paper import pool_iqr
 from ..core.projection.decoupled import PROGRAM, TEXT, Variant, focal_plane_scale
-from ..errors import TooLittleEvidence
+from ..errors import InputError, TooLittleEvidence
+from ..photos.depth.maps import Depths
 from ..photos.measure import Photo, measure
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """altitude [m], its 90 % interval, and the vehicles behind it."""
+    """altitude [m], its 90 % interval if it has one, and the vehicles behind it."""
 
     altitude: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     vehicles: int
 
 
@@ -67,4 +69,23 @@ def paper(variant: Variant) -> Method:
     return estimate
 
 
+def by_depth(depths: Depths, refused: Counter[str]) -> Method:
+    """The altitude over the ground around the vehicles in a photo's depth map, without an interval.
+
+    refused : counts why maps say nothing.
+    """
+
+    def estimate(photo: Photo, found: Detections, fleet: Fleet, min_score: float) -> Estimate | None:
+        boxes = found.boxes.get(photo.name, Boxes.empty())
+        try:
+            got = depths.altitude(photo, boxes[boxes.score > min_score])
+        except InputError as error:
+            refused[error.message] += 1
+            return None
+        return Estimate(got.altitude, None, None, got.vehicles)
+
+    return estimate
+
+
+BY_DEPTH = "depth"
 METHODS: dict[str, Method] = {"exact": exact, "paper": paper(TEXT), "program": paper(PROGRAM)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,15 @@ from ..core.fleet import Fleet
 from ..core.pooling.paper import MIN_SCORE, MIN_VEHICLES
 from ..detect.find import Progress
 from ..errors import InputError, TooLittleEvidence
+from ..photos.depth.maps import Depths
 from ..photos.tables import write_csv
 from ..system.outputs import has_header
 from ..version import __version__
 from . import score
-from .methods import METHODS
+from .methods import BY_DEPTH, METHODS, by_depth
 from .readers import Sample, read_samples
+
+LOCATED_COLUMNS = ("scale", "photo", "error", "answered")  # of the rows of `evaluate.locating`
 
 
 def samples_of(
@@ -45,14 +49,22 @@ def document(
     ablations: bool = False,
     sensitivity: bool = False,
     progress: Progress | None = None,
+    depths: Depths | None = None,
 ) -> dict[str, Any]:
-    """Everything that was computed, as plain values. Raises TooLittleEvidence where no photo was usable."""
+    """Everything that was computed, as plain values. Raises TooLittleEvidence where no photo was usable.
+
+    depths : the photos' metric depth, as one more method; ablations and wrong geometry are of those by vehicles.
+    """
 
     def step(what: str) -> Callable[[int, int], None] | None:
         return (lambda done, total: progress(what, done, total)) if progress else None
 
-    methods = tuple(METHODS)
+    refused: Counter[str] = Counter()
+    methods = METHODS if depths is None else METHODS | {BY_DEPTH: by_depth(depths, refused)}
     rows = score.score(samples, found, fleet, methods, step=step("Measuring"))
+    if refused:
+        (why, _), *_ = refused.most_common(1)
+        notes = [*notes, f"{refused.total()} of {len(samples)} photos without an altitude by depth; one: {why}"]
     regions = score.by_region(rows, methods)
     if not any(line["used"] for lines in regions.values() for line in lines):
         raise TooLittleEvidence(
@@ -70,15 +82,19 @@ def document(
         "regions": regions,
     }
     if ablations:
-        text["ablations"] = score.ablation(samples, found, fleet, methods, step("Ablations"))
+        text["ablations"] = score.ablation(samples, found, fleet, METHODS, step("Ablations"))
     if sensitivity:
-        text["sensitivity"] = score.sensitivity(samples, found, fleet, methods, step("Wrong geometry"))
+        text["sensitivity"] = score.sensitivity(samples, found, fleet, METHODS, step("Wrong geometry"))
     return text | {"version": __version__, "rows": score.photo_rows(rows)}
 
 
-def known(path: Path) -> Callable[[Path], bool] | None:
-    """Whether a table at `path` is orthoscale's, where its format has no room for a signature; see `Outputs.file`."""
-    return (lambda place: has_header(place, score.columns(METHODS))) if path.suffix.lower() == ".csv" else None
+def known(path: Path, locate: bool = False) -> Callable[[Path], bool] | None:
+    """Whether a table at `path` is orthoscale's, where its format has no room for a signature; see `Outputs.file`.
+
+    locate : it is one of `evaluate.locating`.
+    """
+    tables = [LOCATED_COLUMNS] if locate else [score.columns(methods) for methods in (METHODS, (*METHODS, BY_DEPTH))]
+    return (lambda place: any(has_header(place, each) for each in tables)) if path.suffix.lower() == ".csv" else None
 
 
 def write(text: dict[str, Any], path: Path) -> None:

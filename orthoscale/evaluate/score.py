@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.pooling.paper import MIN_SCORE, MIN_VEHICLES
-from .methods import METHODS, Estimate
+from .methods import METHODS, Estimate, Method
 from .readers import Sample, changed
 
 SCORES = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
@@ -33,14 +33,14 @@ def score(
     samples: Sequence[Sample],
     found: Detections,
     fleet: Fleet,
-    methods: Sequence[str] = tuple(METHODS),
+    methods: Mapping[str, Method] = METHODS,
     min_score: float = MIN_SCORE,
     step: Step = None,
 ) -> list[Scored]:
     """What each method says of each photo; thresholds over the number of vehicles are for `summary`."""
     rows = []
     for k, sample in enumerate(samples):
-        estimates = {name: METHODS[name](sample.photo, found, fleet, min_score) for name in methods}
+        estimates = {name: method(sample.photo, found, fleet, min_score) for name, method in methods.items()}
         rows.append(Scored(sample, estimates))
         if step:
             step(k + 1, len(samples))
@@ -50,12 +50,13 @@ def score(
 def summary(rows: Sequence[Scored], method: str, min_vehicles: int = MIN_VEHICLES) -> dict[str, Any]:
     """One line of a table: how many photos were usable, and how far their altitudes are off (in per cent).
 
-    mape : mean absolute percentage error. bias : mean error. in_interval : share of truths in the 90 % interval.
+    mape : mean absolute percentage error. bias : mean error. in_interval : share of truths in the 90 % interval, None
+    of methods without one.
     """
     usable = [(r.sample, e) for r in rows if (e := r.estimates[method]) is not None and e.vehicles >= min_vehicles]
     truth = np.array([s.altitude for s, _ in usable])
     error = np.array([100 * (e.altitude / s.altitude - 1) for s, e in usable])
-    inside = [e.low <= s.altitude <= e.high for s, e in usable]
+    inside = [e.low <= s.altitude <= e.high for s, e in usable if e.low is not None and e.high is not None]
     few = not usable
     return {
         "images": len(rows),
@@ -67,11 +68,11 @@ def summary(rows: Sequence[Scored], method: str, min_vehicles: int = MIN_VEHICLE
         "median_ape": None if few else float(np.median(np.abs(error))),
         "worst_ape": None if few else float(np.abs(error).max()),
         "bias": None if few else float(error.mean()),
-        "in_interval": None if few else float(np.mean(inside)),
+        "in_interval": None if not inside else float(np.mean(inside)),
     }
 
 
-def by_region(rows: Sequence[Scored], methods: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
+def by_region(rows: Sequence[Scored], methods: Iterable[str]) -> dict[str, list[dict[str, Any]]]:
     """`summary` of each region, and of all photos where there are several regions, by method."""
     regions = list(dict.fromkeys(r.sample.region for r in rows))
     tables = {}
@@ -84,7 +85,7 @@ def by_region(rows: Sequence[Scored], methods: Sequence[str]) -> dict[str, list[
 
 
 def ablation(
-    samples: Sequence[Sample], found: Detections, fleet: Fleet, methods: Sequence[str], step: Step = None
+    samples: Sequence[Sample], found: Detections, fleet: Fleet, methods: Mapping[str, Method], step: Step = None
 ) -> list[dict[str, Any]]:
     """MAPE and used ratio over the score threshold and the least number of vehicles (the paper's ablation)."""
     lines = []
@@ -103,7 +104,7 @@ def ablation(
 
 
 def sensitivity(
-    samples: Sequence[Sample], found: Detections, fleet: Fleet, methods: Sequence[str], step: Step = None
+    samples: Sequence[Sample], found: Detections, fleet: Fleet, methods: Mapping[str, Method], step: Step = None
 ) -> list[dict[str, Any]]:
     """MAPE and bias when pitch or focal length are wrong by so much (the paper's sensitivity analysis)."""
     wrong = [("pitch_deg", e, changed(samples, pitch_deg=e)) for e in PITCH_ERRORS]
@@ -139,8 +140,10 @@ def photo_rows(rows: Sequence[Scored]) -> list[dict[str, Any]]:
         for method, e in r.estimates.items():
             line |= {
                 f"{method}_m": None if e is None else round(e.altitude, 3),
-                f"{method}_low_m": None if e is None else round(e.low, 3),
-                f"{method}_high_m": None if e is None or not np.isfinite(e.high) else round(e.high, 3),
+                f"{method}_low_m": None if e is None or e.low is None else round(e.low, 3),
+                f"{method}_high_m": None
+                if e is None or e.high is None or not np.isfinite(e.high)
+                else round(e.high, 3),
                 f"{method}_vehicles": 0 if e is None else e.vehicles,
             }
         lines.append(line)

@@ -91,6 +91,16 @@ class CardEntry(Struct, forbid_unknown_fields=True):
             raise ValueError("usable_length: expected the shorter of two lengths first")
 
 
+class EmbeddingCardEntry(Struct, forbid_unknown_fields=True):
+    """`locate.retrieval.EmbeddingCard`."""
+
+    name: Name = ""
+    size: Annotated[int, Meta(ge=16, le=4096)] | None = None
+    normalisation: NormalisationEntry | UnsetType = UNSET
+    licence: Text = ""
+    extra: dict[str, Any] = {}
+
+
 class MeasurerCardEntry(Struct, forbid_unknown_fields=True):
     """`detect.measurer.MeasurerCard`."""
 

@@ -16,58 +16,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyproj
-import rasterio
 
 from ..core.source import Picture
 from ..errors import UsageError
 from ..formats.pictures import write_jpeg
-from ..sources.raster import RasterSource
+from ..sources.satellite import Satellite
 
 MOST_WINDOWS = 100_000
 QUALITY = 95  # of the JPEGs
 CROP_STRIDE = 0.5  # of a window's size by which the next one is shifted, unless told otherwise; the paper's
 CROP_COLUMNS = ("file", "longitude", "latitude", "column_px", "row_px", "width_px", "height_px", "width_m", "height_m")
-
-
-@dataclass(frozen=True)
-class Satellite:
-    """A georeferenced satellite picture. Open it with `Satellite.open`."""
-
-    source: RasterSource
-    transform: Any
-    crs: pyproj.CRS
-
-    @classmethod
-    def open(cls, path: Path) -> Satellite:
-        """Raises InputError for what is no picture, UsageError for one without a place on Earth."""
-        source = RasterSource.open(path)
-        if not source.claimed.usable:
-            raise UsageError(
-                f"{path} has no place on Earth: {source.claimed.why}", "Give a georeferenced satellite picture."
-            )
-        with rasterio.open(path) as dataset:
-            return cls(source, dataset.transform, pyproj.CRS.from_user_input(dataset.crs))
-
-    def lon_lat(self, pixels: np.ndarray) -> np.ndarray:
-        """(n, 2) pixels to longitude and latitude [deg]."""
-        t, (x, y) = self.transform, np.asarray(pixels, float).reshape(-1, 2).T
-        there = pyproj.Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True)
-        return np.column_stack(there.transform(t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f))
-
-    def pixel_of(self, lon: float, lat: float) -> np.ndarray:
-        """(2,) the pixel at a place; it may lie outside of the picture, NaN where the projection has none."""
-        x, y = pyproj.Transformer.from_crs("EPSG:4326", self.crs, always_xy=True).transform(lon, lat)
-        t = ~self.transform
-        pixel = np.array([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f])
-        return np.where(np.isfinite(pixel), pixel, np.nan)
-
-    def pixel_size(self, pixel: np.ndarray) -> np.ndarray:
-        """(2,) true ground metres of one pixel, across and down, around `pixel`: projections stretch by place."""
-        half = 50.0
-        (west, east), (up, down) = (self.lon_lat(pixel + np.outer([-half, half], axis)) for axis in np.eye(2))
-        geod = pyproj.Geod(ellps="WGS84")
-        return np.array([geod.inv(*west, *east)[2], geod.inv(*up, *down)[2]]) / (2 * half)
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..actions.requests import VehicleRequest
+from ..actions.requests import PhotoRequest
 from ..actions.whose import fleet_at, named_fleet
 from ..core.detections import Detections
 from ..core.fleet import Fleet
+from ..core.remarks import Remark
 from ..detect.find import Progress
 from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
@@ -20,8 +21,8 @@ from .measure import Photo
 
 
 @dataclass(frozen=True, kw_only=True)
-class Looking(VehicleRequest):
-    """How to look for vehicles in photos."""
+class Looking(PhotoRequest):
+    """How to look for vehicles in photos, and what to compare them with."""
 
     def ruler_fleet(self, photos: Sequence[Path]) -> tuple[Fleet, tuple[str, ...]]:
         """The fleet that `photos` are measured by, and what to say of it; see `actions.whose`."""
@@ -35,7 +36,7 @@ class Album:
     """Photos, as `exchange` wants them for the names and sizes of their pictures."""
 
     photos: Sequence[Photo]
-    notes: list[str] = field(default_factory=list)
+    notes: list[Remark] = field(default_factory=list)
     raster: None = None
 
     @property

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..core.boxes import Boxes
 from ..core.brief import Brief
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..errors import InputError, TooLittleEvidence, UsageError
+from .depth.maps import Depths
 from .looking import Looking, boxes_of
-from .measure import Photo, PhotoScale, find_photos, measure, open_photo
+from .measure import Measure, Photo, PhotoScale, find_photos, measure, open_photo
 from .tables import Outcome, document
 
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from ..actions.requests import VehicleOptions
+    from ..actions.requests import PhotoOptions
     from ..detect.find import Progress
 
 LINES_SHOWN = 6  # photos that printing a survey lists
@@ -66,12 +68,13 @@ def photo(
     roll: float | None = None,
     together: bool = False,
     progress: Progress | None = None,
-    **options: Unpack[VehicleOptions],
+    **options: Unpack[PhotoOptions],
 ) -> Survey:
     """Measure single photos from a drone: scale, altitude over the ground, ground sampling distance, footprint.
 
     paths : photos, and folders of them. focal_px [px], lens_file, pitch and roll [deg] : instead of what the photos'
-    tags say. together : also one scale for all, taken by one lens from one altitude. options : as of `estimate`.
+    tags say. together : also one scale for all, taken by one lens from one altitude. options : fleet and detector as
+    of `estimate`; depth, depth_kind, depth_factor : a metric depth, whose altitude is compared.
     Raises InputError, UsageError; TooLittleEvidence where no photo has enough vehicles.
     """
     given = [paths] if isinstance(paths, (str, Path)) else paths
@@ -94,11 +97,14 @@ def surveyed(
     keep : is given the boxes as soon as they are found, whether or not they turn out to be enough.
     """
     photos, problems = open_photos(find_photos(paths), decode=how.detections is None, **lens)
+    depths = Depths.asked(how, several=len(photos) > 1)
     fleet, why = how.ruler_fleet([photo.path for photo in photos])
     found = boxes_of(photos, how, progress)
     if keep is not None:
         keep(found, photos)
     outcomes = measure_each(photos, problems, found, fleet)
+    if depths is not None:
+        outcomes = compared(outcomes, depths, found)
     pooled = measure_together(photos, found, fleet) if together else None
     if pooled is None and not any(outcome.measured for outcome in outcomes):
         most = max(outcomes, key=lambda outcome: len(found.boxes.get(outcome.name, ())))
@@ -142,6 +148,28 @@ def measure_each(photos: Sequence[Photo], problems: dict[str, str], found: Detec
         except TooLittleEvidence as error:
             outcomes.append(Outcome(photo.name, photo, None, error.message))
     return sorted(outcomes, key=lambda outcome: outcome.name)
+
+
+def compared(outcomes: Sequence[Outcome], depths: Depths, found: Detections) -> list[Outcome]:
+    """The same with the altitude that the depth of each photo says, or why it says none.
+
+    Raises InputError where that is so of all of them.
+    """
+    made: list[Outcome] = []
+    refused: list[InputError] = []
+    for outcome in outcomes:
+        if outcome.photo is not None:
+            by_vehicles: Measure | None = outcome.measured.altitude if outcome.measured else None
+            try:
+                boxes = found.boxes.get(outcome.name, Boxes.empty())
+                outcome = replace(outcome, depth=depths.altitude(outcome.photo, boxes, by_vehicles))
+            except InputError as error:
+                refused.append(error)
+                outcome = replace(outcome, depth_problem=error.message)
+        made.append(outcome)
+    if refused and not any(outcome.depth for outcome in made):
+        raise refused[0]
+    return made
 
 
 def measure_together(photos: Sequence[Photo], found: Detections, fleet: Fleet) -> PhotoScale:

@@ -14,25 +14,36 @@ import numpy as np
 from ..core.fleet import Fleet
 from ..errors import UsageError
 from ..system.outputs import has_header
+from .depth.ground import DepthAltitude
 from .measure import Measure, Photo, PhotoScale
 
 TABLE_SUFFIXES = (".csv", ".json", ".gpkg")
+OF_ONE_PHOTO = ("xmp_", "depth_")  # how columns begin that speak of one photo
 MEASURES = ("scale_m_per_px", "altitude_m", "gsd_m", "footprint_width_m", "footprint_height_m")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One photo: what was measured, or why nothing was. `photo` is None where it could not even be read."""
+    """One photo: what was measured, or why nothing was. `photo` is None where it could not even be read.
+
+    depth : what its depth map says, where one was given, and `depth_problem` why that says nothing.
+    """
 
     name: str
     photo: Photo | None
     measured: PhotoScale | None
     problem: str = ""
+    depth: DepthAltitude | None = None
+    depth_problem: str = ""
+
+    def ratio(self, altitude: float | None) -> float | None:
+        """Of another altitude [m] to the one by vehicles."""
+        return altitude / self.measured.altitude.value if altitude and self.measured else None
 
 
 def row(outcome: Outcome) -> dict[str, Any]:
     """Plain values; lengths in metres, angles in degrees, each measure with the bounds of its 90 % interval."""
-    photo, got = outcome.photo, outcome.measured
+    photo, got, depth = outcome.photo, outcome.measured, outcome.depth
     measures: dict[str, Any] = {}
     values = [None] * len(MEASURES) if got is None else [_scale(got), got.altitude, got.gsd, *got.footprint]
     for name, value in zip(MEASURES, values, strict=True):
@@ -52,6 +63,12 @@ def row(outcome: Outcome) -> dict[str, Any]:
         "pitch_deg": round(float(np.degrees(photo.pitch)), 2) if photo else None,
         "attitude": photo.attitude if photo else "",
         "xmp_relative_altitude_m": tags.relative_altitude if tags else None,
+        "xmp_ratio": _rounded(outcome.ratio(tags.relative_altitude if tags else None)),
+        "depth_altitude_m": _rounded(depth.altitude) if depth else None,
+        "depth_ratio": _rounded(outcome.ratio(depth.altitude if depth else None)),
+        "depth_scatter": _rounded(depth.scatter) if depth else None,
+        "depth_vehicles": depth.vehicles if depth else 0,
+        "depth_problem": outcome.depth_problem,
         "longitude": tags.lon_lat[0] if tags and tags.lon_lat else None,
         "latitude": tags.lon_lat[1] if tags and tags.lon_lat else None,
         "taken": tags.taken if tags else "",
@@ -80,8 +97,8 @@ def document(
     }
     if together is not None:
         pooled = row(Outcome("all together", together.photo, together))
-        own = ("photo", "taken", "longitude", "latitude", "xmp_relative_altitude_m", "notes", "problem")
-        text["together"] = {k: v for k, v in pooled.items() if k not in own} | {
+        own = ("photo", "taken", "longitude", "latitude", "notes", "problem")
+        text["together"] = {k: v for k, v in pooled.items() if k not in own and not k.startswith(OF_ONE_PHOTO)} | {
             "photos_per_place": round(together.overlap, 2),
             "uncertainty": together.scale.parts,
             "remarks": [{"severity": r.severity, "text": r.text} for r in together.scale.remarks],
@@ -152,6 +169,10 @@ def footprint_on_earth(outcome: Outcome) -> Any:
     ones = np.ones(len(outline))
     x, y, _ = pyproj.Geod(ellps="WGS84").fwd(lon * ones, lat * ones, bearing, np.hypot(right, ahead))
     return shapely.Polygon(np.column_stack([x, y]))
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(float(value), 4)
 
 
 def _scale(got: PhotoScale) -> Measure:

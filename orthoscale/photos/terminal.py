@@ -23,7 +23,7 @@ def summary(
     elif len(outcomes) == 1:
         (only,) = outcomes
         assert only.measured is not None
-        lines = [*_in_full(only.measured), f"vehicles   {only.measured.scale.vehicles_used} used"]
+        lines = [*_in_full(only.measured), f"vehicles   {only.measured.scale.vehicles_used} used", *_compared(only)]
     else:
         lines = []
     if len(outcomes) > 1:
@@ -31,7 +31,7 @@ def summary(
         width = max(len(o.name) for o in outcomes)
         for o in outcomes[:LISTED]:
             got = o.measured
-            line = o.problem if got is None else _short(got)
+            line = (o.problem if got is None else _short(got)) + _depth(o)
             lines.append(f"  {o.name:{width}s}  {line}")
         if len(outcomes) > LISTED:
             lines.append(f"  and {len(outcomes) - LISTED} more: --out TABLE.csv has them all")
@@ -58,10 +58,35 @@ def _in_full(got: PhotoScale) -> list[str]:
         f"footprint  {_interval(width, 'm')} wide, {_interval(height, 'm')} high",
         f"uncertain  {parts}   (1 sigma)",
     ]
-    if told := got.photo.tags.relative_altitude:
-        off = 100 * (got.altitude.value / told - 1)
-        lines.append(f"check      the drone reports {told:g} m above its take-off point: {off:+.1f} %")
     return lines
+
+
+def _compared(outcome: Outcome) -> list[str]:
+    """The altitudes of a photo side by side, with their ratios to the one by vehicles."""
+    photo, got, depth = outcome.photo, outcome.measured, outcome.depth
+    assert photo is not None and got is not None
+    told = photo.tags.relative_altitude
+    if not told and depth is None:
+        return []
+    lines = [("vehicles", got.altitude.value, "")]
+    if depth is not None:
+        lines.append(
+            ("depth", depth.altitude, f"ground around {depth.vehicles} vehicles, which scatter by {depth.scatter:.1%}")
+        )
+    if told:
+        lines.append(("drone", told, "the drone reports it, above its take-off point"))
+    return ["compared   altitude by   metres    ratio"] + [
+        f"           {name:12s} {value:7.1f}  {outcome.ratio(value):7.3f}  {note}".rstrip()
+        for name, value, note in lines
+    ]
+
+
+def _depth(outcome: Outcome) -> str:
+    """The end of a photo's line: what its depth says."""
+    if outcome.depth is None:
+        return f"  depth: {outcome.depth_problem}" if outcome.depth_problem else ""
+    ratio = outcome.ratio(outcome.depth.altitude)
+    return f"  by depth {outcome.depth.altitude:.1f} m" + (f" (x {ratio:.3f})" if ratio else "")
 
 
 def _short(got: PhotoScale) -> str:

@@ -103,7 +103,7 @@ def document(
         "interval90": list(scale.interval90),
         "verdict": scale.verdict,
         "fit": FIT[scale.verdict],
-        "judgements": [asdict(judgement) for judgement in judgements(measured, claim)],
+        "judgements": [asdict(judgement) for judgement in judgements(measured, claim, remarks)],
         "vehicles_used": scale.vehicles_used,
         "vehicles_rejected": scale.rejected,
         "boxes_rejected": measured.rejected_boxes,
@@ -131,7 +131,13 @@ def document(
         },
         "sweep": None
         if found.swept is None
-        else {"tiles": len(found.swept.tiles), "of": found.swept.total, "from_cache": found.swept.from_cache},
+        else {
+            "tiles": len(found.swept.tiles),
+            "of": found.swept.total,
+            "from_cache": found.swept.from_cache,
+            "looked_at": found.swept.looked_at,
+            "why": found.swept.why,
+        },
         "claim": None if claim is None else claim.document(),
         "drift": _drift(measured.drift),
         "zoom_search": None
@@ -318,7 +324,7 @@ def _fleet_sizes(fleet: Fleet) -> dict[str, Any]:
     }
     classes = [
         {"name": c.name, "weight": c.weight, "mean": c.mean[:2].tolist(), "sd": c.sd[:2].tolist()}
-        for c in fleet.classes
+        for c in fleet.every_class
     ]
     return {**axes, "classes": classes}
 

@@ -108,10 +108,10 @@ def check_on_earth(source: Plan) -> None:
 def write_geojson(result: Result, place: Placement, path: Path) -> None:
     """Vehicles as polygons in longitude and latitude (WGS 84), as RFC 7946 wants it and every reader takes it.
 
-    They lie where the input's own georeferencing puts its first corner, whether or not the copy keeps that.
+    They lie where the map of --against puts them, else where the input's own georeferencing puts its first corner,
+    whether or not the copy keeps that.
     """
-    assert result.source.plan is not None, "it is of orthophotos"
-    place = result.source.plan.place(result.scale.value, keep_origin=True)
+    place = result.place(keep_origin=True)
     columns = {name: values.tolist() for name, values in table(result).items()}
     features = []
     for k, ring in enumerate(outlines(result, place)):

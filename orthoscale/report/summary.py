@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from ..actions.batch import COLUMNS, Row
+from ..actions.many import COLUMNS, Row
 from ..core.scale import decimals
 from ..errors import UsageError
 from ..formats.vector import write_layer
@@ -33,7 +33,7 @@ def is_summary(path: Path) -> bool:
 
 
 def write_summary(rows: Sequence[Row], path: Path, place: Path) -> None:
-    """Write `rows` (`actions.batch.COLUMNS`) to `path`, in the format of its ending; links lead from `place`, where the
+    """Write `rows` (`actions.many.COLUMNS`) to `path`, in the format of its ending; links lead from `place`, where the
     file is to be. Raises OSError."""
     SUMMARY_WRITERS[path.suffix.lower()](rows, path, place)
 

@@ -69,9 +69,8 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     if (claim := own_claim(result.source, scale)) is not None:
         table.append(("claim", claim.sentence()))
     swept = result.detections.swept
-    if swept is not None and len(swept.tiles) < swept.total:
-        looked = f"{len(swept.tiles)} of {swept.total} tiles visited, enough for --target (--exhaustive for all)"
-        table.append(("tiles", looked))
+    if swept is not None and swept.why:
+        table.append(("sweep", f"{swept.looked_at}, {swept.why} (--exhaustive for all)"))
     table += [
         ("also", f"{e.value:.5g} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)") for e in scale.evidence
     ]

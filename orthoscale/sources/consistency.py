@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.remarks import CAUTION, Remark
 from ..errors import InputError
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def some_of_each(counts: Sequence[int]) -> list[np.ndarray]:
     return [np.arange(n) if n <= most else random.choice(n, most, replace=False) for n in counts]
 
 
-def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Observations) -> list[str]:
+def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Observations) -> list[Remark]:
     """Hold `model`, which lies at `where`, against what its images saw; returns what its user should know.
 
     Raises InputError, naming cameras or images and how far they are off, for a model that does not reproject, and for
@@ -67,11 +68,12 @@ def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Obser
     centres = np.array([image.projection_center() for image in images.values()])
     if len(seen.image):
         _check_projections(where, model, [images[name] for name in seen.names], seen)
-        notes = []
+        notes: list[Remark] = []
         stand = np.array([images[name].projection_center() for name in seen.names])[seen.image]
         distance = np.median(np.linalg.norm(seen.points - stand, axis=1))
     else:
-        notes = [f"{where} holds no observations of its points: whether they fit its cameras cannot be checked"]
+        text = f"{where} holds no observations of its points: whether they fit its cameras cannot be checked"
+        notes = [Remark(CAUTION, text)]
         points = np.array([point.xyz for point in model.points3D.values()])
         distance = np.median(np.linalg.norm(points - centres.mean(0), axis=1))
     return notes + _check_places(where, centres, float(distance))
@@ -171,7 +173,7 @@ def _off(
     return InputError(f"{where}: the points of {what} are projected {how} where they were seen", MIXED_UP_HINT)
 
 
-def _check_places(where: object, centres: np.ndarray, distance: float) -> list[str]:
+def _check_places(where: object, centres: np.ndarray, distance: float) -> list[Remark]:
     """Whether the cameras at `centres` (C, 3), `distance` from what they see, stand where a scene can be measured."""
     if len(centres) < 2:
         return []
@@ -185,7 +187,8 @@ def _check_places(where: object, centres: np.ndarray, distance: float) -> list[s
             "Views from different places are needed. If these were, the model is damaged: copy it again.",
         )
     if len(centres) > 2 and extent[1] < ONE_LINE * extent[0]:
-        return [f"all {len(centres)} cameras stand on one straight line: nothing beside it holds the model in shape"]
+        text = f"all {len(centres)} cameras stand on one straight line: nothing beside it holds the model in shape"
+        return [Remark(CAUTION, text)]
     return []
 
 

@@ -16,29 +16,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..core.remarks import informing
 from ..errors import InputError
 from ..formats.geometry.beside import beside
 from ..formats.geometry.files import scale_file
 from ..formats.geometry.mark import MARK
 from ..formats.geometry.ply import read_points
 from ..formats.geometry.poses import read_poses
-from ..formats.geometry.text_models import SUFFIXES
 from ..formats.reading import reason
 from .colmap import find_frames
-from .colmap_check import FARTHEST, model_folders
+from .colmap_check import FARTHEST
 from .consistency import Observations, check_consistency, observations, some_of_each
 from .one_file import OneFileSource
 
 if TYPE_CHECKING:
     import pycolmap
 
-MODEL_FILES = (
-    "reconstruction.json",
-    "opensfm/reconstruction.json",
-    "transforms.json",
-    "bundle.out",
-    "bundle/bundle.out",
-)
 READ_AT, READ_BYTES = 1000, 4096  # of a long file of tracks: at so many places, so much
 GPS_DOP = 1000.0  # from which OpenSfM means that there was no GPS
 # OpenSfM's projection types: COLMAP's model and its parameters, from focal lengths and centre [px] and distortion.
@@ -58,22 +51,6 @@ NERFSTUDIO = {
 }
 
 
-def find_exchange(path: Path) -> Path | None:
-    """The file of another program that `path` is, or that its folder holds where it holds no COLMAP model."""
-    if path.suffix.lower() in (".json", *SUFFIXES) and path.is_file():
-        return path
-    if not path.is_dir():
-        return None
-    places = [*(path / place for place in MODEL_FILES), *sorted(path.glob("*.nvm"))]
-    found = next((place for place in places if place.is_file()), None)
-    if found is not None:
-        try:
-            model_folders(path)
-        except InputError:
-            return found
-    return None
-
-
 @dataclass(frozen=True, eq=False)
 class ExchangeSource(OneFileSource):
     """A reconstruction in one JSON file, with its frames. Made by `ExchangeSource.open`."""
@@ -82,8 +59,8 @@ class ExchangeSource(OneFileSource):
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ExchangeSource:
         """Open the file `path`; otherwise as `ColmapSource.open`. Raises InputError."""
         path = Path(path)
-        model, others, notes, tracks = _read(path)
-        notes += check_consistency(path, model, _seen(path, model, tracks))
+        model, others, said, tracks = _read(path)
+        notes = [*informing(said), *check_consistency(path, model, _seen(path, model, tracks))]
         pictures = find_frames(model, path.parent, images, need_images, notes)
         return cls(path, path.parent, "json", pictures, notes, (path, *others), model)
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.remarks import CAUTION, Remark
 from ..errors import InputError
 from ..formats.geometry.files import scale_file
 from ..formats.geometry.text_models import TextModel, read_text_model
@@ -39,9 +40,10 @@ class TextSource(OneFileSource):
         if not wanted:
             raise InputError(f"{path}: no image is registered", "Reconstruct again, or give another model.")
         root, missing = image_folder(path.parent, Path(images) if images is not None else None, wanted)
-        notes = []
+        notes: list[Remark] = []
         if missing:
-            notes.append(f"{len(missing)} of {len(wanted)} frames are not in {root} and left out: {missing[0]} ...")
+            left = f"{len(missing)} of {len(wanted)} frames are not in {root} and left out: {missing[0]} ..."
+            notes.append(Remark(CAUTION, left))
         sizes = {name: _size(root / name) for name in set(wanted) - set(missing)}
         model = _built(path, text, names, sizes)
         notes += check_consistency(path, model, _observations(text, names, model))

@@ -17,7 +17,7 @@ from ..core.ruler import Ruler
 from ..evaluate.readers import DENSEUAV_FOCAL
 from ..formats.detections.own import save_detections
 from ..formats.pictures import write_jpeg
-from .render import Look, render, vehicle_boxes
+from .render import Look, depth, render, vehicle_boxes
 from .scene import Scene
 from .view import Camera, Perspective, Pose
 
@@ -83,7 +83,8 @@ def write_visloc(
 
 
 def write_csv(scene: Scene, folder: Path, pitches: Sequence[float] = (-90, -70, -55), pictures: bool = True) -> None:
-    """``photos.csv`` beside its photos, with pitch and focal length; and detections.json."""
+    """``photos.csv`` beside its photos, with pitch and focal length; detections.json; ``depth/photos/000.npy`` ... with
+    the exact depth along the optical axis [m]."""
     camera = Camera(VISLOC_FOCAL, *FRAME_SIZE)
     found: dict[str, Boxes] = {}
     rows = []
@@ -92,6 +93,9 @@ def write_csv(scene: Scene, folder: Path, pitches: Sequence[float] = (-90, -70, 
         back = altitude / np.tan(np.radians(-pitch))
         pose = Pose.looking(np.array([-back, 0.0, altitude]), 0.0, np.radians(-pitch))
         found[name] = _photo(scene, camera, pose, folder / name, k, pictures)
+        place = (folder / "depth" / name).with_suffix(".npy")
+        place.parent.mkdir(parents=True, exist_ok=True)
+        np.save(place, depth(scene, Perspective(camera, pose)).astype(np.float32))
         rows.append({"image": name, "altitude_m": altitude, "pitch_deg": pitch, "focal_px": VISLOC_FOCAL})
     with (folder / "photos.csv").open("w", newline="") as file:
         table = csv.DictWriter(file, list(rows[0]))

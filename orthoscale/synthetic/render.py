@@ -169,11 +169,7 @@ def shade(scene: Scene) -> Shade:
 
 def light(scene: Scene, view: View) -> tuple[np.ndarray, np.ndarray]:
     """Linear light (H, W, 3) float32 that reaches each pixel's centre, and the owner (H, W) of the face it sees."""
-    ground = faces(np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * 1.0, *scene.ground)
-    mesh = join([ground, scene.mesh])
-    face, planes = surface(mesh, view)
-    planes[:1] = view.nearness(np.array([[0.0, 0, 1]]), np.zeros((1, 3)))
-    face = np.maximum(face, 0)
+    mesh, face, planes = _seen(scene, view)
     table = _table(mesh, planes, scene, view)
     texels, offset, side, per_metre = atlas(view.sample_m())
     shadows, tint = shade(scene), blotch()
@@ -200,6 +196,29 @@ def light(scene: Scene, view: View) -> tuple[np.ndarray, np.ndarray]:
         out[r : r + strip] = (t[..., IN_SUN] * in_sun + t[..., IN_SHADE] * in_shade) * texture * tone
         out[r : r + strip][nearness <= 1e-6] = HAZY_SKY
     return out, mesh.owner[face]
+
+
+def depth(scene: Scene, view: Perspective) -> np.ndarray:
+    """(H, W) float64 depth along the optical axis of what each pixel's centre sees [m]; NaN for the sky.
+
+    Of a camera without distortion. Raises ValueError for another.
+    """
+    if view.camera.k1:
+        raise ValueError("depth is drawn for cameras without distortion")
+    _, face, planes = _seen(scene, view)
+    y, x = np.indices(face.shape) + 0.5
+    a, b, c = np.moveaxis(planes[face], -1, 0)
+    nearness = a * x + b * y + c
+    return np.where(nearness > 1e-6, 1 / np.maximum(nearness, 1e-6), np.nan)
+
+
+def _seen(scene: Scene, view: View) -> tuple[Mesh, np.ndarray, np.ndarray]:
+    """The scene's mesh with its endless ground as face 0, and for it what `surface` gives; the ground for nothing."""
+    ground = faces(np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * 1.0, *scene.ground)
+    mesh = join([ground, scene.mesh])
+    face, planes = surface(mesh, view)
+    planes[:1] = view.nearness(np.array([[0.0, 0, 1]]), np.zeros((1, 3)))
+    return mesh, np.maximum(face, 0), planes
 
 
 def _tiled(picture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

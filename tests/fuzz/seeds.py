@@ -352,6 +352,23 @@ for _name in hostile.VRTS:
     SEEDS[f"VRT of {_name}"] = _vrt
 
 
+@seed("VRT of a large one, and boxes from a file")
+def _large_with_boxes(bench: Bench) -> Attempt:
+    """Nothing of its 4e18 pixels need be read."""
+    inside = bench.take("ortho", "ortho.tif", "labels.txt")
+    (inside / "odd.vrt").write_text(hostile.VRTS["a large one"])
+    return ends(("estimate", "in/odd.vrt", "--detections", "in/labels.txt", "--fleet", "DE", "--json"), 0)
+
+
+@seed("VRT with a word that is no text")
+def _no_text(bench: Bench) -> Attempt:
+    """GDAL quotes it."""
+    inside = bench.take("ortho", "ortho.tif", "labels.txt")
+    band = b'<VRTRasterBand dataType="\xbe\xff" band="1"/>'
+    (inside / "odd.vrt").write_bytes(b'<VRTDataset rasterXSize="9" rasterYSize="9">' + band + b"</VRTDataset>")
+    return ends(("estimate", "in/odd.vrt", "--detections", "in/labels.txt", "--fleet", "DE", "--json"), 5)
+
+
 # 8, 9: memory
 
 
@@ -527,6 +544,18 @@ def _patched(at: int, value: bytes) -> Callable[[Path], object]:
     return harm
 
 
+def _renamed(name: bytes, other: bytes) -> Callable[[Path], object]:
+    def harm(path: Path) -> None:
+        data = path.read_bytes()
+        assert name in data and len(name) == len(other)
+        path.write_bytes(data.replace(name, other))
+
+    return harm
+
+
+# SQLite's messages quote names that are no text.
+_cache("a table's name that is no text", _renamed(b"tablelookslooks", b"tablelo\xbeksl\xbeoks"))
+_cache("an index's name that is no text", _renamed(b"sqlite_autoindex_looks", b"sqlite_autoindex_l\xbe\xffks"))
 _cache("cut in half", lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]))
 _cache(
     "zeros after the header", lambda path: path.write_bytes(path.read_bytes()[:200].ljust(path.stat().st_size, b"\0"))

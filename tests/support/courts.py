@@ -60,6 +60,11 @@ def penalty_area(line=0.10):
     return boxes
 
 
+def centre_circle(line=0.10):
+    """A circle of 9.15 m to the outside of its line, on a halfway line of 64 m."""
+    return [(-32, -line / 2, 32, line / 2), (0, 0, 9.15 - line, 9.15, 0, 0)]
+
+
 def _cover(x, y, gsd, box):
     """Share of each pixel, at (x, y) [m] in the court's frame, that the rectangle covers; exact if parallel."""
     if len(box) == 6:  # a ring: its middle, both radii, and on which sides of the middle it is, 0 for both

@@ -63,3 +63,38 @@ def nms_free():
 def mmrotate(large=5, small=4):
     """dets [1, n, 6] and labels [1, n], in DOTA's numbers."""
     return {"dets": TRUTH[None, :, :6], "labels": np.where(TRUTH[:, 6] == 1, small, large)[None]}
+
+
+def depth_network(
+    path, gain=1.0, offset=0.0, size=(None, None), rank=4, inputs=1, outputs=("depth",), channels=3, flat=False
+):
+    """An ONNX file whose outputs are `gain` times the first channel of its picture and `offset`, at half its size."""
+    lead = [1] * (rank - 3)
+    shape = [*lead, channels, *(n or name for n, name in zip(size, ("h", "w"), strict=True))]
+    pictures = [helper.make_tensor_value_info(f"image{k}", onnx.TensorProto.FLOAT, shape) for k in range(inputs)]
+    weights = [
+        numpy_helper.from_array(np.array(values, kind), name)
+        for name, values, kind in (
+            ("gain", gain, np.float32), ("offset", offset, np.float32), ("first", [0], np.int64),
+            ("four", [1, channels, 0, 0], np.int64), ("start", [0, 1, 1], np.int64), ("end", [1, 9999, 9999], np.int64),
+            ("axes", [1, 2, 3], np.int64), ("step", [1, 2, 2], np.int64), ("one", [1], np.int64),
+        )
+    ]  # fmt: skip
+    nodes = [
+        helper.make_node("Squeeze", ["image0", "one"], ["flat"]) if rank == 5
+        else helper.make_node("Identity", ["image0"], ["flat"]),
+        helper.make_node("Slice", ["flat", "start", "end", "axes", "step"], ["red"]),
+        helper.make_node("Mul", ["red", "gain"], ["scaled"]),
+        helper.make_node("Add", ["scaled", "offset"], ["made"]),
+    ]  # fmt: skip
+    nodes += [
+        helper.make_node("ReduceMean", ["made"], [name], keepdims=0)
+        if flat
+        else helper.make_node("Identity" if name == outputs[-1] else "Neg", ["made"], [name])
+        for name in outputs
+    ]
+    values = [helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, None) for name in outputs]
+    graph = helper.make_graph(nodes, "depth", pictures, values, weights)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    onnx.save(model, path)
+    return path

@@ -9,7 +9,6 @@ import numpy as np
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
-from orthoscale.core.market_segments import PLACE_VEHICLES
 from orthoscale.core.projection.decoupled import simple_views
 from orthoscale.core.projection.exact import BODIES, Hull
 from orthoscale.core.projection.self_calibration import OwnRuler, own_ruler
@@ -173,17 +172,17 @@ def found_ruler(flights: list[Seen], body: str) -> OwnRuler:
 
 
 def place_of(rng: np.random.Generator, fleet: Fleet) -> Fleet:
-    """The vehicles of one place of a country: its own shares of the classes, and each class's own models."""
-    weight = np.array([c.weight for c in fleet.classes])
+    """The vehicles of one place of a country: its own shares of all classes, and each class's own models."""
+    weight = np.array([c.weight for c in fleet.every_class])
     weight = weight / weight.sum()
-    numbers, probability = zip(*PLACE_VEHICLES, strict=True)
+    numbers, probability = zip(*fleet.place_vehicles, strict=True)
     number = rng.choice(numbers, p=probability)
     shares = rng.dirichlet(number * weight)
     classes = []
-    for c, country, share in zip(fleet.classes, weight, shares, strict=True):
+    for c, country, share in zip(fleet.every_class, weight, shares, strict=True):
         mean = rng.multivariate_normal(c.mean, c.covariance / (number * country + 1))
         classes.append(replace(c, weight=float(share), mean=mean))
-    return replace(fleet, classes=tuple(classes))
+    return replace(fleet, classes=tuple(classes), three_wheelers=None)
 
 
 def car_park(

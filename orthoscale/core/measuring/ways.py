@@ -19,6 +19,8 @@ from ..ruler import Ruler
 from ..scale import Scale
 from ..source import PosedSet, Source
 from ..votes import Votes
+from .agreed import as_agreed
+from .apart import only_apart
 from .drift import with_drift
 from .measure import measure
 from .measurement import Measurement
@@ -39,7 +41,10 @@ def measure_source(
     Raises TooLittleEvidence, UsageError.
     """
     if source.plan is not None:
-        return _of_one_scale(measure(PlanGeometry.of(source.plan, found), fleet, method))
+        measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
+        scale = only_apart(measured.scale, measured.boxes)
+        scale = as_agreed(scale, len(measured.boxes), sum(map(len, found.doubtful.values())))
+        return _of_one_scale(replace(measured, scale=scale))
     if source.posed is not None:
         return measure_posed(source.posed, found, fleet, method, mode)
     raise TypeError(f"{source!r} is neither a plan nor a posed set")

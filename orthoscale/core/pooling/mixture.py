@@ -108,6 +108,7 @@ def fit(
     systematic: np.ndarray,
     weights: np.ndarray,
     drawing: Drawing = FAITHFUL,
+    place: Sequence[tuple[float, float]] = PLACE_VEHICLES,
 ) -> Fits:
     """Fits to votes of `log_size` (N, 2), whose boxes have the one-sigma `noise` (N, 2) [units of the sizes].
 
@@ -115,12 +116,13 @@ def fit(
     the two may part: that holds the vehicles to the shape of their class. The grid is one of the sum of the two with
     `weights` (2,). At each of its scales the shares of the classes are fitted by variational Bayes (Bishop, Pattern
     Recognition and Machine Learning, 10.2, with the components known), and what else is unknown by Newton's steps.
-    `drawing` is how the detector draws sizes.
+    `drawing` is how the detector draws sizes, `place` how much places are like their country
+    (`market_segments.PLACE_VEHICLES`).
     """
     everyone = problem = _Problem.of(log_size, noise, classes, systematic, weights, drawing)
     coarse = problem.middle + np.arange(-SOUGHT, SOUGHT, COARSE)
-    solved = problem.of_votes(COARSE_VOTES).solved(problem.start(coarse), COARSE_STEPS)
-    solved = problem.of_votes(MANY).solved(problem.start(_finer(solved)), FINE_STEPS)
+    solved = problem.of_votes(COARSE_VOTES).solved(problem.start(coarse, place), COARSE_STEPS)
+    solved = problem.of_votes(MANY).solved(problem.start(_finer(solved), place), FINE_STEPS)
     if len(log_size) > MANY:
         problem = problem.of_votes(MOST_VOTES)
         solved = problem.solved(solved.where(solved.possible), FINE_STEPS)
@@ -226,11 +228,11 @@ class _Problem:
         some = np.linspace(0, self.gap.shape[1] - 1, min(self.gap.shape[1], number)).astype(int)
         return replace(self, gap=self.gap[:, some], inverse=self.inverse[:, some])
 
-    def start(self, grid: np.ndarray) -> _Solved:
-        """The scales of `grid` (V,), each once for each of PLACE_VEHICLES, with the country's mix."""
-        number, likely = np.array(PLACE_VEHICLES).repeat(len(grid), 0).T
+    def start(self, grid: np.ndarray, place: Sequence[tuple[float, float]]) -> _Solved:
+        """The scales of `grid` (V,), each once for each of `place`, with the country's mix."""
+        number, likely = np.array(place).repeat(len(grid), 0).T
         unknown = np.zeros((len(number), UNKNOWNS))
-        unknown[:, :2] = np.tile(grid, len(PLACE_VEHICLES))[:, None]
+        unknown[:, :2] = np.tile(grid, len(place))[:, None]
         prior = number[:, None] * self.mix
         return _Solved(prior, np.log(likely), prior, unknown, np.log(likely), np.empty((len(number), 0, 0)))
 

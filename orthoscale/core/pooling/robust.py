@@ -192,7 +192,7 @@ def _of_fleet(
     none = TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {fleet.code}")
     weights = _combine(systematic + drawing.covariance(fleet.log_covariance) / len(log_size))
     try:
-        fits = fit(log_size, noise, fleet.told_apart, systematic, weights, drawing)
+        fits = fit(log_size, noise, fleet.told_apart, systematic, weights, drawing, fleet.place_vehicles)
     except np.linalg.LinAlgError as error:  # no vote supports any class: nothing determines the scale
         raise none from error
     if fits.member.sum() < 1:

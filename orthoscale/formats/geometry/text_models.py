@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ...errors import InputError
 
@@ -214,6 +213,8 @@ def _nvm(parts: dict[str, list[list[Any]]]) -> TextModel:
     quaternion, centre, r = values[:, 1:5], values[:, 5:8], values[:, 8]
     if not (np.abs(np.linalg.norm(quaternion, axis=1) - 1) < 0.01).all():
         raise ValueError("a quaternion is not of length one")
+    from scipy.spatial.transform import Rotation
+
     rotation = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix()
     head = parts["head"][0]  # NVM_V3 FixedK fx cx fy cy, for all cameras
     middle = (float(head[3]), float(head[5])) if len(head) >= 6 and head[1] == "FixedK" else (np.nan, np.nan)

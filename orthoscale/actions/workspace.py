@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import EvidenceDisagrees, Incomplete, InputError, OrthoscaleError, TooLittleEvidence
-from ..sources.json_model import find_exchange
+from ..sources.exchange_files import find_exchange
 from ..system.outputs import Outputs
 from .estimate import measured
 from .fix import written

@@ -1,0 +1,139 @@
+"""A georeferenced map of another date: where the input lies on it, how it is turned, and the scale that follows.
+
+The map's scale is one more piece of evidence beside the vehicles, with an uncertainty of its own. An orthophoto takes
+its place and direction from the map too. What is not found on the map for certain gives nothing, and that is said.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..core.evidence import Evidence
+from ..core.source import Picture, Placement, PosedSet, Source
+from ..detect.find import Progress
+from ..errors import TooLittleEvidence
+
+if TYPE_CHECKING:
+    from ..locate.ground import SeenPlan
+    from ..locate.register import Registration
+    from ..sources.satellite import Satellite
+
+BY_MAP = "map"
+SCALES_AROUND = 4.0  # sigmas of the vehicles' scale within which the map's is searched ...
+LEAST_AROUND, MOST_AROUND = math.log(1.3), math.log(1.6)  # ... but so far at least, to contradict, and at most
+VIEWS_TRIED = 3  # pictures of the ground of a reconstruction, the largest
+
+
+@dataclass(frozen=True)
+class OnMap:
+    """What a map says.
+
+    evidence : one piece, or none where the input was not found on it. notes : what a user should know.
+    crs, affine : the map's coordinates, and (2, 3) into them from an orthophoto's pixels, to which it gives `gsd_m`
+    [m/px]; None for a reconstruction, and where nothing was found. size : of the orthophoto [px]. name : of the map.
+    """
+
+    evidence: tuple[Evidence, ...] = ()
+    notes: tuple[str, ...] = ()
+    crs: Any = None
+    affine: np.ndarray | None = None
+    gsd_m: float = 0.0
+    size: tuple[int, int] = (0, 0)
+    name: str = ""
+
+    def place(self, metres_per_pixel: float) -> Placement | None:
+        """The georeferencing of a copy of this scale: the map's direction, and its place for the orthophoto's middle;
+        None without one."""
+        if self.affine is None:
+            return None
+        from rasterio.transform import Affine
+
+        from ..sources.georeference import Place
+
+        linear, shift = self.affine[:, :2], self.affine[:, 2]
+        middle = np.array(self.size) / 2
+        grown = linear * (metres_per_pixel / self.gsd_m)
+        matrix = np.column_stack([grown, linear @ middle + shift - grown @ middle])
+        return Place(self.crs, Affine(*matrix.ravel()), f"place and direction by its match with {self.name}")
+
+
+def on_map(
+    source: Source,
+    satellite: Satellite,
+    scale: tuple[float, float],
+    cache: bool = True,
+    progress: Progress | None = None,
+) -> OnMap:
+    """Where `source` lies on the map `satellite`.
+
+    scale : metres per unit and its relative one-sigma, as far as it is known. cache : keep the map's features.
+    Raises InputError where map or source turn out to be damaged, UsageError for a map that is mirrored.
+    """
+    around = float(np.clip(SCALES_AROUND * scale[1], LEAST_AROUND, MOST_AROUND))
+    problems = []
+    best: tuple[SeenPlan, Registration] | None = None
+    for picture, units in _pictures(source):
+        try:
+            seen, found = _registered(picture, units * scale[0], satellite, around, cache, progress)
+        except TooLittleEvidence as error:
+            problems.append(error.message)
+            continue
+        if found.located is None:
+            problems.append(found.problem)
+        elif best is None or found.candidates[0].inliers > best[1].candidates[0].inliers:
+            best = seen, found
+    name = satellite.source.name
+    if best is None:
+        why = problems[0] if problems else "no picture of the ground from above"
+        return OnMap(notes=(f"not found on {name}: {why}",))
+    seen, found = best
+    candidate = found.candidates[0]
+    metres = scale[0] * candidate.scale
+    says = f"its place on {name} ({candidate.inliers} matches, {found.needed} needed)"
+    evidence = (Evidence(BY_MAP, metres, found.scale_sd, says),)
+    lon, lat = candidate.middle
+    note = f"found on {name} around {lon:.6f}, {lat:.6f}, its top to {np.degrees(candidate.heading):.0f} degrees"
+    if source.plan is None:
+        return OnMap(evidence, (note,), name=name)
+    size = source.plan.width, source.plan.height
+    return OnMap(evidence, (note,), satellite.crs, _affine(seen, found, satellite), metres, size, name)
+
+
+def _registered(
+    picture: Picture, claimed: float, satellite: Satellite, around: float, cache: bool, progress: Progress | None
+) -> tuple[SeenPlan, Registration]:
+    """`picture` of `claimed` metres per pixel on the map, turned in any way."""
+    from ..locate.features import GradientFeatures
+    from ..locate.ground import SeenPlan
+    from ..locate.register import Known, register
+
+    seen = SeenPlan(picture, claimed)
+    known = Known((math.exp(-around), math.exp(around)))
+    return seen, register(seen, satellite, GradientFeatures(), known, cache, progress)
+
+
+def _pictures(source: Source) -> Sequence[tuple[Picture, float]]:
+    """Pictures of the ground from above, and source units per pixel of each: an orthophoto, or the frames of a
+    reconstruction that show most ground."""
+    if source.plan is not None:
+        return [(source.plan, 1.0)]
+    posed: PosedSet | None = source.posed
+    assert posed is not None, "it is one of the two"
+    views = [view for view in posed.ground_pictures if view.frame is not None]
+    views.sort(key=lambda view: view.width * view.height * view.unit_per_pixel**2, reverse=True)
+    return [(view, view.unit_per_pixel) for view in views[:VIEWS_TRIED]]
+
+
+def _affine(seen: SeenPlan, found: Registration, satellite: Satellite) -> np.ndarray:
+    """(2, 3) from the orthophoto's pixels to the map's coordinates, by the match."""
+    size = np.array([seen.picture.width, seen.picture.height], float)
+    corners = np.array([[0, 0], [size[0], 0], [0, size[1]]])
+    x, y = found.candidates[0].map_pixels(corners * seen.gsd).T
+    t = satellite.transform
+    first, right, down = np.stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f], 1)
+    return np.column_stack([(right - first) / size[0], (down - first) / size[1], first])

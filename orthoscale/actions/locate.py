@@ -1,0 +1,189 @@
+"""Photos onto a map: from a request to where each was taken."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+
+from ..core.brief import Brief
+from ..detect.find import Progress
+from ..errors import OrthoscaleError, TooLittleEvidence, UsageError
+from ..locate.claimed import ClaimedScale, claimed_scales
+from ..locate.features import Features, GradientFeatures
+from ..locate.files import write
+from ..locate.outcome import Outcome, document
+from ..locate.register import Finder, Known, register
+from ..photos.looking import Looking
+from ..photos.measure import find_photos
+from ..sources.satellite import Satellite
+
+LOCATE_METHODS = ("auto", "dense", "gradient", "retrieval")
+ANY_HEADING = "search"  # instead of a heading: any
+CANDIDATES_LISTED = 5  # candidates that are listed
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocateRequest:
+    """What is asked of a search.
+
+    prior : "LON,LAT,RADIUS", or "X,Y,RADIUS" in the map's reference system; radius in metres. heading : degrees
+    clockwise from north, or "search"; None: what XMP tells, else any. gsd : average ground sampling distance of the
+    photos [m/px], None to measure it by vehicles. method : one of LOCATE_METHODS. embedding, embedding_map : networks
+    for `retrieval`. top : candidates that are listed. cache : keep the map's features. Raises UsageError.
+    """
+
+    prior: str | None = None
+    heading: str | None = None
+    gsd: float | None = None
+    method: str = "auto"
+    embedding: Path | None = None
+    embedding_map: Path | None = None
+    top: int = CANDIDATES_LISTED
+    cache: bool = True
+    lens: Mapping[str, Any] = field(default_factory=dict)
+    looking: Looking = field(default_factory=Looking)
+
+    def __post_init__(self) -> None:
+        if self.method not in LOCATE_METHODS:
+            raise UsageError(f"--method {self.method} is none of {', '.join(LOCATE_METHODS)}")
+        if self.embedding_map is not None and self.embedding is None:
+            raise UsageError("--embedding-map is the second of two networks", "Give the one for photos: --embedding.")
+        if self.embedding is not None and self.method not in ("auto", "retrieval"):
+            raise UsageError(f"--embedding does nothing with --method {self.method}", "Take --method retrieval.")
+        if self.embedding is None and self.method == "retrieval":
+            raise UsageError("--method retrieval needs a network", "Give it: --embedding NET.onnx.")
+        if self.gsd is not None and self.looking.settings():
+            raise UsageError("--gsd says how large a pixel is: nothing is measured", "Remove the detector's options.")
+        self.heading_rad(None)
+
+    def heading_rad(self, told: float | None) -> float | None:
+        """The heading to search around [rad], None for all; `told` is what the photo says [deg]."""
+        if self.heading is None:
+            return None if told is None else float(np.radians(told))
+        if self.heading == ANY_HEADING:
+            return None
+        try:
+            degrees = float(self.heading)
+        except ValueError:
+            degrees = float("nan")
+        if not -360 <= degrees <= 360:
+            raise UsageError(f"--heading {self.heading} is neither degrees nor {ANY_HEADING!r}")
+        return float(np.radians(degrees))
+
+    def prior_on(self, satellite: Satellite) -> tuple[float, float, float] | None:
+        """Longitude, latitude [deg] and radius [m] of the prior. Raises UsageError."""
+        if self.prior is None:
+            return None
+        try:
+            x, y, radius = (float(v) for v in self.prior.split(","))
+        except ValueError:
+            raise UsageError(f"--prior {self.prior} is not LON,LAT,RADIUS or X,Y,RADIUS") from None
+        if not (np.isfinite([x, y]).all() and 0 < radius < np.inf):
+            raise UsageError(f"--prior {self.prior}: the radius must be a positive number of metres")
+        if abs(x) <= 180 and abs(y) <= 90:
+            return x, y, radius
+        if satellite.crs.is_geographic:
+            raise UsageError(f"--prior {self.prior} is no longitude and latitude, which is what the map has")
+        lon, lat = pyproj.Transformer.from_crs(satellite.crs, "EPSG:4326", always_xy=True).transform(x, y)
+        if not np.isfinite([lon, lat]).all():
+            raise UsageError(f"--prior {self.prior} is no place in {satellite.crs.name}")
+        return lon, lat, radius
+
+
+@dataclass(frozen=True, repr=False)
+class Located(Brief):
+    """outcomes : of each photo. satellite : the map. method : by which features. notes : what the user should know."""
+
+    outcomes: list[Outcome]
+    satellite: Satellite
+    method: str
+    notes: tuple[str, ...] = ()
+    top: int = CANDIDATES_LISTED
+
+    def brief(self) -> list[tuple[str, str]]:
+        """A line per photo."""
+        lines = []
+        for outcome in self.outcomes:
+            best, problem = outcome.located, outcome.problem
+            if best is None:
+                lines.append((outcome.name, "" if problem is None else problem.message))
+            else:
+                lon, lat = best.lon_lat(np.zeros((1, 2)))[0]
+                lines.append((outcome.name, f"{lon:.6f}, {lat:.6f}, {best.inliers} matches"))
+        return lines
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values; what `orthoscale locate --json` prints."""
+        return document(self.outcomes, self.satellite, {"method": self.method, "notes": list(self.notes)})
+
+    def write(self, folder: Path) -> None:
+        """All files into an empty folder; see `locate.files`."""
+        write(self.outcomes, self.to_dict(), self.satellite, folder, self.top)
+
+
+def features_for(method: str) -> Features:
+    """The features by which `method` verifies, and searches if it is not retrieval. Raises UsageError where they are
+    not installed."""
+    if method == "dense":
+        from ..locate.dense import DenseFeatures
+
+        return DenseFeatures()
+    return GradientFeatures()
+
+
+def finder_for(request: LocateRequest) -> tuple[str, Finder | None, tuple[str, ...]]:
+    """The method that `request` means, its finder where it is not correlation, and notes. Raises InputError."""
+    if request.embedding is None:
+        return "gradient" if request.method == "auto" else request.method, None, ()
+    from ..locate.retrieval import Retrieval
+
+    finder = Retrieval.open(request.embedding, request.embedding_map, request.cache)
+    return "retrieval", finder, finder.notes
+
+
+def locate(
+    paths: Sequence[Path], satellite: Satellite, request: LocateRequest, progress: Progress | None = None
+) -> Located:
+    """Find the photos at `paths` on the map `satellite`.
+
+    Photos that are not located say why; raises UsageError for a request that makes no sense, InputError for a map that
+    is damaged or a single photo that cannot be read.
+    """
+    prior = request.prior_on(satellite)
+    method, finder, notes = finder_for(request)
+    features = features_for(method)
+    claims = claimed_scales(find_photos(paths), request.gsd, request.looking, progress, **request.lens)
+    outcomes = []
+    for number, (name, claimed) in enumerate(claims.items(), 1):
+        if isinstance(claimed, OrthoscaleError):
+            outcomes.append(Outcome(name, None, None, claimed))
+            continue
+        outcomes.append(searched(claimed, satellite, features, request, prior, finder))
+        if progress:
+            progress("Photos", number, len(claims))
+    return Located(outcomes, satellite, method, notes, request.top)
+
+
+def searched(
+    claimed: ClaimedScale,
+    satellite: Satellite,
+    features: Features,
+    request: LocateRequest,
+    prior: tuple[float, float, float] | None,
+    finder: Finder | None = None,
+) -> Outcome:
+    """One photo. A picture that is too small on the map is its own outcome, not the end of the others."""
+    photo = claimed.photo
+    begun = time.monotonic()
+    known = Known(claimed.factors, request.heading_rad(photo.tags.yaw), prior)
+    try:
+        found = register(claimed.levelled, satellite, features, known, request.cache, finder=finder)
+    except TooLittleEvidence as error:
+        return Outcome(photo.name, claimed, None, TooLittleEvidence(f"{photo.name}: {error.message}", error.hint))
+    return Outcome(photo.name, claimed, found, None, time.monotonic() - begun)

@@ -1,0 +1,77 @@
+"""Where courts may lie that are known by a circle: ridges vote for the middle of theirs (Hough; Duda and Hart 1972),
+and a line through it gives the direction."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from .court_models import Court
+from .poses import Poses, Ridges
+from .ridges import CLEAR_RIDGE, DIRECTIONS
+
+VOTING = 0.3  # of a clear ridge, from which on a pixel votes
+BIN = 2  # [px] side of a cell of middles
+RADII_APART = 1.5  # [px]
+CIRCLE_SEEN = 0.3  # of the circumference, of cells about a middle
+MIDDLE_LINE = 0.3  # mean ridge of the line through the middle
+CIRCLES = 60  # per megapixel, the clearest; at least:
+FEWEST_CIRCLES = 8
+TURNS = 120  # directions of the line that are tried
+
+
+def circled(ridges: Ridges, court: Court, size: float, spread: float) -> Poses:
+    """Where `court`, a circle and a line along it through its middle, may lie if a metre is `size` [px] within a factor
+    exp(spread); the clearest first."""
+    radius = max(stroke.radius for stroke in court.strokes)
+    reach = max(stroke.length for stroke in court.strokes if not stroke.radius) / 2
+    x, y, normal = _voters(ridges)
+    low, high = radius * size * np.exp([-spread, spread])
+    rows = []
+    for r in np.arange(low, high + RADII_APART, RADII_APART):
+        votes = _votes(x, y, normal, r, (ridges.height, ridges.width))
+        top = (votes >= CIRCLE_SEEN) & (votes >= cv2.dilate(votes, np.ones((5, 5), np.uint8)))
+        row, column = np.nonzero(top)
+        rows.append(np.column_stack([(column + 0.5) * BIN - 0.5, (row + 0.5) * BIN - 0.5, 0 * row + r, votes[top]]))
+    found = np.concatenate(rows)
+    most = max(FEWEST_CIRCLES, round(CIRCLES * ridges.width * ridges.height / 1e6))
+    found = found[np.argsort(-found[:, 3], kind="stable")][:most]
+    angle = np.arange(TURNS) * np.pi / TURNS
+    along = np.linspace(-1, 1, 81) * reach / radius  # [radii]
+    place = (
+        found[:, None, None, :2]
+        + found[:, None, None, 2:3] * along[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)[:, None]
+    )
+    ridge = ridges.at(place[..., 0], place[..., 1], np.broadcast_to(angle[:, None], place.shape[1:3]))
+    line = np.clip(ridge / CLEAR_RIDGE, 0, 1).mean(-1)  # (N, TURNS)
+    best = line.argmax(1) if len(found) else np.zeros(0, int)
+    seen = line[np.arange(len(found)), best]
+    good = seen >= MIDDLE_LINE
+    score = (found[:, 3] + seen)[good] / 2
+    order = np.argsort(-score, kind="stable")
+    return Poses(found[good, :2][order], angle[best][good][order], (found[good, 2] / radius)[order], score[order])
+
+
+def _voters(ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels on ridges, x and y (N,), and the direction across them (N,) [rad]."""
+    best = ridges.maps.argmax(0)
+    y, x = np.nonzero(ridges.maps.max(0) >= VOTING * CLEAR_RIDGE)
+    k = best[y, x]
+    left, middle, right = (ridges.maps[(k + d) % DIRECTIONS, y, x].astype(float) for d in (-1, 0, 1))
+    bend = left - 2 * middle + right
+    shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, -1), 0)
+    return x, y, (k + np.clip(shift, -1, 1)) * np.pi / DIRECTIONS + np.pi / 2
+
+
+def _votes(x: np.ndarray, y: np.ndarray, normal: np.ndarray, radius: float, shape: tuple[int, int]) -> np.ndarray:
+    """(H / BIN, W / BIN) float32: how many voters are `radius` [px] from a middle in each cell or beside it, as a
+    share of the circumference."""
+    height, width = -(-shape[0] // BIN), -(-shape[1] // BIN)
+    cells = np.zeros(height * width, np.float32)
+    for side in (-1, 1):
+        column = np.floor((x + side * radius * np.cos(normal) + 0.5) / BIN).astype(int)
+        row = np.floor((y + side * radius * np.sin(normal) + 0.5) / BIN).astype(int)
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        cells += np.bincount(row[inside] * width + column[inside], minlength=len(cells)).astype(np.float32)
+    about = cv2.boxFilter(cells.reshape(height, width), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return about / np.float32(2 * np.pi * radius)

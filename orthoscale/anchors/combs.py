@@ -1,0 +1,272 @@
+"""Combs: parallel lines at one pitch, followed along straights and bends, as lanes of running tracks and yard lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..core.anchors import Anchor, Standard
+from ..core.pooling.posterior import ROBUST_SD
+from .periods import Row, find_row, fit_row
+from .repeated import LOCAL_STRETCH
+from .ridges import SEED_PX, segments, steered
+from .strokes import values
+
+LINE_SEED = 0.3  # least mean ridge of a piece of a line
+LINES_PARALLEL = np.radians(4)
+BESIDE_SEED = 4  # parallel pieces beside one that is a start
+MOST_STARTS, LEAST_STARTS = 150, 20  # per megapixel, and at least
+LINE_SD_PX = 0.75, 1.2  # [px] of the ridge filter across, at least and at most; else half of what a line is wide
+LINE_LEAST = 0.1  # [grey levels] ridge of a line in a cross section ...
+LINE_CLEAR = 0.4  # ... and as a share of that of the weakest of the fewest that there must be
+LINE_KEPT = 0.3  # of the strength of the first block's lines, that others need
+COMB_FILLED = 0.85  # of the lines
+COMB_REGULAR = 4.0  # natural logarithm of how much likelier such a row is as one than by chance
+BLOCKS_MISSING = 2  # in a row
+FEWEST_BLOCKS = 10
+MOST_BLOCKS = 200  # in one direction: once round a running track
+BLOCKS_KEPT = 0.7  # of those that were asked
+COMB_UNEVEN = 0.02  # scatter of the blocks' periods, one sigma
+PITCH_KEPT = 0.06  # relative, by which the pitch of a block may differ from that of the first
+ASTRAY = 0.6  # of the pitch, from one block to the next
+LINE_SIDE = 0.4  # of the pitch, from a line to where the ground beside it is asked
+TRUE_LINE = 0.35  # of what most lines stand out, that each must
+STEPS = 0.6  # of the contrast: how far levels midway between lines change from block to block, one sigma
+CONTRAST = 8.0  # grey levels between lines and ground, less where lines are thinner than half a pixel
+
+
+@dataclass(frozen=True)
+class Comb:
+    """What is followed. low, high : of the pitch [px]. fewest, most : lines. block : length of a piece that is measured
+    at once, across : of its cross section to either side, line : width of the paint [px]."""
+
+    low: float
+    high: float
+    fewest: int
+    most: int
+    block: float
+    across: float
+    line: float
+
+
+@dataclass(frozen=True)
+class Block:
+    """A piece of a comb. place : (2,) on the line that is followed [px]. heading : [rad]. row : of all lines about that
+    place, along `across` [px]. strength : of the lines' ridges [grey levels]."""
+
+    place: np.ndarray
+    heading: float
+    row: Row
+    strength: float
+
+    @property
+    def across(self) -> np.ndarray:
+        """(2,) unit vector."""
+        return np.array([-np.sin(self.heading), np.cos(self.heading)])
+
+    @property
+    def number(self) -> np.ndarray:
+        """(M,) of the lines, counted from the one that is followed."""
+        return self.row.number + round(self.row.start / self.row.period)
+
+    def lines(self, aside: float = 0.0) -> np.ndarray:
+        """(M, 2) where the lines, or what is so many periods `aside`, cross the middle of the block [px]."""
+        return self.place + (self.row.start + self.row.period * (self.row.number + aside))[:, None] * self.across
+
+    def only(self, numbers: np.ndarray, fewest: int) -> Block | None:
+        """Of the lines with these `numbers` alone; None where there are fewer."""
+        kept = np.isin(self.number, numbers)
+        if kept.sum() < fewest:
+            return None
+        at = self.row.start + self.row.period * self.row.number + self.row.residual
+        row = fit_row(at[kept], self.row.number[kept])
+        return Block(self.place, self.heading, row, self.strength)
+
+
+def find_combs(image: np.ndarray, light: np.ndarray, comb: Comb) -> Iterator[list[Block]]:
+    """Combs in RGB uint8 `image` with `light` (H, W) float32, each by its blocks in order: bright lines on ground that
+    is alike along them, at a pitch that they keep."""
+    taken = np.zeros((0, 2))
+    found: list[list[Block]] = []
+    for x, y, angle in _starts(light, comb):
+        if len(taken) and np.hypot(*(taken - (x, y)).T).min() < comb.across / 2:
+            continue
+        blocks, tried = _followed(light, np.array([x, y]), angle, comb)
+        blocks = _of_true_lines(light, blocks, comb)
+        if len(blocks) >= max(FEWEST_BLOCKS, BLOCKS_KEPT * tried) and _is_painted(image, blocks, comb):
+            taken = np.concatenate([taken, *(block.lines() for block in blocks)])
+            found.append(blocks)
+    kept = np.full((1, 2), -1e9)
+    for blocks in sorted(found, key=len, reverse=True):
+        places = np.concatenate([block.lines() for block in blocks])
+        if np.median(cKDTree(kept).query(places)[0]) > pitch(blocks):  # else part of a longer one
+            kept = np.concatenate([kept, places])
+            yield blocks
+
+
+def comb_anchor(blocks: Sequence[Block], kind: str, standards: tuple[Standard, ...], false: float) -> Anchor:
+    """A comb as an anchor of `kind`; its reference length is the pitch."""
+    period = _pitches(blocks)
+    half = np.linalg.norm(blocks[0].place - blocks[1].place) / 2
+    pieces = []
+    for block in blocks:
+        along = half * np.array([np.cos(block.heading), np.sin(block.heading)])
+        pieces.append(np.stack([block.lines() - along, block.lines() + along], 1))
+    lines = np.concatenate(pieces)
+    return Anchor(
+        kind=kind,
+        place=lines.mean((0, 1)),
+        lines=lines,
+        pixels=pitch(blocks),
+        relative_sd=float(np.hypot(_scatter(period) / np.sqrt(len(period)), LOCAL_STRETCH)),
+        residual=np.concatenate([block.row.residual for block in blocks]),
+        standards=standards,
+        false=false,
+        count=round(float(np.median([len(block.row.number) for block in blocks]))),
+    )
+
+
+def _pitches(blocks: Sequence[Block]) -> np.ndarray:
+    """(B,) of the blocks [px], square to the way that the comb goes."""
+    place = np.array([block.place for block in blocks])
+    step = np.gradient(place, axis=0)
+    turn = np.arctan2(step[:, 1], step[:, 0]) - [block.heading for block in blocks]
+    return np.array([block.row.period for block in blocks]) * np.abs(np.cos(turn))
+
+
+def pitch(blocks: Sequence[Block]) -> float:
+    """Of a comb [px]."""
+    return float(np.median(_pitches(blocks)))
+
+
+def _scatter(period: np.ndarray) -> float:
+    """One sigma of the blocks' periods, as a share."""
+    middle = float(np.median(period))
+    return ROBUST_SD * float(np.median(np.abs(period - middle))) / middle
+
+
+def _starts(light: np.ndarray, comb: Comb) -> np.ndarray:
+    """(N, 3) place [px] and direction [rad] of pieces of lines with others beside, those first that have most."""
+    seeds = segments(steered(light), LINE_SEED)
+    if len(seeds.angle) < comb.fewest:
+        return np.zeros((0, 3))
+    reach = max(comb.fewest * comb.high, SEED_PX)
+    by_turn = reach / (2 * LINES_PARALLEL) * np.stack([np.cos(2 * seeds.angle), np.sin(2 * seeds.angle)], 1)
+    near = cKDTree(np.hstack([seeds.middle, by_turn])).query_pairs(reach, output_type="ndarray")
+    gap = seeds.middle[near[:, 1]] - seeds.middle[near[:, 0]]
+    angle = seeds.angle[near[:, 0]]
+    across = np.abs(gap[:, 1] * np.cos(angle) - gap[:, 0] * np.sin(angle))
+    beside = (np.abs(gap[:, 0] * np.cos(angle) + gap[:, 1] * np.sin(angle)) < SEED_PX / 2) & (across > 0.8 * comb.low)
+    support = np.bincount(near[beside].ravel(), minlength=len(seeds.angle))
+    order = np.argsort(-support, kind="stable")
+    order = order[support[order] >= BESIDE_SEED][: max(LEAST_STARTS, round(MOST_STARTS * light.size / 1e6))]
+    return np.column_stack([seeds.middle, seeds.angle])[order]
+
+
+def _followed(light: np.ndarray, start: np.ndarray, angle: float, comb: Comb) -> tuple[list[Block], int]:
+    """The comb about `start` [px], block by block in both ways from there, and how many blocks were asked."""
+    first = _block(light, start, angle, comb, (comb.low, comb.high), LINE_LEAST)
+    if first is None:
+        return [], 1
+    between = first.row.period * (1 - PITCH_KEPT), first.row.period * (1 + PITCH_KEPT)
+    parts, tried = [], 1
+    for way in (1.0, -1.0):
+        got = [first]
+        place, heading, missing = first.place, first.heading, 0
+        while missing <= BLOCKS_MISSING and len(got) < MOST_BLOCKS:
+            place = place + way * comb.block * np.array([np.cos(heading), np.sin(heading)])
+            if not (0 <= place[0] < light.shape[1] and 0 <= place[1] < light.shape[0]):
+                break
+            seen = _block(light, place, heading, comb, between, LINE_KEPT * first.strength)
+            tried, missing = tried + 1, missing + 1 if seen is None else 0
+            if seen is not None:
+                heading = _heading(got, seen, way)
+                got.append(Block(seen.place, heading, seen.row, seen.strength))
+                place = seen.place
+        tried -= missing
+        parts.append(got[1:])
+    return [*parts[1][::-1], first, *parts[0]], tried
+
+
+def _heading(before: Sequence[Block], now: Block, way: float) -> float:
+    """Direction of the lines at `now` [rad]: the chord from the third block before turns by half of what they do."""
+    back = before[max(len(before) - 3, 0)]
+    chord = (now.place - back.place) * way
+    turned = (np.arctan2(chord[1], chord[0]) - back.heading + np.pi / 2) % np.pi - np.pi / 2
+    return float(back.heading + turned * (2 if len(before) > 1 else 1))
+
+
+def _block(
+    light: np.ndarray, place: np.ndarray, angle: float, comb: Comb, between: tuple[float, float], least: float
+) -> Block | None:
+    """The lines across the comb at `place` [px], with a pitch `between` two [px], of ridges of `least` [grey levels];
+    None of too few."""
+    unit, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    fine = np.arange(-comb.across, comb.across, 0.25)
+    t = np.linspace(-0.5, 0.5, max(6, int(comb.block))) * comb.block
+    grid = place + t[:, None, None] * unit + fine[:, None] * across
+    inside = ((grid >= 0) & (grid <= np.array(light.shape[::-1]) - 1)).all(-1).all(0)
+    response = ridge_across(values(light, grid).mean(0), 0.25, float(np.clip(comb.line / 2, *LINE_SD_PX)))
+    left, middle, right = response[:-2], response[1:-1], response[2:]
+    peak = np.flatnonzero((middle > left) & (middle >= right) & (middle > least) & inside[1:-1])
+    if len(peak) < comb.fewest:
+        return None
+    clear = max(LINE_CLEAR * float(np.sort(middle[peak])[-comb.fewest]), least)
+    peak = peak[middle[peak] > clear]
+    bend = left[peak] - 2 * middle[peak] + right[peak]
+    offset = fine[peak + 1] + 0.125 * (left[peak] - right[peak]) / np.minimum(bend, -1e-9)
+    row = find_row(offset, *between, comb.fewest)
+    if row is None or row.filled < COMB_FILLED or len(row.number) > comb.most or row.regularity < COMB_REGULAR:
+        return None
+    # the line that is followed is the one next to the place
+    nearest = float(np.clip(np.round(-row.start / row.period), 0, row.number[-1]))
+    shift = row.start + nearest * row.period
+    if abs(shift) > ASTRAY * row.period:
+        return None
+    moved = Row(row.period, row.start - shift, row.member, row.number, row.residual, row.sd)
+    return Block(place + shift * across, angle, moved, float(np.median(middle[peak[row.member]])))
+
+
+def ridge_across(profile: np.ndarray, step: float, sd: float) -> np.ndarray:
+    """(N,) ridges of a cross section (N,) sampled every `step` [px], by a second derivative of a Gaussian of `sd` [px]
+    with a unit sum of its size."""
+    reach = np.ceil(4 * sd / step)
+    r = np.arange(-reach, reach + 1) * step / sd
+    kernel = (1 - r**2) * np.exp(-0.5 * r**2)
+    kernel = (kernel - kernel.mean()) / np.abs(kernel).sum()
+    return np.convolve(np.pad(profile, len(r) // 2, mode="edge"), kernel, mode="valid")
+
+
+def _of_true_lines(light: np.ndarray, blocks: Sequence[Block], comb: Comb) -> list[Block]:
+    """`blocks` with those lines alone that are brighter than what is on either side of them, all along: where lanes end
+    on brighter ground there is an edge, but no line."""
+    if len(blocks) < FEWEST_BLOCKS:
+        return []
+    number = np.concatenate([block.number for block in blocks])
+    over = []
+    for block in blocks:
+        line, *sides = (values(light, block.lines(aside)) for aside in (0.0, -LINE_SIDE, LINE_SIDE))
+        over.append(line - np.maximum(*sides))
+    rise = np.concatenate(over)
+    numbers, count = np.unique(number, return_counts=True)
+    typical = np.array([np.median(rise[number == n]) for n in numbers])
+    true = (count > BLOCKS_KEPT * len(blocks)) & (typical > TRUE_LINE * np.quantile(typical, 0.75))
+    if typical.max() <= 0 or true.sum() < comb.fewest:
+        return []
+    return [one for block in blocks if (one := block.only(numbers[true], comb.fewest - 1)) is not None]
+
+
+def _is_painted(image: np.ndarray, blocks: Sequence[Block], comb: Comb) -> bool:
+    """Whether the lines keep their pitch, and are brighter than ground that is alike along them."""
+    if _scatter(np.array([block.row.period for block in blocks])) > COMB_UNEVEN:
+        return False
+    paint = np.array([np.median(values(image, block.lines()), axis=0) for block in blocks])
+    ground = np.array([np.median(values(image, block.lines(0.5)[:-1]), axis=0) for block in blocks])
+    over = np.median(paint, axis=0) - np.median(ground, axis=0)
+    contrast = float(over[:2].mean())
+    steps = ROBUST_SD * float(np.median(np.abs(np.diff(ground[:, :2].mean(1)))))
+    # white on red gains less in red than in green and blue
+    return contrast > CONTRAST * min(1.0, comb.line / 0.5) and steps < STEPS * contrast and float(over.min()) > 0

@@ -1,0 +1,47 @@
+"""Where courts may lie, and the ridges of a picture that are looked up for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .ridges import DIRECTIONS, Segments, segments, steered
+
+SEED = 0.35  # least mean ridge of a seed
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where courts may lie: place (N, 2) [px], angle (N,) of their length [rad], px per metre (N,), mean ridge (N,)."""
+
+    place: np.ndarray
+    angle: np.ndarray
+    size: np.ndarray
+    score: np.ndarray
+
+    def only(self, which: np.ndarray) -> Poses:
+        """Those of a mask, or by their numbers."""
+        return Poses(self.place[which], self.angle[which], self.size[which], self.score[which])
+
+
+class Ridges:
+    """The steered ridges of one picture, to be looked up. light : (H, W) float32 grey levels."""
+
+    def __init__(self, light: np.ndarray) -> None:
+        self.maps = steered(light)
+        self.height, self.width = light.shape
+
+    @cached_property
+    def seeds(self) -> Segments:
+        """Straight pieces, of crossing ones the clearest."""
+        return segments(self.maps, SEED)
+
+    def at(self, x: np.ndarray, y: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Ridge that runs in `direction` [rad] at (x, y) [px], CLEAR_RIDGE if clear; 0 outside. Shapes agree."""
+        k = np.rint(direction * (DIRECTIONS / np.pi)).astype(np.int32) % DIRECTIONS
+        column, row = np.floor(x + 0.5).astype(np.int32), np.floor(y + 0.5).astype(np.int32)
+        inside = (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
+        index = (k * self.height + row) * self.width + column
+        return np.where(inside, self.maps.ravel()[np.where(inside, index, 0)], 0)

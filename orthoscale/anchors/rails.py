@@ -1,0 +1,323 @@
+"""Railway tracks, by the distance between the heads of their rails.
+
+Two lines that run a gauge apart are followed along the track, block by block; sleepers between them, or a second track
+beside, tell it from kerbs and lane lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..core.anchors import Anchor, Standard
+from ..core.pooling.posterior import ROBUST_SD
+from .combs import ridge_across
+from .repeated import LOCAL_STRETCH
+from .ridges import SEED_PX, Segments, lightness, segments, steered
+from .rules import holding, sizes, within_reach
+from .strokes import values
+
+HEAD = 0.072  # [m] width of a rail's head: 60E1 of EN 13674-1; R65 of GOST 51685 has 0.075, 136RE of AREMA 0.0746
+# [m] one sigma of the distance between what is seen of both heads, half a polished strip to either side, and of how far
+# a track in use is off its gauge (EN 13848-5: some mm).
+HEAD_SEEN = 0.015
+
+# Gauge [m], its prior where the country is not known, and the countries whose main lines have it.
+_UIC = "EN 15273; UIC 510"
+GAUGES = (
+    (1.435, 1.0, "", _UIC),
+    (1.520, 0.3, "RU BY UA KZ EE LV LT FI MD GE AM AZ UZ KG TJ TM MN", "GOST 34894 (1.520 m); Finland's 1.524 m"),
+    (1.668, 0.1, "ES PT", "Iberian gauge, Adif NAV 7 (1.668 m)"),
+    (1.676, 0.1, "IN PK BD LK AR CL", "Indian Railways, Schedule of Dimensions (1.676 m)"),
+    (1.600, 0.05, "IE BR", "Irish gauge, 5 ft 3 in"),
+    (1.067, 0.2, "JP ZA NZ ID PH TW ZW ZM BW AO GH NG SD", "Cape gauge, 3 ft 6 in"),
+    (1.000, 0.2, "CH TH VN MY MM KH KE UG TZ SN ML CI BR AR CL BO", "metre gauge"),
+)
+STANDARD_TOO = "ES PT IN JP AR BR CH TW KE TZ NG MY TH IE"  # where lines of standard gauge were built beside
+
+RAIL_FALSE = 0.05  # with sleepers; none was counted on real pictures without rails, see benchmarks
+RAIL_FALSE_WITHOUT = 0.15  # with a second track only
+
+RAIL_SEED = 0.3  # least mean ridge of a piece of a rail
+RAIL_PARALLEL = np.radians(2.5)  # between two pieces of one track
+STARTS = 150  # per megapixel, the pairs that most others continue
+CONTINUED = 2  # pairs, at least, that go on where one ends
+BLOCK = 3.0  # [m] of track whose cross section is taken at once
+RAIL_SD, RAIL_SD_PX = 0.045, 0.75  # of the ridge filter across [m] and [px]
+RAIL_WINDOW = 0.1  # of the distance: how far from their places rails are looked for
+RAIL_CLEAR = 2.5  # noises of the cross section
+RAIL_MISSING = 2  # blocks in a row
+FEWEST_RAIL_BLOCKS = 8
+RAIL_FILLED = 0.75  # of the blocks
+RAIL_UNEVEN = 0.02  # of the distance: scatter of the blocks' own, one sigma; rails keep it to some mm
+RAIL_ALONE = 0.6  # of the rails' ridge: what is stronger between them and beside is a third line ...
+RAIL_CROWDED = 0.35  # ... which so many of the blocks may have
+CLOSE_BESIDE, FARTHEST_BESIDE = 0.9, 1.6  # distances from the middle, where that is asked
+RAIL_SAME_GROUND = 22.0  # [grey levels] by which the ground may differ between the rails and outside
+SLEEPERS = 0.48, 0.72  # [m] period: 0.60 to 0.65 in Europe, 0.50 to 0.55 under wood in America and Russia
+SLEEPER_PEAK = 5.0  # times the median of the spectrum of what lies between the rails
+TRACKS_APART = 3.3, 6.5  # [m] between the middles of two tracks
+ALIKE_TRACKS = 0.02  # relative difference of their distances
+
+
+def _standards() -> tuple[Standard, ...]:
+    """Standard gauge everywhere but where main lines have another, and the others there."""
+    found = []
+    for gauge, prior, countries, source in GAUGES:
+        metres = gauge + HEAD
+        words = f"{source}; heads {HEAD:g} m wide (EN 13674-1) seen in their middle"
+        name, sd = f"gauge {gauge:.3f} m", HEAD_SEEN / metres
+        found.append(Standard(name, metres, sd, words, prior, tuple(countries.split())))
+        if not countries:
+            found.append(Standard(f"{name}, new lines", metres, sd, words, 0.3, tuple(STANDARD_TOO.split())))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Track:
+    """Blocks (B,) of a track. middle : (B, 2) [px]. along : (B, 2) unit vectors. apart : (B,) [px] between the rails.
+    third : (B, 2) strongest ridge between the rails and close beside them, and out to where a second track may begin,
+    as shares of the weaker rail's. ground : (B, 3) levels left, between, right.
+    tried : blocks that were asked."""
+
+    middle: np.ndarray
+    along: np.ndarray
+    apart: np.ndarray
+    third: np.ndarray
+    ground: np.ndarray
+    tried: int
+
+    @property
+    def distance(self) -> float:
+        """Between the rails [px]."""
+        return float(np.median(self.apart))
+
+    @property
+    def scatter(self) -> float:
+        """One sigma of the blocks' distances, as a share of their median."""
+        return ROBUST_SD * float(np.median(np.abs(self.apart - self.distance))) / self.distance
+
+    def lines(self) -> np.ndarray:
+        """(2 (B - 1), 2, 2) both rails, from block to block [px]."""
+        across = np.stack([-self.along[:, 1], self.along[:, 0]], -1) * self.distance / 2
+        return np.concatenate(
+            [np.stack([rail[:-1], rail[1:]], 1) for rail in (self.middle + s * across for s in (-1, 1))]
+        )
+
+
+@dataclass(frozen=True)
+class RailTracks:
+    """Finds straight and slightly bent railway tracks (an `AnchorFinder`) of any of the `standards`."""
+
+    standards: tuple[Standard, ...] = _standards()
+    kind = "railway track"
+    extent = 60.0
+    finest = 0.05
+    coarsest = 0.16
+
+    def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
+        """See `AnchorFinder.find`."""
+        standards = holding(self.standards, country) if country else list(self.standards)
+        if min(image.shape[:2]) < 2 * SEED_PX:
+            return []
+        low, high = sizes(standards, gsd, gsd_sd)
+        light = lightness(image)
+        tracks = [track for look in (light, 255 - light) for track in _tracks(look, low, high, gsd)]
+        found = []
+        for track in tracks:
+            meant = within_reach(standards, track.distance, gsd, gsd_sd)
+            if not meant:
+                continue
+            if _has_sleepers(light, track, meant):
+                false = RAIL_FALSE
+            elif _is_alone(track, 1) and any(_beside(track, other, gsd) for other in tracks):
+                false = RAIL_FALSE_WITHOUT
+            else:
+                continue
+            sd = float(np.hypot(track.scatter / np.sqrt(len(track.apart)), LOCAL_STRETCH))
+            residual = track.apart - track.distance
+            found.append(
+                Anchor(self.kind, track.middle.mean(0), track.lines(), track.distance, sd, residual, meant, false)
+            )
+        return found
+
+
+def _tracks(light: np.ndarray, low: float, high: float, gsd: float) -> list[Track]:
+    """Those whose rails are brighter than what is beside them, `low` to `high` [px] apart."""
+    pairs = _pairs(segments(steered(light), RAIL_SEED), low, high, round(STARTS * light.size / 1e6))
+    left = np.ones(len(pairs), bool)
+    found: list[Track] = []
+    for k, (x, y, angle, apart) in enumerate(pairs):
+        if not left[k]:
+            continue
+        track = _followed(light, np.array([x, y]), angle, apart, gsd)
+        left[k] = False
+        if track is None:
+            continue
+        near, _ = cKDTree(track.middle).query(pairs[:, :2])
+        left &= near > max(BLOCK / gsd, 0.5 * apart)
+        if _is_track(track):
+            found.append(track)
+    return found
+
+
+def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
+    """(N, 4) middle x, y [px], angle [rad] and distance [px] of parallel pieces side by side that others continue, the
+    most continued first."""
+    if len(seeds.angle) < 2:
+        return np.zeros((0, 4))
+    pair = cKDTree(seeds.middle).query_pairs(float(np.hypot(high, SEED_PX / 2)), output_type="ndarray")
+    turn = (seeds.angle[pair[:, 1]] - seeds.angle[pair[:, 0]] + np.pi / 2) % np.pi - np.pi / 2
+    angle = (seeds.angle[pair[:, 0]] + turn / 2) % np.pi
+    step = seeds.middle[pair[:, 1]] - seeds.middle[pair[:, 0]]
+    apart = np.abs(step[:, 1] * np.cos(angle) - step[:, 0] * np.sin(angle))
+    ahead = np.abs(step[:, 0] * np.cos(angle) + step[:, 1] * np.sin(angle))
+    good = (np.abs(turn) <= RAIL_PARALLEL) & (apart >= low) & (apart <= high) & (ahead <= SEED_PX / 2)
+    pair, angle, apart = pair[good], angle[good], apart[good]
+    if not len(pair):
+        return np.zeros((0, 4))
+    middle = seeds.middle[pair].mean(1)
+    # one place, direction and distance: a turn of RAIL_PARALLEL, or a tenth in distance, counts as half the reach
+    reach = 2.5 * SEED_PX
+    by_turn = reach / (4 * RAIL_PARALLEL) * np.stack([np.cos(2 * angle), np.sin(2 * angle)], 1)
+    across = middle[:, 1] * np.cos(angle) - middle[:, 0] * np.sin(angle)
+    place = np.column_stack([middle, by_turn, np.log(apart) * reach * 5])
+    near = cKDTree(place).query_pairs(reach, output_type="ndarray")
+    c, s = np.cos(angle[near[:, 0]]), np.sin(angle[near[:, 0]])
+    gap = middle[near[:, 1]] - middle[near[:, 0]]
+    behind = (np.abs(gap[:, 1] * c - gap[:, 0] * s) < 0.1 * apart[near[:, 0]]) & (
+        np.abs(gap[:, 0] * c + gap[:, 1] * s) > SEED_PX / 2
+    )
+    support = np.bincount(near[behind].ravel(), minlength=len(pair))
+    del across
+    order = np.argsort(-support, kind="stable")
+    order = order[support[order] >= CONTINUED][:most]
+    return np.column_stack([middle, angle, apart])[order]
+
+
+def _followed(light: np.ndarray, start: np.ndarray, angle: float, apart: float, gsd: float) -> Track | None:
+    """The track through `start` [px], both ways from there; None of too few blocks."""
+    step = BLOCK / gsd
+    rows: list[tuple] = []
+    tried = 0
+    first = _block(light, start, angle, apart, step, gsd)
+    if first is None:
+        return None
+    for way in (1.0, -1.0):
+        place, heading, missing, got = first[0], angle, 0, []
+        while missing <= RAIL_MISSING:
+            place = place + way * step * np.array([np.cos(heading), np.sin(heading)])
+            if not (0 <= place[0] < light.shape[1] and 0 <= place[1] < light.shape[0]):
+                break
+            seen = _block(light, place, heading, apart, step, gsd)
+            tried += 1
+            missing = missing + 1 if seen is None else 0
+            if seen is not None:
+                got.append(seen)
+                place = seen[0]
+                back = got[-4][0] if len(got) > 3 else first[0]
+                off = (place - back) * way
+                heading = float(np.arctan2(off[1], off[0])) if len(got) > 1 else heading
+        tried -= missing
+        rows = (got[::-1] if way < 0 else rows) + (rows if way < 0 else got)
+        if way > 0:
+            rows = [first, *got]
+    if len(rows) < FEWEST_RAIL_BLOCKS:
+        return None
+    middle = np.array([row[0] for row in rows])
+    along = np.gradient(middle, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    apart_, third = np.array([row[1] for row in rows]), np.array([row[2] for row in rows])
+    return Track(middle, along, apart_, third, np.array([row[3] for row in rows]), tried + 1)
+
+
+def _block(
+    light: np.ndarray, place: np.ndarray, angle: float, apart: float, length: float, gsd: float
+) -> tuple[np.ndarray, float, tuple[float, float], np.ndarray] | None:
+    """A piece of track about `place`: its middle, the rails' distance [px], the strongest other ridges and the ground,
+    as `Track` has them; None where there are no two rails."""
+    unit, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    sd = max(RAIL_SD / gsd, RAIL_SD_PX)
+    reach = np.ceil(FARTHEST_BESIDE * apart * 4)
+    offset = np.arange(-reach, reach + 1) / 4
+    t = np.linspace(-0.5, 0.5, max(8, int(length))) * length
+    grid = place + t[:, None, None] * unit + offset[:, None] * across
+    profile = values(light, grid).mean(0)
+    response = ridge_across(profile, 0.25, sd)
+    rail = []
+    for side in (-1, 1):
+        about = np.abs(offset - side * apart / 2) <= RAIL_WINDOW * apart
+        k = int(np.flatnonzero(about)[response[about].argmax()])
+        if not (0 < k < len(offset) - 1) or response[k] < max(response[k - 1], response[k + 1]):
+            return None
+        left, middle, right = response[k - 1 : k + 2]
+        bend = left - 2 * middle + right
+        rail.append((offset[k] + (0.125 * (left - right) / bend if bend < 0 else 0.0), middle))
+    (a, one), (b, other) = rail
+    away = (np.abs(offset - a) > 3 * sd) & (np.abs(offset - b) > 3 * sd)
+    near = away & (np.abs(offset) < CLOSE_BESIDE * apart)
+    noise = ROBUST_SD * float(np.median(np.abs(response[near]))) + 0.1
+    weaker = min(one, other)
+    if weaker < RAIL_CLEAR * noise:
+        return None
+    between, beside = np.abs(offset) < 0.3 * apart, (np.abs(offset) > 0.65 * apart) & (np.abs(offset) < 0.9 * apart)
+    ground = np.array([np.median(profile[part]) for part in (beside & (offset < 0), between, beside & (offset > 0))])
+    third = float(response[near].max()) / weaker, float(response[away].max()) / weaker
+    return place + (a + b) / 2 * across, b - a, third, ground
+
+
+def _is_track(track: Track) -> bool:
+    """Whether two lines keep their distance, alone, on one ground."""
+    if len(track.apart) < FEWEST_RAIL_BLOCKS or len(track.apart) < RAIL_FILLED * track.tried:
+        return False
+    ground = np.median(track.ground, axis=0)
+    return (
+        _is_alone(track, 0)
+        and track.scatter < RAIL_UNEVEN
+        and float(np.abs(ground[[0, 2]] - ground[1]).max()) < RAIL_SAME_GROUND
+    )
+
+
+def _is_alone(track: Track, out: int) -> bool:
+    """Whether there is no third line, close beside (`out` is 0) or out to where a second track may begin (1)."""
+    return bool(np.mean(track.third[:, out] > RAIL_ALONE) <= RAIL_CROWDED)
+
+
+def _has_sleepers(light: np.ndarray, track: Track, standards: Sequence[Standard]) -> bool:
+    """Whether what lies between the rails repeats at a period that sleepers have."""
+    steps = np.linalg.norm(np.diff(track.middle, axis=0), axis=1)
+    at = np.concatenate([[0.0], np.cumsum(steps)])
+    s = np.arange(0, at[-1], 0.5)
+    place = np.column_stack([np.interp(s, at, track.middle[:, k]) for k in (0, 1)])
+    along = np.column_stack([np.interp(s, at, track.along[:, k]) for k in (0, 1)])
+    across = np.stack([-along[:, 1], along[:, 0]], -1)
+    offset = np.linspace(-0.3, 0.3, 13)[:, None, None] * track.distance
+    seen = values(light, place + offset * across).mean(0)
+    width = max(3, int(2 * track.distance))
+    seen = seen - np.convolve(
+        np.pad(seen, width, mode="reflect"), np.ones(2 * width + 1) / (2 * width + 1), mode="valid"
+    )
+    spectrum = np.abs(np.fft.rfft(seen * np.hanning(len(seen))))
+    rate = np.fft.rfftfreq(len(seen), 0.5)  # per pixel
+    for standard in standards:
+        pixel = standard.metres / track.distance
+        among = (rate * SLEEPERS[1] / pixel >= 1) & (rate * SLEEPERS[0] / pixel <= 1)
+        around = (rate * 2.5 / pixel >= 1) & (rate * 0.35 / pixel <= 1) & ~among
+        if among.any() and around.any() and spectrum[among].max() > SLEEPER_PEAK * np.median(spectrum[around]):
+            return True
+    return False
+
+
+def _beside(track: Track, other: Track, gsd: float) -> bool:
+    """Whether `other` is a second track that runs along `track`."""
+    if track is other or abs(np.log(track.distance / other.distance)) > ALIKE_TRACKS:
+        return False
+    gap, nearest = cKDTree(other.middle).query(track.middle)
+    aligned = np.abs((track.along * other.along[nearest]).sum(1)) > np.cos(2 * RAIL_PARALLEL)
+    off = other.middle[nearest] - track.middle
+    apart = np.abs(off[:, 1] * track.along[:, 0] - off[:, 0] * track.along[:, 1]) * gsd
+    low, high = TRACKS_APART
+    return bool((aligned & (gap * gsd < high + BLOCK) & (apart > low) & (apart < high)).mean() > 0.5)

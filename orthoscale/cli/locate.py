@@ -1,0 +1,124 @@
+"""`orthoscale locate`: where on a map photos were taken."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..actions.requests import VehicleRequest
+from .options import (
+    EXIT_CODES,
+    PATH,
+    command,
+    debug_option,
+    json_option,
+    option,
+    options_of,
+    overwrite_option,
+    progress_bars,
+    say,
+)
+from .photo_options import lens_options
+
+
+@command(
+    epilog="\b\nExamples:\n"
+    "  orthoscale locate a.jpg --satellite city.tif --fleet DE --out found/\n"
+    "  orthoscale locate flight/ --satellite city.tif --gsd 0.08 --out found/ \\\n"
+    "      --prior 8.54,47.38,1500\n"
+    "  orthoscale locate a.jpg --satellite city.tif --heading search --out found/\n\n" + EXIT_CODES
+)
+@click.argument("paths", metavar="PHOTO...", nargs=-1, required=True, type=PATH)
+@option("--satellite", required=True, type=PATH, group="Input", help="Georeferenced map: satellite or orthophoto.")
+@option(
+    "--prior",
+    metavar="PLACE",
+    group="Input",
+    help="LON,LAT,RADIUS, or X,Y,RADIUS in the map's own coordinates; radius in metres. The whole map by default.",
+)
+@option(
+    "--heading",
+    metavar="DEG",
+    group="Input",
+    help="Of the photo's top, clockwise from north, or `search` for any; by default XMP's, else any.",
+)
+@option("--gsd", type=float, metavar="M", group="Input", help="GSD of the photos in m/px; then nothing is measured.")
+@option(
+    "--method",
+    type=click.Choice(["auto", "dense", "gradient", "retrieval"]),
+    default="auto",
+    group="Input",
+    help="How photo and map are compared  [default: auto]",
+)
+@option("--embedding", type=PATH, group="Input", help="Your network for retrieval, ONNX.")
+@option("--embedding-map", type=PATH, group="Input", help="The one for the map, if it is another.")
+@option("--top", type=click.IntRange(1, 20), default=5, group="Output", help="Candidates to list  [default: 5]")
+@option("--out", required=True, type=PATH, group="Output", help="Folder to write.")
+@options_of(VehicleRequest)
+@lens_options
+@overwrite_option
+@json_option("what was found")
+@debug_option
+def locate(
+    paths: tuple[Path, ...],
+    satellite: Path,
+    prior: str | None,
+    heading: str | None,
+    gsd: float | None,
+    method: str,
+    embedding: Path | None,
+    embedding_map: Path | None,
+    top: int,
+    out: Path,
+    overwrite: bool,
+    as_json: bool,
+    debug: bool,
+    focal_px: float | None,
+    lens_file: Path | None,
+    pitch: float | None,
+    roll: float | None,
+    **looking: Any,
+) -> None:
+    """Find where on a map photos were taken.
+
+    PHOTO is a photo or a folder of photos. Its ground, as large as its vehicles say (or --gsd), is looked for on the
+    map and verified by local matches. OUT gets located.json, candidates.csv, located.gpkg and matches.jpg. Of a photo
+    that is not located (exit code 3), or that fits two places (4), the candidates are written all the same.
+    """
+    from ..actions.locate import LocateRequest
+    from ..actions.locate import locate as located
+    from ..locate.outcome import all_failed
+    from ..photos.looking import Looking
+    from ..sources.satellite import Satellite
+    from ..system.outputs import Outputs
+
+    request = LocateRequest(
+        prior=prior,
+        heading=heading,
+        gsd=gsd,
+        method=method,
+        embedding=embedding,
+        embedding_map=embedding_map,
+        top=top,
+        lens={"focal_px": focal_px, "lens_file": lens_file, "pitch": pitch, "roll": roll},
+        looking=Looking.of(looking),
+    )
+    inputs = (paths, satellite, embedding, embedding_map, lens_file, looking)
+    with Outputs(overwrite, inputs) as outputs, progress_bars() as progress:
+        folder = outputs.folder(out)
+        sky = Satellite.open(satellite)
+        outputs.protect(*sky.source.files)
+        found = located(paths, sky, request, progress)
+        found.write(folder)
+    if as_json:
+        click.echo(json.dumps(found.to_dict()))
+    else:
+        from ..locate.terminal import summary
+
+        say(summary(found.to_dict(), out))
+    failure = all_failed(found.outcomes)
+    if failure is not None:
+        raise failure

@@ -1,0 +1,100 @@
+"""Photos whose place is known: DenseUAV's ``Dense_GPS_*.txt``, columns of a CSV, or the photos' own GPS tags."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import InputError
+from ..formats.reading import read_text
+from .readers import Sample
+
+GPS_FILES = "Dense_GPS_*.txt"
+GPS_LINE = re.compile(r"^(\S+)\s+E(-?\d+(?:\.\d+)?)\s+N(-?\d+(?:\.\d+)?)\s+(-?\d+(?:\.\d+)?)\s*$")
+GPS_HINT = "Lines are: path E<longitude> N<latitude> height."
+GPS_FOLDERS_ABOVE = 2  # folders above the photos' in which the file of their places is looked for
+NAME_PARTS = 2  # of a path: DenseUAV has 000001/H80.JPG in several folders, and the paths of its authors' disk
+
+
+@dataclass(frozen=True)
+class PlacedSample:
+    """A photo, and the longitude and latitude below its camera [deg]."""
+
+    sample: Sample
+    lon_lat: tuple[float, float]
+
+
+def placed(path: Path, samples: Sequence[Sample]) -> tuple[list[PlacedSample], list[str]]:
+    """Those of the `samples` of the data set at `path` whose place is known, and notes on the others.
+
+    Raises InputError for a damaged file of places, and where no place is known.
+    """
+    told = places_of_csv(path) if path.is_file() else places_of_denseuav(path)
+    found = []
+    for sample in samples:
+        place = told.get(_short(sample.photo.name)) or sample.photo.tags.lon_lat
+        if place is not None:
+            found.append(PlacedSample(sample, place))
+    if not found:
+        raise InputError(
+            f"{path}: no photo with a known place",
+            f"Give {GPS_FILES} beside the photos, columns longitude and latitude, or photos with GPS tags.",
+        )
+    missing = len(samples) - len(found)
+    return found, [f"{missing} photos without a known place left out"] if missing else []
+
+
+def places_of_denseuav(folder: Path) -> dict[str, tuple[float, float]]:
+    """Longitude and latitude by the last two parts of a photo's path, from all ``Dense_GPS_*.txt`` in `folder` or near
+    above it; none where there is no such file. Raises InputError."""
+    for place in (folder, *folder.absolute().parents[:GPS_FOLDERS_ABOVE]):
+        files = sorted(place.glob(GPS_FILES))
+        if files:
+            return {name: where for file in files for name, where in _gps_lines(file).items()}
+    return {}
+
+
+def _gps_lines(path: Path) -> dict[str, tuple[float, float]]:
+    places = {}
+    for number, line in enumerate(read_text(path, GPS_HINT).splitlines(), 1):
+        if not line.strip():
+            continue
+        match = GPS_LINE.match(line.strip())
+        lon, lat = (float(match[2]), float(match[3])) if match else (math.nan, math.nan)
+        if match is None or not (abs(lon) <= 180 and abs(lat) <= 90):
+            raise InputError(f"{path}, line {number}: {line.strip()[:80]!r} is no place of a photo", GPS_HINT)
+        places[_short(match[1])] = (lon, lat)
+    return places
+
+
+def places_of_csv(path: Path) -> dict[str, tuple[float, float]]:
+    """Longitude and latitude by a photo's name, from the columns image, longitude and latitude; none where the table
+    has no such columns. Raises InputError."""
+    table = csv.DictReader(io.StringIO(read_text(path, "Give the CSV file."), newline=""))
+    if not {"image", "longitude", "latitude"} <= set(table.fieldnames or ()):
+        return {}
+    places = {}
+    for row in table:
+        texts = [(row[name] or "").strip() for name in ("longitude", "latitude")]
+        if not all(texts):
+            continue
+        try:
+            lon, lat = (float(text) for text in texts)
+        except ValueError:
+            lon = lat = math.nan
+        if not (abs(lon) <= 180 and abs(lat) <= 90):
+            raise InputError(
+                f"{path}, line {table.line_num}: {', '.join(texts)} is no longitude and latitude",
+                "Correct or remove the line.",
+            )
+        places[_short((row["image"] or "").strip())] = (lon, lat)
+    return places
+
+
+def _short(name: str) -> str:
+    return "/".join(name.replace("\\", "/").split("/")[-NAME_PARTS:])

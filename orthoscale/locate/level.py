@@ -1,0 +1,90 @@
+"""A photo levelled by its pitch and roll: the ground that it shows, as from straight above."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from ..core.projection.level import level_axes, level_views
+from ..core.projection.view import LOWEST_ELEVATION
+from ..core.source import NO_DATA_GREY
+from ..photos.measure import Photo
+from ..sources.undistort import undistort
+from .ground import GroundImage
+
+EDGE_POINTS = 24  # along each side of the photo, whose places on the ground tell how far it reaches
+
+
+@dataclass(frozen=True)
+class LevelledPhoto:
+    """The ground below `photo`, taken to be level, `altitude` claimed metres under the camera. Its own place is the
+    camera's foot; up is where the photo's top points."""
+
+    photo: Photo
+    altitude: float
+
+    @cached_property
+    def shown(self) -> np.ndarray:
+        """(N, 2) places that the photo shows [claimed m, right and down of the foot]; what it sees flatter than
+        25 degrees below the horizon is left out."""
+        width, height = self.photo.tags.width, self.photo.tags.height
+        along = np.linspace(0, 1, EDGE_POINTS)
+        # A grid, not the edge alone: where the edge lies above the horizon, the inside tells how far to look.
+        x, y = (side.ravel() for side in np.meshgrid(along * width, along * height))
+        views, seen = self.photo.views(np.column_stack([x, y]), self.altitude)
+        ground = views.ground @ level_axes(self.photo.up).T * (1, -1)
+        return ground[seen]
+
+    @property
+    def corners(self) -> np.ndarray | None:
+        """(4, 2) the photo's corners on the ground [claimed m, right and down of the foot], from the upper left
+        clockwise; None when one of them is looked at flatter than 10 degrees below the horizon."""
+        width, height = self.photo.tags.width, self.photo.tags.height
+        corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+        plane, lens, ok = undistort(self.photo.lens.camera, corners)
+        views, seen = level_views(plane, lens, self.photo.up, self.altitude, np.radians(10.0))
+        return views.ground @ level_axes(self.photo.up).T * (1, -1) if (ok & seen).all() else None
+
+    @property
+    def size(self) -> np.ndarray:
+        """(2,) width and height of the ground that it shows [claimed m]."""
+        return np.ptp(self.shown, axis=0)
+
+    def at(self, gsd: float) -> GroundImage:
+        """The ground at `gsd` claimed metres per pixel."""
+        low, high = self.shown.min(0), self.shown.max(0)
+        width, height = np.maximum(np.ceil((high - low) / gsd).astype(int), 1)
+        y, x = np.indices((height, width)) + 0.5
+        ground = low + gsd * np.stack([x, y], -1)
+        pixels, seen = self._pixels_of(ground.reshape(-1, 2))
+        tags = self.photo.tags
+        # Averaged to about the resolution that is wanted before it is resampled, lest it alias.
+        nadir = self.altitude / self.photo.lens.focal_px
+        shrink = max(1.0, gsd / nadir)
+        out = max(1, round(tags.width / shrink)), max(1, round(tags.height / shrink))
+        photo = self.photo.picture.read(0, 0, tags.width, tags.height, *out)
+        at = (pixels * (out[0] / tags.width, out[1] / tags.height) - 0.5).astype(np.float32).reshape(height, width, 2)
+        picture = cv2.remap(photo, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        valid = seen.reshape(height, width)
+        picture[~valid] = NO_DATA_GREY
+        return GroundImage(picture, valid, gsd, low)
+
+    def _pixels_of(self, ground: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(N, 2) pixels of places on the ground [claimed m, right and down of the foot], and (N,) bool whether the
+        photo shows them."""
+        up = self.photo.up
+        points = (ground * (1, -1)) @ level_axes(up) - self.altitude * up
+        rays = np.linalg.norm(points, axis=1)
+        ahead = points[:, 2] > 0
+        steep = self.altitude >= np.sin(np.radians(LOWEST_ELEVATION)) * rays
+        usable = ahead & steep
+        camera = self.photo.lens.camera
+        pixels = np.full((len(points), 2), np.nan)
+        if usable.any():
+            pixels[usable] = np.array(camera.img_from_cam(points[usable]), float).reshape(-1, 2)
+        with np.errstate(invalid="ignore"):
+            inside = (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+        return np.where(np.isfinite(pixels), pixels, -1.0), usable & inside

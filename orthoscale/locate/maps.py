@@ -1,0 +1,180 @@
+"""The map as a square grid of metres, and its dense features tile by tile, kept for the next photo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import cv2
+import numpy as np
+
+from ..core.source import NO_DATA_GREY
+from ..detect.cache import Kept, content_key
+from ..errors import UsageError
+from ..sources.satellite import Satellite
+from .features import Features
+
+FEATURE_TILE = 96  # [cells] side of what is described at once
+GRID_STEP = 2**0.5  # between the resolutions at which a map is described: photos of about one size share its features
+FEATURE_CODE = ("locate/maps.py", "locate/features.py", "sources/raster.py")  # what decides over a map's features
+IN_MEMORY = 64  # tiles; with 64 channels 75 MB
+SAMPLED_TILES = 24  # tiles that tell what is usual on a map
+
+
+@dataclass(frozen=True)
+class MapGrid:
+    """A georeferenced map on a grid of square pixels of `gsd` ground metres; x right and y down from its corner.
+
+    pixel : (2,) ground metres of one of the map's own pixels, across and down, at its middle.
+    """
+
+    satellite: Satellite
+    gsd: float
+    pixel: np.ndarray
+
+    @classmethod
+    def of(cls, satellite: Satellite, coarsest: float) -> MapGrid:
+        """That of the finest gsd of a fixed series which is not finer than `coarsest` [m/px], nor than the map.
+
+        Raises UsageError for a map that shows the ground mirrored.
+        """
+        if satellite.transform.determinant > 0:
+            raise UsageError(
+                f"{satellite.source.name}: its first row is the southernmost, the ground is mirrored in it",
+                "Turn it with gdalwarp.",
+            )
+        pixel = satellite.pixel_size(np.array([satellite.source.width, satellite.source.height]) / 2)
+        own = float(np.sqrt(pixel.prod()))
+        steps = max(0, int(np.ceil(np.log(coarsest / own) / np.log(GRID_STEP) - 1e-9)))
+        return cls(satellite, own * GRID_STEP**steps, pixel)
+
+    @property
+    def size(self) -> np.ndarray:
+        """(2,) width and height [px of the grid]."""
+        return np.array([self.satellite.source.width, self.satellite.source.height]) * self.pixel / self.gsd
+
+    def map_pixel(self, place: np.ndarray) -> np.ndarray:
+        """(N, 2) the map's own pixels, of places (N, 2) on the grid."""
+        return np.asarray(place) * self.gsd / self.pixel
+
+    def place_of(self, map_pixel: np.ndarray) -> np.ndarray:
+        """(N, 2) places on the grid, of the map's own pixels (N, 2)."""
+        return np.asarray(map_pixel) * self.pixel / self.gsd
+
+    def read(self, x: int, y: int, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """RGB uint8 (height, width, 3) of a window of the grid, and (height, width) bool where the map has data; the
+        window may reach beyond the map. Raises InputError where the map is damaged."""
+        source = self.satellite.source
+        whole = np.array([source.width, source.height])
+        corners = self.map_pixel(np.array([[x, y], [x + width, y + height]], float))
+        low = np.clip(np.floor(corners[0]).astype(int) - 1, 0, whole)
+        high = np.clip(np.ceil(corners[1]).astype(int) + 1, 0, whole)
+        span = high - low
+        if (span < 1).any():
+            return np.full((height, width, 3), NO_DATA_GREY, np.uint8), np.zeros((height, width), bool)
+        out = np.maximum(np.rint(span * self.pixel / self.gsd).astype(int), 1)
+        part = source.read(*(int(v) for v in (*low, *span, *out)))
+        known = (part != NO_DATA_GREY).any(-1).astype(np.uint8)
+        zoom = span * self.pixel / self.gsd / out  # grid pixels per pixel of `part`, nearly 1
+        start = self.place_of(low) - (x, y)
+        to_out = np.array([[zoom[0], 0, start[0] + zoom[0] / 2 - 0.5], [0, zoom[1], start[1] + zoom[1] / 2 - 0.5]])
+        pixels = cv2.warpAffine(part, to_out, (width, height), borderMode=cv2.BORDER_REPLICATE)
+        valid = cv2.warpAffine(known, to_out, (width, height), flags=cv2.INTER_NEAREST)
+        return pixels, valid > 0
+
+
+@dataclass(frozen=True)
+class Usual:
+    """What is usual on a map, taken off its features so that what is unusual decides: their mean (C,), and the basis
+    (K, C) in which they are uncorrelated and of one spread."""
+
+    mean: np.ndarray
+    basis: np.ndarray
+
+    @classmethod
+    def of(cls, samples: Sequence[np.ndarray], channels: int) -> Usual:
+        """From features (C, H, W), keeping the `channels` that vary most, or fewer. Nil vectors do not count."""
+        rows = np.concatenate([f[:, np.abs(f).sum(0) > 0].T for f in samples]).astype(np.float64)
+        if len(rows) < 2:
+            return cls(np.zeros(samples[0].shape[0], np.float32), np.eye(samples[0].shape[0], dtype=np.float32))
+        spread, axes = np.linalg.eigh(np.cov(rows.T))
+        keep = np.argsort(spread)[::-1][:channels]
+        floor = 0.01 * spread.max()  # what hardly varies is noise, and stays small
+        basis = axes[:, keep].T / np.sqrt(spread[keep] + floor)[:, None]
+        return cls(rows.mean(0).astype(np.float32), basis.astype(np.float32))
+
+    def of_features(self, features: np.ndarray) -> np.ndarray:
+        """(K, H, W) unit vectors of features (C, H, W); nil ones remain nil."""
+        nil = np.abs(features).sum(0) == 0
+        turned = np.tensordot(self.basis, features - self.mean[:, None, None], 1)
+        turned /= np.linalg.norm(turned, axis=0) + 1e-6
+        turned[:, nil] = 0
+        return turned.astype(np.float32)
+
+
+class MapFeatures:
+    """The dense features of a map on a `MapGrid`, made when they are asked for, and kept in the user's cache."""
+
+    def __init__(self, grid: MapGrid, features: Features, channels: int, cache: bool = True):
+        self.grid, self.features = grid, features
+        self._tile = lru_cache(IN_MEMORY)(self._made_tile)
+        self._channels = channels
+        key = content_key([grid.satellite.source], {"features": features.key, "gsd": grid.gsd}, FEATURE_CODE)
+        self._kept = Kept(key) if cache and key is not None else None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the map [cells]."""
+        width, height = np.ceil(self.grid.size / self.features.stride).astype(int)
+        return int(height), int(width)
+
+    @cached_property
+    def usual(self) -> Usual:
+        """What is usual on this map, from a sample of its tiles."""
+        rows, columns = (range(0, side, FEATURE_TILE) for side in self.shape)
+        tiles = [(r, c) for r in rows for c in columns]
+        chosen = np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), SAMPLED_TILES)).astype(int))
+        return Usual.of([self._tile(*tiles[k]) for k in chosen], self._channels)
+
+    def window(self, row: int, column: int, height: int, width: int) -> np.ndarray:
+        """(K, height, width) unit vectors of a window [cells], which may reach beyond the map; nil there."""
+        first = None
+        for r in range(max(row, 0) // FEATURE_TILE * FEATURE_TILE, min(row + height, self.shape[0]), FEATURE_TILE):
+            for c in range(
+                max(column, 0) // FEATURE_TILE * FEATURE_TILE, min(column + width, self.shape[1]), FEATURE_TILE
+            ):
+                tile = self._tile(r, c)
+                if first is None:
+                    first = np.zeros((tile.shape[0], height, width), np.float32)
+                top, left = max(r, row), max(c, column)
+                low, right = min(r + tile.shape[1], row + height), min(c + tile.shape[2], column + width)
+                first[:, top - row : low - row, left - column : right - column] = tile[
+                    :, top - r : low - r, left - c : right - c
+                ]
+        if first is None:
+            return np.zeros((len(self.usual.basis), height, width), np.float32)
+        return self.usual.of_features(first)
+
+    def finer(self, coarsest: float) -> MapFeatures:
+        """The same map's features on the grid for `coarsest` [m/px], with what is usual taken from this one."""
+        grid = MapGrid.of(self.grid.satellite, coarsest)
+        fine = MapFeatures(grid, self.features, self._channels, self._kept is not None)
+        fine.usual = self.usual
+        return fine
+
+    def _made_tile(self, row: int, column: int) -> np.ndarray:
+        """(C, FEATURE_TILE, FEATURE_TILE) features of one tile, in half precision as they are kept."""
+        name = f"{row},{column}"
+        content = self._kept.content(name) if self._kept is not None else None
+        if content is not None:
+            return np.frombuffer(content, np.float16).reshape(-1, FEATURE_TILE, FEATURE_TILE)
+        stride = self.features.stride
+        edge = -(-self.features.border // stride)
+        side = (FEATURE_TILE + 2 * edge) * stride
+        pixels, valid = self.grid.read((column - edge) * stride, (row - edge) * stride, side, side)
+        inner = slice(edge, edge + FEATURE_TILE)
+        made = self.features.of(pixels, valid)[:, inner, inner].astype(np.float16)
+        if self._kept is not None:
+            self._kept.keep(name, made.tobytes())
+        return made

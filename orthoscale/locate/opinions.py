@@ -1,0 +1,57 @@
+"""Two opinions on one scale: the vehicles', and the one of the map that a photo was matched with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.evidence import CONFLICT_LIMIT, Evidence, combined
+from ..core.pooling.posterior import Posterior
+from ..photos.measure import Measure
+from .claimed import BY_WORD, ClaimedScale
+
+OF_THE_MAP = "map"
+
+
+@dataclass(frozen=True)
+class Opinions:
+    """Average GSDs of one photo [m/px], each with its 90 % interval.
+
+    claimed : before the search, by `by`. matched : by the map. together : of both, where they agree. sigmas : how far
+    apart they are.
+    """
+
+    claimed: Measure
+    by: str
+    matched: Measure
+    together: Measure | None
+    sigmas: float
+
+    @property
+    def contradict(self) -> bool:
+        """Whether they cannot both be right."""
+        return self.sigmas > CONFLICT_LIMIT
+
+    @property
+    def said(self) -> str:
+        """What to think of the two, in words."""
+        verb = "contradict each other" if self.contradict else "agree"
+        ratio = self.claimed.value / self.matched.value
+        return f"the {self._who} and the map {verb}: {ratio:.3f} times, {self.sigmas:.1f} sigmas apart"
+
+    @property
+    def _who(self) -> str:
+        return "given GSD" if self.by == BY_WORD else self.by
+
+
+def opinions(claimed: ClaimedScale, factor: float, factor_sd: float) -> Opinions:
+    """Of a photo whose ground is `factor` times as large as claimed, with relative one-sigma `factor_sd`."""
+    value = claimed.gsd.value * factor
+    matched = Measure.log_normal(value, factor_sd)
+    before = Posterior.normal(float(np.log(claimed.gsd.value)), claimed.sd)
+    evidence = Evidence(OF_THE_MAP, value, factor_sd, "the map's scale, by the match")
+    both = combined(before, {claimed.by: claimed.sd}, [evidence])
+    sigmas = abs(float(np.log(factor))) / float(np.hypot(claimed.sd, factor_sd))
+    together = None if both.conflict else Measure(*both.summary)
+    return Opinions(claimed.gsd, claimed.by, matched, together, sigmas)

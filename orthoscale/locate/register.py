@@ -1,0 +1,345 @@
+"""One picture of the ground onto a georeferenced map: where it lies, which way it is turned, and how large it is.
+
+The picture is turned and scaled in all the ways that are possible, each is correlated with the map, and the best places
+are verified by local matches that agree on one similarity. How many must agree follows from what the same picture
+reaches at wrong places of the same map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Protocol
+
+import numpy as np
+import pyproj
+
+from ..errors import TooLittleEvidence, UsageError
+from ..sources.satellite import Satellite
+from .correlate import Peak, Template, search
+from .features import Features
+from .ground import GroundImage, Seen
+from .maps import MapFeatures, MapGrid
+from .verify import Similarity, Verified, needed, verified
+
+ACROSS = 320.0  # [px] to which the longer side of a picture is brought
+FINER = 640.0  # [px] the same for the last look at the best place, where the map has so much detail
+EVERY = 2  # cells across and down of the picture that the last look matches
+SMALLEST_ON_MAP = 96.0  # [px] that the shorter side of a picture must have on the map
+SCALE_STEP = 1.1  # between the scales that are tried: the features still agree half of it off
+HEADING_STEP = np.radians(10.0)  # between the headings; half of it moves the edge of a picture by 4 % of its size
+HEADING_SD = np.radians(8.0)  # to which a known heading is trusted, to both sides
+MOST_STEPS = 12  # of scales; factor 3
+CHANNELS = 24  # that are correlated
+VERIFIED = 20  # candidates that are verified
+NEGATIVES = 20  # mirrored pictures that tell how many matches agree by chance
+LEAST_MATCHES = 12  # matches that must agree however few do elsewhere
+RIVAL = 0.7  # share of the best candidate's matches from which another place is about as good
+ANOTHER_PLACE = 0.25  # [pictures' diagonals] from which on a place is another one
+LEVELLING_SD = 0.005  # of the scale by one match: the lie of the land, and of the picture. An assumption.
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known before the search.
+
+    scales : (lowest, highest) true metres per claimed metre of the picture. heading : of its top, clockwise from north
+    [rad]; None if any. prior : (longitude, latitude, radius [m]) that the middle of its ground lies in; None for the
+    whole map.
+    """
+
+    scales: tuple[float, float] = (1.0, 1.0)
+    heading: float | None = None
+    prior: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A place that was verified.
+
+    pose : from claimed metres of the picture, right and down of its own place, to pixels of `grid`. score : mean cosine
+    of the search. inliers : matches that agree. middle : (2,) longitude and latitude of the middle of the picture's
+    ground [deg]. heading : of the picture's top, clockwise from north [rad]. scale : true metres per claimed metre;
+    scatter : its relative one-sigma, by how far the matches scatter. matches : (N, 4) those that agree: x, y of the
+    picture [claimed m right and down], x, y of the map [its pixels].
+    """
+
+    grid: MapGrid
+    pose: Similarity
+    score: float
+    inliers: int
+    middle: np.ndarray
+    heading: float
+    scale: float
+    scatter: float
+    matches: np.ndarray
+
+    def map_pixels(self, places: np.ndarray) -> np.ndarray:
+        """(N, 2) the map's own pixels, of places (N, 2) of the picture [claimed m right and down]."""
+        return self.grid.map_pixel(self.pose(places))
+
+    def lon_lat(self, places: np.ndarray) -> np.ndarray:
+        """(N, 2) longitude and latitude [deg] of places (N, 2) of the picture [claimed m right and down]."""
+        return self.grid.satellite.lon_lat(self.map_pixels(places))
+
+
+@dataclass(frozen=True)
+class Registration:
+    """What came of it.
+
+    candidates : the verified places, best first; none where nothing on the map resembles the picture. needed : matches
+    that must agree. rival : the number of another candidate about as good as the first, None where there is none.
+    scale_sd : relative one-sigma of the first one's scale, infinite where it is not good enough.
+    """
+
+    candidates: tuple[Candidate, ...]
+    needed: int
+    rival: int | None
+    scale_sd: float
+
+    @property
+    def located(self) -> Candidate | None:
+        """The best candidate, if it is good enough and alone."""
+        return None if self.problem else self.candidates[0]
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether two places match about equally well, and well enough."""
+        return self.rival is not None
+
+    @property
+    def problem(self) -> str:
+        """Why the picture was not located, in words; '' where it was."""
+        if not self.candidates:
+            return "nothing on the map resembles it"
+        best = self.candidates[0].inliers
+        if best < self.needed:
+            return f"best candidate has {best} matches, {self.needed} needed"
+        if self.rival is not None:
+            return f"two places match about equally: {best} and {self.candidates[self.rival].inliers} matches"
+        return ""
+
+
+def register(
+    seen: Seen,
+    satellite: Satellite,
+    features: Features,
+    known: Known = Known(),  # noqa: B008 - a frozen value
+    cache: bool = True,
+    step: Callable[[str, int, int], None] | None = None,
+    finder: Finder | None = None,
+) -> Registration:
+    """Find `seen` on the map `satellite`.
+
+    cache : keep the map's features for the next picture. step : is told of the progress. finder : finds the places
+    that are verified; by default correlation of `features`.
+    Raises UsageError for a prior outside of the map, TooLittleEvidence for a picture that is too small on it.
+    """
+    grid = grid_for(seen, satellite, known.scales)
+    mapped = MapFeatures(grid, features, CHANNELS, cache)
+    area = search_area(mapped, known.prior)
+    scales = scale_steps(known.scales)
+    image = seen.at(grid.gsd / max(scales))
+    turns = heading_steps(known.heading, up_of(grid, area, features.stride))
+    ways = [Way.of(image, turn, scale, mapped) for turn, scale in product(turns, scales)]
+    apart = ANOTHER_PLACE * float(np.hypot(*(image.size * np.median(scales)))) / (grid.gsd * features.stride)
+    report = None if step is None else (lambda done, total: step("Searching the map", done, total))
+    found = (finder or correlation)(ways, mapped, area, apart, VERIFIED, report)
+    looks = [(ways[peak.template], peak, verified(ways[peak.template].template, peak, mapped)) for peak in found]
+    places = different(looks, image, mapped, apart)
+    wrong = mirrored(ways, mapped, area) + [each.count for _, _, each in places[1:]]
+    enough = max(LEAST_MATCHES, needed(wrong, len(places)))
+    candidates = tuple(_candidate(*place, image, mapped) for place in places if place[2].fit is not None)
+    return judged(candidates, enough, seen, mapped)
+
+
+def correlation(
+    ways: Sequence[Way],
+    mapped: MapFeatures,
+    area: tuple[int, int, int, int],
+    apart: float,
+    most: int,
+    step: Callable[[int, int], None] | None = None,
+) -> list[Peak]:
+    """The `Finder` that correlates dense features; see `correlate.search`."""
+    return search([way.template for way in ways], mapped.window, area, apart, most, step)
+
+
+def grid_for(seen: Seen, satellite: Satellite, scales: tuple[float, float]) -> MapGrid:
+    """The grid on which `seen` has about ACROSS px. Raises TooLittleEvidence where the map is too coarse for it."""
+    size = seen.size * float(np.sqrt(scales[0] * scales[1]))
+    grid = MapGrid.of(satellite, float(size.max()) / ACROSS)
+    if size.min() / grid.gsd < SMALLEST_ON_MAP:
+        across, down = size / grid.gsd
+        raise TooLittleEvidence(
+            f"the picture shows {size[0]:.0f} x {size[1]:.0f} m, {across:.0f} x {down:.0f} px of "
+            f"{satellite.source.name}; each side needs {SMALLEST_ON_MAP:.0f} px",
+            "Take a finer map, or a picture from higher up.",
+        )
+    return grid
+
+
+def search_area(mapped: MapFeatures, prior: tuple[float, float, float] | None) -> tuple[int, int, int, int]:
+    """Row, column, height and width of what is searched [cells]. Raises UsageError for a prior outside of the map."""
+    height, width = mapped.shape
+    if prior is None:
+        return 0, 0, height, width
+    lon, lat, radius = prior
+    grid = mapped.grid
+    middle = grid.place_of(grid.satellite.pixel_of(lon, lat)) / mapped.features.stride
+    reach = radius / (grid.gsd * mapped.features.stride)
+    low, high = np.floor(middle - reach), np.ceil(middle + reach)
+    if not np.isfinite(middle).all() or (high <= 0).any() or (low >= [width, height]).any():
+        raise UsageError(
+            f"the prior, {radius:g} m around {lon:.6f}, {lat:.6f}, lies outside of {grid.satellite.source.name}",
+            extent_in_words(grid.satellite),
+        )
+    left, top = (int(v) for v in np.maximum(low, 0))
+    right, bottom = (int(v) for v in np.minimum(high, [width, height]))
+    return top, left, bottom - top, right - left
+
+
+def extent_in_words(satellite: Satellite) -> str:
+    """From where to where a map goes."""
+    source = satellite.source
+    low, high = satellite.lon_lat(np.array([[0, source.height], [source.width, 0]]))
+    return f"It goes from {low[0]:.6f}, {low[1]:.6f} to {high[0]:.6f}, {high[1]:.6f} (longitude, latitude)."
+
+
+def up_of(grid: MapGrid, area: tuple[int, int, int, int], stride: int) -> float:
+    """Which way the map's columns go up at the middle of `area` [cells], clockwise from north [rad]."""
+    top, left, height, width = area
+    middle = grid.map_pixel(np.array([left + width / 2, top + height / 2]) * stride)
+    here, above = grid.satellite.lon_lat(np.stack([middle, middle - (0.0, 50.0)]))
+    return float(np.radians(pyproj.Geod(ellps="WGS84").inv(*here, *above)[0]))
+
+
+def scale_steps(scales: tuple[float, float]) -> np.ndarray:
+    """The scales that are tried, evenly by ratio from the lowest to the highest. Raises UsageError for too many."""
+    low, high = scales
+    steps = int(np.ceil(np.log(high / low) / np.log(SCALE_STEP) - 1e-9)) + 1 if high > low else 1
+    if steps > MOST_STEPS:
+        raise UsageError(
+            f"a scale between {low:.3g} and {high:.3g} times the claimed one is too uncertain for a search",
+            "Give a better scale (--gsd).",
+        )
+    return np.geomspace(low, high, steps)
+
+
+def heading_steps(heading: float | None, up: float) -> np.ndarray:
+    """The turns that are tried [rad], clockwise from the map's up, which points to `up` from north."""
+    if heading is None:
+        return np.arange(0, 2 * np.pi - 1e-9, HEADING_STEP)
+    return heading - up + np.array([-1.0, 0.0, 1.0]) * HEADING_SD
+
+
+@dataclass(frozen=True)
+class Way:
+    """The picture turned and scaled in one way. pose : from its claimed metres to the template's pixels."""
+
+    pose: Similarity
+    template: Template
+
+    @classmethod
+    def of(cls, image: GroundImage, turn: float, scale: float, mapped: MapFeatures) -> Way:
+        """`image` turned clockwise by `turn` [rad], with `scale` times its claimed metres."""
+        turned, to_pixels = image.turned(turn, scale, mapped.grid.gsd)
+        pose = Similarity.of_affine(to_pixels)
+        features = mapped.usual.of_features(mapped.features.of(turned.pixels, turned.valid))
+        return cls(pose, Template(features, pose(image.middle[None])[0, ::-1] / mapped.features.stride, turned))
+
+
+class Finder(Protocol):
+    """Finds the places that are worth verifying."""
+
+    def __call__(
+        self,
+        ways: Sequence[Way],
+        mapped: MapFeatures,
+        area: tuple[int, int, int, int],
+        apart: float,
+        most: int,
+        step: Callable[[int, int], None] | None = None,
+    ) -> list[Peak]:
+        """The `most` best places of the pictures `ways` with their middles in `area` (row, column, height, width), no
+        two nearer than `apart` [cells], best first. Raises InputError."""
+        ...
+
+
+Look = tuple[Way, Peak, Verified]  # a way, where the search put it, and what the matches there say
+
+
+def mirrored(ways: Sequence[Way], mapped: MapFeatures, area: tuple[int, int, int, int]) -> list[int]:
+    """How many matches agree where the picture certainly is not: its mirror image at random places of the map."""
+    draw = np.random.default_rng(0)
+    counts = []
+    for _ in range(NEGATIVES):
+        template = ways[int(draw.integers(len(ways)))].template.mirrored(mapped)
+        row, column = (int(area[k] + draw.integers(max(area[k + 2], 1))) for k in (0, 1))
+        counts.append(verified(template, Peak(0.0, 0, row, column), mapped).count)
+    return counts
+
+
+def different(looks: Sequence[Look], image: GroundImage, mapped: MapFeatures, apart: float) -> list[Look]:
+    """`looks` with most matches first, without those whose matches lead to a place that a better one has: two peaks
+    side by side may be one place. apart : as of `search` [cells]."""
+    kept: list[Look] = []
+    places: list[np.ndarray] = []
+    for look in sorted(looks, key=lambda each: -each[2].count):
+        way, peak, each = look
+        place = np.array([peak.column, peak.row], float)
+        if each.fit is not None:
+            place = each.fit.similarity(way.pose(image.middle[None]) / mapped.features.stride)[0]
+        if all(np.hypot(*(place - other)) >= apart for other in places):
+            kept.append(look)
+            places.append(place)
+    return kept
+
+
+def judged(candidates: Sequence[Candidate], enough: int, seen: Seen, mapped: MapFeatures) -> Registration:
+    """The result of `candidates`, best first, of which one with `enough` matches is right."""
+    if not candidates:
+        return Registration((), enough, None, float("inf"))
+    best = candidates[0]
+    rivals = [k for k, other in enumerate(candidates) if k and other.inliers >= RIVAL * best.inliers]
+    rival = rivals[0] if rivals and best.inliers >= enough else None
+    if best.inliers < enough:
+        return Registration(tuple(candidates), enough, None, float("inf"))
+    best, sd = refined(best, seen, mapped)
+    return Registration((best, *candidates[1:]), enough, rival, float(np.hypot(sd, LEVELLING_SD)))
+
+
+def refined(best: Candidate, seen: Seen, mapped: MapFeatures) -> tuple[Candidate, float]:
+    """`best` by one more look on a finer grid, turned and scaled as it was found; and what its matches' scatter leaves
+    of its scale, one sigma. Its count remains that of the first look."""
+    fine = mapped.finer(float(seen.size.max()) * best.scale / FINER)
+    own = best.pose.scale * best.grid.gsd  # of the grid's metres
+    image = seen.at(fine.grid.gsd / own)
+    way = Way.of(image, best.pose.turn, own, fine)
+    column, row = best.pose(image.middle[None])[0] * best.grid.gsd / (fine.grid.gsd * fine.features.stride)
+    peak = Peak(best.score, 0, int(np.rint(row)), int(np.rint(column)))
+    look = verified(way.template, peak, fine, EVERY)
+    if look.fit is None or look.count < LEAST_MATCHES:
+        return best, best.scatter
+    better = _candidate(way, peak, look, image, fine)
+    better = replace(better, inliers=best.inliers, scatter=better.scatter / EVERY)
+    return better, better.scatter
+
+
+def _candidate(way: Way, peak: Peak, look: Verified, image: GroundImage, mapped: MapFeatures) -> Candidate:
+    assert look.fit is not None
+    grid, stride = mapped.grid, mapped.features.stride
+    inner = look.fit.similarity
+    pose = Similarity(inner.factor, inner.shift * stride).after(way.pose)
+    middle = grid.map_pixel(pose(image.middle[None]))
+    ahead = grid.map_pixel(pose(image.middle[None] - (0.0, image.size[1] / 4)))
+    here, above = grid.satellite.lon_lat(np.concatenate([middle, ahead]))
+    heading = float(np.radians(pyproj.Geod(ellps="WGS84").inv(*here, *above)[0]) % (2 * np.pi))
+    # The grid's metres are those at the map's middle; projections stretch by place.
+    local = float(np.sqrt((grid.satellite.pixel_size(middle[0]) / grid.pixel).prod()))
+    agreed = look.matches[look.fit.inliers] * stride
+    matches = np.hstack([way.pose.inverse(agreed[:, :2]), grid.map_pixel(agreed[:, 2:])])
+    # Blocks that overlap are not independent: what block**2 of them say is worth one.
+    scatter = look.fit.scale_sd * mapped.features.block
+    return Candidate(grid, pose, peak.score, look.count, here, heading, pose.scale * grid.gsd * local, scatter, matches)

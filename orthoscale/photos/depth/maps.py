@@ -1,0 +1,80 @@
+"""Where the depth of photos comes from: a file, a folder of files by the photos' names, or a network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ...actions.requests import PhotoRequest
+from ...core.boxes import Boxes
+from ...errors import InputError, UsageError
+from ..measure import Measure, Photo
+from .files import MAP_ENDINGS, read_depth
+from .ground import DepthAltitude, DepthMap, Kind, depth_altitude
+from .network import DepthNetwork
+from .rules import RULES, rule_of
+
+
+class Depths:
+    """The metric depth of photos, as a request asks for it."""
+
+    def __init__(self, path: Path, kind: Kind = "z", factor: str | None = None, several: bool = False):
+        """Of the photos' depth at `path`; see `PhotoRequest` for `kind` and `factor`.
+
+        several : whether several photos will be asked for. Raises InputError, UsageError.
+        """
+        self._path, self._kind, self._told = path, kind, factor is not None
+        self._rule = rule_of(factor)
+        self._network = None
+        if not path.exists():
+            raise InputError(f"{path} does not exist", "Give a depth map, a folder of them, or a network (.onnx).")
+        if path.suffix.lower() == ".onnx":
+            if factor is None:
+                raise UsageError(
+                    f"whose network is {path.name}, and what is a unit of its depth?",
+                    f"Name it: --depth-factor {'|'.join(RULES)}, or the metres in one unit.",
+                )
+            self._network = DepthNetwork(path, self._rule)
+        elif not path.is_dir():
+            if path.suffix.lower() not in MAP_ENDINGS:
+                raise UsageError(
+                    f"{path.name} is none of {', '.join(MAP_ENDINGS)}, .onnx", "Its ending sets its format."
+                )
+            if several:
+                raise UsageError(
+                    f"{path} is the depth of one photo, and these are several",
+                    "Give a folder with a depth map for each, named as the photo is.",
+                )
+
+    @classmethod
+    def asked(cls, how: PhotoRequest, several: bool) -> Depths | None:
+        """As the request says; None where it asks for none."""
+        if how.depth is None:
+            return None
+        return cls(Path(how.depth), "range" if how.depth_kind == "range" else "z", how.depth_factor, several)
+
+    def altitude(self, photo: Photo, boxes: Boxes, by_vehicles: Measure | None = None) -> DepthAltitude:
+        """See `depth_altitude`. Raises InputError for a photo without a depth map, too."""
+        return depth_altitude(photo, self.of(photo), boxes, by_vehicles)
+
+    def of(self, photo: Photo) -> DepthMap:
+        """The depth of `photo` in metres. Raises InputError."""
+        if self._network is not None:
+            values, shrunk = self._network(photo.picture)
+            focal, origin = photo.lens.focal_px / shrunk, f"{self._path}, of {photo.name}"
+        else:
+            path = self._file(photo) if self._path.is_dir() else self._path
+            values = read_depth(path, self._told)
+            focal, origin = photo.lens.focal_px * values.shape[1] / photo.tags.width, str(path)
+        return DepthMap(values * self._rule.metres(focal), self._kind, origin)
+
+    def _file(self, photo: Photo) -> Path:
+        """The map of `photo` in the folder: under its name with another ending, in the same subfolder or in none."""
+        name = Path(photo.name)
+        for stem in (name.with_suffix(""), Path(name.stem)):
+            for ending in MAP_ENDINGS:
+                if (path := self._path / f"{stem}{ending}").is_file():
+                    return path
+        raise InputError(
+            f"{self._path}: no depth map of {photo.name}",
+            f"It is looked for as {name.stem}{MAP_ENDINGS[0]} and the like.",
+        )

@@ -1,0 +1,34 @@
+"""Which file is another program's reconstruction. What reads it is imported only where there is one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import InputError
+from ..formats.geometry.text_models import SUFFIXES
+
+MODEL_FILES = (
+    "reconstruction.json",
+    "opensfm/reconstruction.json",
+    "transforms.json",
+    "bundle.out",
+    "bundle/bundle.out",
+)
+
+
+def find_exchange(path: Path) -> Path | None:
+    """The file of another program that `path` is, or that its folder holds where it holds no COLMAP model."""
+    if path.suffix.lower() in (".json", *SUFFIXES) and path.is_file():
+        return path
+    if not path.is_dir():
+        return None
+    places = [*(path / place for place in MODEL_FILES), *sorted(path.glob("*.nvm"))]
+    found = next((place for place in places if place.is_file()), None)
+    if found is not None:
+        from .colmap_check import model_folders
+
+        try:
+            model_folders(path)
+        except InputError:
+            return found
+    return None

@@ -1,0 +1,86 @@
+"""Boxes that can be no vehicles, because they stand in one another, or that hardly anything speaks for."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.drawings import car_park
+
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
+from orthoscale.core.measuring.apart import standing_in_another
+from orthoscale.core.measuring.judgement import judgements
+from orthoscale.core.measuring.ways import measure_source
+from orthoscale.core.remarks import REFUSAL
+from orthoscale.core.verdicts import UNUSABLE, one_step_below
+from orthoscale.fleets import load_fleet
+
+DE = load_fleet("DE")
+
+
+def test_whose_middle_lies_in_another():
+    rows = [
+        [100, 100, 45, 19, 0.0],  # two side by side, in bays of 25 px
+        [100, 125, 45, 19, 0.0],
+        [300, 100, 45, 19, 0.3],  # two across one another
+        [305, 104, 45, 19, 1.6],
+        [500, 100, 90, 30, 0.0],  # a small one at the end of a long one
+        [540, 105, 20, 10, 0.0],
+        [700, 100, 45, 19, np.pi / 4],  # beside it, though within its upright frame
+        [716, 86, 45, 19, np.pi / 4],
+    ]
+    inside = standing_in_another(Boxes(np.array(rows, float), np.ones(len(rows))))
+    assert inside.tolist() == [False, False, True, True, True, True, False, False]
+    assert standing_in_another(Boxes.empty()).tolist() == []
+
+
+def random_boxes(count, side=8000, seed=0):
+    """Of the size and shape of cars, anywhere."""
+    rng = np.random.default_rng(seed)
+    length = 45 * np.exp(rng.normal(0, 0.1, count))
+    rows = [*rng.uniform(50, side - 50, (2, count)), length, length / 2.4, rng.uniform(0, np.pi, count)]
+    return Boxes(np.column_stack(rows), np.full(count, 0.9))
+
+
+@pytest.mark.parametrize("count, least, most", [(5_000, 0.05, 0.12), (100_000, 0.75, 0.95)])
+def test_random_boxes_do(count, least, most):
+    assert least < standing_in_another(random_boxes(count)).mean() < most
+
+
+def test_thousands_in_one_place_take_no_time():
+    assert standing_in_another(random_boxes(20_000, side=101)).mean() > 0.99
+
+
+@pytest.mark.parametrize("boxes", [random_boxes(2000, 1500), car_park(45, 2000, 2000, 150)], ids=["random", "apart"])
+def test_a_scale_of_such_boxes_is_refused(boxes):
+    """Both are of the sizes of vehicles, and would give a scale."""
+    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px")
+    plan.plan, plan.posed = plan, None
+    found = Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file")
+    measured = measure_source(plan, found, DE)
+    said = [remark for remark in measured.remarks if "stand in one another" in remark.text]
+    if len(boxes) == 2000:
+        assert measured.scale.verdict == UNUSABLE and [remark.severity for remark in said] == [REFUSAL]
+        assert any(check.severity == REFUSAL and check.detail == said[0].text for check in judgements(measured))
+    else:
+        assert measured.scale.verdict != UNUSABLE and not said
+
+
+@pytest.mark.parametrize(
+    "believed, doubtful, lowered", [(38, 127, True), (60, 30, False), (8, 9, False), (5, 14, False)]
+)
+def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, lowered):
+    """38 of 165: a rendered roof of panels, without any vehicle."""
+    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px")
+    plan.plan, plan.posed = plan, None
+    boxes = car_park(45, 2000, 2000, max(believed, 5))
+    given = {"plan": random_boxes(doubtful, 1900)}
+    sure, unsure = (
+        measure_source(plan, Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a detector", **more), DE)
+        for more in ({}, {"doubtful": given})
+    )
+    assert unsure.scale.value == sure.scale.value
+    assert unsure.scale.verdict == (one_step_below(sure.scale.verdict) if lowered else sure.scale.verdict)
+    assert any("two looks agree on" in check.detail for check in judgements(unsure)) == lowered
