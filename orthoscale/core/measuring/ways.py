@@ -6,6 +6,7 @@ The two ways share neither the projection model nor the pictures, so each is a c
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -97,11 +98,11 @@ def _answer(modes: dict[str, Measurement], fleet: Fleet, method: Method) -> Meas
     if len(modes) == 1:
         return first
     agreement = compare({name: m.scale for name, m in modes.items()}, _common(*modes.values()))
-    if agreement.contradicts or any(m.scale.conflict or m.pooled is None for m in modes.values()):
-        answer = modes[agreement.surer] if agreement.contradicts else first
-        scale = together(agreement)
-    else:
-        answer, scale = first, _by_vehicles(modes, fleet, method)
+    answer = modes[agreement.surer] if agreement.contradicts else first
+    scale = together(agreement)
+    if not agreement.contradicts and all(m.pooled is not None and not m.scale.conflict for m in modes.values()):
+        with suppress(TooLittleEvidence):  # of other vehicles besides, these may be too few of one scale
+            scale = _by_vehicles(modes, fleet, method)
     return replace(answer, scale=replace(scale, remarks=(*scale.remarks, agreement.remark)), agreement=agreement)
 
 
