@@ -248,8 +248,8 @@ def test_a_focal_length_far_from_that_of_exif_is_said(tmp_path):
             path = tmp_path / "images" / image.name
             path.parent.mkdir(exist_ok=True)
             Image.new("RGB", (640, 480)).save(path, "JPEG", exif=exif)
-        notes = [*map(str, ColmapSource.open(folder).notes)]
-        assert any("647 px (35 mm equivalent in EXIF)" in note and "405 px" in note for note in notes) == said
+        note = ColmapSource.open(folder).focal.said
+        assert ("647 px (35 mm equivalent in EXIF)" in note and "405 px" in note) == said
 
 
 @pytest.mark.parametrize("scene", ["sheffield", "brighton", "boruszyn", "weedon"])

@@ -1,8 +1,10 @@
 """Tiles, decoding and zoom search, with a detector that finds drawn rectangles: known truth, no network."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from support.drawings import CARD, Drawing, RectangleDetector, car_park
@@ -10,7 +12,7 @@ from support.drawings import CARD, Drawing, RectangleDetector, car_park
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.decoders import LENGTH_UNIT, MAP_STRIDE, WIDTH_UNIT, decode_maps
 from orthoscale.detect.detector import Detector
-from orthoscale.detect.tiles import sweep, tiles
+from orthoscale.detect.tiles import look_twice, place, read, sweep, tiles
 from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import InputError
 
@@ -161,3 +163,20 @@ def test_the_shipped_detector_is_small_and_says_what_it_is():
     card = detector.card
     assert card.usable_length[0] <= 12 and card.usable_length[1] >= 70
     assert card.training and card.licence
+
+
+def test_the_finder_takes_the_second_look():
+    alone, both = Detector(threads=1), Detector(threads=1, confirmed=True)
+    finder = both.confirming
+    assert (both.sha256, both.card) == (alone.sha256, alone.card) and finder.sha256 != alone.sha256
+    assert both.sure == finder.card.sure and finder.card.name in both.name
+    assert Detector(*both.settings[:3], 1, both.settings[3]).confirming.sha256 == finder.sha256
+
+    picture = Drawing(600, 500, car_park(40, 600, 500, 8, 3))
+    (tile,) = tiles(picture, 1.0)
+    image = read(picture, tile)
+    coarse = cv2.resize(image, (424, 354), interpolation=cv2.INTER_AREA)
+    looks = look_twice(picture, tile, both)
+    tile_of_coarse = replace(tile, out_width=424, out_height=354)
+    assert len(looks.fine) and looks.fine.xylwa == pytest.approx(place(alone(image), tile).xylwa)
+    assert looks.coarse.xylwa == pytest.approx(place(finder(coarse), tile_of_coarse).xylwa)

@@ -45,6 +45,7 @@ ASKED = {
     "images": ("--images", "frames"),
     "refine": ("--refine",),
     "measurer": ("--measurer", "none"),
+    "fast": ("--fast",),
     "mode": ("--mode", "planar"),
     "target": ("--target", "0.02"),
     "exhaustive": ("--exhaustive",),

@@ -41,6 +41,7 @@ SAID = {
     "gsd_hint": 0.1,
     "images": "frames",
     "refine": True,
+    "fast": True,
     "mode": "planar",
     "target": 0.01,
     "exhaustive": True,
@@ -65,10 +66,10 @@ SAID = {
     "report": "json",
 }
 OF_DETECTOR = {"detector", "decoder", "zoom", "gsd_hint"} | {
-    *("refine", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
+    *("refine", "fast", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
 }
 OF_MODEL = {"mode", "images", "projection", "dense"}
-TO_WRITE_AN_ORTHOPHOTO = {"keep_origin", "cog", "also"}
+OF_ORTHOPHOTO = {"fast", "target", "keep_origin", "cog", "also"}
 
 
 def test_the_table_has_every_option():
@@ -98,7 +99,7 @@ def test_what_is_for_the_other_kind_of_input_is_refused(park, tmp_path, name, co
     request = kind(**{name: SAID[name]})
     for judge, refused in (
         (request._for_plan, OF_MODEL),
-        (request._for_posed, TO_WRITE_AN_ORTHOPHOTO),
+        (request._for_posed, OF_ORTHOPHOTO),
     ):
         if name in refused:
             with pytest.raises(UsageError):

@@ -145,6 +145,39 @@ def test_a_tile_without_data_is_not_looked_at():
     assert len(look_twice(Drawing(300, 200, Boxes.empty()), tile, detect).fine) == 0
 
 
+def test_a_tile_in_which_nothing_was_seen_is_not_looked_at_again():
+    """Only what both looks show counts; where the first shows a vehicle, the second is asked."""
+    picture = Drawing(500, 400, Boxes.empty())
+    picture.read = lambda *_: np.random.default_rng(0).integers(0, 255, (400, 500, 3)).astype(np.uint8)
+    (tile,) = tiles(picture, 1.0)
+    asked = []
+
+    def second(image):
+        asked.append(image.shape)
+        return Boxes.empty()
+
+    assert not len(look_twice(picture, tile, lambda _: Boxes.empty(), second).coarse) and not asked
+    look_twice(picture, tile, lambda _: Boxes([[200, 200, 40, 17, 0.2]], [0.9]), second)
+    assert len(asked) == 1
+
+
+def test_two_networks_must_agree_and_the_first_measures():
+    """One takes a shed for a vehicle, the other a pond; of both boxes of the vehicle the first one's size counts."""
+    car, shed, pond = [200, 200, 40, 17, 0.2], [90, 90, 41, 18, 1.0], [300, 90, 39, 16, 0.4]
+    picture = Drawing(500, 400, Boxes.empty())
+    picture.read = lambda *_: np.random.default_rng(0).integers(0, 255, (400, 500, 3)).astype(np.uint8)
+    (tile,) = tiles(picture, 1.0)
+
+    def smaller(image):
+        return Boxes(np.array([car, pond]) * [1, 1, 0.9, 0.8, 1], [0.5, 0.9]).mapped(image.shape[1] / 500)
+
+    looks = look_twice(picture, tile, lambda _: Boxes([car, shed], [0.4, 0.9]), smaller)
+    found = sweep_twice([(picture, tile)], np.arange(1), lambda _: [(0, looks)], sure=0.44, second_measures=False)
+    assert found.boxes["drawing"].xylwa == pytest.approx(np.array([car]))
+    assert found.boxes["drawing"].score == pytest.approx([0.45])
+    assert found.doubtful["drawing"].xylwa == pytest.approx(np.array([shed]))
+
+
 def test_promising_tiles_are_those_that_show_something_from_afar():
     class Far(RectangleDetector):
         def __call__(self, image, threshold=None):
@@ -289,6 +322,7 @@ def test_caches_that_nobody_used_for_months_are_deleted(tmp_path):
 def test_the_key_holds_the_input_and_the_settings(picture_file):
     class Other(RectangleDetector):
         sha256 = "b" * 64
+        confirming = None
         layout = None
 
     detector = Other()

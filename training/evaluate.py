@@ -277,11 +277,19 @@ def _decoded_size(path: Path) -> tuple[int, int]:
     return pixels.shape[1], pixels.shape[0]
 
 
-def twice_seen(pictures: Sequence[PictureFile], zoom: float, detect: Callable[[np.ndarray], Boxes]) -> dict[str, Boxes]:
-    """Vehicles by picture name that two looks show, as a user's sweep takes them, scored by the mean of both."""
+def twice_seen(
+    pictures: Sequence[PictureFile],
+    zoom: float,
+    detect: Callable[[np.ndarray], Boxes],
+    confirm: Callable[[np.ndarray], Boxes] | None = None,
+) -> dict[str, Boxes]:
+    """Vehicles by picture name that two looks show, as a user's sweep takes them, scored by the mean of both.
+
+    confirm : takes the second look, whose sizes then do not count; by default `detect` takes it.
+    """
     jobs = [(picture, tile) for picture in pictures for tile in tiles(picture, zoom)]
-    looks = ((number, look_twice(*job, detect)) for number, job in enumerate(jobs))
-    return sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks).boxes
+    looks = ((number, look_twice(*job, detect, confirm)) for number, job in enumerate(jobs))
+    return sweep_twice(jobs, np.arange(len(jobs)), lambda _: looks, second_measures=confirm is None).boxes
 
 
 def evaluate(
@@ -291,12 +299,13 @@ def evaluate(
     score: float,
     looks: int = 2,
     aside: float = 1.0,
+    confirm: Callable[[np.ndarray], Boxes] | None = None,
 ) -> tuple[Result, list[Comparison]]:
     """Sweep a scene's pictures, at `aside` times the right zoom, and compare. `detect` gives boxes of all scores,
-    `score` is that of the figures (of the mean of both looks, where there are two)."""
+    `score` is that of the figures (of the mean of both looks, where there are two). confirm : see `twice_seen`."""
     zoom = aside * best_length / scene.length
     pictures = [p.picture for p in scene.pictures]
-    found = sweep(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, detect)
+    found = sweep(pictures, zoom, detect) if looks == 1 else twice_seen(pictures, zoom, detect, confirm)
     comparisons = []
     for p in scene.pictures:
         # The sweep drops boxes that the picture's edge may cut, so labels there are nobody's to find.
@@ -444,6 +453,7 @@ def margin_table(names: Sequence[str], known: Sequence[tuple], margin: Margin) -
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--detector", type=Path, required=True, help="ONNX file with an orthoscale card")
+    parser.add_argument("--confirming", type=Path, help="detector that takes the second look")
     parser.add_argument("--labels", type=Path, help="label file")
     parser.add_argument("--scenes", default="", help="scenes of the label file, comma separated; all by default")
     parser.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json")
@@ -469,8 +479,11 @@ def main() -> None:
 
     detector = Detector(options.detector)
     card = detector.card
-    score = options.score or (card.sure if options.looks == 2 else 0) or card.score
+    confirming = Detector(options.confirming) if options.confirming else None
+    sure = (confirming or detector).card.sure
+    score = options.score or (sure if options.looks == 2 else 0) or card.score
     detect = partial(detector, threshold=LOWEST_SCORE)
+    confirm = confirming and partial(confirming, threshold=LOWEST_SCORE)
     scenes = labelled_scenes(options.labels, list(filter(None, options.scenes.split(",")))) if options.labels else []
     scenes += checked_scenes(options.checked) if options.checked else []
     scenes += measured_scenes(options.by_hand) if options.by_hand else []
@@ -478,7 +491,7 @@ def main() -> None:
     scenes += [reference_scene(text) for text in options.reference]
     results, pictures, complete = [], [], []
     for scene in scenes:
-        result, comparisons = evaluate(scene, detect, card.best_length, score, options.looks, options.aside)
+        result, comparisons = evaluate(scene, detect, card.best_length, score, options.looks, options.aside, confirm)
         results.append(result)
         complete += comparisons if scene.complete else []
         if options.picture:

@@ -224,7 +224,8 @@ def _looked_for(
     effort = effort_of(request)
     # Somebody else's network looks at one image at a time, with all cores.
     threads = 0 if request.detector else effort.threads_each
-    network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads)
+    confirmed = source.plan is not None and request.confirms
+    network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads, confirmed)
     zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
         found, choice = find_in(

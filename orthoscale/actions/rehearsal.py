@@ -27,8 +27,10 @@ def rehearsal(
         boxes = load_detections(Path(request.detections), source, request.vehicle_classes)
         rows.append(("boxes", f"{len(boxes)} from {request.detections}"))
     else:
-        detector = None if request.detector is None else Path(request.detector)
-        rows.append(("detector", Detector(detector, request.decoder, request.vehicle_classes).card.name))
+        path_told = None if request.detector is None else Path(request.detector)
+        confirmed = source.plan is not None and request.confirms
+        detector = Detector(path_told, request.decoder, request.vehicle_classes, confirmed=confirmed)
+        rows.append(("detector", detector.name))
     rows += [("also", evidence.says) for evidence in asked.given]
     if source.claimed is not None and source.claimed.gsd_m is not None:
         rows.append(("claim", f"{source.claimed.gsd_m:.4g} m/px: {source.claimed.why}"))

@@ -221,6 +221,13 @@ class EstimateRequest(VehicleRequest):
         "built-in where the built-in detector finds them and there is no --calibration, else none.",
         metavar="NAME",
     )
+    fast: bool = option(
+        False,
+        bool,
+        "Detector",
+        "Let the small detector look twice at an orthophoto; by default a larger one takes the second look, which "
+        "makes fewer mistakes and takes half as long again.",
+    )
     mode: str | None = option(
         None,
         str,
@@ -233,7 +240,7 @@ class EstimateRequest(VehicleRequest):
         0.005,
         float,
         "Advanced",
-        "Stop the sweep at this sampling uncertainty (relative, 1 sigma).",
+        "Stop the sweep of an orthophoto at this sampling uncertainty (relative, 1 sigma).",
         positive=True,
     )
     exhaustive: bool = option(False, bool, "Advanced", "Sweep all of an orthophoto, or all frames of a model.")
@@ -305,6 +312,8 @@ class EstimateRequest(VehicleRequest):
             raise UsageError(
                 "--calibration is of a detector's boxes, and --measurer replaces these", "Give one of them."
             )
+        if self.detector is not None or self.measures is None:
+            self._refuse(("fast",), "only where the built-in networks find and measure do two look")
         if self.exhaustive:
             self._refuse(("target",), "--exhaustive visits every tile")
         if self.estimator == "iqr":
@@ -328,6 +337,12 @@ class EstimateRequest(VehicleRequest):
         return None if self.measurer == "none" else str(self.measurer)
 
     @property
+    def confirms(self) -> bool:
+        """Whether vehicles in an orthophoto are confirmed by the finder: where they are measured once more, for it
+        measures badly, and the built-in detector proposes them."""
+        return self.measures is not None and self.detector is None and self.detections is None and not self.fast
+
+    @property
     def of_detector(self) -> Iterable[str]:
         """Names of the options that say how to detect, which boxes from a file leave without effect."""
         return (*super().of_detector, *OF_LOOKING)
@@ -348,10 +363,11 @@ class EstimateRequest(VehicleRequest):
             )
 
     def _for_posed(self, path: Path) -> None:
-        """A model takes every option of `estimate`."""
+        self._refuse(("target",), f"frames are looked at until they repeat the ground, and {path} is a model")
+        self._refuse(("fast",), f"it is for orthophotos, and {path} is a model")
 
 
-OF_LOOKING = ("refine", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
+OF_LOOKING = ("refine", "fast", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -420,6 +436,7 @@ class EstimateOptions(VehicleOptions, total=False):
     images: str | Path | None
     refine: bool
     measurer: str | Path | None
+    fast: bool
     mode: str | None
     target: float
     exhaustive: bool

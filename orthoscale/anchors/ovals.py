@@ -34,10 +34,10 @@ RADII = 30.0, 45.0  # [m] of bends
 STRAIGHT = 1.5, 3.2  # of the radius: 2.31 by the rule
 VOTING_EDGE = 1.5  # of the mean gradient around
 AROUND_PX = 31  # [px]
-CELLS = 3  # [px] side of a cell of middles
+OVAL_BIN = 3  # [px] side of a cell of middles
 BEND_SEEN = 0.16  # of a whole circle; a bend is half
 MOST_BENDS = 60
-SAMPLES = 240  # along an oval
+OVAL_SAMPLES = 240  # along an oval
 SEEN_OVAL = 0.45  # of the oval on edges that run along it, before the fit ...
 FITTED_OVAL = 0.7  # ... and after, close to it
 ALONG_EDGE = 0.9  # cosine of the angle between an edge's normal and the oval's
@@ -133,21 +133,21 @@ def _candidates(image: np.ndarray, low: float, high: float) -> list[Oval]:
     clear = size > VOTING_EDGE * cv2.blur(size, (AROUND_PX, AROUND_PX)) + 2.0
     y, x = np.nonzero(clear)
     nx, ny = gx[y, x] / size[y, x], gy[y, x] / size[y, x]
-    height, width = (-(-side // CELLS) for side in image.shape[:2])
+    height, width = (-(-side // OVAL_BIN) for side in image.shape[:2])
     bends = []
     first, last = RADII[0] * low / KERB, RADII[1] * high / KERB
     for radius in np.arange(first, last, 1.5):
         cells = np.zeros(height * width, np.float32)
         for side in (-1, 1):
-            column = np.floor((x + side * radius * nx + 0.5) / CELLS).astype(int)
-            row = np.floor((y + side * radius * ny + 0.5) / CELLS).astype(int)
+            column = np.floor((x + side * radius * nx + 0.5) / OVAL_BIN).astype(int)
+            row = np.floor((y + side * radius * ny + 0.5) / OVAL_BIN).astype(int)
             inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
             cells += np.bincount(row[inside] * width + column[inside], minlength=len(cells)).astype(np.float32)
         about = cv2.boxFilter(cells.reshape(height, width), -1, (3, 3), normalize=False)
         votes = np.asarray(about / np.float32(2 * np.pi * radius), np.float32)
         top = (votes >= BEND_SEEN) & (votes >= cv2.dilate(votes, np.ones((5, 5), np.uint8)))
         for row, column in np.argwhere(top):
-            bends.append(((column + 0.5) * CELLS - 0.5, (row + 0.5) * CELLS - 0.5, radius, votes[row, column]))
+            bends.append(((column + 0.5) * OVAL_BIN - 0.5, (row + 0.5) * OVAL_BIN - 0.5, radius, votes[row, column]))
     best = np.array(sorted(bends, key=lambda bend: -bend[3])[:MOST_BENDS]).reshape(-1, 4)
     ovals = []
     for i in range(len(best)):
@@ -166,8 +166,8 @@ def _candidates(image: np.ndarray, low: float, high: float) -> list[Oval]:
 
 def _seen(gx: np.ndarray, gy: np.ndarray, clear: np.ndarray, oval: Oval) -> float:
     """Share of `oval` near clear edges that run along it."""
-    place, normal, _ = oval.points(SAMPLES)
-    hit = np.zeros(SAMPLES, bool)
+    place, normal, _ = oval.points(OVAL_SAMPLES)
+    hit = np.zeros(OVAL_SAMPLES, bool)
     for off in (-2, -1, 0, 1, 2):
         column, row = np.rint(place + off * normal).astype(int).T
         inside = (column >= 0) & (column < gx.shape[1]) & (row >= 0) & (row < gx.shape[0])
@@ -184,7 +184,7 @@ def _fitted(image: np.ndarray, oval: Oval, gsd: float) -> tuple[Oval, np.ndarray
     for window in WINDOWS_OVAL:
         reach = max(window / gsd, 1.5)
         offset = np.arange(-reach - 1, reach + 1.01, 0.5)
-        place, normal, half = oval.points(SAMPLES)
+        place, normal, half = oval.points(OVAL_SAMPLES)
         seen = values(light, place[:, None] + offset[:, None] * normal[:, None])
         slope = np.gradient(seen, axis=1)
         # the change of colour that the whole oval shows: edges count by how much of it they have
@@ -213,7 +213,7 @@ def _fitted(image: np.ndarray, oval: Oval, gsd: float) -> tuple[Oval, np.ndarray
                 normal,
                 normal[:, 1] * lever[:, 0] - normal[:, 0] * lever[:, 1],
                 half * (normal @ along) / 2,
-                np.ones(SAMPLES),
+                np.ones(OVAL_SAMPLES),
             ]
         )
         scale = reach / 2
@@ -240,7 +240,7 @@ def _fitted(image: np.ndarray, oval: Oval, gsd: float) -> tuple[Oval, np.ndarray
 def _has_lanes(image: np.ndarray, oval: Oval, gsd: float) -> bool:
     """Whether a band of one colour as wide as lanes lies outside of `oval`, and another colour inside."""
     offset = np.arange(-3.0, BAND[1] + 3.0, 0.25)  # [m]
-    place, normal, _ = oval.points(SAMPLES)
+    place, normal, _ = oval.points(OVAL_SAMPLES)
     seen = np.median(values(image, place[:, None] + offset[:, None] / gsd * normal[:, None]), axis=0)
     inside, lanes = np.median(seen[(offset < -1)], axis=0), np.median(seen[(offset > 1) & (offset < BAND[0])], axis=0)
     step = lanes - inside

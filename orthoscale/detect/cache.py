@@ -50,8 +50,9 @@ def cache_folder() -> Path:
 def cache_key(pictures: Sequence[Picture], detector: Detector, zoom: float) -> str | None:
     """SHA-256 over the pictures' content and all that decides over the boxes found in them; None when a picture cannot
     say what its content is."""
+    detectors = [detector, detector.confirming] if detector.confirming else [detector]
     settings = {
-        "detector": [detector.sha256, repr(detector.card), repr(detector.layout)],
+        "detector": [[each.sha256, repr(each.card), repr(each.layout)] for each in detectors],
         "zoom": [zoom, CONFIRMING_ZOOM],
         "tiles": [TILE, OVERLAP, TILE_BORDER],
     }

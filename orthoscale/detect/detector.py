@@ -25,6 +25,7 @@ from .foreign import ForeignError, Said, Worker
 from .output_forms import Layout, Normalisation, Shape, recognise
 
 SHIPPED = "small_vehicle.onnx"
+FINDER = "finder.onnx"  # finds better than it, and measures worse
 # A shared library with operators that onnxruntime lacks; MMDeploy's networks need its libmmdeploy_onnxruntime_ops.
 OPERATORS = "ORTHOSCALE_ONNX_OPS"
 OVERLAP = 128  # shared by neighbouring tiles or windows [px of the input]; more than the longest usable vehicle
@@ -97,7 +98,9 @@ class Detector:
     The shipped network runs in this process. Any other runs in one of its own, with limits on memory and time, and
     looks at one image at a time (`foreign.Worker`).
 
-    settings : (path, decoder, vehicle_classes) with which another process makes the same detector.
+    settings : (path, decoder, vehicle_classes, confirmed) with which another process makes the same detector.
+    confirming : the detector that takes the second look at a tile, which then only says whether there is a vehicle;
+        None where it looks twice itself.
     notes : what its user should know of what it found.
     """
 
@@ -107,17 +110,22 @@ class Detector:
         decoder: str | None = None,
         vehicle_classes: Sequence[str] = (),
         threads: int = 0,
+        confirmed: bool = False,
+        shipped: str = SHIPPED,
     ):
         """Load a network once.
 
-        path : an ONNX file; None: the shipped weights.
+        path : an ONNX file; None: the shipped weights, those called `shipped`.
         decoder : the form of its outputs (`detect.output_forms.DECODERS`), where it is not to be recognised.
         vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles.
-        threads : work on one image together; 0 for as many as there are cores. Raises InputError, UsageError.
+        threads : work on one image together; 0 for as many as there are cores.
+        confirmed : the second look is the shipped FINDER's.
+        Raises InputError, UsageError.
         """
-        self.settings = (path, decoder, tuple(vehicle_classes))
+        self.settings = (path, decoder, tuple(vehicle_classes), confirmed)
+        self.confirming = Detector(threads=threads, shipped=FINDER) if confirmed else None
         self.notes: list[str] = []
-        self.path, content, self._network = load_network(path, SHIPPED, threads)
+        self.path, content, self._network = load_network(path, shipped, threads)
         path = self.path
         inputs, outputs, meta = self._network.said
         if len(inputs) != 1:
@@ -133,6 +141,16 @@ class Detector:
         self.layout = layout
         self.sha256 = hashlib.sha256(content).hexdigest()
         self._type = IMAGE_TYPES[kind]
+
+    @property
+    def name(self) -> str:
+        """As it is named where its boxes are."""
+        return f"{self.card.name}, confirmed by {self.confirming.card.name}" if self.confirming else self.card.name
+
+    @property
+    def sure(self) -> float:
+        """The mean confidence of two looks from which a vehicle counts."""
+        return (self.confirming or self).card.sure
 
     def __call__(self, image: np.ndarray, threshold: float | None = None) -> Boxes:
         """Boxes in `image`, RGB uint8 (h, w, 3), before non-maximum suppression; coordinates in its pixels."""

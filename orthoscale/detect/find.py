@@ -69,7 +69,7 @@ def find_vehicles(
     detector : the shipped one by default. zoom : detector pixels per picture pixel.
     sampling : gives the sampling part of the uncertainty that follows from what was found so far (infinite for too
     little): the sweep ends when it reaches the effort's target. Without it, all tiles are looked at. cover : of frames
-    that overlap: each is looked at as a whole, in this order, and where enough of them were the sweep ends too.
+    that overlap: enough of them are looked at, whatever the target, and more only for too little evidence.
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
 
@@ -87,7 +87,7 @@ def find_vehicles(
     card = detector.card
 
     def detections(found: Found) -> Detections:
-        ruler = (card.ruler, card.effective_height, card.name, detector.sha256)
+        ruler = (card.ruler, card.effective_height, detector.name, detector.sha256)
         return Detections(
             found.boxes,
             zoom,
@@ -123,8 +123,9 @@ def find_vehicles(
             (lambda found: sampling(detections(found))) if anytime and sampling else None,
             effort.target,
             step("Finding vehicles"),
-            card.sure,
+            detector.sure,
             None if cover is None else cover.enough,
+            detector.confirming is None,
         )
     return _without_equal_things(detections(found)), choice
 

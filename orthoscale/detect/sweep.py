@@ -17,7 +17,7 @@ from .workers import Visit
 FIRST = 16  # tiles (or frames) that are looked at before asking whether they are enough
 SMALLEST_BATCH = 4  # of any later batch
 ON_TARGET = "enough for --target"
-REPEATED = "the others show no new ground"
+REPEATED = "the others show the same ground again"
 
 
 @dataclass(frozen=True)
@@ -44,20 +44,22 @@ def sweep_twice(
     progress: Callable[[int, int], None] | None = None,
     sure: float = 0.0,
     enough: int | None = None,
+    second_measures: bool = True,
 ) -> Found:
     """Look at the tiles `jobs` in `order`, until `spread` of what was found is at most `target`.
 
     order : numbers of all jobs, each once; those of one frame, which are looked at together, as one array. enough : how
-    many steps of it suffice where the spread is finite, because the others show the same again.
+    many steps of it show all that there is: so many are looked at, and more only while the spread is infinite.
 
     `spread` is asked after batches of tiles that depend on nothing but what was found before, never on the time or on
     the number of workers, so the same tiles are visited every time. Without it all tiles are. `progress(done, total)`
     counts tiles, the total being a guess when a sweep may stop early. A vehicle counts when the mean score of its two
-    looks is at least `sure`.
+    looks is at least `sure`; its size is the geometric mean of theirs, or that of the first alone where not
+    `second_measures`.
     """
     looks: dict[int, Looks] = {}
     cached = steps = 0
-    batch = FIRST if spread else len(order)
+    batch = len(order) if spread is None else FIRST if enough is None else max(enough, 1)
     while True:
         # Files are read fastest from the top; many (JPEG, PNG) only so.
         numbers = sorted(n for step in order[steps : steps + batch] for n in np.atleast_1d(step).tolist())
@@ -79,16 +81,13 @@ def sweep_twice(
                 cache.put(*jobs[number], seen)
             if progress:
                 progress(len(looks), expected)
-        found = _assembled(jobs, looks, cached, sure)
+        found = _assembled(jobs, looks, cached, sure, second_measures)
         if spread is None or len(looks) == len(jobs):
             return found
         reached = spread(found)
-        repeated = enough is not None and steps >= enough and np.isfinite(reached)
-        if reached <= target or repeated:
-            return replace(found, swept=replace(found.swept, why=ON_TARGET if reached <= target else REPEATED))
+        if reached <= target if enough is None else np.isfinite(reached):
+            return replace(found, swept=replace(found.swept, why=ON_TARGET if enough is None else REPEATED))
         batch = _next_batch(steps, reached / target if target > 0 else np.inf)
-        if enough is not None and steps < enough:
-            batch = min(batch, enough - steps)
 
 
 def _next_batch(seen: int, excess: float) -> int:
@@ -98,7 +97,9 @@ def _next_batch(seen: int, excess: float) -> int:
     return int(max(min(wanted, seen), SMALLEST_BATCH))
 
 
-def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int, sure: float) -> Found:
+def _assembled(
+    jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], cached: int, sure: float, second_measures: bool
+) -> Found:
     """Overlapping tiles put together: non-maximum suppression in each look, then what both looks show."""
     names = list(dict.fromkeys(picture.name for picture, _ in jobs))
     pairs: dict[str, list[tuple[Boxes, Boxes]]] = {name: [] for name in names}
@@ -111,19 +112,20 @@ def _assembled(jobs: Sequence[tuple[Picture, Tile]], looks: dict[int, Looks], ca
             others[name].setdefault(kind, []).append(pair)
     boxes, doubtful, objects = {}, {}, {}
     for name in names:
-        boxes[name], doubtful[name] = _in_both(pairs[name], sure)
-        both = {kind: _in_both(seen, sure)[0] for kind, seen in others[name].items()}
+        boxes[name], doubtful[name] = _in_both(pairs[name], sure, second_measures)
+        both = {kind: _in_both(seen, sure, second_measures)[0] for kind, seen in others[name].items()}
         objects[name] = {kind: found for kind, found in both.items() if len(found)}
     swept = Swept([(jobs[n][0].name, jobs[n][1]) for n in numbers], len(jobs), cached, len(names))
     return Found(boxes, doubtful, swept, {name: kinds for name, kinds in objects.items() if kinds})
 
 
-def _in_both(pairs: Sequence[tuple[Boxes, Boxes]], sure: float) -> tuple[Boxes, Boxes]:
+def _in_both(pairs: Sequence[tuple[Boxes, Boxes]], sure: float, second_measures: bool) -> tuple[Boxes, Boxes]:
     """Boxes that both passes over some tiles show, `sure` enough together, and the others of the first one."""
     first, second = (suppress(Boxes.concatenate([pair[k] for pair in pairs])) for k in (0, 1))
     i, j, _ = matched(first, second, SAME_VEHICLE)
     xylwa = first.xylwa[i].copy()
-    xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
+    if second_measures:
+        xylwa[:, 2:4] = np.sqrt(xylwa[:, 2:4] * second.xylwa[j, 2:4])
     score = (first.score[i] + second.score[j]) / 2
     believed = score >= sure
     alone = np.ones(len(first), bool)

@@ -81,26 +81,32 @@ def look(picture: Picture, tile: Tile, detect: Detect) -> Boxes:
     return place(detect(read(picture, tile)), tile)
 
 
-def look_twice(picture: Picture, tile: Tile, detect: Detect) -> Looks:
-    """Two passes over one tile, whose pixels are read once. A tile of one colour (no data) is left out."""
+def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | None = None) -> Looks:
+    """Two passes over one tile, whose pixels are read once. A tile of one colour (no data) is left out.
+
+    confirm : takes the second one; by default the detector that confirms `detect`, or `detect` itself.
+    """
     image = read(picture, tile)
     if image.min() == image.max():
         return Looks(Boxes.empty(), Boxes.empty())
-    # A plain function knows vehicles only.
-    see = detect.see if isinstance(detect, Detector) else lambda pixels: {VEHICLES: detect(pixels)}
-    first = see(image)
+    first = _seen(detect, image)
     if not any(map(len, first.values())):  # only what both show counts, and most of many surveys is empty
         return Looks(Boxes.empty(), Boxes.empty())
     width, height = (max(1, round(side * CONFIRMING_ZOOM)) for side in (tile.out_width, tile.out_height))
     coarse = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     coarse_tile = replace(tile, out_width=width, out_height=height)
-    second = see(coarse)
+    second = _seen(confirm or (detect.confirming if isinstance(detect, Detector) else None) or detect, coarse)
     objects = {
         kind: (place(boxes, tile, CUT_OBJECT), place(second[kind], coarse_tile, CUT_OBJECT))
         for kind, boxes in first.items()
-        if kind != VEHICLES
+        if kind != VEHICLES and kind in second
     }
     return Looks(place(first[VEHICLES], tile), place(second[VEHICLES], coarse_tile), objects)
+
+
+def _seen(detect: Detect, image: np.ndarray) -> dict[str, Boxes]:
+    """Boxes by kind; a plain function knows vehicles only."""
+    return detect.see(image) if isinstance(detect, Detector) else {VEHICLES: detect(image)}
 
 
 def read(picture: Picture, tile: Tile) -> np.ndarray:

@@ -19,7 +19,7 @@ from .tiles import Detect, Looks, look_twice
 
 Done = TypeVar("Done")
 Jobs = Mapping[int, tuple[Picture, Tile]]
-Settings = tuple[Path | None, str | None, tuple[str, ...]]
+Settings = tuple[Path | None, str | None, tuple[str, ...], bool]
 Visit = Callable[[Jobs], Iterator[tuple[int, Looks]]]
 """Looks at tiles; yields each with its number as soon as it is there, in any order."""
 
@@ -119,4 +119,5 @@ def _look_elsewhere(picture: Picture, tile: Tile, settings: Settings) -> Looks:
 
 @lru_cache(maxsize=2)
 def _detector(settings: Settings) -> Detector:
-    return Detector(*settings, threads=1)
+    path, decoder, vehicle_classes, confirmed = settings
+    return Detector(path, decoder, vehicle_classes, 1, confirmed)

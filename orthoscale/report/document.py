@@ -251,7 +251,12 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
         ],
         "trend": None
         if drift.trend is None
-        else {"percent_across": drift.trend.percent_across, "chance": drift.trend.chance},
+        else {
+            "percent_across": drift.trend.percent_across,
+            "chance": drift.trend.chance,
+            "percent_bent": drift.trend.percent_bent,
+            "bend_chance": drift.trend.bend_chance,
+        },
         "drifts": drift.drifts,
     }
 

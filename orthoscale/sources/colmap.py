@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.remarks import CAUTION, INFO, Remark, informing
+from ..core.source import FocalDoubt
 from ..errors import InputError, OutputError, UsageError
 from ..formats.geometry.dense import GEOMETRY, find_dense, scale_dense, sparse_folders
 from ..formats.geometry.files import reason_left
@@ -23,8 +24,9 @@ from ..formats.points import coordinates, number
 from ..system.outputs import FOLDER_MARK
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
-from .consistency import check_consistency, focal_notes
+from .consistency import check_consistency
 from .database import pose_priors
+from .focal import focal_doubt
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
@@ -77,7 +79,6 @@ class ColmapSource:
         model = read_model(files.folder, files.format)
         notes = [*informing(files.notes), *check_consistency(files.folder, model, files.seen)]
         pictures = find_frames(model, files.folder, images, need_images, notes)
-        notes += focal_notes(model, pictures)
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
         return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
@@ -91,6 +92,11 @@ class ColmapSource:
         centres = np.array([self.centre(name) for name in self.picture_names])
         # Which points the fit draws depends on their order, and that is another one in each program's files.
         return Ground.fit(points[np.lexsort(points.T)], centres)
+
+    @cached_property
+    def focal(self) -> FocalDoubt:
+        """How far the focal length may be trusted."""
+        return focal_doubt(self._model, self.pictures)
 
     @cached_property
     def ground_pictures(self) -> list[GroundPicture]:

@@ -18,8 +18,6 @@ from ..errors import InputError
 if TYPE_CHECKING:
     import pycolmap
 
-    from .picture_file import PictureFile
-
 SAMPLE = 50_000  # observations that are looked at, spread over the images
 LEAST_EACH = 30  # of them in every image that has so many
 LEAST_OBSERVATIONS = 8  # observations from which an image can be judged
@@ -34,8 +32,6 @@ RADIAL, RADIAL_LEAST, RADIAL_FROM = 0.02, 100, 0.1
 # Of the distance to the points. COLMAP keeps no points that are seen under less than 1.5 degrees, 0.026 of it.
 ONE_PLACE = 0.01
 ONE_LINE = 0.01  # of the line's length: how far its cameras may stand beside it
-FOCAL_FRAMES = 12  # whose EXIF is read
-FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
 MIXED_UP_HINT = (
     "Cameras, images and points are not of one model, or a file is damaged: copy all of it again from its origin."
 )
@@ -194,31 +190,6 @@ def _check_places(where: object, centres: np.ndarray, distance: float) -> list[R
         text = f"all {len(centres)} cameras stand on one straight line: nothing beside it holds the model in shape"
         return [Remark(CAUTION, text)]
     return []
-
-
-def focal_notes(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[Remark]:
-    """A caution if EXIF tells focal lengths far from the model's. Flat scenes leave them open: it is no error."""
-    from ..photos.lens import lens_of
-    from ..photos.tags import read_tags
-
-    cameras = {model.image(i).name: model.camera(model.image(i).camera_id) for i in model.reg_image_ids()}
-    found = []
-    for picture in pictures[:: max(1, len(pictures) // FOCAL_FRAMES)][:FOCAL_FRAMES]:
-        try:
-            told = lens_of(read_tags(picture.path))
-        except InputError:  # tells none, or is damaged, which its reader will say
-            continue
-        has = cameras[picture.name].mean_focal_length()
-        found.append((has / told.focal_px - 1, has, told, picture.name))
-    far = [each for each in found if abs(each[0]) > max(FOCAL_FAR, 2 * each[2].sd)]
-    if 2 * len(far) <= len(found):
-        return []
-    share, has, told, name = max(far, key=lambda each: abs(each[0]))
-    text = (
-        f"{name} has a focal length of {told.focal_px:.0f} px ({told.source}), the model {has:.0f} px "
-        f"({100 * share:+.0f} %): flat scenes leave it open; heights are then off by as much, the scale hardly"
-    )
-    return [Remark(CAUTION, text)]
 
 
 def observations(names: Sequence[str], seen: Iterable[tuple[np.ndarray, np.ndarray]]) -> Observations:

@@ -26,7 +26,7 @@ from ..formats.geometry.poses import read_poses
 from ..formats.reading import reason
 from .colmap import find_frames
 from .colmap_check import FARTHEST
-from .consistency import Observations, check_consistency, focal_notes, observations, some_of_each
+from .consistency import Observations, check_consistency, observations, some_of_each
 from .one_file import OneFileSource
 
 if TYPE_CHECKING:
@@ -62,7 +62,6 @@ class ExchangeSource(OneFileSource):
         model, others, said, tracks = _read(path)
         notes = [*informing(said), *check_consistency(path, model, _seen(path, model, tracks))]
         pictures = find_frames(model, path.parent, images, need_images, notes)
-        notes += focal_notes(model, pictures)
         return cls(path, path.parent, "json", pictures, notes, (path, *others), model)
 
     @property

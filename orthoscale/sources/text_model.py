@@ -17,7 +17,7 @@ from ..errors import InputError
 from ..formats.geometry.files import scale_file
 from ..formats.geometry.text_models import TextModel, read_text_model
 from .colmap import find_frames, image_folder
-from .consistency import Observations, check_consistency, focal_notes, observations, some_of_each
+from .consistency import Observations, check_consistency, observations, some_of_each
 from .json_model import build_model
 from .one_file import OneFileSource
 from .picture_file import stored_size
@@ -48,7 +48,6 @@ class TextSource(OneFileSource):
         model = _built(path, text, names, sizes)
         notes += check_consistency(path, model, _observations(text, names, model))
         pictures = find_frames(model, path.parent, root, need_images, notes)
-        notes += focal_notes(model, pictures)
         return cls(path, path.parent, path.suffix, pictures, notes, (path, *lists), model)
 
     def _write_file(self, out: Path, scale: float) -> None:

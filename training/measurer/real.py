@@ -1,15 +1,15 @@
 r"""Real vehicles, and places without any, cut from labelled pictures with their surroundings.
 
-    python -m training.measurer.real runs/bank --labels ../shared/data/vehicles/labels.json
+    python -m training.measurer.real runs/bank --labels ../shared/data/vehicles/labels.json \\
+        --labels ../shared/data/vehicles/chips
 
-One file a scene. Boxes are as `training.data` reads them; boxes that were judged to be no vehicle (labels/judged.json)
-and random places clear of all boxes are kept as such.
+One file a scene. Boxes are as `training.data` reads them; boxes that were judged to be no vehicle and random places
+clear of all boxes are kept as such. Of the chips these judged boxes alone are: no vehicle of theirs is learnt from.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,10 +17,11 @@ import cv2
 import numpy as np
 
 from orthoscale.detect.measurer import ANSWERS
-from training.data import JUDGED, LabelledImage, read_labels
+from training.data import LabelledImage, read_labels
 
 SCENES = ("munich", "minsk", "bogota", "warsaw")  # with vehicles; the others' are held out
 EMPTY = ("park", "dunes")
+DECEIVING = ("buildings", "harbor", "storagetanks", "tenniscourt")  # of which only what looks like a vehicle is kept
 SMALLEST = 12.0  # vehicles shorter than this are not learnt from [px]
 CROP_LENGTHS = 1.6  # of a patch from a vehicle's centre, either way, in its lengths
 GROUND = 6  # random places without a vehicle from each picture, EMPTY_GROUND from those of scenes without any
@@ -41,15 +42,17 @@ class Patch:
 
 
 def patches(image: LabelledImage, rng: np.random.Generator) -> list[Patch]:
-    """All vehicles of a labelled picture, and places without any."""
+    """All vehicles of a labelled picture, and places without any; of a DECEIVING one only what looks like vehicles."""
     pixels = cv2.imread(str(image.path), cv2.IMREAD_COLOR)
     if pixels is None:
         raise FileNotFoundError(f"{image.path}: not an image that OpenCV can read")
     pixels = pixels[..., ::-1]
-    wanted = [(box, UNKNOWN) for box in image.vehicles if box[2] > SMALLEST]
-    judged = json.loads(JUDGED.read_text())["images"].get(image.path.name, {})
-    wanted += [(np.array(box), NONE) for box in judged.get("background", []) if box[2] > SMALLEST]
-    for _ in range(GROUND if len(image.boxes) else EMPTY_GROUND):
+    wanted = [(box, NONE) for box in image.lookalikes if box[2] > SMALLEST]
+    random = 0
+    if image.scene not in DECEIVING:
+        wanted += [(box, UNKNOWN) for box in image.vehicles if box[2] > SMALLEST]
+        random = GROUND if len(image.boxes) else EMPTY_GROUND
+    for _ in range(random):
         length = image.median_length or np.exp(rng.uniform(*np.log(GROUND_LENGTHS)))
         length *= rng.uniform(0.7, 1.4)
         place = rng.uniform(0, 1, 2) * (image.width, image.height)
@@ -96,7 +99,7 @@ def main() -> None:
     rng = np.random.default_rng(16)
     scenes: dict[str, list[Patch]] = {}
     for image in (i for file in options.labels for i in read_labels(file)):
-        if image.scene in SCENES + EMPTY:
+        if image.scene in SCENES + EMPTY + DECEIVING:
             scenes.setdefault(image.scene, []).extend(patches(image, rng))
     for scene, found in scenes.items():
         save(options.out / f"real_{scene}.npz", found)

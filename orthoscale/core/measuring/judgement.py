@@ -106,6 +106,7 @@ def _places(measured: Measurement) -> Judgement | None:
     elif isinstance(drift, ModelDrift) and drift.trend is not None:
         change = drift.trend.percent_across / 100
         figures = f"{drift.trend.percent_across:.1f} % from side to side"
+        figures += f", bent by {drift.trend.percent_bent:.1f} %" if drift.bends else ""
     elif drift is None and measured.modes:
         return None  # the planar measurement compares no places
     else:
