@@ -10,7 +10,7 @@ import hashlib
 import os
 import warnings
 from contextlib import suppress
-from importlib import metadata, util
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +27,6 @@ DENSE_STRIDE = 8  # px per vector
 PADDED_TO = 32  # [px] the network halves its input five times
 INSTALL_DENSE = "Install it: pip install 'orthoscale[locate]', or take --method gradient."
 OPSET = 17  # of ONNX: bilinear resizing as PyTorch has it
-
-
-def installed() -> bool:
-    """Whether the network can be had: in the cache, or made by the package and PyTorch."""
-    return _network_file().is_file() or (util.find_spec(MODULE) is not None and util.find_spec("torch") is not None)
 
 
 class DenseFeatures:
