@@ -201,7 +201,7 @@ def curves(city: City, features: Features, photos: int, parts: list[str]) -> Non
             print(line(f"{factor:g}", run(150.0, factor, True)), flush=True)
 
 
-def negatives(city: City, features: Features, count: int) -> None:
+def negatives(city: City, features: Features, count: int, first: int) -> None:
     """Photos of orthophotos that are not on the map: half of them taken off it, the photos of that half looked for."""
     kept = city.fine.copy()
     gone = [k for k in range(len(city.rects)) if k % 2]
@@ -217,14 +217,16 @@ def negatives(city: City, features: Features, count: int) -> None:
         sky = written(kept, Path(folder) / "map.tif")
         elsewhere = City(city.fine, [city.rects[k] for k in gone], sky)
         answered, most = 0, 0.0
-        for number in range(count):
-            ((shot, rgb),) = shots(elsewhere, 1, float(draw.choice(FOOTPRINTS)), 10_000 + number)
+        for number in range(first, first + count):
+            draw = np.random.default_rng(10_000 + number)
+            ((shot, rgb),) = shots(elsewhere, 1, float(draw.choice(FOOTPRINTS)), number)
             trial = tried(elsewhere, features, shot, rgb, 1.0, bool(number % 4), float(draw.uniform(-6, 6)))
             answered += trial.found.located is not None
             if trial.found.candidates:
                 most = max(most, trial.found.candidates[0].inliers / trial.found.needed)
-            if number % 50 == 49:
-                print(f"{number + 1} negatives: {answered} answered, at most {most:.2f} of what is needed", flush=True)
+            if (number + 1) % 25 == 0:
+                done = number + 1 - first
+                print(f"{done} negatives: {answered} answered, at most {most:.2f} of what is needed", flush=True)
 
 
 def main() -> None:
@@ -232,6 +234,7 @@ def main() -> None:
     parser.add_argument("--method", choices=("gradient", "dense"), default="gradient")
     parser.add_argument("--photos", type=int, default=20)
     parser.add_argument("--negatives", type=int, default=0, help="photos of places that are not on the map")
+    parser.add_argument("--first", type=int, default=0, help="number of the first negative")
     parser.add_argument("--parts", nargs="*", default=["footprint", "heading", "scale"])
     told = parser.parse_args()
     features: Features = GradientFeatures()
@@ -243,7 +246,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         city = City(fine, rects, written(fine, Path(folder) / "map.tif"))
         if told.negatives:
-            negatives(city, features, told.negatives)
+            negatives(city, features, told.negatives, told.first)
         else:
             curves(city, features, told.photos, told.parts)
 

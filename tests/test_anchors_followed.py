@@ -9,13 +9,14 @@ from support.courts import court_picture, tennis
 from support.gridiron import YARD, field_picture
 from support.markings import PAINT, picture, stroke
 from support.rails import RUST, SLAB, railway, track
-from support.running import running_track
+from support.running import LAWN, RED, running_track
 
 from orthoscale.anchors.gridiron import Gridirons
+from orthoscale.anchors.ovals import KERB, TrackOvals
 from orthoscale.anchors.rails import HEAD, RailTracks
 from orthoscale.anchors.running import RunningTracks
 
-FINDERS = (RailTracks(), RunningTracks(), Gridirons())
+FINDERS = (RailTracks(), RunningTracks(), TrackOvals(), Gridirons())
 
 
 def one(found, metres):
@@ -72,6 +73,29 @@ def test_lanes_that_end_on_bright_ground_are_measured_by_their_lines():
     found = [RunningTracks().find(running_track(0.15, 60, (0, 40), lanes=n), 0.15, 0.06, "EE") for n in (4, 6)]
     assert not found[0]
     assert one(found[1], 1.22).pixels * 0.15 == pytest.approx(1.22, rel=0.004)
+
+
+@pytest.mark.parametrize("gsd", (0.3, 0.6))
+@pytest.mark.parametrize("turn, lanes, surface", ((0.0, 8, RED), (0.4, 6, (70, 95, 150)), (1.9, 4, (120, 120, 118))))
+def test_a_running_track_as_a_whole(gsd, turn, lanes, surface):
+    image = running_track(gsd, 230, (5, -7), turn, lanes=lanes, surface=surface, drawn_at=0.2)
+    anchor = one(TrackOvals().find(image, gsd * 1.06, 0.08, ""), KERB)
+    assert anchor.pixels * gsd == pytest.approx(KERB, rel=0.004)
+    middle = (230 / 2 + np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ (-5, 7)) / gsd - 0.5
+    assert np.abs(anchor.place - middle).max() < 2
+
+
+@pytest.mark.parametrize(
+    "looks, off",
+    [({}, 0.75), ({}, 1.35), ({"lanes": 0}, 1.0), ({"surface": LAWN}, 1.0), ({"lanes": 14}, 1.0)],
+    ids=["too small", "too large", "a path", "a line on a lawn", "a road"],
+)
+def test_ovals_that_are_no_tracks(looks, off):
+    assert not TrackOvals().find(running_track(0.5, 230, drawn_at=0.25, **looks), 0.5 * off, 0.08, "")
+
+
+def test_half_a_track_is_no_oval():
+    assert not TrackOvals().find(running_track(0.5, 150, (60, 0), drawn_at=0.25), 0.5, 0.08, "")
 
 
 @pytest.mark.parametrize("gsd, angle", ((0.2, 0.4), (0.3, 0.0), (0.45, 1.24)))

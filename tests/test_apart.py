@@ -1,4 +1,4 @@
-"""Vehicles do not stand in one another: boxes that do are refused, whatever scale they give."""
+"""Boxes that can be no vehicles, because they stand in one another, or that hardly anything speaks for."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from orthoscale.core.measuring.apart import standing_in_another
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.remarks import REFUSAL
-from orthoscale.core.verdicts import UNUSABLE
+from orthoscale.core.verdicts import UNUSABLE, one_step_below
 from orthoscale.fleets import load_fleet
+
+DE = load_fleet("DE")
 
 
 def test_whose_middle_lies_in_another():
@@ -57,10 +59,28 @@ def test_a_scale_of_such_boxes_is_refused(boxes):
     plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px")
     plan.plan, plan.posed = plan, None
     found = Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file")
-    measured = measure_source(plan, found, load_fleet("DE"))
+    measured = measure_source(plan, found, DE)
     said = [remark for remark in measured.remarks if "stand in one another" in remark.text]
     if len(boxes) == 2000:
         assert measured.scale.verdict == UNUSABLE and [remark.severity for remark in said] == [REFUSAL]
         assert any(check.severity == REFUSAL and check.detail == said[0].text for check in judgements(measured))
     else:
         assert measured.scale.verdict != UNUSABLE and not said
+
+
+@pytest.mark.parametrize(
+    "believed, doubtful, lowered", [(38, 127, True), (60, 30, False), (8, 9, False), (5, 14, False)]
+)
+def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, lowered):
+    """38 of 165: a rendered roof of panels, without any vehicle."""
+    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px")
+    plan.plan, plan.posed = plan, None
+    boxes = car_park(45, 2000, 2000, max(believed, 5))
+    given = {"plan": random_boxes(doubtful, 1900)}
+    sure, unsure = (
+        measure_source(plan, Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a detector", **more), DE)
+        for more in ({}, {"doubtful": given})
+    )
+    assert unsure.scale.value == sure.scale.value
+    assert unsure.scale.verdict == (one_step_below(sure.scale.verdict) if lowered else sure.scale.verdict)
+    assert any("two looks agree on" in check.detail for check in judgements(unsure)) == lowered

@@ -131,9 +131,9 @@ def test_write(made, form, tmp_path):
     source = ColmapSource.open(folder, need_images=False)
     assert source.input_format == form and not source.metric_already
     source.write(out, 14.157)
-    assert any("project.ini" in n for n in source.notes)
-    assert all(any(name in n and "left in" in n for n in source.notes) for name in unscaled)
-    assert any("notes.txt" in n and "symbolic links" in n for n in source.notes)
+    assert any("project.ini" in n for n in map(str, source.notes))
+    assert all(any(name in n and "left in" in n for n in map(str, source.notes)) for name in unscaled)
+    assert any("notes.txt" in n and "symbolic links" in n for n in map(str, source.notes))
     assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
 
     tables = {f"{t}.{form}" for t in ("cameras", "images", "points3D", "rigs", "frames")}
@@ -280,12 +280,12 @@ def test_missing_frames(plain, model_bin, tmp_path):
     with pytest.raises(InputError, match=r"first is 00.png; looked in .*elsewhere"):
         ColmapSource.open(model_bin, images=tmp_path / "elsewhere")
     bare = ColmapSource.open(model_bin, need_images=False)
-    assert bare.pictures == [] and len(bare.picture_names) == 12 and "no frame" in bare.notes[0]
+    assert bare.pictures == [] and len(bare.picture_names) == 12 and "no frame" in bare.notes[0].text
     put_frames(plain, tmp_path / "frames")
     (tmp_path / "frames/03.png").unlink()
     source = ColmapSource.open(model_bin)
     assert len(source.pictures) == 11 and len(source.picture_names) == 12
-    assert "1 of 12 frames" in source.notes[0] and "03.png" in source.notes[0]
+    assert "1 of 12 frames" in source.notes[0].text and "03.png" in source.notes[0].text
 
 
 @pytest.mark.parametrize(
@@ -566,7 +566,7 @@ def test_real_reconstruction(scene, tmp_path):
         pytest.skip(f"no real data: {folder} is absent (set ORTHOSCALE_DATA)")
     source = ColmapSource.open(folder)
     assert len(source.pictures) == len(source.picture_names)
-    assert all("focal length" in note for note in source.notes)
+    assert all("focal length" in note for note in map(str, source.notes))
     metres = json.loads((folder / "truth.json").read_text())["metres_per_model_unit"]
     # Both places are flat, and all flights are level: the ground must not wander, nor the cameras' heights.
     centres = np.array([image.projection_center() for image in source._images.values()])

@@ -288,7 +288,7 @@ def test_copies_of_a_box_count_once_in_every_format(plain, tmp_path, name):
         save(Detections({"ortho.tif": copies}, 1.0, RULER, (0.7, 0.5), "test"), tmp_path / name, plain)
     again = load(tmp_path / name, plain)
     same(Boxes(again.boxes["ortho.tif"].xylwa, again.boxes["ortho.tif"].score), BOXES, 0.02)
-    assert plain.notes[-1].endswith("12 of its 15 boxes repeat another's vehicle and were left out")
+    assert plain.notes[-1].text.endswith("12 of its 15 boxes repeat another's vehicle and were left out")
 
 
 @pytest.mark.parametrize("name", [*EVERYTHING, "d.txt"])

@@ -145,3 +145,38 @@ def test_single_camera_and_single_strip():
     for centres in (scene.centres[40:41], scene.centres[36:45]):
         ground = Ground.fit(scene.points, centres)
         assert np.abs(ground.height_above(scene.truth)).max() < 0.005 * CAMERA_HEIGHT * scene.unit
+
+
+def test_it_knows_how_well_it_knows_its_height():
+    """Errors where points are sparse or missing are as large as the ground says."""
+    strays = []
+    for seed in range(6):
+        scene = Scene(hilly, count=700, seed=seed)
+        local = (scene.points - scene.points.mean(0)) / scene.unit
+        aside = np.cross(scene.up, [1.0, 0, 0])
+        gap = np.abs(local @ (aside / np.linalg.norm(aside)) - 25) < 20  # a strip where no point was found
+        ground = Ground.fit(scene.points[~gap], scene.centres)
+        error, sd = ground.height_above(scene.truth), ground.sd(scene.truth)
+        strays.append(np.sqrt(np.mean((error / sd) ** 2)))
+        assert sd.max() > 2 * np.median(sd)
+    assert 0.3 < np.mean(strays) < 1.6
+
+
+def test_beyond_its_points_it_goes_on_and_is_less_sure():
+    scene = Scene(sloped)
+    ground = Ground.fit(scene.points, scene.centres)
+    outwards = np.array([[100.0, 0, 0], [115.0, 0, 0], [125.0, 0, 0]])
+    outwards[:, 2] = sloped(outwards[:, 0], 0)
+    world = scene.truth[np.argsort(np.abs(scene.plane_truth[:, :2]).sum(1))[0]]
+    world = world + (
+        outwards
+        @ np.linalg.lstsq(scene.plane_truth - scene.plane_truth.mean(0), scene.truth - scene.truth.mean(0), rcond=None)[
+            0
+        ]
+    )
+    rays = world - scene.centres[40]
+    points, _, ok = ground.intersect(np.repeat(scene.centres[40:41], 3, 0), rays)
+    assert ok.all()
+    sd = ground.sd(points)
+    assert (np.diff(sd) > 0).all()
+    assert (np.abs(ground.height_above(world)) < 3 * sd + 0.3 * scene.unit).all()

@@ -18,6 +18,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.geometry import dense_workspace
 
+from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.opening import open_source
+
 pytestmark = pytest.mark.slow  # each starts shells, and Python in them
 ROOT = Path(__file__).parent.parent
 HOOKS = ROOT / "colmap_hooks"
@@ -216,6 +219,29 @@ def test_a_hook_hands_the_exit_code_on(bench, hook):
     run = subprocess.run([HOOKS / f"{hook}.sh", bench.work, *end], env=bench.environment, capture_output=True)
     assert run.returncode == 5
     assert not (bench.work / "sparse_metric").exists() and not (bench.work / "dense_metric").exists()
+
+
+def test_what_nerfstudio_makes_of_the_metric_model_is_in_metres(bench):
+    """A stand-in that writes what the real ns-process-data does; read back, and nothing is scaled twice by hand."""
+    pycolmap = pytest.importorskip("pycolmap")
+    bench.sparse()
+    code = "import sys, pycolmap; from pathlib import Path; from support.other_programs import process_data; "
+    code += "a = sys.argv; model = pycolmap.Reconstruction(a[a.index('--colmap-model-path') + 1]); "
+    code += "process_data(model, Path(a[a.index('--output-dir') + 1]))"
+    tests = os.pathsep.join([str(ROOT / "tests"), str(ROOT)])
+    bench.program("ns-process-data", f'PYTHONPATH={tests} exec {sys.executable} -c "{code}" "$@"')
+    bench.run("nerfstudio.sh", bench.work, bench.work / "ns", "--", *OPTIONS)
+    scale = json.loads((bench.work / "sparse_metric/sim3.json").read_text())["scale"]
+    text = json.loads((bench.work / "ns/transforms.json").read_text())
+    old = pycolmap.Reconstruction(str(bench.work / "sparse/0"))
+    turn = np.array(text["applied_transform"])[:, :3]
+    for frame in text["frames"]:
+        place = np.array(frame["transform_matrix"])[:3, 3]
+        assert place == pytest.approx(scale * turn @ old.images[frame["colmap_im_id"]].projection_center(), rel=1e-6)
+    before = ColmapSource.open(bench.work / "sparse/0", need_images=False)
+    after = open_source(bench.work / "ns", need_images=False)
+    assert after.camera_height == pytest.approx(scale * before.camera_height, rel=0.01)
+    assert len(after.picture_names) == len(before.picture_names)
 
 
 def test_nerfstudio_keeps_metres(bench):

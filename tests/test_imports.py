@@ -39,3 +39,12 @@ def test_both_orders(other, first, tmp_path):
     assert done.returncode == 0, done.stderr[-2000:]
     assert (tmp_path / "out/vehicles.png").read_bytes()[-8:-4] == b"IEND"
     assert (tmp_path / "out/noise.png").stat().st_size > 150_000 and (tmp_path / "out/a.tif").is_file()
+
+
+def test_help_is_there_at_once():
+    """It needs no numpy, whose import alone takes longer than all of the rest."""
+    code = "import sys; from orthoscale.cli.main import cli; cli(['fix', '--help'], standalone_mode=False); "
+    code += "assert 'numpy' not in sys.modules"
+    environment = {**os.environ, "PYTHONPATH": str(EXAMPLE.parents[1])}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and "--against" in done.stdout, done.stderr[-2000:]

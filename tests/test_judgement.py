@@ -137,3 +137,10 @@ def test_the_drift_of_a_model_is_judged_once(measured):
 def test_a_severity_is_one_of_four():
     with pytest.raises(ValueError, match="severity"):
         Remark("look", "odd")
+
+
+def test_what_was_found_in_opening_the_source_is_a_check_too(measured):
+    said = Remark(CAUTION, "all 12 cameras stand on one straight line")
+    assert any(check.detail == said.text for check in judgements(measured, None, [*measured.remarks, said]))
+    assert not any(check.detail == said.text for check in judgements(measured))
+    assert judgements(measured, None, [*measured.remarks, Remark(INFO, "copied")]) == judgements(measured)

@@ -235,6 +235,29 @@ def test_a_photo_is_located_below_its_camera(flight, sky, tmp_path, name):
     assert (camera.x - 500_000, 6_700_000 - camera.y) == pytest.approx(SHOTS[name].foot, abs=3.0)
 
 
+def test_without_a_focal_length_there_is_a_place_but_no_altitude(flight, sky, tmp_path):
+    shot = SHOTS["down.png"]
+    words = ("--satellite", flight / "map.tif", "--gsd", gsd_of(shot), "--heading", shot.heading, "--out")
+    done = run("locate", flight / "down.png", *words, tmp_path / "out", "--json")
+    (told,) = json.loads(done.stdout)["photos"]
+    assert found_at(sky, told) == pytest.approx(shot.foot, abs=3.0)
+    assert told["altitude_m"] is None and told["focal_source"] == "not known"
+
+
+def test_of_several_photos_each_has_its_outcome(flight, tmp_path):
+    shot = SHOTS["down.png"]
+    (tmp_path / "photos").mkdir()
+    for name in ("down.png", "damaged.png"):
+        (tmp_path / "photos" / name).write_bytes((flight / "down.png").read_bytes())
+    (tmp_path / "photos" / "damaged.png").write_bytes(b"no picture")
+    words = ("--satellite", flight / "map.tif", "--gsd", gsd_of(shot), "--heading", shot.heading, "--out")
+    done = run("locate", tmp_path / "photos", *words, tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    told = {each["photo"]: each for each in json.loads(done.stdout)["photos"]}
+    assert told["down.png"]["located"] and not told["damaged.png"]["located"]
+    assert told["damaged.png"]["exit_code"] == 5 and "not an image" in told["damaged.png"]["problem"]
+
+
 def test_a_photo_that_is_not_located_says_so_and_leaves_candidates(flight, tmp_path):
     done = run(*line(flight, tmp_path / "out", "down.png", "--heading", "200"))
     assert done.returncode == 3 and "not located: best candidate has" in done.stderr and "needed" in done.stderr

@@ -17,7 +17,7 @@ from support.in_process import run
 from support.reports import EXAMPLE, car_park
 
 import orthoscale
-from orthoscale.actions import batch
+from orthoscale.actions import many
 from orthoscale.actions.inputs import inputs_of, outputs_of
 from orthoscale.actions.requests import EstimateRequest, FixRequest
 from orthoscale.errors import InputError, UsageError
@@ -74,12 +74,12 @@ def test_summaries_in_every_format(parks, tmp_path, ending):
     if ending == "json":
         rows = json.loads(summary.read_text())["inputs"]
         assert [row["output"] for row in rows] == [*(str(tmp_path / f"scaled/{name}.tif") for name in "ab"), None]
-        assert all(set(row) == set(batch.COLUMNS) for row in rows)
+        assert all(set(row) == set(many.COLUMNS) for row in rows)
     elif ending == "gpkg":
         import pyogrio
 
         about, _, points, values = pyogrio.raw.read(summary)
-        assert list(about["fields"]) == list(batch.COLUMNS) and len(points) == 3 and about["crs"] == "EPSG:4326"
+        assert list(about["fields"]) == list(many.COLUMNS) and len(points) == 3 and about["crs"] == "EPSG:4326"
     else:
         page = summary.read_text()
         assert (
@@ -117,17 +117,17 @@ def test_copies_of_one_name_take_that_of_their_folders(tmp_path):
 def test_a_process_that_dies_takes_only_its_own_input(parks, monkeypatch):
     """The stand-in dies at one input, as a process does that the kernel kills for its memory."""
     program = (
-        "import os, signal; from orthoscale.actions import batch\n"
-        "whole = batch.one\n"
-        "batch.one = lambda job: os.kill(os.getpid(), signal.SIGKILL) if 'a.png' in job['input'] else whole(job)\n"
-        "batch.serve()"
+        "import os, signal; from orthoscale.actions import many\n"
+        "whole = many.one\n"
+        "many.one = lambda job: os.kill(os.getpid(), signal.SIGKILL) if 'a.png' in job['input'] else whole(job)\n"
+        "many.serve()"
     )
-    popen = batch.subprocess.Popen
-    monkeypatch.setattr(batch.subprocess, "Popen", lambda command, **how: popen([sys.executable, "-c", program], **how))
+    popen = many.subprocess.Popen
+    monkeypatch.setattr(many.subprocess, "Popen", lambda command, **how: popen([sys.executable, "-c", program], **how))
     request = EstimateRequest(fleet="DE", detections=parks / "boxes.json")
-    rows = batch.run_many("estimate", inputs_of([parks / "pictures/*.png"]), request)
+    rows = many.run_many("estimate", inputs_of([parks / "pictures/*.png"]), request)
     assert [row["exit_code"] for row in rows] == [1, 0] and "ended with -9" in rows[0]["error"]
-    assert batch.worst(rows) == 1
+    assert many.worst(rows) == 1
 
 
 def test_a_stop_ends_all_and_leaves_nothing_half_made(parks, tmp_path):
@@ -137,7 +137,7 @@ def test_a_stop_ends_all_and_leaves_nothing_half_made(parks, tmp_path):
     out = tmp_path / "out"
     request = FixRequest(fleet="DE", detections=parks / "boxes.json")
     with pytest.raises(KeyboardInterrupt):
-        batch.run_many("fix", inputs_of([parks / "pictures/*.png"]), request, out, 1, stop)
+        many.run_many("fix", inputs_of([parks / "pictures/*.png"]), request, out, 1, stop)
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
 
 
@@ -188,9 +188,9 @@ def test_on_a_cluster_a_killed_worker_loses_no_input(parks, tmp_path):
 
         threading.Thread(target=kill_one, daemon=True).start()
         request = FixRequest(fleet="DE", detections=parks / "boxes.json", report="none")
-        todo = batch.jobs_of("fix", inputs, request, tmp_path / "out")
+        todo = many.jobs_of("fix", inputs, request, tmp_path / "out")
         (tmp_path / "out").mkdir()
-        rows = [row for _, row in sorted(batch.on_cluster(todo, cluster.scheduler_address), key=lambda each: each[0])]
+        rows = [row for _, row in sorted(many.on_cluster(todo, cluster.scheduler_address), key=lambda each: each[0])]
     assert [(row["exit_code"], row["error"]) for row in rows] == [(0, None)] * 6
     alone = orthoscale.estimate(inputs[0], fleet="DE", detections=parks / "boxes.json")
     assert {row["scale"] for row in rows} == {alone.scale.value}

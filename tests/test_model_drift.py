@@ -10,16 +10,20 @@ from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
 from orthoscale.fleets import load_fleet
+from orthoscale.report.document import _model_drift
+from orthoscale.report.drift_map import regions_panel
 
 UNIT = 5.0  # [m]
 
 
-def seen(stray=(), bend=0.0, seed=0, vehicles=60, frames=12):
-    """Vehicles of one fleet, each seen by half of the frames; `stray` says by how much frames see them too small."""
+def seen(stray=(), bend=0.0, seed=0, vehicles=60, frames=12, bowl=0.0):
+    """Vehicles of one fleet, each seen by half of the frames; `stray` says by how much frames see them too small,
+    `bend` by how much the scale grows from side to side, `bowl` from the middle to the corners."""
     rng = np.random.default_rng(seed)
     place = rng.uniform(0, 40, (vehicles, 2))
     true = load_fleet("DE").sample(rng, vehicles)[:, :2] / UNIT
     true *= np.exp(-bend * (place[:, :1] / 40 - 0.5))
+    true *= np.exp(-bowl * ((place / 20 - 1) ** 2).sum(1, keepdims=True) / 2)
     vehicle, frame = np.nonzero(rng.random((vehicles, frames)) < 0.5)
     wrong = np.ones(frames)
     for k, by in stray:
@@ -57,6 +61,29 @@ def test_a_bent_model_shows_a_trend():
     assert "across the model" in bent.warnings[-1]
     scales = [region.scale for region in sorted(bent.regions, key=lambda r: r.centre[0])]
     assert scales[-1] > 1.1 * scales[0]
+
+
+def test_a_bowl_is_told_from_a_tilt_and_drawn():
+    found, scale = seen(bowl=0.3, vehicles=120)
+    assert found.bends and found.drifts and found.trend.bend_chance < 1e-4
+    assert 20 < found.trend.percent_bent < 45
+    assert found.amplitude >= found.trend.percent_bent / 100 * 0.99
+    assert "as in a bowl" in found.warnings[-1]
+    plain, _ = seen(vehicles=120)
+    assert not plain.bends
+    values = {"regions": _model_drift(found)["regions"], "drifts": True}
+    panel = regions_panel(values, scale.value, 600)
+    orange = (panel.astype(int)[..., 0] - panel[..., 2] > 60).sum()
+    blue = (panel.astype(int)[..., 2] - panel[..., 0] > 60).sum()
+    assert orange > 1000 and blue > 1000
+    assert (panel == 255).all(2).mean() > 0.1
+
+
+def test_a_strip_without_breadth_has_a_trend_all_the_same():
+    along = np.linspace(0, 50, 30)
+    plan = np.column_stack([along, np.zeros(30)])
+    _, trend = by_region(0.1 * (along / 50 - 0.5) ** 2 + 1e-3 * np.sin(np.arange(30)), plan, 5.0)
+    assert trend.bend_chance < 1e-6 and trend.percent_bent == pytest.approx(2.5, rel=0.3)
 
 
 def test_few_vehicles_have_no_trend():

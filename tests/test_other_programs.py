@@ -95,7 +95,7 @@ def test_several_reconstructions_and_gps(made, tmp_path):
     few = {**part, "shots": dict(list(part["shots"].items())[:3])}
     path.write_text(json.dumps([few, part]))
     source = open_source(path, need_images=False)
-    assert len(source.picture_names) == 12 and "2 reconstructions" in source.notes[0]
+    assert len(source.picture_names) == 12 and "2 reconstructions" in source.notes[0].text
     (tmp_path / "out").mkdir()
     source.write(tmp_path / "out", 2.0)
     assert len(json.loads((tmp_path / "out/reconstruction.json").read_text())) == 1

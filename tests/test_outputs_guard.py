@@ -746,7 +746,7 @@ def test_a_symbolic_link_beside_a_model_is_not_followed(tmp_path):
     (tmp_path / "model/notes.txt").symlink_to(tmp_path / "secret")
     result = fix(tmp_path / "model", tmp_path / "out", detections=BOXES, fleet="US")
     assert "project.ini" in names(tmp_path / "out") and "notes.txt" not in names(tmp_path / "out")
-    assert any("symbolic links: notes.txt" in note for note in result.source.notes)
+    assert any("symbolic links: notes.txt" in note for note in map(str, result.source.notes))
 
 
 # Messages

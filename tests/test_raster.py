@@ -185,7 +185,7 @@ def test_sixteen_bits_are_stretched(tmp_path):
     source = RasterSource.open(make(tmp_path / "a.tif", pixels))
     image = source.read(0, 0, W, H, W, H)
     assert image.min() == 0 and image.max() == 255 and 60 < image.mean() < 190
-    assert "uint16 values from" in source.notes[0]
+    assert "uint16 values from" in source.notes[0].text
 
 
 def test_floats_with_nan(tmp_path):
@@ -530,8 +530,8 @@ def test_written_copy_is_the_same_picture_in_metres(tmp_path, build):
         source.read(0, 0, W, H, W // 2, H // 2)
         source.write(target / "b.tif", 0.123)
         usable = source.claimed.usable
-        assert any("local metres" in n for n in source.notes)
-        assert any("--keep-origin" in n for n in source.notes) == usable
+        assert any("local metres" in n for n in map(str, source.notes))
+        assert any("--keep-origin" in n for n in map(str, source.notes)) == usable
     assert listing(folder) == before, "the input's folder was touched"
     assert [p.name for p in target.iterdir()] == ["b.tif"]
     with rasterio.open(path) as a, rasterio.open(target / "b.tif") as b:

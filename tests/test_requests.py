@@ -69,7 +69,7 @@ OF_DETECTOR = {"detector", "decoder", "zoom", "gsd_hint"} | {
     *("refine", "fast", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
 }
 OF_MODEL = {"mode", "images", "projection", "dense"}
-OF_ORTHOPHOTO = {"fast", "keep_origin", "cog", "also"}
+OF_ORTHOPHOTO = {"fast", "target", "keep_origin", "cog", "also"}
 
 
 def test_the_table_has_every_option():

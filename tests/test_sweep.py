@@ -145,6 +145,22 @@ def test_a_tile_without_data_is_not_looked_at():
     assert len(look_twice(Drawing(300, 200, Boxes.empty()), tile, detect).fine) == 0
 
 
+def test_a_tile_in_which_nothing_was_seen_is_not_looked_at_again():
+    """Only what both looks show counts; where the first shows a vehicle, the second is asked."""
+    picture = Drawing(500, 400, Boxes.empty())
+    picture.read = lambda *_: np.random.default_rng(0).integers(0, 255, (400, 500, 3)).astype(np.uint8)
+    (tile,) = tiles(picture, 1.0)
+    asked = []
+
+    def second(image):
+        asked.append(image.shape)
+        return Boxes.empty()
+
+    assert not len(look_twice(picture, tile, lambda _: Boxes.empty(), second).coarse) and not asked
+    look_twice(picture, tile, lambda _: Boxes([[200, 200, 40, 17, 0.2]], [0.9]), second)
+    assert len(asked) == 1
+
+
 def test_two_networks_must_agree_and_the_first_measures():
     """One takes a shed for a vehicle, the other a pond; of both boxes of the vehicle the first one's size counts."""
     car, shed, pond = [200, 200, 40, 17, 0.2], [90, 90, 41, 18, 1.0], [300, 90, 39, 16, 0.4]

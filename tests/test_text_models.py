@@ -93,7 +93,7 @@ def test_what_is_missing_is_said(made, tmp_path):
     first = sorted((tmp_path / "images").iterdir())[0]
     first.unlink()
     source = open_source(tmp_path)
-    assert len(source.picture_names) == 11 and "left out" in source.notes[0]
+    assert len(source.picture_names) == 11 and "left out" in source.notes[0].text
     (tmp_path / "list.txt").write_text("a.jpg\n")
     with pytest.raises(InputError, match="names 1 images"):
         open_source(path)

@@ -70,14 +70,14 @@ def find_in_model(
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles in the frames of `source`, and in `planar` those in its pictures of the ground, as `mode` asks.
 
-    zoom : of the frames; by default it is searched for. sampling : by it the sweep may stop where there are FEW_FRAMES
-    and more, and it says whether the pictures of the ground show enough for a scale; without it all are looked at, and
-    what they show always is. Raises TooLittleEvidence.
+    zoom : of the frames; by default it is searched for. sampling : says whether what was seen is enough for a scale; of
+    FEW_FRAMES and more only those that show all of the ground are then looked at (`detect.cover`). Without it all are,
+    and what they show is always enough. Raises TooLittleEvidence.
     """
-    sampling, seed = sampling or Sampling(), (effort or Effort()).seed
+    sampling = sampling or Sampling()
     names = [picture.name for picture in source.pictures]
     seen = places_seen(source, names) if len(names) >= FEW_FRAMES else {}
-    cover = covering(list(seen.values()), seed=seed) if seen else None
+    cover = covering(list(seen.values())) if seen else None
 
     def searched() -> float:
         some = source.pictures if cover is None else [source.pictures[k] for k in cover.first(ZOOM_FRAMES)]
@@ -85,7 +85,7 @@ def find_in_model(
 
     def planar(plans: Sequence[GroundView], shown: Progress | None, of_frames: Callable[[], float]) -> Found:
         places = [seen_from_above(seen[plan.image]) for plan in plans] if len(plans) >= FEW_FRAMES else []
-        above = covering(places, seed=seed) if places else None
+        above = covering(places) if places else None
         return _planar(plans, detector, zoom, shown, effort, sampling.from_above, above, of_frames)
 
     if mode == PLANAR:

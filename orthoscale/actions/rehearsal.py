@@ -36,7 +36,7 @@ def rehearsal(
         rows.append(("claim", f"{source.claimed.gsd_m:.4g} m/px: {source.claimed.why}"))
     if isinstance(request, FixRequest) and out is not None:
         rows += [("to write", str(place)) for place in rehearsed(path, out, request, save_detections)]
-    rows += [("note", note) for note in source.notes]
+    rows += [(note.label, note.text) for note in source.notes]
     return rows
 
 

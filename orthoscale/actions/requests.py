@@ -240,7 +240,7 @@ class EstimateRequest(VehicleRequest):
         0.005,
         float,
         "Advanced",
-        "Stop the sweep at this sampling uncertainty (relative, 1 sigma).",
+        "Stop the sweep of an orthophoto at this sampling uncertainty (relative, 1 sigma).",
         positive=True,
     )
     exhaustive: bool = option(False, bool, "Advanced", "Sweep all of an orthophoto, or all frames of a model.")
@@ -363,6 +363,7 @@ class EstimateRequest(VehicleRequest):
             )
 
     def _for_posed(self, path: Path) -> None:
+        self._refuse(("target",), f"frames are looked at until they repeat the ground, and {path} is a model")
         self._refuse(("fast",), f"it is for orthophotos, and {path} is a model")
 
 

@@ -13,7 +13,7 @@ from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
-from ..core.remarks import INFO, REFUSAL, Remark
+from ..core.remarks import REFUSAL, Remark, informing
 from ..core.scale import Scale
 from ..core.source import Placement, Source
 from ..core.verdicts import UNUSABLE
@@ -93,8 +93,7 @@ class Result(Brief):
     def remarks(self) -> list[Remark]:
         """What a reader should know beside the figures, each with its severity: what the core has to say, then what
         was chosen, left aside or could not be done in opening the source and finding vehicles."""
-        notes = (*self.source.notes, *self.detections.notes)
-        return [*self.measured.remarks, *(Remark(INFO, note) for note in notes)]
+        return [*self.measured.remarks, *self.source.notes, *informing(self.detections.notes)]
 
     def place(self, keep_origin: bool = False) -> Placement:
         """The georeferencing of an orthophoto's copy: by the map that it was found on, else local metres, or with

@@ -31,6 +31,7 @@ ANCHOR_KINDS: dict[str, Kind] = {
     "football pitch": Kind("courts:FOOTBALL"),
     "gridiron": Kind("gridiron:Gridirons"),
     "running track": Kind("running:RunningTracks"),
+    "track oval": Kind("ovals:TrackOvals"),
     "railway track": Kind("rails:RailTracks"),
     "zebra crossing": Kind("crossings:ZebraCrossings", proven=True),
     "lane dashes": Kind("dashes:LaneDashes", proven=True),

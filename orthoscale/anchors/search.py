@@ -76,18 +76,23 @@ def search(
         while not all(part.done for part in parts):
             batch = [(part, number) for part in parts for number in part.next()]
             batch.sort(key=lambda one: one[0].place(one[1]))  # files are read fastest from the top, many only so
-            work = {}
+            work: dict[int, dict[int, Callable[[], list[Anchor]]]] = {}  # by how many fit into memory at once
             for k, (part, number) in enumerate(batch):
                 if not part.had(number):
-                    work[k] = part.work(number)
-            largest = max((tile.out_width * tile.out_height for tile in (p.jobs[n][1] for p, n in batch)), default=1)
-            at_once = max(1, min(workers, int(SHARE_OF_MEMORY * budget.memory() / (BYTES_EACH * largest))))
-            for k, found in done_on_threads(work, at_once):
-                part, number = batch[k]
-                part.put(number, found)
-                if progress:
-                    progress(sum(len(p.looks) for p in parts), sum(len(p.jobs) for p in parts))
+                    work.setdefault(_at_once(part.jobs[number][1], workers), {})[k] = part.work(number)
+            for at_once, some in work.items():
+                for k, found in done_on_threads(some, at_once):
+                    part, number = batch[k]
+                    part.put(number, found)
+                    if progress:
+                        progress(sum(len(p.looks) for p in parts), sum(len(p.jobs) for p in parts))
     return [anchor for part in parts for anchor in part.found()]
+
+
+def _at_once(window: Tile, workers: int) -> int:
+    """Of how many windows like this `workers` may look at the same time, for their memory."""
+    needed = BYTES_EACH * window.out_width * window.out_height
+    return max(1, min(workers, int(SHARE_OF_MEMORY * budget.memory() / needed)))
 
 
 class _Part:

@@ -120,7 +120,7 @@ def check(
 
 
 # What says something of one of the two inputs only: of the orthophoto's pixels, of the model's frames.
-OF_ORTHOPHOTO = ("zoom", "gsd_hint", "fast", "known_distance", "ground_control")
+OF_ORTHOPHOTO = ("zoom", "gsd_hint", "fast", "target", "known_distance", "ground_control")
 OF_MODEL = ("images", "mode", "projection")
 
 

@@ -98,7 +98,7 @@ def estimate(
 @command(
     epilog="\b\nExamples:\n  orthoscale fix ortho.tif --out scaled.tif --fleet PH\n"
     "  orthoscale fix utm.tif --out scaled.tif --override --keep-origin --also gpkg\n"
-    "  orthoscale fix ortho.tif --out placed.tif --fleet PH --against map_of_2019.tif\n"
+    "  orthoscale fix ortho.tif --out placed.tif --fleet PH --against map.tif\n"
     "  orthoscale fix model/ --out scaled/ --fleet US\n"
     "  orthoscale fix model/ --out scaled/ --detections boxes.json\n"
     "  orthoscale fix surveys/ --out scaled/ --fleet US --summary out.csv --jobs 2\n\n" + EXIT_CODES

@@ -22,7 +22,7 @@ MISTAKEN = 1e-3  # that a group of vehicles is taken for equal things
 # The same where equal things of about that length are known to be in the picture: what stands on one roof stands on the
 # next. Rendered panels in groups of 10 to 40 have 0.02 to 0.03, too much for small groups to be told by themselves.
 MISTAKEN_AGAIN = 0.05
-ABOUT = 0.24  # log of the ratio of lengths that may be the same things'
+ABOUT_AS_LONG = 0.24  # log of the ratio of lengths that may be the same things'
 
 
 def all_alike(boxes: Boxes) -> np.ndarray:
@@ -52,7 +52,9 @@ def more_of_the_same(boxes: Boxes, alike: np.ndarray) -> np.ndarray:
 
 def _so_long(where: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(K,) how many of the sorted `values` (N,), log lengths, lie about each of `where` (K,)."""
-    return np.searchsorted(values, where + ABOUT, "left") - np.searchsorted(values, where - ABOUT, "right")
+    return np.searchsorted(values, where + ABOUT_AS_LONG, "left") - np.searchsorted(
+        values, where - ABOUT_AS_LONG, "right"
+    )
 
 
 def _standing_together(boxes: Boxes) -> np.ndarray:

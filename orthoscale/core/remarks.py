@@ -26,6 +26,10 @@ class Remark:
         if self.severity not in SEVERITIES:
             raise ValueError(f"severity: expected one of {', '.join(SEVERITIES)}")
 
+    def __str__(self) -> str:
+        """The sentence."""
+        return self.text
+
     @property
     def label(self) -> str:
         """How a line that prints it begins."""
@@ -39,6 +43,11 @@ class Judgement:
     severity: str
     what: str
     detail: str
+
+
+def informing(texts: Iterable[str]) -> list[Remark]:
+    """Remarks of `texts` that only inform."""
+    return [Remark(INFO, text) for text in texts]
 
 
 Said = TypeVar("Said", Remark, Judgement)

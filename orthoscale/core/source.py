@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from .projection.view import LOWEST_ELEVATION, Views
+from .remarks import Remark
 
 NEAR_NADIR = 60.0  # [deg] elevation of the viewing ray from which a frame may pass for an orthophoto
 NO_DATA_GREY = 114  # of pixels without data in what `Picture.read` gives
@@ -38,13 +40,13 @@ class Picture(Protocol):
 class Pictures(Protocol):
     """Something with pictures.
 
-    path : of its file or folder. notes : what its user should know.
+    path : of its file or folder. notes : what its user should know of how it was read or written.
     """
 
     @property
     def path(self) -> Path: ...
     @property
-    def notes(self) -> list[str]: ...
+    def notes(self) -> list[Remark]: ...
     @property
     def pictures(self) -> Sequence[Picture]: ...
     @property
@@ -151,8 +153,27 @@ class Plan(Source, Picture, Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class FocalDoubt:
+    """How far a reconstruction's focal length may be trusted.
+
+    ratio : what it probably is over what the model has. sd : relative one-sigma of that. said : for people, where there
+    is something to say.
+    """
+
+    ratio: float = 1.0
+    sd: float = 0.0
+    said: str = ""
+
+
 class Ground(Protocol):
-    """The ground under a reconstruction's cameras, and a plane that follows it [model units]."""
+    """The ground under a reconstruction's cameras, and a plane that follows it [model units].
+
+    up : (3,) unit vector away from it.
+    """
+
+    @property
+    def up(self) -> np.ndarray: ...
 
     def plane(self, points: np.ndarray) -> np.ndarray:
         """(N, 2) places on the plane, of points (N, 3)."""
@@ -166,12 +187,15 @@ class Ground(Protocol):
         """(N,) heights of points (N, 3) over the ground."""
         ...
 
+    def sd(self, points: np.ndarray) -> np.ndarray:
+        """(N,) one sigma of the ground's height straight below points (N, 3)."""
+        ...
+
 
 class GroundView(Picture, Protocol):
     """What one frame shows of the ground, warped to a plan of `unit_per_pixel` model units per pixel.
 
-    image : the frame's name. size : (2,) width and height of the frame [px]. camera_height : over the ground [model
-    units].
+    image : the frame's name. size : (2,) its width and height [px]. camera_height : over the ground [model units].
     """
 
     @property
@@ -200,11 +224,13 @@ class GroundView(Picture, Protocol):
 class PosedSet(Source, Protocol):
     """Pictures whose poses are known, up to a scale: a reconstruction. Lengths are in model units.
 
-    ground : under its cameras.
+    ground : under its cameras. focal : how far its focal length may be trusted.
     """
 
     @property
     def ground(self) -> Ground: ...
+    @property
+    def focal(self) -> FocalDoubt: ...
     @property
     def ground_pictures(self) -> Sequence[GroundView]:
         """The near-nadir parts of the frames, warped onto the ground."""

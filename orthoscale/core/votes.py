@@ -24,6 +24,7 @@ class Votes:
     members : (N,) lists of the boxes' indices.
     sigma : (N, 2) relative one-sigma noise of one of its boxes (`Boxes.sigma`), NaN where it is the ruler's.
     kinds : (N, 4) how probably it is each of `boxes.KINDS`, NaN where unknown.
+    ground : (N,) relative one-sigma of both sizes that more views do not lessen: the ground's height under it.
     """
 
     size: np.ndarray
@@ -34,6 +35,7 @@ class Votes:
     members: list[np.ndarray]
     sigma: np.ndarray | None = None
     kinds: np.ndarray | None = None
+    ground: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.size)
@@ -57,15 +59,16 @@ def gather(
     repeated: bool,
     sigma: np.ndarray | None = None,
     kinds: np.ndarray | None = None,
+    ground: np.ndarray | None = None,
 ) -> Votes:
-    """Votes from M boxes: sizes (M, 2), detector pixels (M,), places (M, D), scores (M,), sigma (M, 2) and kinds
-    (M, 4), as in `Votes`.
+    """Votes from M boxes: sizes (M, 2), detector pixels (M,), places (M, D), scores (M,), sigma (M, 2), kinds
+    (M, 4) and ground (M,), as in `Votes`.
 
     `repeated`: the boxes come from several pictures that show the same vehicles, so boxes in one place are one vehicle.
     """
     labels = np.arange(len(size))
     if repeated and len(size):
-        labels = _same_place(place, SAME_PLACE * float(np.median(size[:, 1])))
+        labels = same_place(place, SAME_PLACE * float(np.median(size[:, 1])))
     views = np.bincount(labels)
     members = np.split(np.argsort(labels, kind="stable"), np.cumsum(views)[:-1]) if len(size) else []
     alone = views == 1
@@ -86,6 +89,7 @@ def gather(
         members=members,
         sigma=None if sigma is None else np.sqrt(over(sigma**2, np.mean)),
         kinds=None if kinds is None else over(kinds, _mean_of_known),
+        ground=None if ground is None else over(ground),
     )
 
 
@@ -95,7 +99,7 @@ def _mean_of_known(rows: np.ndarray, axis: int) -> np.ndarray:
     return known.mean(axis) if len(known) else rows[0]
 
 
-def _same_place(place: np.ndarray, reach: float) -> np.ndarray:
+def same_place(place: np.ndarray, reach: float) -> np.ndarray:
     """(M,) cluster number of each point: points linked by steps shorter than `reach`."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

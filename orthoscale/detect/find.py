@@ -69,7 +69,7 @@ def find_vehicles(
     detector : the shipped one by default. zoom : detector pixels per picture pixel.
     sampling : gives the sampling part of the uncertainty that follows from what was found so far (infinite for too
     little): the sweep ends when it reaches the effort's target. Without it, all tiles are looked at. cover : of frames
-    that overlap: each is looked at as a whole, in this order, and where enough of them were the sweep ends too.
+    that overlap: enough of them are looked at, whatever the target, and more only for too little evidence.
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
 

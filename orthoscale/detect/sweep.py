@@ -17,7 +17,7 @@ from .workers import Visit
 FIRST = 16  # tiles (or frames) that are looked at before asking whether they are enough
 SMALLEST_BATCH = 4  # of any later batch
 ON_TARGET = "enough for --target"
-REPEATED = "the others show no new ground"
+REPEATED = "the others show the same ground again"
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def sweep_twice(
     """Look at the tiles `jobs` in `order`, until `spread` of what was found is at most `target`.
 
     order : numbers of all jobs, each once; those of one frame, which are looked at together, as one array. enough : how
-    many steps of it suffice where the spread is finite, because the others show the same again.
+    many steps of it show all that there is: so many are looked at, and more only while the spread is infinite.
 
     `spread` is asked after batches of tiles that depend on nothing but what was found before, never on the time or on
     the number of workers, so the same tiles are visited every time. Without it all tiles are. `progress(done, total)`
@@ -59,7 +59,7 @@ def sweep_twice(
     """
     looks: dict[int, Looks] = {}
     cached = steps = 0
-    batch = FIRST if spread else len(order)
+    batch = len(order) if spread is None else FIRST if enough is None else max(enough, 1)
     while True:
         # Files are read fastest from the top; many (JPEG, PNG) only so.
         numbers = sorted(n for step in order[steps : steps + batch] for n in np.atleast_1d(step).tolist())
@@ -85,12 +85,9 @@ def sweep_twice(
         if spread is None or len(looks) == len(jobs):
             return found
         reached = spread(found)
-        repeated = enough is not None and steps >= enough and np.isfinite(reached)
-        if reached <= target or repeated:
-            return replace(found, swept=replace(found.swept, why=ON_TARGET if reached <= target else REPEATED))
+        if reached <= target if enough is None else np.isfinite(reached):
+            return replace(found, swept=replace(found.swept, why=ON_TARGET if enough is None else REPEATED))
         batch = _next_batch(steps, reached / target if target > 0 else np.inf)
-        if enough is not None and steps < enough:
-            batch = min(batch, enough - steps)
 
 
 def _next_batch(seen: int, excess: float) -> int:

@@ -22,6 +22,7 @@ import numpy as np
 from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Tile
+from ..core.measuring.agreed import OF_MISTAKES
 from ..core.source import Picture
 from ..errors import UsageError
 from .detector import Card
@@ -48,7 +49,10 @@ FEWEST_VOTES = 2.0  # votes below which no zoom is right; five vehicles that two
 # known scale the second best has 0.04 to 0.19, on rendered towns of panels and graves up to 0.7.
 AMBIGUOUS = 0.4
 NEAR_AND_FAR = 4.0  # factor between lengths that may be the same vehicles', in frames from nearer and farther
-AGREED = (0.3, 0.6)  # share of boxes that two zooms agree on, of mistakes and of vehicles: from none to all of a vote
+AGREED = (
+    OF_MISTAKES,
+    0.6,
+)  # share of boxes that two zooms agree on, of mistakes and of vehicles: from none to all of a vote
 LEAST_VOTE = 0.05  # that is left however few are agreed on
 MISTAKE_EVERY = 2e6  # network pixels, in which zooms agree on one by chance, where ground is busy
 WELL_SEEN = 20.0  # [px of the network] below which it says the usual size of whatever it sees: cars look all alike

@@ -20,7 +20,7 @@ from ..sources.satellite import Satellite
 from ..version import __version__
 from .places import PlacedSample
 
-FOUND_NEAR, FOUND_FAR = 5.0, 20.0  # [m] within which a photo counts as found; the paper's are 5 and 20
+NEAR_M, FAR_M = 5.0, 20.0  # [m] within which a photo counts as found; the paper's are 5 and 20
 TRUE_SD = 0.06  # relative one-sigma that a true scale, or one with an error, is searched with: the 90 % are +- 10 %
 ELLIPSIS, ELLIPSIS_STEP = "...", 0.1  # of --scale-errors, and the step that it stands for
 ESTIMATED, TRUE = "estimated", "true"
@@ -114,8 +114,8 @@ def document(
         "satellite": str(satellite.source.path),
         "method": method,
         "fleet": fleet.code,
-        "near_m": FOUND_NEAR,
-        "far_m": FOUND_FAR,
+        "near_m": NEAR_M,
+        "far_m": FAR_M,
         "used_ratio": len(ratios) / len(samples),
         "estimated_over_true": None if not ratios else [float(q) for q in np.percentile(ratios, [5, 50, 95])],
         "success": lines,
@@ -135,19 +135,18 @@ def _found(each: PlacedSample, outcome: Any) -> Found:
 
 
 def summary(results: Sequence[Found], photos: int) -> dict[str, Any]:
-    """One line of the table, as shares of all `photos`: the best candidate within FOUND_NEAR and FOUND_FAR, whether or
-    not it was good enough; what was answered, and of that what was right; and how many answers were wrong (beyond
-    FOUND_FAR)."""
+    """One line of the table, as shares of all `photos`: the best candidate within NEAR_M and FAR_M, good enough or not;
+    what was answered, and of that what was right; and how many answers were wrong (beyond FAR_M)."""
     error = np.array([each.error for each in results])
     answered = np.array([each.answered for each in results], bool)
     return {
         "searched": len(results),
-        "best_near": float((error < FOUND_NEAR).sum() / photos),
-        "best_far": float((error < FOUND_FAR).sum() / photos),
+        "best_near": float((error < NEAR_M).sum() / photos),
+        "best_far": float((error < FAR_M).sum() / photos),
         "answered": float(answered.sum() / photos),
-        "near": float((answered & (error < FOUND_NEAR)).sum() / photos),
-        "far": float((answered & (error < FOUND_FAR)).sum() / photos),
-        "wrong": int((answered & (error >= FOUND_FAR)).sum()),
+        "near": float((answered & (error < NEAR_M)).sum() / photos),
+        "far": float((answered & (error < FAR_M)).sum() / photos),
+        "wrong": int((answered & (error >= FAR_M)).sum()),
     }
 
 

@@ -17,7 +17,7 @@ from .readers import Sample
 GPS_FILES = "Dense_GPS_*.txt"
 GPS_LINE = re.compile(r"^(\S+)\s+E(-?\d+(?:\.\d+)?)\s+N(-?\d+(?:\.\d+)?)\s+(-?\d+(?:\.\d+)?)\s*$")
 GPS_HINT = "Lines are: path E<longitude> N<latitude> height."
-PLACES_ABOVE = 2  # folders above the photos' in which the file of their places is looked for
+GPS_FOLDERS_ABOVE = 2  # folders above the photos' in which the file of their places is looked for
 NAME_PARTS = 2  # of a path: DenseUAV has 000001/H80.JPG in several folders, and the paths of its authors' disk
 
 
@@ -52,7 +52,7 @@ def placed(path: Path, samples: Sequence[Sample]) -> tuple[list[PlacedSample], l
 def places_of_denseuav(folder: Path) -> dict[str, tuple[float, float]]:
     """Longitude and latitude by the last two parts of a photo's path, from all ``Dense_GPS_*.txt`` in `folder` or near
     above it; none where there is no such file. Raises InputError."""
-    for place in (folder, *folder.absolute().parents[:PLACES_ABOVE]):
+    for place in (folder, *folder.absolute().parents[:GPS_FOLDERS_ABOVE]):
         files = sorted(place.glob(GPS_FILES))
         if files:
             return {name: where for file in files for name, where in _gps_lines(file).items()}

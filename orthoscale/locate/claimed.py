@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +26,14 @@ BY_VEHICLES, BY_WORD = "vehicles", "given"
 class ClaimedScale:
     """A photo with its average ground sampling distance [m/px] and 90 % interval.
 
-    by : BY_VEHICLES or BY_WORD. measured : the vehicles' scale, None where it was told."""
+    by : BY_VEHICLES or BY_WORD. measured : the vehicles' scale, None where it was told. focal_known : whether the
+    photo's focal length is, without which its altitude is not."""
 
     photo: Photo
     gsd: Measure
     by: str
     measured: PhotoScale | None = None
+    focal_known: bool = True
 
     @property
     def sd(self) -> float:
@@ -50,7 +52,7 @@ class ClaimedScale:
 
     def times(self, factor: float) -> ClaimedScale:
         """The same with a wrong scale, for trials."""
-        return ClaimedScale(self.photo, self.gsd * factor, self.by, self.measured)
+        return replace(self, gsd=self.gsd * factor)
 
 
 def altitude_of(photo: Photo, gsd: float) -> float:
@@ -59,17 +61,17 @@ def altitude_of(photo: Photo, gsd: float) -> float:
     return gsd * abs(float(photo.up[2])) * photo.lens.focal_px
 
 
-def open_for_gsd(path: Path, name: str, **lens: Any) -> Photo:
-    """The photo at `path`, whose GSD is told; `lens` as for `open_photo`. From straight above a GSD says all, so there
-    a focal length may be missing. Raises InputError, UsageError."""
-    tags = read_tags(path)
-    told = any(value is not None for value in lens.values())
-    if not told and tags.pitch is None:
+def told_scale(path: Path, name: str, gsd: float, **lens: Any) -> ClaimedScale:
+    """The photo at `path` with a `gsd` [m/px] that is told; `lens` as for `open_photo`. From straight above a GSD says
+    all of the ground, so there a focal length may be missing. Raises InputError, UsageError."""
+    told, tags, known = Measure.log_normal(gsd, GSD_TOLD_SD), read_tags(path), True
+    if tags.pitch is None and all(value is None for value in lens.values()):
         try:
             lens_of(tags)
         except InputError:
-            lens = {**lens, "focal_px": float(np.hypot(tags.width, tags.height))}
-    return open_photo(path, name, **lens)
+            known = False
+            lens["focal_px"] = float(np.hypot(tags.width, tags.height))  # any leads to the same ground
+    return ClaimedScale(open_photo(path, name, **lens), told, BY_WORD, None, known)
 
 
 def claimed_scales(
@@ -81,21 +83,21 @@ def claimed_scales(
     """
     if gsd is not None and not (np.isfinite(gsd) and gsd > 0):
         raise UsageError(f"--gsd must be a positive number of metres per pixel, not {gsd:g}")
-    photos: dict[str, Photo] = {}
+    photos: list[Photo] = []
     found: dict[str, ClaimedScale | OrthoscaleError] = {}
     for name, path in paths.items():
         try:
-            photo = open_photo(path, name, **lens) if gsd is None else open_for_gsd(path, name, **lens)
-            photo.picture.read(0, 0, 1, 1, 1, 1)
-            photos[name] = photo
+            if gsd is None:
+                photos.append(open_photo(path, name, **lens))
+                photos[-1].picture.read(0, 0, 1, 1, 1, 1)  # a damaged one is its own outcome, not the end of all
+            else:
+                found[name] = told_scale(path, name, gsd, **lens)
         except InputError as error:
             if len(paths) == 1:
                 raise
+            photos = [photo for photo in photos if photo.name != name]
             found[name] = error
-    if gsd is not None:
-        told = Measure.log_normal(gsd, GSD_TOLD_SD)
-        return found | {name: ClaimedScale(photo, told, BY_WORD) for name, photo in photos.items()}
-    return found | (_by_vehicles(list(photos.values()), how, progress) if photos else {})
+    return found | (_by_vehicles(photos, how, progress) if photos else {})
 
 
 def _by_vehicles(

@@ -13,6 +13,7 @@ import numpy as np
 ORIENTATION_BINS = 8  # of orientation over half a turn: an edge keeps its direction where light and shade change sides
 GRADIENT_CELL = 8  # px
 NEARBY = 31  # [px] over which contrast is evened out: sunlit roofs and shaded yards weigh alike
+TRIANGLE = (1 / 8, 3 / 8, 3 / 8, 1 / 8)  # of four half cells
 FLAT_GRADIENT = 4.0  # [grey levels per px] of gradient that counts as none: noise and compression
 
 
@@ -58,22 +59,29 @@ class GradientFeatures:
         inside = cv2.erode(valid.astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=1)
         strength *= inside  # the edge of the picture is no edge of the ground
         strength /= cv2.blur(strength, (NEARBY, NEARBY)) + FLAT_GRADIENT
-        position = (angle % np.pi) * (ORIENTATION_BINS / np.pi)
-        lower = np.floor(position)
-        share = position - lower
         height, width = (side // GRADIENT_CELL for side in valid.shape)
-        cells = np.empty((ORIENTATION_BINS, height, width), np.float32)
-        for k in range(ORIENTATION_BINS):
-            weight = strength * (
-                (lower % ORIENTATION_BINS == k) * (1 - share) + ((lower + 1) % ORIENTATION_BINS == k) * share
-            )
-            # A triangle two cells wide, so that a shift by part of a cell changes little.
-            smooth = cv2.blur(cv2.blur(weight, (GRADIENT_CELL, GRADIENT_CELL)), (GRADIENT_CELL, GRADIENT_CELL))
-            cells[k] = smooth[
-                GRADIENT_CELL // 2 : height * GRADIENT_CELL : GRADIENT_CELL,
-                GRADIENT_CELL // 2 : width * GRADIENT_CELL : GRADIENT_CELL,
-            ]
-        return np.sqrt(np.maximum(cells, 0)) * whole_cells(valid, GRADIENT_CELL)  # the blur of floats dips below 0
+        whole = slice(height * GRADIENT_CELL), slice(width * GRADIENT_CELL)
+        halves = _histograms(strength[whole], angle[whole], GRADIENT_CELL // 2)
+        # A triangle two cells wide, so that a shift by part of a cell changes little.
+        halves = np.pad(halves, ((0, 0), (1, 1), (1, 1)))
+        lower = np.sum([w * halves[:, k : k + 2 * height : 2] for k, w in enumerate(TRIANGLE)], axis=0)
+        cells = np.sum([w * lower[:, :, k : k + 2 * width : 2] for k, w in enumerate(TRIANGLE)], axis=0)
+        return np.sqrt(cells).astype(np.float32) * whole_cells(valid, GRADIENT_CELL)
+
+
+def _histograms(strength: np.ndarray, angle: np.ndarray, side: int) -> np.ndarray:
+    """(ORIENTATION_BINS, H / side, W / side) mean `strength` by `angle` [rad] modulo half a turn, shared between the
+    two nearest bins."""
+    height, width = strength.shape
+    rows, columns = height // side, width // side
+    position = (angle % np.pi) * (ORIENTATION_BINS / np.pi)
+    lower = np.minimum(position.astype(np.int64), ORIENTATION_BINS - 1)
+    share = position - lower
+    square = (np.arange(height)[:, None] // side * columns + np.arange(width) // side) * ORIENTATION_BINS
+    size = rows * columns * ORIENTATION_BINS
+    sums = np.bincount((square + lower).ravel(), (strength * (1 - share)).ravel(), size)
+    sums += np.bincount((square + (lower + 1) % ORIENTATION_BINS).ravel(), (strength * share).ravel(), size)
+    return sums.reshape(rows, columns, ORIENTATION_BINS).transpose(2, 0, 1) / side**2
 
 
 def whole_cells(valid: np.ndarray, stride: int) -> np.ndarray:

@@ -106,7 +106,8 @@ def entry(outcome: Outcome, satellite: Satellite) -> dict[str, Any]:
     }
     claimed, got = outcome.claimed, outcome.registration
     if claimed is not None:
-        values |= {"attitude": claimed.photo.attitude, "focal_source": claimed.photo.lens.source}
+        source = claimed.photo.lens.source if claimed.focal_known else "not known"
+        values |= {"attitude": claimed.photo.attitude, "focal_source": source}
         values["claimed_scale"] = {"by": claimed.by, **_measure(claimed.gsd)}
     if best is not None and claimed is not None and scales is not None and got is not None:
         below, outline = foot(best), footprint(outcome, best)
@@ -117,7 +118,7 @@ def entry(outcome: Outcome, satellite: Satellite) -> dict[str, Any]:
             "middle": best.middle.tolist(),
             "footprint": None if outline is None else outline.tolist(),
             "heading_deg": round(float(np.degrees(best.heading)), 2),
-            "altitude_m": _measure(height),
+            "altitude_m": _measure(height) if claimed.focal_known else None,
             "inliers": best.inliers,
             "score": round(best.score, 4),
             "map_scale": _measure(scales.matched),

@@ -10,6 +10,7 @@ from ..actions.requests import PhotoRequest
 from ..actions.whose import fleet_at, named_fleet
 from ..core.detections import Detections
 from ..core.fleet import Fleet
+from ..core.remarks import Remark
 from ..detect.find import Progress
 from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
@@ -35,7 +36,7 @@ class Album:
     """Photos, as `exchange` wants them for the names and sizes of their pictures."""
 
     photos: Sequence[Photo]
-    notes: list[str] = field(default_factory=list)
+    notes: list[Remark] = field(default_factory=list)
     raster: None = None
 
     @property

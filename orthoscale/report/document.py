@@ -103,7 +103,7 @@ def document(
         "interval90": list(scale.interval90),
         "verdict": scale.verdict,
         "fit": FIT[scale.verdict],
-        "judgements": [asdict(judgement) for judgement in judgements(measured, claim)],
+        "judgements": [asdict(judgement) for judgement in judgements(measured, claim, remarks)],
         "vehicles_used": scale.vehicles_used,
         "vehicles_rejected": scale.rejected,
         "boxes_rejected": measured.rejected_boxes,
@@ -251,7 +251,12 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
         ],
         "trend": None
         if drift.trend is None
-        else {"percent_across": drift.trend.percent_across, "chance": drift.trend.chance},
+        else {
+            "percent_across": drift.trend.percent_across,
+            "chance": drift.trend.chance,
+            "percent_bent": drift.trend.percent_bent,
+            "bend_chance": drift.trend.bend_chance,
+        },
         "drifts": drift.drifts,
     }
 

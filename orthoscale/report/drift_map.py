@@ -16,6 +16,33 @@ SMALLER_RGB, NEUTRAL_RGB, LARGER_RGB = np.array([47, 127, 209]), np.array([250, 
 SMALLEST_LETTERS = 8  # letters that can be read [px]
 
 
+def regions_panel(drift: Mapping[str, Any], scale: float, side: int) -> np.ndarray:
+    """RGB picture `side` px wide of a model's regions from above, from the report's `drift` and its `scale`; coloured
+    and labelled as the cells of `drift_panel`."""
+    regions = drift["regions"]
+    centres = np.array([region["centre_unit"] for region in regions]) * (1, -1)  # y up on the plan, down on paper
+    low, extent = centres.min(0), np.maximum(np.ptp(centres, axis=0), 1e-12)
+    square = int(side / 5)
+    zoom = (side - square) / extent.max()
+    title = 56
+    panel = np.full((round(extent[1] * zoom) + square + title, side, 3), 255, np.uint8)
+    drifts = drift.get("drifts")
+    judged = "not judged" if drifts is None else "the scale drifts" if drifts else "no significant drift"
+    write_on(panel, (10, 22), f"Scale by place: {judged}", 17)
+    key = "Per cent from the overall scale, +- 90 %. Pale: chance. Orange: larger, blue: smaller, full from 3 sigma"
+    write_on(panel, (10, 45), key, 14)
+    for region, centre in zip(regions, centres, strict=True):
+        deviation, sd = region["scale"] / scale - 1, region["sd"] / scale
+        colour = NEUTRAL_RGB + strength(deviation, sd) * ((LARGER_RGB if deviation > 0 else SMALLER_RGB) - NEUTRAL_RGB)
+        corner = np.round((centre - low) * zoom).astype(int) + (0, title)
+        cv2.rectangle(panel, corner.tolist(), (corner + square - 2).tolist(), colour.tolist(), -1)
+        middle = corner + square / 2
+        lines = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", f"{int(region['vehicles'])} vehicles"
+        for row, line in zip((-0.6, 0.6), lines, strict=True):
+            write_on(panel, (middle[0], middle[1] + 19 * row), line, 16, BLACK, WHITE, "mm")
+    return panel
+
+
 def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) -> np.ndarray:
     """RGB picture with `side` px on the longer side of a raster of `width` x `height` px, from the report's `drift`.
 

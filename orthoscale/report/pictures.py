@@ -10,13 +10,14 @@ import cv2
 import numpy as np
 
 from ..formats.pictures import write_png
-from .drift_map import drift_panel
+from .drift_map import drift_panel, regions_panel
 from .lettering import BLACK, WHITE, write_on
 from .scene import CHIP, Outline, Panel, Scene
 from .wording import quantity
 
 USED_RGB, REJECTED_RGB = (0, 214, 255), (255, 106, 0)  # RGB; told apart by people who do not tell green from red
 SHEET_WIDTH = 1100  # of the sheet [px]
+FEWEST_REGIONS = 2  # of a model with a scale of their own, from which they are drawn
 SHEET_COLUMNS = 6  # of the contact sheet
 
 
@@ -28,6 +29,8 @@ def draw(report: Mapping[str, Any], scene: Scene, path: Path) -> None:
     if "cells" in (report.get("drift") or {}):
         ((width, height),) = report["pictures"].values()
         panels.append(drift_panel(report["drift"], width, height, SHEET_WIDTH))
+    if len((report.get("drift") or {}).get("regions", [])) >= FEWEST_REGIONS:
+        panels.append(regions_panel(report["drift"], report["scale"], SHEET_WIDTH))
     sheet = np.concatenate([_padded(panel, SHEET_WIDTH) for panel in panels])
     write_png(path, sheet)
 

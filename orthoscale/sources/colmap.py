@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.projection.view import LOWEST_ELEVATION, Views
+from ..core.remarks import CAUTION, INFO, Remark, informing
+from ..core.source import FocalDoubt
 from ..errors import InputError, OutputError, UsageError
 from ..formats.geometry.dense import GEOMETRY, find_dense, scale_dense, sparse_folders
 from ..formats.geometry.files import reason_left
@@ -22,8 +24,9 @@ from ..formats.points import coordinates, number
 from ..system.outputs import FOLDER_MARK
 from .colmap_check import RIG_TABLES, TABLES, open_model
 from .colmap_write import read_model, write_scaled
-from .consistency import check_consistency, focal_notes
+from .consistency import check_consistency
 from .database import pose_priors
+from .focal import focal_doubt
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
@@ -56,7 +59,7 @@ class ColmapSource:
     folder: Path
     input_format: str
     pictures: list[PictureFile]
-    notes: list[str]
+    notes: list[Remark]
     _paths: tuple[Path, ...]
     _model: pycolmap.Reconstruction
     unit: str = "m/model-unit"
@@ -74,11 +77,10 @@ class ColmapSource:
         """
         files = open_model(Path(path))
         model = read_model(files.folder, files.format)
-        notes = [*files.notes, *check_consistency(files.folder, model, files.seen)]
+        notes = [*informing(files.notes), *check_consistency(files.folder, model, files.seen)]
         pictures = find_frames(model, files.folder, images, need_images, notes)
-        notes += focal_notes(model, pictures)
         if note := pose_priors(files.folder):
-            notes.append(note)
+            notes.append(Remark(INFO, note))
         return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
 
     @cached_property
@@ -90,6 +92,11 @@ class ColmapSource:
         centres = np.array([self.centre(name) for name in self.picture_names])
         # Which points the fit draws depends on their order, and that is another one in each program's files.
         return Ground.fit(points[np.lexsort(points.T)], centres)
+
+    @cached_property
+    def focal(self) -> FocalDoubt:
+        """How far the focal length may be trusted."""
+        return focal_doubt(self._model, self.pictures)
 
     @cached_property
     def ground_pictures(self) -> list[GroundPicture]:
@@ -245,7 +252,7 @@ class ColmapSource:
         write_scaled(self.folder, self.input_format, self._model, folder, sim3.scale)
         try:
             sim3.save(folder)
-            notes = self._copy_rest(folder)
+            notes = informing(self._copy_rest(folder))
         except OSError as error:
             raise OutputError(f"{folder}: writing failed ({error})", "Check permissions and free space.") from error
         self.notes.extend(note for note in notes if note not in self.notes)
@@ -279,7 +286,7 @@ class ColmapSource:
 
     def write_dense(self, folder: Path, metres_per_unit: float) -> None:
         """Write the dense workspace in metres into the empty `folder`; raises as `dense` does."""
-        self.notes.extend(scale_workspace(self.dense, folder, metres_per_unit))
+        self.notes.extend(informing(scale_workspace(self.dense, folder, metres_per_unit)))
 
     def _copy_rest(self, folder: Path) -> list[str]:
         tables = {f"{table}.{form}" for table in (*TABLES, *RIG_TABLES) for form in ("bin", "txt")}
@@ -320,7 +327,7 @@ def scale_workspace(source: Path, target: Path, scale: float) -> list[str]:
 
 
 def find_frames(
-    model: pycolmap.Reconstruction, folder: Path, images: Path | str | None, need_images: bool, notes: list[str]
+    model: pycolmap.Reconstruction, folder: Path, images: Path | str | None, need_images: bool, notes: list[Remark]
 ) -> list[PictureFile]:
     """The frames of `model`, which lies in `folder`, that are on disk; see `ColmapSource.open`, whose notes grow."""
     registered = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
@@ -329,10 +336,11 @@ def find_frames(
     except InputError as error:
         if need_images or images is not None:
             raise
-        notes.append(error.message)
+        notes.append(Remark(INFO, error.message))
         return []
     if missing:
-        notes.append(f"{len(missing)} of {len(registered)} frames are not in {root}, the first is {missing[0]}")
+        text = f"{len(missing)} of {len(registered)} frames are not in {root}, the first is {missing[0]}"
+        notes.append(Remark(CAUTION, text))
     pictures = []
     for name in sorted(registered.keys() - set(missing)):
         camera = model.camera(registered[name].camera_id)

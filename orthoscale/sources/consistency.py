@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.remarks import CAUTION, Remark
 from ..errors import InputError
 
 if TYPE_CHECKING:
     import pycolmap
-
-    from .picture_file import PictureFile
 
 SAMPLE = 50_000  # observations that are looked at, spread over the images
 LEAST_EACH = 30  # of them in every image that has so many
@@ -33,8 +32,6 @@ RADIAL, RADIAL_LEAST, RADIAL_FROM = 0.02, 100, 0.1
 # Of the distance to the points. COLMAP keeps no points that are seen under less than 1.5 degrees, 0.026 of it.
 ONE_PLACE = 0.01
 ONE_LINE = 0.01  # of the line's length: how far its cameras may stand beside it
-FOCAL_FRAMES = 12  # whose EXIF is read
-FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
 MIXED_UP_HINT = (
     "Cameras, images and points are not of one model, or a file is damaged: copy all of it again from its origin."
 )
@@ -61,7 +58,7 @@ def some_of_each(counts: Sequence[int]) -> list[np.ndarray]:
     return [np.arange(n) if n <= most else random.choice(n, most, replace=False) for n in counts]
 
 
-def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Observations) -> list[str]:
+def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Observations) -> list[Remark]:
     """Hold `model`, which lies at `where`, against what its images saw; returns what its user should know.
 
     Raises InputError, naming cameras or images and how far they are off, for a model that does not reproject, and for
@@ -71,11 +68,12 @@ def check_consistency(where: object, model: pycolmap.Reconstruction, seen: Obser
     centres = np.array([image.projection_center() for image in images.values()])
     if len(seen.image):
         _check_projections(where, model, [images[name] for name in seen.names], seen)
-        notes = []
+        notes: list[Remark] = []
         stand = np.array([images[name].projection_center() for name in seen.names])[seen.image]
         distance = np.median(np.linalg.norm(seen.points - stand, axis=1))
     else:
-        notes = [f"{where} holds no observations of its points: whether they fit its cameras cannot be checked"]
+        text = f"{where} holds no observations of its points: whether they fit its cameras cannot be checked"
+        notes = [Remark(CAUTION, text)]
         points = np.array([point.xyz for point in model.points3D.values()])
         distance = np.median(np.linalg.norm(points - centres.mean(0), axis=1))
     return notes + _check_places(where, centres, float(distance))
@@ -175,7 +173,7 @@ def _off(
     return InputError(f"{where}: the points of {what} are projected {how} where they were seen", MIXED_UP_HINT)
 
 
-def _check_places(where: object, centres: np.ndarray, distance: float) -> list[str]:
+def _check_places(where: object, centres: np.ndarray, distance: float) -> list[Remark]:
     """Whether the cameras at `centres` (C, 3), `distance` from what they see, stand where a scene can be measured."""
     if len(centres) < 2:
         return []
@@ -189,32 +187,9 @@ def _check_places(where: object, centres: np.ndarray, distance: float) -> list[s
             "Views from different places are needed. If these were, the model is damaged: copy it again.",
         )
     if len(centres) > 2 and extent[1] < ONE_LINE * extent[0]:
-        return [f"all {len(centres)} cameras stand on one straight line: nothing beside it holds the model in shape"]
+        text = f"all {len(centres)} cameras stand on one straight line: nothing beside it holds the model in shape"
+        return [Remark(CAUTION, text)]
     return []
-
-
-def focal_notes(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[str]:
-    """A note if EXIF tells focal lengths far from the model's. Flat scenes leave them open: it is no error."""
-    from ..photos.lens import lens_of
-    from ..photos.tags import read_tags
-
-    cameras = {model.image(i).name: model.camera(model.image(i).camera_id) for i in model.reg_image_ids()}
-    found = []
-    for picture in pictures[:: max(1, len(pictures) // FOCAL_FRAMES)][:FOCAL_FRAMES]:
-        try:
-            told = lens_of(read_tags(picture.path))
-        except InputError:  # tells none, or is damaged, which its reader will say
-            continue
-        has = cameras[picture.name].mean_focal_length()
-        found.append((has / told.focal_px - 1, has, told, picture.name))
-    far = [each for each in found if abs(each[0]) > max(FOCAL_FAR, 2 * each[2].sd)]
-    if 2 * len(far) <= len(found):
-        return []
-    share, has, told, name = max(far, key=lambda each: abs(each[0]))
-    return [
-        f"{name} has a focal length of {told.focal_px:.0f} px ({told.source}), the model {has:.0f} px "
-        f"({100 * share:+.0f} %): flat scenes leave it open; heights are then off by as much, the scale hardly"
-    ]
 
 
 def observations(names: Sequence[str], seen: Iterable[tuple[np.ndarray, np.ndarray]]) -> Observations:

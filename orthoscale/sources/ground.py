@@ -1,7 +1,8 @@
 """The ground under a reconstruction: a smooth sheet drawn under its sparse points, below trees, roofs and vehicles.
 
 A vehicle's size in model units is its size in pixels times its distance, and its distance is where its ray meets the
-ground: an error of one percent of the camera height is an error of one percent of the scale.
+ground: an error of one percent of the camera height is an error of one percent of the scale. So the sheet says how well
+it knows its height everywhere: where no point holds it, between points and beyond them, it may have wandered off.
 """
 
 from __future__ import annotations
@@ -10,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.interpolate import RectBivariateSpline
-from scipy.ndimage import distance_transform_edt
+from scipy.interpolate import RectBivariateSpline, RegularGridInterpolator
 from scipy.sparse.linalg import splu
 
 from ..errors import InputError, TooLittleEvidence
@@ -32,6 +32,16 @@ ABOVE, BELOW = 2.0, 3.0
 # SPREAD times the median distance of the points below the sheet.
 SETTLES, SPREAD = 0.24, 1.69
 STEEPEST = np.radians(25)  # vehicles neither park nor drive on steeper ground
+# How much the ground's slope changes from place to place: a thin plate's stiffness as a Gaussian process has it (Wahba,
+# Spline Models for Observational Data, 1990, 2.4), where slopes at distances a factor of e apart differ by about
+# WANDER / sqrt(4 pi). Lots are built with slopes of 1 to 5 %, streets with up to 8 % and a crown of 2 %: 2 % from one
+# to the next makes 0.07.
+WANDER = 0.07
+MOST_DOUBTED = 1500  # nodes of the coarse grid on which that is worked out, half a second's work
+REACHES_BEYOND = 0.4  # camera heights that the sheet reaches beyond the points
+# Relative to the camera's height: from there a vehicle's size says less than what is known of it beforehand, for
+# vehicles differ by a tenth (the fleets' lengths).
+NOT_KNOWN = 0.1
 
 
 @dataclass(frozen=True)
@@ -77,6 +87,12 @@ class Ground:
         """(N,) heights of `points` (N, 3) over the ground straight below them, along `up`."""
         return self._sheet.height_above(np.asarray(points, float).reshape(-1, 3))
 
+    def sd(self, points: np.ndarray) -> np.ndarray:
+        """(N,) one sigma of the ground's height straight below `points` (N, 3): more, the farther from its own points.
+
+        Beyond the sheet it is that of its nearest edge."""
+        return self._sheet.sd(np.asarray(points, float).reshape(-1, 3) @ self._sheet.plane_from_world.T)
+
     def plane(self, points: np.ndarray) -> np.ndarray:
         """(N, 2) coordinates of `points` (N, 3) along the ground, as a plan shows them: x right, y up."""
         return (np.asarray(points, float).reshape(-1, 3) @ self._sheet.plane_from_world.T)[:, :2]
@@ -90,8 +106,8 @@ class Ground:
         """Where rays from `origins` (N, 3) along `directions` (N, 3), of any length, meet the ground.
 
         Returns the points (N, 3), the ground's unit normals there (N, 3), pointing up, and (N,) bool whether the
-        answer holds: the ray goes down to the ground, ends close to where the ground was seen, and the ground there is
-        not too steep for vehicles. Where it does not hold, points and normals are finite but meaningless.
+        answer holds: the ray goes down to ground whose height is known at all (`sd`), and that is not too steep for
+        vehicles. Where it does not hold, points and normals are finite but meaningless.
         """
         origins = np.asarray(origins, float).reshape(-1, 3)
         directions = np.asarray(directions, float).reshape(-1, 3)
@@ -158,13 +174,14 @@ def _plane_below(points: np.ndarray, centres: np.ndarray, random: np.random.Gene
 
 @dataclass(frozen=True)
 class _Sheet:
-    """A smooth height field over the plane of `plane_from_world` (3, 3), and where points of the ground support it."""
+    """A smooth height field over the plane of `plane_from_world` (3, 3), and one sigma of it on a coarser grid."""
 
     plane_from_world: np.ndarray
     corner: np.ndarray  # (2,) plane coordinates of the first node
     spacing: float
+    shape: tuple[int, int]  # nodes along x and y
     surface: RectBivariateSpline
-    reach: np.ndarray  # (nx, ny) distance from each node to the nearest one with ground points
+    doubt: RegularGridInterpolator
 
     @classmethod
     def fit(cls, points: np.ndarray, centres: np.ndarray, plane_from_world: np.ndarray) -> tuple[_Sheet, float]:
@@ -183,6 +200,7 @@ class _Sheet:
 
         area = np.prod(right - left)
         spacing = max(0.1 * height, np.sqrt(area / MAX_NODES), np.sqrt(2 * area / len(points)))
+        left, right = left - REACHES_BEYOND * height, right + REACHES_BEYOND * height
         shape = np.maximum(np.ceil((right - left) / spacing).astype(int) + 1, 4)
         grid = _Grid(left, spacing, (int(shape[0]), int(shape[1])))
 
@@ -202,12 +220,14 @@ class _Sheet:
         if ground.sum() < max(MIN_SHARE * everything, MIN_POINTS // 2):
             raise _no_ground()
 
-        x, y = (grid.corner[k] + grid.spacing * np.arange(grid.shape[k]) for k in (0, 1))
-        seen = np.zeros(grid.shape, bool)
-        seen[tuple(grid.nearest(points[ground, :2]).T)] = True
-        reach = distance_transform_edt(~seen) * grid.spacing
-        surface = RectBivariateSpline(x, y, heights.reshape(grid.shape))
-        return cls(plane_from_world, grid.corner, grid.spacing, surface, reach), float(noise)
+        surface = RectBivariateSpline(*grid.nodes, heights.reshape(grid.shape))
+        doubt = _doubt(points[ground, :2], float(noise), left, right)
+        return cls(plane_from_world, grid.corner, grid.spacing, grid.shape, surface, doubt), float(noise)
+
+    def sd(self, local: np.ndarray) -> np.ndarray:
+        """(N,) one sigma of the height at places (N, 2 or 3) in plane coordinates."""
+        ends = [(axis[0], axis[-1]) for axis in self.doubt.grid]
+        return self.doubt(np.column_stack([np.clip(local[:, k], *ends[k]) for k in (0, 1)]))
 
     def height_above(self, points: np.ndarray) -> np.ndarray:
         local = points @ self.plane_from_world.T
@@ -240,11 +260,10 @@ class _Sheet:
         end = start + along[:, None] * ray
         normal = self._upward(end)
         miss = end[:, 2] - self.surface.ev(end[:, 0], end[:, 1])
-        node = np.rint((end[:, :2] - self.corner) / self.spacing)
-        inside = ((node >= 0) & (node < self.reach.shape)).all(1)
-        i, j = np.where(inside[:, None], node, 0).astype(int).T
+        node = (end[:, :2] - self.corner) / self.spacing
+        inside = ((node >= 0) & (node <= np.subtract(self.shape, 1))).all(1)
         ok = usable & inside & (along > 0) & (np.abs(miss) < 1e-6 * camera_height)
-        ok &= (self.reach[i, j] <= 0.3 * camera_height + self.spacing) & (normal[:, 2] > np.cos(STEEPEST))
+        ok &= (self.sd(end) <= NOT_KNOWN * camera_height) & (normal[:, 2] > np.cos(STEEPEST))
         return end @ self.plane_from_world, normal @ self.plane_from_world, ok
 
     def _upward(self, points: np.ndarray) -> np.ndarray:
@@ -261,6 +280,23 @@ def _noise_below(residual: np.ndarray, band: float) -> float:
     return SPREAD * float(np.median(below)) if len(below) >= 10 else band / 3
 
 
+def _doubt(ground: np.ndarray, noise: float, left: np.ndarray, right: np.ndarray) -> RegularGridInterpolator:
+    """One sigma of the sheet's height between `left` and `right` (2,), by where its `ground` points (M, 2) lie.
+
+    The sheet is a Gaussian process whose prior is the bending energy of a thin plate: minus half of the energy over
+    WANDER squared is its log density. Points err by `noise`, those of one node partly alike, as in `_Sheet.fit`.
+    """
+    spacing = float(np.sqrt(np.prod(right - left) / MOST_DOUBTED))
+    shape = np.maximum(np.ceil((right - left) / spacing).astype(int) + 1, 4)
+    grid = _Grid(left, spacing, (int(shape[0]), int(shape[1])))
+    at = grid.interpolation(ground)
+    held = at.T.multiply(1 / (noise**2 * grid.crowding(ground))) @ at
+    stiff = grid.bending() / (WANDER * spacing) ** 2
+    covariance = np.linalg.inv((held + stiff).toarray() + 1e-9 * stiff.diagonal().max() * np.eye(at.shape[1]))
+    sd = np.sqrt(np.maximum(covariance.diagonal(), 0.0)).reshape(grid.shape)
+    return RegularGridInterpolator(grid.nodes, sd)
+
+
 @dataclass(frozen=True)
 class _Grid:
     """Square cells over the plane; heights live at their nodes, (nx * ny,), interpolated bilinearly."""
@@ -268,6 +304,12 @@ class _Grid:
     corner: np.ndarray
     spacing: float
     shape: tuple[int, int]
+
+    @property
+    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """(nx,) and (ny,) coordinates of the nodes."""
+        x, y = (self.corner[k] + self.spacing * np.arange(self.shape[k]) for k in (0, 1))
+        return x, y
 
     def nearest(self, xy: np.ndarray) -> np.ndarray:
         node = np.rint((xy - self.corner) / self.spacing).astype(int)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..core.remarks import informing
 from ..errors import InputError
 from ..formats.geometry.beside import beside
 from ..formats.geometry.files import scale_file
@@ -25,7 +26,7 @@ from ..formats.geometry.poses import read_poses
 from ..formats.reading import reason
 from .colmap import find_frames
 from .colmap_check import FARTHEST
-from .consistency import Observations, check_consistency, focal_notes, observations, some_of_each
+from .consistency import Observations, check_consistency, observations, some_of_each
 from .one_file import OneFileSource
 
 if TYPE_CHECKING:
@@ -58,10 +59,9 @@ class ExchangeSource(OneFileSource):
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ExchangeSource:
         """Open the file `path`; otherwise as `ColmapSource.open`. Raises InputError."""
         path = Path(path)
-        model, others, notes, tracks = _read(path)
-        notes += check_consistency(path, model, _seen(path, model, tracks))
+        model, others, said, tracks = _read(path)
+        notes = [*informing(said), *check_consistency(path, model, _seen(path, model, tracks))]
         pictures = find_frames(model, path.parent, images, need_images, notes)
-        notes += focal_notes(model, pictures)
         return cls(path, path.parent, "json", pictures, notes, (path, *others), model)
 
     @property

@@ -28,6 +28,7 @@ from rasterio.shutil import copy as gdal_copy
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from ..core.remarks import INFO, Remark, informing
 from ..core.scale import PER_PIXEL
 from ..core.source import NO_DATA_GREY, Picture, Placement
 from ..errors import InputError, OutputError, UsageError
@@ -93,7 +94,7 @@ class RasterSource:
         """Use `RasterSource.open`."""
         self.path = path
         self.name = path.name
-        self.notes: list[str] = []
+        self.notes: list[Remark] = []
         self._dataset = dataset
         self._lock = threading.RLock()
         self.width, self.height = dataset.width, dataset.height
@@ -333,7 +334,7 @@ class RasterSource:
                 f"No vehicle could be measured in it; an image needs at least {SMALLEST} px on each side.",
             )
         if len(dataset.subdatasets) > 1:
-            self.notes.append(f"{self.name} holds {len(dataset.subdatasets)} images; the first is read")
+            self.notes.append(Remark(INFO, f"{self.name} holds {len(dataset.subdatasets)} images; the first is read"))
 
     def _colour_bands(self) -> list[int]:
         """The bands (from 1) to show: red, green, blue where they are named, else the first three, else one grey."""
@@ -425,7 +426,8 @@ class RasterSource:
         sample = np.concatenate(values)
         low, high = (float(v) for v in np.percentile(sample, [0.5, 99.5])) if len(sample) else (0.0, 1.0)
         high = high if high > low else low + 1
-        self.notes.append(f"{'/'.join(sorted(dtypes))} values from {low:g} to {high:g} are shown as 0 to 255")
+        text = f"{'/'.join(sorted(dtypes))} values from {low:g} to {high:g} are shown as 0 to 255"
+        self.notes.append(Remark(INFO, text))
         return low, high
 
     def _damage(self, where: str) -> AbstractContextManager[None]:
@@ -486,7 +488,7 @@ class RasterSource:
         notes = [f"{path.name}: {place.said}"]
         if self._is_cog and not cog:
             notes.append(f"{path.name} is no longer cloud-optimised as {self.name} is (--cog makes it so)")
-        self.notes += [note for note in notes if note not in self.notes]
+        self.notes += [note for note in informing(notes) if note not in self.notes]
 
     @property
     def _is_cog(self) -> bool:

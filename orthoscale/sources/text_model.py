@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.remarks import CAUTION, Remark
 from ..errors import InputError
 from ..formats.geometry.files import scale_file
 from ..formats.geometry.text_models import TextModel, read_text_model
 from .colmap import find_frames, image_folder
-from .consistency import Observations, check_consistency, focal_notes, observations, some_of_each
+from .consistency import Observations, check_consistency, observations, some_of_each
 from .json_model import build_model
 from .one_file import OneFileSource
 from .picture_file import stored_size
@@ -39,14 +40,14 @@ class TextSource(OneFileSource):
         if not wanted:
             raise InputError(f"{path}: no image is registered", "Reconstruct again, or give another model.")
         root, missing = image_folder(path.parent, Path(images) if images is not None else None, wanted)
-        notes = []
+        notes: list[Remark] = []
         if missing:
-            notes.append(f"{len(missing)} of {len(wanted)} frames are not in {root} and left out: {missing[0]} ...")
+            left = f"{len(missing)} of {len(wanted)} frames are not in {root} and left out: {missing[0]} ..."
+            notes.append(Remark(CAUTION, left))
         sizes = {name: _size(root / name) for name in set(wanted) - set(missing)}
         model = _built(path, text, names, sizes)
         notes += check_consistency(path, model, _observations(text, names, model))
         pictures = find_frames(model, path.parent, root, need_images, notes)
-        notes += focal_notes(model, pictures)
         return cls(path, path.parent, path.suffix, pictures, notes, (path, *lists), model)
 
     def _write_file(self, out: Path, scale: float) -> None:

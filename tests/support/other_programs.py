@@ -52,6 +52,38 @@ def nerfstudio(model, folder: Path, **more) -> Path:
     return folder / "transforms.json"
 
 
+def process_data(model, folder: Path) -> None:
+    """What ``ns-process-data images --skip-colmap`` leaves in `folder` (nerfstudio 1.1, process_data/colmap_utils.py):
+    the world turned so that z is up, said by ``applied_transform``, and its points as text; cameras per frame."""
+    folder.mkdir(parents=True, exist_ok=True)
+    turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    frames = []
+    for number, image in model.images.items():
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn @ image.cam_from_world().rotation.matrix().T * (1, -1, -1)
+        matrix[:3, 3] = turn @ image.projection_center()
+        camera = model.cameras[image.camera_id]
+        lens = {
+            "fl_x": camera.focal_length_x,
+            "fl_y": camera.focal_length_y,
+            "k1": 0.0,
+            "k2": 0.0,
+            "p1": 0.0,
+            "p2": 0.0,
+        }
+        lens |= {"cx": camera.principal_point_x, "cy": camera.principal_point_y, "w": camera.width, "h": camera.height}
+        lens |= dict(zip(("k1", "k2"), camera.params[3:5], strict=False)) if camera.model.name != "PINHOLE" else {}
+        place = {"file_path": f"images/{image.name}", "transform_matrix": matrix.tolist(), "colmap_im_id": number}
+        frames.append(place | lens | {"camera_model": "OPENCV"})
+    points = np.array([point.xyz for point in model.points3D.values()]) @ turn.T
+    header = "ply\nformat ascii 1.0\nelement vertex {}\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+    header += "".join(f"property uint8 {colour}\n" for colour in ("red", "green", "blue")) + "end_header\n"
+    rows = "".join(f"{x:8f} {y:8f} {z:8f} 9 9 9\n" for x, y, z in points)
+    (folder / "sparse_pc.ply").write_text(header.format(len(points)) + rows)
+    text = {"frames": frames, "applied_transform": np.column_stack([turn, np.zeros(3)]).tolist()}
+    (folder / "transforms.json").write_text(json.dumps(text | {"ply_file_path": "sparse_pc.ply"}, indent=4))
+
+
 def same_views(colmap, other, folder=""):
     """Rays, ground and projections of both sources are the same; `other` has the pictures in `folder`."""
     pixels = np.random.default_rng(0).uniform((20, 20), (620, 460), (200, 2))

@@ -40,12 +40,13 @@ def railway(boxes, gsd, side=60.0, turn=0.4, ground=BALLAST, blur_px=0.6, noise=
     texture = cv2.resize(small, x.shape[::-1], interpolation=cv2.INTER_LINEAR)
     image = np.array(ground, np.float32) + 5 * texture[..., None]
     for box, colour in boxes:
-        reach = np.array([(a, b) for a in np.clip(box[::2], -side, side) for b in box[1::2]])
-        reach = reach + [[0, 0.5 * bend * reach[0, 0] ** 2], [0, 0.5 * bend * reach[-1, 0] ** 2]] * 2 if bend else reach
+        whole = bool(bend) and box[2] - box[0] > 1
+        sag = 0.5 * bend * ((box[0] + box[2]) / 2) ** 2
+        reach = np.array([(a, b + sag) for a in np.clip(box[::2], -side, side) for b in box[1::2]])
         corners = reach @ np.array([[c, s], [-s, c]]) + side / 2
-        low = np.clip(np.floor(corners.min(0) / step - 2), 0, pixels * fine).astype(int)
-        high = np.clip(np.ceil(corners.max(0) / step + 2), 0, pixels * fine).astype(int)
-        part = np.s_[:, :] if bend else np.s_[low[1] : high[1], low[0] : high[0]]
+        low = np.clip(np.floor(corners.min(0) / step - 4), 0, pixels * fine).astype(int)
+        high = np.clip(np.ceil(corners.max(0) / step + 4), 0, pixels * fine).astype(int)
+        part = np.s_[:, :] if whole else np.s_[low[1] : high[1], low[0] : high[0]]
         if not image[part].size:
             continue
         share = _cover(u[part], v[part], step, box)[..., None]

@@ -11,10 +11,10 @@ STRAIGHT, RADIUS = 84.39, 36.5  # [m] World Athletics' standard track, to the in
 
 
 def running_track(gsd, side, middle=(0.0, 0.0), turn=0.3, lane=1.22, lanes=8, line=0.05, surface=RED, white=LINES,
-                  blur_px=0.6, noise=3.0, seed=0):  # fmt: skip
+                  blur_px=0.6, noise=3.0, drawn_at=FINE, seed=0):  # fmt: skip
     """RGB uint8 of a square of `side` [m] whose middle is at `middle` [m] of the track's frame, turned by `turn`."""
     rng = np.random.default_rng(seed)
-    pixels, fine = round(side / gsd), int(np.ceil(gsd / FINE))
+    pixels, fine = round(side / gsd), int(np.ceil(gsd / drawn_at))
     step = gsd / fine
     x, y = np.meshgrid(*2 * [((np.arange(pixels * fine) + 0.5) * step - side / 2).astype(np.float32)])
     c, s = np.cos(turn), np.sin(turn)

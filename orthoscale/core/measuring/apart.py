@@ -16,7 +16,7 @@ LOOKED_AT = 5  # that are looked at; more boxes than that near one another stand
 # five places 0.0 to 0.16 % have their middle in another one's box; of random boxes of the size of vehicles 9 %, where
 # they cover 8 % of the picture, and 84 % where they cover it all.
 IN_ONE_ANOTHER = 0.1
-FEWEST_OF_ALL = 20  # vehicles below which one pair is no share
+LEAST_USED = 20  # vehicles below which one pair is no share
 
 
 def standing_in_another(boxes: Boxes) -> np.ndarray:
@@ -41,7 +41,7 @@ def standing_in_another(boxes: Boxes) -> np.ndarray:
 def only_apart(scale: Scale, boxes: Boxes) -> Scale:
     """`scale`, refused where its vehicles, those of `boxes` (N) that are used, stand in one another."""
     used = boxes[scale.used]
-    share = float(standing_in_another(used).mean()) if len(used) >= FEWEST_OF_ALL else 0.0
+    share = float(standing_in_another(used).mean()) if len(used) >= LEAST_USED else 0.0
     if share < IN_ONE_ANOTHER:
         return scale
     remark = Remark(

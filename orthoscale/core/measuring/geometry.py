@@ -26,12 +26,14 @@ class Observation:
     ruler : what is left of the detector's ruler to take off, and how well that is known.
     own : (2,) relative one-sigmas of all lengths, and of all widths, that come from the geometry.
     shared : by cause, (2,) by how much lengths and widths come out larger (log) where it is one sigma off.
+    ground : (M,) relative one-sigmas of the sizes by what is not known of the ground's height under each box.
     """
 
     size: np.ndarray
     ruler: Ruler
     own: np.ndarray = field(default_factory=lambda: np.zeros(2))
     shared: Mapping[str, np.ndarray] = field(default_factory=dict)
+    ground: np.ndarray | None = None
 
     @cached_property
     def solved(self) -> np.ndarray:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from ..claims import Comparison
 from ..pooling.posterior import Z90
-from ..remarks import CAUTION, INFO, REFUSAL, SUPPORT, Judgement, by_severity, percent, signed
+from ..remarks import CAUTION, INFO, REFUSAL, SUPPORT, Judgement, Remark, by_severity, percent, signed
 from ..uncertainty import explain
 from ..verdicts import CHECK_LIMIT, SHAPE_LIMIT
 from .drift import Drift
@@ -24,13 +24,19 @@ CLAIMS = {  # verdict of a claim
 }
 
 
-def judgements(measured: Measurement, claim: Comparison | None = None) -> tuple[Judgement, ...]:
-    """The checks of the scale of `measured`, the most serious first. claim : what its source says of its own scale."""
+def judgements(
+    measured: Measurement, claim: Comparison | None = None, remarks: Iterable[Remark] | None = None
+) -> tuple[Judgement, ...]:
+    """The checks of the scale of `measured`, the most serious first.
+
+    claim : what its source says of its own scale. remarks : all that there are; by default those of `measured` alone.
+    """
     made = (_vehicles, _shapes, _modes, _evidence, _places, _frames)
     found = [*(check for make in made if (check := make(measured)) is not None), *_claim(claim)]
     # What a drift has to say, the checks of places and frames say.
     told = () if measured.drift is None else measured.drift.warnings
-    said = [r for r in measured.remarks if r.severity in (REFUSAL, CAUTION) and r.text not in told]
+    remarks = measured.remarks if remarks is None else remarks
+    said = [r for r in remarks if r.severity in (REFUSAL, CAUTION) and r.text not in told]
     return by_severity([*found, *_largest(measured), *(Judgement(r.severity, "Remark", r.text) for r in said)])
 
 
@@ -100,6 +106,7 @@ def _places(measured: Measurement) -> Judgement | None:
     elif isinstance(drift, ModelDrift) and drift.trend is not None:
         change = drift.trend.percent_across / 100
         figures = f"{drift.trend.percent_across:.1f} % from side to side"
+        figures += f", bent by {drift.trend.percent_bent:.1f} %" if drift.bends else ""
     elif drift is None and measured.modes:
         return None  # the planar measurement compares no places
     else:

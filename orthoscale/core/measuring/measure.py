@@ -11,10 +11,10 @@ from ...errors import TooLittleEvidence
 from ..anchors import AnchorVote
 from ..detections import Detections
 from ..fleet import Fleet
-from ..pooling.robust import MIN_VEHICLES
+from ..pooling.robust import MIN_VEHICLES, vote_noise
 from ..votes import gather
 from .geometry import Geometry
-from .measurement import Measurement, tight
+from .measurement import Measurement, Pooled, tight
 from .method import Method
 
 NO_HULL = "no vehicle on the ground gives this box"
@@ -45,6 +45,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
             geometry.repeated,
             own.sigma,
             own.kinds,
+            None if seen.ground is None else seen.ground[solved],
         )
         vehicles = replace(votes, size=tight(votes, seen.ruler.margin))
         more: Sequence[AnchorVote] = ()
@@ -65,6 +66,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
         size=vehicles.size,
         projection=geometry.projection,
         found=geometry.findings(seen, vehicles, scale),
+        pooled=Pooled(seen.ruler, seen.covariance, vote_noise(votes, seen.ruler) / votes.size, more),
     )
 
 

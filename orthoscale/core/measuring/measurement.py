@@ -8,10 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
+from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..pooling.agreement import Agreement
 from ..projection.self_calibration import OwnRuler, Trends
 from ..remarks import INFO, Remark
+from ..ruler import Ruler
 from ..scale import Scale
 from ..votes import Votes
 from .drift import Drift
@@ -41,12 +43,27 @@ class Findings:
 
 
 @dataclass(frozen=True)
+class Pooled:
+    """What a scale was pooled with, besides the votes, the fleet and the method.
+
+    ruler : what was left of it. covariance : (2, 2) of lengths and widths from the source's geometry. noise : (N, 2)
+    relative one-sigmas of the votes. more : what the boxes themselves show of the scale.
+    """
+
+    ruler: Ruler
+    covariance: np.ndarray
+    noise: np.ndarray
+    more: Sequence[AnchorVote] = ()
+
+
+@dataclass(frozen=True)
 class Measurement:
     """What the vehicles of one source say.
 
     boxes : all that were measured, M of them. picture : (M,) name of the picture of each. lost : boxes that never
     became votes, by reason. size : (N, 2) of the votes' vehicles, the margin taken off [source units].
     projection : how they were seen. found : what they tell besides the scale.
+    pooled : what with, where there were vehicles.
     modes : by name, each way in which a posed set was measured; empty for other sources.
     agreement : of two ways, where there were two. notes : what could not be done.
     """
@@ -59,6 +76,7 @@ class Measurement:
     size: np.ndarray
     projection: str
     found: Findings = field(default_factory=Findings)
+    pooled: Pooled | None = None
     modes: Mapping[str, Measurement] = field(default_factory=dict)
     agreement: Agreement | None = None
     notes: tuple[str, ...] = ()

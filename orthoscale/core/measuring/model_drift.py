@@ -21,7 +21,7 @@ MIN_SHARED = 3  # vehicles that a frame must share with others before it is judg
 ODD_SIGMAS, ODD_STRAY = 4.0, 0.05  # a frame is odd that strays by so many sigmas, and by so much of the scale
 CELLS = 3  # regions across the longer side of the model
 MIN_IN_REGION = 5
-MIN_FOR_TREND = 12
+MIN_FOR_TREND, MIN_FOR_BOWL = 12, 24
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,16 @@ class Region:
 
 @dataclass(frozen=True)
 class Trend:
-    """percent_across : by how much the scale changes from end to end. chance : of as much without one (F test)."""
+    """percent_across : by how much the scale changes from end to end. chance : of as much without one (F test).
+
+    percent_bent : by how much a bowl or a saddle adds to that, bend_chance : of as much without one; a block bent by
+    its self-calibration shows a bowl, a long strip a bend along it. Not known for few vehicles.
+    """
 
     percent_across: float
     chance: float
+    percent_bent: float = 0.0
+    bend_chance: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -67,13 +73,27 @@ class ModelDrift:
     @property
     def drifts(self) -> bool:
         """Whether the trend is more than chance makes, and large enough to matter."""
+        return self.tilts or self.bends
+
+    @property
+    def tilts(self) -> bool:
+        """Whether the scale changes from end to end."""
         trend = self.trend
-        return trend is not None and trend.chance < CHANCE and trend.percent_across >= 100 * NOTABLE
+        return trend is not None and trend.chance < CHANCE / 2 and trend.percent_across >= 100 * NOTABLE
+
+    @property
+    def bends(self) -> bool:
+        """Whether it changes from the middle to the ends."""
+        trend = self.trend
+        return trend is not None and trend.bend_chance < CHANCE / 2 and trend.percent_bent >= 100 * NOTABLE
 
     @property
     def amplitude(self) -> float:
         """By how much the scale differs from end to end, relative; 0 where nothing speaks for a drift."""
-        return self.trend.percent_across / 100 if self.trend is not None and self.drifts else 0.0
+        if self.trend is None:
+            return 0.0
+        across, bent = self.trend.percent_across * self.tilts, self.trend.percent_bent * self.bends
+        return float(np.hypot(across, bent)) / 100
 
     @property
     def warnings(self) -> list[str]:
@@ -83,10 +103,15 @@ class ModelDrift:
             worst = ", ".join(f"{name} by {100 * stray:+.0f} %" for name, stray in self.odd[:5])
             who = "a frame disagrees" if len(self.odd) == 1 else f"{len(self.odd)} frames disagree"
             remarks.append(f"{who} with the others about the same vehicles: {worst}")
-        if self.trend is not None and self.drifts:
+        if self.trend is not None and self.tilts:
             remarks.append(
                 f"the scale changes by {self.trend.percent_across:.0f} % across the model: it may be bent, or its "
                 "vehicles differ from place to place"
+            )
+        if self.trend is not None and self.bends:
+            remarks.append(
+                f"the scale changes by {self.trend.percent_bent:.0f} % from the model's middle to its ends, as in a "
+                "bowl: it may be bent, or its vehicles differ from place to place"
             )
         return remarks
 
@@ -133,9 +158,10 @@ def by_frame(
 
 
 def by_region(log_scale: np.ndarray, plan: np.ndarray, value: float) -> tuple[list[Region], Trend | None]:
-    """Regions with their own scale, and a linear trend of `log_scale` (K,), relative, over the `plan` (K, 2).
+    """Regions with their own scale, and a trend of `log_scale` (K,), relative, over the `plan` (K, 2): a plane, and
+    what a quadric adds to it.
 
-    The trend's chance is that of an F test against no trend, its percent the change from end to end.
+    The chances are those of F tests against no trend, and against the plane alone; percents the change over the plan.
     """
     low, extent = plan.min(0), np.maximum(np.ptp(plan, axis=0), 1e-12)
     cell = np.minimum(((plan - low) / (extent.max() / CELLS)).astype(int), CELLS - 1)
@@ -153,11 +179,22 @@ def by_region(log_scale: np.ndarray, plan: np.ndarray, value: float) -> tuple[li
             )
     if len(plan) < MIN_FOR_TREND:
         return regions, None
-    x = np.column_stack([np.ones(len(plan)), (plan - plan.mean(0)) / extent.max()])
-    slope, *_ = np.linalg.lstsq(x, log_scale, rcond=None)
-    left = float(((log_scale - x @ slope) ** 2).sum())
-    whole = float(((log_scale - log_scale.mean()) ** 2).sum())
-    freedom = len(plan) - 3
-    chance = float(fdtrc(2, freedom, (whole - left) / 2 / max(left / freedom, 1e-300)))
-    along = x[:, 1:] @ slope[1:]
-    return regions, Trend(100 * float(np.ptp(along)), chance)
+    x, y = ((plan - plan.mean(0)) / extent.max()).T
+    level, plane = np.ones((len(plan), 1)), np.column_stack([np.ones(len(plan)), x, y])
+    across, chance = _more(level, plane, log_scale)
+    if len(plan) < MIN_FOR_BOWL:
+        return regions, Trend(100 * across, chance)
+    bent, bend_chance = _more(plane, np.column_stack([plane, x * x, x * y, y * y]), log_scale)
+    return regions, Trend(100 * across, chance, 100 * bent, bend_chance)
+
+
+def _more(simple: np.ndarray, full: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """What the terms `full` (K, P) fit of `values` beyond `simple`: the range of it, and the chance of as much."""
+    fits = [terms @ np.linalg.lstsq(terms, values, rcond=None)[0] for terms in (simple, full)]
+    whole, left = (float(((values - fit) ** 2).sum()) for fit in fits)
+    rank = [int(np.linalg.matrix_rank(terms)) for terms in (simple, full)]
+    more, freedom = rank[1] - rank[0], len(values) - rank[1]
+    if more < 1:  # a strip has no breadth
+        return 0.0, 1.0
+    chance = float(fdtrc(more, freedom, (whole - left) / more / max(left / freedom, 1e-300)))
+    return float(np.ptp(fits[1] - fits[0])), chance

@@ -30,6 +30,7 @@ from .measure import doubts
 from .measurement import Findings, SelfCalibration
 from .method import Method
 from .model_drift import model_drift
+from .parallax import Standing, standing_in_model
 from .surroundings import GROUND_SD, Standards, objects_in_model, rows_in_model, world_axes
 
 ROUNDS = 6  # of projection and pooling; the scale enters its own projection only through the vehicles' height
@@ -43,7 +44,8 @@ CALLED_IN_FRAMES = "boxes on the ground"
 class FramesGeometry:
     """What a `Geometry` of boxes that are seen in `views`, each by its own camera, has whatever the projection.
 
-    source : whose frames they are. found : all that was found in them.
+    source : whose frames they are. found : all that was found in them. place, views : on the ground on which the
+    vehicles stand, which `stands` says how far below the sparse points' it lies.
     """
 
     source: PosedSet
@@ -54,6 +56,7 @@ class FramesGeometry:
     views: Views
     place: np.ndarray
     lost: Mapping[str, int]
+    stands: Standing
     projection: str = "exact"
     called: str = CALLED_IN_FRAMES
     repeated: bool = True
@@ -80,7 +83,10 @@ class FramesGeometry:
         if len(names) < MIN_VEHICLES:
             raise TooLittleEvidence(f"{len(names)} {CALLED_IN_FRAMES}, {MIN_VEHICLES} are needed")
         boxes, place, view = Boxes.concatenate(parts), np.concatenate(places), Views.concatenate(views)
-        seen = (source, found, fleet, boxes, np.array(names), view, place, lost)
+        sides = np.median(boxes.xylwa[:, 2:4] * view.unit_per_pixel[:, None], axis=0)
+        stands, place = standing_in_model(source, np.array(names), place, sides)
+        view = replace(view, ground=view.ground * (1 + stands.lower)[:, None]).with_focal(source.focal.ratio)
+        seen = (source, found, fleet, boxes, np.array(names), view, place, lost, stands)
         if method.projection in (None, "exact"):
             return ExactGeometry(*seen)
         return OtherGeometry(*seen, projection=method.projection, method=method)
@@ -150,8 +156,8 @@ class ExactGeometry(FramesGeometry):
 
     def observe(self, metres_per_unit: float) -> Observation:
         """The margin comes off the boxes before they are projected."""
-        ruler, known = self._ruler, self.found.ruler
-        size, slopes = (f(self.boxes, self.views, self.found.zoom, metres_per_unit) for f in (ruler.size, ruler.slopes))
+        ruler, known, zoom = self._ruler, self.found.ruler, self.found.zoom
+        size, slopes = (f(self.boxes, self.views, zoom, metres_per_unit) for f in (ruler.size, ruler.slopes))
         solved = np.isfinite(size).all(1)
         if not solved.any():
             return Observation(size, known)
@@ -159,7 +165,12 @@ class ExactGeometry(FramesGeometry):
         per_pixel = np.median(self.pixel[solved, None] / size[solved], axis=0)
         margin_sd = by_margin / per_pixel
         left = replace(known, margin=(0.0, 0.0), margin_sd=(float(margin_sd[0]), float(margin_sd[1])))  # it is off
-        return Observation(size, left, np.sqrt(by_height**2 + np.square(by_shape).sum(0)), GROUND_ERROR)
+        own = np.sqrt(by_height**2 + np.square(by_shape).sum(0))
+        shared = GROUND_ERROR
+        if self.source.focal.sd:
+            longer = ruler.size(self.boxes, self.views.with_focal(1 + self.source.focal.sd), zoom, metres_per_unit)
+            shared = {**shared, "focal length": np.nanmedian(np.log(longer / size), axis=0)}
+        return Observation(size, left, own, shared, self.stands.sd)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """With the ruler for which vehicles have one size from all their views."""
@@ -186,7 +197,7 @@ class OtherGeometry(FramesGeometry):
         size = self.method.sizes(self.boxes, self.views, metres_per_unit, self.card.height, self.fleet)
         ok = np.isfinite(size).all(1)
         own = height_share(size[ok], lean(self.boxes, self.views)[ok], metres_per_unit)
-        return Observation(size, self.found.ruler, own, GROUND_ERROR)
+        return Observation(size, self.found.ruler, own, GROUND_ERROR, self.stands.sd)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """There is nothing to refine."""

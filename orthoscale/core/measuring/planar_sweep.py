@@ -25,6 +25,7 @@ from .geometry import Geometry, Observation
 from .measure import doubts
 from .measurement import Findings
 from .oblique import GROUND_ERROR, height_share
+from .parallax import Standing, standing_in_model
 from .surroundings import Standards, rows_in_model
 
 SWEEP_ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
@@ -53,6 +54,8 @@ class SweepGeometry:
     flat: np.ndarray
     offset: np.ndarray
     camera: np.ndarray
+    focal_sd: float
+    stands: Standing
     lost: Mapping[str, int]
     projection: str = "exact"
     called: str = CALLED_ABOVE
@@ -81,18 +84,25 @@ class SweepGeometry:
         if len(names) < MIN_VEHICLES:
             raise TooLittleEvidence(f"{len(names)} {CALLED_ABOVE}, {MIN_VEHICLES} are needed")
         boxes, along = Boxes.concatenate(parts), np.concatenate(alongs)
+        camera = np.concatenate(heights)
         unit_per_pixel = next(iter(pictures.values())).unit_per_pixel
+        flat = ground_size(boxes) * unit_per_pixel
+        images = np.array([pictures[name].image for name in names])
+        stands, place = standing_in_model(source, images, np.concatenate(places), np.median(flat, axis=0))
+        farther = (1 + stands.lower)[:, None]
         return cls(
             unit=source.unit,
             found=found,
             boxes=boxes,
             picture=np.array(names),
-            pixel=np.full(len(boxes), unit_per_pixel / found.zoom),
-            place=np.concatenate(places),
+            pixel=unit_per_pixel / found.zoom * farther[:, 0],
+            place=place,
             along=along / np.linalg.norm(along, axis=1, keepdims=True),
-            flat=ground_size(boxes) * unit_per_pixel,
-            offset=_along(boxes, np.concatenate(offsets)),
-            camera=np.concatenate(heights)[:, None],
+            flat=flat * farther,
+            offset=_along(boxes, np.concatenate(offsets)) / source.focal.ratio,
+            camera=camera[:, None] * farther * source.focal.ratio,
+            focal_sd=source.focal.sd,
+            stands=stands,
             lost=lost,
         )
 
@@ -103,10 +113,16 @@ class SweepGeometry:
 
     def observe(self, metres_per_unit: float) -> Observation:
         """What is left of a box without the part of the vehicle's height."""
-        top = np.array(self.found.effective_height) / metres_per_unit / self.camera
-        size = self.camera * footprint(self.flat / self.camera, self.offset, top)
+        size, longer = (self._footprints(metres_per_unit, ratio) for ratio in (1.0, 1 + self.focal_sd))
         own = height_share(size, np.abs(self.offset), metres_per_unit)
-        return Observation(size, self.found.ruler, own, GROUND_ERROR)
+        by_focal = {"focal length": np.median(np.log(longer / size), axis=0)} if self.focal_sd else {}
+        return Observation(size, self.found.ruler, own, {**GROUND_ERROR, **by_focal}, self.stands.sd)
+
+    def _footprints(self, metres_per_unit: float, ratio: float) -> np.ndarray:
+        """(M, 2) sizes [units], by a focal length `ratio` times as long and a camera so much higher."""
+        camera = self.camera * ratio
+        top = np.array(self.found.effective_height) / metres_per_unit / camera
+        return camera * footprint(self.flat / camera, self.offset / ratio, top)
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str

@@ -6,6 +6,7 @@ The two ways share neither the projection model nor the pictures, so each is a c
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,11 @@ from ...errors import TooLittleEvidence, UsageError
 from ..detections import Detections
 from ..fleet import Fleet
 from ..pooling.agreement import compare, together
+from ..ruler import Ruler
+from ..scale import Scale
 from ..source import PosedSet, Source
+from ..votes import Votes
+from .agreed import as_agreed
 from .apart import only_apart
 from .drift import with_drift
 from .measure import measure
@@ -38,7 +43,9 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
-        return _of_one_scale(replace(measured, scale=only_apart(measured.scale, measured.boxes)))
+        scale = only_apart(measured.scale, measured.boxes)
+        scale = as_agreed(scale, len(measured.boxes), sum(map(len, found.doubtful.values())))
+        return _of_one_scale(replace(measured, scale=scale))
     if source.posed is not None:
         return measure_posed(source.posed, found, fleet, method, mode)
     raise TypeError(f"{source!r} is neither a plan nor a posed set")
@@ -50,8 +57,9 @@ def measure_posed(
     """The scale of a reconstruction by the vehicles `found`, in each way that `mode` asks for and they allow.
 
     By default both ways are tried. Where one has too little evidence, the other answers; where both have enough, they
-    are pooled, and `Measurement.agreement` says how they fit. Two that contradict each other are not: the surer one
-    answers, its verdict is ``unusable``, and its interval reaches over both. Raises TooLittleEvidence, UsageError.
+    are pooled, each vehicle once, and `Measurement.agreement` says how they fit. Two that contradict each other are
+    not: the surer one answers, its verdict is ``unusable``, and its interval reaches over both.
+    Raises TooLittleEvidence, UsageError.
     """
     method = method or Method()
     if mode is None and method.projection is not None:
@@ -79,10 +87,12 @@ def measure_posed(
     if not modes:
         raise next(iter(failed.values()))
     notes = tuple(f"{name}: {error.message}" for name, error in failed.items())
-    return replace(_of_one_scale(_answer(modes)), modes=modes, notes=notes)
+    if source.focal.said:
+        notes = (*notes, source.focal.said)
+    return replace(_of_one_scale(_answer(modes, fleet, method)), modes=modes, notes=notes)
 
 
-def _answer(modes: dict[str, Measurement]) -> Measurement:
+def _answer(modes: dict[str, Measurement], fleet: Fleet, method: Method) -> Measurement:
     """What one way or two say together."""
     first = next(iter(modes.values()))
     if len(modes) == 1:
@@ -90,7 +100,21 @@ def _answer(modes: dict[str, Measurement]) -> Measurement:
     agreement = compare({name: m.scale for name, m in modes.items()}, _common(*modes.values()))
     answer = modes[agreement.surer] if agreement.contradicts else first
     scale = together(agreement)
+    if not agreement.contradicts and all(m.pooled is not None and not m.scale.conflict for m in modes.values()):
+        with suppress(TooLittleEvidence):  # of other vehicles besides, these may be too few of one scale
+            scale = _by_vehicles(modes, fleet, method)
     return replace(answer, scale=replace(scale, remarks=(*scale.remarks, agreement.remark)), agreement=agreement)
+
+
+def _by_vehicles(modes: dict[str, Measurement], fleet: Fleet, method: Method) -> Scale:
+    """The scale by all vehicles of both ways, each of which counts once, however it was seen."""
+    first = next(iter(modes.values()))
+    votes, ruler, covariance = united(*modes.values())
+    seen = (m.pooled.more for m in modes.values() if m.pooled is not None and m.pooled.more)
+    more = next(seen, ())  # both see the same rows of vehicles
+    scale = method.pool(votes, fleet, ruler, first.scale.unit, covariance, more)
+    checks = {**scale.checks, **{name: m.scale.value for name, m in modes.items()}}
+    return replace(scale, used=first.scale.used, reasons=first.scale.reasons, checks=checks)
 
 
 def _of_one_scale(measured: Measurement) -> Measurement:
@@ -100,11 +124,64 @@ def _of_one_scale(measured: Measurement) -> Measurement:
     return replace(measured, scale=with_drift(measured.scale, measured.drift.amplitude, measured.drift.warnings))
 
 
+def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
+    """The vehicles of two ways as votes of one, the margin taken off; the ruler and the geometry's covariance of these.
+
+    A vehicle that both measured has the mean of what they say, by the inverse of their variances. Both look at the same
+    pixels, so its noise is the mean of theirs. What is not known of ruler and geometry is the mean of both, by how much
+    each has to say: it is largely the same.
+    """
+    known_a, known_b = a.pooled, b.pooled
+    assert known_a is not None and known_b is not None, "asked before"
+    ia, ib = _matched(a, b, np.arange(len(a.votes)), np.arange(len(b.votes)))
+    share = known_b.noise[ib] ** 2 / (known_a.noise[ia] ** 2 + known_b.noise[ib] ** 2)
+    size, noise = a.size.copy(), known_a.noise.copy()
+    size[ia] = np.exp(share * np.log(a.size[ia]) + (1 - share) * np.log(b.size[ib]))
+    noise[ia] = share * known_a.noise[ia] + (1 - share) * known_b.noise[ib]
+    rest = np.setdiff1d(np.arange(len(b.votes)), ib)
+    views = a.votes.views.copy()
+    views[ia] = np.maximum(views[ia], b.votes.views[ib])
+    noise = np.concatenate([noise, known_b.noise[rest]])
+    votes = Votes(
+        size=np.concatenate([size, b.size[rest]]),
+        pixel=np.concatenate([a.votes.pixel, b.votes.pixel[rest]]),
+        views=np.concatenate([views, b.votes.views[rest]]),
+        place=np.concatenate([a.votes.place, b.votes.place[rest]]),
+        score=np.concatenate([a.votes.score, b.votes.score[rest]]),
+        members=[np.array([k]) for k in range(len(noise))],
+    )
+    votes = replace(votes, sigma=noise * np.sqrt(votes.views)[:, None])
+    said = [float((1 / m.pooled.noise**2)[m.scale.used].sum()) for m in (a, b) if m.pooled is not None]
+    weight = np.array(said) / sum(said)
+    rulers, names = (known_a.ruler, known_b.ruler), ("shrink", "shrink_sd", "usual")
+    bias = [
+        np.hypot(r.bias_sd, np.asarray(r.margin_sd) * np.median(m.votes.pixel[:, None] / m.size, axis=0))
+        for r, m in zip(rulers, (a, b), strict=True)
+    ]
+    middle = {name: tuple((weight @ [getattr(r, name) for r in rulers]).tolist()) for name in names}
+    ruler = Ruler(
+        margin_sd=(0.0, 0.0),
+        bias_sd=tuple((weight @ bias).tolist()),
+        common_sd=float(weight @ [r.common_sd for r in rulers]),
+        **middle,
+    )
+    covariance = np.tensordot(weight, [known_a.covariance, known_b.covariance], 1)
+    return votes, ruler, covariance
+
+
 def _common(a: Measurement, b: Measurement) -> np.ndarray:
     """(K, 2) log of the sizes that `a` gives over those that `b` gives, for the vehicles that count in both."""
-    used_a, used_b = (np.flatnonzero(m.scale.used) for m in (a, b))
-    tree = cKDTree(a.votes.place[used_a])
-    reach = SEEN_BOTH_WAYS * float(np.median(a.size[used_a, 1]))
-    distance, nearest = tree.query(b.votes.place[used_b], distance_upper_bound=reach)
-    same = np.isfinite(distance)
-    return np.log(a.size[used_a[nearest[same]]]) - np.log(b.size[used_b[same]])
+    ia, ib = _matched(a, b, *(np.flatnonzero(m.scale.used) for m in (a, b)))
+    return np.log(a.size[ia]) - np.log(b.size[ib])
+
+
+def _matched(a: Measurement, b: Measurement, some_a: np.ndarray, some_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the votes of both, of `some`, that are of one vehicle: each the nearest to the other."""
+    if not len(some_a) or not len(some_b):
+        return np.empty(0, int), np.empty(0, int)
+    reach = SEEN_BOTH_WAYS * float(np.median(a.size[some_a, 1]))
+    trees = cKDTree(a.votes.place[some_a]), cKDTree(b.votes.place[some_b])
+    distance, nearest = trees[0].query(b.votes.place[some_b], distance_upper_bound=reach)
+    k = np.flatnonzero(np.isfinite(distance))
+    mutual = trees[1].query(a.votes.place[some_a[nearest[k]]])[1] == k
+    return some_a[nearest[k[mutual]]], some_b[k[mutual]]

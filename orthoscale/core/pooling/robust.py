@@ -79,7 +79,7 @@ def pool(
         raise TooLittleEvidence(f"{int(measurable.sum())} usable vehicles, {MIN_VEHICLES} are needed")
     size = size[measurable]
     geometry = np.zeros((2, 2)) if geometry is None else geometry
-    noise = _noise(votes, ruler)[measurable]
+    noise = vote_noise(votes, ruler)[measurable]
     share_px = np.median(votes.pixel[measurable, None] / size, axis=0)  # one pixel as a share of length and width
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
@@ -130,12 +130,16 @@ def pool(
     )
 
 
-def _noise(votes: Votes, ruler: Ruler) -> np.ndarray:
-    """(N, 2) one-sigma noise of each vote's size [units]: its boxes' own where they have one, else the ruler's."""
+def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:
+    """(N, 2) one-sigma noise of each vote's size [units]: its boxes' own, else the ruler's; and what is not known of
+    the ground under it, which its views share."""
     variance = (np.asarray(ruler.noise) * votes.pixel[:, None]) ** 2
     if votes.sigma is not None:
         variance = np.where(np.isfinite(votes.sigma), (votes.sigma * votes.size) ** 2, variance)
-    return np.sqrt(variance / np.maximum(votes.views, 1)[:, None])
+    variance = variance / np.maximum(votes.views, 1)[:, None]
+    if votes.ground is not None:
+        variance = variance + (votes.ground[:, None] * votes.size) ** 2
+    return np.sqrt(variance)
 
 
 def _of_candidates(

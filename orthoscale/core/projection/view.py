@@ -34,6 +34,12 @@ class Views:
         """All views of `parts`, in their order. Raises ValueError for no parts."""
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("ground", "normal", "lens")))
 
+    def with_focal(self, ratio: float) -> Views:
+        """The same footprints on the ground, by cameras whose focal length is `ratio` times as long, and which stand so
+        much higher: seen straight from above, the pictures are the same."""
+        above = (self.ground * self.normal).sum(1, keepdims=True) * self.normal
+        return Views(self.ground + (ratio - 1) * above, self.normal, self.lens * ratio)
+
     def __getitem__(self, index: np.ndarray | slice) -> Views:
         return Views(self.ground[index], self.normal[index], self.lens[index])
 

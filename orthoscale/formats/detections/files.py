@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.boxes import Boxes, distinct
 from ...core.detections import Detections
+from ...core.remarks import CAUTION, INFO, Remark
 from ...core.source import Pictures
 from ...detect.classes import plain
 from ...errors import InputError, UsageError, shown
@@ -154,7 +155,7 @@ def _checked(found: Detections, source: Pictures, path: Path) -> Detections:
         )
     if strangers:
         note = f"{path}: {len(strangers)} of its pictures are not in this model, the first is {shown(strangers[0])}"
-        source.notes.append(note)
+        source.notes.append(Remark(CAUTION, note))
         found = replace(found, boxes={name: boxes for name, boxes in found.boxes.items() if name not in strangers})
     sizes = _sizes(source)
     _check_boxes(found, sizes, path)
@@ -177,7 +178,8 @@ def _checked(found: Detections, source: Pictures, path: Path) -> Detections:
         raise InputError(f"{path}: {error}", "Give detections with one box for each vehicle.") from error
     copies = len(found) - sum(map(len, single.values()))
     if copies:
-        source.notes.append(f"{path}: {copies} of its {len(found)} boxes repeat another's vehicle and were left out")
+        text = f"{path}: {copies} of its {len(found)} boxes repeat another's vehicle and were left out"
+        source.notes.append(Remark(INFO, text))
     return replace(found, boxes=single, planar=planar)
 
 

@@ -1,0 +1,118 @@
+"""How near is the scale of a reconstruction, and do its intervals keep their word?
+
+    python benchmarks/flights.py                       # 300 simulated flights: an hour
+    python benchmarks/flights.py --flights 40 --known  # fleet and box bias are known: what geometry adds
+
+Simulated blocks (`tests/support/blocks.py`): nadir, oblique, grid and strip flights over slopes, trees and roofs,
+few or many sparse points, and models whose focal length is 10 to 20 % too long. Boxes are those of a perfect detector
+with noise, through the true cameras; ground, projection, both ways of measuring and pooling are the program's own.
+Prints Markdown, seeded.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from orthoscale.core.measuring.ways import measure_source
+from orthoscale.errors import OrthoscaleError
+from orthoscale.fleets import load_fleet
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
+
+from support.blocks import KINDS, Conditions, fly  # noqa: E402
+from support.simulate import table  # noqa: E402
+
+FLEETS = ("US", "DE", "PL")
+FEW_POINTS, WOODED, GROUND_OFF = 600, 0.5, 0.02
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of one flight. error : log(value / truth), modes : the same by each way. ground_off : by what share of the
+    cameras' height the sheet under the sparse points lies off, in the median."""
+
+    conditions: Conditions
+    error: float
+    sd: float
+    hit: bool
+    modes: dict[str, float]
+    lost: float
+    ground_off: float
+
+
+ROWS: dict[str, Callable[[Outcome], bool]] = {
+    **{kind: (lambda o, kind=kind: o.conditions.kind == kind) for kind in KINDS},
+    "focal length 10 or 20 % too long": lambda o: o.conditions.focal > 0,
+    f"fewer than {FEW_POINTS} points": lambda o: o.conditions.points < FEW_POINTS,
+    "crowns over half of the ground": lambda o: o.conditions.crowns > WOODED,
+    "sheet off by 2 % of the height": lambda o: abs(o.ground_off) > GROUND_OFF,
+    "all": lambda o: True,
+}
+
+
+def outcome(number: int, unsure: bool) -> Outcome:
+    """The flight of that number. Raises OrthoscaleError where it has no scale."""
+    rng = np.random.default_rng([19, number])
+    conditions = Conditions.drawn(rng, KINDS[number % len(KINDS)])
+    fleet = load_fleet(FLEETS[number % len(FLEETS)])
+    block = fly(rng, fleet, conditions, unsure)
+    measured = measure_source(block.source, block.found, fleet)
+    scale, truth = measured.scale, block.metres_per_unit
+    low, high = scale.interval90
+    return Outcome(
+        conditions,
+        float(np.log(scale.value / truth)),
+        scale.relative_sd,
+        low <= truth <= high,
+        {name: float(np.log(m.scale.value / truth)) for name, m in measured.modes.items()},
+        sum(measured.lost.values()) / max(len(block.found), 1),
+        float(np.median(block.terrain_error)),
+    )
+
+
+def cells(some: list[Outcome]) -> list[str]:
+    """One row of the table."""
+    error = np.array([o.error for o in some])
+    by_mode = []
+    for mode in ("oblique", "planar"):
+        each = np.abs([o.modes[mode] for o in some if mode in o.modes])
+        by_mode.append(f"{100 * each.mean():.1f} %" if len(each) else "")
+    return [
+        str(len(some)),
+        f"{100 * np.abs(error).mean():.2f} %",
+        f"{100 * error.mean():+.2f} %",
+        f"{100 * np.abs(error).max():.1f} %",
+        f"{100 * np.mean([o.sd for o in some]):.1f} %",
+        f"{100 * np.mean([o.hit for o in some]):.0f} %",
+        *by_mode,
+        f"{100 * np.mean([o.lost for o in some]):.1f} %",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--flights", type=int, default=300)
+    parser.add_argument("--first", type=int, default=0, help="number of the first one")
+    parser.add_argument("--known", action="store_true", help="nothing but geometry and luck is unknown")
+    asked = parser.parse_args()
+    done, without = [], 0
+    for number in range(asked.first, asked.first + asked.flights):
+        try:
+            done.append(outcome(number, not asked.known))
+        except OrthoscaleError as error:
+            without += 1
+            print(f"flight {number}: {error.message}", file=sys.stderr)
+    head = ["", "flights", "mean abs. error", "mean", "worst", "claimed sd", "90 % intervals hold", "oblique", "planar"]
+    rows = [[name, *cells(some)] for name, of in ROWS.items() if (some := [o for o in done if of(o)])]
+    print(table([*head, "boxes lost"], rows))
+    print(f"\n{without} of {asked.flights} flights have no scale.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,256 @@
+"""Running tracks as a whole, by the length of their inner edge: 400 m are run 0.30 m outside of it, whatever the radius
+of the bends and the length of the straights.
+
+Edges of the right curvature vote for the middles of bends (Hough; Duda and Hart 1972); two that belong together make an
+oval, which is fitted to the edge. That it is the inner edge shows in the lanes: a band of one colour outside of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..core.anchors import Anchor, Standard
+from ..core.pooling.posterior import ROBUST_SD
+from .repeated import LOCAL_STRETCH
+from .rules import sizes, within_reach
+from .strokes import values
+
+KERB = 2 * 84.389 + 2 * np.pi * 36.5  # [m] 398.12
+OVAL = Standard(
+    "400 m track, inner edge",
+    KERB,
+    0.003,
+    "World Athletics, Technical Rule 14.2: 400 m measured 0.30 m outward from the kerb: 398.12 m along it for any "
+    "radius, 36.5 m as a rule; the spread is ours: white line or surface in place of the kerb",
+)
+
+OVAL_FALSE = 0.03
+SEARCHED_OVAL = 0.6  # [m/px] of the search
+RADII = 30.0, 45.0  # [m] of bends
+STRAIGHT = 1.5, 3.2  # of the radius: 2.31 by the rule
+VOTING_EDGE = 1.5  # of the mean gradient around
+AROUND_PX = 31  # [px]
+OVAL_BIN = 3  # [px] side of a cell of middles
+BEND_SEEN = 0.16  # of a whole circle; a bend is half
+MOST_BENDS = 60
+OVAL_SAMPLES = 240  # along an oval
+SEEN_OVAL = 0.45  # of the oval on edges that run along it, before the fit ...
+FITTED_OVAL = 0.7  # ... and after, close to it
+ALONG_EDGE = 0.9  # cosine of the angle between an edge's normal and the oval's
+WINDOWS_OVAL = (4.0, 2.0, 1.0, 0.8)  # [m] about the oval where its edge is looked for, round by round
+BAND = 3.6, 12.5  # [m] width of the lanes: 3 to 10
+BAND_EVEN = 0.5  # of the step at the inner edge, by which colours may stray within the lanes, one sigma
+EDGE_STEP = 10.0  # [grey levels] at the inner edge, mean over the oval
+
+
+@dataclass(frozen=True)
+class Oval:
+    """middle : (2,) [px]. angle : of the straights [rad]. straight, radius : [px]."""
+
+    middle: np.ndarray
+    angle: float
+    straight: float
+    radius: float
+
+    @property
+    def length(self) -> float:
+        """All round [px]."""
+        return float(2 * self.straight + 2 * np.pi * self.radius)
+
+    def points(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Evenly on it (count, 2) [px], unit normals outwards (count, 2), and on which half each lies along the
+        straights' direction: -1 or 1 in the bends, 0 on the straights."""
+        s = (np.arange(count) + 0.5) / count * self.length
+        bend = np.pi * self.radius
+        part = np.searchsorted(np.cumsum([self.straight, bend, self.straight]), s)
+        start = np.array([0, self.straight, self.straight + bend, 2 * self.straight + bend])[part]
+        along = s - start
+        turn = along / self.radius
+        x = np.choose(part, [along - self.straight / 2, self.straight / 2 + self.radius * np.sin(turn),
+                             self.straight / 2 - along, -self.straight / 2 - self.radius * np.sin(turn)])  # fmt: skip
+        nx = np.choose(part, [0 * s, np.sin(turn), 0 * s, -np.sin(turn)])
+        ny = np.choose(part, [0 * s - 1, -np.cos(turn), 0 * s + 1, np.cos(turn)])
+        y = ny * self.radius
+        c, s_ = np.cos(self.angle), np.sin(self.angle)
+        turned = np.array([[c, s_], [-s_, c]])
+        half = np.choose(part, [0, 1, 0, -1])
+        return self.middle + np.stack([x, y], 1) @ turned, np.stack([nx, ny], 1) @ turned, half
+
+
+@dataclass(frozen=True)
+class TrackOvals:
+    """Finds whole running tracks (an `AnchorFinder`) of any of the `standards`."""
+
+    standards: tuple[Standard, ...] = (OVAL,)
+    kind = "track oval"
+    extent = 200.0
+    finest = 0.25
+    coarsest = 0.8
+
+    def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
+        """See `AnchorFinder.find`."""
+        low, high = sizes(self.standards, gsd, gsd_sd)
+        if np.hypot(*image.shape[:2]) < low / np.pi:
+            return []
+        zoom = min(1.0, gsd / SEARCHED_OVAL)
+        small = cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_AREA)
+        factor = np.array(small.shape[1::-1]) / image.shape[1::-1]
+        look = cv2.GaussianBlur(image, (0, 0), 1.0)
+        found: list[Anchor] = []
+        for rough in _candidates(small, low * zoom, high * zoom):
+            middle = (rough.middle + 0.5) / factor - 0.5
+            if any(np.hypot(*(anchor.place - middle)) < rough.radius / zoom for anchor in found):
+                continue
+            start = Oval(middle, rough.angle, rough.straight / zoom, rough.radius / zoom)
+            fitted = _fitted(look, start, gsd)
+            if fitted is None:
+                continue
+            oval, residual, sd = fitted
+            meant = within_reach(self.standards, oval.length, gsd, gsd_sd)
+            if meant and _has_lanes(image, oval, gsd):
+                corner = oval.points(120)[0]
+                lines = np.stack([corner, np.roll(corner, -1, axis=0)], 1)
+                relative = float(np.hypot(sd, LOCAL_STRETCH / 2))
+                found.append(Anchor(self.kind, oval.middle, lines, oval.length, relative, residual, meant, OVAL_FALSE))
+        return found
+
+
+def _gradients(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) each: along x and y of the channel that changes most."""
+    gx, gy = (cv2.Sobel(cv2.GaussianBlur(image, (0, 0), 1.0), cv2.CV_32F, *d, ksize=3) for d in ((1, 0), (0, 1)))
+    most = (gx**2 + gy**2).argmax(2)[..., None]
+    return np.take_along_axis(gx, most, 2)[..., 0], np.take_along_axis(gy, most, 2)[..., 0]
+
+
+def _candidates(image: np.ndarray, low: float, high: float) -> list[Oval]:
+    """Ovals of a length from `low` to `high` [px] that edges of `image` lie on, those first that most do."""
+    gx, gy = _gradients(image)
+    size = cv2.magnitude(gx, gy)
+    clear = size > VOTING_EDGE * cv2.blur(size, (AROUND_PX, AROUND_PX)) + 2.0
+    y, x = np.nonzero(clear)
+    nx, ny = gx[y, x] / size[y, x], gy[y, x] / size[y, x]
+    height, width = (-(-side // OVAL_BIN) for side in image.shape[:2])
+    bends = []
+    first, last = RADII[0] * low / KERB, RADII[1] * high / KERB
+    for radius in np.arange(first, last, 1.5):
+        cells = np.zeros(height * width, np.float32)
+        for side in (-1, 1):
+            column = np.floor((x + side * radius * nx + 0.5) / OVAL_BIN).astype(int)
+            row = np.floor((y + side * radius * ny + 0.5) / OVAL_BIN).astype(int)
+            inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+            cells += np.bincount(row[inside] * width + column[inside], minlength=len(cells)).astype(np.float32)
+        about = cv2.boxFilter(cells.reshape(height, width), -1, (3, 3), normalize=False)
+        votes = np.asarray(about / np.float32(2 * np.pi * radius), np.float32)
+        top = (votes >= BEND_SEEN) & (votes >= cv2.dilate(votes, np.ones((5, 5), np.uint8)))
+        for row, column in np.argwhere(top):
+            bends.append(((column + 0.5) * OVAL_BIN - 0.5, (row + 0.5) * OVAL_BIN - 0.5, radius, votes[row, column]))
+    best = np.array(sorted(bends, key=lambda bend: -bend[3])[:MOST_BENDS]).reshape(-1, 4)
+    ovals = []
+    for i in range(len(best)):
+        for j in range(i):
+            step = best[i, :2] - best[j, :2]
+            straight, radius = float(np.hypot(*step)), float(best[[i, j], 2].mean())
+            oval = Oval(best[[i, j], :2].mean(0), float(np.arctan2(step[1], step[0])), straight, radius)
+            right = STRAIGHT[0] * radius < straight < STRAIGHT[1] * radius and low < oval.length < high
+            if not right or abs(best[i, 2] - best[j, 2]) > 0.06 * radius:
+                continue
+            seen = _seen(gx, gy, clear, oval)
+            if seen > SEEN_OVAL:
+                ovals.append((seen, oval))
+    return [oval for _, oval in sorted(ovals, key=lambda each: -each[0])[:20]]
+
+
+def _seen(gx: np.ndarray, gy: np.ndarray, clear: np.ndarray, oval: Oval) -> float:
+    """Share of `oval` near clear edges that run along it."""
+    place, normal, _ = oval.points(OVAL_SAMPLES)
+    hit = np.zeros(OVAL_SAMPLES, bool)
+    for off in (-2, -1, 0, 1, 2):
+        column, row = np.rint(place + off * normal).astype(int).T
+        inside = (column >= 0) & (column < gx.shape[1]) & (row >= 0) & (row < gx.shape[0])
+        column, row = np.where(inside, column, 0), np.where(inside, row, 0)
+        across = np.abs(gx[row, column] * normal[:, 0] + gy[row, column] * normal[:, 1])
+        hit |= inside & clear[row, column] & (across > ALONG_EDGE * np.hypot(gx[row, column], gy[row, column]))
+    return float(hit.mean())
+
+
+def _fitted(image: np.ndarray, oval: Oval, gsd: float) -> tuple[Oval, np.ndarray, float] | None:
+    """The oval whose edge is near a first one, how far edges are from it [px], and the relative one sigma of its length
+    by that; None where there is no edge of one sense nearly all round."""
+    light = image.astype(np.float32)
+    for window in WINDOWS_OVAL:
+        reach = max(window / gsd, 1.5)
+        offset = np.arange(-reach - 1, reach + 1.01, 0.5)
+        place, normal, half = oval.points(OVAL_SAMPLES)
+        seen = values(light, place[:, None] + offset[:, None] * normal[:, None])
+        slope = np.gradient(seen, axis=1)
+        # the change of colour that the whole oval shows: edges count by how much of it they have
+        change = slope.mean(0)
+        middle = np.abs(offset) <= reach
+        colour = change[middle][np.linalg.norm(change[middle], axis=1).argmax()]
+        size = float(np.linalg.norm(colour))
+        if size < 1e-3:
+            return None
+        signed = slope @ (colour / size)
+        signed[:, ~middle] = -1e9
+        at = signed.argmax(1)
+        strength = signed.max(1)
+        peak = offset[at].copy()
+        inner = (at > 0) & (at < len(offset) - 1)
+        rows = np.flatnonzero(inner)
+        left, mid, right = (signed[rows, at[rows] + d] for d in (-1, 0, 1))
+        bend = left - 2 * mid + right
+        fine = (bend < 0) & (left > -1e8) & (right > -1e8)
+        peak[rows[fine]] += 0.25 * (left[fine] - right[fine]) / bend[fine]
+        weight = np.clip(strength / max(float(np.median(strength)), 1e-6), 0, 1)
+        along = np.array([np.cos(oval.angle), np.sin(oval.angle)])
+        lever = place - oval.middle
+        by = np.column_stack(
+            [
+                normal,
+                normal[:, 1] * lever[:, 0] - normal[:, 0] * lever[:, 1],
+                half * (normal @ along) / 2,
+                np.ones(OVAL_SAMPLES),
+            ]
+        )
+        scale = reach / 2
+        change_ = np.zeros(5)
+        for _ in range(8):
+            off = peak - by @ change_
+            robust = np.clip(1 - (off / (3 * scale)) ** 2, 0, None) ** 2 * weight
+            change_ = np.linalg.lstsq(by * np.sqrt(robust)[:, None], peak * np.sqrt(robust), rcond=None)[0]
+            off = peak - by @ change_
+            scale = float(np.clip(ROBUST_SD * np.median(np.abs(off)), 0.1, reach / 2))
+        oval = Oval(
+            oval.middle + change_[:2], oval.angle + change_[2], oval.straight + change_[3], oval.radius + change_[4]
+        )
+        if not (oval.straight > 0 and oval.radius > 5):
+            return None
+    close = np.abs(off) < max(0.5 / gsd, 1.0)
+    if close.mean() < FITTED_OVAL:
+        return None
+    covariance = np.linalg.pinv(by[close].T @ by[close]) * float((off[close] ** 2).mean())
+    length = np.array([0, 0, 0, 2, 2 * np.pi])
+    return oval, off[close], float(np.sqrt(length @ covariance @ length)) / oval.length
+
+
+def _has_lanes(image: np.ndarray, oval: Oval, gsd: float) -> bool:
+    """Whether a band of one colour as wide as lanes lies outside of `oval`, and another colour inside."""
+    offset = np.arange(-3.0, BAND[1] + 3.0, 0.25)  # [m]
+    place, normal, _ = oval.points(OVAL_SAMPLES)
+    seen = np.median(values(image, place[:, None] + offset[:, None] / gsd * normal[:, None]), axis=0)
+    inside, lanes = np.median(seen[(offset < -1)], axis=0), np.median(seen[(offset > 1) & (offset < BAND[0])], axis=0)
+    step = lanes - inside
+    size = float(np.linalg.norm(step))
+    if size < EDGE_STEP:
+        return False
+    # how much each place is of the lanes' colour rather than of what is inside
+    share = (seen - inside) @ step / size**2
+    out = offset > 1
+    end = np.flatnonzero(out & ((share < 0.5) | (share > 2.0)))
+    width = float(offset[end[0]]) if len(end) else np.inf
+    even = np.std(share[(offset > 1) & (offset < min(width - 1, BAND[1]))]) < BAND_EVEN
+    return bool(even) and BAND[0] < width < BAND[1]

@@ -1,0 +1,193 @@
+"""Where vehicles stand, by their own parallax: a vehicle that several frames show lies where their rays meet.
+
+The ground of a reconstruction is drawn under its sparse points. Where these are but crowns and roofs, it is drawn too
+high: all distances are too short, and the scale comes out too large. Vehicles stand on the ground, and frames that see
+one from two sides tell how far away it is, without any sparse point. So the sheet under the points is one measurement
+of the ground's height, the vehicles are another, and what both say together is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..pooling.posterior import ROBUST_SD
+from ..source import PosedSet
+from ..votes import SAME_PLACE, same_place
+
+# How far below the sheet the ground is looked for, in heights of the cameras: trees and roofs of 15 m under a flight at
+# 60 m; and above it, where strays below the ground have drawn the sheet down.
+LOWEST_GROUND, HIGHEST_GROUND, DEPTH_STEP = 0.25, -0.06, 0.005
+COINCIDING = 0.3  # of a vehicle's width: how well places coincide that count in full
+CLEARLY = 1.2, 2.0  # by what factor, and by how many pairs more, places must coincide elsewhere than on the sheet
+FEWEST_STANDING = 3  # vehicles that several frames show, from which they say anything
+BOX_SD = 0.05  # of a vehicle's width, at least, by which the middles of its boxes err from view to view
+# How high over the ground rays through the boxes' middles meet, one sigma of it for all boxes of a model alike, and for
+# one vehicle, as shares of its length: where boxes follow the body from the ground to the waist at 0.8 m, it is 0.4 m,
+# where they follow the waist all around or the roof in part, 0.8 m and more, of 4.5 m.
+MIDDLE, MIDDLE_SD, MIDDLE_EACH = 0.13, 0.06, 0.04
+OUTLYING = 9.0  # times the median square of a residual, from which it says nothing of the noise
+# What a sheet on crowns and roofs is off by, one sigma, everywhere alike and from place to place, in heights of the
+# cameras; what one on the ground is off by everywhere alike, and how likely the first is beforehand.
+TOO_HIGH, UNEVEN, ON_GROUND, ON_TREES = 0.08, 0.02, 0.003, 0.1
+ALIKE_WITHIN = 0.5  # heights of the cameras over which a sheet's errors are alike
+STRAY_VEHICLE = 4.0  # sigmas from which a vehicle is left out: its boxes are not of one
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How the ground under M boxes lies to the sheet under the sparse points, relative to the cameras' heights.
+
+    lower : (M,) by how much it lies lower; sizes and distances are as much larger. sd : (M,) one sigma of that.
+    vehicles : that several frames showed, 0 where the sheet alone speaks. trees : probability that the sheet lies on
+    other things than the ground.
+    """
+
+    lower: np.ndarray
+    sd: np.ndarray
+    vehicles: int = 0
+    trees: float = 0.0
+
+
+def standing_in_model(
+    source: PosedSet, picture: np.ndarray, place: np.ndarray, size: np.ndarray
+) -> tuple[Standing, np.ndarray]:
+    """Where the vehicles of M boxes stand, and their places (M, 3) there [units, world].
+
+    picture : (M,) name of the frame of each. place : (M, 3) where its middle is on the ground of `source`. size : (2,)
+    usual length and width of a vehicle [units].
+    """
+    ground = source.ground
+    names, which = np.unique(picture, return_inverse=True)
+    centre = np.array([source.centre(str(name)) for name in names])[which]
+    plane, foot = ground.plane(place), ground.plane(centre)
+    above = (centre - place) @ ground.up
+    stands = standing(plane, foot, above, picture, (float(size[0]), float(size[1])), ground.sd(place))
+    return stands, centre + (place - centre) * (1 + stands.lower)[:, None]
+
+
+def standing(
+    place: np.ndarray,
+    foot: np.ndarray,
+    above: np.ndarray,
+    picture: np.ndarray,
+    size: tuple[float, float],
+    sd: np.ndarray,
+) -> Standing:
+    """Where the vehicles in M boxes stand.
+
+    place, foot : (M, 2) on the sheet's plane, where the ray through the box's middle meets it, and below the camera.
+    above : (M,) the camera's height over the sheet there. picture : (M,) name of the frame of each box.
+    size : usual length and width of a vehicle. sd : (M,) one sigma of the sheet's height; all [units].
+    """
+    offset = (place - foot) / above[:, None]
+    height, alone = float(np.median(above)) if len(above) else 1.0, Standing(np.zeros(len(place)), sd / above)
+    if len(place) < FEWEST_STANDING:
+        return alone
+    length, width = size
+    tried = height * np.arange(HIGHEST_GROUND, LOWEST_GROUND + DEPTH_STEP / 2, DEPTH_STEP)
+    everywhere = _search(place, offset, picture, tried, 0.0, width)
+    start = np.full(len(place), everywhere)
+    for cell in _cells(place, height):
+        start[cell] = _search(place[cell], offset[cell], picture[cell], tried, everywhere, width)
+    seen = _triangulated(place, offset, picture, start, width)
+    if len(seen.lower) < FEWEST_STANDING:
+        return alone
+    found = _Seen(seen.place, seen.lower + MIDDLE * length, seen.variance + (MIDDLE_EACH * length) ** 2)
+    return _combined(found, place, sd, above, height, MIDDLE_SD * length)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """K vehicles that several frames show: place (K, 2), how much lower than the sheet they stand and its variance."""
+
+    place: np.ndarray
+    lower: np.ndarray
+    variance: np.ndarray
+
+
+def _cells(place: np.ndarray, side: float) -> list[np.ndarray]:
+    """Indices of the places in each square of a grid; all in one where one holds them."""
+    number = np.floor((place - place.min(0)) / side).astype(int)
+    _, cell = np.unique(number, axis=0, return_inverse=True)
+    return [np.flatnonzero(cell.ravel() == k) for k in range(cell.max() + 1)]
+
+
+def _search(
+    place: np.ndarray, offset: np.ndarray, picture: np.ndarray, tried: np.ndarray, usual: float, width: float
+) -> float:
+    """By how much lower than the sheet, of those `tried`, boxes of different frames coincide best; `usual` where that
+    is hardly better."""
+    _, frame = np.unique(picture, return_inverse=True)
+    tried = np.r_[usual, tried[np.argsort(np.abs(tried - usual), kind="stable")]]
+    scores = []
+    for lower in tried:
+        at = place + lower * offset
+        i, j = cKDTree(at).query_pairs(3 * COINCIDING * width, output_type="ndarray").reshape(-1, 2).T
+        apart = np.linalg.norm(at[i] - at[j], axis=1)[frame[i] != frame[j]]
+        scores.append(float(np.exp(-0.5 * (apart / (COINCIDING * width)) ** 2).sum()))
+    best = int(np.argmax(scores))
+    return float(tried[best]) if scores[best] > CLEARLY[0] * scores[0] + CLEARLY[1] else usual
+
+
+def _triangulated(place: np.ndarray, offset: np.ndarray, picture: np.ndarray, start: np.ndarray, width: float) -> _Seen:
+    """Vehicles that several frames show, found where boxes coincide at `start` (M,) below the sheet."""
+    at = place + start[:, None] * offset
+    labels = same_place(at, SAME_PLACE * width)
+    rows, left = [], []
+    for label in np.unique(labels):
+        mine = np.flatnonzero(labels == label)
+        if len(mine) < 2 or len(np.unique(picture[mine])) < len(mine):
+            continue
+        o, p = offset[mine] - offset[mine].mean(0), place[mine] - place[mine].mean(0)
+        lever = float((o**2).sum())
+        if lever <= 0:
+            continue
+        lower = -float((o * p).sum()) / lever  # place + lower * offset is one place, as nearly as can be
+        left.append((float(((p + lower * o) ** 2).sum()), 2 * len(mine) - 3))
+        rows.append((*(place[mine] + lower * offset[mine]).mean(0), lower, lever))
+    if not rows:
+        return _Seen(np.empty((0, 2)), np.empty(0), np.empty(0))
+    x, y, lower, lever = np.array(rows).T
+    squares, freedom = np.array(left).T
+    each = squares / freedom
+    usual = each <= OUTLYING * np.median(each)
+    noise = max(float(squares[usual].sum() / freedom[usual].sum()), (BOX_SD * width) ** 2)
+    return _Seen(np.column_stack([x, y]), lower, np.maximum(each, noise) / lever)
+
+
+def _combined(
+    seen: _Seen, place: np.ndarray, sd: np.ndarray, above: np.ndarray, height: float, middle_sd: float
+) -> Standing:
+    """The sheet and the vehicles together, for the boxes at `place`: a Gaussian process for each of two hypotheses."""
+    nearest = cKDTree(place).query(seen.place)[1]
+    own = sd[nearest]
+    keep = np.ones(len(seen.lower), bool)
+    stray = np.abs(seen.lower - np.median(seen.lower))
+    spread = ROBUST_SD * float(np.median(stray))
+    keep &= stray < STRAY_VEHICLE * np.sqrt(spread**2 + seen.variance + (UNEVEN * height) ** 2)
+    if keep.sum() < FEWEST_STANDING:
+        return Standing(np.zeros(len(place)), sd / above)
+    at, lower, own = seen.place[keep], seen.lower[keep], own[keep]
+    noise = np.diag(seen.variance[keep]) + middle_sd**2
+    means, variances, evidence = [], [], []
+    for common, uneven in ((ON_GROUND * height, 0.0), (TOO_HIGH * height, UNEVEN * height)):
+
+        def between(a: np.ndarray, b: np.ndarray, s: np.ndarray, t: np.ndarray, common=common, uneven=uneven):
+            apart = np.linalg.norm(a[:, None] - b[None], axis=2) / (ALIKE_WITHIN * height)
+            return common**2 + (np.outer(s, t) + uneven**2) * np.exp(-0.5 * apart**2)
+
+        whole = between(at, at, own, own) + noise
+        gain = np.linalg.solve(whole, between(at, place, own, sd)).T  # (M, K)
+        means.append(gain @ lower)
+        prior = common**2 + sd**2 + uneven**2
+        variances.append(np.maximum(prior - (gain * between(place, at, sd, own)).sum(1), 1e-12 * height**2))
+        evidence.append(-0.5 * (np.linalg.slogdet(whole)[1] + lower @ np.linalg.solve(whole, lower)))
+    odds = np.array([np.log1p(-ON_TREES), np.log(ON_TREES)]) + evidence
+    chance = np.exp(odds - odds.max())
+    chance /= chance.sum()
+    mean = chance @ np.array(means)
+    variance = chance @ (np.array(variances) + (np.array(means) - mean) ** 2)
+    return Standing(mean / above, np.sqrt(variance) / above, int(keep.sum()), float(chance[1]))

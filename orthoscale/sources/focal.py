@@ -1,0 +1,175 @@
+"""How well a reconstruction's own observations determine its focal length.
+
+Seen straight from above over flat ground, a longer focal length and a higher camera give the same pictures: bundle
+adjustment then leaves both open, and heights with them, while what lies on the ground stays where it is. Whether that
+is so, the normal equations of the adjustment tell: with poses and points eliminated, what is left of the information on
+the focal length (Schur complement; Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000, 6.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.source import FocalDoubt
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    import pycolmap
+
+    from ..photos.lens import Lens
+    from .picture_file import PictureFile
+
+MOST_TRACKS = 1500  # whose tracks are used, the longest ones: a second's work
+MOST_IMAGES = 120  # spread evenly over the model
+MOST_VIEWS = 12  # of one point
+LEAST_TRACKS = 50  # points of three views and more, below which nothing is said
+LEAST_PX = 0.5  # of an observation's error: adjusted by the thousand, their errors are not independent
+HELD = 1e-9  # share of the largest information by which poses are held: they are known but for a similarity
+# How many times what observations with independent errors leave open the focal length may be off: thousands of them
+# average to hundredths of a pixel; what a lens model leaves of the lens, 0.1 to 0.3 px all over the picture, does not.
+# An assumption; on the flat block `brighton` it is 14 times as much, by EXIF.
+SYSTEMATIC = 10.0
+OPEN = 0.03  # relative one-sigma from which a focal length counts as open: leans of vehicles are off by as much
+FOCAL_FRAMES = 12  # whose EXIF is read
+FOCAL_FAR = 0.1  # EXIF's focal lengths are nominal: good to some per cent
+LENS_UNKNOWNS = 3  # columns shared by all images: focal length, and two of radial distortion
+
+
+def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> FocalDoubt:
+    """How far the focal length of `model` may be trusted, by its tracks and by what EXIF and XMP of its frames tell.
+
+    Where the tracks determine it, it stands, whatever EXIF says; where they leave it open, it is what they and EXIF say
+    together.
+    """
+    told = _told(model, pictures)
+    formal = focal_sd(model)
+    if formal is None:
+        return FocalDoubt(said=_far(told))
+    sd = SYSTEMATIC * formal
+    if sd < OPEN:
+        return FocalDoubt(said=_far(told, "; its observations determine it, and it is taken as it is"))
+    what = (
+        f"the frames leave the focal length open by {100 * sd:.0f} % (1 sigma), as those of flat ground from straight "
+    )
+    what += "above do: footprints on the ground are measured, heights are not to be trusted"
+    if told is None:
+        return FocalDoubt(1.0, sd, what)
+    log_ratio = np.log([lens.focal_px / has for _, lens, has in told])
+    by_lens = max(float(np.median([lens.sd for _, lens, _ in told])), float(np.std(log_ratio)))
+    weight = sd**2 / (sd**2 + by_lens**2)
+    ratio = float(np.exp(weight * np.median(log_ratio)))
+    name, lens, has = told[0]
+    what += (
+        f"; cameras are taken {100 * (ratio - 1):+.0f} % as high, by {lens.focal_px:.0f} px ({lens.source}) in {name}"
+    )
+    what += f" against {has:.0f} px"
+    return FocalDoubt(ratio, sd * by_lens / float(np.hypot(sd, by_lens)), what)
+
+
+def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[tuple[str, Lens, float]] | None:
+    """Of some frames whose tags tell their lens: name, lens, and the model's focal length [px]; None without any."""
+    from ..photos.lens import lens_of
+    from ..photos.tags import read_tags
+
+    cameras = {model.image(i).name: model.camera(model.image(i).camera_id) for i in model.reg_image_ids()}
+    found = []
+    for picture in pictures[:: max(1, len(pictures) // FOCAL_FRAMES)][:FOCAL_FRAMES]:
+        try:
+            found.append((picture.name, lens_of(read_tags(picture.path)), cameras[picture.name].mean_focal_length()))
+        except InputError:  # tells none, or is damaged, which its reader will say
+            continue
+    return found or None
+
+
+def _far(told: list[tuple[str, Lens, float]] | None, so: str = "") -> str:
+    """A note if most tags tell focal lengths far from the model's."""
+    far = [
+        (abs(has / lens.focal_px - 1), name, lens, has)
+        for name, lens, has in told or []
+        if abs(has / lens.focal_px - 1) > max(FOCAL_FAR, 2 * lens.sd)
+    ]
+    if 2 * len(far) <= len(told or []):
+        return ""
+    _, name, lens, has = max(far, key=lambda each: each[0])
+    so = so or ": flat scenes leave it open; heights are then off by as much, the scale hardly"
+    return (
+        f"{name} has a focal length of {lens.focal_px:.0f} px ({lens.source}), the model {has:.0f} px "
+        f"({100 * (has / lens.focal_px - 1):+.0f} %){so}"
+    )
+
+
+def focal_sd(model: pycolmap.Reconstruction) -> float | None:
+    """Relative one-sigma of the focal length of `model`, from its tracks; None for too few of them.
+
+    All its cameras are taken for one with radial distortion, adjusted with poses and points.
+    """
+    numbers = sorted(model.reg_image_ids())
+    if not numbers:
+        return None
+    numbers = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, MOST_IMAGES).astype(int))]
+    column = {number: k for k, number in enumerate(numbers)}
+    points = sorted(model.points3D.values(), key=lambda point: -point.track.length())
+    tracks = []
+    for point in points:
+        images = {element.image_id for element in point.track.elements} & column.keys()
+        if len(images) >= 3:
+            views = sorted(images)[:: -(-len(images) // MOST_VIEWS)]
+            tracks.append((np.array(point.xyz), views, max(float(point.error), LEAST_PX)))
+        if len(tracks) == MOST_TRACKS:
+            break
+    if len(tracks) < LEAST_TRACKS:
+        return None
+    poses = {number: model.image(number).cam_from_world() for number in numbers}
+    rotation = np.array([poses[number].rotation.matrix() for number in numbers])
+    shift = np.array([poses[number].translation for number in numbers])
+    focal = np.array([model.camera(model.image(number).camera_id).mean_focal_length() for number in numbers])
+    return _sd(tracks, column, rotation, shift, focal)
+
+
+def _sd(
+    tracks: list[tuple[np.ndarray, list[int], float]],
+    column: dict[int, int],
+    rotation: np.ndarray,
+    shift: np.ndarray,
+    focal: np.ndarray,
+) -> float:
+    size = 6 * len(rotation) + LENS_UNKNOWNS
+    reduced = np.zeros((size, size))
+    distance = float(np.median(np.linalg.norm(shift, axis=1))) or 1.0
+    for xyz, images, error in tracks:
+        k = np.array([column[number] for number in images])
+        by_camera, by_point = _jacobians(xyz, rotation[k], shift[k], focal[k], distance)
+        places = (6 * k[:, None] + np.arange(6)).ravel()
+        places = np.r_[places, size - LENS_UNKNOWNS + np.arange(LENS_UNKNOWNS)]
+        whole = np.zeros((len(k), 2, 6 * len(k) + LENS_UNKNOWNS))
+        for n in range(len(k)):
+            whole[n, :, 6 * n : 6 * n + 6] = by_camera[n, :, :6]
+            whole[n, :, -LENS_UNKNOWNS:] = by_camera[n, :, 6:]
+        a, b = whole.reshape(2 * len(k), -1) / error, by_point.reshape(2 * len(k), 3) / error
+        q = np.linalg.qr(b)[0]  # what the point takes up
+        left = a - q @ (q.T @ a)
+        reduced[np.ix_(places, places)] += left.T @ left
+    scale = np.sqrt(np.maximum(reduced.diagonal(), 1e-300))
+    scaled = reduced / np.outer(scale, scale) + HELD * np.eye(size)
+    unit = np.zeros(size)
+    unit[size - LENS_UNKNOWNS] = 1.0
+    return float(np.sqrt(max(np.linalg.solve(scaled, unit)[size - LENS_UNKNOWNS], 0.0)) / scale[size - LENS_UNKNOWNS])
+
+
+def _jacobians(
+    xyz: np.ndarray, rotation: np.ndarray, shift: np.ndarray, focal: np.ndarray, distance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of the pixels of one point in N images: (N, 2, 6 + LENS_UNKNOWNS) by turn, shift, log focal length and
+    distortion, and (N, 2, 3) by the point."""
+    local = rotation @ xyz + shift  # (N, 3)
+    u, v, z = local[:, 0] / local[:, 2], local[:, 1] / local[:, 2], local[:, 2]
+    zero = np.zeros_like(u)
+    by_local = np.stack([np.stack([1 / z, zero, -u / z], -1), np.stack([zero, 1 / z, -v / z], -1)], 1)  # (N, 2, 3)
+    turn = np.stack([np.stack([-u * v, 1 + u**2, -v], -1), np.stack([-(1 + v**2), u * v, u], -1)], 1)
+    square = u**2 + v**2
+    lens = np.stack([np.stack([w, w * square, w * square**2], -1) for w in (u, v)], 1)
+    f = focal[:, None, None]
+    return f * np.concatenate([turn, distance * by_local, lens], 2), f * by_local @ rotation

@@ -1,0 +1,274 @@
+"""Simulated blocks of frames over parked vehicles: terrain, roofs, crowns, sparse points, a perfect detector's boxes.
+
+Nothing is rendered: vehicles are outlines that the true cameras project, and sparse points are drawn where feature
+matching finds them (roofs, crowns, rough ground; few on bare asphalt). So a block takes a second; its truth is exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.detections import Detections
+from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
+from orthoscale.core.ruler import Ruler
+from orthoscale.sources.colmap import ColmapSource
+from orthoscale.synthetic.model import Similarity
+
+from .bodies import body
+from .flights import enclosing
+from .simulate import place_of
+
+KINDS = ("nadir", "oblique", "grid", "strip")
+WIDTH, HEIGHT = 1200, 900
+HEIGHT_ENCLOSED = 0.8  # [m]
+RULER = Ruler(margin_sd=(0.3, 0.3), bias_sd=(0.01, 0.015), noise=(0.8, 0.6))
+SEEN = 0.8  # share of a vehicle's views in which it is found
+POINT_NOISE = 0.06  # [m] of a sparse point, and GRASS of those on rough ground, upwards
+GRASS = 0.15
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a block is like.
+
+    kind : one of KINDS. points : sparse points. crowns, roofs : share of the area that they cover. slope : of the
+    ground. relief : amplitude of its waves [m]. focal : by how much the model's focal length is too long (straight-down
+    flights: heights are then too large by as much). bare : how much fewer points there are where vehicles stand.
+    """
+
+    kind: str = "nadir"
+    points: int = 4000
+    crowns: float = 0.1
+    roofs: float = 0.1
+    slope: float = 0.0
+    relief: float = 0.0
+    focal: float = 0.0
+    bare: float = 0.8
+    vehicles: int = 40
+    altitude: float = 70.0
+    extent: float = 160.0
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, kind: str) -> Conditions:
+        """What flights are like, at random."""
+        straight_down = kind in ("nadir", "strip")
+        return cls(
+            kind=kind,
+            points=int(np.exp(rng.uniform(np.log(120), np.log(6000)))),
+            crowns=rng.uniform(0, 0.5) if rng.random() < 0.7 else rng.uniform(0.5, 1.5),
+            roofs=rng.uniform(0, 0.35),
+            slope=rng.uniform(0, 0.06),
+            relief=rng.uniform(0, 1.5),
+            focal=rng.choice([0.0, 0.1, 0.2]) if straight_down else 0.0,
+            bare=rng.uniform(0.5, 0.98),
+            vehicles=int(np.exp(rng.uniform(np.log(10), np.log(90)))),
+            altitude=rng.uniform(45, 110),
+        )
+
+
+@dataclass(frozen=True)
+class Block:
+    """source : as `ColmapSource` opens it. found : the boxes. metres_per_unit : the truth."""
+
+    source: ColmapSource
+    found: Detections
+    metres_per_unit: float
+    terrain_error: np.ndarray  # [share of the camera's height] of the ground under each vehicle
+
+
+def fly(rng: np.random.Generator, fleet: Fleet, conditions: Conditions, unsure: bool = True) -> Block:
+    """One block. unsure : the fleet's mean and the boxes' bias are off by as much as they claim to be unknown."""
+    c = conditions
+    terrain = _Terrain.drawn(rng, c)
+    size, place, heading = _vehicles(rng, fleet, c, terrain, unsure)
+    outline, heights = body(top=HEIGHT_ENCLOSED)
+    axes = np.stack(
+        [np.stack([np.cos(heading), np.sin(heading)], -1), np.stack([-np.sin(heading), np.cos(heading)], -1)], 1
+    )
+    flat = place[:, None] + (outline * size[:, None]) @ axes
+    bodies = np.dstack([flat, terrain(flat) + heights])
+    ends = place[:, None] + np.array([-0.25, 0.25])[:, None] * axes[:, :1]
+    ends = np.dstack([ends, terrain(ends)])
+
+    focal = 900.0
+    cameras = _cameras(rng, c)
+    world = Similarity.drawn(rng, float(np.exp(rng.uniform(np.log(0.1), np.log(20)))))
+    stretch = np.array([1.0, 1.0, 1 + c.focal])  # what a longer focal length does to a model seen straight from above
+    points = _sparse(rng, c, terrain, place)
+    source = _source(world, cameras, stretch, points, focal * (1 + c.focal))
+
+    bias, margin = np.zeros(2), np.zeros(2)
+    if unsure:
+        bias, margin = rng.normal(0, RULER.bias_sd), rng.normal(0, RULER.margin_sd)
+    frames: dict[str, Boxes] = {}
+    above: dict[str, Boxes] = {}
+    pictures = {picture.image: picture for picture in source.ground_pictures}
+    for name, (rotation, centre) in zip(source.picture_names, cameras, strict=True):
+        seen = [_project(p, rotation, centre, focal) for p in (bodies, ends)]
+        inside = ((seen[0] > 3) & (seen[0] < [WIDTH - 3, HEIGHT - 3])).all((1, 2)) & (rng.random(len(place)) < SEEN)
+        noise = rng.normal(0, RULER.noise, (len(place), 2))
+        frames[name] = _boxes(seen[0][inside], seen[1][inside], bias, margin + noise[inside])
+        if name not in pictures:
+            continue
+        picture = pictures[name]
+        mapped = []
+        for pixels in (seen[0][inside], seen[1][inside]):
+            _, lies, ok = source.views(name, pixels.reshape(-1, 2))
+            plan = (source.ground.plane(lies) - picture.origin) @ picture.axes.T / picture.unit_per_pixel
+            plan[~ok] = np.nan
+            mapped.append(plan.reshape(pixels.shape))
+        whole = np.isfinite(mapped[0]).all((1, 2)) & np.isfinite(mapped[1]).all((1, 2))
+        whole &= (mapped[0] > 0).all((1, 2)) & (mapped[0] < [picture.width, picture.height]).all((1, 2))
+        again = rng.normal(0, RULER.noise, (len(place), 2))[inside]
+        above[picture.name] = _boxes(mapped[0][whole], mapped[1][whole], bias, margin + again[whole])
+    plain = Detections(frames, 1.0, RULER, (HEIGHT_ENCLOSED,) * 2, "perfect")
+    stands = world.points(np.column_stack([place, terrain(place)]) * stretch)
+    error = source.ground.height_above(stands) / source.ground.camera_height
+    return Block(source, replace(plain, planar=replace(plain, boxes=above)), world.metres_per_unit, error)
+
+
+@dataclass(frozen=True)
+class _Terrain:
+    """Heights of the ground [m]."""
+
+    slope: np.ndarray
+    waves: np.ndarray  # (K, 4) amplitude, two wave numbers, phase
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, c: Conditions) -> _Terrain:
+        turn = rng.uniform(0, 2 * np.pi)
+        number = 2 * np.pi / rng.uniform(90, 250, (3, 1)) * rng.choice([-1, 1], (3, 2)) * rng.uniform(0.3, 1, (3, 2))
+        waves = np.column_stack([rng.normal(0, c.relief / np.sqrt(3), 3), number, rng.uniform(0, 2 * np.pi, 3)])
+        return cls(c.slope * np.array([np.cos(turn), np.sin(turn)]), waves)
+
+    def __call__(self, xy: np.ndarray) -> np.ndarray:
+        out = xy @ self.slope
+        for amplitude, kx, ky, phase in self.waves:
+            out = out + amplitude * np.sin(kx * xy[..., 0] + ky * xy[..., 1] + phase)
+        return out
+
+
+def _vehicles(
+    rng: np.random.Generator, fleet: Fleet, c: Conditions, terrain: _Terrain, unsure: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N, 2) sizes [m], places and (N,) headings of vehicles that stand side by side in a few lots."""
+    size = (place_of(rng, fleet) if unsure else fleet).sample(rng, c.vehicles)[:, :2]
+    if unsure:
+        unknown = fleet.mean_sd[:2] / fleet.mean[:2]
+        r = MEAN_CORRELATION
+        size = size * np.exp(unknown * (np.sqrt(r) * rng.standard_normal() + np.sqrt(1 - r) * rng.standard_normal(2)))
+    place, heading = [], []
+    while len(place) < c.vehicles:
+        corner, turn = rng.uniform(-0.35, 0.35, 2) * c.extent, rng.uniform(0, np.pi)
+        along = np.array([np.cos(turn), np.sin(turn)])
+        for k in range(int(rng.integers(3, 12))):
+            spot = corner + 3.0 * k * along
+            if np.abs(spot).max() < 0.42 * c.extent and all(np.linalg.norm(spot - p) > 2.9 for p in place):
+                if place and min(np.linalg.norm(spot - p) for p in place) < 5.5 and k == 0:
+                    break
+                place.append(spot)
+                heading.append(turn + np.pi / 2)
+    return size, np.array(place[: c.vehicles]), np.array(heading[: c.vehicles])
+
+
+def _cameras(rng: np.random.Generator, c: Conditions) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rotations `camera_from_world` and centres [m] of the true cameras."""
+
+    def looking(x: float, y: float, pitch: float, yaw: float) -> tuple[np.ndarray, np.ndarray]:
+        pitch, yaw = np.radians(pitch), np.radians(yaw)
+        ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        forward = ahead * np.cos(pitch) - np.array([0, 0, np.sin(pitch)])
+        right = np.cross(ahead, [0.0, 0, 1])
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        back = c.altitude / np.tan(pitch)
+        return rotation, np.array([x, y, 0.0]) - back * ahead + [0, 0, c.altitude + rng.normal(0, 0.5)]
+
+    grid = np.linspace(-0.4, 0.4, 5) * c.extent
+    wander = 0.0 if c.focal else 1.5
+    straight = [
+        (x, y, min(90.0, 90 - abs(rng.normal(0, wander))), 180 * (k % 2)) for k, y in enumerate(grid) for x in grid
+    ]
+    if c.kind == "nadir":
+        poses = straight
+    elif c.kind == "strip":
+        poses = [
+            (x, rng.normal(0, 1), 90 - abs(rng.normal(0, wander)), 0.0) for x in np.linspace(-0.5, 0.5, 12) * c.extent
+        ]
+    else:
+        pitch = rng.uniform(50, 75)
+        poses = [(x, y, pitch + rng.normal(0, 1), 180 * (k % 2)) for k, y in enumerate(grid) for x in grid]
+        if c.kind == "grid":
+            poses += [(x, y, pitch + rng.normal(0, 1), 90 + 180 * (k % 2)) for k, x in enumerate(grid) for y in grid]
+    return [looking(*pose) for pose in poses]
+
+
+def _sparse(rng: np.random.Generator, c: Conditions, terrain: _Terrain, vehicles: np.ndarray) -> np.ndarray:
+    """(points, 3) sparse points [m]: the ground, roofs, crowns, vehicles, and strays."""
+    half = 0.7 * c.extent
+    xy = rng.uniform(-half, half, (6 * c.points, 2))
+    roofs = rng.uniform(-half, half, (int(c.roofs * 4 * half**2 / 120) + 1, 2))
+    crowns = rng.uniform(-half, half, (int(c.crowns * 4 * half**2 / 30) + 1, 2))
+
+    def clear(middles: np.ndarray, reach: float) -> np.ndarray:
+        return middles[np.linalg.norm(middles[:, None] - vehicles, axis=2).min(1) > reach]
+
+    roofs, crowns = clear(roofs, 9.0), clear(crowns, 3.2)
+    over = rng.normal(0, POINT_NOISE, len(xy)) + rng.exponential(GRASS, len(xy)) * (rng.random(len(xy)) < 0.6)
+    nearest = np.linalg.norm(xy[:, None] - vehicles, axis=2).min(1)
+    chance = np.where(nearest < 12, 1 - c.bare, 1.0) * 0.3
+    car = nearest < 1.0
+    over[car], chance[car] = rng.uniform(0.6, 1.5, int(car.sum())), 0.3
+    for middles, reach, low, high, rough in ((roofs, 5.0, 3.0, 8.0, 0.15), (crowns, 3.0, 3.0, 12.0, 1.2)):
+        if not len(middles):
+            continue
+        apart = np.linalg.norm(xy[:, None] - middles, axis=2)
+        here, which = apart.min(1) < reach, apart.argmin(1)
+        top = rng.uniform(low, high, len(middles))[which]
+        over[here] = (top * rng.uniform(0.7, 1.0, len(xy)) + rng.normal(0, rough, len(xy)))[here]
+        chance[here] = 1.0
+    chosen = np.flatnonzero(rng.random(len(xy)) < chance)[: c.points]
+    points = np.column_stack([xy[chosen], terrain(xy[chosen]) + over[chosen]])
+    stray = rng.random(len(points)) < 0.02
+    points[stray, 2] += rng.normal(0, 0.1 * c.altitude, int(stray.sum()))
+    return points
+
+
+def _source(
+    world: Similarity,
+    cameras: list[tuple[np.ndarray, np.ndarray]],
+    stretch: np.ndarray,
+    points: np.ndarray,
+    focal: float,
+) -> ColmapSource:
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(
+        model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=[focal, WIDTH / 2, HEIGHT / 2], camera_id=1
+    )
+    model.add_camera_with_trivial_rig(camera)
+    for k, (rotation, centre) in enumerate(cameras):
+        turned = rotation @ world.rotation.T
+        pose = np.column_stack([turned, -turned @ world.points(centre * stretch)])
+        image = pycolmap.Image(name=f"{k:03d}.jpg", camera_id=1, image_id=k + 1)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+    grey = np.full(3, 128, np.uint8)
+    for point in world.points(points * stretch):
+        model.add_point3D(point, pycolmap.Track(), grey)
+    return ColmapSource(Path("simulated"), Path("simulated"), "bin", [], [], (), model)
+
+
+def _project(points: np.ndarray, rotation: np.ndarray, centre: np.ndarray, focal: float) -> np.ndarray:
+    local = (points - centre) @ rotation.T
+    return local[..., :2] / local[..., 2:] * focal + np.array([WIDTH, HEIGHT]) / 2
+
+
+def _boxes(bodies: np.ndarray, ends: np.ndarray, bias: np.ndarray, more: np.ndarray) -> Boxes:
+    rows = [enclosing(points, end[1] - end[0], 0.0) for points, end in zip(bodies, ends, strict=True)]
+    xylwa = np.array(rows, float).reshape(-1, 5)
+    xylwa[:, 2:4] = np.maximum(xylwa[:, 2:4] * np.exp(bias) + more, 1.0)
+    swapped = xylwa[:, 2] < xylwa[:, 3]
+    return Boxes(xylwa[~swapped], np.full(int((~swapped).sum()), 0.9))

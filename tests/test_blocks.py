@@ -1,0 +1,87 @@
+"""Simulated blocks of frames: woods, few points, a focal length that is too long, and vehicles that two ways see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.blocks import Conditions, fly
+
+from orthoscale.core.measuring.measurement import Measurement, Pooled
+from orthoscale.core.measuring.ways import measure_source, united
+from orthoscale.core.ruler import Ruler
+from orthoscale.core.votes import gather
+from orthoscale.fleets import load_fleet
+
+FLEET = load_fleet("DE")
+
+
+def error(conditions, seed):
+    """log(scale / truth), and what was measured."""
+    block = fly(np.random.default_rng(seed), FLEET, conditions, unsure=False)
+    measured = measure_source(block.source, block.found, FLEET)
+    return float(np.log(measured.scale.value / block.metres_per_unit)), measured, block
+
+
+@pytest.mark.parametrize("kind", ["nadir", "grid"])
+def test_under_trees_the_vehicles_say_where_the_ground_is(kind):
+    off, _, block = error(Conditions(kind, points=500, crowns=1.3, roofs=0.3, bare=0.97, vehicles=50), 3)
+    assert np.abs(np.median(block.terrain_error)) > 0.025, "the sheet lies on the ground: nothing is tested"
+    assert abs(off) < 0.02
+
+
+def test_a_focal_length_that_is_too_long_leaves_footprints_alone():
+    off, *_ = error(Conditions("nadir", focal=0.2, vehicles=50), 4)
+    assert abs(off) < 0.02
+
+
+def test_vehicles_beyond_the_points_count():
+    block = fly(np.random.default_rng(5), FLEET, Conditions("nadir", points=1500, vehicles=40), unsure=False)
+    everywhere = measure_source(block.source, block.found, FLEET)
+    model = block.source._model
+    plan = {i: block.source.ground.plane(np.array(p.xyz)[None])[0, 0] for i, p in model.points3D.items()}
+    edge = np.percentile(list(plan.values()), 70)
+    for number, x in plan.items():
+        if x > edge:
+            model.delete_point3D(number)
+    fewer = replace(block.source)  # without what it remembers of its ground
+    measured = measure_source(fewer, block.found, FLEET, mode="oblique")
+    assert len(measured.boxes) > 0.9 * len(everywhere.modes["oblique"].boxes)
+    assert measured.scale.value == pytest.approx(block.metres_per_unit, rel=0.03)
+    sheet = fewer.ground.sd(measured.votes.place)
+    assert sheet.max() > 2 * np.median(sheet), "no vehicle stands beyond the points"
+    assert measured.votes.ground.max() * fewer.camera_height < sheet.max(), "their parallax knows better"
+
+
+def way(size, place, noise):
+    """What a way of measuring gives that sees vehicles of `size` (N, 2) with relative `noise`."""
+    count = len(size)
+    votes = gather(size, np.full(count, 0.01), place, np.ones(count), repeated=True)
+    scale = replace(_scale(), used=np.ones(count, bool), reasons=[""] * count)
+    pooled = Pooled(Ruler(margin_sd=(0.0, 0.0)), np.eye(2) * 1e-4, np.full((count, 2), noise))
+    return Measurement(None, np.array([]), votes, scale, {}, votes.size, "exact", pooled=pooled)
+
+
+def _scale():
+    block = fly(np.random.default_rng(1), FLEET, Conditions("nadir", vehicles=20), unsure=False)
+    return measure_source(block.source, block.found, FLEET, mode="oblique").scale
+
+
+def test_a_vehicle_that_both_ways_see_counts_once():
+    place = 10 * np.arange(8)[:, None] * np.array([1.0, 0, 0])
+    size = np.tile([4.5, 1.8], (8, 1))
+    a, b = way(size[:6], place[:6], 0.02), way(1.04 * size[2:], place[2:], 0.04)
+    votes, ruler, covariance = united(a, b)
+    assert len(votes) == 8
+    at = {int(round(p[0] / 10)): s for p, s in zip(votes.place, votes.size[:, 0], strict=True)}
+    assert at[0] == pytest.approx(4.5) and at[7] == pytest.approx(1.04 * 4.5)
+    assert np.log(at[3] / 4.5) == pytest.approx(np.log(1.04) / 5)  # weights of four to one
+    assert ruler.margin == (0.0, 0.0) and covariance == pytest.approx(np.eye(2) * 1e-4)
+
+
+def test_the_answer_lies_where_the_vehicles_of_both_ways_do():
+    _, measured, block = error(Conditions("nadir", vehicles=40), 6)
+    values = [m.scale.value for m in measured.modes.values()]
+    assert min(values) * 0.995 < measured.scale.value < max(values) * 1.005
+    assert measured.scale.value == pytest.approx(block.metres_per_unit, rel=0.02)

@@ -1,0 +1,82 @@
+"""Whether a reconstruction's observations determine its focal length, and what is made of one that they leave open."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.projection.exact import ground_size
+from orthoscale.core.projection.level import level_views, up_from_gimbal
+from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.focal import SYSTEMATIC, focal_doubt, focal_sd
+from orthoscale.synthetic import make_scene, write_colmap
+
+pycolmap = pytest.importorskip("pycolmap")
+
+
+def block(tmp_path, pitch):
+    """Tracks of a flight over low houses, looking down at `pitch` degrees."""
+    write_colmap(make_scene(3, extent_m=120.0, style="suburb"), tmp_path, 3.0, 12, pitch, 80.0, pictures=False)
+    return pycolmap.Reconstruction(str(tmp_path / "sparse"))
+
+
+def test_straight_down_leaves_it_open_and_a_slant_does_not(tmp_path):
+    down, slant = (focal_sd(block(tmp_path / str(pitch), pitch)) for pitch in (90, 60))
+    assert down > 4 * slant
+    assert SYSTEMATIC * slant < 0.03
+
+
+def test_what_the_normal_equations_say_is_what_adjustment_does(tmp_path):
+    """The focal length that bundle adjustment finds scatters from noise to noise as much as is said."""
+    found, said = [], []
+    for seed in range(6):
+        scene = make_scene(3, extent_m=120.0, style="suburb")
+        write_colmap(
+            scene, tmp_path / str(seed), 3.0, 8, 75, 60.0, seed=seed, n_points=400, noise_px=0.6, pictures=False
+        )
+        model = pycolmap.Reconstruction(str(tmp_path / str(seed) / "sparse"))
+        camera = model.cameras[1]
+        model.cameras[1] = pycolmap.Camera(
+            camera_id=1, model="RADIAL", width=camera.width, height=camera.height, params=[*camera.params, 0.0, 0.0]
+        )
+        options = pycolmap.BundleAdjustmentOptions()
+        options.print_summary = False
+        pycolmap.bundle_adjustment(model, options)
+        said.append(focal_sd(model))
+        found.append(np.log(model.cameras[1].mean_focal_length() / 900))
+    assert 0.4 < np.sqrt(np.mean(np.square(found))) / np.mean(said) < 2.5
+
+
+def test_too_few_tracks_say_nothing():
+    assert focal_sd(pycolmap.Reconstruction()) is None
+    assert focal_doubt(pycolmap.Reconstruction(), []).sd == 0
+
+
+def test_a_focal_length_that_is_left_open_is_taken_from_exif(tmp_path):
+    from PIL import Image
+
+    write_colmap(make_scene(3, extent_m=120.0, style="park"), tmp_path, 3.0, 12, 90, 80.0, pictures=False)
+    model = pycolmap.Reconstruction(str(tmp_path / "sparse"))
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = 28  # mm equivalent: 28 / 43.27 of the diagonal of 1250 px
+    for image in model.images.values():
+        path = tmp_path / "images" / image.name
+        Image.new("RGB", (1000, 750)).save(path, "JPEG", exif=exif)
+    doubt = ColmapSource.open(tmp_path).focal
+    assert doubt.ratio == pytest.approx(28 / 43.27 * 1250 / 900, rel=0.03)
+    assert 0.005 < doubt.sd < 0.04
+    assert "footprints on the ground are measured" in doubt.said and "809 px" in doubt.said
+
+
+def test_footprints_stay_and_heights_follow():
+    up = up_from_gimbal(-np.pi / 2)
+    views, _ = level_views(np.array([[0.3, 0.2], [0.0, 0.0]]), np.tile(900 * np.eye(2), (2, 1, 1)), up, 60.0, 0.4)
+    longer = views.with_focal(1.2)
+    aside = views.ground - (views.ground @ up)[:, None] * up
+    assert longer.ground - (longer.ground @ up)[:, None] * up == pytest.approx(aside)
+    assert longer.ground @ up == pytest.approx(1.2 * (views.ground @ up))
+    boxes = Boxes(np.array([[0, 0, 70.0, 28.0, 0.3]] * 2), np.ones(2))
+    before, after = (ground_size(boxes, v, 1.0) for v in (views, longer))
+    assert (after[0] > before[0]).all()  # less of the box is height
+    assert after == pytest.approx(before, rel=0.03)

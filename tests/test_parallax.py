@@ -1,0 +1,63 @@
+"""Vehicles that several frames show say where the ground is, whatever the sparse points lie on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orthoscale.core.measuring.parallax import MIDDLE, standing
+
+SIZE = (4.5, 1.8)
+HEIGHT = 60.0
+
+
+def boxes(lower, seed=0, vehicles=20, frames=9, noise=0.08, middle=MIDDLE * SIZE[0]):
+    """Places of boxes on a sheet that lies `lower` (vehicles,) above the ground on which the vehicles stand [m]."""
+    rng = np.random.default_rng(seed)
+    cameras = np.stack(np.meshgrid(*[np.linspace(-25, 25, 3)] * 2), -1).reshape(-1, 2)[:frames]
+    # Side by side in rows, as parked vehicles stand: neighbours may be taken for one another.
+    spot = np.stack([2.6 * (np.arange(vehicles) % 10), 12.0 * (np.arange(vehicles) // 10)], -1)
+    vehicle, frame = np.nonzero(rng.random((vehicles, frames)) < 0.7)
+    foot = cameras[frame]
+    above = HEIGHT - lower[vehicle]  # of the camera over the sheet
+    away = (spot[vehicle] - foot) / (HEIGHT - middle)
+    place = foot + away * above[:, None] + rng.normal(0, noise, (len(vehicle), 2))
+    return place, foot, above, np.array([f"{k}.jpg" for k in frame]), vehicle
+
+
+@pytest.mark.parametrize("lower", [-2.0, 0.0, 4.0, 9.0])
+def test_the_ground_is_found_where_the_sheet_is_not(lower):
+    lower = np.full(20, lower)
+    place, foot, above, picture, _ = boxes(lower)
+    stands = standing(place, foot, above, picture, SIZE, np.full(len(place), 0.15))
+    true = lower[0] / (HEIGHT - lower[0])
+    assert np.median(stands.lower) == pytest.approx(true, abs=2.5 * np.median(stands.sd))
+    assert np.median(stands.sd) < 0.01
+    assert (stands.trees > 0.9) == (lower[0] != 0)
+
+
+def test_where_it_differs_from_place_to_place():
+    lower = np.where(np.arange(20) < 10, 1.0, 5.0)
+    place, foot, above, picture, vehicle = boxes(lower)
+    place[vehicle >= 10] += (0, 70)
+    foot[vehicle >= 10] += (0, 70)
+    stands = standing(place, foot, above, picture, SIZE, np.full(len(place), 0.15))
+    error = stands.lower - lower[vehicle] / above
+    assert np.sqrt(np.mean(error**2)) < 0.012
+    assert np.sqrt(np.mean((error / stands.sd) ** 2)) < 2
+
+
+def test_a_sheet_that_is_known_well_is_hardly_moved():
+    place, foot, above, picture, _ = boxes(np.zeros(20), noise=0.3)
+    stands = standing(place, foot, above, picture, SIZE, np.full(len(place), 0.1))
+    assert np.abs(stands.lower).max() < 0.004
+    assert stands.trees < 0.5
+
+
+@pytest.mark.parametrize("frames", [1, 9])
+def test_without_parallax_the_sheet_stands(frames):
+    place, foot, above, picture, _ = boxes(np.full(20, 4.0), frames=frames, vehicles=20 if frames == 1 else 1)
+    sd = np.full(len(place), 0.2)
+    stands = standing(place, foot, above, picture, SIZE, sd)
+    assert stands.vehicles == 0 and not stands.lower.any()
+    assert stands.sd == pytest.approx(sd / above)
