@@ -286,3 +286,25 @@ def test_seed_reaches_the_search_for_the_zoom(monkeypatch):
 def test_settings_are_plain_values(park):
     result = orthoscale.estimate(park / "park.png", fleet="DE", detections=park / "detections.json")
     assert json.loads(json.dumps(result.settings)) == {"fleet": "DE", "detections": str(park / "detections.json")}
+
+
+@pytest.mark.parametrize(
+    "said, confirms",
+    [
+        ({}, True),
+        ({"measurer": "own.onnx"}, True),
+        ({"fast": True}, False),
+        ({"measurer": "none"}, False),
+        ({"detector": "d.onnx", "measurer": "built-in"}, False),
+        ({"calibration": "c.json"}, False),
+        ({"detections": "boxes.json", "measurer": "built-in"}, False),
+    ],
+)
+def test_the_finder_confirms_what_is_found_here_and_measured_once_more(said, confirms):
+    assert EstimateRequest(**said).confirms is confirms
+
+
+@pytest.mark.parametrize("said", [{"detector": "d.onnx"}, {"measurer": "none"}, {"detections": "boxes.json"}])
+def test_fast_is_refused_where_nobody_confirms(said):
+    with pytest.raises(UsageError, match="--fast does nothing here"):
+        EstimateRequest(fast=True, **said)
