@@ -113,10 +113,10 @@ def test_distances_that_make_no_sense_say_what_is_expected(boxes, text, why):
 
 
 @pytest.mark.parametrize(
-    "projection, off", [("exact", 0.05), ("planar", 0.03), ("decoupled", 0.14), ("program", 0.1), ("naive", 0.03)]
+    "projection, off", [("exact", 0.05), ("planar", 0.03), ("decoupled", 0.1), ("program", 0.15), ("naive", 0.03)]
 )
 def test_every_projection_measures_a_model(projection, off):
-    """As far off as on `sheffield` of benchmarks/README.md, no farther; the paper's text makes scales small there."""
+    """As far off as their formulas are there, no farther: the paper's text makes scales small, its program large."""
     result = orthoscale.estimate(MODEL, fleet="US", detections=FOUND, projection=projection)
     assert result.scale.value == pytest.approx(14.157, rel=off)
     assert result.projection == projection
