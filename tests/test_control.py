@@ -120,7 +120,8 @@ def test_every_projection_measures_a_model(projection, off):
     result = orthoscale.estimate(MODEL, fleet="US", detections=FOUND, projection=projection)
     assert result.scale.value == pytest.approx(14.157, rel=off)
     assert result.projection == projection
-    assert (result.scale.value < 0.9 * 14.157) == (projection == "decoupled")
+    assert (result.scale.value < 0.95 * 14.157) == (projection == "decoupled")
+    assert (result.scale.value > 1.05 * 14.157) == (projection == "program")
 
 
 def test_the_papers_estimator_and_what_it_cannot_take(boxes):
