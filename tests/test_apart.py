@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from support.drawings import car_park
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
+from orthoscale.core.measuring.agreed import as_agreed
 from orthoscale.core.measuring.apart import standing_in_another
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.ways import measure_source
@@ -84,3 +86,6 @@ def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, low
     assert unsure.scale.value == sure.scale.value
     assert unsure.scale.verdict == (one_step_below(sure.scale.verdict) if lowered else sure.scale.verdict)
     assert any("two looks agree on" in check.detail for check in judgements(unsure)) == lowered
+    # However narrow the interval: things that are all alike, and anchors that follow them, are sure of themselves.
+    good = replace(sure.scale, verdict="good")
+    assert as_agreed(good, believed, doubtful).verdict == ("poor" if lowered else "good")

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from ..remarks import CAUTION, Remark, by_severity, percent
 from ..scale import Scale
-from ..verdicts import one_step_below
+from ..verdicts import one_step_below, worst
 
 # Share of the boxes that two looks agree on, where they are mistakes: see `detect.zoom.AGREED`, which is older than the
 # pictures that follow. Eleven places of known scale have 0.5 to 0.9, one with 14 vehicles 0.2; five of six rendered
@@ -20,7 +20,8 @@ LEAST_SEEN = 20  # boxes of both kinds, below which a share says little
 
 
 def as_agreed(scale: Scale, believed: int, doubtful: int) -> Scale:
-    """`scale`, one step lower in its verdict where of all boxes only OF_MISTAKES or fewer are `believed`."""
+    """`scale`, one step lower in its verdict and ``poor`` at best where of all boxes only OF_MISTAKES or fewer are
+    `believed`: things of some other size, all alike, are as sure of themselves as vehicles, and anchors follow them."""
     seen = believed + doubtful
     if seen < LEAST_SEEN or believed > OF_MISTAKES * seen:
         return scale
@@ -29,4 +30,5 @@ def as_agreed(scale: Scale, believed: int, doubtful: int) -> Scale:
         f"two looks agree on {believed} of {seen} boxes ({percent(believed / seen)}), as few as of mistakes: see "
         "whether there are vehicles at all",
     )
-    return replace(scale, verdict=one_step_below(scale.verdict), remarks=by_severity((*scale.remarks, remark)))
+    lower = worst(one_step_below(scale.verdict), "poor")
+    return replace(scale, verdict=lower, remarks=by_severity((*scale.remarks, remark)))
