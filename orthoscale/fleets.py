@@ -132,7 +132,7 @@ def _part(code: str) -> Fleet:
         mean=mean,
         sd=np.sqrt(share @ (np.array([c.sd for c in classes]) ** 2 + (means - mean) ** 2)),
         classes=classes,
-        shares_source=f"{country.name}, {part['class']}s {100 * part['share']:.0f} %: {source}",
+        shares_source=f"{country.name}, {part['class']} {100 * part['share']:.0f} %: {source}",
     )
 
 
