@@ -5,7 +5,7 @@ INSTALLED := .venv/.installed
 
 # Processes that share the tests, a module at a time: one for each core; `make test JOBS=0` runs them in this one.
 JOBS ?= auto
-PYTEST := $(BIN)/python -m pytest -rs -n $(JOBS) --dist loadscope --durations=25
+PYTEST := $(BIN)/python -m pytest -rs -n $(JOBS) --dist loadscope --no-loadscope-reorder --durations=25
 
 .PHONY: coverage demo docs test fast fuzz lint mutants qgis types wheel
 

@@ -7,6 +7,21 @@ from pathlib import Path
 
 import pytest
 
+# Modules of a minute and more. They come first, so that no process is left with one of them when the others are done.
+LONGEST = (
+    "test_mapping_programs.py",
+    "test_seeds.py",
+    "test_sweep.py",
+    "test_pipeline.py",
+    "test_pooling.py",
+    "test_ways.py",
+    "test_outputs_guard.py",
+)
+
+
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+
 
 @pytest.fixture(scope="session")
 def data() -> Path:
