@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from orthoscale.core.boxes import Boxes
+from orthoscale.core.measuring.geometry import larger_by
 from orthoscale.core.projection.exact import ground_size
 from orthoscale.core.projection.level import level_views, up_from_gimbal
 from orthoscale.sources.colmap import ColmapSource
@@ -80,3 +81,10 @@ def test_footprints_stay_and_heights_follow():
     before, after = (ground_size(boxes, v, 1.0) for v in (views, longer))
     assert (after[0] > before[0]).all()  # less of the box is height
     assert after == pytest.approx(before, rel=0.03)
+
+
+def test_boxes_that_no_vehicle_gives_do_not_count_for_the_focal_length():
+    size = np.array([[4.0, 1.8], [4.4, 1.9], [np.nan, np.nan], [-0.3, 0.2], [0.1, 0.1]])
+    longer = np.array([[4.4, 1.8], [4.84, 1.9], [4.0, 1.8], [-0.2, 0.3], [0.1, -0.1]])
+    assert larger_by(longer, size) == pytest.approx([np.log(1.1), 0])
+    assert (larger_by(longer[2:], size[2:]) == 0).all()

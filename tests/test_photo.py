@@ -144,6 +144,7 @@ def test_every_calibration_file_says_the_same_and_follows_the_photos_size(tmp_pa
         ("a.json", '{"width": 4000, "height": 3000}', "focal_px"),
         ("a.json", '{"width": 4000, "height": 3000, "fx": -5}', "positive"),
         ("a.txt", "1 OPENCV 4000 3000 2300\n", "parameters"),
+        ("a.txt", "1 OPENC 4000 3000 2300 2300 2000 1500 0 0 0 0\n", "no camera model is called OPENC"),
         ("a.txt", "", "0 cameras"),
         ("a.doc", "f 2300", "not a calibration"),
     ],

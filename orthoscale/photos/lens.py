@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import InputError, UsageError
+from ..errors import InputError, UsageError, shown
 from ..formats.reading import SMALL, read, read_text, reason
 from .tags import Tags
 
@@ -178,6 +178,8 @@ def _from_colmap(text: str) -> pycolmap.Camera:
     if len(lines) != 1:
         raise ValueError(f"{len(lines)} cameras, one is wanted")
     _, model, width, height, *parameters = lines[0]
+    if model not in pycolmap.CameraModelId.__members__:
+        raise ValueError(f"no camera model is called {shown(model)}")
     camera = pycolmap.Camera(model=model, width=int(width), height=int(height), params=[float(p) for p in parameters])
     if not camera.verify_params():
         raise ValueError(f"{len(parameters)} parameters do not make a {model}")

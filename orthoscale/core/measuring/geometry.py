@@ -46,6 +46,13 @@ class Observation:
         return np.diag(np.square(self.own)) + sum((np.outer(s, s) for s in self.shared.values()), np.zeros((2, 2)))
 
 
+def larger_by(other: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """(2,) by how much the lengths and widths `other` (M, 2) are larger than `size` (log, median); 0 where no box has a
+    size of both: that of boxes which no vehicle gives is NaN, or below 0."""
+    ok = ((size > 0) & (other > 0)).all(1)
+    return np.median(np.log(other[ok] / size[ok]), axis=0) if ok.any() else np.zeros(2)
+
+
 class Geometry(Protocol):
     """M boxes of one source, and what they measure on its ground.
 

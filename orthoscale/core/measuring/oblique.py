@@ -25,7 +25,7 @@ from ..projection.view import Views
 from ..scale import Scale
 from ..source import PosedSet
 from ..votes import Votes
-from .geometry import Geometry, Observation
+from .geometry import Geometry, Observation, larger_by
 from .measure import doubts
 from .measurement import Findings, SelfCalibration
 from .method import Method
@@ -169,7 +169,7 @@ class ExactGeometry(FramesGeometry):
         shared = GROUND_ERROR
         if self.source.focal.sd:
             longer = ruler.size(self.boxes, self.views.with_focal(1 + self.source.focal.sd), zoom, metres_per_unit)
-            shared = {**shared, "focal length": np.nanmedian(np.log(longer / size), axis=0)}
+            shared = {**shared, "focal length": larger_by(longer, size)}
         return Observation(size, left, own, shared, self.stands.sd)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:

@@ -21,7 +21,7 @@ from ..projection.planar import footprint, ground_size
 from ..scale import Scale
 from ..source import NEAR_NADIR, GroundView, PosedSet
 from ..votes import Votes
-from .geometry import Geometry, Observation
+from .geometry import Geometry, Observation, larger_by
 from .measure import doubts
 from .measurement import Findings
 from .oblique import GROUND_ERROR, height_share
@@ -115,7 +115,7 @@ class SweepGeometry:
         """What is left of a box without the part of the vehicle's height."""
         size, longer = (self._footprints(metres_per_unit, ratio) for ratio in (1.0, 1 + self.focal_sd))
         own = height_share(size, np.abs(self.offset), metres_per_unit)
-        by_focal = {"focal length": np.median(np.log(longer / size), axis=0)} if self.focal_sd else {}
+        by_focal = {"focal length": larger_by(longer, size)} if self.focal_sd else {}
         return Observation(size, self.found.ruler, own, {**GROUND_ERROR, **by_focal}, self.stands.sd)
 
     def _footprints(self, metres_per_unit: float, ratio: float) -> np.ndarray:
