@@ -475,6 +475,22 @@ _boxes("4,800 copies of one box", _rows(lambda rows: rows[:1] * 4800), 3, 5)
 _boxes("24,000 copies of one box", _rows(lambda rows: rows[:1] * 24_000), 3, 5)
 
 
+@seed("frames: a box from above that is one pixel wide")
+def _thin_box(bench: Bench) -> Attempt:
+    inside = bench.take("colmap-bin")
+    edited(inside / "boxes.json", lambda d: d["planar"]["pictures"]["ground/10.png"][3].update(width=1))
+    return ends(("fix", *PLANS, "--out", "out"), 0)
+
+
+@seed("lens: a camera model that there is not")
+def _no_such_lens(bench: Bench) -> Attempt:
+    inside = bench.take("photos", "flight/a.jpg", "boxes.json", "cars.json", "lens.txt")
+    path = inside / "lens.txt"
+    path.write_text(path.read_text().replace("OPENCV", "OPENC"))
+    given = ("--detections", "in/boxes.json", "--fleet", "in/cars.json", "--lens", "in/lens.txt")
+    return ends(("photo", "in/flight/a.jpg", *given), 5)
+
+
 @seed("frames: a PNG whose pixels are damaged")
 def _damaged_frame(bench: Bench) -> Attempt:
     path = bench.take("colmap-bin") / "images/00.png"
