@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,7 +23,7 @@ def apply(
     """
     out = Path(out)
     files = [files] if isinstance(files, (str, Path)) else list(files)
-    names = [Path(path).resolve().name for path in files]
+    names = [Path(os.path.realpath(path)).name for path in files]
     if len(set(names)) < len(names):
         raise UsageError("two FILEs have the same name", "Write them to different folders, one after the other.")
     written = {}

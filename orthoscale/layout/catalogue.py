@@ -81,7 +81,7 @@ def parse_requests(texts: Sequence[str], catalogue: Path | None = None) -> list[
     kinds = load(catalogue)
     requests: list[Request] = []
     for text in texts:
-        match = re.fullmatch(r"([A-Za-z0-9_-]+)(?::(\d+))?(?:@([^@]+))?", text.strip())
+        match = re.fullmatch(r"([A-Za-z0-9_-]+)(?::(\d{1,9}))?(?:@([^@]+))?", text.strip())
         if not match:
             raise UsageError(f"--facility {text!r} is not understood", "Give CODE, CODE:COUNT or CODE@X,Y,BEARING.")
         code, count, place = match[1], int(match[2] or 1), match[3]

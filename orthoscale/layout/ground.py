@@ -19,6 +19,7 @@ from ..errors import InputError, UsageError, shown
 from ..formats.reading import LARGE, check_regular, read, read_plain
 from ..sources.raster import RasterSource
 
+MOST_OFF = 10.0  # times that an end of an interval lies from its scale: no report tells more
 AREA_HINT = "Give the polygon of the area as GeoJSON, GeoPackage ..."
 FARTHEST_M = 1e9  # of a polygon's coordinates, whatever their unit
 
@@ -126,12 +127,12 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
     try:
         told = read(report, Measured, "a report of orthoscale", most=LARGE)
         low, high = (v / told.scale for v in told.interval90)
-        if low <= 1 <= high:
+        if 1 / MOST_OFF <= low <= 1 <= high <= MOST_OFF:
             return (low, high), ()
     except InputError:  # none, or another program's file of that name
         pass
     return None, (
-        f"the uncertainty of the scale is not known: there is no {report.name} (or give --scale-error PERCENT)",
+        f"the uncertainty of the scale is not known: no {report.name} tells it (or give --scale-error PERCENT)",
     )
 
 

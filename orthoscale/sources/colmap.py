@@ -272,7 +272,7 @@ class ColmapSource:
             )
         here = {name: image.projection_center() for name, image in self._images.items()}
         for sparse in sparse_folders(folder):
-            if sparse.resolve() == self.folder.resolve():
+            if os.path.realpath(sparse) == os.path.realpath(self.folder):
                 continue
             other = read_model(sparse, open_model(sparse).format)
             images = [other.image(i) for i in other.reg_image_ids()]
@@ -357,7 +357,7 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
     if given is not None:
         places = [given]
     else:
-        above = [folder, *folder.resolve().parents[:3]]
+        above = [folder, *Path(os.path.realpath(folder)).parents[:3]]
         places = [base / sub for sub in IMAGE_FOLDERS for base in above]
     best, missing = places[0], list(names)
     for place in places:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -14,7 +15,7 @@ def pose_priors(folder: Path) -> str:
 
     Priors are positions that came with the images (GPS); they are in metres or degrees already, not in model units.
     """
-    for place in [folder, *folder.resolve().parents[:FOLDERS_ABOVE]]:
+    for place in [folder, *Path(os.path.realpath(folder)).parents[:FOLDERS_ABOVE]]:
         path = place / "database.db"
         if not path.is_file():
             continue

@@ -491,6 +491,27 @@ def _no_such_lens(bench: Bench) -> Attempt:
     return ends(("photo", "in/flight/a.jpg", *given), 5)
 
 
+@seed("report: an interval that ends beside nought")
+def _endless_interval(bench: Bench) -> Attempt:
+    inside = bench.take("settings", "scaled.tif", "scaled.tif.json", "lot.geojson")
+    edited(inside / "scaled.tif.json", lambda d: d["interval90"].__setitem__(0, 1e-320))
+    return ends(("layout", "in/scaled.tif", "--lot", "in/lot.geojson", "--facility", "tennis", "--out", "out"), 0)
+
+
+@seed("option: a count of 5,000 digits")
+def _endless_count(bench: Bench) -> Attempt:
+    bench.take("settings", "scaled.tif", "lot.geojson")
+    many = f"parking-DE:{'9' * 5000}"
+    return ends(("layout", "in/scaled.tif", "--lot", "in/lot.geojson", "--out", "out", "--facility", many), 2)
+
+
+@seed("geometry: a link in a circle")
+def _circle(bench: Bench) -> Attempt:
+    inside = bench.take("geometry", "sim3.json")
+    (inside / "odd.png").symlink_to("odd.png")
+    return ends(("apply", "in/sim3.json", "in/odd.png", "--out", "out"), 5)
+
+
 @seed("frames: a PNG whose pixels are damaged")
 def _damaged_frame(bench: Bench) -> Attempt:
     path = bench.take("colmap-bin") / "images/00.png"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -47,7 +48,7 @@ def find_dense(model: Path) -> Path | None:
 
     ``W/dense/sparse`` lies in its own; ``W/sparse`` has ``W/dense``; ``W/sparse/0`` has ``W/dense/0`` or ``W/dense``.
     """
-    model = model.resolve()
+    model = Path(os.path.realpath(model))
     places = [model.parent, model.parent / "dense", model / "dense"]
     if model.name.isdigit():
         above = model.parent.parent / "dense"

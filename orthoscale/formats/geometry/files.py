@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -61,8 +62,8 @@ def scale_file(source: Path, target: Path, scale: float) -> list[str]:
 
 def _beside(path: Path, source: Path, target: Path) -> Path:
     """Where a file that `source` refers to goes; never out of the target's folder."""
-    place = path.resolve()
-    home = source.parent.resolve()
+    place = Path(os.path.realpath(path))
+    home = os.path.realpath(source.parent)
     if not place.is_relative_to(home):
         raise InputError(f"{source} refers to {path}, which lies outside its folder", "Move both into one folder.")
     out = target.parent / place.relative_to(home)
