@@ -47,11 +47,13 @@ def read_bytes(path: Path, hint: str = "", most: int = SMALL) -> bytes:
     """What is in the regular file `path`, of `most` bytes or fewer. Raises InputError."""
     check_regular(path, hint)  # before it is opened: opening a pipe waits for its other end
     try:
-        with path.open("rb") as file:
-            content = file.read(most + 1)
+        large, content = path.stat().st_size > most, b""
+        if not large:  # else none of it is read
+            with path.open("rb") as file:
+                content = file.read(most + 1)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})", hint) from error
-    if len(content) > most:
+    if large or len(content) > most:
         raise InputError(f"{path}: larger than the {most // MIB} MiB that such a file may have", hint)
     return content
 
