@@ -83,7 +83,8 @@ def parse_requests(texts: Sequence[str], catalogue: Path | None = None) -> list[
     for text in texts:
         match = re.fullmatch(r"([A-Za-z0-9_-]+)(?::(\d{1,9}))?(?:@([^@]+))?", text.strip())
         if not match:
-            raise UsageError(f"--facility {shown(text)} is not understood", "Give CODE, CODE:COUNT or CODE@X,Y,BEARING.")
+            said = f"--facility {shown(text)} is not understood"
+            raise UsageError(said, "Give CODE, CODE:COUNT or CODE@X,Y,BEARING.")
         code, count, place = match[1], int(match[2] or 1), match[3]
         if not 1 <= count <= 1000:
             raise UsageError(f"--facility {text!r}: a count of {count}", "Give a count from 1 to 1000.")
