@@ -139,7 +139,7 @@ def _part(code: str) -> Fleet:
 def _with_three_wheelers(fleet: Fleet) -> Fleet:
     """The same with as many three-wheelers as its country has beside its cars."""
     table = _document()["three_wheelers"]
-    share = table["shares"].get(fleet.code.split("_")[0], 0.0)
+    share = table["shares"].get(fleet.country, 0.0)
     return replace(fleet, three_wheelers=class_of(table, share) if share else None)
 
 

@@ -16,8 +16,8 @@ from support import in_process
 from support.aerial import other_date
 
 import orthoscale
-from orthoscale.actions.against import BY_MAP, OnMap, on_map
-from orthoscale.core.evidence import Evidence
+from orthoscale.actions.against import OnMap, on_map
+from orthoscale.core.evidence import BY_MAP, Evidence
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.satellite import Satellite

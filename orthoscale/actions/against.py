@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.evidence import Evidence
+from ..core.evidence import BY_MAP, Evidence
 from ..core.source import Picture, Placement, PosedSet, Source
 from ..detect.find import Progress
 from ..errors import TooLittleEvidence
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from ..locate.register import Registration
     from ..sources.satellite import Satellite
 
-BY_MAP = "map"
 SCALES_AROUND = 4.0  # sigmas of the vehicles' scale within which the map's is searched ...
 LEAST_AROUND, MOST_AROUND = math.log(1.3), math.log(1.6)  # ... but so far at least, to contradict, and at most
 VIEWS_TRIED = 3  # pictures of the ground of a reconstruction, the largest
@@ -133,7 +132,5 @@ def _affine(seen: SeenPlan, found: Registration, satellite: Satellite) -> np.nda
     """(2, 3) from the orthophoto's pixels to the map's coordinates, by the match."""
     size = np.array([seen.picture.width, seen.picture.height], float)
     corners = np.array([[0, 0], [size[0], 0], [0, size[1]]])
-    x, y = found.candidates[0].map_pixels(corners * seen.gsd).T
-    t = satellite.transform
-    first, right, down = np.stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f], 1)
+    first, right, down = satellite.coordinates(found.candidates[0].map_pixels(corners * seen.gsd))
     return np.column_stack([(right - first) / size[0], (down - first) / size[1], first])

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyproj
 
 from ..core.brief import Brief
 from ..detect.find import Progress
@@ -90,7 +89,7 @@ class LocateRequest:
             return x, y, radius
         if satellite.crs.is_geographic:
             raise UsageError(f"--prior {self.prior} is no longitude and latitude, which is what the map has")
-        lon, lat = pyproj.Transformer.from_crs(satellite.crs, "EPSG:4326", always_xy=True).transform(x, y)
+        lon, lat = satellite.degrees(np.array([x, y]))[0].tolist()
         if not np.isfinite([lon, lat]).all():
             raise UsageError(f"--prior {self.prior} is no place in {satellite.crs.name}")
         return lon, lat, radius

@@ -40,5 +40,5 @@ def country_of(source: Source, fleet: Fleet | None) -> str:
     location = location_of(source)
     if location is not None and (code := country_at(location.longitude, location.latitude)) is not None:
         return code
-    code = "" if fleet is None else fleet.code.split("_")[0]
+    code = "" if fleet is None else fleet.country
     return code if len(code) == 2 and code.isupper() and code not in UNIONS else ""

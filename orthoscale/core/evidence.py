@@ -27,6 +27,7 @@ SUPPORTS = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
 SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
+BY_MAP = "map"  # kind of the evidence that a match with a georeferenced map gives
 CONTROL_SD = 0.05  # of a ground control point's position, where its residuals do not say [m]
 
 

@@ -83,6 +83,11 @@ class Fleet:
         return place_vehicles(self.shares_sd)
 
     @property
+    def country(self) -> str:
+        """What its code begins with: an ISO code where it is a country's or of a part of one (``US`` of ``US_TX``)."""
+        return self.code.split("_")[0]
+
+    @property
     def log_mean(self) -> np.ndarray:
         """(2,) mean of log length and log width over the whole fleet."""
         return sum((c.weight * c.log_mean for c in self.classes), np.zeros(2)) / sum(c.weight for c in self.classes)
@@ -137,15 +142,8 @@ def class_of(part: Mapping[str, Any], weight: float) -> Class:
 def _class(part: Mapping[str, Any], total: float, mean_sd: np.ndarray, corr_lw: float) -> Class:
     """One entry of a mixture, whose weights have the sum `total`; its mean is as well known as the fleet's, relatively:
     `mean_sd` (3,)."""
-    mean, sd = np.array([part[axis] for axis in AXES], float).T
-    return Class(
-        part["class"],
-        float(part.get("weight", 1.0)) / total,
-        mean,
-        sd,
-        float(part.get("corr_LW", corr_lw)),
-        mean_sd * mean,
-    )
+    mean = np.array([part[axis][0] for axis in AXES], float)
+    return class_of({"corr_LW": corr_lw, **part, "mean_sd": mean_sd * mean}, float(part.get("weight", 1.0)) / total)
 
 
 def _covariance(sd: np.ndarray, correlation: float) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from ..formats.pictures import write_jpeg
 from ..formats.vector import write_layer
 from ..sources.satellite import Satellite
-from .outcome import Outcome, candidate_rows, foot, footprint, in_crs
+from .outcome import Outcome, candidate_rows, foot, footprint
 
 CANDIDATE_COLUMNS = (
     "photo", "rank", "inliers", "needed", "score", "longitude", "latitude", "x", "y", "foot_longitude", "foot_latitude",
@@ -53,10 +53,10 @@ def write_places(outcomes: Sequence[Outcome], rows: Sequence[dict[str, Any]], sa
     located = [(outcome, best) for outcome in outcomes if (best := outcome.located) is not None]
     places = [{"photo": o.name, "heading_deg": float(np.degrees(b.heading)), "inliers": b.inliers} for o, b in located]
     outlines = [footprint(o, b) for o, b in located]
-    shapes = [None if line is None else shapely.Polygon(in_crs(satellite, line)) for line in outlines]
+    shapes = [None if line is None else shapely.Polygon(satellite.in_crs(line)) for line in outlines]
     if located:
         write_layer(path, "footprints", shapes, places, "Polygon", crs)
-        feet = [shapely.Point(in_crs(satellite, foot(b)[None])[0]) for _, b in located]
+        feet = [shapely.Point(satellite.in_crs(foot(b))[0]) for _, b in located]
         write_layer(path, "cameras", feet, places, "Point", crs)
     if rows:
         points = [shapely.Point(row["x"], row["y"]) for row in rows]

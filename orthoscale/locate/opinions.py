@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.evidence import CONFLICT_LIMIT, Evidence, combined
+from ..core.evidence import BY_MAP, CONFLICT_LIMIT, Evidence, combined
 from ..core.pooling.posterior import Posterior
 from ..photos.measure import Measure
 from .claimed import BY_WORD, ClaimedScale
-
-OF_THE_MAP = "map"
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ def opinions(claimed: ClaimedScale, factor: float, factor_sd: float) -> Opinions
     value = claimed.gsd.value * factor
     matched = Measure.log_normal(value, factor_sd)
     before = Posterior.normal(float(np.log(claimed.gsd.value)), claimed.sd)
-    evidence = Evidence(OF_THE_MAP, value, factor_sd, "the map's scale, by the match")
+    evidence = Evidence(BY_MAP, value, factor_sd, "the map's scale, by the match")
     both = combined(before, {claimed.by: claimed.sd}, [evidence])
     sigmas = abs(float(np.log(factor))) / float(np.hypot(claimed.sd, factor_sd))
     together = None if both.conflict else Measure(*both.summary)

@@ -114,7 +114,7 @@ def entry(outcome: Outcome, satellite: Satellite) -> dict[str, Any]:
         height = Measure.log_normal(claimed.levelled.altitude * best.scale, got.scale_sd)
         values |= {
             "foot": below.tolist(),
-            "foot_crs": in_crs(satellite, below[None])[0].tolist(),
+            "foot_crs": satellite.in_crs(below)[0].tolist(),
             "middle": best.middle.tolist(),
             "footprint": None if outline is None else outline.tolist(),
             "heading_deg": round(float(np.degrees(best.heading)), 2),
@@ -140,7 +140,7 @@ def candidate_rows(outcome: Outcome, satellite: Satellite) -> list[dict[str, Any
     assert outcome.registration is not None
     rows = []
     for rank, each in enumerate(outcome.registration.candidates, 1):
-        x, y = in_crs(satellite, each.middle[None])[0]
+        x, y = satellite.in_crs(each.middle)[0]
         below = foot(each)
         rows.append(
             {
@@ -160,12 +160,6 @@ def candidate_rows(outcome: Outcome, satellite: Satellite) -> list[dict[str, Any
             }
         )
     return rows
-
-
-def in_crs(satellite: Satellite, lon_lat: np.ndarray) -> np.ndarray:
-    """(N, 2) coordinates of the map's own reference system."""
-    there = pyproj.Transformer.from_crs("EPSG:4326", satellite.crs, always_xy=True)
-    return np.column_stack(there.transform(*np.asarray(lon_lat).T))
 
 
 def _measure(value: Measure) -> dict[str, float]:

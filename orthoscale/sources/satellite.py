@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,17 +34,33 @@ class Satellite:
         with rasterio.open(path) as dataset:
             return cls(source, dataset.transform, pyproj.CRS.from_user_input(dataset.crs))
 
+    @cached_property
+    def _to_degrees(self) -> pyproj.Transformer:
+        return pyproj.Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True)
+
+    @cached_property
+    def _from_degrees(self) -> pyproj.Transformer:
+        return pyproj.Transformer.from_crs("EPSG:4326", self.crs, always_xy=True)
+
+    def coordinates(self, pixels: np.ndarray) -> np.ndarray:
+        """(n, 2) pixels to coordinates of `crs`."""
+        return _through(self.transform, pixels)
+
+    def degrees(self, coordinates: np.ndarray) -> np.ndarray:
+        """(n, 2) coordinates of `crs` to longitude and latitude [deg], infinite where there is no such place."""
+        return np.column_stack(self._to_degrees.transform(*np.asarray(coordinates, float).reshape(-1, 2).T))
+
+    def in_crs(self, lon_lat: np.ndarray) -> np.ndarray:
+        """(n, 2) longitude and latitude [deg] to coordinates of `crs`, infinite where the projection has none."""
+        return np.column_stack(self._from_degrees.transform(*np.asarray(lon_lat, float).reshape(-1, 2).T))
+
     def lon_lat(self, pixels: np.ndarray) -> np.ndarray:
         """(n, 2) pixels to longitude and latitude [deg]."""
-        t, (x, y) = self.transform, np.asarray(pixels, float).reshape(-1, 2).T
-        there = pyproj.Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True)
-        return np.column_stack(there.transform(t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f))
+        return self.degrees(self.coordinates(pixels))
 
     def pixel_of(self, lon: float, lat: float) -> np.ndarray:
         """(2,) the pixel at a place; it may lie outside of the picture, NaN where the projection has none."""
-        x, y = pyproj.Transformer.from_crs("EPSG:4326", self.crs, always_xy=True).transform(lon, lat)
-        t = ~self.transform
-        pixel = np.array([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f])
+        pixel = _through(~self.transform, self.in_crs(np.array([lon, lat])))[0]
         return np.where(np.isfinite(pixel), pixel, np.nan)
 
     def pixel_size(self, pixel: np.ndarray) -> np.ndarray:
@@ -52,3 +69,9 @@ class Satellite:
         (west, east), (up, down) = (self.lon_lat(pixel + np.outer([-half, half], axis)) for axis in np.eye(2))
         geod = pyproj.Geod(ellps="WGS84")
         return np.array([geod.inv(*west, *east)[2], geod.inv(*up, *down)[2]]) / (2 * half)
+
+
+def _through(t: Any, points: np.ndarray) -> np.ndarray:
+    """(n, 2) points through the affine transform `t`."""
+    x, y = np.asarray(points, float).reshape(-1, 2).T
+    return np.column_stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f])
