@@ -57,3 +57,22 @@ def flight(tmp_path_factory):
     save(model, folder / "sparse" / "0", "bin")
     put_frames(model, folder / "images")
     return folder, turn
+
+
+@pytest.fixture(scope="session")
+def found(flight):
+    """`Detections` of known vehicles in the frames and pictures of the ground of that flight."""
+    from support.flights import found_by
+
+    return found_by(*flight)
+
+
+@pytest.fixture(scope="session")
+def measured(flight, found):
+    """The `Measurement` of them, in every way. Tests only read it."""
+    from support.flights import FLEET
+
+    from orthoscale.core.measuring.ways import measure_source
+    from orthoscale.sources.colmap import ColmapSource
+
+    return measure_source(ColmapSource.open(flight[0]), found, FLEET)

@@ -153,12 +153,13 @@ def told(value, sd):
     )
 
 
-@pytest.fixture
-def boxed(pair, tmp_path):
+@pytest.fixture(scope="module")
+def boxed(pair):
     """The example's own boxes; the vehicles say 0.085 m/px."""
+    boxes = pair[0] / "boxes.json"
     result = orthoscale.estimate(TOWN, fleet="DE", anchors=["none"])
-    orthoscale.save_detections(result.detections, tmp_path / "boxes.json")
-    return ["--detections", tmp_path / "boxes.json", "--fleet", "DE", "--anchors", "none"], result.scale
+    orthoscale.save_detections(result.detections, boxes)
+    return ["--detections", boxes, "--fleet", "DE", "--anchors", "none"], result.scale
 
 
 @pytest.mark.slow

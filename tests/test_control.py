@@ -88,7 +88,7 @@ def test_points_of_a_model_by_coordinates_by_number_and_by_pixel():
     model = pycolmap.Reconstruction(str(MODEL))
     (first, a), (second, b) = list(model.points3D.items())[:2]
     metres = 14.157 * np.linalg.norm(a.xyz - b.xyz)
-    options = {"fleet": "US", "detections": FOUND}
+    options = {"fleet": "US", "detections": FOUND, "mode": "planar"}
     by_number = orthoscale.estimate(
         MODEL, known_distance=[f"id:{first} id:{second} {metres} {metres / 500}"], **options
     )

@@ -75,14 +75,22 @@ def test_edges_lead_back_to_the_box_that_they_are_the_edges_of() -> None:
         assert np.sin(back[4] - box[4]) == pytest.approx(0, abs=1e-9)
 
 
+BOX = np.array([230.4, 220.7, 120.0, 54.0, 0.4])
+
+
+@pytest.fixture(scope="module")
+def pyramid() -> object:
+    return pytest.importorskip("training.measurer.chain").pyramid(drawn(BOX, 461, 455))
+
+
 @pytest.mark.parametrize("scale", [0.09, 0.23, 0.5, 0.8, 1.3])
 @pytest.mark.parametrize("fine", [1, 2])
-def test_a_window_has_its_vehicle_where_its_box_says(scale: float, fine: int) -> None:
+def test_a_window_has_its_vehicle_where_its_box_says(pyramid: object, scale: float, fine: int) -> None:
     chain = pytest.importorskip("training.measurer.chain")
     rng = np.random.default_rng(1)
-    box = np.array([230.4, 220.7, 120.0, 54.0, 0.4])
+    box = BOX
     for _ in range(3):
-        pixels, there = chain.window(chain.pyramid(drawn(box, 461, 455)), box, scale, rng, fine)
+        pixels, there = chain.window(pyramid, box, scale, rng, fine)
         if fine == 2:
             pixels = cv2.resize(pixels, (pixels.shape[1] // 2, pixels.shape[0] // 2), interpolation=cv2.INTER_AREA)
         assert there[2:4] == pytest.approx(scale * box[2:4])

@@ -12,6 +12,7 @@ import rasterio
 from click.testing import CliRunner
 from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
+from support.pictures import squares
 
 import orthoscale
 from orthoscale.actions.check import Comparison, comparisons
@@ -25,7 +26,7 @@ UTM = Affine(GSD * 0.9996, 0, 500_000, 0, -GSD * 0.9996, 5_400_000)  # GSD on th
 
 
 def picture(path, crs=None, transform=None, gcps=None, **profile):
-    pixels = np.random.default_rng(0).integers(0, 255, (3, H, W), dtype=np.uint8)
+    pixels = np.moveaxis(squares(W, H, 0, 255), -1, 0)
     profile = {"driver": "GTiff", "width": W, "height": H, "count": 3, "dtype": "uint8", **profile}
     if transform is not None:
         profile["transform"] = transform

@@ -139,7 +139,7 @@ def test_four_vehicles_are_too_few(town, tmp_path):
     })  # fmt: skip
     (tmp_path / "four.json").write_text(found)
     with pytest.raises(TooLittleEvidence, match="4 usable vehicles, 5 are needed"):
-        orthoscale.estimate(town, detections=tmp_path / "four.json")
+        orthoscale.estimate(town, detections=tmp_path / "four.json", anchors=["none"])
 
 
 def test_detections_of_another_picture_are_refused(town, tmp_path):

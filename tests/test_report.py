@@ -99,7 +99,7 @@ def test_a_file_in_the_reports_place_is_kept_and_found_before_any_work(tmp_path)
 
 
 def test_a_model_without_report_is_still_known_to_be_in_metres(tmp_path):
-    fixed_model(tmp_path, report="none")
+    fixed_model(tmp_path, report="none", mode="planar")
     names = {p.name for p in (tmp_path / "scaled").iterdir()}
     assert "sim3.txt" in names and not names & {"report.json", "report.html", "vehicles.png"}
     with pytest.raises(UsageError, match="in metres already"):

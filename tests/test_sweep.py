@@ -401,7 +401,8 @@ def wait_for_tiles(cache, count, process):
 @pytest.mark.slow
 def test_a_killed_sweep_continues_and_ctrl_c_leaves_nothing_half_written(wide, tmp_path):
     (out := tmp_path / "out").mkdir()
-    job = ["fix", wide, "--zoom", 0.7, "--fleet", "DE", "--exhaustive", "--out", out / "a.tif", "--json"]
+    words = [wide, "--zoom", 0.7, "--fleet", "DE", "--measurer", "none", "--anchors", "none", "--exhaustive", "--json"]
+    job = ["fix", *words, "--out", out / "a.tif"]
     before = wide.read_bytes()
     killed = command(*job, cache=tmp_path)
     wait_for_tiles(tmp_path, 2, killed)
@@ -417,8 +418,7 @@ def test_a_killed_sweep_continues_and_ctrl_c_leaves_nothing_half_written(wide, t
     resumed = json.loads(command(*job, cache=tmp_path).communicate()[0])
     assert 4 <= resumed["sweep"]["from_cache"] < resumed["sweep"]["tiles"] == resumed["sweep"]["of"]
     assert {p.name for p in out.iterdir()} == {"a.tif", "a.tif.json", "a.tif.png", "a.tif.html"}
-    job = ["estimate", *job[1:6], "--exhaustive", "--no-cache", "--json"]
-    fresh = json.loads(command(*job, cache=tmp_path / "no").communicate()[0])
+    fresh = json.loads(command("estimate", *words, "--no-cache", cache=tmp_path / "no").communicate()[0])
     assert fresh["sweep"]["from_cache"] == 0 and not (tmp_path / "no").exists()
     assert fresh["scale"] == resumed["scale"]
     assert wide.read_bytes() == before
@@ -427,8 +427,9 @@ def test_a_killed_sweep_continues_and_ctrl_c_leaves_nothing_half_written(wide, t
 @pytest.mark.slow
 def test_an_anytime_sweep_looks_at_part_and_agrees_with_all_of_it(wide, monkeypatch):
     monkeypatch.setattr("orthoscale.detect.sweep.FIRST", 4)
-    part, again = (estimate(wide, fleet="DE", zoom=0.7, target=0.006, cache=False, workers=n) for n in (1, 2))
-    whole = estimate(wide, fleet="DE", zoom=0.7, exhaustive=True, cache=False)
+    options = {"fleet": "DE", "zoom": 0.7, "measurer": "none", "anchors": ["none"], "cache": False}
+    part, again = (estimate(wide, **options, target=0.006, workers=n) for n in (1, 2))
+    whole = estimate(wide, **options, exhaustive=True)
     assert part.scale.value == again.scale.value, "the same with any number of workers"
     swept = part.detections.swept
     assert len(swept.tiles) < swept.total == len(whole.detections.swept.tiles)

@@ -52,7 +52,7 @@ def test_distortion_of_visualsfm_is_that_of_measurements(pinhole, tmp_path):
 
 @pytest.mark.parametrize("writer", [bundler, nvm])
 def test_written_again_in_metres(made, tmp_path, writer):
-    path, result = rescaled(*made, writer, tmp_path)
+    path, result = rescaled(*made, writer, tmp_path, mode="planar")
     new = open_source(tmp_path / "out", images=tmp_path / "in/images")
     assert new.path == tmp_path / "out" / path.name
     assert new.camera_height == pytest.approx(result.scale.value * result.source.camera_height, rel=1e-6)

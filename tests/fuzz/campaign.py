@@ -7,11 +7,14 @@ import traceback
 from dataclasses import replace
 from pathlib import Path
 
+from orthoscale.detect import foreign
+
 from . import commands, runner
 from .bench import Bench
 from .seeds import SEEDS
 
 PATIENCE = 300.0  # [s] for what once had no end
+ENDLESS_SECONDS = 4.0  # [s] that a network without end is given for one look, all of which it takes
 
 
 def make_corpus(folder: Path) -> Path:
@@ -42,5 +45,7 @@ def attempt(place: tuple[Path, Path, str, int, bool]) -> runner.Outcome:
 
 def run_seed(corpus: Path, work: Path, name: str, patience: float = PATIENCE) -> runner.Outcome:
     """Make and run the seed called `name`, with patience for a machine that has much else to do."""
+    if "endless" in name:
+        foreign.LONGEST_SECONDS = ENDLESS_SECONDS
     work.mkdir(parents=True)
     return runner.run(name, 0, work, replace(SEEDS[name](Bench(corpus, work)), patience=patience))
