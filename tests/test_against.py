@@ -102,6 +102,7 @@ def test_another_scale_grows_about_the_middle(pair, lies):
     assert sides[1] == pytest.approx(1.1 * sides[0])
 
 
+@pytest.mark.slow
 def test_another_place_gives_nothing_and_says_so(pair, tmp_path):
     folder = pair[0]
     rgb = cv2.imread(str(TOWN))[..., ::-1]
@@ -135,6 +136,7 @@ def flight(tmp_path_factory):
 METRES_PER_UNIT = 3.7
 
 
+@pytest.mark.slow
 def test_a_reconstruction_is_found_by_its_pictures_of_the_ground(flight):
     satellite = Satellite.open(flight / "map.tif")
     got = on_map(open_source(flight / "sparse"), satellite, (1.04 * METRES_PER_UNIT, 0.05), cache=False)

@@ -24,6 +24,7 @@ def error(conditions, seed):
     return float(np.log(measured.scale.value / block.metres_per_unit)), measured, block
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["nadir", "grid"])
 def test_under_trees_the_vehicles_say_where_the_ground_is(kind):
     off, _, block = error(Conditions(kind, points=500, crowns=1.3, roofs=0.3, bare=0.97, vehicles=50), 3)
@@ -31,11 +32,13 @@ def test_under_trees_the_vehicles_say_where_the_ground_is(kind):
     assert abs(off) < 0.02
 
 
+@pytest.mark.slow
 def test_a_focal_length_that_is_too_long_leaves_footprints_alone():
     off, *_ = error(Conditions("nadir", focal=0.2, vehicles=50), 4)
     assert abs(off) < 0.02
 
 
+@pytest.mark.slow
 def test_vehicles_beyond_the_points_count():
     block = fly(np.random.default_rng(5), FLEET, Conditions("nadir", points=1500, vehicles=40), unsure=False)
     everywhere = measure_source(block.source, block.found, FLEET)

@@ -64,12 +64,8 @@ def test_lengths_and_widths_that_contradict_each_other_are_exit_code_4(tmp_path)
             box["length"] *= 1.45  # longer than any car of that width
     (tmp_path / "stretched.json").write_text(json.dumps(found))
     job = ["fix", EXAMPLE / "sparse", "--detections", tmp_path / "stretched.json", "--out", tmp_path / "out"]
-    job += [
-        "--fleet",
-        "US",
-        "--mode",
-        "oblique",
-    ]  # by default planar and oblique contradict each other as well, and that is said first
+    # By default planar and oblique contradict each other as well, and that is said first.
+    job += ["--fleet", "US", "--mode", "oblique"]
     done = run(*job)
     assert done.returncode == 4 and "widths give a larger scale than lengths" in done.stderr
     assert not (tmp_path / "out").exists()

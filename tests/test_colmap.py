@@ -522,6 +522,7 @@ def test_forged_text(model_txt, what):
     assert said in error.message and f"{name}, line " in error.message
 
 
+@pytest.mark.slow
 def test_random_damage_never_escapes(plain, tmp_path):
     """Bytes flipped anywhere: either the model is refused, or it still is one that pycolmap reads."""
     random = np.random.default_rng(0)
@@ -562,6 +563,7 @@ def test_camera_models_are_those_of_pycolmap():
 # --- Real flights ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["sheffield", "brighton"])
 def test_real_reconstruction(scene, tmp_path):
     folder = DATA / scene

@@ -103,6 +103,7 @@ def test_what_cannot_be_checked(results):
         check_against_model(replace(ortho, measured=replace(ortho.measured, votes=votes)), model)
 
 
+@pytest.mark.slow
 def test_the_command(pair):
     options = ["--detections", pair / "ortho.json", "--model-detections", pair / "model.json", "--fleet", "DE"]
     command = ["check", pair / "ortho.png", "--model", pair, *options]

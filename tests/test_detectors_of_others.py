@@ -456,6 +456,7 @@ def flat(path):
     return hostile(path, nodes, weights=[known("by", [32, 1]), known("one", [1])])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make, message",
     [
@@ -474,6 +475,7 @@ def test_a_hostile_network_ends_in_one_sentence(tmp_path, monkeypatch, capfd, ma
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_a_network_that_ended_stays_so_and_leaves_no_process(tmp_path, monkeypatch):
     monkeypatch.setattr(foreign, "LONGEST_SECONDS", 3.0)
     detector = Detector(endless(tmp_path / "a.onnx"))

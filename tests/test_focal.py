@@ -28,12 +28,14 @@ def block(scene, tmp_path, pitch):
     return pycolmap.Reconstruction(str(tmp_path / "sparse"))
 
 
+@pytest.mark.slow
 def test_straight_down_leaves_it_open_and_a_slant_does_not(suburb, tmp_path):
     down, slant = (focal_sd(block(suburb, tmp_path / str(pitch), pitch)) for pitch in (90, 60))
     assert down > 4 * slant
     assert SYSTEMATIC * slant < 0.03
 
 
+@pytest.mark.slow
 def test_what_the_normal_equations_say_is_what_adjustment_does(suburb, tmp_path):
     """The focal length that bundle adjustment finds scatters from noise to noise as much as is said."""
     found, said = [], []
@@ -59,6 +61,7 @@ def test_too_few_tracks_say_nothing():
     assert focal_doubt(pycolmap.Reconstruction(), []).sd == 0
 
 
+@pytest.mark.slow
 def test_a_focal_length_that_is_left_open_is_taken_from_exif(tmp_path):
     from PIL import Image
 

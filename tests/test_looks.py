@@ -40,6 +40,7 @@ def test_both_looks_agree_and_are_pooled(measured):
         assert part >= min(s.parts[name] for s in measured.agreement.scales.values()) - 1e-12, "nothing got narrower"
 
 
+@pytest.mark.slow
 def test_both_are_each_of_them_alone_and_leave_their_source_as_it_was(flight, found, measured):
     source = ColmapSource.open(flight[0])
     notes = list(source.notes)
@@ -50,6 +51,7 @@ def test_both_are_each_of_them_alone_and_leave_their_source_as_it_was(flight, fo
     assert source.notes == notes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("height", "margin"), [(0.5, -1.0), (1.2, 2.0)])
 def test_a_wrong_card_is_found_out_by_the_views(flight, found, height, margin):
     """The views know better than the card what the boxes are, and the trends that it leaves go away."""
@@ -83,6 +85,7 @@ def test_looks_that_contradict_write_nothing_unless_forced(flight, found, tmp_pa
     assert low < one.scale.value < planar < high and both.scale.verdict == "unusable"
 
 
+@pytest.mark.slow
 def test_a_planar_sweep_alone_is_written_with_its_picture(flight, found, tmp_path):
     save_detections(found, tmp_path / "boxes.json")
     again = load_detections(tmp_path / "boxes.json")

@@ -45,6 +45,7 @@ def options(parks, *more):
     return ["--fleet", "DE", "--detections", parks / "boxes.json", *more]
 
 
+@pytest.mark.slow
 def test_a_folder_gives_a_row_each_and_the_exit_code_of_the_worst(parks, tmp_path):
     summary = tmp_path / "out.csv"
     done = run("estimate", parks / "pictures", *options(parks, "--summary", summary, "--jobs", "2"))
@@ -130,6 +131,7 @@ def test_a_process_that_dies_takes_only_its_own_input(parks, monkeypatch):
     assert many.worst(rows) == 1
 
 
+@pytest.mark.slow
 def test_a_stop_ends_all_and_leaves_nothing_half_made(parks, tmp_path):
     def stop(row):
         raise KeyboardInterrupt

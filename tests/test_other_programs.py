@@ -39,6 +39,7 @@ def test_views_are_those_of_the_colmap_model(made, tmp_path, program):
     assert other.camera_height == pytest.approx(colmap.camera_height, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", WRITERS)
 def test_written_again_in_metres(made, tmp_path, program):
     path, result = rescaled(*made, WRITERS[program], tmp_path)
@@ -164,6 +165,7 @@ def test_a_write_that_fails_is_noticed(made, tmp_path, monkeypatch):
         source.write(tmp_path / "out", 2.0)
 
 
+@pytest.mark.slow
 def test_one_model_has_one_scale_in_every_form(made, tmp_path):
     """Points in another order, pictures under other names: the boxes are the same, and so is the scale."""
     model, turn = made

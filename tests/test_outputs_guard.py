@@ -731,6 +731,7 @@ def test_an_orthophoto_is_delivered_though_its_geopackage_fails(ortho, monkeypat
     )
 
 
+@pytest.mark.slow
 def test_a_full_disk_while_detections_are_saved_is_exit_code_6(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise RuntimeError("sqlite3_exec failed: database or disk is full")
@@ -740,6 +741,7 @@ def test_a_full_disk_while_detections_are_saved_is_exit_code_6(tmp_path, monkeyp
     assert done.returncode == 6 and "disk is full" in done.stderr and names(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_a_symbolic_link_beside_a_model_is_not_followed(tmp_path):
     shutil.copytree(MODEL, tmp_path / "model")
     (tmp_path / "secret").write_text("precious")

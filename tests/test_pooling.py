@@ -85,6 +85,7 @@ def test_a_quarter_of_vans_is_seen_as_such_and_does_not_pull_the_scale(code):
     assert scale.larger_share == pytest.approx(0.25, abs=0.05)
 
 
+@pytest.mark.slow
 def test_without_a_country_the_interval_is_as_wide_as_countries_differ():
     for name in ("world", "auto"):
         fleet = load_fleet(name)

@@ -620,6 +620,7 @@ def test_manila(data):
     assert claim.usable and claim.gsd_m == pytest.approx(0.0967, rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_banepa(data, tmp_path):
     source = RasterSource.open(data / "orthophotos" / "banepa.jpg")

@@ -4,7 +4,6 @@ import copy
 import json
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -98,6 +97,7 @@ def test_a_file_in_the_reports_place_is_kept_and_found_before_any_work(tmp_path)
     assert (tmp_path / "scaled.tif.html").read_text() == "precious" and not (tmp_path / "scaled.tif").exists()
 
 
+@pytest.mark.slow
 def test_a_model_without_report_is_still_known_to_be_in_metres(tmp_path):
     fixed_model(tmp_path, report="none", mode="planar")
     names = {p.name for p in (tmp_path / "scaled").iterdir()}
@@ -231,6 +231,7 @@ def test_what_the_views_said_of_the_ruler_is_told(model):
     assert "<td>+18.7, +3.4 %</td><td>+1.1, +3.7 %</td>" in text
 
 
+@pytest.mark.slow
 def test_a_model_with_few_views_gets_its_page(tmp_path):
     found = json.loads((EXAMPLE / "detections.json").read_text())
     seen = sorted(found["pictures"], key=lambda name: -len(found["pictures"][name]))
@@ -254,6 +255,7 @@ def parts_of(report):
                 yield changed
 
 
+@pytest.mark.slow
 def test_the_page_does_without_every_part_that_may_be_missing(report, model):
     of_model = {**read_json(model / "report.json"), "drift": OF_A_MODEL}
     drawn = [page(less, Scene.of(less, None)) for full in (report, of_model) for less in parts_of(full)]
@@ -339,14 +341,12 @@ def test_a_report_of_the_first_version_is_still_drawn(tmp_path, report):
     assert done.returncode == 0 and "boxes are odd" in done.stdout
 
 
-@pytest.mark.slow
 def test_the_command_draws_beside_the_json_and_keeps_what_is_there(park, tmp_path):
     path = tmp_path / "scaled.tif.json"
     path.write_bytes((park[0] / "scaled.tif.json").read_bytes())
-    command = [sys.executable, "-m", "orthoscale", "report", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = run("report", path)
     assert done.returncode == 0 and done.stdout.strip() == str(tmp_path / "scaled.tif.html"), done.stderr
-    again = subprocess.run(command, capture_output=True, text=True)
+    again = run("report", path)
     assert again.returncode == 2 and "already exists" in again.stderr
 
 

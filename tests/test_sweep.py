@@ -286,6 +286,7 @@ def test_a_damaged_cache_is_begun_anew_and_a_missing_folder_costs_nothing(tmp_pa
         assert cache.get(picture_file, tile) is None
 
 
+@pytest.mark.slow
 def test_kept_looks_that_changed_on_disk_are_had_again(tmp_path, picture_file):
     """Any byte of any page: what is not as it was kept is not used, and no error reaches the sweep."""
     jobs = jobs_of(picture_file)

@@ -681,6 +681,7 @@ def test_looks_agree_on_what_most_of_them_show():
     assert (best["sure"], least["sure"]) == (1.0, 0.0) and least["score"] == pytest.approx(0.05)
 
 
+@pytest.mark.slow
 def test_the_loss_falls_on_a_handful_of_crops(torch, tmp_path):
     from training.network import VehicleNet, loss
 

@@ -36,6 +36,7 @@ def work(tmp_path):
     return work
 
 
+@pytest.mark.slow
 def test_each_model_has_its_own_scale(work, tmp_path):
     from click.testing import CliRunner
 
@@ -69,6 +70,7 @@ def test_a_workspace_is_never_an_output(work, tmp_path):
         assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_a_model_without_evidence_does_not_stop_the_others(work, tmp_path):
     (work / "sparse/1/points3D.bin").write_bytes(b"\0" * 5)
     outcomes = fix_all(models_in(work), tmp_path / "out", FixRequest(**OPTIONS))
@@ -87,6 +89,7 @@ def test_one_model_is_no_workspace(tmp_path):
     assert models_in(tmp_path) == models_in(tmp_path / "sparse/0/cameras.bin") == []
 
 
+@pytest.mark.slow
 def test_dense_comes_along(work, tmp_path):
     dense_workspace(work / "dense" / "0")
     result = fix(work / "sparse/0", tmp_path / "out", dense=True, **OPTIONS)
