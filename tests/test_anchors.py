@@ -153,9 +153,10 @@ def test_an_anchor_of_a_window_has_the_pictures_pixels():
 
 
 @pytest.mark.slow
-def test_what_overlapping_windows_show_counts_once_and_enough_is_enough():
-    x, y = np.meshgrid(np.arange(100, 4000, 160), np.arange(100, 4000, 160))
-    sheet = Sheet(squares(4100, 4100, 0.2, np.stack([x, y], -1)))
+def test_what_overlapping_windows_show_counts_once_and_enough_is_enough(monkeypatch):
+    monkeypatch.setattr("orthoscale.anchors.search.FIRST_WINDOWS", 3)  # of nine
+    x, y = np.meshgrid(np.arange(100, 2300, 160), np.arange(100, 2300, 160))
+    sheet = Sheet(squares(2400, 2400, 0.2, np.stack([x, y], -1)))
     finder = SquareFinder()
     every = search([Sought(finder, [(sheet, 0.2)])], 0.05, exhaustive=True, cache=False)
     assert len(every) == x.size

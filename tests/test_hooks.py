@@ -307,7 +307,7 @@ def test_hloc(bench, hooks, monkeypatch):
     )
     monkeypatch.syspath_prepend(str(bench.work))
     bench.frames()
-    options = {"fleet": "US", "detections": FOUND, "mode": "planar"}
+    options = {"fleet": "US", "detections": FOUND}
     metric = hooks[1].main(bench.work / "sfm", bench.work / "images", Path("pairs.txt"), **options)
     before = bench.stamps()
     again = hooks[1].main(bench.work / "sfm", bench.work / "images", Path("pairs.txt"), **options)

@@ -85,14 +85,10 @@ def calibrate(
     entry = None
     if local_fleet:
         relative_sd = np.array([fit.size_sd / fit.size for fit in fits])
-        entry = local_fleet_entry(
-            sizes,
-            np.asarray(ruler.noise) * gsd / zooms[len(zooms) // 2],
-            relative_sd,
-            prior,
-            f"{len(sizes)} vehicles of {path.name}",
-            f"orthoscale calibrate, {len(sizes)} vehicles, {prior.code}",
-        )
+        noise = np.asarray(ruler.noise) * gsd / zooms[len(zooms) // 2]
+        name = f"{len(sizes)} vehicles of {path.name}"
+        source_said = f"orthoscale calibrate, {len(sizes)} vehicles, {prior.code}"
+        entry = local_fleet_entry(sizes, noise, relative_sd, prior, name, source_said)
     made_from = {
         "orthophoto": path.name,
         "sha256": source.content_hash(),

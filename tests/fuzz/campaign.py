@@ -17,11 +17,12 @@ PATIENCE = 300.0  # [s] for what once had no end
 ENDLESS_SECONDS = 4.0  # [s] that a network without end is given for one look, all of which it takes
 
 
-def make_corpus(folder: Path) -> Path:
-    """Build the corpus in the new `folder`; in a process of its own, since its makers load and start much."""
+def make_corpus(folder: Path, answered: tuple[str, ...] = ()) -> Path:
+    """Build the corpus in the new `folder`, see `corpus.build`; in a process of its own, since its makers load and
+    start much."""
     from .corpus import build
 
-    build(folder)
+    build(folder, answered)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the commands that it called took it
     return folder
 
