@@ -141,13 +141,14 @@ def test_a_cog_stays_one_on_demand(tmp_path, boxes, options):
 
 
 def test_a_classic_tiff_without_room_becomes_a_bigtiff_by_need(tmp_path, boxes, monkeypatch):
-    monkeypatch.setattr("orthoscale.sources.raster._CLASSIC", 1000)
+    monkeypatch.setattr("orthoscale.sources.raster_copy._CLASSIC", 1000)
     path = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM)
     fixed(path, tmp_path / "out.tif", boxes)
     with rasterio.open(path) as a, rasterio.open(tmp_path / "out.tif") as b:
         assert np.array_equal(a.read(), b.read()) and b.block_shapes[0] == (256, 256), "converted, not copied"
     big = picture(tmp_path / "b.tif", crs="EPSG:32632", transform=UTM, BIGTIFF="YES")
-    assert RasterSource.open(big)._can_be_copied() and not RasterSource.open(path)._can_be_copied()
+    assert RasterSource.open(big)._original._can_be_copied()
+    assert not RasterSource.open(path)._original._can_be_copied()
 
 
 # Files for other programs

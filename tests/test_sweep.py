@@ -14,16 +14,20 @@ import numpy as np
 import pytest
 from support.drawings import Drawing, RectangleDetector, car_park
 
+import orthoscale
 from orthoscale.actions.estimate import estimate
+from orthoscale.anchors.search import CODE_OF_FINDERS
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.detections import Tile
-from orthoscale.detect.cache import TileCache, cache_key
+from orthoscale.detect.cache import CODE, TileCache, cache_key
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.promise import UNPROMISING, promise
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks, look_twice, tiles
 from orthoscale.detect.workers import on_threads, worker_count
 from orthoscale.errors import UsageError
+from orthoscale.locate.maps import FEATURE_CODE
+from orthoscale.locate.retrieval import EMBEDDING_CODE
 from orthoscale.sources.fingerprint import fingerprint
 
 
@@ -318,6 +322,12 @@ def test_caches_that_nobody_used_for_months_are_deleted(tmp_path):
     os.utime(tmp_path / "tiles" / "old.sqlite", (0, 0))
     TileCache("new", tmp_path).__exit__()
     assert {p.name for p in (tmp_path / "tiles").glob("*.sqlite")} == {"new.sqlite"}
+
+
+@pytest.mark.parametrize("code", [CODE, CODE_OF_FINDERS, FEATURE_CODE, EMBEDDING_CODE])
+def test_the_files_that_decide_over_what_is_kept_are_there(code):
+    package = Path(orthoscale.__file__).parent
+    assert not [pattern for pattern in code if not list(package.glob(pattern))]
 
 
 def test_the_key_holds_the_input_and_the_settings(picture_file):

@@ -11,7 +11,7 @@ from rasterio.windows import Window
 
 from ..core.affine import transformed
 from ..errors import InputError
-from ..sources.raster import open_dataset, reading
+from ..sources.gdal import open_dataset, reading
 
 RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
 LOWEST_SHARE = 0.10  # share of the heights there, the lowest, whose mean is the ground: roofs and crowns are above
