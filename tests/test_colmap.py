@@ -19,7 +19,8 @@ from support.models import make_model, patched, put_frames, save
 
 from orthoscale.errors import InputError, OrthoscaleError, OutputError, UsageError
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.sources.colmap_check import CAMERA_MODELS, open_model
+from orthoscale.sources.colmap_check import open_model
+from orthoscale.sources.colmap_tables import CAMERA_MODELS
 from orthoscale.sources.picture_file import PictureFile, stored_size
 
 pycolmap = pytest.importorskip("pycolmap")
