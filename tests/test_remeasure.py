@@ -83,7 +83,7 @@ def test_what_is_no_vehicle_does_not_count():
     near = np.linalg.norm(seen.centre[:, None] - truth[5:].centre, axis=2).min(1) < truth.length.max()
     unlike = len(got.doubtful["drawing"])
     assert unlike >= (~near).sum() > 0 and unlike + len(got) == len(seen)
-    assert got.notes == (f"{unlike} boxes do not count: a second look saw no vehicle in them",)
+    assert got.notes == (f"{unlike} boxes do not count: the measurer saw no vehicle in them",)
 
 
 def test_of_very_many_vehicles_some_are_measured_and_tell_of_the_others():
