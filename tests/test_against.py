@@ -80,6 +80,7 @@ def lies(pair):
     )
 
 
+@pytest.mark.slow
 def test_the_scale_is_one_more_piece_of_evidence(lies, ground_gsd):
     (evidence,) = lies.evidence
     assert evidence.kind == BY_MAP and "map.tif" in evidence.says
@@ -87,6 +88,7 @@ def test_the_scale_is_one_more_piece_of_evidence(lies, ground_gsd):
     assert evidence.value == pytest.approx(ground_gsd, rel=3 * evidence.relative_sd)
 
 
+@pytest.mark.slow
 def test_place_and_direction_are_the_maps(pair, lies):
     _, pixels, there = pair
     place = lies.place(lies.gsd_m)
@@ -95,6 +97,7 @@ def test_place_and_direction_are_the_maps(pair, lies):
     assert pyproj.CRS.from_user_input(place.crs).to_epsg() == 32632
 
 
+@pytest.mark.slow
 def test_another_scale_grows_about_the_middle(pair, lies):
     one, two = lies.place(lies.gsd_m).transform, lies.place(1.1 * lies.gsd_m).transform
     assert two @ (400, 400) == pytest.approx(one @ (400, 400))

@@ -186,6 +186,7 @@ def net():
     return [(k * 3.0, 0, k * 3.0 + 0.1, 36) for k in range(15)] + [(0, k * 3.0, 42, k * 3.0 + 0.1) for k in range(13)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("paint", [bays(0.3), pitch_lines(), lanes(), net()], ids=["bays", "pitch", "lanes", "net"])
 @pytest.mark.parametrize("gsd", [0.12, 0.3])
 @pytest.mark.parametrize("finder", [TENNIS, VOLLEYBALL, FOOTBALL], ids=lambda finder: finder.kind)

@@ -78,6 +78,7 @@ def test_lanes_that_end_on_bright_ground_are_measured_by_their_lines():
     assert one(found[1], 1.22).pixels * 0.15 == pytest.approx(1.22, rel=0.004)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gsd", (0.3, 0.6))
 @pytest.mark.parametrize("turn, lanes, surface", ((0.0, 8, RED), (0.4, 6, (70, 95, 150)), (1.9, 4, (120, 120, 118))))
 def test_a_running_track_as_a_whole(gsd, turn, lanes, surface):

@@ -71,6 +71,7 @@ def _scale():
     return measure_source(block.source, block.found, FLEET, mode="oblique").scale
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_both_ways_see_counts_once():
     place = 10 * np.arange(8)[:, None] * np.array([1.0, 0, 0])
     size = np.tile([4.5, 1.8], (8, 1))
@@ -83,6 +84,7 @@ def test_a_vehicle_that_both_ways_see_counts_once():
     assert ruler.margin == (0.0, 0.0) and covariance == pytest.approx(np.eye(2) * 1e-4)
 
 
+@pytest.mark.slow
 def test_the_answer_lies_where_the_vehicles_of_both_ways_do():
     _, measured, block = error(Conditions("nadir", vehicles=40), 6)
     values = [m.scale.value for m in measured.modes.values()]

@@ -145,6 +145,7 @@ def command(*words):
     return CliRunner().invoke(cli, [str(w) for w in words])
 
 
+@pytest.mark.slow
 def test_a_calibrated_detector_measures_better(place, tmp_path):
     common = ["--detector", place / "net.onnx", "--fleet", "DE"]
     out = tmp_path / "ruler.json"

@@ -409,6 +409,7 @@ print(json.dumps([refused, slowest, 1024 * int(status["VmHWM"].split()[0])]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["bin", "txt"])
 @pytest.mark.parametrize("table", BINARY)
 def test_truncated_and_foreign_files(made, form, table, tmp_path):

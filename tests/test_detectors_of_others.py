@@ -54,6 +54,7 @@ def test_layouts_are_recognised_and_read(tmp_path, decoder, outputs, metadata, o
     assert decoder in detector.card.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "decoder, outputs, metadata",
     [
@@ -201,6 +202,7 @@ def test_an_input_of_one_size_is_moved_over_the_image(tmp_path):
     assert len(Detector(path)(np.zeros((60, 70, 3), np.uint8))) == 2, "a small image is padded"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "outputs, metadata, message",
     [

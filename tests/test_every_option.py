@@ -266,7 +266,7 @@ def places(tmp_path_factory):
         "LENS": folder / "lens.json",
         "TABLE": folder / "photos/table.csv",
         "MESH": folder / "mesh.obj",
-        "SIM3": fixed_model(folder / "lot", report="none").parent / "sim3.json",
+        "SIM3": fixed_model(folder / "lot", report="none", mode="planar").parent / "sim3.json",
         "GROUND": orthophoto(folder / "lot"),
         "LOT": lot_file(folder / "lot.geojson", [(2, 2), (66, 2), (66, 46), (2, 46)]),
         "SMALLER": lot_file(folder / "smaller.geojson", [(2, 2), (40, 2), (40, 30), (2, 30)]),

@@ -103,6 +103,7 @@ def test_a_frame_of_another_scale_is_named(flight, found):
     assert any(name in remark.text and remark.severity == "caution" for remark in measured.scale.remarks)
 
 
+@pytest.mark.slow
 def test_one_look_answers_where_the_other_has_too_little(flight, found):
     source = ColmapSource.open(flight[0])
     before = list(source.notes)

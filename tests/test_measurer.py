@@ -132,6 +132,7 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Measurer:
     return Measurer(path)
 
 
+@pytest.mark.slow
 def test_mirrors_and_quarter_turns_of_a_picture_give_the_same_vehicle(untrained: Measurer) -> None:
     rng = np.random.default_rng(3)
     picture = cv2.GaussianBlur(rng.integers(0, 255, (160, 200, 3)).astype(np.uint8), (0, 0), 2.0)

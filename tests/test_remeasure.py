@@ -171,6 +171,7 @@ def test_a_network_that_is_no_measurer_is_refused(tmp_path):
         MeasurerCard.from_json("", "a file")
 
 
+@pytest.mark.slow
 def test_measured_vehicles_are_as_long_as_they_are(tmp_path):
     """The shipped measurer in a rendered suburb that it has not seen, with boxes too large and beside the mark; and a
     file of what it measured gives the same scale."""

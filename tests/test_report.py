@@ -42,7 +42,7 @@ def report(park):
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     """The folder of the reduced sheffield model in metres."""
-    return fixed_model(tmp_path_factory.mktemp("model")).parent
+    return fixed_model(tmp_path_factory.mktemp("model"), mode="planar").parent
 
 
 def states(report):

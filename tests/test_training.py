@@ -752,6 +752,7 @@ def test_training_goes_on_from_what_was_exported(torch, tmp_path, monkeypatch, k
         assert torch.allclose(again.train()(crops), network(crops), atol=0.05)
 
 
+@pytest.mark.slow
 def test_training_stops_and_goes_on(torch, tmp_path, monkeypatch):
     from training import train
 
