@@ -7,15 +7,21 @@ from pathlib import Path
 
 import pytest
 
-# Modules of a minute and more. They come first, so that no process is left with one of them when the others are done.
+# Modules of 20 s and more. They come first, the longest at the front, so that no process is left with one of them when
+# the others are done.
 LONGEST = (
-    "test_mapping_programs.py",
     "test_seeds.py",
-    "test_sweep.py",
     "test_pipeline.py",
-    "test_pooling.py",
+    "test_mapping_programs.py",
+    "test_hooks.py",
     "test_ways.py",
+    "test_pooling.py",
+    "test_against.py",
     "test_outputs_guard.py",
+    "test_locate.py",
+    "test_control.py",
+    "test_notebook.py",
+    "test_cli.py",
 )
 
 
