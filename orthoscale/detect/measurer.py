@@ -84,7 +84,6 @@ class MeasurerCard:
         values = {name: getattr(entry, name) for name in entry.__struct_fields__}
         return cls(**{**values, "ruler": entry.ruler.ruler})
 
-
     def outward(self, sigma: np.ndarray, length: np.ndarray) -> np.ndarray:
         """(N, 4) how far edges of `sigma` (N, 4) are to be moved outwards [px], of vehicles of `length` (N,) [px]."""
         share, px = self.sure
