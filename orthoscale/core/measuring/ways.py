@@ -22,6 +22,7 @@ from ..scale import Scale
 from ..source import PosedSet, Source
 from ..votes import Votes
 from .agreed import as_agreed
+from .aligned import only_aligned
 from .apart import only_apart
 from .drift import with_drift
 from .measure import measure
@@ -44,7 +45,7 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
-        scale = only_apart(measured.scale, measured.boxes)
+        scale = only_aligned(only_apart(measured.scale, measured.boxes), measured.boxes)
         scale = as_agreed(scale, len(measured.boxes), sum(map(len, found.doubtful.values())))
         return _of_one_scale(replace(measured, scale=scale))
     if source.posed is not None:
