@@ -11,6 +11,7 @@ import numpy as np
 import pyproj
 import pytest
 import rasterio
+import shapely
 from rasterio.transform import from_origin
 from support import in_process
 from support.aerial import other_date
@@ -154,7 +155,12 @@ def told(value, sd):
     """What stands in for a match: of this scale [m/px], in the map's CRS, upside down."""
     affine = np.array([[-value, 0, 500_100], [0, value, 5_399_900]])
     return OnMap(
-        (Evidence(BY_MAP, value, sd, "its place on map.tif"),), ("found",), "EPSG:32632", affine, value, (1, 1)
+        (Evidence(BY_MAP, value, sd, "its place on map.tif"),),
+        ("found",),
+        pyproj.CRS.from_epsg(32632),
+        affine,
+        value,
+        (1, 1),
     )
 
 
@@ -172,7 +178,7 @@ def test_vehicles_and_map_are_pooled_and_the_copy_lies_there(pair, boxed, tmp_pa
     words, alone = boxed
     monkeypatch.setattr("orthoscale.actions.estimate.on_map", lambda *_: told(alone.value * 1.01, 0.004))
     line = ["fix", TOWN, *words, "--against", pair[0] / "map.tif", "--report", "json", "--out", tmp_path / "out.tif"]
-    done = in_process.run(*line)
+    done = in_process.run(*line, "--also", "geojson")
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "out.tif.json").read_text())
     assert [e["kind"] for e in report["evidence"]] == [BY_MAP]
@@ -181,6 +187,21 @@ def test_vehicles_and_map_are_pooled_and_the_copy_lies_there(pair, boxed, tmp_pa
     with rasterio.open(tmp_path / "out.tif") as out:
         assert out.crs.to_epsg() == 32632 and out.transform.a < 0
         assert alone.value < abs(out.transform.a) < 1.01 * alone.value
+        corners = pyproj.Transformer.from_crs(out.crs, "EPSG:4326", always_xy=True).transform_bounds(*out.bounds)
+    outlines = [f["geometry"] for f in json.loads((tmp_path / "out.tif.geojson").read_text())["features"]]
+    places = shapely.points(np.concatenate([np.array(each["coordinates"][0]) for each in outlines]))
+    assert len(outlines) > 20 and shapely.box(*corners).buffer(1e-4).contains(places).all()
+
+
+@pytest.mark.slow
+def test_without_a_place_on_the_map_there_is_no_geojson(pair, boxed, tmp_path, monkeypatch):
+    words, alone = boxed
+    monkeypatch.setattr("orthoscale.actions.estimate.on_map", lambda *_: OnMap(notes=("not found on map.tif",)))
+    line = ["fix", TOWN, *words, "--against", pair[0] / "map.tif", "--also", "geojson", "--also", "gpkg"]
+    done = in_process.run(*line, "--report", "json", "--out", tmp_path / "out.tif")
+    assert done.returncode == 6 and "out.tif.geojson could not be written" in done.stderr, done.stderr
+    assert "nowhere on Earth" in done.stderr
+    assert (tmp_path / "out.tif.gpkg").exists() and not (tmp_path / "out.tif.geojson").exists()
 
 
 @pytest.mark.slow

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from support.blocks import Conditions, fly
 
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.measuring.in_view import frames_in_view, looked_at
 from orthoscale.core.measuring.measurement import Measurement, Pooled
 from orthoscale.core.measuring.ways import measure_source, united
 from orthoscale.core.ruler import Ruler
@@ -90,3 +92,32 @@ def test_the_answer_lies_where_the_vehicles_of_both_ways_do():
     values = [m.scale.value for m in measured.modes.values()]
     assert min(values) * 0.995 < measured.scale.value < max(values) * 1.005
     assert measured.scale.value == pytest.approx(block.metres_per_unit, rel=0.02)
+
+
+def test_frames_that_show_a_place():
+    block = fly(np.random.default_rng(7), FLEET, Conditions("nadir", vehicles=20), unsure=False)
+    source, names = block.source, block.source.picture_names
+    middles = np.array([[w / 2, h / 2] for w, h in map(source.image_size, names)])
+    below = np.concatenate([source.views(n, m[None])[1] for n, m in zip(names, middles, strict=True)])
+    one = names[0]
+    assert frames_in_view(source, [one], below, 0.0, 25.0)[0] == 1
+    assert frames_in_view(source, [one], below, 1e6, 25.0).sum() == 0  # a border that leaves nothing
+    far = below[0] + 50 * (below[0] - below[-1])
+    assert frames_in_view(source, names, far[None], 0.0, 25.0)[0] == 0
+    everywhere = frames_in_view(source, names, below, 0.0, 25.0)
+    assert (everywhere >= frames_in_view(source, names, below, 0.0, 89.0)).all() and everywhere.max() > 5
+    assert set(looked_at(block.found)) == {n for n, boxes in block.found.boxes.items() if len(boxes)}
+
+
+def test_a_mistake_that_one_frame_of_many_shows_does_not_count():
+    block = fly(np.random.default_rng(8), FLEET, Conditions("nadir", vehicles=20), unsure=False)
+    frames = dict(block.found.boxes)
+    middle = sorted(frames)[len(frames) // 2]
+    right = measure_source(block.source, block.found, FLEET, mode="oblique")
+    stray = Boxes(np.array([[600.0, 450.0, 70.0, 30.0, 0.1]]), np.ones(1))
+    frames[middle] = Boxes.concatenate([frames[middle], stray])
+    wrong = measure_source(block.source, replace(block.found, boxes=frames), FLEET, mode="oblique")
+    assert len(wrong.votes) == len(right.votes) + 1, "the mistake lies on a vehicle"
+    assert wrong.votes.fleeting.sum() == right.votes.fleeting.sum() + 1
+    assert wrong.votes.shown[wrong.votes.fleeting].min() >= 5
+    assert wrong.scale.value == pytest.approx(right.scale.value, rel=1e-4)

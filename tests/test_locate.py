@@ -27,7 +27,7 @@ from orthoscale.formats.detections.own import save_detections
 from orthoscale.locate.claimed import BY_WORD, ClaimedScale
 from orthoscale.locate.correlate import Template, correlated
 from orthoscale.locate.features import GradientFeatures
-from orthoscale.locate.ground import GroundImage, SeenPlan
+from orthoscale.locate.ground import GroundImage, SeenPlan, has_data
 from orthoscale.locate.level import LevelledPhoto
 from orthoscale.locate.maps import MapFeatures, MapGrid
 from orthoscale.locate.opinions import opinions
@@ -71,6 +71,31 @@ def shown(ground, shot: Shot, seed: int = 0) -> np.ndarray:
     """The photo of a `shot` in another light, by another camera, with other vehicles."""
     draw = np.random.default_rng(seed)
     return degraded(relit(vehicles_moved(shot.of(ground, GSD), draw, shot.altitude / shot.focal), draw), draw)
+
+
+@pytest.mark.parametrize("bands", [1, 2])
+def test_a_map_without_colours_is_one_too(ground, tmp_path, bands):
+    """Many of its pixels have the very grey that stands for none."""
+    grey = cv2.cvtColor(ground[::2, ::2], cv2.COLOR_RGB2GRAY)
+    place = from_origin(500_000, 6_700_000, 2 * GSD, 2 * GSD)
+    with rasterio.open(
+        tmp_path / "map.tif", "w", "GTiff", *grey.shape[::-1], bands, "EPSG:32632", place, "uint8"
+    ) as out:
+        out.write(np.stack([grey] * bands))
+    shot = Shot((190.0, 230.0), heading=40.0, altitude=120.0)
+    source = plan(tmp_path / "photo.tif", shown(ground, shot))
+    known = Known((0.95, 1.05), np.radians(40))
+    got = register(SeenPlan(source, 0.2), Satellite.open(tmp_path / "map.tif"), GradientFeatures(), known, cache=False)
+    assert got.located is not None, got.problem
+
+
+def test_what_has_no_data_is_an_area():
+    draw = np.random.default_rng(0)
+    pixels = np.repeat(draw.integers(108, 120, (60, 80, 1), np.uint8), 3, 2)
+    pixels[:, 30:42] = 114
+    expected = np.ones((60, 80), bool)
+    expected[:, 30:42] = False
+    assert (has_data(pixels) == expected).mean() > 0.99
 
 
 @pytest.mark.parametrize("claimed", [0.9, 1.0, 1.15])
@@ -311,6 +336,7 @@ def test_without_vehicles_or_a_gsd_there_is_no_scale(flight, tmp_path):
     words = ("--focal-px", 600, "--pitch", -90, "--detections", tmp_path / "none.json", "--fleet", "DE")
     done = run("locate", flight / "down.png", "--satellite", flight / "map.tif", "--out", tmp_path / "out", *words)
     assert done.returncode == 3 and "no scale" in done.stderr and "--gsd" in done.stderr
+    assert "out: candidates.csv, located.json\n" in done.stdout  # nothing was searched: no places, no picture
 
 
 @pytest.mark.slow

@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 
 from orthoscale.core.boxes import Boxes
-from orthoscale.detect.measurer import CROP_HEIGHT, CROP_WIDTH, Measurer, crop, pixels_per_crop_pixel, placed
+from orthoscale.detect.measurer import (
+    CROP_HEIGHT,
+    CROP_WIDTH,
+    FARTHEST,
+    Measurer,
+    MeasurerCard,
+    crop,
+    moved_out,
+    pixels_per_crop_pixel,
+    placed,
+)
 
 DARK = 60  # ground of drawn pictures; filters undershoot, and must not be cut off at black
 CARD = Path(__file__).parents[1] / "training/measurer/card_m1.json"
@@ -168,3 +178,48 @@ def test_a_window_of_a_picture_shows_what_the_whole_picture_does(untrained: Meas
     boxes = Boxes(np.array([[120.0, 130.5, 48.0, 21.0, 0.3], [20.0, 240.0, 44.0, 20.0, 1.2]]), np.ones(2))
     whole = untrained.in_pixels(picture, boxes)
     assert untrained(Pixels(picture), boxes).boxes.xylwa == pytest.approx(whole.boxes.xylwa, abs=0.05)
+
+
+def test_a_sure_edge_stays_and_an_unsure_one_is_moved_out_by_as_much_as_it_is_unsure() -> None:
+    card = MeasurerCard.from_json(CARD.read_text(), str(CARD))
+    length = np.array([20.0, 80.0])
+    sure = np.hypot(card.sure[0] * length, card.sure[1])
+    assert (card.outward(np.repeat(sure[:, None], 4, 1), length) == 0).all()
+    sigma = sure[:, None] + np.array([-0.1, 0.0, 0.3, 100.0])
+    moved = card.outward(sigma, length)
+    assert moved[:, :3] == pytest.approx(np.tile([0.0, 0.0, 0.3 * card.inward], (2, 1)))
+    assert moved[:, 3] == pytest.approx(FARTHEST * length)
+    older = MeasurerCard(card.name, card.ruler, card.sigma_times, card.effective_height, card.body)
+    assert (older.outward(sigma, length) == 0).all()
+
+
+def test_an_edge_that_is_moved_leaves_the_other_three_where_they_are() -> None:
+    rng = np.random.default_rng(6)
+    for edge in range(4):
+        box = np.array([*rng.uniform(0, 100, 2), 40.0, 18.0, rng.uniform(-1.5, 1.5)])
+        outward = np.zeros(4)
+        outward[edge] = 3.0
+        moved = moved_out(box[None], outward[None])[0]
+
+        def edges(one: np.ndarray, cos: float = np.cos(box[4]), sin: float = np.sin(box[4])) -> np.ndarray:
+            along, across = one[0] * cos + one[1] * sin, one[1] * cos - one[0] * sin
+            return np.array([along - one[2] / 2, along + one[2] / 2, across - one[3] / 2, across + one[3] / 2])
+
+        assert moved[4] == box[4]
+        assert edges(moved) - edges(box) == pytest.approx(outward * [-1, 1, -1, 1])
+
+
+def test_what_is_moved_is_less_certain() -> None:
+    box = np.array([90.0, 70.5, 48.0, 21.0, 0.3])
+    picture = drawn(box, 200, 160).astype(float)
+    shade = 1 / (1 + np.exp((np.indices((160, 200))[1] - 100) / 6))[..., None]  # one end merges with the ground
+    picture = (DARK + (picture - DARK) * (0.05 + 0.95 * shade)).astype(np.uint8)
+    measurer = Measurer()
+    card, boxes = measurer.card, Boxes(box[None], np.ones(1))
+    after = measurer.in_pixels(picture, boxes)
+    measurer.card = MeasurerCard(card.name, card.ruler, card.sigma_times, card.effective_height, card.body)
+    before = measurer.in_pixels(picture, boxes)
+    outward = card.outward(before.sigma, before.boxes.xylwa[:, 2])
+    assert outward.max() > 0, "all edges are sure: nothing is tested"
+    assert after.boxes.xylwa == pytest.approx(moved_out(before.boxes.xylwa, outward))
+    assert (after.sigma > before.sigma)[outward > 0].all() and (after.sigma == before.sigma)[outward == 0].all()

@@ -33,7 +33,9 @@ HEADING_SD = np.radians(8.0)  # to which a known heading is trusted, to both sid
 MOST_STEPS = 12  # of scales; factor 3
 CHANNELS = 24  # that are correlated
 VERIFIED = 20  # candidates that are verified
-NEGATIVES = 20  # mirrored pictures that tell how many matches agree by chance
+NEGATIVES = 20  # places of the mirrored picture that tell how many matches agree by chance
+MIRRORED_WAYS = 12  # ways in which the mirrored picture is searched
+LEAST_COVERED = 0.5  # share of a wrong place in which the map has data, for it to tell anything
 LEAST_MATCHES = 12  # matches that must agree however few do elsewhere
 RIVAL = 0.7  # share of the best candidate's matches from which another place is about as good
 ANOTHER_PLACE = 0.25  # [pictures' diagonals] from which on a place is another one
@@ -148,8 +150,9 @@ def register(
     found = (finder or correlation)(ways, mapped, area, apart, VERIFIED, report)
     looks = [(ways[peak.template], peak, verified(ways[peak.template].template, peak, mapped)) for peak in found]
     places = different(looks, image, mapped, apart)
-    wrong = mirrored(ways, mapped, area) + [each.count for _, _, each in places[1:]]
-    enough = max(LEAST_MATCHES, needed(wrong, len(places)))
+    wrong = mirrored(ways, mapped, area, apart / 2) + [look for _, _, look in places[1:]]
+    wrong = [look for look in wrong if look.covered >= LEAST_COVERED] or wrong
+    enough = max(LEAST_MATCHES, needed([look.count for look in wrong], len(places)))
     candidates = tuple(_candidate(*place, image, mapped) for place in places if place[2].fit is not None)
     return judged(candidates, enough, seen, mapped)
 
@@ -270,15 +273,15 @@ class PlaceFinder(Protocol):
 Look = tuple[Way, Peak, Verified]  # a way, where the search put it, and what the matches there say
 
 
-def mirrored(ways: Sequence[Way], mapped: MapFeatures, area: tuple[int, int, int, int]) -> list[int]:
-    """How many matches agree where the picture certainly is not: its mirror image at random places of the map."""
-    draw = np.random.default_rng(0)
-    counts = []
-    for _ in range(NEGATIVES):
-        template = ways[int(draw.integers(len(ways)))].template.mirrored(mapped)
-        row, column = (int(area[k] + draw.integers(max(area[k + 2], 1))) for k in (0, 1))
-        counts.append(verified(template, Peak(0.0, 0, row, column), mapped).count)
-    return counts
+def mirrored(ways: Sequence[Way], mapped: MapFeatures, area: tuple[int, int, int, int], apart: float) -> list[Verified]:
+    """Looks at places where the picture certainly is not: the best ones of its mirror image, found as its own are.
+
+    Of some of the `ways`, no two places nearer than `apart` [cells]. What is built alike, rows of houses or bays, agrees
+    in parts with a mirror image too."""
+    some = np.unique(np.linspace(0, len(ways) - 1, min(len(ways), MIRRORED_WAYS)).astype(int))
+    templates = [ways[k].template.mirrored(mapped) for k in some]
+    found = search(templates, mapped.window, area, apart, NEGATIVES)
+    return [verified(templates[peak.template], peak, mapped) for peak in found]
 
 
 def different(looks: Sequence[Look], image: GroundImage, mapped: MapFeatures, apart: float) -> list[Look]:

@@ -79,10 +79,12 @@ class Fit:
 @dataclass(frozen=True)
 class Verified:
     """A look at one place. matches : (N, 4) x, y of the template and x, y of the map [cells]. fit : the similarity on
-    which most of them agree, from the template's cells to the map's; None where there are too few."""
+    which most of them agree, from the template's cells to the map's; None where there are too few. covered : share of
+    what was looked at in which the map has data."""
 
     matches: np.ndarray
     fit: Fit | None
+    covered: float
 
     @property
     def count(self) -> int:
@@ -100,7 +102,7 @@ def verified(template: Template, peak: Peak, mapped: MapFeatures, every: int = 1
     ground = mapped.window(int(corner[0]), int(corner[1]), height, width)
     matches = mutual_matches(template.features, ground, block, every)
     matches[:, 2:] += corner[::-1]
-    return Verified(matches, agreeing(matches))
+    return Verified(matches, agreeing(matches), float(ground.any(0).mean()))
 
 
 def needed(wrong: Sequence[int], looks: int) -> int:

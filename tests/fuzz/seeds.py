@@ -789,6 +789,8 @@ for _what, _entry in {
     "stride huge": {"stride": 10**12},
     "score text": {"score": "x"},
     "score nan": {"score": float("nan")},
+    "score 0": {"score": 0},
+    "score 1": {"score": 1.0},
     "ruler a list": {"ruler": []},
     "ruler of one value": {"ruler": {"margin": [1.0]}},
     "lengths negative": {"usable_length": [-1, -5]},
