@@ -269,7 +269,6 @@ def run(*arguments):
     return in_process.run("layout", *arguments)
 
 
-@pytest.mark.slow
 def test_a_folder_with_everything_in_it(tmp_path):
     path = orthophoto(tmp_path, report={"scale": 0.1, "interval90": [0.096, 0.104]})
     lot = lot_file(tmp_path / "lot.geojson", [(50, 50), (650, 40), (660, 450), (60, 440)])

