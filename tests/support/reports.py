@@ -29,7 +29,7 @@ def car_park(folder: Path, name: str = "park.png", count: int = 60, drift: float
     places = [(60 + 90 * i, 60 + 95 * j) for j in range(7) for i in range(10)]
     centre = np.array(places, float)[random.permutation(len(places))[:count]]
     px = size / GSD * (1 - drift * centre[:, :1] / WIDTH)
-    angle = random.uniform(-1.5, 1.5, count)
+    angle = 0.4 + random.uniform(-0.2, 0.2, count)  # parked the same way, more or less
     image = squares(WIDTH, HEIGHT)
     rows = []
     for (x, y), (length, width), a in zip(centre, px, angle, strict=True):
