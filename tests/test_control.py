@@ -25,7 +25,7 @@ def boxes(tmp_path_factory):
     rng = np.random.default_rng(0)
     size = load_fleet("DE").sample(rng, 60)[:, :2] / GSD
     rows = [{"cx": 40 + 90 * (k % 10), "cy": 40 + 90 * (k // 10), "length": s[0], "width": s[1],
-             "angle": float(rng.uniform(-1.5, 1.5))} for k, s in enumerate(size)]  # fmt: skip
+             "angle": 0.4 + float(rng.uniform(-0.2, 0.2))} for k, s in enumerate(size)]  # fmt: skip
     path = tmp_path_factory.mktemp("found") / "boxes.json"
     path.write_text(json.dumps({TOWN.name: rows}))
     court = {"cx": 500, "cy": 700, "length": 23.77 / GSD, "width": 10.97 / GSD, "angle": 0.2, "kind": "tennis-court"}
