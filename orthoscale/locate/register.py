@@ -63,9 +63,9 @@ class Candidate:
 
     pose : from claimed metres of the picture, right and down of its own place, to pixels of `grid`. score : mean cosine
     of the search. inliers : matches that agree; squares : in so many of the picture. middle : (2,) longitude and
-    latitude of the middle of the picture's ground [deg]. heading : of the picture's top, clockwise from north [rad]. scale : true metres per claimed metre;
-    scatter : its relative one-sigma, by how far the matches scatter. matches : (N, 4) those that agree: x, y of the
-    picture [claimed m right and down], x, y of the map [its pixels].
+    latitude of the middle of the picture's ground [deg]. heading : of the picture's top, clockwise from north [rad].
+    scale : true metres per claimed metre; scatter : its relative one-sigma, by how far the matches scatter. matches :
+    (N, 4) those that agree: x, y of the picture [claimed m right and down], x, y of the map [its pixels].
     """
 
     grid: MapGrid
