@@ -4,8 +4,8 @@
 
 DATA is the folder of the real data (see CONTRIBUTING.md), SCENE names of its reconstructions. Each scene is fixed in
 each measuring mode and each order of imports, every run a process of its own; what the detector saw is kept between
-them. What is written is opened again and measured against what `fix` said. Prints Markdown, and ends with 1 if anything
-is missing, wrong or different.
+them. What is written is opened again and measured against what `fix` said; where it refuses (exit code 3 or 4), nothing
+may be there, and the row says why. Prints Markdown, and ends with 1 if anything is missing, wrong or different.
 """
 
 from __future__ import annotations
@@ -34,8 +34,14 @@ RUN = """
 import json, sys
 {imports}
 source, out, options = sys.argv[1], sys.argv[2], json.loads(sys.argv[3])
-scale = orthoscale.fix(source, out, **options).scale
-print(json.dumps([scale.value, *scale.interval90, scale.vehicles_used, scale.verdict]))
+try:
+    scale = orthoscale.fix(source, out, **options).scale
+except orthoscale.OrthoscaleError as why:
+    if why.exit_code not in (3, 4):
+        raise
+    print(json.dumps({{"exit": why.exit_code, "why": why.message}}))
+else:
+    print(json.dumps([scale.value, *scale.interval90, scale.vehicles_used, scale.verdict]))
 """
 BESIDE = ("", ".html", ".json", ".png")  # of an orthophoto
 WRITTEN = ("report.html", "report.json", "vehicles.png", "sim3.txt", "sim3_4x4.txt", "sim3.json")
@@ -58,8 +64,9 @@ def scenes(data: Path) -> dict[str, tuple[Path, float, dict[str, str]]]:
     return out
 
 
-def fixed(source: Path, out: Path, imports: str, options: dict[str, str]) -> tuple[list, str]:
-    """What one run said (scale, low, high, vehicles, verdict; empty if it failed), and its last word if it failed."""
+def fixed(source: Path, out: Path, imports: str, options: dict[str, str]) -> tuple[list | dict, str]:
+    """What one run said (scale, low, high, vehicles, verdict; the exit code and why where it refused; empty if it
+    failed), and its last word if it failed."""
     words = [sys.executable, "-c", RUN.format(imports=imports), str(source), str(out), json.dumps(options)]
     environment = {**os.environ, "PYTHONPATH": str(HERE)}
     done = subprocess.run(words, env=environment, capture_output=True, text=True)
@@ -84,12 +91,28 @@ def fault(source: Path, out: Path, scale: float) -> str:
     return "" if abs(ratio / scale - 1) < 1e-9 else f"the model grew {ratio:.6g} times"
 
 
+def left(out: Path) -> str:
+    """What a run that refused has left of its output; "" for nothing."""
+    rest = [path.name for path in out.parent.iterdir() if out.stem in path.name]
+    return f"refused, but left {', '.join(rest)}" if rest else ""
+
+
 def _extent(folder: Path) -> float:
     import pycolmap
 
     model = pycolmap.Reconstruction(str(folder / "sparse" if (folder / "sparse").is_dir() else folder))
     centres = np.array([image.projection_center() for image in model.images.values()])
     return float(np.linalg.norm(np.ptp(centres, axis=0)))
+
+
+def cells(said: list | dict, truth: float, source: Path) -> tuple[str, ...]:
+    """Scale, error, interval, vehicles, verdict, and what is written where nothing is wrong, for a row."""
+    if isinstance(said, dict):
+        why = said["why"].removeprefix(f"{source}: ")
+        return ("", "", "", "", f"refused (exit {said['exit']}): {why}", "nothing")
+    value, low, high, vehicles, verdict = said or (np.nan, np.nan, np.nan, 0, "none")
+    error = f"{100 * (value / truth - 1):+.1f} %"
+    return (f"{value:.4g}", error, f"{low:.4g} to {high:.4g}", str(vehicles), verdict, "all")
 
 
 def main() -> int:
@@ -111,22 +134,13 @@ def main() -> int:
                     out = out.with_suffix(".tif") if plan else out
                     one, why = fixed(source, out, imports, {**options, "mode": mode} if mode else options)
                     said.append(one)
-                    faults += [f"{order}: {w}" for w in (why or fault(source, out, one[0]),) if w]
+                    wrong = why or (left(out) if isinstance(one, dict) else fault(source, out, one[0]))
+                    faults += [f"{order}: {wrong}"] if wrong else []
                 alike = all(one == said[0] for one in said)
                 bad += bool(faults) or not alike
-                value, low, high, vehicles, verdict = said[0] or (np.nan, np.nan, np.nan, 0, "none")
-                cells = (
-                    name,
-                    mode or "",
-                    f"{value:.4g}",
-                    f"{100 * (value / truth - 1):+.1f} %",
-                    f"{low:.4g} to {high:.4g}",
-                    str(vehicles),
-                    verdict,
-                    "; ".join(faults) or "all",
-                    "same" if alike else "differ",
-                )
-                print("| " + " | ".join(cells) + " |", flush=True)
+                *row, whole = cells(said[0], truth, source)
+                row = [name, mode or "", *row, "; ".join(faults) or whole, "same" if alike else "differ"]
+                print("| " + " | ".join(row) + " |", flush=True)
     return int(bool(bad))
 
 

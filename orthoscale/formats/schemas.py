@@ -17,6 +17,7 @@ from ..core.ruler import Ruler
 Finite = Annotated[float, Meta(ge=-1e15, le=1e15)]
 Positive = Annotated[float, Meta(gt=0, le=1e15)]
 Share = Annotated[float, Meta(ge=0, le=1)]
+Threshold = Annotated[float, Meta(gt=0, lt=1)]  # of a confidence: its log odds are finite
 Count = Annotated[int, Meta(ge=0, le=10**12)]
 Text = Annotated[str, Meta(max_length=10_000)]
 Name = Annotated[str, Meta(max_length=1_000)]
@@ -74,7 +75,7 @@ class CardEntry(Struct, forbid_unknown_fields=True):
     name: Name
     usable_length: tuple[InputPx, InputPx]
     best_length: InputPx
-    score: Share
+    score: Threshold
     effective_height: tuple[Height, Height]
     ruler: RulerEntry
     training: Text = ""
@@ -109,6 +110,8 @@ class MeasurerCardEntry(Struct, forbid_unknown_fields=True):
     sigma_times: tuple[Annotated[float, Meta(gt=0, le=100)], Annotated[float, Meta(gt=0, le=100)]]
     effective_height: tuple[Height, Height]
     body: Name = "car"
+    inward: Annotated[float, Meta(ge=0, le=100)] = 0.0
+    sure: tuple[Annotated[float, Meta(ge=0, le=1)], Annotated[float, Meta(ge=0, le=100)]] = (0.0, 0.0)
     training: Text = ""
     licence: Text = ""
 

@@ -135,7 +135,7 @@ def register(
     known: Known = Known(),  # noqa: B008 - a frozen value
     cache: bool = True,
     step: Callable[[str, int, int], None] | None = None,
-    finder: Finder | None = None,
+    finder: PlaceFinder | None = None,
 ) -> Registration:
     """Find `seen` on the map `satellite`.
 
@@ -170,7 +170,7 @@ def correlation(
     most: int,
     step: Callable[[int, int], None] | None = None,
 ) -> list[Peak]:
-    """The `Finder` that correlates dense features; see `correlate.search`."""
+    """The `PlaceFinder` that correlates dense features; see `correlate.search`."""
     return search([way.template for way in ways], mapped.window, area, apart, most, step)
 
 
@@ -258,7 +258,7 @@ class Way:
         return cls(pose, Template(features, pose(image.middle[None])[0, ::-1] / mapped.features.stride, turned))
 
 
-class Finder(Protocol):
+class PlaceFinder(Protocol):
     """Finds the places that are worth verifying."""
 
     def __call__(

@@ -30,6 +30,8 @@ def _measure(rng: Rng) -> tuple[str, ...]:
     """Estimate or fix a model; mostly the quick way."""
     words = ("in", "--detections", "in/boxes.json", "--fleet", "DE", "--json")
     mode = ("--mode", "planar") if rng.random() < 0.9 else ()
+    if rng.random() < 0.85:  # frames without anything in them are searched for anchors as long as all else takes
+        words = (*words, "--anchors", "none")
     if rng.random() < 0.6:
         return ("estimate", *words, *mode)
     return ("fix", *words, *mode, "--out", "out", "--report", rng.choice(("none", "none", "none", "json", "html")))
@@ -126,7 +128,8 @@ def detections(bench: Bench, rng: Rng) -> Attempt:
         return Attempt(("estimate", *ask, "--save-detections", to))
     if command == "exhaustive":
         return Attempt(("estimate", *ask, "--json", "--estimator", "iqr"))
-    return Attempt((command, *ask, "--json"))
+    anchors = ("--anchors", "none") if rng.random() < 0.6 else ()
+    return Attempt((command, *ask, "--json", *anchors))
 
 
 def model_detections(bench: Bench, rng: Rng) -> Attempt:
@@ -243,7 +246,8 @@ def hostile_rasters(bench: Bench, rng: Rng) -> Attempt:
     ask = ("estimate", f"in/{name}", "--fleet", "DE", "--json")
     if rng.random() < 0.5:
         return Attempt((*ask, "--detections", "in/labels.txt"), memory=HOSTILE_MEMORY)
-    return Attempt((*ask, "--zoom", "0.1" if "20000" in name else "1"), memory=HOSTILE_MEMORY)
+    anchors = () if rng.random() < 0.2 else ("--anchors", "none")  # without vehicles they are sought at any scale
+    return Attempt((*ask, "--zoom", "0.1" if "20000" in name else "1", *anchors), memory=HOSTILE_MEMORY)
 
 
 def photos(bench: Bench, rng: Rng) -> Attempt:
@@ -378,14 +382,15 @@ def options(bench: Bench, rng: Rng) -> Attempt:
 def names(bench: Bench, rng: Rng) -> Attempt:
     """Files and outputs with names that no one should give, and those that are not there."""
     name = rng.choice(hostile.NAMES)
-    inside = bench.take("ortho", "ortho.tif", "boxes.json", "plain.json")
+    inside = bench.take("ortho", "ortho.tif", "boxes.json", "plain.json", "labels.txt")
     command = rng.choice(("estimate", "fix", "out", "save", "apply", "frame"))
     ask = ("--detections", "in/boxes.json", "--fleet", "DE")
     if command in ("estimate", "fix"):
         with contextlib.suppress(OSError, ValueError):
             shutil.copy(os.fsencode(inside / "ortho.tif"), os.fsencode(inside) + b"/" + name)
         out = ("--override", "--out", "out.tif") if command == "fix" else ()
-        return Attempt((command, b"in/" + name.replace(b"\0", b""), "--fleet", "DE", "--zoom", "1", *out))
+        look = rng.choice((("--zoom", "1"), ("--detections", "in/labels.txt"), ("--detections", "in/labels.txt")))
+        return Attempt((command, b"in/" + name.replace(b"\0", b""), "--fleet", "DE", *look, *out))
     if command == "out":
         return Attempt(("fix", "in/ortho.tif", *ask, "--override", "--out", name.replace(b"\0", b""), "--overwrite"))
     if command == "save":

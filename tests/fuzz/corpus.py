@@ -12,7 +12,7 @@ import os
 import shutil
 import struct
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import cv2
@@ -41,10 +41,12 @@ from .networks import card_network
 from .truth import BOX_FORMATS, CARD, GSD, MODEL_SCALE, MODELS, RASTERS
 
 PINHOLE = ("SIMPLE_PINHOLE", (400.0, 320, 240))
+POINTS = 600  # of a model
 
 
-def build(folder: Path) -> Path:
-    """Make every kind in the new `folder`; returns it."""
+def build(folder: Path, answered: Collection[str] = ()) -> Path:
+    """Make every kind in the new `folder`; returns it. answered : kinds whose scales are wanted, by default all of
+    `ANSWERS`."""
     assert flights.UNIT == MODEL_SCALE
     folder.mkdir(parents=True)
     for kind, make in KINDS.items():
@@ -52,7 +54,7 @@ def build(folder: Path) -> Path:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             make(folder / kind)
-    answers = {kind: _answer(folder / kind, *ask) for kind, ask in ANSWERS.items()}
+    answers = {kind: _answer(folder / kind, *ANSWERS[kind]) for kind in answered or ANSWERS}
     (folder / "answers.json").write_text(json.dumps(answers))
     return folder
 
@@ -71,7 +73,7 @@ def _answer(folder: Path, *ask: str) -> float:
 
 def _colmap(form: str, rig: bool = False) -> Callable[[Path], None]:
     def make(folder: Path) -> None:
-        model, turn = make_model(*PINHOLE, rig=rig)
+        model, turn = make_model(*PINHOLE, rig=rig, points=POINTS)
         save(model, folder / "sparse/0", form)
         put_frames(model, folder / "images")
         _found(folder, turn)
@@ -92,7 +94,7 @@ def _another(form: str) -> Callable[[Path], None]:
 def _other(write: Callable) -> Callable[[Path], None]:
     def make(folder: Path) -> None:
         lens = PINHOLE if write is others.nvm else ("RADIAL", (400.0, 320, 240, 0.05, -0.02))
-        model, turn = make_model(*lens)
+        model, turn = make_model(*lens, points=POINTS)
         path = write(model, folder)
         put_frames(model, folder if path.suffix in (".out", ".nvm") else folder / "images")
         _found(folder, turn, path)
@@ -214,7 +216,7 @@ def _settings(folder: Path) -> None:
     (folder / "control.txt").write_text("40,40 4 -4\n360,40 36 -4\n40,360 4 -36\n360,360 36 -36\n")
     said = in_process.run("estimate", folder / "ortho.tif", "--detections", folder / "boxes.json", "--json")
     (folder / "report.json").write_text(said.stdout)
-    lots.orthophoto(folder, report={"scale": 0.1, "interval90": [0.098, 0.102], "unit": "m/px"})
+    lots.orthophoto(folder, 0.2, (350, 250), report={"scale": 0.2, "interval90": [0.196, 0.204], "unit": "m/px"})
     lots.lot_file(folder / "lot.geojson", [(5, 5), (60, 5), (60, 40), (5, 40)])
     lots.lot_file(folder / "trees.geojson", [(50, 30), (55, 30), (55, 35), (50, 35)])
 
@@ -268,7 +270,7 @@ def _geometry(folder: Path) -> None:
     (folder / "scene.gltf").write_text(json.dumps(geometry.gltf(**buffers)))
     geometry.dense_workspace(folder / "dense")
     shutil.rmtree(folder / "dense/sparse")
-    save(make_model(*PINHOLE)[0], folder / "dense/sparse", "bin")
+    save(make_model(*PINHOLE, points=POINTS)[0], folder / "dense/sparse", "bin")
 
 
 def _networks(folder: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import hashlib
 import importlib
 import json
@@ -26,10 +27,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import orthoscale
+from orthoscale.countries import country_at
 
 # A child hangs that takes longer than this by the clock, less what it stood in line for the processor, as the kernel
 # counts it: who computes and who waits for a pipe or a server are found alike, and a busy machine is nobody's fault.
 TIME_LIMIT = 30.0  # [s]
+WATCHED = 1.0  # [s] from which on it is counted, since what a thread stood is forgotten when it ends
 WAITING = 10  # times that by the clock, whatever the kernel counts
 GIB = 2**30
 MEMORY_LIMIT = 1.0  # [GiB]
@@ -96,6 +99,9 @@ def preload() -> None:
     for name in ("pycolmap", "rasterio", "pyogrio", "cv2", "ezdxf", "PIL.Image", "scipy.spatial"):
         importlib.import_module(name)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # pycolmap's is loud
+    country_at(0.0, 0.0)  # decodes the time zones, 0.07 s
+    gc.collect()
+    gc.freeze()  # a child whose collector of garbage walked through all of it would copy it, in 0.09 s
     if threading.active_count() > 1 or len(os.listdir("/proc/self/task")) > 1:
         raise RuntimeError("a module has started threads: it cannot be loaded before a fork")
 
@@ -310,6 +316,7 @@ def _wait(running: list[tuple[int, _Pipe, _Pipe]], patience: float) -> list[_Run
         for pipe in pipes:
             os.close(pipe.end)
     begin, pause, runs, most = time.monotonic(), 0.002, {}, dict.fromkeys((pid for pid, *_ in running), 0.0)
+    stood: dict[int, dict[str, int]] = {pid: {} for pid, *_ in running}
     while len(runs) < len(running):
         for pid, out, err in running:
             if pid in runs:
@@ -319,8 +326,9 @@ def _wait(running: list[tuple[int, _Pipe, _Pipe]], patience: float) -> list[_Run
             done, status, usage = os.wait4(pid, os.WNOHANG)
             most[pid] = max(most[pid], _resident(pid))
             clock = time.monotonic() - begin
-            late = not done and clock > patience
-            hung = late and (clock - _in_line(pid) > patience or clock > WAITING * patience)
+            slow = not done and clock > WATCHED
+            waited = _in_line(pid, stood[pid]) if slow else 0.0
+            hung = slow and (clock - waited > patience or clock > WAITING * patience)
             if not done and (hung or most[pid] > STOP_AT):
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(pid, signal.SIGKILL)
@@ -346,17 +354,19 @@ def _resident(pid: int) -> float:
     return total * resource.getpagesize() / GIB
 
 
-def _in_line(pid: int) -> float:
-    """[s] that the child's threads and its own children could have run and did not, for want of a processor."""
-    total = 0
+def _in_line(pid: int, stood: dict[str, int]) -> float:
+    """[s] that the child's threads and its own children could have run and did not, for want of a processor.
+
+    stood : what each was last seen to have stood [ns], which is kept of those that have ended.
+    """
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
         for number in (str(pid), *children):
             for task in Path(f"/proc/{number}/task").iterdir():
-                total += int((task / "schedstat").read_text().split()[1])
+                stood[task.name] = int((task / "schedstat").read_text().split()[1])
     except (OSError, IndexError, ValueError):
         pass
-    return total / 1e9
+    return sum(stood.values()) / 1e9
 
 
 def _killed(folder: Path, attempt: Attempt) -> list[_Run]:

@@ -12,7 +12,7 @@ import pytest
 pycolmap = pytest.importorskip("pycolmap")
 
 
-def make_model(camera_model="OPENCV", params=(400, 410, 320, 240, 0.05, -0.02, 0.001, -0.001), rig=False):
+def make_model(camera_model="OPENCV", params=(400, 410, 320, 240, 0.05, -0.02, 0.001, -0.001), rig=False, points=1500):
     """A flight over flat ground: 640 x 480 px, 12 units up, pitched by 25 degrees; in a turned frame."""
     random = np.random.default_rng(0)
     model = pycolmap.Reconstruction()
@@ -30,8 +30,8 @@ def make_model(camera_model="OPENCV", params=(400, 410, 320, 240, 0.05, -0.02, 0
         model.add_rig(pair)
 
     turn = pycolmap.Rotation3d(np.array([0.4, -0.3, 0.9])).matrix()
-    points = np.column_stack([random.uniform(-12, 12, (1500, 2)), random.normal(0, 0.02, 1500)])
-    colours = random.integers(0, 255, (1500, 3), dtype=np.uint8)
+    points = np.column_stack([random.uniform(-12, 12, (points, 2)), random.normal(0, 0.02, points)])
+    colours = random.integers(0, 255, (len(points), 3), dtype=np.uint8)
     down = np.diag([1.0, -1, -1])
     image_id = 0
     for k, (x, y) in enumerate([(x, y) for x in (-6, -2, 2, 6) for y in (-5, 0, 5)]):
