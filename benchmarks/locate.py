@@ -1,7 +1,7 @@
 """Success of `orthoscale locate` on simulated pairs: against scale error, heading and footprint, by method.
 
-The map is a mosaic of real orthophotos (../shared/data: places, orthophotos, and chips of American cities between
-them) with their mirror images as further places. Photos are what a pinhole camera sees of it at another date
+The map is a mosaic of real orthophotos (../shared/data: places, orthophotos) with chips of American cities between
+them. Photos are what a pinhole camera sees of it at another date
 (tests/support/aerial.py): season, a fifth of the ground rebuilt, vehicles moved, light, lean, defocus, noise. Photos
 of what is not on the map: `locate_negatives.py`.
 
@@ -283,8 +283,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     trials = kept(told.rows)
     done = {t.case for t in trials}
-    real = orthophotos()
-    fine, rects = mosaic(real + [np.ascontiguousarray(part[:, ::-1]) for part in real], chips())
+    fine, rects = mosaic(orthophotos(), chips())
     with tempfile.TemporaryDirectory() as folder:
         city = City(fine, rects, written(fine, Path(folder) / "map.tif"))
         for name in told.method:

@@ -36,7 +36,8 @@ VERIFIED = 20  # candidates that are verified
 NEGATIVES = 20  # places of the mirrored picture that tell how many matches agree by chance
 MIRRORED_WAYS = 12  # ways in which the mirrored picture is searched
 LEAST_COVERED = 0.5  # share of a wrong place in which the map has data, for it to tell anything
-LEAST_MATCHES = 12  # matches that must agree however few do elsewhere
+LEAST_MATCHES = 12  # matches that must agree however few do elsewhere ...
+LEAST_SQUARES = 10  # ... and squares of the picture that they must lie in; wrong places reach 7, right ones mostly 20
 RIVAL = 0.7  # share of the best candidate's matches from which another place is about as good
 ANOTHER_PLACE = 0.25  # [pictures' diagonals] from which on a place is another one
 LEVELLING_SD = 0.005  # of the scale by one match: the lie of the land, and of the picture. An assumption.
@@ -61,16 +62,17 @@ class Candidate:
     """A place that was verified.
 
     pose : from claimed metres of the picture, right and down of its own place, to pixels of `grid`. score : mean cosine
-    of the search. inliers : matches that agree. middle : (2,) longitude and latitude of the middle of the picture's
-    ground [deg]. heading : of the picture's top, clockwise from north [rad]. scale : true metres per claimed metre;
-    scatter : its relative one-sigma, by how far the matches scatter. matches : (N, 4) those that agree: x, y of the
-    picture [claimed m right and down], x, y of the map [its pixels].
+    of the search. inliers : matches that agree; squares : in so many of the picture. middle : (2,) longitude and
+    latitude of the middle of the picture's ground [deg]. heading : of the picture's top, clockwise from north [rad].
+    scale : true metres per claimed metre; scatter : its relative one-sigma, by how far the matches scatter. matches :
+    (N, 4) those that agree: x, y of the picture [claimed m right and down], x, y of the map [its pixels].
     """
 
     grid: MapGrid
     pose: Similarity
     score: float
     inliers: int
+    squares: int
     middle: np.ndarray
     heading: float
     scale: float
@@ -118,6 +120,9 @@ class Registration:
         best = self.candidates[0].inliers
         if best < self.needed:
             return f"best candidate has {best} matches, {self.needed} needed"
+        if self.candidates[0].squares < LEAST_SQUARES:
+            squares = self.candidates[0].squares
+            return f"the {best} matches of the best candidate lie in {squares} places only, {LEAST_SQUARES} needed"
         if self.rival is not None:
             return f"two places match about equally: {best} and {self.candidates[self.rival].inliers} matches"
         return ""
@@ -306,9 +311,9 @@ def judged(candidates: Sequence[Candidate], enough: int, seen: Seen, mapped: Map
         return Registration((), enough, None, float("inf"))
     best = candidates[0]
     rivals = [k for k, other in enumerate(candidates) if k and other.inliers >= RIVAL * best.inliers]
-    rival = rivals[0] if rivals and best.inliers >= enough else None
-    if best.inliers < enough:
+    if best.inliers < enough or best.squares < LEAST_SQUARES:
         return Registration(tuple(candidates), enough, None, float("inf"))
+    rival = rivals[0] if rivals else None
     best, sd = refined(best, seen, mapped)
     return Registration((best, *candidates[1:]), enough, rival, float(np.hypot(sd, LEVELLING_SD)))
 
@@ -326,7 +331,7 @@ def refined(best: Candidate, seen: Seen, mapped: MapFeatures) -> tuple[Candidate
     if look.fit is None or look.count < LEAST_MATCHES:
         return best, best.scatter
     better = _candidate(way, peak, look, image, fine)
-    better = replace(better, inliers=best.inliers, scatter=better.scatter / EVERY)
+    better = replace(better, inliers=best.inliers, squares=best.squares, scatter=better.scatter / EVERY)
     return better, better.scatter
 
 
@@ -345,4 +350,5 @@ def _candidate(way: Way, peak: Peak, look: Verified, image: GroundImage, mapped:
     matches = np.hstack([way.pose.inverse(agreed[:, :2]), grid.map_pixel(agreed[:, 2:])])
     # Blocks that overlap are not independent: what block**2 of them say is worth one.
     scatter = look.fit.scale_sd * mapped.features.block
-    return Candidate(grid, pose, peak.score, look.count, here, heading, pose.scale * grid.gsd * local, scatter, matches)
+    own = pose.scale * grid.gsd * local
+    return Candidate(grid, pose, peak.score, look.count, look.squares, here, heading, own, scatter, matches)
