@@ -6,7 +6,7 @@ same      the other half of the orthophotos whose one half is on the map
 city      orthophotos of other cities, on a map of chips of American ones
 lots      car parks, mobile homes and dense housing, on a map of others of the same kinds
 frames    frames of the training scenes, on a map of orthophotos
-rendered  a drawn suburb, on a map of drawn suburbs
+drawn     a drawn town, on a map of another
 rows      one block that is repeated all over the map: the photo is on it, in many places at once
 scale     photos of the map, 2.3 to 3 times too large or too small
 heading   photos of the map, 60 to 300 degrees off the heading that is told
@@ -32,7 +32,6 @@ from locate import (
     CHIP_STEP,
     COARSE,
     DATA,
-    FINE,
     INTERVAL,
     City,
     Method,
@@ -43,19 +42,17 @@ from locate import (
     shots,
     written,
 )
-from support.aerial import Shot
+from support.aerial import Shot, town
 
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.locate.register import Known
 from orthoscale.sources.satellite import Satellite
-from orthoscale.synthetic import make_scene
-from orthoscale.synthetic.render import render_ortho
 
 SMALL = 3600  # [px] side of the maps: 0.52 km2
 LOTS = ("parkinglot", "mobilehomepark", "denseresidential")
 WIDTHS = (100.0, 150.0, 200.0)  # [m] of the photos
 FAR = 20.0  # [m] from which an answer is wrong
-SUBURB, SUBURBS = 120.0, 3  # [m] side of a drawn suburb; across and down
+DRAWN = 2000  # [px] side of the drawn towns
 
 
 @dataclass(frozen=True)
@@ -118,18 +115,10 @@ class Ground:
 
     @cache  # noqa: B019
     def drawn(self) -> tuple[Satellite, City]:
-        """A map of drawn suburbs, and others that are not on it."""
-
-        def suburbs(first: int) -> np.ndarray:
-            tiles = [
-                render_ortho(make_scene(first + k, None, SUBURB, 60, "suburb"), FINE, first)[0][..., ::-1]
-                for k in range(SUBURBS**2)
-            ]
-            return np.concatenate([np.concatenate(tiles[k::SUBURBS], 1) for k in range(SUBURBS)])
-
-        sky = self._map("drawn", suburbs(0))
-        other = suburbs(1000)
-        return sky, City(other, [(0, 0, *other.shape[1::-1])], sky)
+        """A map of a drawn town, and another one."""
+        here, other = town(1, DRAWN), town(2, DRAWN)
+        sky = self._map("drawn", here)
+        return sky, City(other, [(0, 0, DRAWN, DRAWN)], sky)
 
     @cache  # noqa: B019
     def rows(self, which: int) -> City:
@@ -169,7 +158,7 @@ def frames(ground: Ground, number: int, draw: np.random.Generator) -> Negative:
     return Negative(seen, ground.halves()[0].sky, float(draw.uniform(0, 360)))
 
 
-def rendered(ground: Ground, number: int, draw: np.random.Generator) -> Negative:
+def drawn(ground: Ground, number: int, draw: np.random.Generator) -> Negative:
     sky, others = ground.drawn()
     shot, seen = _one(others, number, draw)
     return Negative(seen, sky, shot.heading)
@@ -195,7 +184,7 @@ def heading(ground: Ground, number: int, draw: np.random.Generator) -> Negative:
 
 
 KINDS: dict[str, Callable[[Ground, int, np.random.Generator], Negative]] = {
-    each.__name__: each for each in (same, city, lots, frames, rendered, rows, scale, heading)
+    each.__name__: each for each in (same, city, lots, frames, drawn, rows, scale, heading)
 }
 
 

@@ -89,6 +89,26 @@ def test_a_map_without_colours_is_one_too(ground, tmp_path, bands):
     assert got.located is not None, got.problem
 
 
+def test_where_the_map_is_empty_nothing_is_learnt_of_wrong_places(ground, sky, tmp_path):
+    """Else few matches there, and many elsewhere, would pass for a wide spread."""
+    margin = 600
+    framed = np.pad(ground[::2, ::2], ((margin, margin), (margin, margin), (0, 0)))
+    shot = Shot((190.0, 230.0), heading=40.0, altitude=120.0)
+    seen = SeenPlan(plan(tmp_path / "photo.tif", shown(ground, shot)), 0.2)
+    with rasterio.open(
+        tmp_path / "map.tif", "w", "GTiff", *framed.shape[1::-1], 3, "EPSG:32632",
+        from_origin(500_000 - margin * 2 * GSD, 6_700_000 + margin * 2 * GSD, 2 * GSD, 2 * GSD), "uint8", nodata=0,
+    ) as out:  # fmt: skip
+        out.write(np.moveaxis(framed, -1, 0))
+    known = Known((0.95, 1.05), np.radians(40))
+    alone, amid = (
+        register(seen, each, GradientFeatures(), known, cache=False)
+        for each in (sky, Satellite.open(tmp_path / "map.tif"))
+    )
+    assert alone.located is not None and amid.located is not None
+    assert amid.needed < 1.3 * alone.needed, (amid.needed, alone.needed)
+
+
 def test_what_has_no_data_is_an_area():
     draw = np.random.default_rng(0)
     pixels = np.repeat(draw.integers(108, 120, (60, 80, 1), np.uint8), 3, 2)

@@ -276,8 +276,8 @@ Look = tuple[Way, Peak, Verified]  # a way, where the search put it, and what th
 def mirrored(ways: Sequence[Way], mapped: MapFeatures, area: tuple[int, int, int, int], apart: float) -> list[Verified]:
     """Looks at places where the picture certainly is not: the best ones of its mirror image, found as its own are.
 
-    Of some of the `ways`, no two places nearer than `apart` [cells]. What is built alike, rows of houses or bays, agrees
-    in parts with a mirror image too."""
+    Of some of the `ways`, no two places nearer than `apart` [cells]. What is built alike, rows of houses or bays,
+    agrees in parts with a mirror image too."""
     some = np.unique(np.linspace(0, len(ways) - 1, min(len(ways), MIRRORED_WAYS)).astype(int))
     templates = [ways[k].template.mirrored(mapped) for k in some]
     found = search(templates, mapped.window, area, apart, NEGATIVES)
