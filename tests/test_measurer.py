@@ -13,7 +13,7 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.detect.measurer import (
     CROP_HEIGHT,
     CROP_WIDTH,
-    MOST_MOVED,
+    MOVED_AT_MOST,
     Measurer,
     MeasurerCard,
     crop,
@@ -188,7 +188,7 @@ def test_a_sure_edge_stays_and_an_unsure_one_is_moved_out_by_as_much_as_it_is_un
     sigma = sure[:, None] + np.array([-0.1, 0.0, 0.3, 100.0])
     moved = card.outward(sigma, length)
     assert moved[:, :3] == pytest.approx(np.tile([0.0, 0.0, 0.3 * card.inward], (2, 1)))
-    assert moved[:, 3] == pytest.approx(MOST_MOVED * length)
+    assert moved[:, 3] == pytest.approx(MOVED_AT_MOST * length)
     older = MeasurerCard(card.name, card.ruler, card.sigma_times, card.effective_height, card.body)
     assert (older.outward(sigma, length) == 0).all()
 

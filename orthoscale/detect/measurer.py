@@ -34,7 +34,7 @@ BATCH = 32  # crops a run
 PASSES_EACH = 4
 # Of the length, by which an unsure edge is moved at most. Beds of pickups and bonnets in shade that were left out are
 # up to a tenth of it; one that is unsure by more is anywhere.
-MOST_MOVED = 0.08
+MOVED_AT_MOST = 0.08
 MOVED_SD = 1 / 3  # what a moved edge's place is uncertain by besides, as a share of the way it was moved
 NO_DATA = (NO_DATA_GREY,) * 3  # beyond the picture's edge
 ANSWERS = (*KINDS, "none")
@@ -88,7 +88,7 @@ class MeasurerCard:
         """(N, 4) how far edges of `sigma` (N, 4) are to be moved outwards [px], of vehicles of `length` (N,) [px]."""
         share, px = self.sure
         excess = sigma - np.hypot(share * length, px)[:, None]
-        return np.clip(self.inward * excess, 0.0, MOST_MOVED * length[:, None])
+        return np.clip(self.inward * excess, 0.0, MOVED_AT_MOST * length[:, None])
 
 
 @dataclass(frozen=True)
