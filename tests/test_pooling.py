@@ -218,8 +218,8 @@ def some_of(votes, index):
 
 @pytest.mark.parametrize("code", ["US", "JP", "NP"])
 def test_a_few_vehicles_more_or_less_do_not_move_the_answer(code):
-    """A twentieth left out, ten times in four places: by root mean square the value moves by less than half of the
-    sampling part; drawn anew with replacement, by no more than it."""
+    """A twentieth left out, ten times in four places: by root mean square the value moves by a quarter of the sampling
+    part at most; drawn anew with replacement, by no more than it."""
     fleet, dropped, drawn_anew = load_fleet(code), [], []
     for seed in range(4):
         rng = np.random.default_rng([21, seed])
@@ -230,8 +230,8 @@ def test_a_few_vehicles_more_or_less_do_not_move_the_answer(code):
             other = some_of(votes, np.sort(rng.integers(0, 80, 80)))
             for moves, some in ((dropped, fewer), (drawn_anew, other)):
                 moves.append(np.log(pool(some, fleet, RULER, "").value / whole.value) / whole.parts["sampling"])
-    assert np.sqrt(np.mean(np.square(dropped))) < 0.5
-    assert np.sqrt(np.mean(np.square(drawn_anew))) < 1.3
+    assert np.sqrt(np.mean(np.square(dropped))) < 0.27
+    assert np.sqrt(np.mean(np.square(drawn_anew))) < 1.0
 
 
 def test_the_order_of_the_vehicles_does_not_matter():
@@ -242,8 +242,7 @@ def test_the_order_of_the_vehicles_does_not_matter():
     assert other.interval90 == pytest.approx(one.interval90, rel=1e-5)
 
 
-def test_what_a_bag_moves_is_what_drawing_the_votes_again_moves():
-    """Bags reweighted to first order have the mean and the scatter of posteriors fitted anew to votes drawn again."""
+def test_the_sampling_part_is_what_drawing_the_votes_again_moves():
     fleet, rng = load_fleet("JP"), np.random.default_rng(23)
     votes = scene(rng, fleet, 100)
     whole = pool(votes, fleet, RULER, "")
