@@ -27,7 +27,7 @@ def car_park(folder: Path, name: str = "park.png", count: int = 60, drift: float
     places = [(60 + 90 * i, 60 + 95 * j) for j in range(7) for i in range(10)]
     centre = np.array(places, float)[random.permutation(len(places))[:count]]
     px = size / GSD * (1 - drift * centre[:, :1] / WIDTH)
-    angle = random.uniform(-1.5, 1.5, count)
+    angle = 0.4 + 0.1 * random.uniform(-1.5, 1.5, count)
     image = random.integers(90, 110, (HEIGHT, WIDTH, 3), dtype=np.uint8)
     rows = []
     for (x, y), (length, width), a in zip(centre, px, angle, strict=True):
