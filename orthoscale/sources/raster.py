@@ -43,6 +43,9 @@ from .tiff_blocks import blocks_of
 SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
 
+LARGEST = 10_000_000
+"""[px] A side longer than this no map has, 1,000 km at 0.1 m. A few words of a VRT promise it; copying it has no end."""
+
 # GDAL's own cache limit is 5 % of the machine's memory, which was seen to grow past a gigabyte. In bytes: rasterio
 # does not take a small number for megabytes, as GDAL does; 256 would be no cache at all, 5 to 100 times slower.
 # PAM stays enabled, because .aux.xml is where GIS programs keep the georeferencing of a JPEG; GDAL writes one only
@@ -333,6 +336,8 @@ class RasterSource:
                 f"{self.path} is only {self.width} x {self.height} px",
                 f"No vehicle could be measured in it; an image needs at least {SMALLEST} px on each side.",
             )
+        if max(self.width, self.height) > LARGEST:
+            raise InputError(f"{self.path} says that it is {self.width} x {self.height} px", _EXPORT_AGAIN)
         if len(dataset.subdatasets) > 1:
             self.notes.append(Remark(INFO, f"{self.name} holds {len(dataset.subdatasets)} images; the first is read"))
 

@@ -803,6 +803,14 @@ def _odd_flag(bench: Bench) -> Attempt:
     return ends(("estimate", *PLANS), 5)
 
 
+@seed("VRT of two thousand million columns, copied")
+def _endless_vrt(bench: Bench) -> Attempt:
+    path = bench.take("ortho", "ortho.tif", "ortho.vrt", "labels.txt") / "ortho.vrt"
+    path.write_text(path.read_text().replace('rasterXSize="400"', 'rasterXSize="-2147483649"'))
+    words = ("--detections", "in/labels.txt", "--fleet", "DE", "--override", "--force", "--cog", "--out", "out.tif")
+    return ends(("fix", "in/ortho.vrt", *words), 5)
+
+
 @seed("PLY, its last byte lost")
 def _cut_ply(bench: Bench) -> Attempt:
     path = bench.take("geometry", "sim3.json", "splat.ply") / "splat.ply"
