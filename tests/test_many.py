@@ -199,3 +199,13 @@ def test_on_a_cluster_a_killed_worker_loses_no_input(parks, tmp_path):
     alone = orthoscale.estimate(inputs[0], fleet="DE", detections=parks / "boxes.json")
     assert {row["scale"] for row in rows} == {alone.scale.value}
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"{k}_a.tif" for k in range(6)]
+
+
+def test_an_empty_folder_that_was_there_stays(parks, tmp_path):
+    """And one that was made for nothing goes."""
+    for there in (True, False):
+        out = tmp_path / f"out{there}"
+        if there:
+            out.mkdir()
+        assert run("fix", parks / "pictures/broken.tif", parks / "pictures/readme.txt", "--out", out).returncode
+        assert out.exists() == there

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import sqlite3
@@ -540,59 +541,111 @@ def bench(tmp_path, monkeypatch):
     """Inputs of every kind. What is in them is of no account: outputs are refused before anything is read."""
     monkeypatch.chdir(tmp_path)
     for name in ("in.tif", "in.json", "in.jpg", "lot.geojson", "sat.tif", "sim3.json", "mesh.ply", "net.onnx", "f.json",
-                 "lens.xml", "gcp.txt"):  # fmt: skip
+                 "lens.xml", "gcp.txt", "map.onnx", "table.csv"):  # fmt: skip
         Path(name).write_text("{}")
+    shutil.copytree(MODEL, "model")
     for name in ("model", "frames", "album"):
         Path(name, "deep").mkdir(parents=True)
         Path(name, "in.txt").touch()
     return tmp_path
 
 
-EVIDENCE = ("--images frames", "--detections in.json", "--calibration f.json", "--fleet f.json", "--detector net.onnx",
-            "--ground-control gcp.txt")  # fmt: skip
-LOOKING = ("--detections in.json", "--calibration f.json", "--detector net.onnx", "--lens lens.xml")
-COMMANDS = {  # words, options that name more inputs, options that name an output
-    "estimate": ("in.tif", EVIDENCE, ["--save-detections"]),
-    "check": ("in.tif", EVIDENCE, ["--save-detections"]),
-    "fix": ("in.tif", EVIDENCE, ["--out", "--save-detections"]),
-    "apply": ("sim3.json mesh.ply model", (), ["--out"]),
-    "crop": ("in.jpg --satellite sat.tif --gsd 0.1", ("--lens lens.xml",), ["--out"]),
-    "layout": ("in.tif --lot lot.geojson --facility tennis", ("--avoid f.json", "--catalogue in.json"), ["--out"]),
-    "photo": ("album in.jpg", LOOKING[:1] + LOOKING[2:], ["--out", "--save-detections"]),
-    "evaluate": ("album", LOOKING[:1] + LOOKING[2:], ["--out", "--save-detections"]),
-    "calibrate": ("in.tif", ("--detector net.onnx",), ["--out"]),
-    "report": ("in.json", ("--images frames",), ["--out"]),
-}
+BOXES_OF = "--detections in.json --calibration f.json --fleet f.json"
+NETWORK = "--detector net.onnx --fleet f.json"
+SCENE = "--images frames --ground-control gcp.txt --against sat.tif --anchor in.json"
+KEPT, SUMMARY = ("--save-detections", (".json", ".gpkg")), ("--summary", (".csv", ".html"))
+COMMANDS = [  # command, all that it may be given and that goes together, an output with the endings that it may have
+    ("estimate", f"in.tif {SCENE} {BOXES_OF}", KEPT),
+    ("estimate", f"in.tif {SCENE} {NETWORK} --measurer net.onnx", KEPT),
+    ("estimate", f"in.tif in.jpg {NETWORK}", SUMMARY),
+    ("check", f"in.tif {SCENE} {BOXES_OF}", KEPT),
+    ("check", f"in.tif in.jpg {NETWORK}", SUMMARY),
+    ("fix", f"in.tif {SCENE} {BOXES_OF}", ("--out", (".tif",))),
+    ("fix", f"in.tif {SCENE} {NETWORK} --out fresh.tif", KEPT),
+    ("fix", f"model --images frames {BOXES_OF}", ("--out", ("",))),
+    ("fix", f"in.tif in.jpg {NETWORK} --out fresh", SUMMARY),
+    ("anchors", f"in.tif {SCENE} {BOXES_OF}", ("--out", ("", ".png", ".json", ".gpkg"))),
+    ("anchors", f"in.tif {NETWORK}", ("--out", (".json",))),
+    ("apply", "sim3.json mesh.ply model", ("--out", ("",))),
+    ("photo", "album in.jpg --detections in.json --lens lens.xml", ("--out", (".csv", ".json", ".gpkg"))),
+    ("photo", "in.jpg --depth net.onnx --detections in.json", ("--out", (".csv", ".json", ".gpkg"))),
+    ("photo", f"album in.jpg {NETWORK} --calibration f.json", KEPT),
+    ("crop", "in.jpg --satellite sat.tif --gsd 0.1", ("--out", ("",))),
+    ("crop", f"in.jpg --satellite sat.tif {BOXES_OF} --lens lens.xml", ("--out", ("",))),
+    ("crop", f"in.jpg --satellite sat.tif {NETWORK}", ("--out", ("",))),
+    ("locate", f"in.jpg --satellite sat.tif {NETWORK}", ("--out", ("",))),
+    ("locate", f"album in.jpg --satellite sat.tif {BOXES_OF} --lens lens.xml", ("--out", ("",))),
+    (
+        "locate",
+        "in.jpg --satellite sat.tif --gsd 0.1 --method retrieval --embedding net.onnx --embedding-map map.onnx",
+        ("--out", ("",)),
+    ),
+    ("layout", "in.tif --lot lot.geojson --facility tennis --avoid f.json --catalogue in.json", ("--out", ("",))),
+    ("evaluate", "album --detections in.json --lens lens.xml --depth-folder frames", ("--out", (".json", ".csv"))),
+    ("evaluate", "album --detector net.onnx --calibration f.json", KEPT),
+    ("evaluate", "album --locate --satellite sat.tif --detections in.json", ("--out", (".json", ".csv"))),
+    ("report", "in.json --images frames", ("--out", (".html",))),
+    ("fleets", "--registrations table.csv", ("--out", (".json",))),
+    ("calibrate", "in.tif --gsd 0.1 --detector net.onnx", ("--out", (".json",))),
+]
+UNWRITTEN = ("--model", "--model-detections")  # with which `check` writes nothing
+REFUSED = re.compile(
+    "is the input|contains the input|lies in the input|would be taken for a part of the input|already exists"
+    "|so it is not replaced|cannot both be outputs"
+)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_no_command_writes_onto_its_inputs_or_what_others_wrote(bench, command):
-    words, more, options = COMMANDS[command]
-    given = [*words.split(), *(word for text in more for word in text.split())]
-    inputs = [word for word in given if (bench / word).exists()]
+def test_every_path_of_every_command_is_tried():
+    from orthoscale.cli.main import COMMANDS as EVERY
+    from orthoscale.cli.main import cli
+    from orthoscale.cli.options import AnyPath
+
+    missing = []
+    for name in EVERY:
+        command = cli.get_command(None, name)
+        said = " ".join(f"{words} {out}" for of, words, (out, _) in COMMANDS if of == name)
+        paths = [p for p in command.params if isinstance(p.type, AnyPath) and p.param_type_name == "option"]
+        missing += [(name, p.opts) for p in paths if not any(word in (*said.split(), *UNWRITTEN) for word in p.opts)]
+        assert name == "explain" or said, name
+    assert not missing
+
+
+@pytest.mark.parametrize("command, words, output", COMMANDS, ids=[f"{c} {o}" for c, _, (o, _) in COMMANDS])
+def test_no_command_writes_onto_its_inputs_or_what_others_wrote(bench, command, words, output):
+    """By any detour, with or without --overwrite. Every place has an ending that the output may have, so that nothing
+    but the guard refuses it."""
+    given = words.split()
+    inputs = [word for word in given if os.path.exists(word)]
     assert inputs
-    (bench / "foreign").mkdir()
-    for suffix in (".json", ".csv", ".gpkg"):
-        (bench / f"foreign{suffix}").write_text('{"precious": 1}')
-    places = ["foreign", "foreign.json", "foreign.csv", "foreign.gpkg", "."]
-    for number, name in enumerate(inputs):
-        link = f"link{number}.json"
-        (bench / link).symlink_to(bench / name)
-        places += [name, f"{bench}/model/../{name}", link]
-        if (bench / name).is_dir():
-            places += [f"{name}/new.json", f"{name}/deep/new.csv", f"{name}/in.txt"]
+    option, endings = output
+    for ending in endings:
+        places = [f"foreign{ending}"]
+        if ending:
+            Path(places[0]).write_text('{"precious": 1}')
         else:
-            os.link(bench / name, bench / f"hard{number}.json")
-            places += [f"hard{number}.json", f"{name}.aux.xml"]
-    before = state(bench)
-    for option in options:
-        main = ["--out", "fresh"] if command == "fix" and option != "--out" else []
+            Path("foreign").mkdir()
+            Path("foreign/precious").touch()
+            places.append(".")
+        for number, name in enumerate(inputs):
+            link = f"link{number}{ending}"
+            if not os.path.lexists(link):
+                Path(link).symlink_to(name)
+            places += [link, f"model/../{link}"]
+            if os.path.isdir(name):
+                places += [f"{name}/new{ending}", f"{name}/deep/new{ending}"]
+            elif ending:
+                if not os.path.lexists(f"hard{number}{ending}"):
+                    os.link(name, f"hard{number}{ending}")
+                places.append(f"{bench}/hard{number}{ending}")
+            if Path(name).suffix == ending:
+                places.append(name)
+        before = state(bench)
         for place in places:
             for overwrite in ([], ["--overwrite"]):
-                done = run(command, *given, *main, option, place, *overwrite)
-                assert done.returncode == 2, (option, place, done.stderr)
-                assert state(bench) == before
-        done = run(command, *given, *main, option, "")
+                done = run(command, *given, option, place, *overwrite)
+                assert done.returncode == 2 and REFUSED.search(done.stderr), (option, place, overwrite, done.stderr)
+                assert state(bench) == before, (option, place)
+        done = run(command, *given, option, "")
         assert done.returncode == 2 and "empty name" in done.stderr
 
 

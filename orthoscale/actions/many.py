@@ -79,18 +79,21 @@ def run_many(
     """
     request.check_for_many()
     todo = jobs_of(action, inputs, request, out, jobs)
+    made = False
     if out is not None:
-        _make_folder(out)
+        made = _make_folder(out)
     rows: list[Row] = [{}] * len(todo)
     work = on_cluster(todo, request.scheduler) if request.scheduler is not None else _in_processes(todo, jobs)
-    for k, row in work:
-        rows[k] = row
-        if row["output"] is not None:
-            stopping.written.append(row["output"])
-        said(row)
-    if out is not None:
-        with suppress(OSError):
-            out.rmdir()  # it is empty if nothing was written
+    try:
+        for k, row in work:
+            rows[k] = row
+            if row["output"] is not None:
+                stopping.written.append(row["output"])
+            said(row)
+    finally:
+        if made and out is not None:
+            with suppress(OSError):
+                out.rmdir()  # it is empty if nothing was written
     return rows
 
 
@@ -175,12 +178,15 @@ def _fill(row: Row, result: Result) -> None:
     }
 
 
-def _make_folder(out: Path) -> None:
+def _make_folder(out: Path) -> bool:
+    """Whether it was not there before."""
     if out.is_file():
         raise UsageError(f"{out} is a file; several inputs need a folder", "Choose another place.")
     if not out.absolute().parent.is_dir():
         raise UsageError(f"{out.absolute().parent} is not a folder", "Create it first, or choose another place.")
+    there = out.is_dir()
     out.mkdir(exist_ok=True)
+    return not there
 
 
 # --- Who does them ---------------------------------------------------------------------------------------------------

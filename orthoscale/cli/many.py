@@ -109,7 +109,7 @@ def run(
             rehearse(found, request, places)
         with tempfile.TemporaryDirectory() as stand_in:  # for the folder that would be made
             rehearse(found, request, outputs_of(found, Path(stand_in)), lambda text: text.replace(stand_in, str(out)))
-    with Outputs(overwrite, found) as outputs, progress_bars() as progress:
+    with Outputs(overwrite, (found, vars(request))) as outputs, progress_bars() as progress:
         if many.summary is not None:
             check_summary(many.summary)
             place = outputs.file(many.summary, is_summary if many.summary.suffix.lower() == ".csv" else None)

@@ -18,8 +18,8 @@ from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER
 from ..core.ruler import Ruler
 from ..core.source import NO_DATA_GREY
 from ..errors import InputError
-from ..formats.reading import checked, parsed
-from ..system.budget import require
+from ..formats.reading import checked, parsed, read_bytes
+from ..system.budget import memory, require
 from . import foreign_worker
 from .foreign import ForeignError, Said, Worker
 from .output_forms import Layout, Normalisation, Shape, recognise
@@ -222,14 +222,16 @@ class Detector:
         return boxes[np.sort(np.argsort(-boxes.score, kind="stable")[:MOST_BOXES])]
 
 
+def read_network(path: Path) -> bytes:
+    """What is in the ONNX file `path`, which the memory budget must hold. Raises InputError."""
+    return read_bytes(path, "Give a network as an .onnx file; --memory allows larger ones.", memory())
+
+
 def load_network(path: Path | None, shipped: str, threads: int) -> tuple[Path, bytes, _Shipped | Worker]:
     """The network in the file at `path`, or the one of our weights that is called `shipped`: its file, that file's
     content, and what runs it. Raises InputError."""
     file = path or Path(str(resources.files(__package__) / "weights" / shipped))
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror})", "Give a network as an .onnx file.") from error
+    content = read_network(file)
     return file, content, _Shipped(content, threads) if path is None else _foreign(file, content, threads)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import shown
 from .colmap_tables import (
     CAMERA_MODELS,
     MODEL_IDS,
@@ -156,7 +157,11 @@ def _text_rigs(path: Path, tables: Tables) -> None:
         while rest:
             _need_words(where, rest, 2 if not sensors else 3, f"a sensor of rig {rig}")
             kind, sensor = _text_sensor(where, *rest[:2])
-            posed = bool(sensors) and rest[2] != "0"
+            if sensors and rest[2] not in ("0", "1"):
+                raise damaged(
+                    where, f"whether sensor {sensor} of rig {rig} has a pose is {shown(rest[2], 20)}, not 0 or 1"
+                )
+            posed = bool(sensors) and rest[2] == "1"
             _need_words(where, rest, 10 if posed else 0, f"a sensor of rig {rig}")
             pose = tuple(_parse(where, rest[3:10], float, f"rig {rig}")) if posed else ()
             rest = rest[10 if posed else 3 if sensors else 2 :]

@@ -16,6 +16,7 @@ from ..core.remarks import CAUTION, Remark
 from ..errors import InputError
 from ..formats.geometry.files import scale_file
 from ..formats.geometry.text_models import TextModel, read_text_model
+from ..formats.reading import read_text
 from .colmap import find_frames, image_folder
 from .consistency import Observations, check_consistency, observations, some_of_each
 from .json_model import build_model
@@ -73,10 +74,8 @@ def _listed(path: Path, count: int) -> tuple[list[str], list[Path]]:
     found = next((place for place in places if place.is_file()), None)
     if found is None:
         raise InputError(f"{path} has no list of its images ({places[0]})", "Put Bundler's list.txt beside it.")
-    try:
-        names = [line.split()[0] for line in found.read_text(encoding="utf-8").splitlines() if line.strip()]
-    except (OSError, ValueError) as error:
-        raise InputError(f"{found}: cannot be read ({error})", "Check the file and its permissions.") from error
+    text = read_text(found, "It is Bundler's list of images.")
+    names = [line.split()[0] for line in text.splitlines() if line.strip()]
     if len(names) != count:
         raise InputError(
             f"{found} names {len(names)} images, {path} has {count} cameras", "Give the list it came from."

@@ -225,13 +225,19 @@ def _crashed(run: _Run, attempt: Attempt) -> bool:
     if run.hung or run.peak >= STOP_AT:
         return False  # stopped from here: it counts as such
     bad = ["bug in orthoscale", "Fatal Python error"]
-    if not attempt.kill or "/orthoscale/" in run.err:  # Python itself has a word to say to a signal while it starts
+    # Python itself has a word to say to a signal while it starts, until the package is imported, before its program.
+    frames = [line for line in run.err.splitlines() if "/orthoscale/" in line]
+    if not attempt.kill or not all(line.strip().startswith("File") and _starts(line) for line in frames):
         bad.append("Traceback (most recent call last)")
     # Whether a program that tidied up ends with 128 + number or with the signal is a matter of taste; Python's way is
     # SIGINT for both.
     stopped = {130, 143, -signal.SIGINT, -attempt.kill[0]} if attempt.kill else set()
     loud = any(line.startswith(LIBRARIES) for line in run.err.splitlines())
     return loud or any(word in run.err for word in bad) or run.code not in attempt.codes | stopped
+
+
+def _starts(frame: str) -> bool:
+    return any(name in frame for name in ("/orthoscale/__init__.py", "/orthoscale/system/libz.py"))
 
 
 def _wrong(out: str, attempt: Attempt) -> bool:

@@ -782,6 +782,45 @@ _text("point number huge", "points3D.txt", "0", "99999999999999999999999")
 _text("colour 300", "points3D.txt", "4", "300")
 _text("colour negative", "points3D.txt", "4", "-1")
 
+
+@seed("a network that never ends")
+def _endless_network(bench: Bench) -> Attempt:
+    (bench.take("ortho", "ortho.tif") / "net.onnx").symlink_to("/dev/zero")
+    return ends(("estimate", "in/ortho.tif", "--detector", "in/net.onnx", "--zoom", "1"), 5)
+
+
+@seed("materials that never end")
+def _endless_materials(bench: Bench) -> Attempt:
+    path = bench.take("geometry", "sim3.json", "mesh.obj") / "a.mtl"
+    path.symlink_to("/dev/zero")
+    return ends(("apply", "in/sim3.json", "in/mesh.obj", "--out", "out"), 0, 5)
+
+
+@seed("rig: whether a sensor has a pose is 2.0")
+def _odd_flag(bench: Bench) -> Attempt:
+    path = bench.take("rig-txt") / "sparse/0/rigs.txt"
+    head, line = path.read_text().rstrip().rsplit("\n", 1)
+    words = line.split()
+    assert words[6] == "1"  # after rig, count, the reference sensor's kind and number, and those of the second
+    path.write_text("\n".join((head, " ".join((*words[:6], "2.0", *words[7:])))) + "\n")
+    return ends(("estimate", *PLANS), 5)
+
+
+@seed("VRT of two thousand million columns, copied")
+def _endless_vrt(bench: Bench) -> Attempt:
+    path = bench.take("ortho", "ortho.tif", "ortho.vrt", "labels.txt") / "ortho.vrt"
+    path.write_text(path.read_text().replace('rasterXSize="400"', 'rasterXSize="-2147483649"'))
+    words = ("--detections", "in/labels.txt", "--fleet", "DE", "--override", "--force", "--cog", "--out", "out.tif")
+    return ends(("fix", "in/ortho.vrt", *words), 5)
+
+
+@seed("PLY, its last byte lost")
+def _cut_ply(bench: Bench) -> Attempt:
+    path = bench.take("geometry", "sim3.json", "splat.ply") / "splat.ply"
+    path.write_bytes(path.read_bytes()[:-1])
+    return ends(("apply", "in/sim3.json", "in/splat.ply", "--out", "out"), 5)
+
+
 for _what, _entry in {
     "stride 0": {"stride": 0},
     "stride negative": {"stride": -32},

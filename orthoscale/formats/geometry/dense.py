@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
-from ..reading import files_below
+from ..reading import HUGE, files_below, read_bytes
 
 # Files of COLMAP's dense workspace whose coordinates are in model units. Settings (stereo/*.cfg, *.sh), normal maps,
 # consistency graphs, fused.ply.vis and undistorted images have no lengths.
@@ -21,7 +21,7 @@ COMPUTE_ANEW = "The file is damaged or was cut off: copy it again, or compute it
 
 def scale_depth_map(source: Path, target: Path, scale: float) -> None:
     """Write COLMAP's depth map (``width&height&channels&``, then float32, little-endian) with depths times `scale`."""
-    data = source.read_bytes()
+    data = read_bytes(source, COMPUTE_ANEW, HUGE)
     try:
         *shape, rest = data[:64].split(b"&", 3)
         width, height, channels = map(int, shape)

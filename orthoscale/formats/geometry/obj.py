@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...errors import InputError
+from ..reading import read_bytes
 from .beside import beside
 from .mark import MARK, mark, refuse_marked
 
@@ -41,6 +42,9 @@ def scale_obj(source: Path, target: Path, scale: float) -> list[Path]:
 
 
 def _textures(material: Path) -> list[Path]:
-    lines = (line.split() for line in material.read_text(encoding="utf-8", errors="replace").splitlines())
+    lines = (
+        line.split()
+        for line in read_bytes(material, "It is a list of materials.").decode("utf-8", "replace").splitlines()
+    )
     names = [words[-1] for words in lines if len(words) > 1 and words[0].lower().startswith(("map_", "bump", "norm"))]
     return [path for name in dict.fromkeys(names) if (path := beside(material, name)) is not None]

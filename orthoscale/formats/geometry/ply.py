@@ -87,8 +87,8 @@ def scale_ply(source: Path, target: Path, scale: float) -> None:
 
 def _require(path: Path, file: BinaryIO, form: str, elements: list[_Element]) -> None:
     """Raise InputError where less follows than the header announces."""
-    missing = sum(element.least(form) for element in elements) - (path.stat().st_size - file.tell()) - 1
-    if missing > 0:  # the last line of text may have no end
+    missing = sum(element.least(form) for element in elements) - (path.stat().st_size - file.tell())
+    if missing > (form == "ascii"):  # the last line of text may have no end
         raise InputError(f"{path}: {missing} bytes or more are missing at its end", EXPORT_ANEW)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ...core.source import Picture
-from ...detect.detector import IMAGE_TYPES
+from ...detect.detector import IMAGE_TYPES, read_network
 from ...detect.foreign import ForeignError, Worker
 from ...detect.workers import cores
 from ...errors import InputError, UsageError
@@ -26,13 +26,7 @@ class DepthNetwork:
         """Load the network at `path`, whose input and unit are those of `rule`."""
         self.path, self.rule = path, rule
         try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise InputError(
-                f"{path}: cannot be read ({error.strerror})", "Give a network as an .onnx file."
-            ) from error
-        try:
-            self._worker = Worker(path, content, cores(), None, LONGEST_LOOK)
+            self._worker = Worker(path, read_network(path), cores(), None, LONGEST_LOOK)
         except ForeignError as error:
             raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})") from error
         inputs, outputs, _ = self._worker.said
