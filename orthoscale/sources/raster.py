@@ -44,7 +44,7 @@ SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
 
 LARGEST = 10_000_000
-"""[px] A side longer than this no map has, 1,000 km at 0.1 m. A few words of a VRT promise it; copying it has no end."""
+"""[px] A side longer than this no map has, 1,000 km at 0.1 m. A VRT promises it in a few words; copying never ends."""
 
 # GDAL's own cache limit is 5 % of the machine's memory, which was seen to grow past a gigabyte. In bytes: rasterio
 # does not take a small number for megabytes, as GDAL does; 256 would be no cache at all, 5 to 100 times slower.
