@@ -35,7 +35,7 @@ SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
 
 LARGEST = 10_000_000
-"""[px] A side longer than this no map has, 1,000 km at 0.1 m. A few words of a VRT promise it; copying it has no end."""
+"""[px] A side longer than this no map has, 1,000 km at 0.1 m. A VRT promises it in a few words; copying never ends."""
 
 # Formats that can be decoded from the top only.
 _IN_ORDER = frozenset(["AVIF", "BIGGIF", "GIF", "HEIF", "JPEG", "JPEGXL", "PNG", "WEBP"])
