@@ -34,7 +34,7 @@ from .tiff_blocks import blocks_of
 SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
 
-LARGEST = 10_000_000
+LONGEST_SIDE = 10_000_000
 """[px] A side longer than this no map has, 1,000 km at 0.1 m. A VRT promises it in a few words; copying never ends."""
 
 # Formats that can be decoded from the top only.
@@ -298,7 +298,7 @@ class RasterSource:
                 f"{self.path} is only {self.width} x {self.height} px",
                 f"No vehicle could be measured in it; an image needs at least {SMALLEST} px on each side.",
             )
-        if max(self.width, self.height) > LARGEST:
+        if max(self.width, self.height) > LONGEST_SIDE:
             raise InputError(f"{self.path} says that it is {self.width} x {self.height} px", EXPORT_AGAIN)
         if len(dataset.subdatasets) > 1:
             self.notes.append(Remark(INFO, f"{self.name} holds {len(dataset.subdatasets)} images; the first is read"))
