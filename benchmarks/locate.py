@@ -1,23 +1,24 @@
 """Success of `orthoscale locate` on simulated pairs: against scale error, heading and footprint, by method.
 
-The map is a mosaic of real orthophotos (../shared/data: places, orthophotos, and chips of American cities between
-them) with their mirror images as further places. Photos are what a pinhole camera sees of it at another date
-(tests/support/aerial.py): season, a fifth of the ground rebuilt, vehicles moved, light, lean, defocus, noise. Negatives
-are photos of places whose ground was taken out of the map.
+The map is a mosaic of real orthophotos (../shared/data: places, orthophotos) with chips of American cities between
+them. Photos are what a pinhole camera sees of it at another date
+(tests/support/aerial.py): season, a fifth of the ground rebuilt, vehicles moved, light, lean, defocus, noise. Photos
+of what is not on the map: `locate_negatives.py`.
 
-    python benchmarks/locate.py --photos 20 --method gradient          # Markdown on standard output
-    python benchmarks/locate.py --negatives 500 --method gradient
+    python benchmarks/locate.py --photos 20 --method gradient dense    # Markdown on standard output
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cv2
@@ -31,7 +32,7 @@ from support.aerial import Shot, other_date  # noqa: E402
 
 from orthoscale.locate.features import Features, GradientFeatures  # noqa: E402
 from orthoscale.locate.ground import GroundImage  # noqa: E402
-from orthoscale.locate.register import Known, Registration, register  # noqa: E402
+from orthoscale.locate.register import Finder, Known, Registration, register  # noqa: E402
 from orthoscale.sources.satellite import Satellite  # noqa: E402
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -77,40 +78,50 @@ def resampled(path: Path, gsd: float) -> np.ndarray:
     return cv2.resize(picture, None, fx=gsd / FINE, fy=gsd / FINE, interpolation=how)
 
 
-def mosaic() -> tuple[np.ndarray, list[tuple[int, int, int, int]]]:
-    """The city from above, BGR, and where its real orthophotos are."""
+def orthophotos() -> list[np.ndarray]:
+    """Real orthophotos, BGR at FINE m/px."""
     known = json.loads((DATA / "places" / "truth.json").read_text())
     names = ("tartu_b.jpg", "tartu_c.jpg", "gorinchem.png", "kampala.jpg")
     parts = [resampled(DATA / "places" / name, known[name]["gsd_m"]) for name in names]
-    parts += [resampled(DATA / "orthophotos" / name, g) for name, g in (("banepa.jpg", 0.132), ("manila.tif", 0.0967))]
-    parts += [np.ascontiguousarray(part[:, ::-1]) for part in parts]
-    parts.sort(key=lambda part: -part.shape[0])
-    city, used, rects = np.zeros((SIDE, SIDE, 3), np.uint8), np.zeros((SIDE, SIDE), bool), []
+    return parts + [
+        resampled(DATA / "orthophotos" / name, gsd) for name, gsd in (("banepa.jpg", 0.132), ("manila.tif", 0.0967))
+    ]
+
+
+def chips(kinds: Sequence[str] = ("",)) -> list[Path]:
+    """Chips of American cities whose names begin with any of `kinds`, in random order."""
+    found = sorted(p for p in (DATA / "vehicles" / "chips").glob("*.*") if p.name.startswith(tuple(kinds)))
+    return [found[k] for k in np.random.default_rng(0).permutation(len(found))]
+
+
+def mosaic(
+    parts: list[np.ndarray], between: Sequence[Path], side: int = SIDE
+) -> tuple[np.ndarray, list[tuple[int, int, int, int]]]:
+    """A city from above, BGR, `side` px wide: `parts`, chips `between` them; and where the parts are."""
+    parts = sorted(parts, key=lambda part: -part.shape[0])
+    city, used, rects = np.zeros((side, side, 3), np.uint8), np.zeros((side, side), bool), []
     x = y = row = 0
     for part in parts:
         height, width = part.shape[:2]
-        if x + width > SIDE:
+        if x + width > side:
             x, y, row = 0, y + row, 0
         city[y : y + height, x : x + width] = part
         used[y : y + height, x : x + width] = True
         rects.append((x, y, width, height))
         x, row = x + width, max(row, height)
-    chips = sorted((DATA / "vehicles" / "chips").glob("*.*"))
-    order = iter(np.random.default_rng(0).permutation(len(chips)))
-    for top in range(0, SIDE, CHIP_STEP):
-        for left in range(0, SIDE, CHIP_STEP):
-            free = ~used[top : top + CHIP_STEP, left : left + CHIP_STEP]
-            if free.any():
-                chip = cv2.resize(cv2.imread(str(chips[next(order)])), (CHIP_STEP, CHIP_STEP))
-                city[top : top + CHIP_STEP, left : left + CHIP_STEP][free] = chip[: free.shape[0], : free.shape[1]][
-                    free
-                ]
+    order = itertools.cycle(between)
+    for top, left in itertools.product(range(0, side, CHIP_STEP), repeat=2):
+        square = slice(top, top + CHIP_STEP), slice(left, left + CHIP_STEP)
+        free = ~used[square]
+        if free.any():
+            chip = cv2.resize(cv2.imread(str(next(order))), (CHIP_STEP, CHIP_STEP))
+            city[square][free] = chip[: free.shape[0], : free.shape[1]][free]
     return city, rects
 
 
 def written(city: np.ndarray, path: Path) -> Satellite:
     """The mosaic as a georeferenced map of COARSE m/px."""
-    side = round(SIDE * FINE / COARSE)
+    side = round(len(city) * FINE / COARSE)
     smaller = cv2.resize(city, (side, side), interpolation=cv2.INTER_AREA)
     place = from_origin(500_000, 6_470_000, COARSE, COARSE)
     with rasterio.open(path, "w", "GTiff", side, side, 3, "EPSG:32635", place, "uint8", tiled=True) as out:
@@ -136,119 +147,155 @@ def shots(city: City, count: int, footprint: float, seed: int) -> list[tuple[Sho
 
 
 @dataclass(frozen=True)
+class Case:
+    """What is tried: photo `number` of those `footprint` m wide, its claimed scale `factor` times the right one, its
+    heading `told` to 6 degrees or not at all, by `method`."""
+
+    method: str
+    footprint: float
+    told: bool
+    factor: float
+    number: int
+
+
+@dataclass(frozen=True)
 class Trial:
-    """One search. error : of the best candidate [m]. z : of its scale, in sigmas."""
+    """One search. error : of the best candidate [m], None without any. z : of the scale of an answer, in sigmas, None
+    without. inliers, needed : matches that agree at the best candidate, and that must. seconds : processor time of the
+    search; wall time by retrieval, whose network has a process of its own."""
 
-    found: Registration
-    error: float
+    case: Case
+    error: float | None
+    answered: bool
+    z: float | None
+    inliers: int
+    needed: int
     seconds: float
-    z: float
 
 
-def tried(
-    city: City, features: Features, shot: Shot, rgb: np.ndarray, factor: float, heading: bool, slack: float
-) -> Trial:
-    """One photo whose claimed scale is `factor` times the right one; `heading` known to 6 degrees, or not at all."""
-    told = np.radians(shot.heading + slack) if heading else None
-    begun = time.perf_counter()
+@dataclass(frozen=True)
+class Method:
+    """A way to search. finder : None for correlation."""
+
+    name: str
+    features: Features
+    finder: Finder | None = None
+
+    @classmethod
+    def of(cls, name: str, embedding: Path | None) -> Method:
+        """The method called `name`; retrieval with the network `embedding`."""
+        if name == "dense":
+            from orthoscale.locate.dense import DenseFeatures
+
+            return cls(name, DenseFeatures())
+        if name == "retrieval":
+            from orthoscale.locate.retrieval import Retrieval
+
+            assert embedding is not None, "give --embedding"
+            return cls(name, GradientFeatures(), Retrieval.open(embedding, None, cache=True))
+        return cls(name, GradientFeatures())
+
+    def searched(self, seen: Nadir, sky: Satellite, known: Known) -> tuple[Registration, float]:
+        """What came of it, and its seconds."""
+        clock = time.process_time if self.finder is None else time.perf_counter
+        begun = clock()
+        found = register(seen, sky, self.features, known, finder=self.finder)
+        return found, clock() - begun
+
+
+def tried(city: City, method: Method, case: Case) -> Trial:
+    ((shot, rgb),) = shots(city, 1, case.footprint, 1000 * int(case.footprint) + case.number)
+    slack = np.random.default_rng(case.number).uniform(-6, 6)
+    told = np.radians(shot.heading + slack) if case.told else None
     own = shot.altitude / shot.focal
-    found = register(Nadir(rgb, own * factor), city.sky, features, Known(INTERVAL, told))
-    seconds = time.perf_counter() - begun
+    found, seconds = method.searched(Nadir(rgb, own * case.factor), city.sky, Known(INTERVAL, told))
+    answered = found.located is not None
     if not found.candidates:
-        return Trial(found, np.inf, seconds, np.nan)
+        return Trial(case, None, False, None, 0, found.needed, seconds)
     best = found.candidates[0]
     error = float(np.hypot(*(best.map_pixels(np.zeros((1, 2)))[0] * COARSE - shot.foot)))
-    return Trial(found, error, seconds, (best.scale * factor - 1) / found.scale_sd if found.located else np.nan)
+    z = (best.scale * case.factor - 1) / found.scale_sd if answered else None
+    return Trial(case, error, answered, z, best.inliers, found.needed, seconds)
 
 
-def line(label: str, trials: list[Trial]) -> str:
-    error = np.array([t.error for t in trials])
-    answered = np.array([t.found.located is not None for t in trials])
-    wrong = int((answered & (error > 20)).sum())
-    z = np.array([t.z for t in trials])
-    spread = np.sqrt(np.nanmean(z[answered] ** 2)) if answered.any() else np.nan
-    seconds = np.median([t.seconds for t in trials])
-    return (
-        f"| {label} | {len(trials)} | {(error < 5).mean():.2f} | {(error < 20).mean():.2f} | {answered.mean():.2f} | "
-        f"{(answered & (error < 5)).mean():.2f} | {wrong} | {spread:.1f} | {seconds:.1f} |"
-    )
+def cases(method: str, photos: int) -> list[Case]:
+    """All that the tables show, a photo at a time, so that what is there after any time is even."""
+    every = []
+    for number in range(photos):
+        for told in (True, False):
+            every += [Case(method, 150.0, told, factor, number) for factor in SCALE_ERRORS]
+            every += [Case(method, footprint, told, 1.0, number) for footprint in FOOTPRINTS if footprint != 150.0]
+    return every
+
+
+def kept(path: Path | None) -> list[Trial]:
+    """The trials that were written to `path` before."""
+    if path is None or not path.exists():
+        return []
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    return [Trial(Case(**row.pop("case")), **row) for row in rows]
 
 
 HEAD = (
-    "| | photos | best within 5 m | 20 m | answered | answered within 5 m | answered wrong | scale off [sigmas] | s |\n"
-    "|---|---|---|---|---|---|---|---|---|"
+    "| {} | photos | best within 5 m | 20 m | answered | answered within 5 m | 20 m | wrong | "
+    "scale off [sigmas, rms] | s of one core per km2 |\n|---|---|---|---|---|---|---|---|---|---|"
 )
 
 
-def curves(city: City, features: Features, photos: int, parts: list[str]) -> None:
-    """Tables on standard output."""
-    slack = np.random.default_rng(5).uniform(-6, 6, photos)
-
-    def run(footprint: float, factor: float, heading: bool) -> list[Trial]:
-        taken = shots(city, photos, footprint, int(footprint))
-        return [tried(city, features, s, rgb, factor, heading, slack[k]) for k, (s, rgb) in enumerate(taken)]
-
-    if "footprint" in parts:
-        print(f"\n{features.name}, right scale, heading known to 6 degrees\n\n{HEAD}")
-        for footprint in FOOTPRINTS:
-            print(line(f"{footprint:.0f} m", run(footprint, 1.0, True)), flush=True)
-    if "heading" in parts:
-        print(f"\n{features.name}, 150 m, right scale, heading not known\n\n{HEAD}")
-        print(line("150 m", run(150.0, 1.0, False)), flush=True)
-    if "scale" in parts:
-        print(f"\n{features.name}, 150 m, heading known, claimed over true scale\n\n{HEAD}")
-        for factor in SCALE_ERRORS:
-            print(line(f"{factor:g}", run(150.0, factor, True)), flush=True)
+def line(label: str, trials: list[Trial]) -> str:
+    """A row of a table: shares of photos, and how many answers were more than 20 m off."""
+    error = np.array([np.inf if t.error is None else t.error for t in trials])
+    answered = np.array([t.answered for t in trials])
+    z = [t.z for t in trials if t.z is not None]
+    shares = [error < 5, error < 20, answered, answered & (error < 5), answered & (error < 20)]
+    spread = f"{np.sqrt(np.mean(np.square(z))):.1f}" if z else ""
+    km2 = (SIDE * FINE / 1000) ** 2
+    return (
+        f"| {label} | {len(trials)} | "
+        + " | ".join(f"{share.mean():.2f}" for share in shares)
+        + f" | {(answered & (error >= 20)).sum()} | {spread} | {np.median([t.seconds for t in trials]) / km2:.2f} |"
+    )
 
 
-def negatives(city: City, features: Features, count: int, first: int) -> None:
-    """Photos of orthophotos that are not on the map: half of them taken off it, the photos of that half looked for."""
-    kept = city.fine.copy()
-    gone = [k for k in range(len(city.rects)) if k % 2]
-    draw = np.random.default_rng(7)
-    for k in gone:
-        x, y, w, h = city.rects[k]
-        others = [r for j, r in enumerate(city.rects) if j not in gone]
-        u, v, a, b = others[draw.integers(len(others))]
-        patch = np.rot90(city.fine[v : v + b, u : u + a], 1)  # turned ground of elsewhere fills the place
-        tile = np.tile(patch, (-(-h // patch.shape[0]), -(-w // patch.shape[1]), 1))
-        kept[y : y + h, x : x + w] = tile[:h, :w]
-    with tempfile.TemporaryDirectory() as folder:
-        sky = written(kept, Path(folder) / "map.tif")
-        elsewhere = City(city.fine, [city.rects[k] for k in gone], sky)
-        answered, most = 0, 0.0
-        for number in range(first, first + count):
-            draw = np.random.default_rng(10_000 + number)
-            ((shot, rgb),) = shots(elsewhere, 1, float(draw.choice(FOOTPRINTS)), number)
-            trial = tried(elsewhere, features, shot, rgb, 1.0, bool(number % 4), float(draw.uniform(-6, 6)))
-            answered += trial.found.located is not None
-            if trial.found.candidates:
-                most = max(most, trial.found.candidates[0].inliers / trial.found.needed)
-            if (number + 1) % 25 == 0:
-                done = number + 1 - first
-                print(f"{done} negatives: {answered} answered, at most {most:.2f} of what is needed", flush=True)
+def tables(trials: list[Trial]) -> None:
+    """Tables on standard output, of those cells that have trials."""
+    for method, told in itertools.product(dict.fromkeys(t.case.method for t in trials), (True, False)):
+        these = [t for t in trials if t.case.method == method and t.case.told == told]
+        heading = "heading known to 6 degrees" if told else "heading not known"
+        for title, by, chosen in (
+            ("claimed over true scale", "factor", [t for t in these if t.case.footprint == 150.0]),
+            ("footprint [m]", "footprint", [t for t in these if t.case.factor == 1.0]),
+        ):
+            if not chosen:
+                continue
+            print(f"\n{method}, {heading}\n\n{HEAD.format(title)}")
+            for value in sorted({getattr(t.case, by) for t in chosen}):
+                print(line(f"{value:g}", [t for t in chosen if getattr(t.case, by) == value]))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--method", choices=("gradient", "dense"), default="gradient")
-    parser.add_argument("--photos", type=int, default=20)
-    parser.add_argument("--negatives", type=int, default=0, help="photos of places that are not on the map")
-    parser.add_argument("--first", type=int, default=0, help="number of the first negative")
-    parser.add_argument("--parts", nargs="*", default=["footprint", "heading", "scale"])
+    parser.add_argument("--method", nargs="*", choices=("gradient", "dense", "retrieval"), default=["gradient"])
+    parser.add_argument("--embedding", type=Path, help="network for retrieval")
+    parser.add_argument("--photos", type=int, default=20, help="in each cell of the tables")
+    parser.add_argument("--rows", type=Path, help="file of trials: those in it are not run again")
     told = parser.parse_args()
-    features: Features = GradientFeatures()
-    if told.method == "dense":
-        from orthoscale.locate.dense import DenseFeatures
-
-        features = DenseFeatures()
-    fine, rects = mosaic()
+    cv2.setNumThreads(1)
+    trials = kept(told.rows)
+    done = {t.case for t in trials}
+    fine, rects = mosaic(orthophotos(), chips())
     with tempfile.TemporaryDirectory() as folder:
         city = City(fine, rects, written(fine, Path(folder) / "map.tif"))
-        if told.negatives:
-            negatives(city, features, told.negatives, told.first)
-        else:
-            curves(city, features, told.photos, told.parts)
+        for name in told.method:
+            method = Method.of(name, told.embedding)
+            for case in cases(name, told.photos):
+                if case in done:
+                    continue
+                trials.append(tried(city, method, case))
+                if told.rows is not None:
+                    with told.rows.open("a") as file:
+                        file.write(json.dumps(asdict(trials[-1])) + "\n")
+    tables(trials)
 
 
 if __name__ == "__main__":

@@ -7,15 +7,21 @@ from pathlib import Path
 
 import pytest
 
-# Modules of a minute and more. They come first, so that no process is left with one of them when the others are done.
+# Modules of 20 s and more. They come first, the longest at the front, so that no process is left with one of them when
+# the others are done.
 LONGEST = (
-    "test_mapping_programs.py",
     "test_seeds.py",
-    "test_sweep.py",
     "test_pipeline.py",
-    "test_pooling.py",
+    "test_mapping_programs.py",
+    "test_hooks.py",
     "test_ways.py",
+    "test_pooling.py",
+    "test_against.py",
     "test_outputs_guard.py",
+    "test_locate.py",
+    "test_control.py",
+    "test_notebook.py",
+    "test_cli.py",
 )
 
 
@@ -57,3 +63,22 @@ def flight(tmp_path_factory):
     save(model, folder / "sparse" / "0", "bin")
     put_frames(model, folder / "images")
     return folder, turn
+
+
+@pytest.fixture(scope="session")
+def found(flight):
+    """`Detections` of known vehicles in the frames and pictures of the ground of that flight."""
+    from support.flights import found_by
+
+    return found_by(*flight)
+
+
+@pytest.fixture(scope="session")
+def measured(flight, found):
+    """The `Measurement` of them, in every way. Tests only read it."""
+    from support.flights import FLEET
+
+    from orthoscale.core.measuring.ways import measure_source
+    from orthoscale.sources.colmap import ColmapSource
+
+    return measure_source(ColmapSource.open(flight[0]), found, FLEET)

@@ -11,6 +11,7 @@ import numpy as np
 import pyproj
 import pytest
 import rasterio
+import shapely
 from rasterio.transform import from_origin
 from support import in_process
 from support.aerial import other_date
@@ -80,6 +81,7 @@ def lies(pair):
     )
 
 
+@pytest.mark.slow
 def test_the_scale_is_one_more_piece_of_evidence(lies, ground_gsd):
     (evidence,) = lies.evidence
     assert evidence.kind == BY_MAP and "map.tif" in evidence.says
@@ -87,6 +89,7 @@ def test_the_scale_is_one_more_piece_of_evidence(lies, ground_gsd):
     assert evidence.value == pytest.approx(ground_gsd, rel=3 * evidence.relative_sd)
 
 
+@pytest.mark.slow
 def test_place_and_direction_are_the_maps(pair, lies):
     _, pixels, there = pair
     place = lies.place(lies.gsd_m)
@@ -95,6 +98,7 @@ def test_place_and_direction_are_the_maps(pair, lies):
     assert pyproj.CRS.from_user_input(place.crs).to_epsg() == 32632
 
 
+@pytest.mark.slow
 def test_another_scale_grows_about_the_middle(pair, lies):
     one, two = lies.place(lies.gsd_m).transform, lies.place(1.1 * lies.gsd_m).transform
     assert two @ (400, 400) == pytest.approx(one @ (400, 400))
@@ -102,6 +106,7 @@ def test_another_scale_grows_about_the_middle(pair, lies):
     assert sides[1] == pytest.approx(1.1 * sides[0])
 
 
+@pytest.mark.slow
 def test_another_place_gives_nothing_and_says_so(pair, tmp_path):
     folder = pair[0]
     rgb = cv2.imread(str(TOWN))[..., ::-1]
@@ -135,6 +140,7 @@ def flight(tmp_path_factory):
 METRES_PER_UNIT = 3.7
 
 
+@pytest.mark.slow
 def test_a_reconstruction_is_found_by_its_pictures_of_the_ground(flight):
     satellite = Satellite.open(flight / "map.tif")
     got = on_map(open_source(flight / "sparse"), satellite, (1.04 * METRES_PER_UNIT, 0.05), cache=False)
@@ -149,16 +155,22 @@ def told(value, sd):
     """What stands in for a match: of this scale [m/px], in the map's CRS, upside down."""
     affine = np.array([[-value, 0, 500_100], [0, value, 5_399_900]])
     return OnMap(
-        (Evidence(BY_MAP, value, sd, "its place on map.tif"),), ("found",), "EPSG:32632", affine, value, (1, 1)
+        (Evidence(BY_MAP, value, sd, "its place on map.tif"),),
+        ("found",),
+        pyproj.CRS.from_epsg(32632),
+        affine,
+        value,
+        (1, 1),
     )
 
 
-@pytest.fixture
-def boxed(pair, tmp_path):
+@pytest.fixture(scope="module")
+def boxed(pair):
     """The example's own boxes; the vehicles say 0.085 m/px."""
+    boxes = pair[0] / "boxes.json"
     result = orthoscale.estimate(TOWN, fleet="DE", anchors=["none"])
-    orthoscale.save_detections(result.detections, tmp_path / "boxes.json")
-    return ["--detections", tmp_path / "boxes.json", "--fleet", "DE", "--anchors", "none"], result.scale
+    orthoscale.save_detections(result.detections, boxes)
+    return ["--detections", boxes, "--fleet", "DE", "--anchors", "none"], result.scale
 
 
 @pytest.mark.slow
@@ -166,7 +178,7 @@ def test_vehicles_and_map_are_pooled_and_the_copy_lies_there(pair, boxed, tmp_pa
     words, alone = boxed
     monkeypatch.setattr("orthoscale.actions.estimate.on_map", lambda *_: told(alone.value * 1.01, 0.004))
     line = ["fix", TOWN, *words, "--against", pair[0] / "map.tif", "--report", "json", "--out", tmp_path / "out.tif"]
-    done = in_process.run(*line)
+    done = in_process.run(*line, "--also", "geojson")
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "out.tif.json").read_text())
     assert [e["kind"] for e in report["evidence"]] == [BY_MAP]
@@ -175,6 +187,21 @@ def test_vehicles_and_map_are_pooled_and_the_copy_lies_there(pair, boxed, tmp_pa
     with rasterio.open(tmp_path / "out.tif") as out:
         assert out.crs.to_epsg() == 32632 and out.transform.a < 0
         assert alone.value < abs(out.transform.a) < 1.01 * alone.value
+        corners = pyproj.Transformer.from_crs(out.crs, "EPSG:4326", always_xy=True).transform_bounds(*out.bounds)
+    outlines = [f["geometry"] for f in json.loads((tmp_path / "out.tif.geojson").read_text())["features"]]
+    places = shapely.points(np.concatenate([np.array(each["coordinates"][0]) for each in outlines]))
+    assert len(outlines) > 20 and shapely.box(*corners).buffer(1e-4).contains(places).all()
+
+
+@pytest.mark.slow
+def test_without_a_place_on_the_map_there_is_no_geojson(pair, boxed, tmp_path, monkeypatch):
+    words, alone = boxed
+    monkeypatch.setattr("orthoscale.actions.estimate.on_map", lambda *_: OnMap(notes=("not found on map.tif",)))
+    line = ["fix", TOWN, *words, "--against", pair[0] / "map.tif", "--also", "geojson", "--also", "gpkg"]
+    done = in_process.run(*line, "--report", "json", "--out", tmp_path / "out.tif")
+    assert done.returncode == 6 and "out.tif.geojson could not be written" in done.stderr, done.stderr
+    assert "nowhere on Earth" in done.stderr
+    assert (tmp_path / "out.tif.gpkg").exists() and not (tmp_path / "out.tif.geojson").exists()
 
 
 @pytest.mark.slow

@@ -34,6 +34,7 @@ def seen(rng, kind, standards, count, sd, false, centre):
     return [vote(kind, x, sd, standards, meant, false, at=1e4 * k) for k, x in enumerate(each)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", [("court",), ("bays",), ("court", "bays")])
 @pytest.mark.parametrize("false", [0.001, 0.03, 0.2])
 def test_nine_intervals_of_ten_hold_the_truth_and_no_answer_leaves_the_vehicles(kinds, false):

@@ -28,6 +28,7 @@ def test_every_kind_is_what_the_table_says(kind):
         assert standard.prior > 0 and all(code.isupper() for code in standard.countries)
 
 
+@pytest.mark.slow
 def test_no_finder_is_imported_before_it_is_needed():
     import subprocess
 

@@ -152,9 +152,11 @@ def test_an_anchor_of_a_window_has_the_pictures_pixels():
         assert found.lines.reshape(-1, 2).mean(0) == pytest.approx([640.3, 455.9], abs=2)
 
 
-def test_what_overlapping_windows_show_counts_once_and_enough_is_enough():
-    x, y = np.meshgrid(np.arange(100, 6000, 160), np.arange(100, 6000, 160))
-    sheet = Sheet(squares(6100, 6100, 0.2, np.stack([x, y], -1)))
+@pytest.mark.slow
+def test_what_overlapping_windows_show_counts_once_and_enough_is_enough(monkeypatch):
+    monkeypatch.setattr("orthoscale.anchors.search.FIRST_WINDOWS", 3)  # of nine
+    x, y = np.meshgrid(np.arange(100, 2300, 160), np.arange(100, 2300, 160))
+    sheet = Sheet(squares(2400, 2400, 0.2, np.stack([x, y], -1)))
     finder = SquareFinder()
     every = search([Sought(finder, [(sheet, 0.2)])], 0.05, exhaustive=True, cache=False)
     assert len(every) == x.size
@@ -230,6 +232,7 @@ def test_two_kinds_that_agree_give_a_scale_without_vehicles(two_kinds, tmp_path)
     assert done.returncode == 0 and "painted square" in done.stdout
 
 
+@pytest.mark.slow
 def test_one_kind_gives_none_without_vehicles_but_one_and_a_known_distance_do(square_finder, tmp_path):
     path, options = empty_lot(tmp_path, small=False)
     with pytest.raises(TooLittleEvidence, match="0 usable vehicles"):
@@ -292,6 +295,7 @@ def read_dataframe(path, layer):
     return kinds_there.tolist()
 
 
+@pytest.mark.slow
 def test_a_report_says_what_each_anchor_is_and_how_much_it_helps(square_finder, tmp_path):
     path, options = park_with(tmp_path / "park")
     orthoscale.fix(path, tmp_path / "out.tif", also=["gpkg"], **options)

@@ -154,6 +154,7 @@ def test_other_courts_are_found_and_measured(finder, paint, name, metres, gsd, a
     assert found[0].kind == finder.kind and found[0].false < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("finder", [VOLLEYBALL, BASKETBALL, HANDBALL, FOOTBALL], ids=lambda finder: finder.kind)
 def test_tennis_courts_are_no_other_courts(finder):
     places = [(12.0 + 16.5 * k, 20.0) for k in range(3)]
@@ -185,6 +186,7 @@ def net():
     return [(k * 3.0, 0, k * 3.0 + 0.1, 36) for k in range(15)] + [(0, k * 3.0, 42, k * 3.0 + 0.1) for k in range(13)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("paint", [bays(0.3), pitch_lines(), lanes(), net()], ids=["bays", "pitch", "lanes", "net"])
 @pytest.mark.parametrize("gsd", [0.12, 0.3])
 @pytest.mark.parametrize("finder", [TENNIS, VOLLEYBALL, FOOTBALL], ids=lambda finder: finder.kind)

@@ -26,6 +26,7 @@ def one(found, metres):
     return found[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", (0.0, 0.4, 2.5))
 @pytest.mark.parametrize("gsd", (0.05, 0.1))
 def test_the_gauge_of_a_track(gsd, turn):
@@ -42,6 +43,7 @@ def test_the_country_says_which_gauge(gauge, country):
     assert anchor.pixels * 0.08 == pytest.approx(gauge + HEAD, rel=0.005)
 
 
+@pytest.mark.slow
 def test_a_bent_track_and_one_with_dark_rails():
     bent = one(RailTracks().find(railway(track(), 0.07, 50, bend=1 / 600), 0.07, 0.06, "DE"), 1.435 + HEAD)
     assert bent.pixels * 0.07 == pytest.approx(1.435 + HEAD, rel=0.005)
@@ -49,6 +51,7 @@ def test_a_bent_track_and_one_with_dark_rails():
     assert dark.pixels * 0.07 == pytest.approx(1.435 + HEAD, rel=0.005)
 
 
+@pytest.mark.slow
 def test_rails_in_a_slab_count_only_beside_a_second_track():
     def seen(*places):
         boxes = [box for y in places for box in track(y=y, sleeper=0)]
@@ -75,6 +78,7 @@ def test_lanes_that_end_on_bright_ground_are_measured_by_their_lines():
     assert one(found[1], 1.22).pixels * 0.15 == pytest.approx(1.22, rel=0.004)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gsd", (0.3, 0.6))
 @pytest.mark.parametrize("turn, lanes, surface", ((0.0, 8, RED), (0.4, 6, (70, 95, 150)), (1.9, 4, (120, 120, 118))))
 def test_a_running_track_as_a_whole(gsd, turn, lanes, surface):
@@ -141,6 +145,7 @@ def test_an_odd_picture_has_none(finder, image, gsd):
     assert list(finder.find(image, gsd, 0.1, "US")) == []
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_no_rails_lanes_or_yards_in_a_town(data):
     image = cv2.imread(str(data / "orthophotos" / "banepa.jpg"))[:1000, :1000, ::-1]

@@ -119,7 +119,7 @@ def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, low
     )
     assert unsure.scale.value == sure.scale.value
     assert unsure.scale.verdict == (one_step_below(sure.scale.verdict) if lowered else sure.scale.verdict)
-    assert any("two looks agree on" in check.detail for check in judgements(unsure)) == lowered
+    assert any("two detection passes agree on" in check.detail for check in judgements(unsure)) == lowered
     # However narrow the interval: things that are all alike, and anchors that follow them, are sure of themselves.
     good = replace(sure.scale, verdict="good")
     assert as_agreed(good, believed, doubtful).verdict == ("poor" if lowered else "good")

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from support.blocks import Conditions, fly
 
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.measuring.in_view import frames_in_view, looked_at
 from orthoscale.core.measuring.measurement import Measurement, Pooled
 from orthoscale.core.measuring.ways import measure_source, united
 from orthoscale.core.ruler import Ruler
@@ -24,6 +26,7 @@ def error(conditions, seed):
     return float(np.log(measured.scale.value / block.metres_per_unit)), measured, block
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["nadir", "grid"])
 def test_under_trees_the_vehicles_say_where_the_ground_is(kind):
     off, _, block = error(Conditions(kind, points=500, crowns=1.3, roofs=0.3, bare=0.97, vehicles=50), 3)
@@ -31,11 +34,13 @@ def test_under_trees_the_vehicles_say_where_the_ground_is(kind):
     assert abs(off) < 0.02
 
 
+@pytest.mark.slow
 def test_a_focal_length_that_is_too_long_leaves_footprints_alone():
     off, *_ = error(Conditions("nadir", focal=0.2, vehicles=50), 4)
     assert abs(off) < 0.02
 
 
+@pytest.mark.slow
 def test_vehicles_beyond_the_points_count():
     block = fly(np.random.default_rng(5), FLEET, Conditions("nadir", points=1500, vehicles=40), unsure=False)
     everywhere = measure_source(block.source, block.found, FLEET)
@@ -68,6 +73,7 @@ def _scale():
     return measure_source(block.source, block.found, FLEET, mode="oblique").scale
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_both_ways_see_counts_once():
     place = 10 * np.arange(8)[:, None] * np.array([1.0, 0, 0])
     size = np.tile([4.5, 1.8], (8, 1))
@@ -80,8 +86,38 @@ def test_a_vehicle_that_both_ways_see_counts_once():
     assert ruler.margin == (0.0, 0.0) and covariance == pytest.approx(np.eye(2) * 1e-4)
 
 
+@pytest.mark.slow
 def test_the_answer_lies_where_the_vehicles_of_both_ways_do():
     _, measured, block = error(Conditions("nadir", vehicles=40), 6)
     values = [m.scale.value for m in measured.modes.values()]
     assert min(values) * 0.995 < measured.scale.value < max(values) * 1.005
     assert measured.scale.value == pytest.approx(block.metres_per_unit, rel=0.02)
+
+
+def test_frames_that_show_a_place():
+    block = fly(np.random.default_rng(7), FLEET, Conditions("nadir", vehicles=20), unsure=False)
+    source, names = block.source, block.source.picture_names
+    middles = np.array([[w / 2, h / 2] for w, h in map(source.image_size, names)])
+    below = np.concatenate([source.views(n, m[None])[1] for n, m in zip(names, middles, strict=True)])
+    one = names[0]
+    assert frames_in_view(source, [one], below, 0.0, 25.0)[0] == 1
+    assert frames_in_view(source, [one], below, 1e6, 25.0).sum() == 0  # a border that leaves nothing
+    far = below[0] + 50 * (below[0] - below[-1])
+    assert frames_in_view(source, names, far[None], 0.0, 25.0)[0] == 0
+    everywhere = frames_in_view(source, names, below, 0.0, 25.0)
+    assert (everywhere >= frames_in_view(source, names, below, 0.0, 89.0)).all() and everywhere.max() > 5
+    assert set(looked_at(block.found)) == {n for n, boxes in block.found.boxes.items() if len(boxes)}
+
+
+def test_a_mistake_that_one_frame_of_many_shows_does_not_count():
+    block = fly(np.random.default_rng(8), FLEET, Conditions("nadir", vehicles=20), unsure=False)
+    frames = dict(block.found.boxes)
+    middle = sorted(frames)[len(frames) // 2]
+    right = measure_source(block.source, block.found, FLEET, mode="oblique")
+    stray = Boxes(np.array([[600.0, 450.0, 70.0, 30.0, 0.1]]), np.ones(1))
+    frames[middle] = Boxes.concatenate([frames[middle], stray])
+    wrong = measure_source(block.source, replace(block.found, boxes=frames), FLEET, mode="oblique")
+    assert len(wrong.votes) == len(right.votes) + 1, "the mistake lies on a vehicle"
+    assert wrong.votes.fleeting.sum() == right.votes.fleeting.sum() + 1
+    assert wrong.votes.shown[wrong.votes.fleeting].min() >= 5
+    assert wrong.scale.value == pytest.approx(right.scale.value, rel=1e-4)

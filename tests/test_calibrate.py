@@ -145,6 +145,7 @@ def command(*words):
     return CliRunner().invoke(cli, [str(w) for w in words])
 
 
+@pytest.mark.slow
 def test_a_calibrated_detector_measures_better(place, tmp_path):
     common = ["--detector", place / "net.onnx", "--fleet", "DE"]
     out = tmp_path / "ruler.json"
@@ -164,6 +165,7 @@ def test_a_calibrated_detector_measures_better(place, tmp_path):
     assert after.detections.ruler == ruler
 
 
+@pytest.mark.slow
 def test_the_local_fleet_travels_with_the_file(place, tmp_path):
     out = tmp_path / "ruler.json"
     words = ["calibrate", place / "place.png", "--gsd", GSD, "--detector", place / "net.onnx", "--fleet", "US"]

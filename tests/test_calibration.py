@@ -48,6 +48,7 @@ def test_odd_boxes_do_not_steer(flight):
     assert ruler.height == pytest.approx([1.1] * 2, abs=0.2) and ruler.margin == pytest.approx([3.0] * 2, abs=0.8)
 
 
+@pytest.mark.slow
 def test_a_trend_is_gone_once_the_ruler_is_found(flight):
     ruler, _ = find(flight)
     shown = [r.size(flight.boxes, flight.views, 1.0, UNIT) for r in (CARD, ruler)]

@@ -8,23 +8,24 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.in_process import run
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
-RULES = ["--detections", str(EXAMPLE / "detections.json"), "--fleet", "US"]
-
-pytestmark = pytest.mark.slow  # each starts the program as a process
+RULES = ["--detections", str(EXAMPLE / "detections.json"), "--fleet", "US", "--mode", "planar"]
 
 
-def run(*arguments, cwd=None):
+def process(*arguments):
+    """The program as it is started by a shell."""
     command = [sys.executable, "-m", "orthoscale", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd)
+    return subprocess.run(command, capture_output=True, text=True)
 
 
 @pytest.fixture(scope="module")
 def estimated():
-    return run("estimate", EXAMPLE / "sparse", *RULES, "--json")
+    return process("estimate", EXAMPLE / "sparse", *RULES, "--json")
 
 
+@pytest.mark.slow
 def test_json_is_the_report_and_nothing_else(estimated):
     assert estimated.returncode == 0, estimated.stderr
     report = json.loads(estimated.stdout)
@@ -35,24 +36,27 @@ def test_json_is_the_report_and_nothing_else(estimated):
     assert estimated.stderr == "", "no progress bars in a pipe"
 
 
+@pytest.mark.slow
 def test_a_person_reads_the_answer_first(estimated):
-    shown = run("estimate", EXAMPLE / "sparse", *RULES)
+    shown = process("estimate", EXAMPLE / "sparse", *RULES)
     assert shown.returncode == 0
     first = shown.stdout.splitlines()[0]
     assert first.startswith("scale") and f"{json.loads(estimated.stdout)['scale']:.3g}" in first
 
 
+@pytest.mark.slow
 def test_fix_writes_a_model_that_a_second_run_leaves_alone(tmp_path):
-    done = run("fix", EXAMPLE / "sparse", *RULES, "--out", tmp_path / "scaled")
+    done = process("fix", EXAMPLE / "sparse", *RULES, "--out", tmp_path / "scaled")
     assert done.returncode == 0, done.stderr
     assert {"cameras.bin", "images.bin", "points3D.bin", "sim3.txt", "report.json", "vehicles.png"} <= {
         p.name for p in (tmp_path / "scaled").iterdir()
     }
-    again = run("fix", tmp_path / "scaled", *RULES, "--out", tmp_path / "twice")
+    again = process("fix", tmp_path / "scaled", *RULES, "--out", tmp_path / "twice")
     assert again.returncode == 2 and "in metres already" in again.stderr
     assert not (tmp_path / "twice").exists()
 
 
+@pytest.mark.slow
 def test_lengths_and_widths_that_contradict_each_other_are_exit_code_4(tmp_path):
     found = json.loads((EXAMPLE / "detections.json").read_text())
     for boxes in found["pictures"].values():
@@ -60,7 +64,8 @@ def test_lengths_and_widths_that_contradict_each_other_are_exit_code_4(tmp_path)
             box["length"] *= 1.45  # longer than any car of that width
     (tmp_path / "stretched.json").write_text(json.dumps(found))
     job = ["fix", EXAMPLE / "sparse", "--detections", tmp_path / "stretched.json", "--out", tmp_path / "out"]
-    job += ["--mode", "oblique"]  # by default planar and oblique contradict each other as well, and that is said first
+    # By default planar and oblique contradict each other as well, and that is said first.
+    job += ["--fleet", "US", "--mode", "oblique"]
     done = run(*job)
     assert done.returncode == 4 and "widths give a larger scale than lengths" in done.stderr
     assert not (tmp_path / "out").exists()
@@ -154,13 +159,15 @@ def test_bad_input_ends_in_one_sentence_the_right_code_and_nothing_written(tmp_p
         (["measure"], "measure"),
     ],
 )
-def test_usage_errors_are_exit_code_2(tmp_path, arguments, word):
-    done = run(*arguments, cwd=tmp_path)
+def test_usage_errors_are_exit_code_2(tmp_path, monkeypatch, arguments, word):
+    monkeypatch.chdir(tmp_path)
+    done = run(*arguments)
     assert done.returncode == 2 and word in done.stderr and "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_debug_shows_the_traceback_as_well(tmp_path):
-    done = run("estimate", tmp_path / "nowhere", "--debug")
+    done = process("estimate", tmp_path / "nowhere", "--debug")
     assert done.returncode == 5 and "Traceback" in done.stderr and "does not exist" in done.stderr
 
 
@@ -182,6 +189,7 @@ def test_fleets_are_listed():
     assert run("fleets", "atlantis").returncode == 2
 
 
+@pytest.mark.slow
 def test_importing_costs_nothing():
     code = (
         "import sys, orthoscale; "

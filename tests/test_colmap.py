@@ -19,7 +19,8 @@ from support.models import make_model, patched, put_frames, save
 
 from orthoscale.errors import InputError, OrthoscaleError, OutputError, UsageError
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.sources.colmap_check import CAMERA_MODELS, open_model
+from orthoscale.sources.colmap_check import open_model
+from orthoscale.sources.colmap_tables import CAMERA_MODELS
 from orthoscale.sources.picture_file import PictureFile, stored_size
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -408,6 +409,7 @@ print(json.dumps([refused, slowest, 1024 * int(status["VmHWM"].split()[0])]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["bin", "txt"])
 @pytest.mark.parametrize("table", BINARY)
 def test_truncated_and_foreign_files(made, form, table, tmp_path):
@@ -522,6 +524,7 @@ def test_forged_text(model_txt, what):
     assert said in error.message and f"{name}, line " in error.message
 
 
+@pytest.mark.slow
 def test_random_damage_never_escapes(plain, tmp_path):
     """Bytes flipped anywhere: either the model is refused, or it still is one that pycolmap reads."""
     random = np.random.default_rng(0)
@@ -562,6 +565,7 @@ def test_camera_models_are_those_of_pycolmap():
 # --- Real flights ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["sheffield", "brighton"])
 def test_real_reconstruction(scene, tmp_path):
     folder = DATA / scene

@@ -88,6 +88,7 @@ def test_more_are_looked_at_while_there_is_too_little(frames):
     assert len(names) == 40 and found.swept.why, "as many again as the twenty that showed eighty vehicles"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampling, effort", [(lambda found: np.inf, {}), (lambda found: 0.0, {"exhaustive": True})])
 def test_all_are_where_it_takes_all_and_where_all_are_asked_for(frames, sampling, effort):
     names, found = looked_at(frames, sampling, **effort)

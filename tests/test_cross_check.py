@@ -76,6 +76,7 @@ def results(pair):
     return ortho, estimate(pair, fleet="DE", detections=pair / "model.json")
 
 
+@pytest.mark.slow
 def test_an_orthophoto_and_its_model_agree(results):
     checked = check_against_model(*results)
     assert checked.units_per_pixel == pytest.approx(GSD / UNIT, rel=0.01), "from places alone, better than by sizes"
@@ -85,6 +86,7 @@ def test_an_orthophoto_and_its_model_agree(results):
     assert checked.document()["metres_per_pixel_by_model"] == checked.by_model
 
 
+@pytest.mark.slow
 def test_an_orthophoto_that_contradicts_its_model(results):
     ortho, model = results
     stretched = replace(ortho.measured.scale, value=1.2 * ortho.scale.value)
@@ -93,6 +95,7 @@ def test_an_orthophoto_that_contradicts_its_model(results):
     assert checked.by_model == pytest.approx(GSD, rel=0.03)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_checked(results):
     ortho, model = results
     with pytest.raises(UsageError):
@@ -103,6 +106,7 @@ def test_what_cannot_be_checked(results):
         check_against_model(replace(ortho, measured=replace(ortho.measured, votes=votes)), model)
 
 
+@pytest.mark.slow
 def test_the_command(pair):
     options = ["--detections", pair / "ortho.json", "--model-detections", pair / "model.json", "--fleet", "DE"]
     command = ["check", pair / "ortho.png", "--model", pair, *options]

@@ -241,6 +241,7 @@ def painted(folder, k, path):
     return open_photo(path, focal_px=VISLOC_FOCAL, pitch=float(PITCHES[k]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rank", [4, 5])
 @pytest.mark.parametrize("size", [(None, None), (300, 504), (420, 308)])
 @pytest.mark.parametrize("name", RULES)

@@ -54,6 +54,7 @@ def test_layouts_are_recognised_and_read(tmp_path, decoder, outputs, metadata, o
     assert decoder in detector.card.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "decoder, outputs, metadata",
     [
@@ -201,6 +202,7 @@ def test_an_input_of_one_size_is_moved_over_the_image(tmp_path):
     assert len(Detector(path)(np.zeros((60, 70, 3), np.uint8))) == 2, "a small image is padded"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "outputs, metadata, message",
     [
@@ -456,6 +458,7 @@ def flat(path):
     return hostile(path, nodes, weights=[known("by", [32, 1]), known("one", [1])])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make, message",
     [
@@ -474,6 +477,7 @@ def test_a_hostile_network_ends_in_one_sentence(tmp_path, monkeypatch, capfd, ma
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_a_network_that_ended_stays_so_and_leaves_no_process(tmp_path, monkeypatch):
     monkeypatch.setattr(foreign, "LONGEST_SECONDS", 3.0)
     detector = Detector(endless(tmp_path / "a.onnx"))

@@ -61,6 +61,7 @@ def test_the_map_shows_the_scale_by_place():
     assert slope == pytest.approx(0.1, abs=0.015)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clusters", [None, 12])
 def test_false_alarms_are_as_rare_as_promised(clusters):
     rng = np.random.default_rng(4)

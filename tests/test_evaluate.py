@@ -124,6 +124,7 @@ def rules(folders, name):
     return ["--detections", folders / name / "detections.json", "--fleet", folders / "fleet.json"]
 
 
+@pytest.mark.slow
 def test_the_command_writes_tables_of_everything(folders, tmp_path):
     outputs = ["--out", tmp_path / "a.json", "--out", tmp_path / "a.csv"]
     more = ["--ablations", "--sensitivity"]

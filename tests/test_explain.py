@@ -1,11 +1,10 @@
 """What a report says of its uncertainty, in words and in numbers."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from support.in_process import run
 
 from orthoscale.errors import InputError
 from orthoscale.report.explanation import explain, in_words
@@ -60,15 +59,13 @@ def test_what_is_no_report_is_refused(report):
         explain(report)
 
 
-@pytest.mark.slow
 def test_the_command(tmp_path):
     path = tmp_path / "report.json"
     path.write_text(json.dumps(REPORT))
-    run = [sys.executable, "-m", "orthoscale", "explain", str(path)]
-    shown = subprocess.run(run, capture_output=True, text=True, timeout=60)
+    shown = run("explain", path)
     assert shown.returncode == 0 and "73 %  fleet (6.0 %)" in shown.stdout and "a remark" in shown.stdout
     path.write_text("no json")
-    refused = subprocess.run(run, capture_output=True, text=True, timeout=60)
+    refused = run("explain", path)
     assert refused.returncode == 5 and "report.json: not a report" in refused.stderr
     path.unlink()
-    assert subprocess.run(run, capture_output=True, text=True, timeout=60).returncode == 5
+    assert run("explain", path).returncode == 5

@@ -16,25 +16,32 @@ from orthoscale.synthetic import make_scene, write_colmap
 pycolmap = pytest.importorskip("pycolmap")
 
 
-def block(tmp_path, pitch):
-    """Tracks of a flight over low houses, looking down at `pitch` degrees."""
-    write_colmap(make_scene(3, extent_m=120.0, style="suburb"), tmp_path, 3.0, 12, pitch, 80.0, pictures=False)
+@pytest.fixture(scope="module")
+def suburb():
+    """Low houses."""
+    return make_scene(3, extent_m=120.0, style="suburb")
+
+
+def block(scene, tmp_path, pitch):
+    """Tracks of a flight over `scene`, looking down at `pitch` degrees."""
+    write_colmap(scene, tmp_path, 3.0, 12, pitch, 80.0, pictures=False)
     return pycolmap.Reconstruction(str(tmp_path / "sparse"))
 
 
-def test_straight_down_leaves_it_open_and_a_slant_does_not(tmp_path):
-    down, slant = (focal_sd(block(tmp_path / str(pitch), pitch)) for pitch in (90, 60))
+@pytest.mark.slow
+def test_straight_down_leaves_it_open_and_a_slant_does_not(suburb, tmp_path):
+    down, slant = (focal_sd(block(suburb, tmp_path / str(pitch), pitch)) for pitch in (90, 60))
     assert down > 4 * slant
     assert SYSTEMATIC * slant < 0.03
 
 
-def test_what_the_normal_equations_say_is_what_adjustment_does(tmp_path):
+@pytest.mark.slow
+def test_what_the_normal_equations_say_is_what_adjustment_does(suburb, tmp_path):
     """The focal length that bundle adjustment finds scatters from noise to noise as much as is said."""
     found, said = [], []
     for seed in range(6):
-        scene = make_scene(3, extent_m=120.0, style="suburb")
         write_colmap(
-            scene, tmp_path / str(seed), 3.0, 8, 75, 60.0, seed=seed, n_points=400, noise_px=0.6, pictures=False
+            suburb, tmp_path / str(seed), 3.0, 8, 75, 60.0, seed=seed, n_points=400, noise_px=0.6, pictures=False
         )
         model = pycolmap.Reconstruction(str(tmp_path / str(seed) / "sparse"))
         camera = model.cameras[1]
@@ -54,6 +61,7 @@ def test_too_few_tracks_say_nothing():
     assert focal_doubt(pycolmap.Reconstruction(), []).sd == 0
 
 
+@pytest.mark.slow
 def test_a_focal_length_that_is_left_open_is_taken_from_exif(tmp_path):
     from PIL import Image
 

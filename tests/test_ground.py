@@ -147,6 +147,7 @@ def test_single_camera_and_single_strip():
         assert np.abs(ground.height_above(scene.truth)).max() < 0.005 * CAMERA_HEIGHT * scene.unit
 
 
+@pytest.mark.slow
 def test_it_knows_how_well_it_knows_its_height():
     """Errors where points are sparse or missing are as large as the ground says."""
     strays = []

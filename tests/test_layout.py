@@ -362,6 +362,7 @@ def test_the_list_has_sources():
     assert shown.returncode == 0 and "FIBA" in shown.stdout and "parking-CC:N" in shown.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_a_sports_complex_on_a_real_lot(data, tmp_path):
     """A yard in Manila; World Mercator stretches its metres by 3.3 %, the courts have theirs all the same."""

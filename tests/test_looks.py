@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from support.flights import FLEET, HEIGHT, UNIT, found_by
+from support.flights import FLEET, HEIGHT, UNIT
 from support.models import make_model
 
 from orthoscale.actions import find as find_module
@@ -22,22 +22,15 @@ from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.ground_picture import NEAR_NADIR
 
 
-@pytest.fixture(scope="module")
-def found(flight):
-    return found_by(*flight)
+def test_the_scale_of_known_vehicles(measured):
+    assert set(measured.modes) == {"oblique", "planar"}
+    for each in (measured, *measured.modes.values()):
+        assert each.scale.value == pytest.approx(UNIT, rel=0.03)
+        low, high = each.scale.interval90
+        assert low < UNIT < high
 
 
-@pytest.mark.parametrize("mode", [None, "oblique", "planar"])
-def test_the_scale_of_known_vehicles(flight, found, mode):
-    measured = measure_source(ColmapSource.open(flight[0]), found, FLEET, mode=mode)
-    assert measured.scale.value == pytest.approx(UNIT, rel=0.03)
-    low, high = measured.scale.interval90
-    assert low < UNIT < high
-    assert set(measured.modes) == ({mode} if mode else {"oblique", "planar"})
-
-
-def test_both_looks_agree_and_are_pooled(flight, found):
-    measured = measure_source(ColmapSource.open(flight[0]), found, FLEET)
+def test_both_looks_agree_and_are_pooled(measured):
     oblique, planar = (measured.modes[name].scale.value for name in ("oblique", "planar"))
     assert planar == pytest.approx(oblique, rel=0.02)
     assert min(oblique, planar) <= measured.scale.value <= max(oblique, planar)
@@ -47,16 +40,18 @@ def test_both_looks_agree_and_are_pooled(flight, found):
         assert part >= min(s.parts[name] for s in measured.agreement.scales.values()) - 1e-12, "nothing got narrower"
 
 
-def test_both_are_each_of_them_alone_and_leave_their_source_as_it_was(flight, found):
+@pytest.mark.slow
+def test_both_are_each_of_them_alone_and_leave_their_source_as_it_was(flight, found, measured):
     source = ColmapSource.open(flight[0])
     notes = list(source.notes)
-    both = measure_source(source, found, FLEET).modes
-    for mode, one in both.items():
-        alone = measure_source(source, found, FLEET, mode=mode).scale
-        assert (one.scale.value, one.scale.interval90) == (alone.value, alone.interval90)
+    for mode, one in measured.modes.items():
+        alone = measure_source(source, found, FLEET, mode=mode)
+        assert (one.scale.value, one.scale.interval90) == (alone.scale.value, alone.scale.interval90)
+        assert set(alone.modes) == {mode}
     assert source.notes == notes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("height", "margin"), [(0.5, -1.0), (1.2, 2.0)])
 def test_a_wrong_card_is_found_out_by_the_views(flight, found, height, margin):
     """The views know better than the card what the boxes are, and the trends that it leaves go away."""
@@ -90,6 +85,7 @@ def test_looks_that_contradict_write_nothing_unless_forced(flight, found, tmp_pa
     assert low < one.scale.value < planar < high and both.scale.verdict == "unusable"
 
 
+@pytest.mark.slow
 def test_a_planar_sweep_alone_is_written_with_its_picture(flight, found, tmp_path):
     save_detections(found, tmp_path / "boxes.json")
     again = load_detections(tmp_path / "boxes.json")
@@ -107,6 +103,7 @@ def test_a_frame_of_another_scale_is_named(flight, found):
     assert any(name in remark.text and remark.severity == "caution" for remark in measured.scale.remarks)
 
 
+@pytest.mark.slow
 def test_one_look_answers_where_the_other_has_too_little(flight, found):
     source = ColmapSource.open(flight[0])
     before = list(source.notes)
@@ -153,8 +150,8 @@ def test_ground_pictures_show_what_the_frames_show(flight, tmp_path):
     assert len({p.unit_per_pixel for p in source.ground_pictures}) == 1
 
 
-def test_agreement_of_two_scales(flight, found):
-    scale = measure_source(ColmapSource.open(flight[0]), found, FLEET, mode="oblique").scale
+def test_agreement_of_two_scales(measured):
+    scale = measured.modes["oblique"].scale
     same = compare({"oblique": scale, "planar": replace(scale, value=1.01 * scale.value)})
     assert not same.contradicts and same.difference == pytest.approx(0.01, rel=0.01)
     assert together(same).value == pytest.approx(1.005 * scale.value, rel=1e-3)
@@ -163,9 +160,8 @@ def test_agreement_of_two_scales(flight, found):
     assert together(apart).value == apart.scales[apart.surer].value and together(apart).verdict == "unusable"
 
 
-def test_vehicles_measured_both_ways_are_compared_themselves(flight, found):
+def test_vehicles_measured_both_ways_are_compared_themselves(measured):
     """Different vehicles in the two looks part their scales, and are no contradiction."""
-    measured = measure_source(ColmapSource.open(flight[0]), found, FLEET)
     agreement = measured.agreement
     assert agreement.common > 15 and agreement.difference == pytest.approx(0, abs=0.01)
     assert "vehicles measured both ways" in agreement.sentence()

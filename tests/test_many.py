@@ -22,6 +22,8 @@ from orthoscale.actions.inputs import inputs_of, outputs_of
 from orthoscale.actions.requests import EstimateRequest, FixRequest
 from orthoscale.errors import InputError, UsageError
 
+SLOW = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def parks(tmp_path_factory):
@@ -45,6 +47,7 @@ def options(parks, *more):
     return ["--fleet", "DE", "--detections", parks / "boxes.json", *more]
 
 
+@pytest.mark.slow
 def test_a_folder_gives_a_row_each_and_the_exit_code_of_the_worst(parks, tmp_path):
     summary = tmp_path / "out.csv"
     done = run("estimate", parks / "pictures", *options(parks, "--summary", summary, "--jobs", "2"))
@@ -64,7 +67,7 @@ def test_a_folder_gives_a_row_each_and_the_exit_code_of_the_worst(parks, tmp_pat
     assert len(summary.read_text().splitlines()) == 2
 
 
-@pytest.mark.parametrize("ending", ["json", "gpkg", "html"])
+@pytest.mark.parametrize("ending", ["json", pytest.param("gpkg", marks=SLOW), pytest.param("html", marks=SLOW)])
 def test_summaries_in_every_format(parks, tmp_path, ending):
     summary = tmp_path / f"out.{ending}"
     words = ["fix", parks / "pictures", "--out", tmp_path / "scaled", *options(parks, "--summary", summary)]
@@ -130,6 +133,7 @@ def test_a_process_that_dies_takes_only_its_own_input(parks, monkeypatch):
     assert many.worst(rows) == 1
 
 
+@pytest.mark.slow
 def test_a_stop_ends_all_and_leaves_nothing_half_made(parks, tmp_path):
     def stop(row):
         raise KeyboardInterrupt

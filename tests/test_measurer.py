@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 
 from orthoscale.core.boxes import Boxes
-from orthoscale.detect.measurer import CROP_HEIGHT, CROP_WIDTH, Measurer, crop, pixels_per_crop_pixel, placed
+from orthoscale.detect.measurer import (
+    CROP_HEIGHT,
+    CROP_WIDTH,
+    MOVED_AT_MOST,
+    Measurer,
+    MeasurerCard,
+    crop,
+    moved_out,
+    pixels_per_crop_pixel,
+    placed,
+)
 
 DARK = 60  # ground of drawn pictures; filters undershoot, and must not be cut off at black
 CARD = Path(__file__).parents[1] / "training/measurer/card_m1.json"
@@ -75,14 +85,22 @@ def test_edges_lead_back_to_the_box_that_they_are_the_edges_of() -> None:
         assert np.sin(back[4] - box[4]) == pytest.approx(0, abs=1e-9)
 
 
+BOX = np.array([230.4, 220.7, 120.0, 54.0, 0.4])
+
+
+@pytest.fixture(scope="module")
+def pyramid() -> object:
+    return pytest.importorskip("training.measurer.chain").pyramid(drawn(BOX, 461, 455))
+
+
 @pytest.mark.parametrize("scale", [0.09, 0.23, 0.5, 0.8, 1.3])
 @pytest.mark.parametrize("fine", [1, 2])
-def test_a_window_has_its_vehicle_where_its_box_says(scale: float, fine: int) -> None:
+def test_a_window_has_its_vehicle_where_its_box_says(pyramid: object, scale: float, fine: int) -> None:
     chain = pytest.importorskip("training.measurer.chain")
     rng = np.random.default_rng(1)
-    box = np.array([230.4, 220.7, 120.0, 54.0, 0.4])
+    box = BOX
     for _ in range(3):
-        pixels, there = chain.window(chain.pyramid(drawn(box, 461, 455)), box, scale, rng, fine)
+        pixels, there = chain.window(pyramid, box, scale, rng, fine)
         if fine == 2:
             pixels = cv2.resize(pixels, (pixels.shape[1] // 2, pixels.shape[0] // 2), interpolation=cv2.INTER_AREA)
         assert there[2:4] == pytest.approx(scale * box[2:4])
@@ -124,6 +142,7 @@ def untrained(tmp_path_factory: pytest.TempPathFactory) -> Measurer:
     return Measurer(path)
 
 
+@pytest.mark.slow
 def test_mirrors_and_quarter_turns_of_a_picture_give_the_same_vehicle(untrained: Measurer) -> None:
     rng = np.random.default_rng(3)
     picture = cv2.GaussianBlur(rng.integers(0, 255, (160, 200, 3)).astype(np.uint8), (0, 0), 2.0)
@@ -159,3 +178,48 @@ def test_a_window_of_a_picture_shows_what_the_whole_picture_does(untrained: Meas
     boxes = Boxes(np.array([[120.0, 130.5, 48.0, 21.0, 0.3], [20.0, 240.0, 44.0, 20.0, 1.2]]), np.ones(2))
     whole = untrained.in_pixels(picture, boxes)
     assert untrained(Pixels(picture), boxes).boxes.xylwa == pytest.approx(whole.boxes.xylwa, abs=0.05)
+
+
+def test_a_sure_edge_stays_and_an_unsure_one_is_moved_out_by_as_much_as_it_is_unsure() -> None:
+    card = MeasurerCard.from_json(CARD.read_text(), str(CARD))
+    length = np.array([20.0, 80.0])
+    sure = np.hypot(card.sure[0] * length, card.sure[1])
+    assert (card.outward(np.repeat(sure[:, None], 4, 1), length) == 0).all()
+    sigma = sure[:, None] + np.array([-0.1, 0.0, 0.3, 100.0])
+    moved = card.outward(sigma, length)
+    assert moved[:, :3] == pytest.approx(np.tile([0.0, 0.0, 0.3 * card.inward], (2, 1)))
+    assert moved[:, 3] == pytest.approx(MOVED_AT_MOST * length)
+    older = MeasurerCard(card.name, card.ruler, card.sigma_times, card.effective_height, card.body)
+    assert (older.outward(sigma, length) == 0).all()
+
+
+def test_an_edge_that_is_moved_leaves_the_other_three_where_they_are() -> None:
+    rng = np.random.default_rng(6)
+    for edge in range(4):
+        box = np.array([*rng.uniform(0, 100, 2), 40.0, 18.0, rng.uniform(-1.5, 1.5)])
+        outward = np.zeros(4)
+        outward[edge] = 3.0
+        moved = moved_out(box[None], outward[None])[0]
+
+        def edges(one: np.ndarray, cos: float = np.cos(box[4]), sin: float = np.sin(box[4])) -> np.ndarray:
+            along, across = one[0] * cos + one[1] * sin, one[1] * cos - one[0] * sin
+            return np.array([along - one[2] / 2, along + one[2] / 2, across - one[3] / 2, across + one[3] / 2])
+
+        assert moved[4] == box[4]
+        assert edges(moved) - edges(box) == pytest.approx(outward * [-1, 1, -1, 1])
+
+
+def test_what_is_moved_is_less_certain() -> None:
+    box = np.array([90.0, 70.5, 48.0, 21.0, 0.3])
+    picture = drawn(box, 200, 160).astype(float)
+    shade = 1 / (1 + np.exp((np.indices((160, 200))[1] - 100) / 6))[..., None]  # one end merges with the ground
+    picture = (DARK + (picture - DARK) * (0.05 + 0.95 * shade)).astype(np.uint8)
+    measurer = Measurer()
+    card, boxes = measurer.card, Boxes(box[None], np.ones(1))
+    after = measurer.in_pixels(picture, boxes)
+    measurer.card = MeasurerCard(card.name, card.ruler, card.sigma_times, card.effective_height, card.body)
+    before = measurer.in_pixels(picture, boxes)
+    outward = card.outward(before.sigma, before.boxes.xylwa[:, 2])
+    assert outward.max() > 0, "all edges are sure: nothing is tested"
+    assert after.boxes.xylwa == pytest.approx(moved_out(before.boxes.xylwa, outward))
+    assert (after.sigma > before.sigma)[outward > 0].all() and (after.sigma == before.sigma)[outward == 0].all()

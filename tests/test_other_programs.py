@@ -39,6 +39,7 @@ def test_views_are_those_of_the_colmap_model(made, tmp_path, program):
     assert other.camera_height == pytest.approx(colmap.camera_height, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", WRITERS)
 def test_written_again_in_metres(made, tmp_path, program):
     path, result = rescaled(*made, WRITERS[program], tmp_path)
@@ -164,15 +165,15 @@ def test_a_write_that_fails_is_noticed(made, tmp_path, monkeypatch):
         source.write(tmp_path / "out", 2.0)
 
 
-@pytest.mark.parametrize("mode", ["oblique", "planar", "both"])
-def test_one_model_has_one_scale_in_every_form(made, tmp_path, mode):
+@pytest.mark.slow
+def test_one_model_has_one_scale_in_every_form(made, tmp_path):
     """Points in another order, pictures under other names: the boxes are the same, and so is the scale."""
     model, turn = made
     colmap = save(model, tmp_path / "colmap", "bin")
     put_frames(model, colmap / "images")
     found = found_by(colmap, turn)
     save_detections(found, tmp_path / "boxes.json")
-    scale = estimate(colmap, fleet="DE", detections=tmp_path / "boxes.json", mode=mode).scale
+    scales = scales_of(colmap, tmp_path / "boxes.json")
 
     path = opensfm(model, tmp_path / "opensfm")
     put_frames(model, path.parent / "images")
@@ -182,18 +183,21 @@ def test_one_model_has_one_scale_in_every_form(made, tmp_path, mode):
     }
     part["shots"] = dict(reversed(part["shots"].items()))
     path.write_text(json.dumps([part]))
-    other = estimate(path, fleet="DE", detections=tmp_path / "boxes.json", mode=mode)
     # Not the very same: only COLMAP's form has tracks, which tell that such a flat block leaves the focal length open.
-    assert other.scale.value == pytest.approx(scale.value, rel=1e-3)
+    assert scales_of(path, tmp_path / "boxes.json") == pytest.approx(scales, rel=1e-3)
 
     path = nerfstudio(model, tmp_path / "nerfstudio")
     put_frames(model, path.parent / "images")
     renamed = {"boxes": {f"images/{name}": boxes for name, boxes in found.boxes.items()}}
     above = {name.replace("/", "/images/"): boxes for name, boxes in found.planar.boxes.items()}
     save_detections(replace(found, **renamed, planar=replace(found.planar, boxes=above)), tmp_path / "renamed.json")
-    assert estimate(path, fleet="DE", detections=tmp_path / "renamed.json", mode=mode).scale.value == pytest.approx(
-        scale.value, rel=1e-3
-    )
+    assert scales_of(path, tmp_path / "renamed.json") == pytest.approx(scales, rel=1e-3)
+
+
+def scales_of(model, boxes):
+    """By frames, from above, and by both together [m per unit]."""
+    measured = estimate(model, fleet="DE", detections=boxes).measured
+    return {"both": measured.scale.value, **{name: way.scale.value for name, way in measured.modes.items()}}
 
 
 def test_the_ground_does_not_depend_on_the_order_of_points_and_images(made, tmp_path, monkeypatch):

@@ -12,6 +12,7 @@ import rasterio
 from click.testing import CliRunner
 from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
+from support.pictures import squares
 
 import orthoscale
 from orthoscale.actions.check import Comparison, comparisons
@@ -25,7 +26,7 @@ UTM = Affine(GSD * 0.9996, 0, 500_000, 0, -GSD * 0.9996, 5_400_000)  # GSD on th
 
 
 def picture(path, crs=None, transform=None, gcps=None, **profile):
-    pixels = np.random.default_rng(0).integers(0, 255, (3, H, W), dtype=np.uint8)
+    pixels = np.moveaxis(squares(W, H, 0, 255), -1, 0)
     profile = {"driver": "GTiff", "width": W, "height": H, "count": 3, "dtype": "uint8", **profile}
     if transform is not None:
         profile["transform"] = transform
@@ -140,13 +141,14 @@ def test_a_cog_stays_one_on_demand(tmp_path, boxes, options):
 
 
 def test_a_classic_tiff_without_room_becomes_a_bigtiff_by_need(tmp_path, boxes, monkeypatch):
-    monkeypatch.setattr("orthoscale.sources.raster._CLASSIC", 1000)
+    monkeypatch.setattr("orthoscale.sources.raster_copy._CLASSIC", 1000)
     path = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM)
     fixed(path, tmp_path / "out.tif", boxes)
     with rasterio.open(path) as a, rasterio.open(tmp_path / "out.tif") as b:
         assert np.array_equal(a.read(), b.read()) and b.block_shapes[0] == (256, 256), "converted, not copied"
     big = picture(tmp_path / "b.tif", crs="EPSG:32632", transform=UTM, BIGTIFF="YES")
-    assert RasterSource.open(big)._can_be_copied() and not RasterSource.open(path)._can_be_copied()
+    assert RasterSource.open(big)._original._can_be_copied()
+    assert not RasterSource.open(path)._original._can_be_copied()
 
 
 # Files for other programs

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import pytest
 from support.in_process import run
+from support.pictures import squares
 
 from orthoscale.actions.fix import fix
 from orthoscale.errors import Incomplete, InputError, OutputError, UsageError
@@ -27,7 +28,7 @@ from orthoscale.system.outputs import FOLDER_MARK, Outputs, named, ours, signatu
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 MODEL, BOXES = EXAMPLES / "sheffield" / "sparse", EXAMPLES / "sheffield" / "detections.json"
-RULES = ("--detections", BOXES, "--fleet", "US")
+RULES = ("--detections", BOXES, "--fleet", "US", "--mode", "planar")  # the quickest way to measure it
 
 
 def names(folder):
@@ -676,7 +677,7 @@ def ortho(tmp_path):
     folder = tmp_path / "here"
     folder.mkdir()
     (tmp_path / "boxes.json").write_text(json.dumps({"a.tif": rows}))
-    cv2.imwrite(str(folder / "a.tif"), rng.integers(0, 255, (700, 900, 3), dtype=np.uint8))
+    cv2.imwrite(str(folder / "a.tif"), squares(900, 700, 0, 255))
     (folder / "a.tfw").write_text("0.1\n0\n0\n-0.1\n500\n900\n")
     return folder / "a.tif"
 
@@ -767,7 +768,7 @@ def test_a_model_is_delivered_though_its_report_fails(tmp_path, monkeypatch, par
         assert ours(tmp_path / "out")
     with pytest.raises(Incomplete) as caught:
         monkeypatch.setattr(f"orthoscale.report.files.{where}", fail)
-        fix(MODEL, tmp_path / "again", detections=BOXES, fleet="US")
+        fix(MODEL, tmp_path / "again", detections=BOXES, fleet="US", mode="planar")
     assert caught.value.result.scale.value > 0
 
 
@@ -783,6 +784,7 @@ def test_an_orthophoto_is_delivered_though_its_geopackage_fails(ortho, monkeypat
     )
 
 
+@pytest.mark.slow
 def test_a_full_disk_while_detections_are_saved_is_exit_code_6(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise RuntimeError("sqlite3_exec failed: database or disk is full")
@@ -792,12 +794,13 @@ def test_a_full_disk_while_detections_are_saved_is_exit_code_6(tmp_path, monkeyp
     assert done.returncode == 6 and "disk is full" in done.stderr and names(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_a_symbolic_link_beside_a_model_is_not_followed(tmp_path):
     shutil.copytree(MODEL, tmp_path / "model")
     (tmp_path / "secret").write_text("precious")
     (tmp_path / "model/project.ini").write_text("plain")
     (tmp_path / "model/notes.txt").symlink_to(tmp_path / "secret")
-    result = fix(tmp_path / "model", tmp_path / "out", detections=BOXES, fleet="US")
+    result = fix(tmp_path / "model", tmp_path / "out", detections=BOXES, fleet="US", mode="planar")
     assert "project.ini" in names(tmp_path / "out") and "notes.txt" not in names(tmp_path / "out")
     assert any("symbolic links: notes.txt" in note for note in map(str, result.source.notes))
 

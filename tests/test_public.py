@@ -87,8 +87,9 @@ def test_photos_are_public(tmp_path):
     assert len(json.loads(json.dumps(many.to_dict()))["rows"]) == 9
 
 
+@pytest.mark.slow
 def test_apply_takes_one_file_or_several(tmp_path):
-    fixed_model(tmp_path, report="none")
+    fixed_model(tmp_path, report="none", mode="planar")
     (tmp_path / "a.obj").write_text("v 1 2 3\n")
     scale = json.loads((tmp_path / "scaled/sim3.json").read_text())["scale"]
     for k, files in enumerate((tmp_path / "a.obj", [tmp_path / "a.obj"])):

@@ -29,8 +29,9 @@ from rasterio.transform import Affine
 
 from orthoscale.core.source import NO_DATA_GREY
 from orthoscale.errors import InputError, OutputError, UsageError
-from orthoscale.sources import raster
+from orthoscale.sources import gdal
 from orthoscale.sources.raster import RasterSource
+from orthoscale.sources.raster_copy import Original
 
 W, H = 300, 200
 UTM = {"crs": "EPSG:32632", "transform": Affine(0.1, 0, 500_000, 0, -0.1, 5_400_000)}
@@ -598,9 +599,9 @@ def test_a_copy_that_differs_is_refused(tmp_path, monkeypatch):
 
 
 def test_large_images_are_compared_by_samples(tmp_path, monkeypatch):
-    monkeypatch.setattr("orthoscale.sources.raster._WHOLE", 1000)
+    monkeypatch.setattr("orthoscale.sources.raster_copy._WHOLE", 1000)
     source = RasterSource.open(make(tmp_path / "a.tif"))
-    assert len(list(source._to_compare())) == 64
+    assert len(list(source._original._to_compare())) == 64
     source.write(tmp_path / "b.tif", 0.1)
 
 
@@ -620,6 +621,7 @@ def test_manila(data):
     assert claim.usable and claim.gsd_m == pytest.approx(0.0967, rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_banepa(data, tmp_path):
     source = RasterSource.open(data / "orthophotos" / "banepa.jpg")
@@ -641,12 +643,12 @@ def test_unblocked_pictures_are_decoded_once(tmp_path, monkeypatch, driver, opti
     windows = [(0, 0, 120, 90, 120, 90), (100, 60, 200, 140, 80, 56), (20, 20, 30, 30, 60, 60)]
     with RasterSource.open(path) as plain:
         expected = [plain.read(*window) for window in windows]
-    monkeypatch.setattr(raster, "_CACHE", 1000)
+    monkeypatch.setattr(gdal, "_CACHE", 1000)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
     (tmp_path / "scratch").mkdir()
     decoded = []
-    convert = RasterSource._convert
-    monkeypatch.setattr(RasterSource, "_convert", lambda *a, **o: decoded.append(1) or convert(*a, **o))
+    convert = Original.convert
+    monkeypatch.setattr(Original, "convert", lambda *a, **o: decoded.append(1) or convert(*a, **o))
     with RasterSource.open(path) as source:
         for window, there in zip(windows, expected, strict=True):
             difference = np.abs(source.read(*window).astype(int) - there)
@@ -657,7 +659,7 @@ def test_unblocked_pictures_are_decoded_once(tmp_path, monkeypatch, driver, opti
 
 
 def test_pictures_in_blocks_are_not_copied(tmp_path, monkeypatch):
-    monkeypatch.setattr(raster, "_CACHE", 1000)
+    monkeypatch.setattr(gdal, "_CACHE", 1000)
     for k, options in enumerate(({"compress": "deflate"}, {"tiled": True, "blockxsize": 64, "blockysize": 64})):
         with RasterSource.open(make(tmp_path / f"{k}.tif", **options)) as source:
             source.read(0, 0, W, H, 100, 60)
@@ -666,8 +668,8 @@ def test_pictures_in_blocks_are_not_copied(tmp_path, monkeypatch):
 
 def test_a_copy_that_has_no_room_is_refused(tmp_path, monkeypatch):
     path = converted(tmp_path / "a.png", "PNG")
-    monkeypatch.setattr(raster, "_CACHE", 1000)
-    monkeypatch.setattr(raster.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 1000))
+    monkeypatch.setattr(gdal, "_CACHE", 1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 1000))
     with RasterSource.open(path) as source, pytest.raises(InputError, match="has no room for a copy") as caught:
         source.read(0, 0, W, H, 100, 60)
     assert "TMPDIR" in caught.value.hint

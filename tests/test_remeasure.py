@@ -83,7 +83,7 @@ def test_what_is_no_vehicle_does_not_count():
     near = np.linalg.norm(seen.centre[:, None] - truth[5:].centre, axis=2).min(1) < truth.length.max()
     unlike = len(got.doubtful["drawing"])
     assert unlike >= (~near).sum() > 0 and unlike + len(got) == len(seen)
-    assert got.notes == (f"{unlike} boxes do not count: a second look saw no vehicle in them",)
+    assert got.notes == (f"{unlike} boxes do not count: the measurer saw no vehicle in them",)
 
 
 def test_of_very_many_vehicles_some_are_measured_and_tell_of_the_others():
@@ -171,6 +171,7 @@ def test_a_network_that_is_no_measurer_is_refused(tmp_path):
         MeasurerCard.from_json("", "a file")
 
 
+@pytest.mark.slow
 def test_measured_vehicles_are_as_long_as_they_are(tmp_path):
     """The shipped measurer in a rendered suburb that it has not seen, with boxes too large and beside the mark; and a
     file of what it measured gives the same scale."""

@@ -4,6 +4,7 @@ import tomllib
 from importlib import import_module
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 from rasterio.rio.main import main_group
 
@@ -35,7 +36,9 @@ def test_a_refusal_is_one_sentence_with_our_exit_code(tmp_path):
     assert done.exit_code == 5 and "does not exist" in done.output and "Traceback" not in done.output
 
 
+@pytest.mark.slow
 def test_it_estimates(tmp_path):
     example = Path(__file__).parent.parent / "examples" / "sheffield"
-    done = rio("estimate", example / "sparse", "--detections", example / "detections.json", "--fleet", "US")
+    done = rio("estimate", example / "sparse", "--detections", example / "detections.json", "--fleet", "US",
+               "--mode", "planar")  # fmt: skip
     assert done.exit_code == 0 and done.output.startswith("scale")

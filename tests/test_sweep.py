@@ -14,16 +14,20 @@ import numpy as np
 import pytest
 from support.drawings import Drawing, RectangleDetector, car_park
 
+import orthoscale
 from orthoscale.actions.estimate import estimate
+from orthoscale.anchors.search import CODE_OF_FINDERS
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.detections import Tile
-from orthoscale.detect.cache import TileCache, cache_key
+from orthoscale.detect.cache import CODE, TileCache, cache_key
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.promise import UNPROMISING, promise
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks, look_twice, tiles
 from orthoscale.detect.workers import on_threads, worker_count
 from orthoscale.errors import UsageError
+from orthoscale.locate.maps import FEATURE_CODE
+from orthoscale.locate.retrieval import EMBEDDING_CODE
 from orthoscale.sources.fingerprint import fingerprint
 
 
@@ -286,6 +290,7 @@ def test_a_damaged_cache_is_begun_anew_and_a_missing_folder_costs_nothing(tmp_pa
         assert cache.get(picture_file, tile) is None
 
 
+@pytest.mark.slow
 def test_kept_looks_that_changed_on_disk_are_had_again(tmp_path, picture_file):
     """Any byte of any page: what is not as it was kept is not used, and no error reaches the sweep."""
     jobs = jobs_of(picture_file)
@@ -317,6 +322,12 @@ def test_caches_that_nobody_used_for_months_are_deleted(tmp_path):
     os.utime(tmp_path / "tiles" / "old.sqlite", (0, 0))
     TileCache("new", tmp_path).__exit__()
     assert {p.name for p in (tmp_path / "tiles").glob("*.sqlite")} == {"new.sqlite"}
+
+
+@pytest.mark.parametrize("code", [CODE, CODE_OF_FINDERS, FEATURE_CODE, EMBEDDING_CODE])
+def test_the_files_that_decide_over_what_is_kept_are_there(code):
+    package = Path(orthoscale.__file__).parent
+    assert not [pattern for pattern in code if not list(package.glob(pattern))]
 
 
 def test_the_key_holds_the_input_and_the_settings(picture_file):
@@ -401,7 +412,8 @@ def wait_for_tiles(cache, count, process):
 @pytest.mark.slow
 def test_a_killed_sweep_continues_and_ctrl_c_leaves_nothing_half_written(wide, tmp_path):
     (out := tmp_path / "out").mkdir()
-    job = ["fix", wide, "--zoom", 0.7, "--fleet", "DE", "--exhaustive", "--out", out / "a.tif", "--json"]
+    words = [wide, "--zoom", 0.7, "--fleet", "DE", "--measurer", "none", "--anchors", "none", "--exhaustive", "--json"]
+    job = ["fix", *words, "--out", out / "a.tif"]
     before = wide.read_bytes()
     killed = command(*job, cache=tmp_path)
     wait_for_tiles(tmp_path, 2, killed)
@@ -417,8 +429,7 @@ def test_a_killed_sweep_continues_and_ctrl_c_leaves_nothing_half_written(wide, t
     resumed = json.loads(command(*job, cache=tmp_path).communicate()[0])
     assert 4 <= resumed["sweep"]["from_cache"] < resumed["sweep"]["tiles"] == resumed["sweep"]["of"]
     assert {p.name for p in out.iterdir()} == {"a.tif", "a.tif.json", "a.tif.png", "a.tif.html"}
-    job = ["estimate", *job[1:6], "--exhaustive", "--no-cache", "--json"]
-    fresh = json.loads(command(*job, cache=tmp_path / "no").communicate()[0])
+    fresh = json.loads(command("estimate", *words, "--no-cache", cache=tmp_path / "no").communicate()[0])
     assert fresh["sweep"]["from_cache"] == 0 and not (tmp_path / "no").exists()
     assert fresh["scale"] == resumed["scale"]
     assert wide.read_bytes() == before
@@ -427,8 +438,9 @@ def test_a_killed_sweep_continues_and_ctrl_c_leaves_nothing_half_written(wide, t
 @pytest.mark.slow
 def test_an_anytime_sweep_looks_at_part_and_agrees_with_all_of_it(wide, monkeypatch):
     monkeypatch.setattr("orthoscale.detect.sweep.FIRST", 4)
-    part, again = (estimate(wide, fleet="DE", zoom=0.7, target=0.006, cache=False, workers=n) for n in (1, 2))
-    whole = estimate(wide, fleet="DE", zoom=0.7, exhaustive=True, cache=False)
+    options = {"fleet": "DE", "zoom": 0.7, "measurer": "none", "anchors": ["none"], "cache": False}
+    part, again = (estimate(wide, **options, target=0.006, workers=n) for n in (1, 2))
+    whole = estimate(wide, **options, exhaustive=True)
     assert part.scale.value == again.scale.value, "the same with any number of workers"
     swept = part.detections.swept
     assert len(swept.tiles) < swept.total == len(whole.detections.swept.tiles)

@@ -55,6 +55,7 @@ def in_box(points: np.ndarray, box: np.ndarray) -> np.ndarray:
     return np.stack([d @ [cos, sin], d @ [-sin, cos]], -1) / (box[2:4] / 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("style", STYLES)
 def test_nothing_stands_on_a_vehicle(style):
     scene = make_scene(11, None, 70, 30, style)

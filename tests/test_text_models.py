@@ -26,6 +26,7 @@ def pinhole():
     return make_model("SIMPLE_PINHOLE", (400.0, 320, 240))
 
 
+@pytest.mark.slow
 def test_views_are_those_of_the_colmap_model(made, pinhole, tmp_path):
     for number, (model, path) in enumerate([(made[0], bundler(made[0], tmp_path / "b")),
                                             (pinhole[0], nvm(pinhole[0], tmp_path / "n"))]):  # fmt: skip
@@ -50,9 +51,10 @@ def test_distortion_of_visualsfm_is_that_of_measurements(pinhole, tmp_path):
     assert np.allclose(source.project(name, world), 400 * m + (330, 250), atol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("writer", [bundler, nvm])
 def test_written_again_in_metres(made, tmp_path, writer):
-    path, result = rescaled(*made, writer, tmp_path)
+    path, result = rescaled(*made, writer, tmp_path, mode="planar")
     new = open_source(tmp_path / "out", images=tmp_path / "in/images")
     assert new.path == tmp_path / "out" / path.name
     assert new.camera_height == pytest.approx(result.scale.value * result.source.camera_height, rel=1e-6)

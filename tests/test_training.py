@@ -681,6 +681,7 @@ def test_looks_agree_on_what_most_of_them_show():
     assert (best["sure"], least["sure"]) == (1.0, 0.0) and least["score"] == pytest.approx(0.05)
 
 
+@pytest.mark.slow
 def test_the_loss_falls_on_a_handful_of_crops(torch, tmp_path):
     from training.network import VehicleNet, loss
 
@@ -751,6 +752,7 @@ def test_training_goes_on_from_what_was_exported(torch, tmp_path, monkeypatch, k
         assert torch.allclose(again.train()(crops), network(crops), atol=0.05)
 
 
+@pytest.mark.slow
 def test_training_stops_and_goes_on(torch, tmp_path, monkeypatch):
     from training import train
 

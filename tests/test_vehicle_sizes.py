@@ -8,11 +8,10 @@ import re
 import numpy as np
 import pyogrio
 import pytest
-from support.flights import FLEET, UNIT, found_by, vehicles
+from support.flights import FLEET, UNIT, vehicles
 from support.reports import GSD, car_park, fixed
 
 from orthoscale.actions.result import Result
-from orthoscale.core.measuring.ways import measure_source
 from orthoscale.report.document import read_json
 from orthoscale.report.page import page
 from orthoscale.report.scene import Scene
@@ -33,10 +32,10 @@ def test_an_orthophotos_vehicles_have_one_size_in_every_output_and_the_true_one(
 
 
 @pytest.mark.parametrize("mode", ["oblique", "planar", None])
-def test_a_models_vehicles_have_one_size_in_every_output_and_the_true_one(flight, mode):
+def test_a_models_vehicles_have_one_size_in_every_output_and_the_true_one(flight, found, measured, mode):
     folder, turn = flight
-    source, found = ColmapSource.open(folder), found_by(folder, turn)
-    measured = measure_source(source, found, FLEET, mode=mode)
+    source = ColmapSource.open(folder)
+    measured = measured if mode is None else measured.modes[mode]
     result = Result(source, FLEET, found, None, 0.0, measured)
     report = json.loads(json.dumps(result.to_dict()))
     said = np.array([[v["length"], v["width"]] for v in report["vehicles"]])

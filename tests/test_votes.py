@@ -1,8 +1,12 @@
 """One vote per vehicle."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from orthoscale.core.pooling.robust import OF_THE_VEHICLE, vote_noise
+from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
 
 
@@ -33,3 +37,20 @@ def test_an_odd_view_does_not_move_the_vote():
 @pytest.mark.parametrize("repeated", [True, False])
 def test_no_boxes_no_votes(repeated):
     assert len(gather(np.empty((0, 2)), np.empty(0), np.empty((0, 3)), np.empty(0), repeated)) == 0
+
+
+def test_a_single_view_is_a_mistake_where_many_frames_show_the_place():
+    which = np.repeat(np.arange(4), [1, 1, 1, 3])
+    place = 10.0 * which[:, None] * np.array([1.0, 0, 0])
+    votes = gather(np.full((6, 2), 2.0), np.ones(6), place, np.ones(6), repeated=True)
+    assert not votes.fleeting.any(), "vehicles here are usually seen three times"
+    shown = np.array([1, 4, 5, 20])
+    assert replace(votes, shown=shown).fleeting.tolist() == [False, False, True, False]
+
+
+def test_views_of_one_vehicle_err_alike_in_part():
+    for views in (1, 4, 400):
+        sigma = np.full((views, 2), 0.04)
+        votes = gather(np.ones((views, 2)), np.ones(views), np.zeros((views, 3)), np.ones(views), True, sigma)
+        left = 0.04 * np.sqrt(OF_THE_VEHICLE + (1 - OF_THE_VEHICLE) / views)
+        assert vote_noise(votes, Ruler())[0] == pytest.approx([left, left])

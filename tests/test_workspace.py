@@ -21,7 +21,7 @@ from orthoscale.system.outputs import FOLDER_MARK
 
 pycolmap = pytest.importorskip("pycolmap")
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
-OPTIONS = {"fleet": "US", "detections": EXAMPLE / "detections.json"}
+OPTIONS = {"fleet": "US", "detections": EXAMPLE / "detections.json", "mode": "planar"}  # the quickest way
 
 
 @pytest.fixture
@@ -36,11 +36,12 @@ def work(tmp_path):
     return work
 
 
+@pytest.mark.slow
 def test_each_model_has_its_own_scale(work, tmp_path):
     from click.testing import CliRunner
 
     out = tmp_path / "out"
-    options = ["--fleet", "US", "--detections", str(EXAMPLE / "detections.json"), "--json"]
+    options = ["--fleet", "US", "--detections", str(EXAMPLE / "detections.json"), "--mode", "planar", "--json"]
     run = CliRunner().invoke(cli, ["fix", str(work), "--out", str(out), *options], catch_exceptions=False)
     said = json.loads(run.stdout)
     assert said == json.loads((out / "models.json").read_text())
@@ -69,6 +70,7 @@ def test_a_workspace_is_never_an_output(work, tmp_path):
         assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_a_model_without_evidence_does_not_stop_the_others(work, tmp_path):
     (work / "sparse/1/points3D.bin").write_bytes(b"\0" * 5)
     outcomes = fix_all(models_in(work), tmp_path / "out", FixRequest(**OPTIONS))
@@ -87,6 +89,7 @@ def test_one_model_is_no_workspace(tmp_path):
     assert models_in(tmp_path) == models_in(tmp_path / "sparse/0/cameras.bin") == []
 
 
+@pytest.mark.slow
 def test_dense_comes_along(work, tmp_path):
     dense_workspace(work / "dense" / "0")
     result = fix(work / "sparse/0", tmp_path / "out", dense=True, **OPTIONS)

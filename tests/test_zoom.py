@@ -53,9 +53,8 @@ def detector():
     return Detector()
 
 
-@pytest.mark.parametrize(
-    "length", [8, 13, 30, 62, pytest.param(125, marks=pytest.mark.slow), pytest.param(400, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("length", [8, 13, 30, 62, 125, 400])
 def test_vehicles_of_8_to_400_px_are_found_at_their_size(street, detector, length):
     factor = length / (GERMAN / 0.07)
     half = min(int(1800 / factor), len(street) // 2)  # 3600 px at most, from the middle

@@ -67,32 +67,15 @@ def calibrate(
     network = Detector(None if detector is None else Path(detector), decoder, vehicle_classes)
     zooms = LOOKS * network.card.best_length * gsd / float(prior.mean[0])
     check_zoom(float(zooms.max()), network.card)
-
-    def step(k: int) -> Callable[[int, int], None] | None:
-        return (
-            (lambda done, total: progress(f"Detection pass {k + 1} of {len(zooms)}", done, total)) if progress else None
-        )
-
-    looks = [sweep(source.pictures, z, network, step(k))[source.picture_names[0]] for k, z in enumerate(zooms)]
-    looks = same_vehicles(looks)
-    if len(looks[0]) < FEWEST_VEHICLES:
-        raise TooLittleEvidence(
-            f"{path}: {len(looks[0])} vehicles detected at all three resampling factors, "
-            f"{FEWEST_VEHICLES} are needed for a calibration",
-            "Give an orthophoto with more vehicles, and check its scale (--gsd).",
-        )
+    looks = _looks(raster, zooms, network, progress)
     ruler, fits, sizes = measure_ruler(looks, zooms, gsd, prior, network.card.ruler)
     entry = None
     if local_fleet:
         relative_sd = np.array([fit.size_sd / fit.size for fit in fits])
-        entry = local_fleet_entry(
-            sizes,
-            np.asarray(ruler.noise) * gsd / zooms[len(zooms) // 2],
-            relative_sd,
-            prior,
-            f"{len(sizes)} vehicles of {path.name}",
-            f"orthoscale calibrate, {len(sizes)} vehicles, {prior.code}",
-        )
+        noise = np.asarray(ruler.noise) * gsd / zooms[len(zooms) // 2]
+        name = f"{len(sizes)} vehicles of {path.name}"
+        source_said = f"orthoscale calibrate, {len(sizes)} vehicles, {prior.code}"
+        entry = local_fleet_entry(sizes, noise, relative_sd, prior, name, source_said)
     made_from = {
         "orthophoto": path.name,
         "sha256": source.content_hash(),
@@ -105,6 +88,24 @@ def calibrate(
         "notes": notes,
     }
     return Calibration(network.card.name, network.sha256, ruler, entry, made_from)
+
+
+def _looks(plan: Plan, zooms: np.ndarray, network: Detector, progress: Progress | None) -> list[Boxes]:
+    """The same vehicles at each resampling factor of `zooms`, in the same order. Raises TooLittleEvidence."""
+
+    def step(k: int) -> Callable[[int, int], None] | None:
+        return (
+            (lambda done, total: progress(f"Detection pass {k + 1} of {len(zooms)}", done, total)) if progress else None
+        )
+
+    looks = same_vehicles([sweep([plan], z, network, step(k))[plan.name] for k, z in enumerate(zooms)])
+    if len(looks[0]) < FEWEST_VEHICLES:
+        raise TooLittleEvidence(
+            f"{plan.path}: {len(looks[0])} vehicles detected at all three resampling factors, "
+            f"{FEWEST_VEHICLES} are needed for a calibration",
+            "Give an orthophoto with more vehicles, and check its scale (--gsd).",
+        )
+    return looks
 
 
 def _known_gsd(source: Plan, gsd: float | None) -> tuple[float, list[str]]:

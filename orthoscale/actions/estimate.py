@@ -221,11 +221,7 @@ def _looked_for(
     source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
 ) -> tuple[Detections, ZoomChoice | None]:
     """The vehicles that a detector finds. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
-    effort = effort_of(request)
-    # Somebody else's network looks at one image at a time, with all cores.
-    threads = 0 if request.detector else effort.threads_each
-    confirmed = source.plan is not None and request.confirms
-    network = Detector(_path(request.detector), request.decoder, request.vehicle_classes, threads, confirmed)
+    effort, network = effort_of(request), detector_of(source, request)
     zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
         found, choice = find_in(
@@ -251,6 +247,15 @@ def effort_of(request: EstimateRequest) -> Effort:
     return Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
 
 
+def detector_of(source: Source, request: EstimateRequest) -> Detector:
+    """The detector that `request` asks for, for `source`. Raises InputError, UsageError."""
+    path = None if request.detector is None else Path(request.detector)
+    # Somebody else's network looks at one image at a time, with all cores.
+    threads = effort_of(request).threads_each if path is None else 0
+    confirmed = source.plan is not None and request.confirms
+    return Detector(path, request.decoder, request.vehicle_classes, threads, confirmed)
+
+
 def _given(source: Source, known_distance: Sequence[str], ground_control: str | Path | None) -> list[Evidence]:
     """What the user knows of the scale. Raises UsageError, InputError."""
     given = [read_distance(text, source) for text in known_distance]
@@ -266,10 +271,6 @@ def _satellite(path: str | Path | None) -> Satellite | None:
     from ..sources.satellite import Satellite
 
     return Satellite.open(Path(path))
-
-
-def _path(value: str | Path | None) -> Path | None:
-    return None if value is None else Path(value)
 
 
 def _sampling(source: Source, fleet: Fleet) -> Sampling:

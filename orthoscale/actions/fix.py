@@ -152,8 +152,9 @@ class _PlanWriter:
         self.extras = chosen(request.also)
         self.places_of_extras: list[Path] = []
         plan.check_name(out)
-        for extra in self.extras:
-            extra.check(self.plan)
+        if request.against is None:  # a map may place what has no place of its own
+            for extra in self.extras:
+                extra.check(self.plan)
 
     def places(self, outputs: Outputs) -> tuple[Path, dict[str, Path]]:
         for suffix in GDAL_SIDECARS:

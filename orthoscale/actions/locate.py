@@ -17,7 +17,7 @@ from ..locate.claimed import ClaimedScale, claimed_scales
 from ..locate.features import Features, GradientFeatures
 from ..locate.files import write
 from ..locate.outcome import Outcome, document
-from ..locate.register import Finder, Known, register
+from ..locate.register import Known, PlaceFinder, register
 from ..photos.looking import Looking
 from ..photos.measure import find_photos
 from ..sources.satellite import Satellite
@@ -136,7 +136,7 @@ def features_for(method: str) -> Features:
     return GradientFeatures()
 
 
-def finder_for(request: LocateRequest) -> tuple[str, Finder | None, tuple[str, ...]]:
+def finder_for(request: LocateRequest) -> tuple[str, PlaceFinder | None, tuple[str, ...]]:
     """The method that `request` means, its finder where it is not correlation, and notes. Raises InputError."""
     if request.embedding is None:
         return "gradient" if request.method == "auto" else request.method, None, ()
@@ -175,7 +175,7 @@ def searched(
     features: Features,
     request: LocateRequest,
     prior: tuple[float, float, float] | None,
-    finder: Finder | None = None,
+    finder: PlaceFinder | None = None,
 ) -> Outcome:
     """One photo. A picture that is too small on the map is its own outcome, not the end of the others."""
     photo = claimed.photo

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..core.source import Source
-from ..detect.detector import Detector
 from ..formats.detections import load as load_detections
-from .estimate import opened
+from .estimate import detector_of, opened
 from .fix import rehearsed
 from .requests import EstimateRequest, FixRequest
 
@@ -27,10 +26,7 @@ def rehearsal(
         boxes = load_detections(Path(request.detections), source, request.vehicle_classes)
         rows.append(("boxes", f"{len(boxes)} from {request.detections}"))
     else:
-        path_told = None if request.detector is None else Path(request.detector)
-        confirmed = source.plan is not None and request.confirms
-        detector = Detector(path_told, request.decoder, request.vehicle_classes, confirmed=confirmed)
-        rows.append(("detector", detector.name))
+        rows.append(("detector", detector_of(source, request).name))
     rows += [("also", evidence.says) for evidence in asked.given]
     if source.claimed is not None and source.claimed.gsd_m is not None:
         rows.append(("claim", f"{source.claimed.gsd_m:.4g} m/px: {source.claimed.why}"))

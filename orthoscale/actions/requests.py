@@ -225,8 +225,8 @@ class EstimateRequest(VehicleRequest):
         False,
         bool,
         "Detector",
-        "Let the small detector look twice at an orthophoto; by default a larger one takes the second look, which "
-        "makes fewer mistakes and takes half as long again.",
+        "Both detection passes over an orthophoto by the small detector; by default a larger network makes the second, "
+        "which makes fewer mistakes and takes half as long again.",
     )
     mode: str | None = option(
         None,
@@ -313,7 +313,7 @@ class EstimateRequest(VehicleRequest):
                 "--calibration is of a detector's boxes, and --measurer replaces these", "Give one of them."
             )
         if self.detector is not None or self.measures is None:
-            self._refuse(("fast",), "only where the built-in networks find and measure do two look")
+            self._refuse(("fast",), "only where both built-in networks are used does a larger one make the second pass")
         if self.exhaustive:
             self._refuse(("target",), "--exhaustive visits every tile")
         if self.estimator == "iqr":
@@ -353,7 +353,7 @@ class EstimateRequest(VehicleRequest):
 
     def check_for_many(self) -> None:
         """Raise UsageError for what speaks of one input only."""
-        self._refuse(("known_distance", "ground_control"), "it speaks of one input, and these are several")
+        self._refuse(("known_distance", "ground_control"), "it is about one input, and these are several")
 
     def _for_plan(self, path: Path) -> None:
         self._refuse(("mode", "images"), f"it is for COLMAP models, and {path} is an image")

@@ -9,7 +9,11 @@ import numpy as np
 # Views whose ground points lie closer than this share of the typical width are the same vehicle. Parked side by side,
 # vehicles stand 1.35 widths apart or more (stalls of 2.4 m and up), so chains do not form.
 SAME_PLACE = 0.6
-USUAL_VIEWS = 4  # views of a typical box's vehicle from which a single view counts as a mistake
+USUAL_VIEWS = 4  # views that a parked vehicle should have, from which a single one counts as a mistake
+# Share of the frames that show a vehicle in which it is found: the recall of the shipped detectors, 0.78 to 0.81
+# (detect/weights/README.md). A parked vehicle that five frames show is then found in one of them alone in 0.6 % of the
+# cases; what is moving, in a few more.
+FOUND_IN = 0.8
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,7 @@ class Votes:
     sigma : (N, 2) relative one-sigma noise of one of its boxes (`Boxes.sigma`), NaN where it is the ruler's.
     kinds : (N, 4) how probably it is each of `boxes.KINDS`, NaN where unknown.
     ground : (N,) relative one-sigma of both sizes that more views do not lessen: the ground's height under it.
+    shown : (N,) number of pictures that have its place in view, None where that is not known.
     """
 
     size: np.ndarray
@@ -36,6 +41,7 @@ class Votes:
     sigma: np.ndarray | None = None
     kinds: np.ndarray | None = None
     ground: np.ndarray | None = None
+    shown: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.size)
@@ -46,8 +52,14 @@ class Votes:
 
     @property
     def fleeting(self) -> np.ndarray:
-        """(N,) bool: seen in one frame where vehicles are usually seen in many. Mistakes flicker, parked cars stay."""
-        usual = np.median(np.repeat(self.views, self.views)) if len(self) else 0
+        """(N,) bool: seen in one frame where it should be in many. Mistakes flicker, parked cars stay.
+
+        In how many follows from how many frames show its place; where that is not known, from the other vehicles.
+        """
+        if self.shown is not None:
+            usual = FOUND_IN * self.shown
+        else:
+            usual = np.full(len(self), np.median(np.repeat(self.views, self.views)) if len(self) else 0.0)
         return (self.views == 1) & (usual >= USUAL_VIEWS)
 
 

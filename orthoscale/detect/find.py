@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import Boxes
-from ..core.detections import Detections
+from ..core.detections import Detections, Tile
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from .cache import TileCache, cache_key
 from .cover import Cover
@@ -107,10 +107,7 @@ def find_vehicles(
         of_picture = np.split(np.arange(len(jobs)), np.cumsum([len(some) for some in each])[:-1])
         order = [of_picture[k] for k in cover.order]
     elif anytime:
-        places = [tile for _, tile in jobs]
-        evenly = visiting_order(places, np.ones(len(jobs)), effort.seed)
-        weight = promise(jobs, evenly, detector, count, step("Coarse pass"))
-        order = visiting_order(places, weight, effort.seed)
+        order = _promising_first(jobs, detector, count, effort.seed, step("Coarse pass"))
     with ExitStack() as open_things:
         key = cache_key(pictures, detector, zoom) if effort.cache else None
         cache = open_things.enter_context(TileCache(key)) if key else None
@@ -128,6 +125,19 @@ def find_vehicles(
             detector.confirming is None,
         )
     return _without_equal_things(detections(found)), choice
+
+
+def _promising_first(
+    jobs: Sequence[tuple[Picture, Tile]],
+    detector: Detector,
+    count: int,
+    seed: int,
+    progress: Callable[[int, int], None] | None,
+) -> np.ndarray:
+    """Numbers of an orthophoto's tiles, spread evenly at every stop; those with something to see from afar sooner."""
+    places = [tile for _, tile in jobs]
+    evenly = visiting_order(places, np.ones(len(jobs)), seed)
+    return visiting_order(places, promise(jobs, evenly, detector, count, progress), seed)
 
 
 def _without_equal_things(found: Detections) -> Detections:

@@ -32,6 +32,10 @@ AROUND = 0.85  # of the window that is read, from the box's centre either way, i
 BATCH = 32  # crops a run
 # Each look leaves a quarter to a half of what the answer had of the proposed box; after four it has nothing.
 PASSES_EACH = 4
+# Of the length, by which an unsure edge is moved at most. Beds of pickups and bonnets in shade that were left out are
+# up to a tenth of it; one that is unsure by more is anywhere.
+MOVED_AT_MOST = 0.08
+MOVED_SD = 1 / 3  # what a moved edge's place is uncertain by besides, as a share of the way it was moved
 NO_DATA = (NO_DATA_GREY,) * 3  # beyond the picture's edge
 ANSWERS = (*KINDS, "none")
 
@@ -50,6 +54,9 @@ class MeasurerCard:
     sigma_times : (2,) how many times what it states the errors of its lengths and widths are.
     effective_height : up to where its boxes enclose a vehicle seen obliquely, along length and width [m].
     body : what they enclose there, one of `core.projection.exact.BODIES`.
+    inward : how far an unsure edge lies inside the vehicle, in times of what its sigma exceeds a sure one's. An edge
+        that may be the bonnet's or the bumper's is told between the two, and the vehicle ends at the outer one.
+    sure : sigma of an edge that is told as well as it can be: share of the vehicle's length, and px of the picture.
     """
 
     name: str
@@ -57,6 +64,8 @@ class MeasurerCard:
     sigma_times: tuple[float, float]
     effective_height: tuple[float, float]
     body: str
+    inward: float = 0.0
+    sure: tuple[float, float] = (0.0, 0.0)
     training: str = ""
     licence: str = ""
 
@@ -74,6 +83,12 @@ class MeasurerCard:
         )
         values = {name: getattr(entry, name) for name in entry.__struct_fields__}
         return cls(**{**values, "ruler": entry.ruler.ruler})
+
+    def outward(self, sigma: np.ndarray, length: np.ndarray) -> np.ndarray:
+        """(N, 4) how far edges of `sigma` (N, 4) are to be moved outwards [px], of vehicles of `length` (N,) [px]."""
+        share, px = self.sure
+        excess = sigma - np.hypot(share * length, px)[:, None]
+        return np.clip(self.inward * excess, 0.0, MOVED_AT_MOST * length[:, None])
 
 
 @dataclass(frozen=True)
@@ -136,6 +151,15 @@ def placed(box: np.ndarray, edges: np.ndarray, turn: float) -> np.ndarray:
     return np.array([box[0] + x, box[1] + y, *size, box[4] + turn])
 
 
+def moved_out(boxes: np.ndarray, outward: np.ndarray) -> np.ndarray:
+    """Boxes (N, 5) whose edges, in the order of `Measured.sigma`, lie farther out by `outward` (N, 4) [px]."""
+    low, high = outward[:, [0, 2]], outward[:, [1, 3]]
+    x, y = ((high - low) / 2).T
+    cos, sin = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
+    centre = boxes[:, :2] + np.stack([cos * x - sin * y, sin * x + cos * y], 1)
+    return np.column_stack([centre, boxes[:, 2:4] + low + high, boxes[:, 4]])
+
+
 class Measurer:
     """Holds one network; safe to call from several threads.
 
@@ -182,7 +206,10 @@ class Measurer:
             crops = [crop(pixels, box) for (pixels, _), box in zip(windows, proposed, strict=True)]
             edges, sigma, turn, seen, kind = self._run(crops)
             proposed = np.array([placed(*each) for each in zip(proposed, edges, turn, strict=True)])
-        return Measured(Boxes(proposed + corner, boxes.score), sigma * steps[:, None], seen, kind)
+        sigma = sigma * steps[:, None]
+        outward = self.card.outward(sigma, proposed[:, 2])
+        boxes = Boxes(moved_out(proposed, outward) + corner, boxes.score)
+        return Measured(boxes, np.hypot(sigma, MOVED_SD * outward), seen, kind)
 
 
 def _window(picture: Picture, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -83,7 +83,7 @@ def remeasured(
         boxes[name] = distinct(Boxes.concatenate(parts))
     notes = found.notes
     if count:
-        notes = (*notes, f"{count} boxes do not count: a second look saw no vehicle in them")
+        notes = (*notes, f"{count} boxes do not count: the measurer saw no vehicle in them")
     card = measurer.card
     return replace(
         found,

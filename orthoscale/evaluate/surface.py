@@ -9,8 +9,9 @@ import numpy as np
 import pyproj
 from rasterio.windows import Window
 
+from ..core.affine import transformed
 from ..errors import InputError
-from ..sources.raster import open_dataset, reading
+from ..sources.gdal import open_dataset, reading
 
 RADIUS = 100.0  # [m] around the point below the camera, as in arXiv 2603.07535
 LOWEST_SHARE = 0.10  # share of the heights there, the lowest, whose mean is the ground: roofs and crowns are above
@@ -44,10 +45,9 @@ class Surface:
         north = pyproj.Geod(ellps="WGS84").fwd(lon, lat, 0.0, RADIUS)
         east = pyproj.Geod(ellps="WGS84").fwd(lon, lat, 90.0, RADIUS)
         to_pixel = ~self._dataset.transform
-        (cx, cy), (nx, ny), (ex, ey) = (
-            (to_pixel.a * x + to_pixel.b * y + to_pixel.c, to_pixel.d * x + to_pixel.e * y + to_pixel.f)
-            for x, y in (self._from_degrees.transform(*place[:2]) for place in ((lon, lat), north, east))
-        )
+        places = np.array([(lon, lat), north[:2], east[:2]]).T
+        x, y = self._from_degrees.transform(*places)
+        (cx, cy), (nx, ny), (ex, ey) = transformed(np.column_stack([x, y]), to_pixel)
         if not np.isfinite([cx, cy, nx, ny, ex, ey]).all():
             return None
         axes = np.array([[ex - cx, nx - cx], [ey - cy, ny - cy]]) / RADIUS  # pixels per metre east and north

@@ -110,6 +110,8 @@ class MeasurerCardEntry(Struct, forbid_unknown_fields=True):
     sigma_times: tuple[Annotated[float, Meta(gt=0, le=100)], Annotated[float, Meta(gt=0, le=100)]]
     effective_height: tuple[Height, Height]
     body: Name = "car"
+    inward: Annotated[float, Meta(ge=0, le=100)] = 0.0
+    sure: tuple[Annotated[float, Meta(ge=0, le=1)], Annotated[float, Meta(ge=0, le=100)]] = (0.0, 0.0)
     training: Text = ""
     licence: Text = ""
 

@@ -15,6 +15,7 @@ import shapely
 from rasterio.transform import Affine
 from shapely.geometry.base import BaseGeometry
 
+from ..core.affine import transformed
 from ..errors import InputError, UsageError, shown
 from ..formats.reading import LARGE, check_regular, read, read_plain
 from ..sources.raster import RasterSource
@@ -65,21 +66,15 @@ class Ground:
 
     def to_crs(self, metres: np.ndarray) -> np.ndarray:
         """(n, 2) metres to the coordinates of the file's CRS."""
-        return _apply(self.transform, self.to_pixels(metres))
+        return transformed(self.to_pixels(metres), self.transform)
 
     def from_crs(self, coordinates: np.ndarray) -> np.ndarray:
         """(n, 2) the way back."""
-        return self.to_metres(_apply(~self.transform, coordinates))
+        return self.to_metres(transformed(coordinates, ~self.transform))
 
     def mapped(self, shape: BaseGeometry, to: Callable[[np.ndarray], np.ndarray]) -> BaseGeometry:
         """A shape with `to` applied to its coordinates, such as ``ground.to_pixels``."""
         return shapely.transform(shape, to)
-
-
-def _apply(t: Affine, points: np.ndarray) -> np.ndarray:
-    """(n, 2) points through an affine transform."""
-    x, y = np.asarray(points, float).T
-    return np.stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f], -1)
 
 
 def open_ground(path: Path, scale_error: float | None = None) -> Ground:
@@ -110,9 +105,9 @@ def _north(source: RasterSource, transform: Affine, crs: Any) -> tuple[float, tu
     system = pyproj.CRS.from_user_input(crs)
     there = pyproj.Transformer.from_crs(system, "EPSG:4326", always_xy=True)
     middle = np.array([[source.width / 2, source.height / 2]])
-    lon, lat = there.transform(*_apply(transform, middle)[0])
+    lon, lat = there.transform(*transformed(middle, transform)[0])
     up = there.transform(lon, lat + 1e-4, direction="INVERSE")
-    right, down = (_apply(~transform, np.array([up])) - middle)[0]
+    right, down = (transformed(np.array([up]), ~transform) - middle)[0]
     return math.degrees(math.atan2(right, -down)), ()
 
 

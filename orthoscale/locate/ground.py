@@ -11,6 +11,13 @@ import numpy as np
 from ..core.source import NO_DATA_GREY, Picture
 
 NO_PICTURE = (NO_DATA_GREY,) * 3
+NO_DATA_SIDE = 5  # [px] of the smallest square without data; a grey picture has single pixels of that very grey
+
+
+def has_data(pixels: np.ndarray) -> np.ndarray:
+    """(H, W) bool: where `pixels` (H, W, 3), as `Picture.read` gives them, have data."""
+    grey = (pixels == NO_DATA_GREY).all(-1).astype(np.uint8)
+    return cv2.morphologyEx(grey, cv2.MORPH_OPEN, np.ones((NO_DATA_SIDE, NO_DATA_SIDE), np.uint8)) == 0
 
 
 @dataclass(frozen=True)
@@ -94,4 +101,4 @@ class SeenPlan:
         width, height = np.maximum(np.rint(self.size / gsd).astype(int), 1)
         whole = self.picture.width, self.picture.height
         pixels = self.picture.read(0, 0, *whole, int(width), int(height))
-        return GroundImage(pixels, (pixels != NO_DATA_GREY).any(-1), gsd, np.zeros(2))
+        return GroundImage(pixels, has_data(pixels), gsd, np.zeros(2))

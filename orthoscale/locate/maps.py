@@ -14,10 +14,12 @@ from ..detect.cache import Kept, content_key
 from ..errors import UsageError
 from ..sources.satellite import Satellite
 from .features import Features
+from .ground import has_data
 
 FEATURE_TILE = 96  # [cells] side of what is described at once
 GRID_STEP = 2**0.5  # between the resolutions at which a map is described: photos of about one size share its features
-FEATURE_CODE = ("locate/maps.py", "locate/features.py", "sources/raster.py")  # what decides over a map's features
+# What decides over a map's features:
+FEATURE_CODE = ("locate/maps.py", "locate/features.py", "locate/ground.py", "sources/raster*.py")
 IN_MEMORY = 64  # tiles; with 64 channels 75 MB
 SAMPLED_TILES = 24  # tiles that tell what is usual on a map
 
@@ -75,7 +77,7 @@ class MapGrid:
             return np.full((height, width, 3), NO_DATA_GREY, np.uint8), np.zeros((height, width), bool)
         out = np.maximum(np.rint(span * self.pixel / self.gsd).astype(int), 1)
         part = source.read(*(int(v) for v in (*low, *span, *out)))
-        known = (part != NO_DATA_GREY).any(-1).astype(np.uint8)
+        known = has_data(part).astype(np.uint8)
         zoom = span * self.pixel / self.gsd / out  # grid pixels per pixel of `part`, nearly 1
         start = self.place_of(low) - (x, y)
         to_out = np.array([[zoom[0], 0, start[0] + zoom[0] / 2 - 0.5], [0, zoom[1], start[1] + zoom[1] / 2 - 0.5]])

@@ -33,8 +33,11 @@ HEADING_SD = np.radians(8.0)  # to which a known heading is trusted, to both sid
 MOST_STEPS = 12  # of scales; factor 3
 CHANNELS = 24  # that are correlated
 VERIFIED = 20  # candidates that are verified
-NEGATIVES = 20  # mirrored pictures that tell how many matches agree by chance
-LEAST_MATCHES = 12  # matches that must agree however few do elsewhere
+NEGATIVES = 20  # places of the mirrored picture that tell how many matches agree by chance
+MIRRORED_WAYS = 12  # ways in which the mirrored picture is searched
+LEAST_COVERED = 0.5  # share of a wrong place in which the map has data, for it to tell anything
+LEAST_MATCHES = 12  # matches that must agree however few do elsewhere ...
+LEAST_SQUARES = 10  # ... and squares of the picture that they must lie in; wrong places reach 7, right ones mostly 20
 RIVAL = 0.7  # share of the best candidate's matches from which another place is about as good
 ANOTHER_PLACE = 0.25  # [pictures' diagonals] from which on a place is another one
 LEVELLING_SD = 0.005  # of the scale by one match: the lie of the land, and of the picture. An assumption.
@@ -59,16 +62,17 @@ class Candidate:
     """A place that was verified.
 
     pose : from claimed metres of the picture, right and down of its own place, to pixels of `grid`. score : mean cosine
-    of the search. inliers : matches that agree. middle : (2,) longitude and latitude of the middle of the picture's
-    ground [deg]. heading : of the picture's top, clockwise from north [rad]. scale : true metres per claimed metre;
-    scatter : its relative one-sigma, by how far the matches scatter. matches : (N, 4) those that agree: x, y of the
-    picture [claimed m right and down], x, y of the map [its pixels].
+    of the search. inliers : matches that agree; squares : in so many of the picture. middle : (2,) longitude and
+    latitude of the middle of the picture's ground [deg]. heading : of the picture's top, clockwise from north [rad].
+    scale : true metres per claimed metre; scatter : its relative one-sigma, by how far the matches scatter. matches :
+    (N, 4) those that agree: x, y of the picture [claimed m right and down], x, y of the map [its pixels].
     """
 
     grid: MapGrid
     pose: Similarity
     score: float
     inliers: int
+    squares: int
     middle: np.ndarray
     heading: float
     scale: float
@@ -116,6 +120,9 @@ class Registration:
         best = self.candidates[0].inliers
         if best < self.needed:
             return f"best candidate has {best} matches, {self.needed} needed"
+        if self.candidates[0].squares < LEAST_SQUARES:
+            squares = self.candidates[0].squares
+            return f"the {best} matches of the best candidate lie in {squares} places only, {LEAST_SQUARES} needed"
         if self.rival is not None:
             return f"two places match about equally: {best} and {self.candidates[self.rival].inliers} matches"
         return ""
@@ -128,7 +135,7 @@ def register(
     known: Known = Known(),  # noqa: B008 - a frozen value
     cache: bool = True,
     step: Callable[[str, int, int], None] | None = None,
-    finder: Finder | None = None,
+    finder: PlaceFinder | None = None,
 ) -> Registration:
     """Find `seen` on the map `satellite`.
 
@@ -148,8 +155,9 @@ def register(
     found = (finder or correlation)(ways, mapped, area, apart, VERIFIED, report)
     looks = [(ways[peak.template], peak, verified(ways[peak.template].template, peak, mapped)) for peak in found]
     places = different(looks, image, mapped, apart)
-    wrong = mirrored(ways, mapped, area) + [each.count for _, _, each in places[1:]]
-    enough = max(LEAST_MATCHES, needed(wrong, len(places)))
+    wrong = mirrored(ways, mapped, area, apart / 2) + [look for _, _, look in places[1:]]
+    wrong = [look for look in wrong if look.covered >= LEAST_COVERED] or wrong
+    enough = max(LEAST_MATCHES, needed([look.count for look in wrong], len(places)))
     candidates = tuple(_candidate(*place, image, mapped) for place in places if place[2].fit is not None)
     return judged(candidates, enough, seen, mapped)
 
@@ -162,7 +170,7 @@ def correlation(
     most: int,
     step: Callable[[int, int], None] | None = None,
 ) -> list[Peak]:
-    """The `Finder` that correlates dense features; see `correlate.search`."""
+    """The `PlaceFinder` that correlates dense features; see `correlate.search`."""
     return search([way.template for way in ways], mapped.window, area, apart, most, step)
 
 
@@ -250,7 +258,7 @@ class Way:
         return cls(pose, Template(features, pose(image.middle[None])[0, ::-1] / mapped.features.stride, turned))
 
 
-class Finder(Protocol):
+class PlaceFinder(Protocol):
     """Finds the places that are worth verifying."""
 
     def __call__(
@@ -270,15 +278,15 @@ class Finder(Protocol):
 Look = tuple[Way, Peak, Verified]  # a way, where the search put it, and what the matches there say
 
 
-def mirrored(ways: Sequence[Way], mapped: MapFeatures, area: tuple[int, int, int, int]) -> list[int]:
-    """How many matches agree where the picture certainly is not: its mirror image at random places of the map."""
-    draw = np.random.default_rng(0)
-    counts = []
-    for _ in range(NEGATIVES):
-        template = ways[int(draw.integers(len(ways)))].template.mirrored(mapped)
-        row, column = (int(area[k] + draw.integers(max(area[k + 2], 1))) for k in (0, 1))
-        counts.append(verified(template, Peak(0.0, 0, row, column), mapped).count)
-    return counts
+def mirrored(ways: Sequence[Way], mapped: MapFeatures, area: tuple[int, int, int, int], apart: float) -> list[Verified]:
+    """Looks at places where the picture certainly is not: the best ones of its mirror image, found as its own are.
+
+    Of some of the `ways`, no two places nearer than `apart` [cells]. What is built alike, rows of houses or bays,
+    agrees in parts with a mirror image too."""
+    some = np.unique(np.linspace(0, len(ways) - 1, min(len(ways), MIRRORED_WAYS)).astype(int))
+    templates = [ways[k].template.mirrored(mapped) for k in some]
+    found = search(templates, mapped.window, area, apart, NEGATIVES)
+    return [verified(templates[peak.template], peak, mapped) for peak in found]
 
 
 def different(looks: Sequence[Look], image: GroundImage, mapped: MapFeatures, apart: float) -> list[Look]:
@@ -303,9 +311,9 @@ def judged(candidates: Sequence[Candidate], enough: int, seen: Seen, mapped: Map
         return Registration((), enough, None, float("inf"))
     best = candidates[0]
     rivals = [k for k, other in enumerate(candidates) if k and other.inliers >= RIVAL * best.inliers]
-    rival = rivals[0] if rivals and best.inliers >= enough else None
-    if best.inliers < enough:
+    if best.inliers < enough or best.squares < LEAST_SQUARES:
         return Registration(tuple(candidates), enough, None, float("inf"))
+    rival = rivals[0] if rivals else None
     best, sd = refined(best, seen, mapped)
     return Registration((best, *candidates[1:]), enough, rival, float(np.hypot(sd, LEVELLING_SD)))
 
@@ -323,7 +331,7 @@ def refined(best: Candidate, seen: Seen, mapped: MapFeatures) -> tuple[Candidate
     if look.fit is None or look.count < LEAST_MATCHES:
         return best, best.scatter
     better = _candidate(way, peak, look, image, fine)
-    better = replace(better, inliers=best.inliers, scatter=better.scatter / EVERY)
+    better = replace(better, inliers=best.inliers, squares=best.squares, scatter=better.scatter / EVERY)
     return better, better.scatter
 
 
@@ -342,4 +350,5 @@ def _candidate(way: Way, peak: Peak, look: Verified, image: GroundImage, mapped:
     matches = np.hstack([way.pose.inverse(agreed[:, :2]), grid.map_pixel(agreed[:, 2:])])
     # Blocks that overlap are not independent: what block**2 of them say is worth one.
     scatter = look.fit.scale_sd * mapped.features.block
-    return Candidate(grid, pose, peak.score, look.count, here, heading, pose.scale * grid.gsd * local, scatter, matches)
+    own = pose.scale * grid.gsd * local
+    return Candidate(grid, pose, peak.score, look.count, look.squares, here, heading, own, scatter, matches)

@@ -33,7 +33,7 @@ EMBEDDING_CARD, EMBEDDING_HINT = (
     "a card of an embedding network",
     "See docs/locate.md: its name, size and normalisation, all optional.",
 )
-EMBEDDING_CODE = ("locate/retrieval.py", "locate/maps.py", "sources/raster.py")
+EMBEDDING_CODE = ("locate/retrieval.py", "locate/maps.py", "sources/raster*.py")
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Embedding:
 
 @dataclass(frozen=True)
 class Retrieval:
-    """A `register.Finder`: the windows most like the photo by `photo` and `ground`, the networks for either."""
+    """A `register.PlaceFinder`: the windows most like the photo by `photo` and `ground`, the networks for either."""
 
     photo: Embedding
     ground: Embedding
@@ -127,7 +127,7 @@ class Retrieval:
         most: int,
         step: Callable[[int, int], None] | None = None,
     ) -> list[Peak]:
-        """See `register.Finder`. `apart` does not matter: windows are as far apart as their stride."""
+        """See `register.PlaceFinder`. `apart` does not matter: windows are as far apart as their stride."""
         grid, stride = mapped.grid, mapped.features.stride
         squares = [central_square(way.template.image) for way in ways]
         side = int(np.median([len(square) for square in squares]))

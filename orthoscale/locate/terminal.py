@@ -7,12 +7,13 @@ from typing import Any
 
 
 def summary(text: dict[str, Any], out: Path) -> str:
-    """Lines for the document of `outcome.document`."""
+    """Lines for the document of `outcome.document`, and what was written to the folder `out`."""
     lines: list[str] = []
     for photo in text["photos"]:
         lines += [f"photo      {photo['photo']}", *_lines(photo)]
     lines += [f"note       {note}" for note in text["notes"]]
-    lines.append(f"written    {out}: located.json, candidates.csv, located.gpkg, matches")
+    files = sorted(path.name for path in out.iterdir() if not path.name.startswith("."))
+    lines.append(f"written    {out}: {', '.join(files)}")
     return "\n".join(lines)
 
 

@@ -16,6 +16,7 @@ MOST_TURNED = np.radians(20.0)  # a candidate's heading is at most this far off,
 MOST_STRETCHED = 1.35
 SHORTEST_PAIR = 4.0  # [cells] between two matches that are to tell a similarity
 REFITS = 5  # rounds of fitting and choosing anew
+SQUARE = 4  # [cells] side of the squares that `Verified.squares` counts, about a block
 WINDOW_MARGIN = 0.125  # by which the window of the map is larger than the picture, at each side
 FALSE_RATE = 1e-4  # probability that any of the places that are verified has as many matches as needed by chance
 GUMBEL_MEDIAN, GUMBEL_QUARTILES = -np.log(np.log(2)), np.log(np.log(4) / np.log(4 / 3))  # of the standard one
@@ -79,15 +80,26 @@ class Fit:
 @dataclass(frozen=True)
 class Verified:
     """A look at one place. matches : (N, 4) x, y of the template and x, y of the map [cells]. fit : the similarity on
-    which most of them agree, from the template's cells to the map's; None where there are too few."""
+    which most of them agree, from the template's cells to the map's; None where there are too few. covered : share of
+    what was looked at in which the map has data."""
 
     matches: np.ndarray
     fit: Fit | None
+    covered: float
 
     @property
     def count(self) -> int:
         """How many matches agree."""
         return self.fit.count if self.fit else 0
+
+    @property
+    def squares(self) -> int:
+        """In how many squares of the picture, or of the map where that is fewer, they lie. Blocks overlap: one roof
+        that is alike by chance makes many matches side by side."""
+        if self.fit is None:
+            return 0
+        places = self.matches[self.fit.inliers] // SQUARE
+        return min(len(np.unique(places[:, k : k + 2], axis=0)) for k in (0, 2))
 
 
 def verified(template: Template, peak: Peak, mapped: MapFeatures, every: int = 1) -> Verified:
@@ -100,7 +112,7 @@ def verified(template: Template, peak: Peak, mapped: MapFeatures, every: int = 1
     ground = mapped.window(int(corner[0]), int(corner[1]), height, width)
     matches = mutual_matches(template.features, ground, block, every)
     matches[:, 2:] += corner[::-1]
-    return Verified(matches, agreeing(matches))
+    return Verified(matches, agreeing(matches), float(ground.any(0).mean()))
 
 
 def needed(wrong: Sequence[int], looks: int) -> int:

@@ -268,6 +268,9 @@ class PhotoGeometry:
         bodies = [replace(body, height=h) for h in height]
         return np.stack([ground_size(self.boxes, view, metres_per_unit, b)[:, k] for k, b in enumerate(bodies)], 1)
 
+    def shown(self, place: np.ndarray) -> None:
+        """None: the photo shows all."""
+
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
     ) -> Sequence[AnchorVote]:

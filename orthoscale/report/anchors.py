@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.affine import transformed
 from ..core.anchors import AnchorVote
 from ..core.source import Placement
 from ..formats.vector import write_layer
@@ -63,11 +64,9 @@ def write_anchor_layer(anchors: Sequence[Mapping[str, Any]], place: Placement, p
     GeoPackage at `path`, which may have others. Raises OSError."""
     import shapely
 
-    t = place.transform
     shapes, rows = [], []
     for anchor in anchors:
-        x, y = np.moveaxis(np.array(anchor["lines_px"], float).reshape(-1, 2, 2), -1, 0)
-        lines = np.stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f], -1)
+        lines = transformed(np.array(anchor["lines_px"]).reshape(-1, 2, 2), place.transform)
         shapes.append(shapely.multilinestrings(shapely.linestrings(lines)))
         rows.append({name: anchor[name] for name in COLUMNS_OF_LAYER})
     crs = place.crs if isinstance(place.crs, str) else place.crs.to_wkt()

@@ -122,22 +122,7 @@ def document(
         "checks": {**scale.checks, "tension_sigmas": scale.tension, "conflict_sigmas": scale.conflict},
         "weights": {"length": scale.weights[0], "width": scale.weights[1]},
         "remarks": [{"severity": remark.severity, "text": remark.text} for remark in remarks],
-        "detector": {
-            "name": found.detector,
-            "sha256": found.detector_sha256,
-            "zoom": found.zoom,
-            "effective_height": list(found.effective_height),
-            "margin_px": list(found.ruler.margin),
-        },
-        "sweep": None
-        if found.swept is None
-        else {
-            "tiles": len(found.swept.tiles),
-            "of": found.swept.total,
-            "from_cache": found.swept.from_cache,
-            "looked_at": found.swept.looked_at,
-            "why": found.swept.why,
-        },
+        **_of_detection(found),
         "claim": None if claim is None else claim.document(),
         "drift": _drift(measured.drift),
         "zoom_search": None
@@ -147,15 +132,40 @@ def document(
         "input": {"path": str(source.path), "sha256": source.content_hash()},
         "settings": dict(settings),
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
-        "versions": {
-            "orthoscale": __version__,
-            "python": platform.python_version(),
-            **{name: _version(name) for name in PACKAGES},
-        },
+        "versions": _versions(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "seconds": round(seconds, 2),
         "vehicles": _vehicles(measured, plan),
     }
+
+
+def _of_detection(found: Detections) -> dict[str, Any]:
+    """Who found the boxes, and how much of the pictures was looked at: None where boxes came from a file."""
+    swept = found.swept
+    return {
+        "detector": {
+            "name": found.detector,
+            "sha256": found.detector_sha256,
+            "zoom": found.zoom,
+            "effective_height": list(found.effective_height),
+            "margin_px": list(found.ruler.margin),
+        },
+        "sweep": None
+        if swept is None
+        else {
+            "tiles": len(swept.tiles),
+            "of": swept.total,
+            "from_cache": swept.from_cache,
+            "looked_at": swept.looked_at,
+            "why": swept.why,
+        },
+    }
+
+
+def _versions() -> dict[str, str]:
+    """Of this program and what it measures with."""
+    packages = {name: _version(name) for name in PACKAGES}
+    return {"orthoscale": __version__, "python": platform.python_version(), **packages}
 
 
 def _anchors(searched: Searched, scale: Scale) -> dict[str, Any]:

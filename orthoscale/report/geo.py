@@ -97,10 +97,14 @@ def write_geopackage(result: Result, place: Placement, path: Path) -> None:
 
 def check_on_earth(source: Plan) -> None:
     """Raise UsageError where nothing says where on Earth `source` lies: GeoJSON knows nothing else."""
-    crs = source.place(1.0, keep_origin=True).crs
+    _require_earth(source.place(1.0, keep_origin=True), source.path)
+
+
+def _require_earth(place: Placement, path: Path) -> None:
+    crs = place.crs
     if isinstance(crs, str) or not (crs.is_geographic or crs.is_projected):
         raise UsageError(
-            f"--also geojson: {source.path} lies nowhere on Earth, and GeoJSON has longitude and latitude only",
+            f"--also geojson: {path} lies nowhere on Earth, and GeoJSON has longitude and latitude only",
             "Take --also gpkg, which keeps local metres.",
         )
 
@@ -109,9 +113,10 @@ def write_geojson(result: Result, place: Placement, path: Path) -> None:
     """Vehicles as polygons in longitude and latitude (WGS 84), as RFC 7946 wants it and every reader takes it.
 
     They lie where the map of --against puts them, else where the input's own georeferencing puts its first corner,
-    whether or not the copy keeps that.
+    whether or not the copy keeps that. Raises UsageError where neither does.
     """
     place = result.place(keep_origin=True)
+    _require_earth(place, result.source.path)
     columns = {name: values.tolist() for name, values in table(result).items()}
     features = []
     for k, ring in enumerate(outlines(result, place)):

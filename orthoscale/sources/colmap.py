@@ -22,7 +22,8 @@ from ..formats.geometry.files import reason_left
 from ..formats.geometry.sim3 import MATRIX, Sim3
 from ..formats.points import coordinates, number
 from ..system.outputs import FOLDER_MARK
-from .colmap_check import RIG_TABLES, TABLES, open_model
+from .colmap_check import open_model
+from .colmap_tables import RIG_TABLES, TABLES
 from .colmap_write import read_model, write_scaled
 from .consistency import check_consistency
 from .database import pose_priors

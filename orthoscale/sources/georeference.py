@@ -13,6 +13,8 @@ from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
 from rasterio.transform import Affine, from_gcps
 
+from ..core.affine import transformed
+
 LINE = 1e-6  # width over length from which points count as lying on a line
 LOCAL_CRS = (
     'LOCAL_CS["orthoscale local metres",LOCAL_DATUM["unknown",32767],UNIT["metre",1,AUTHORITY["EPSG","9001"]],'
@@ -186,9 +188,10 @@ def _ground_steps(width: int, height: int, t: Affine, system: pyproj.CRS) -> tup
     x, y = width / 2, height / 2
     # Wide enough for rounding in inverse projections (some 10 nm) not to matter, narrow enough to be local.
     half = min(100.0, x, y)
-    px, py = np.array([x - half, x + half, x, x]), np.array([y, y, y - half, y + half])
+    steps = np.array([[x - half, y], [x + half, y], [x, y - half], [x, y + half]])
     to_degrees = pyproj.Transformer.from_crs(system, "EPSG:4326", always_xy=True)
-    lon, lat = to_degrees.transform(t.a * px + t.b * py + t.c, t.d * px + t.e * py + t.f, errcheck=True)
+    x, y = transformed(steps, t).T
+    lon, lat = to_degrees.transform(x, y, errcheck=True)
     if not all(math.isfinite(a) and abs(b) <= 90 for a, b in zip(lon, lat, strict=True)):
         raise pyproj.exceptions.ProjError("outside of longitude and latitude")
     geod = pyproj.Geod(ellps="WGS84")

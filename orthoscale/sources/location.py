@@ -7,6 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from ..core.affine import transformed
 from ..core.source import Claim, Source
 from ..errors import InputError
 
@@ -55,8 +58,8 @@ def _of_claim(claimed: Claim, width: int, height: int) -> Location | None:
     import pyproj
 
     to_degrees = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(claimed.crs), "EPSG:4326", always_xy=True)
-    t, x, y = claimed.transform, width / 2, height / 2
-    longitude, latitude = to_degrees.transform(t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f)
+    middle = transformed(np.array([width / 2, height / 2]), claimed.transform)
+    longitude, latitude = to_degrees.transform(*middle)
     if not (math.isfinite(longitude) and math.isfinite(latitude)):
         return None
     return Location(longitude, latitude, "its georeferencing")

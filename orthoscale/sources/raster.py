@@ -3,80 +3,42 @@
 from __future__ import annotations
 
 import hashlib
-import html
 import math
-import re
 import shutil
-import stat
 import threading
-import warnings
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
-from functools import cache, lru_cache
+from contextlib import AbstractContextManager
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import rasterio
-from rasterio._err import CPLE_BaseError
-from rasterio.crs import CRS
 from rasterio.enums import Interleaving, MaskFlags, Resampling
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
-from rasterio.io import DatasetReader, DatasetWriter
-from rasterio.shutil import copy as gdal_copy
+from rasterio.io import DatasetReader
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from ..core.remarks import INFO, Remark, informing
 from ..core.scale import PER_PIXEL
 from ..core.source import NO_DATA_GREY, Picture, Placement
-from ..errors import InputError, OutputError, UsageError
+from ..errors import InputError, UsageError
 from ..formats.points import coordinates
-from ..system.budget import in_words, memory, require
-from ..system.outputs import signature
+from ..system.budget import in_words, require
 from ..system.scratch import Scratch
 from .fingerprint import fingerprint
+from .gdal import EXPORT_AGAIN, open_dataset, reading, settings
 from .georeference import Place, claim_of, kept_place, local_place
+from .raster_copy import Original
 from .tiff_blocks import blocks_of
 
 SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
 
-LARGEST = 10_000_000
+LONGEST_SIDE = 10_000_000
 """[px] A side longer than this no map has, 1,000 km at 0.1 m. A VRT promises it in a few words; copying never ends."""
 
-# GDAL's own cache limit is 5 % of the machine's memory, which was seen to grow past a gigabyte. In bytes: rasterio
-# does not take a small number for megabytes, as GDAL does; 256 would be no cache at all, 5 to 100 times slower.
-# PAM stays enabled, because .aux.xml is where GIS programs keep the georeferencing of a JPEG; GDAL writes one only
-# after statistics or properties were set, and nothing here does that to an input.
-_CACHE = 256 * 2**20
-# No file may make GDAL call a server, however deep it is hidden in it (a VRT's source, an overview named in .aux.xml):
-# all that GDAL asks of the network goes to a proxy that does not exist, and no remote file is known to it.
-_OFFLINE = {
-    "GDAL_HTTP_PROXY": "127.0.0.1:9",
-    "GDAL_HTTPS_PROXY": "127.0.0.1:9",
-    "GDAL_HTTP_CONNECTTIMEOUT": "1",
-    "GDAL_HTTP_TIMEOUT": "2",
-    "GDAL_HTTP_MAX_RETRY": "0",
-    "CPL_VSIL_CURL_ALLOWED_FILENAME": "/vsicurl/none",
-    "GDAL_VRT_ENABLE_PYTHON": "NO",
-}
-# Formats whose files name a server, or pictures that anybody keeps anywhere.
-_SERVED = frozenset(
-    [
-        "DAAS", "EEDA", "EEDAI", "ESRIC", "GTI", "HTTP", "KMLSUPEROVERLAY", "NGW", "OGCAPI", "PLMOSAIC", "Rasterlite",
-        "STACIT", "STACTA", "TileDB", "WCS", "WFS", "WMS", "WMTS", "Zarr",
-    ]
-)  # fmt: skip
 # Formats that can be decoded from the top only.
 _IN_ORDER = frozenset(["AVIF", "BIGGIF", "GIF", "HEIF", "JPEG", "JPEGXL", "PNG", "WEBP"])
-
-_EXPORT_AGAIN = "Export or download it again; its transfer may have been cut off."
-_STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written
-_CLASSIC = 2**32 - 2**24  # [byte] a classic TIFF longer than this may not have room for another directory
-_LONGEST_VRT = 2**28  # [byte] of its text that is looked through
-_WHOLE = 100_000_000  # [px] copies up to this size are compared with their original in full, larger ones by samples
 
 
 class RasterSource:
@@ -136,7 +98,7 @@ class RasterSource:
         with reading(path, "is not an image that GDAL can open", "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file."):
             dataset = open_dataset(path)
         try:
-            with reading(path, "is damaged", _EXPORT_AGAIN):
+            with reading(path, "is damaged", EXPORT_AGAIN):
                 return cls(path, dataset)
         except BaseException:
             dataset.close()
@@ -290,7 +252,7 @@ class RasterSource:
     def _needs_blocks(self) -> bool:
         """Whether each window would be decoded from the image's top again: it has no blocks, and is too large for GDAL
         to keep it decoded."""
-        return self._in_order and self._blocks is self._dataset and self._decoded_size > _options()["GDAL_CACHEMAX"]
+        return self._in_order and self._blocks is self._dataset and self._decoded_size > settings()["GDAL_CACHEMAX"]
 
     @property
     def _decoded_size(self) -> int:
@@ -309,7 +271,7 @@ class RasterSource:
             )
         copy = scratch.folder / "blocks.tif"
         # Fast to write and to read; its place on Earth does not matter there.
-        self._convert(copy, Place(None, Affine.identity(), ""), compress="zstd", zstd_level=1, predictor=1)
+        self._original.convert(copy, Place(None, Affine.identity(), ""), compress="zstd", zstd_level=1, predictor=1)
         self._blocks = rasterio.open(copy, sharing=False)
         self._scratch = scratch
 
@@ -336,8 +298,8 @@ class RasterSource:
                 f"{self.path} is only {self.width} x {self.height} px",
                 f"No vehicle could be measured in it; an image needs at least {SMALLEST} px on each side.",
             )
-        if max(self.width, self.height) > LARGEST:
-            raise InputError(f"{self.path} says that it is {self.width} x {self.height} px", _EXPORT_AGAIN)
+        if max(self.width, self.height) > LONGEST_SIDE:
+            raise InputError(f"{self.path} says that it is {self.width} x {self.height} px", EXPORT_AGAIN)
         if len(dataset.subdatasets) > 1:
             self.notes.append(Remark(INFO, f"{self.name} holds {len(dataset.subdatasets)} images; the first is read"))
 
@@ -384,16 +346,16 @@ class RasterSource:
         wanted = shape[0] if single else math.prod(shape)
         listed = min(len(values) for values in (lists.offset, lists.count) if values is not None)
         if listed < wanted:
-            raise InputError(f"{self.path} is damaged: its directory lists {listed} of {wanted} blocks", _EXPORT_AGAIN)
+            raise InputError(f"{self.path} is damaged: its directory lists {listed} of {wanted} blocks", EXPORT_AGAIN)
         offset = lists.offset[:wanted]
         count = (offset > 0).astype(np.uint64) if lists.count is None else lists.count[:wanted]
         lost = np.flatnonzero((offset == 0) != (count == 0))
         if len(lost):
-            raise InputError(f"{self.path} is damaged: block {lost[0]} has no address", _EXPORT_AGAIN)
+            raise InputError(f"{self.path} is damaged: block {lost[0]} has no address", EXPORT_AGAIN)
         end, length = int((offset + count).max(initial=0)), self.path.stat().st_size
         if end > length or int(offset.max(initial=0)) > length:
             raise InputError(
-                f"{self.path} is truncated: it has {length} bytes, but its pixels end at byte {end}", _EXPORT_AGAIN
+                f"{self.path} is truncated: it has {length} bytes, but its pixels end at byte {end}", EXPORT_AGAIN
             )
         if not single and not offset.all():
             self._written = np.asarray((offset > 0).reshape(shape).any(0))
@@ -436,9 +398,13 @@ class RasterSource:
         return low, high
 
     def _damage(self, where: str) -> AbstractContextManager[None]:
-        return reading(self.path, f"is damaged {where}", _EXPORT_AGAIN)
+        return reading(self.path, f"is damaged {where}", EXPORT_AGAIN)
 
     # Writing
+
+    @property
+    def _original(self) -> Original:
+        return Original(self.path, self._dataset, self._palette is not None, self._lock)
 
     def place(self, metres_per_pixel: float, keep_origin: bool = False) -> Place:
         """The georeferencing that a copy of this scale gets: local metres, or the input's own place and direction."""
@@ -467,267 +433,14 @@ class RasterSource:
         if path.exists() and path.samefile(self.path):
             raise UsageError(f"{path} is the input itself", "Choose another name for the output.")
         place = place or self.place(metres_per_pixel)
-        plain = path.with_name(f"plain.{path.name}") if cog else path
-        try:
-            with rasterio.Env(**_options()), _no_warnings():
-                if self._can_be_copied():
-                    shutil.copyfile(self.path, plain)
-                else:
-                    self._convert(plain, place)
-                with rasterio.open(plain, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as copy:
-                    self._restore_properties(copy)
-                    copy.crs, copy.transform = place.crs, place.transform
-                    copy.update_tags(WRITTEN_BY=signature(path))
-                if cog:
-                    self._optimise(plain, path)
-                # Whatever a GeoTIFF could not hold would be in here, and would not travel with a renamed file.
-                Path(f"{path}.aux.xml").unlink(missing_ok=True)
-                self._verify(path, place)
-        except (RasterioError, CPLE_BaseError, OSError, UnicodeDecodeError) as error:
-            reason = _reason(error)
-            raise OutputError(f"{path} could not be written ({reason})", "Check the free space on its disk.") from error
-        finally:
-            if cog:
-                for leftover in (plain, Path(f"{plain}.aux.xml")):
-                    leftover.unlink(missing_ok=True)
+        original = self._original
+        original.write(path, place, cog)
         notes = [f"{path.name}: {place.said}"]
-        if self._is_cog and not cog:
+        if original.is_cog and not cog:
             notes.append(f"{path.name} is no longer cloud-optimised as {self.name} is (--cog makes it so)")
         self.notes += [note for note in informing(notes) if note not in self.notes]
-
-    @property
-    def _is_cog(self) -> bool:
-        return self._dataset.tags(ns="IMAGE_STRUCTURE").get("LAYOUT") == "COG"
-
-    def _can_be_copied(self) -> bool:
-        """A TIFF whose pixels are all in the one file, without rational polynomials (rasterio cannot remove those), and
-        with room for a new directory at its end if it is a classic one, whose offsets have 32 bits."""
-        dataset = self._dataset
-        in_one_file = not any(f.endswith(".msk") for f in dataset.files) and len(self._nodata()) <= 1
-        return dataset.driver == "GTiff" and in_one_file and not dataset.rpcs and self._has_room()
-
-    def _has_room(self) -> bool:
-        with self.path.open("rb") as file:
-            big = file.read(4) in (b"II+\0", b"MM\0+")
-        return big or self.path.stat().st_size < _CLASSIC
-
-    def _nodata(self) -> set[str]:
-        """The bands' different nodata values; a GeoTIFF has room for one. As text, in which NaN equals NaN."""
-        return {repr(v) for v in self._dataset.nodatavals}
-
-    def _optimise(self, plain: Path, path: Path) -> None:
-        """A cloud-optimised copy of the GeoTIFF `plain`. Always deflate: what JPEG compressed once stays as it was
-        decoded, at the cost of a larger file."""
-        nearest = self._palette is not None
-        floating = np.result_type(*self._dataset.dtypes).kind == "f"
-        gdal_copy(
-            plain,
-            path,
-            driver="COG",
-            COMPRESS="DEFLATE",
-            PREDICTOR="FLOATING_POINT" if floating else "STANDARD",
-            BLOCKSIZE=512,
-            BIGTIFF="IF_SAFER",
-            OVERVIEWS="AUTO",
-            RESAMPLING="NEAREST" if nearest else "AVERAGE",
-            NUM_THREADS="ALL_CPUS",
-        )
-
-    def _convert(self, path: Path, place: Placement, **options: Any) -> None:
-        """Write a tiled GeoTIFF with the same pixels; `options` are GDAL's, more than the usual."""
-        source = self._dataset
-        dtype = np.result_type(*source.dtypes)
-        kinds = [c.name for c in source.colorinterp]
-        in_file_mask = MaskFlags.per_dataset in source.mask_flag_enums[0] and "alpha" not in kinds
-        explicit_mask = in_file_mask or len(self._nodata()) > 1
-        if kinds[:3] == ["red", "green", "blue"] and dtype.kind == "u":
-            options["photometric"] = "RGB"
-        packing = {"compress": "deflate", "predictor": 3 if dtype.kind == "f" else 2}
-        with rasterio.open(
-            path,
-            "w",
-            driver="GTiff",
-            width=self.width,
-            height=self.height,
-            count=source.count,
-            dtype=dtype.name,
-            crs=place.crs,
-            transform=place.transform,
-            tiled=True,
-            blockxsize=_STRIP,
-            blockysize=_STRIP,
-            interleave="pixel",
-            num_threads="all_cpus",
-            bigtiff="IF_SAFER",
-            **{**packing, **options},
-        ) as copy:
-            self._restore_properties(copy)
-            for window in self._strips():
-                pixels, mask = self._raw(window)
-                copy.write(pixels.astype(dtype, copy=False), window=window)
-                if explicit_mask:
-                    copy.write_mask(mask, window=window)
-
-    def _restore_properties(self, copy: DatasetWriter) -> None:
-        """Give `copy` what the original has and a bare GeoTIFF, or a copy without its .aux.xml and .ovr, lacks."""
-        source = self._dataset
-        nodata_told = len(self._nodata()) == 1 and source.nodata is not None
-        if nodata_told and copy.nodata is None and _fits(source.nodata, copy.dtypes[0]):
-            copy.nodata = source.nodata
-        if copy.colorinterp != source.colorinterp:
-            copy.colorinterp = source.colorinterp
-        if self._palette is not None and copy.dtypes[0] in ("uint8", "uint16") and not _has_palette(copy):
-            copy.write_colormap(1, source.colormap(1))
-        for name in ("descriptions", "scales", "offsets", "units"):
-            if getattr(copy, name) != getattr(source, name):
-                setattr(copy, name, getattr(source, name))
-        for band in (0, *source.indexes):
-            tags, had = source.tags(band), copy.tags(band)
-            if new := {k: v for k, v in tags.items() if k not in had and k != "AREA_OR_POINT"}:
-                copy.update_tags(band, **new)
-        if copy.mode == "r+" and source.overviews(1) and not copy.overviews(1):
-            resampling = Resampling.average if self._palette is None else Resampling.nearest
-            copy.build_overviews(source.overviews(1), resampling)
-
-    def _strips(self) -> Iterator[Window]:
-        """Windows over the whole image, in reading order, because JPEG and PNG can only be decoded from the top."""
-        for y in range(0, self.height, _STRIP):
-            for x in range(0, self.width, 256 * _STRIP):
-                yield Window(x, y, min(256 * _STRIP, self.width - x), min(_STRIP, self.height - y))
-
-    def _raw(self, window: Window) -> tuple[np.ndarray, np.ndarray]:
-        """The bands (C, H, W) as they are, and the mask (H, W) uint8."""
-        with self._lock, self._damage(f"near y {window.row_off}"):
-            return self._dataset.read(window=window), self._dataset.dataset_mask(window=window)
-
-    def _verify(self, path: Path, place: Placement) -> None:
-        """Read the copy back and compare; raises OutputError."""
-        source = self._dataset
-        with rasterio.open(path, sharing=False) as copy:
-            told = {
-                "size": (copy.width, copy.height, copy.count) == (source.width, source.height, source.count),
-                "type": copy.dtypes[0] == np.result_type(*source.dtypes) or copy.dtypes == source.dtypes,
-                "colours": copy.colorinterp == source.colorinterp,
-                "transform": np.allclose(copy.transform, place.transform, rtol=1e-9, atol=0),
-                "coordinate reference system": copy.crs is not None and self._same_system(copy.crs, place.crs),
-                "ground control": not copy.gcps[0] and not copy.rpcs,
-            }
-            wrong = [name for name, right in told.items() if not right]
-            for window in [] if wrong else self._to_compare():
-                pixels, mask = self._raw(window)
-                floating = pixels.dtype.kind == "f"
-                same = np.array_equal(pixels, copy.read(window=window), equal_nan=floating)
-                if not (same and np.array_equal(mask, copy.dataset_mask(window=window))):
-                    wrong = [f"pixels near x {window.col_off}, y {window.row_off}"]
-                    break
-        if wrong:
-            raise OutputError(
-                f"{path} does not read back as it was meant: {', '.join(wrong)}",
-                "Check the disk; if it is sound, convert the input to a plain GeoTIFF first (gdal_translate).",
-            )
-
-    @staticmethod
-    def _same_system(found: CRS, meant: str | CRS) -> bool:
-        """An engineering CRS does not compare equal to what was written; its unit must."""
-        meant = CRS.from_user_input(meant)
-        return found == meant or (found.units_factor[1] == meant.units_factor[1] and not meant.is_projected)
-
-    def _to_compare(self) -> Iterator[Window]:
-        if self.width * self.height <= _WHOLE:
-            yield from self._strips()
-            return
-        rng, side = np.random.default_rng(0), min(512, self.width, self.height)
-        for y in np.sort(rng.integers(0, self.height - side + 1, 64)):
-            yield Window(int(rng.integers(0, self.width - side + 1)), int(y), side, side)
 
 
 @lru_cache(maxsize=4)
 def _shared(path: str) -> RasterSource:
     return RasterSource.open(path)
-
-
-def _fits(value: float, dtype: str) -> bool:
-    """Whether a nodata value can occur in bands of this type."""
-    if np.dtype(dtype).kind == "f":
-        return True
-    limits = np.iinfo(dtype)
-    return math.isfinite(value) and limits.min <= value <= limits.max
-
-
-def _has_palette(dataset: DatasetReader) -> bool:
-    try:
-        return bool(dataset.colormap(1))
-    except ValueError:
-        return False
-
-
-def _options() -> dict[str, Any]:
-    """GDAL's settings while this package reads or writes."""
-    return {"GDAL_CACHEMAX": min(_CACHE, memory() // 4), "GDAL_TIFF_INTERNAL_MASK": True, **_OFFLINE}
-
-
-@cache
-def _local_drivers() -> list[str]:
-    """GDAL's formats whose files hold their own pixels, or say in which files they are."""
-    with rasterio.Env() as env:
-        return [name for name in env.drivers() if name not in _SERVED]
-
-
-def open_dataset(path: Path) -> DatasetReader:
-    """GDAL's view of a file on this machine; within `reading`, as all that is done with it, so that it calls no server.
-
-    Raises InputError for what names a pipe or device; GDAL's errors for what it cannot open.
-    """
-    _require_files(path)
-    return DatasetReader(path, driver=_local_drivers(), sharing=False)
-
-
-def _require_files(path: Path) -> None:
-    """Raises InputError where `path` is a VRT that names a pipe or device, from which GDAL would wait for pixels
-    forever; so do those that it names in turn."""
-    waiting, seen = [path.absolute()], set()
-    while waiting:
-        vrt = waiting.pop()
-        if vrt in seen:
-            continue
-        seen.add(vrt)
-        with vrt.open("rb") as file:
-            if b"<VRTDataset" not in file.read(4096):
-                continue
-            file.seek(0)
-            text = file.read(_LONGEST_VRT).decode(errors="replace")
-        for word in re.findall(r">\s*([^<>]+?)\s*<|\"([^\"]+)\"", text):
-            named = html.unescape(word[0] or word[1])
-            inner = re.sub(r"^(/vsi\w+/)+", "/", named)
-            for place in (Path(inner), vrt.parent / named):
-                try:
-                    mode = (vrt.parent / place).stat().st_mode
-                except (OSError, ValueError):  # no file of that name
-                    continue
-                if stat.S_ISREG(mode):
-                    waiting.append(vrt.parent / place)
-                elif not stat.S_ISDIR(mode):
-                    raise InputError(f"{path} names {named!r}, which is a pipe or device", "Name files of pixels.")
-
-
-@contextmanager
-def _no_warnings() -> Iterator[None]:
-    """Silence rasterio on images without georeferencing; they are this package's daily bread."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        yield
-
-
-@contextmanager
-def reading(path: Path, what: str, hint: str) -> Iterator[None]:
-    """GDAL within its memory limit and offline; an error of it becomes ``InputError(path what (reason), hint)``."""
-    try:
-        with rasterio.Env(**_options()), _no_warnings():
-            yield
-    except (RasterioError, CPLE_BaseError, OSError, UnicodeError) as error:  # its names and messages must be UTF-8
-        raise InputError(f"{path} {what} ({_reason(error)})", hint) from error
-
-
-def _reason(error: BaseException) -> str:
-    """What GDAL said; rasterio often keeps it in the cause and says only "see previous exception"."""
-    return str(error.__cause__ or error).strip().rstrip(".")

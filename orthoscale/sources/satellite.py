@@ -11,6 +11,7 @@ import numpy as np
 import pyproj
 import rasterio
 
+from ..core.affine import transformed
 from ..errors import UsageError
 from .raster import RasterSource
 
@@ -44,7 +45,7 @@ class Satellite:
 
     def coordinates(self, pixels: np.ndarray) -> np.ndarray:
         """(n, 2) pixels to coordinates of `crs`."""
-        return _through(self.transform, pixels)
+        return transformed(np.reshape(pixels, (-1, 2)), self.transform)
 
     def degrees(self, coordinates: np.ndarray) -> np.ndarray:
         """(n, 2) coordinates of `crs` to longitude and latitude [deg], infinite where there is no such place."""
@@ -60,7 +61,7 @@ class Satellite:
 
     def pixel_of(self, lon: float, lat: float) -> np.ndarray:
         """(2,) the pixel at a place; it may lie outside of the picture, NaN where the projection has none."""
-        pixel = _through(~self.transform, self.in_crs(np.array([lon, lat])))[0]
+        pixel = transformed(self.in_crs(np.array([lon, lat])), ~self.transform)[0]
         return np.where(np.isfinite(pixel), pixel, np.nan)
 
     def pixel_size(self, pixel: np.ndarray) -> np.ndarray:
@@ -69,9 +70,3 @@ class Satellite:
         (west, east), (up, down) = (self.lon_lat(pixel + np.outer([-half, half], axis)) for axis in np.eye(2))
         geod = pyproj.Geod(ellps="WGS84")
         return np.array([geod.inv(*west, *east)[2], geod.inv(*up, *down)[2]]) / (2 * half)
-
-
-def _through(t: Any, points: np.ndarray) -> np.ndarray:
-    """(n, 2) points through the affine transform `t`."""
-    x, y = np.asarray(points, float).reshape(-1, 2).T
-    return np.column_stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f])

@@ -7,18 +7,22 @@ import traceback
 from dataclasses import replace
 from pathlib import Path
 
+from orthoscale.detect import foreign
+
 from . import commands, runner
 from .bench import Bench
 from .seeds import SEEDS
 
 PATIENCE = 300.0  # [s] for what once had no end
+ENDLESS_SECONDS = 4.0  # [s] that a network without end is given for one look, all of which it takes
 
 
-def make_corpus(folder: Path) -> Path:
-    """Build the corpus in the new `folder`; in a process of its own, since its makers load and start much."""
+def make_corpus(folder: Path, answered: tuple[str, ...] = ()) -> Path:
+    """Build the corpus in the new `folder`, see `corpus.build`; in a process of its own, since its makers load and
+    start much."""
     from .corpus import build
 
-    build(folder)
+    build(folder, answered)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the commands that it called took it
     return folder
 
@@ -42,5 +46,7 @@ def attempt(place: tuple[Path, Path, str, int, bool]) -> runner.Outcome:
 
 def run_seed(corpus: Path, work: Path, name: str, patience: float = PATIENCE) -> runner.Outcome:
     """Make and run the seed called `name`, with patience for a machine that has much else to do."""
+    if "endless" in name:
+        foreign.LONGEST_SECONDS = ENDLESS_SECONDS
     work.mkdir(parents=True)
     return runner.run(name, 0, work, replace(SEEDS[name](Bench(corpus, work)), patience=patience))

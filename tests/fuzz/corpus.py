@@ -12,7 +12,7 @@ import os
 import shutil
 import struct
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import cv2
@@ -44,8 +44,9 @@ PINHOLE = ("SIMPLE_PINHOLE", (400.0, 320, 240))
 POINTS = 600  # of a model
 
 
-def build(folder: Path) -> Path:
-    """Make every kind in the new `folder`; returns it."""
+def build(folder: Path, answered: Collection[str] = ()) -> Path:
+    """Make every kind in the new `folder`; returns it. answered : kinds whose scales are wanted, by default all of
+    `ANSWERS`."""
     assert flights.UNIT == MODEL_SCALE
     folder.mkdir(parents=True)
     for kind, make in KINDS.items():
@@ -53,7 +54,7 @@ def build(folder: Path) -> Path:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             make(folder / kind)
-    answers = {kind: _answer(folder / kind, *ask) for kind, ask in ANSWERS.items()}
+    answers = {kind: _answer(folder / kind, *ANSWERS[kind]) for kind in answered or ANSWERS}
     (folder / "answers.json").write_text(json.dumps(answers))
     return folder
 

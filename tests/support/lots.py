@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 
 import cv2
-import numpy as np
 
 from orthoscale.sources.raster import RasterSource
 
+from .pictures import squares
+
 
 def orthophoto(folder, gsd=0.1, size=(700, 500), report=None):
-    """A noisy picture in local metres, as `orthoscale fix` writes it."""
-    rng = np.random.default_rng(0)
-    cv2.imwrite(str(folder / "plain.png"), rng.integers(90, 150, (size[1], size[0], 3), np.uint8))
+    """A picture in local metres, as `orthoscale fix` writes it."""
+    cv2.imwrite(str(folder / "plain.png"), squares(*size, 90, 150))
     path = folder / "scaled.tif"
     with RasterSource.open(folder / "plain.png") as source:
         source.write(path, gsd)

@@ -97,13 +97,13 @@ def same_views(colmap, other, folder=""):
         assert np.allclose(colmap.project(name, world[ok]), other.project(theirs, world[ok]), atol=1e-4)
 
 
-def rescaled(model, turn, writer, tmp_path):
+def rescaled(model, turn, writer, tmp_path, **options):
     """The file that `writer` made of `model`, and what `fix` made of it: the scale is right, the input untouched."""
     path = writer(model, tmp_path / "in")
     put_frames(model, tmp_path / "in/images")
     before = {p: p.read_bytes() for p in (tmp_path / "in").rglob("*.*")}
     save_detections(found_by(path, turn), tmp_path / "boxes.json")
-    result = fix(path.parent, tmp_path / "out", fleet="DE", detections=tmp_path / "boxes.json")
+    result = fix(path.parent, tmp_path / "out", fleet="DE", detections=tmp_path / "boxes.json", **options)
     assert {p: p.read_bytes() for p in before} == before
     assert result.scale.value == pytest.approx(UNIT, rel=0.03)
     return path, result

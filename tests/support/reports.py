@@ -11,6 +11,8 @@ import numpy as np
 import orthoscale
 from orthoscale.fleets import load_fleet
 
+from .pictures import squares
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "sheffield"
 GSD = 0.1  # m/px
 WIDTH, HEIGHT = 1000, 700  # px
@@ -27,8 +29,8 @@ def car_park(folder: Path, name: str = "park.png", count: int = 60, drift: float
     places = [(60 + 90 * i, 60 + 95 * j) for j in range(7) for i in range(10)]
     centre = np.array(places, float)[random.permutation(len(places))[:count]]
     px = size / GSD * (1 - drift * centre[:, :1] / WIDTH)
-    angle = 0.4 + 0.1 * random.uniform(-1.5, 1.5, count)
-    image = random.integers(90, 110, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    angle = 0.4 + random.uniform(-0.2, 0.2, count)  # parked the same way, more or less
+    image = squares(WIDTH, HEIGHT)
     rows = []
     for (x, y), (length, width), a in zip(centre, px, angle, strict=True):
         corners = cv2.boxPoints(((x, y), (length, width), np.degrees(a)))

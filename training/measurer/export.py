@@ -1,6 +1,7 @@
 """Write the trained measurer as ONNX, its answers averaged over the crop's mirrors.
 
     python -m training.measurer.export --run runs/m1 --card training/measurer/card_m1.json --out measurer.onnx
+    python -m training.measurer.export --network measurer.onnx --card CARD.json --out measurer.onnx  # another card
 
 Input ``crops`` float32 (n, 3, 48, 96), RGB 0..255; outputs ``edges`` and ``sigma`` (n, 4) [crop px], ``turn`` (n,)
 [rad], ``seen`` (n, 4) and ``kind`` (n, 5) as shares. `orthoscale.detect.measurer` reads it.
@@ -32,16 +33,21 @@ def write(network: MeasureNet, out: Path) -> Path:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--run", type=Path, required=True, help="folder of training.measurer.train")
+    of = parser.add_mutually_exclusive_group(required=True)
+    of.add_argument("--run", type=Path, help="folder of training.measurer.train")
+    of.add_argument("--network", type=Path, help="an exported one, whose card alone is replaced")
     parser.add_argument("--card", type=Path, required=True, help="JSON file: the fields of `MeasurerCard`")
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
 
     card = options.card.read_text()
     MeasurerCard.from_json(card, str(options.card))
-    network = MeasureNet()
-    network.load_state_dict(torch.load(options.run / "checkpoint.pt", map_location="cpu")["average"])
-    with_card(write(network, options.out), json.loads(card), options.out)
+    exported = options.network
+    if exported is None:
+        network = MeasureNet()
+        network.load_state_dict(torch.load(options.run / "checkpoint.pt", map_location="cpu")["average"])
+        exported = write(network, options.out)
+    with_card(exported, json.loads(card), options.out)
     print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 
 

@@ -1,4 +1,4 @@
-"""Where two looks agree on few of the boxes that they see, what they agree on is hardly better than the rest.
+"""Where two detection passes agree on few of their boxes, what they agree on is hardly better than the rest.
 
 Vehicles show at any resolution, mistakes now and then. A picture without a vehicle, full of panels, skylights and
 sheds, has its boxes too, and these are of some size.
@@ -12,9 +12,9 @@ from ..remarks import CAUTION, Remark, by_severity, percent
 from ..scale import Scale
 from ..verdicts import one_step_below, worst
 
-# Share of the boxes that two looks agree on, where they are mistakes: see `detect.zoom.AGREED`, which is older than the
-# pictures that follow. Eleven places of known scale have 0.5 to 0.9, one with 14 vehicles 0.2; five of six rendered
-# pictures without any vehicle 0.04 to 0.3, one 0.6.
+# Share of the boxes that two detection passes agree on, where they are mistakes: see `detect.zoom.AGREED`, which is
+# older than the pictures that follow. Eleven places of known scale have 0.5 to 0.9, one with 14 vehicles 0.2; five of
+# six rendered pictures without any vehicle 0.04 to 0.3, one 0.6.
 OF_MISTAKES = 0.3
 LEAST_SEEN = 20  # boxes of both kinds, below which a share says little
 
@@ -27,8 +27,8 @@ def as_agreed(scale: Scale, believed: int, doubtful: int) -> Scale:
         return scale
     remark = Remark(
         CAUTION,
-        f"two looks agree on {believed} of {seen} boxes ({percent(believed / seen)}), as few as of mistakes: see "
-        "whether there are vehicles at all",
+        f"two detection passes agree on {believed} of {seen} boxes ({percent(believed / seen)}), as few as of "
+        "mistakes: see whether there are vehicles at all",
     )
     lower = worst(one_step_below(scale.verdict), "poor")
     return replace(scale, verdict=lower, remarks=by_severity((*scale.remarks, remark)))

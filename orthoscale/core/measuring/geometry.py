@@ -94,6 +94,10 @@ class Geometry(Protocol):
         """What the boxes measure; the scale enters through the vehicles' height."""
         ...
 
+    def shown(self, place: np.ndarray) -> np.ndarray | None:
+        """(N,) number of pictures that were looked at and have the places (N, D) in view; None where one shows all."""
+        ...
+
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
     ) -> Sequence[AnchorVote]:

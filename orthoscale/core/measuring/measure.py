@@ -47,6 +47,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
             own.kinds,
             None if seen.ground is None else seen.ground[solved],
         )
+        votes = replace(votes, shown=geometry.shown(votes.place))
         vehicles = replace(votes, size=tight(votes, seen.ruler.margin))
         more: Sequence[AnchorVote] = ()
         if method.standards is not None:

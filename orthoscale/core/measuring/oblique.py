@@ -21,11 +21,12 @@ from ..pooling.robust import MIN_VEHICLES
 from ..projection.exact import BODIES
 from ..projection.height import lean
 from ..projection.self_calibration import OwnRuler, own_ruler, trends
-from ..projection.view import Views
+from ..projection.view import LOWEST_ELEVATION, Views
 from ..scale import Scale
 from ..source import PosedSet
 from ..votes import Votes
 from .geometry import Geometry, Observation, larger_by
+from .in_view import frames_in_view, looked_at
 from .measure import doubts
 from .measurement import Findings, SelfCalibration
 from .method import Method
@@ -122,6 +123,11 @@ class FramesGeometry:
             found.ruler.margin_sd,
             BODIES[found.body],
         )
+
+    def shown(self, place: np.ndarray) -> np.ndarray:
+        """(N,) number of frames that show the places (N, 3)."""
+        border = float(np.median(self.boxes.length)) / 2
+        return frames_in_view(self.source, looked_at(self.found), place, border, LOWEST_ELEVATION)
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str

@@ -78,6 +78,9 @@ class PlanGeometry:
         """Boxes as they are."""
         return Observation(ground_size(self.boxes), self.ruler)
 
+    def shown(self, place: np.ndarray) -> None:
+        """None: the plan shows all."""
+
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
     ) -> Sequence[AnchorVote]:

@@ -22,6 +22,7 @@ from ..scale import Scale
 from ..source import NEAR_NADIR, GroundView, PosedSet
 from ..votes import Votes
 from .geometry import Geometry, Observation, larger_by
+from .in_view import frames_in_view, looked_at
 from .measure import doubts
 from .measurement import Findings
 from .oblique import GROUND_ERROR, height_share
@@ -44,7 +45,7 @@ class SweepGeometry:
     along : (M, 3) unit vectors of the long sides, in the world.
     """
 
-    unit: str
+    source: PosedSet
     found: Detections
     boxes: Boxes
     picture: np.ndarray
@@ -91,7 +92,7 @@ class SweepGeometry:
         stands, place = standing_in_model(source, images, np.concatenate(places), np.median(flat, axis=0))
         farther = (1 + stands.lower)[:, None]
         return cls(
-            unit=source.unit,
+            source=source,
             found=found,
             boxes=boxes,
             picture=np.array(names),
@@ -105,6 +106,11 @@ class SweepGeometry:
             stands=stands,
             lost=lost,
         )
+
+    @property
+    def unit(self) -> str:
+        """The source's own."""
+        return self.source.unit
 
     @property
     def typical_length(self) -> float:
@@ -123,6 +129,13 @@ class SweepGeometry:
         camera = self.camera * ratio
         top = np.array(self.found.effective_height) / metres_per_unit / camera
         return camera * footprint(self.flat / camera, self.offset / ratio, top)
+
+    def shown(self, place: np.ndarray) -> np.ndarray:
+        """(N,) number of frames that show the places (N, 3) from near the nadir."""
+        pictures = {picture.name: picture for picture in self.source.ground_pictures}
+        images = [pictures[name].image for name in looked_at(self.found) if name in pictures]
+        border = float(np.median(self.boxes.length)) / 2
+        return frames_in_view(self.source, images, place, border, NEAR_NADIR)
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str

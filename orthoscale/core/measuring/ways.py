@@ -16,6 +16,7 @@ from ...errors import TooLittleEvidence, UsageError
 from ..detections import Detections
 from ..fleet import Fleet
 from ..pooling.agreement import compare, together
+from ..pooling.robust import left_by_views
 from ..ruler import Ruler
 from ..scale import Scale
 from ..source import PosedSet, Source
@@ -142,6 +143,11 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
     rest = np.setdiff1d(np.arange(len(b.votes)), ib)
     views = a.votes.views.copy()
     views[ia] = np.maximum(views[ia], b.votes.views[ib])
+    shown = None
+    if a.votes.shown is not None and b.votes.shown is not None:
+        shown = a.votes.shown.copy()
+        shown[ia] = np.maximum(shown[ia], b.votes.shown[ib])
+        shown = np.concatenate([shown, b.votes.shown[rest]])
     noise = np.concatenate([noise, known_b.noise[rest]])
     votes = Votes(
         size=np.concatenate([size, b.size[rest]]),
@@ -150,8 +156,9 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
         place=np.concatenate([a.votes.place, b.votes.place[rest]]),
         score=np.concatenate([a.votes.score, b.votes.score[rest]]),
         members=[np.array([k]) for k in range(len(noise))],
+        shown=shown,
     )
-    votes = replace(votes, sigma=noise * np.sqrt(votes.views)[:, None])
+    votes = replace(votes, sigma=noise / left_by_views(votes.views)[:, None])
     said = [float((1 / m.pooled.noise**2)[m.scale.used].sum()) for m in (a, b) if m.pooled is not None]
     weight = np.array(said) / sum(said)
     rulers, names = (known_a.ruler, known_b.ruler), ("shrink", "shrink_sd", "usual")

@@ -7,6 +7,10 @@ likelihood and the prior of the mix (a Dirichlet distribution about the country'
 but several with weights: the interval is as wide, and has as many humps, as the confusion. What tells mixes apart
 needs no scale: length against width, how much sizes spread, and groups of sizes with gaps between them.
 
+A few vehicles more or less may tip such a posterior from one hump to another. So it is averaged over what other draws
+of as many vehicles would have given (a bagged posterior, Huggins and Miller, Bayesian Analysis 18 (2023) 79): the value
+then hardly moves with single vehicles, and the interval covers what the tables of the classes do not get right.
+
 Detectors draw vehicles as the usual vehicle that they expect, more or less: small ones too large, large ones too small.
 So the classes are compared with boxes as the detector draws them (`Drawing`), and how strongly it does is one more
 unknown: classes that stand apart (kei and ordinary cars) tell it.
@@ -25,7 +29,8 @@ from ..market_segments import PLACE_VEHICLES, Class
 
 # Outlier class: uniform over a box in (log length, log width) as wide as anything a detector could call a vehicle.
 OUTLIER_DENSITY = 1 / (3.0 * 2.5)
-OUTLIER_SHARE = 0.1  # of the boxes, beforehand; known as a place's mix is
+OUTLIER_SHARE = 0.1  # of the boxes, beforehand, ...
+OUTLIER_BOXES = 10.0  # ... as if it had been counted on so many: it depends on the picture, not on the country's mix
 # Vans, pickups, minivans and the largest SUVs, which a detector of small vehicles finds too: the mean and the spread
 # of those six segments of the fleet table (5.00 to 5.85 m long, 1.86 to 2.05 m wide). Which of them stand at a place is
 # not known, so their mean there is a parameter of its own, with the spread between the segments for a prior.
@@ -35,6 +40,7 @@ LARGER = Class("larger", 1.0, np.array([5.39, 1.98, 2.0]), np.array([0.31, 0.065
 # out all the same.
 LEFT_OUT = 0.11
 LEFT_OUT_AT_LEAST = 0.05
+LEFT_OUT_VEHICLES = 20.0  # that share is known as if it had been counted on so many, whatever the place's other mix
 LONG = 5.2  # [m] a third of LARGER is shorter than that
 # The tables' shapes (spreads, tails, shares of classes) are good to about 10 %, which is what 50 vehicles can tell of a
 # spread. More of them make neither a fleet nor a mix more likely than another: what they would tell apart is finer than
@@ -50,6 +56,11 @@ IMPOSSIBLE = 9.0  # log probability below the best from which a scale is not tri
 LEAST_KEPT = 0.02  # share of the information that is left however much the classes overlap
 COARSE_STEPS, FINE_STEPS, STILL = 12, 40, 3e-4  # of fitting: at most so many, until nothing moves by more
 UNKNOWNS = 5
+# A bag of as many votes as there are would count the luck of the draw twice, once in each posterior and once between
+# them; one of twice as many counts half of it again, for what the tables get wrong.
+BAG = 2.0  # votes in a bag, per vote
+BAGS = 256
+BAG_AXES = 6  # directions in which that luck moves a posterior; on 16 real places they hold all but 0.4 % of it
 
 
 @dataclass(frozen=True)
@@ -89,6 +100,7 @@ class Fits:
     log_scale : (V, 2) by lengths and by widths.
     covariance : (2, 2) of these at the likeliest, from the votes' number, noise and unknown classes.
     drawing : (2, 2) the more of it that comes from not knowing how strongly the detector draws to the usual.
+    chance : variance of the answer between draws of as many vehicles [log scale]: more of them would lessen it.
     member : (K + 1, N) probability of each class over all scales, the larger vehicles last; what is missing from one is
         to be none.
     """
@@ -98,6 +110,7 @@ class Fits:
     log_scale: np.ndarray
     covariance: np.ndarray
     drawing: np.ndarray
+    chance: float
     member: np.ndarray
 
 
@@ -133,9 +146,9 @@ def fit(
 class _Solved:
     """What stands there for each of V hypotheses: the scale, and how much the place is like its country.
 
-    prior : (V, K + 2) vehicles of each class, and outliers, that a place has beforehand; counts : afterwards: those of
-    Dirichlet distributions of the shares. log_prior : (V,) log probability beforehand; log_probability : afterwards,
-    but for a constant. unknown : (V, UNKNOWNS). member : (V, K + 1, N).
+    prior : (V, K + 4) what a place has beforehand, counts : afterwards, as the parameters of three Dirichlet
+    distributions (`_levels`). log_prior : (V,) log probability beforehand; log_probability : afterwards, but for a
+    constant. unknown : (V, UNKNOWNS). member : (V, K + 1, N).
     """
 
     prior: np.ndarray
@@ -170,7 +183,7 @@ class _Problem:
 
     gap : (K + 1, N, 2) log scale by each vote, were it of each class. inverse : (K + 1, N, 2, 2) of its covariance.
     turn : (K + 1, 2, UNKNOWNS) of the residuals. prior : (UNKNOWNS, UNKNOWNS) inverse covariance beforehand.
-    mix : (K + 2,) shares of the classes and of outliers in the country.
+    shares : (K,) of the classes in the country. larger : share of larger vehicles beside them.
     basis : (UNKNOWNS, UNKNOWNS - 1) along which the unknowns move while the sum of the scales with `weights` stays.
     """
 
@@ -178,7 +191,8 @@ class _Problem:
     inverse: np.ndarray
     turn: np.ndarray
     prior: np.ndarray
-    mix: np.ndarray
+    shares: np.ndarray
+    larger: float
     weights: np.ndarray
     basis: np.ndarray
 
@@ -204,16 +218,14 @@ class _Problem:
         basis = np.zeros((UNKNOWNS, UNKNOWNS - 1))
         basis[:2, 0] = weights[1], -weights[0]
         basis[2:, 1:] = np.eye(UNKNOWNS - 2)
-        national = np.array([c.weight for c in classes]) / sum(c.weight for c in classes)
-        larger = _left_out(classes)
-        vehicles = np.array([*((1 - larger) * national), larger])
         return cls(
             # Noise lowers a logarithm's mean by half its variance.
             gap=(means[:, None] - 0.5 * noise) - log_size,
             inverse=np.linalg.inv(spread),
             turn=turn,
             prior=prior,
-            mix=np.array([*((1 - OUTLIER_SHARE) * vehicles), OUTLIER_SHARE]),
+            shares=np.array([c.weight for c in classes]) / sum(c.weight for c in classes),
+            larger=_left_out(classes),
             weights=weights,
             basis=basis,
         )
@@ -233,7 +245,9 @@ class _Problem:
         number, likely = np.array(place).repeat(len(grid), 0).T
         unknown = np.zeros((len(number), UNKNOWNS))
         unknown[:, :2] = np.tile(grid, len(place))[:, None]
-        prior = number[:, None] * self.mix
+        larger = LEFT_OUT_VEHICLES * np.array([1 - self.larger, self.larger])
+        outliers = OUTLIER_BOXES * np.array([1 - OUTLIER_SHARE, OUTLIER_SHARE])
+        prior = np.hstack([number[:, None] * self.shares, np.tile([*larger, *outliers], (len(number), 1))])
         return _Solved(prior, np.log(likely), prior, unknown, np.log(likely), np.empty((len(number), 0, 0)))
 
     @cached_property
@@ -254,10 +268,13 @@ class _Problem:
         height -= 0.5 * (gap[..., 0] * each[..., 3] + gap[..., 1] * each[..., 4])
         m0, m1 = self._moved(unknown)
         along = np.stack([-0.5 * m0**2, -m0 * m1, -0.5 * m1**2, m0, m1], -1)
-        log_share = digamma(counts) - digamma(counts.sum(1, keepdims=True))
+        classes, (others, larger), (vehicle, none) = (
+            (digamma(level) - digamma(level.sum(1, keepdims=True))).T for level in _levels(counts)
+        )
+        log_share = np.vstack([classes + others, larger[None]]) + vehicle
         log_density = along @ each[..., :5].transpose(0, 2, 1) + height[:, None]
-        p = np.exp(log_density + log_share.T[:-1, :, None])
-        total = p.sum(0) + OUTLIER_DENSITY * np.exp(log_share[:, -1:])
+        p = np.exp(log_density + log_share[:, :, None])
+        total = p.sum(0) + OUTLIER_DENSITY * np.exp(none[:, None])
         p /= total
         return p, total
 
@@ -286,13 +303,16 @@ class _Problem:
             right = np.einsum("kiu,ikv->vu", self.turn, pulled) - unknown @ self.prior
             inside = self.basis.T @ system @ self.basis
             step = np.linalg.solve(inside, (right @ self.basis)[..., None])[..., 0] @ self.basis.T
-            after = told * np.column_stack([found.T, count - found.sum(0)]) + start.prior
+            others, vehicles = found[:-1].sum(0), found.sum(0)
+            after = told * np.column_stack([found[:-1].T, others, found[-1], vehicles, count - vehicles]) + start.prior
             change = max(np.abs(step[:, :4]).max(), np.abs(after - counts).max() / count)
             counts, unknown = after, unknown + step
             if change < STILL:
                 break
         probability = told * (np.log(total).sum(1) - 0.5 * np.einsum("vi,ij,vj->v", unknown, self.prior, unknown))
-        probability += start.log_prior - _divergence(counts, start.prior)
+        probability += start.log_prior
+        for level, before in zip(_levels(counts), _levels(start.prior), strict=True):
+            probability -= _divergence(level, before)
         # Laplace's approximation of the integral over what else is unknown.
         prior = self.basis.T @ self.prior @ self.basis
         probability += 0.5 * (np.linalg.slogdet(prior)[1] - np.linalg.slogdet(told * (inside - prior) + prior)[1])
@@ -302,10 +322,11 @@ class _Problem:
         """The posterior over the grid's scales, and what the votes leave uncertain at the likeliest; `everyone` has all
         votes."""
         best = float(solved.log_probability.max())
-        weight = np.exp(solved.log_probability - best)
-        evidence = best + float(np.log(weight.sum() * FINE))
-        weight /= weight.sum()
-        likeliest = int(np.argmax(weight))
+        evidence = best + float(np.log(np.exp(solved.log_probability - best).sum() * FINE))
+        each = _normalised(solved.log_probability + self._lucks(solved))
+        weight = each.mean(0)
+        means = each @ (solved.unknown[:, :2] @ self.weights)
+        likeliest = int(np.argmax(solved.log_probability))
         covariance, known = self._covariances(solved, likeliest)
         return Fits(
             weight=weight,
@@ -313,8 +334,27 @@ class _Problem:
             log_scale=solved.unknown[:, :2],
             covariance=known,
             drawing=covariance - known,
+            chance=BAG * float(means.var()),
             member=everyone.members(solved, weight),
         )
+
+    def _lucks(self, solved: _Solved) -> np.ndarray:
+        """(BAGS, V) by how much bags of votes, drawn with replacement, move the log probabilities of hypotheses.
+
+        To first order no hypothesis need be fitted anew, since each is where its probability is greatest: a vote that
+        is drawn twice adds its log density once more. The sum over a bag is taken to be normal: so the bags do not
+        depend on the order of the votes, nor their cost on the number.
+        """
+        density = np.log(self._members(solved.unknown, solved.counts)[1])
+        apart = density - density.mean(1, keepdims=True)
+        count = apart.shape[1]
+        told = min(1.0, SHAPE_VEHICLES / count)
+        variance, axes = np.linalg.eigh(apart @ apart.T * told**2 / BAG)
+        variance, axes = variance[-BAG_AXES:][::-1], axes[:, -BAG_AXES:][:, ::-1]
+        towards = np.where(solved.unknown[:, :2].sum(1) @ (axes - axes.mean(0)) < 0, -1, 1)
+        drawn = np.random.default_rng(0).standard_normal((BAG_AXES, BAGS // 2))[: len(variance)].T
+        moved = drawn @ (axes * towards * np.sqrt(np.maximum(variance, 0))).T
+        return np.vstack([moved, -moved])
 
     def _covariances(self, solved: _Solved, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Two (2, 2) of the scales by length and width at the `k`-th: with every unknown, and with the drawing's share
@@ -323,7 +363,8 @@ class _Problem:
         The information of votes that wore their classes, with the unknowns' priors, less what the guessing loses: the
         covariance of each vote's score over the classes that it may be of (Louis 1982); the shares are unknown, too.
         """
-        p, share = solved.member[k], solved.counts[k, :-2] / solved.counts[k, :-2].sum()
+        (counts,), _, _ = _levels(solved.counts[k : k + 1])
+        p, share = solved.member[k], counts / counts.sum()
         residual = np.einsum("kiu,u->ki", self.turn, solved.unknown[k])[:, None] - self.gap
         pull = -np.einsum("knij,knj->kni", self.inverse, residual)
         many = len(share)
@@ -335,11 +376,21 @@ class _Problem:
         whole = np.zeros_like(lost)
         information = np.einsum("kn,knij->kij", p, self.inverse)
         whole[:UNKNOWNS, :UNKNOWNS] = np.einsum("kiu,kij,kjw->uw", self.turn, information, self.turn) + self.prior
-        whole[UNKNOWNS:, UNKNOWNS:] = solved.counts[k, :-2].sum() * (
-            np.diag(share) - np.outer(share, share)
-        ) + 1e-6 * np.eye(many)
+        whole[UNKNOWNS:, UNKNOWNS:] = counts.sum() * (np.diag(share) - np.outer(share, share)) + 1e-6 * np.eye(many)
         without = np.delete(np.arange(len(whole)), UNKNOWNS - 1)
         return _of_scales(whole, lost), _of_scales(whole[np.ix_(without, without)], lost[np.ix_(without, without)])
+
+
+def _levels(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of `counts` (V, K + 4): (V, K) of the classes; (V, 2) of them together, and of larger vehicles; (V, 2) of
+    vehicles, and of outliers. A place that is odd in one is not therefore odd in another."""
+    return counts[:, :-4], counts[:, -4:-2], counts[:, -2:]
+
+
+def _normalised(log_weight: np.ndarray) -> np.ndarray:
+    """(B, V) weights whose rows sum to one."""
+    weight = np.exp(log_weight - log_weight.max(1, keepdims=True))
+    return weight / weight.sum(1, keepdims=True)
 
 
 def _left_out(classes: Sequence[Class]) -> float:

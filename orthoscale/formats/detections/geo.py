@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.affine import transformed
 from ...core.boxes import KINDS, Boxes
 from ...errors import InputError, OutputError, shown
 from ..reading import check_regular, checked, parsed
@@ -54,22 +55,14 @@ class Place:
 
     def to_map(self, pixels: np.ndarray, crs: str | None = None) -> np.ndarray:
         """(K, 2) map coordinates of (K, 2) pixels, in `crs` or the raster's own."""
-        x, y = _mapped(self.transform, pixels)
-        if crs is not None:
-            x, y = _transformer(self.crs, crs).transform(x, y)
-        return np.column_stack([x, y])
+        points = transformed(pixels, self.transform)
+        return points if crs is None else np.column_stack(_transformer(self.crs, crs).transform(*points.T))
 
     def to_pixels(self, points: np.ndarray, crs: str | None = None) -> np.ndarray:
         """(K, 2) pixels of (K, 2) map coordinates, in `crs` or the raster's own."""
-        x, y = points.T
         if crs is not None:
-            x, y = _transformer(crs, self.crs).transform(x, y)
-        return np.column_stack(_mapped(~self.transform, np.column_stack([x, y])))
-
-
-def _mapped(transform: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    t, (x, y) = transform, points.T
-    return t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f
+            points = np.column_stack(_transformer(crs, self.crs).transform(*points.T))
+        return transformed(points, ~self.transform)
 
 
 @cache

@@ -46,7 +46,7 @@ def _array(path: Path) -> np.ndarray:
 
 
 def _band(path: Path) -> np.ndarray:
-    from ...sources.raster import open_dataset, reading
+    from ...sources.gdal import open_dataset, reading
 
     with reading(path, "cannot be read as a depth map", MAP_HINT), open_dataset(path) as raster:
         if raster.count != 1 or raster.dtypes[0] not in ("uint16", "int16", "uint32", "int32", "float32", "float64"):

@@ -1,0 +1,24 @@
+"""Affine transforms of the plane, as rasters have them from their pixels to the coordinates of a map."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+
+class Affine(Protocol):
+    """x' = a x + b y + c, y' = d x + e y + f: the six numbers of rasterio's transforms, by its names."""
+
+    a: float
+    b: float
+    c: float
+    d: float
+    e: float
+    f: float
+
+
+def transformed(points: np.ndarray, t: Affine) -> np.ndarray:
+    """(..., 2) `points` through the transform `t`: from (column, row) [px] to (x, y) of a map, say."""
+    x, y = np.moveaxis(np.asarray(points, float), -1, 0)
+    return np.stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f], -1)

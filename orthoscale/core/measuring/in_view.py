@@ -1,0 +1,35 @@
+"""Which frames have a place in view: a vehicle should be found in most of them, a mistake hardly shows twice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..detections import Detections
+from ..source import PosedSet
+
+
+def looked_at(found: Detections) -> list[str]:
+    """Names of the pictures in which anything was seen, believed or not: those that were surely looked at."""
+    return [name for name in {**found.boxes, **found.doubtful} if _count(found, name)]
+
+
+def _count(found: Detections, name: str) -> int:
+    return sum(len(of[name]) for of in (found.boxes, found.doubtful) if name in of)
+
+
+def frames_in_view(
+    source: PosedSet, names: Iterable[str], place: np.ndarray, border: float, lowest_elevation: float
+) -> np.ndarray:
+    """(N,) how many of the frames `names` show the places (N, 3) [units, world], `border` [px] or more from their edge
+    and at `lowest_elevation` [deg] or steeper. What stands in the way is not looked for."""
+    count = np.zeros(len(place), int)
+    for name in names:
+        ray = source.centre(name) - place
+        steep = ray @ source.ground.up >= np.sin(np.radians(lowest_elevation)) * np.linalg.norm(ray, axis=1)
+        pixel = source.project(name, place)
+        with np.errstate(invalid="ignore"):
+            inside = ((pixel >= border) & (pixel <= np.array(source.image_size(name)) - border)).all(1)
+        count += inside & steep
+    return count

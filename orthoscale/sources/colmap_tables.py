@@ -1,0 +1,127 @@
+"""What the files of a COLMAP model hold, as plain values, and how damage to them is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+
+NO_POINT = 2**64 - 1  # the point of an observation that has none
+CAMERA_SENSOR = 0  # a type of sensor
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # a pose, qw qx qy qz tx ty tz
+TABLES = ("cameras", "images", "points3D")
+RIG_TABLES = ("rigs", "frames")
+# Model id: name, number of parameters, how many of them (the first ones) are focal lengths.
+CAMERA_MODELS = {
+    0: ("SIMPLE_PINHOLE", 3, 1),
+    1: ("PINHOLE", 4, 2),
+    2: ("SIMPLE_RADIAL", 4, 1),
+    3: ("RADIAL", 5, 1),
+    4: ("OPENCV", 8, 2),
+    5: ("OPENCV_FISHEYE", 8, 2),
+    6: ("FULL_OPENCV", 12, 2),
+    7: ("FOV", 5, 2),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4, 1),
+    9: ("RADIAL_FISHEYE", 5, 1),
+    10: ("THIN_PRISM_FISHEYE", 12, 2),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16, 2),
+    12: ("SIMPLE_DIVISION", 4, 1),
+    13: ("DIVISION", 5, 2),
+    14: ("SIMPLE_FISHEYE", 3, 1),
+    15: ("FISHEYE", 4, 2),
+    16: ("EUCM", 6, 2),
+}
+MODEL_IDS = {name: model for model, (name, _, _) in CAMERA_MODELS.items()}
+SENSOR_TYPES = {"CAMERA": 0, "IMU": 1}
+WRITE_ANEW = "The file is damaged: copy the model again, or write it anew with `colmap model_converter`."
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One line of cameras: where it stands, its model's id, its size [px], its parameters as COLMAP orders them."""
+
+    where: str
+    model: int
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Image:
+    """A registered image and what it saw; the pose is that of the world in its camera."""
+
+    where: str
+    id: int
+    pose: tuple[float, ...]  # qw qx qy qz tx ty tz
+    camera: int
+    name: str
+    xy: np.ndarray  # (K, 2)
+    points: np.ndarray  # (K,) uint64, NO_POINT for none
+
+
+@dataclass(frozen=True)
+class Points:
+    """All 3D points at once."""
+
+    path: Path
+    ids: np.ndarray  # (P,) uint64
+    values: np.ndarray  # (P, 4) x y z error
+    track_of: np.ndarray  # (T,) index of the point each track element belongs to
+    tracks: np.ndarray  # (T, 2) image id, index of the observation in the image
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Sensors that are mounted together, each with its pose in the rig; the reference has none."""
+
+    where: str
+    sensors: list[tuple[int, int, tuple[float, ...]]]  # type, id, pose or ()
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where a rig stood once, and what its sensors took there."""
+
+    where: str
+    rig: int
+    pose: tuple[float, ...]
+    data: list[tuple[int, int, int]]  # sensor type, sensor id, data id
+
+
+@dataclass
+class Tables:
+    """A model as its files have it, before anything is made of it. paths : the files, by table."""
+
+    cameras: dict[int, Camera] = field(default_factory=dict)
+    images: list[Image] = field(default_factory=list)
+    points: Points = field(init=False)
+    rigs: dict[int, Rig] | None = None
+    frames: dict[int, Frame] | None = None
+    paths: dict[str, Path] = field(default_factory=dict)
+
+
+def damaged(where: str, what: str, hint: str = WRITE_ANEW) -> InputError:
+    """The error that `what` is wrong at `where`, a file and a place in it."""
+    return InputError(f"{where}: {what}", hint)
+
+
+def add(table: dict, key: int, value: object, where: str, kind: str) -> None:
+    """Put the `kind` of thing with the id `key` into `table`. Raises InputError where it is there already."""
+    if key in table:
+        raise damaged(where, f"{kind} {key} appears twice")
+    table[key] = value
+
+
+def unknown_camera(where: str, camera: int, model: object) -> InputError:
+    """The error for a camera whose model, an id or a name, is none of `CAMERA_MODELS`."""
+    if model in (17, "EQUIRECTANGULAR"):
+        return damaged(
+            where,
+            f"camera {camera} is spherical (EQUIRECTANGULAR)",
+            "Cut perspective views out of the panoramas first.",
+        )
+    return damaged(where, f"camera {camera} has the unknown model {model}")

@@ -1,0 +1,120 @@
+"""GDAL as this package uses it: within a memory limit, with files of this machine only, its errors in words."""
+
+from __future__ import annotations
+
+import html
+import re
+import stat
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import rasterio
+from rasterio._err import CPLE_BaseError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import DatasetReader
+
+from ..errors import InputError
+from ..system.budget import memory
+
+# GDAL's own cache limit is 5 % of the machine's memory, which was seen to grow past a gigabyte. In bytes: rasterio
+# does not take a small number for megabytes, as GDAL does; 256 would be no cache at all, 5 to 100 times slower.
+# PAM stays enabled, because .aux.xml is where GIS programs keep the georeferencing of a JPEG; GDAL writes one only
+# after statistics or properties were set, and nothing here does that to an input.
+_CACHE = 256 * 2**20
+# No file may make GDAL call a server, however deep it is hidden in it (a VRT's source, an overview named in .aux.xml):
+# all that GDAL asks of the network goes to a proxy that does not exist, and no remote file is known to it.
+_OFFLINE = {
+    "GDAL_HTTP_PROXY": "127.0.0.1:9",
+    "GDAL_HTTPS_PROXY": "127.0.0.1:9",
+    "GDAL_HTTP_CONNECTTIMEOUT": "1",
+    "GDAL_HTTP_TIMEOUT": "2",
+    "GDAL_HTTP_MAX_RETRY": "0",
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "/vsicurl/none",
+    "GDAL_VRT_ENABLE_PYTHON": "NO",
+}
+# Formats whose files name a server, or pictures that anybody keeps anywhere.
+_SERVED = frozenset(
+    [
+        "DAAS", "EEDA", "EEDAI", "ESRIC", "GTI", "HTTP", "KMLSUPEROVERLAY", "NGW", "OGCAPI", "PLMOSAIC", "Rasterlite",
+        "STACIT", "STACTA", "TileDB", "WCS", "WFS", "WMS", "WMTS", "Zarr",
+    ]
+)  # fmt: skip
+EXPORT_AGAIN = "Export or download it again; its transfer may have been cut off."
+_LONGEST_VRT = 2**28  # [byte] of its text that is looked through
+GDAL_ERRORS = (RasterioError, CPLE_BaseError, OSError, UnicodeError)  # its names and messages must be UTF-8
+
+
+def settings() -> dict[str, Any]:
+    """GDAL's settings while this package reads or writes."""
+    return {"GDAL_CACHEMAX": min(_CACHE, memory() // 4), "GDAL_TIFF_INTERNAL_MASK": True, **_OFFLINE}
+
+
+@cache
+def _local_drivers() -> list[str]:
+    """GDAL's formats whose files hold their own pixels, or say in which files they are."""
+    with rasterio.Env() as env:
+        return [name for name in env.drivers() if name not in _SERVED]
+
+
+def open_dataset(path: Path) -> DatasetReader:
+    """GDAL's view of a file on this machine; within `reading`, as all that is done with it, so that it calls no server.
+
+    Raises InputError for what names a pipe or device; GDAL's errors for what it cannot open.
+    """
+    _require_files(path)
+    return DatasetReader(path, driver=_local_drivers(), sharing=False)
+
+
+def _require_files(path: Path) -> None:
+    """Raises InputError where `path` is a VRT that names a pipe or device, from which GDAL would wait for pixels
+    forever; so do those that it names in turn."""
+    waiting, seen = [path.absolute()], set()
+    while waiting:
+        vrt = waiting.pop()
+        if vrt in seen:
+            continue
+        seen.add(vrt)
+        with vrt.open("rb") as file:
+            if b"<VRTDataset" not in file.read(4096):
+                continue
+            file.seek(0)
+            text = file.read(_LONGEST_VRT).decode(errors="replace")
+        for word in re.findall(r">\s*([^<>]+?)\s*<|\"([^\"]+)\"", text):
+            named = html.unescape(word[0] or word[1])
+            inner = re.sub(r"^(/vsi\w+/)+", "/", named)
+            for place in (Path(inner), vrt.parent / named):
+                try:
+                    mode = (vrt.parent / place).stat().st_mode
+                except (OSError, ValueError):  # no file of that name
+                    continue
+                if stat.S_ISREG(mode):
+                    waiting.append(vrt.parent / place)
+                elif not stat.S_ISDIR(mode):
+                    raise InputError(f"{path} names {named!r}, which is a pipe or device", "Name files of pixels.")
+
+
+@contextmanager
+def no_warnings() -> Iterator[None]:
+    """Silence rasterio on images without georeferencing; they are this package's daily bread."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
+
+
+@contextmanager
+def reading(path: Path, what: str, hint: str) -> Iterator[None]:
+    """GDAL within its memory limit and offline; an error of it becomes ``InputError(path what (reason), hint)``."""
+    try:
+        with rasterio.Env(**settings()), no_warnings():
+            yield
+    except GDAL_ERRORS as error:
+        raise InputError(f"{path} {what} ({reason(error)})", hint) from error
+
+
+def reason(error: BaseException) -> str:
+    """What GDAL said; rasterio often keeps it in the cause and says only "see previous exception"."""
+    return str(error.__cause__ or error).strip().rstrip(".")

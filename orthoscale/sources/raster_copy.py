@@ -1,0 +1,230 @@
+"""Copies of an image as GeoTIFF: the same pixels with another place, read back and compared."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from rasterio.crs import CRS
+from rasterio.enums import MaskFlags, Resampling
+from rasterio.io import DatasetReader, DatasetWriter
+from rasterio.shutil import copy as gdal_copy
+from rasterio.windows import Window
+
+from ..core.source import Placement
+from ..errors import OutputError
+from ..system.outputs import signature
+from .gdal import EXPORT_AGAIN, GDAL_ERRORS, no_warnings, reading, reason, settings
+
+_STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written
+_CLASSIC = 2**32 - 2**24  # [byte] a classic TIFF longer than this may not have room for another directory
+_WHOLE = 100_000_000  # [px] copies up to this size are compared with their original in full, larger ones by samples
+
+
+@dataclass(frozen=True)
+class Original:
+    """An open image that is copied.
+
+    path, dataset : its file, and what GDAL sees of it. paletted : whether its values are numbers of colours.
+    lock : of all who read it.
+    """
+
+    path: Path
+    dataset: DatasetReader
+    paletted: bool
+    lock: threading.RLock
+
+    def write(self, path: Path, place: Placement, cog: bool = False) -> None:
+        """Write the copy, see `RasterSource.write`. Raises InputError for a damaged original; OutputError for a copy
+        that cannot be written or does not read back alike."""
+        plain = path.with_name(f"plain.{path.name}") if cog else path
+        try:
+            with rasterio.Env(**settings()), no_warnings():
+                if self._can_be_copied():
+                    shutil.copyfile(self.path, plain)
+                else:
+                    self.convert(plain, place)
+                with rasterio.open(plain, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as copy:
+                    self._restore_properties(copy)
+                    copy.crs, copy.transform = place.crs, place.transform
+                    copy.update_tags(WRITTEN_BY=signature(path))
+                if cog:
+                    self._optimise(plain, path)
+                # Whatever a GeoTIFF could not hold would be in here, and would not travel with a renamed file.
+                Path(f"{path}.aux.xml").unlink(missing_ok=True)
+                self._verify(path, place)
+        except GDAL_ERRORS as error:
+            why = f"{path} could not be written ({reason(error)})"
+            raise OutputError(why, "Check the free space on its disk.") from error
+        finally:
+            if cog:
+                for leftover in (plain, Path(f"{plain}.aux.xml")):
+                    leftover.unlink(missing_ok=True)
+
+    @property
+    def is_cog(self) -> bool:
+        """Whether it is a cloud-optimised GeoTIFF."""
+        return self.dataset.tags(ns="IMAGE_STRUCTURE").get("LAYOUT") == "COG"
+
+    def _can_be_copied(self) -> bool:
+        """A TIFF whose pixels are all in the one file, without rational polynomials (rasterio cannot remove those), and
+        with room for a new directory at its end if it is a classic one, whose offsets have 32 bits."""
+        dataset = self.dataset
+        in_one_file = not any(f.endswith(".msk") for f in dataset.files) and len(self._nodata()) <= 1
+        return dataset.driver == "GTiff" and in_one_file and not dataset.rpcs and self._has_room()
+
+    def _has_room(self) -> bool:
+        with self.path.open("rb") as file:
+            big = file.read(4) in (b"II+\0", b"MM\0+")
+        return big or self.path.stat().st_size < _CLASSIC
+
+    def _nodata(self) -> set[str]:
+        """The bands' different nodata values; a GeoTIFF has room for one. As text, in which NaN equals NaN."""
+        return {repr(v) for v in self.dataset.nodatavals}
+
+    def _optimise(self, plain: Path, path: Path) -> None:
+        """A cloud-optimised copy of the GeoTIFF `plain`. Always deflate: what JPEG compressed once stays as it was
+        decoded, at the cost of a larger file."""
+        floating = np.result_type(*self.dataset.dtypes).kind == "f"
+        gdal_copy(
+            plain,
+            path,
+            driver="COG",
+            COMPRESS="DEFLATE",
+            PREDICTOR="FLOATING_POINT" if floating else "STANDARD",
+            BLOCKSIZE=512,
+            BIGTIFF="IF_SAFER",
+            OVERVIEWS="AUTO",
+            RESAMPLING="NEAREST" if self.paletted else "AVERAGE",
+            NUM_THREADS="ALL_CPUS",
+        )
+
+    def convert(self, path: Path, place: Placement, **options: Any) -> None:
+        """Write a tiled GeoTIFF with the same pixels; `options` are GDAL's, more than the usual. Raises InputError, and
+        GDAL's errors."""
+        source = self.dataset
+        dtype = np.result_type(*source.dtypes)
+        kinds = [c.name for c in source.colorinterp]
+        in_file_mask = MaskFlags.per_dataset in source.mask_flag_enums[0] and "alpha" not in kinds
+        explicit_mask = in_file_mask or len(self._nodata()) > 1
+        if kinds[:3] == ["red", "green", "blue"] and dtype.kind == "u":
+            options["photometric"] = "RGB"
+        packing = {"compress": "deflate", "predictor": 3 if dtype.kind == "f" else 2}
+        with rasterio.open(
+            path,
+            "w",
+            driver="GTiff",
+            width=self.dataset.width,
+            height=self.dataset.height,
+            count=source.count,
+            dtype=dtype.name,
+            crs=place.crs,
+            transform=place.transform,
+            tiled=True,
+            blockxsize=_STRIP,
+            blockysize=_STRIP,
+            interleave="pixel",
+            num_threads="all_cpus",
+            bigtiff="IF_SAFER",
+            **{**packing, **options},
+        ) as copy:
+            self._restore_properties(copy)
+            for window in self._strips():
+                pixels, mask = self._raw(window)
+                copy.write(pixels.astype(dtype, copy=False), window=window)
+                if explicit_mask:
+                    copy.write_mask(mask, window=window)
+
+    def _restore_properties(self, copy: DatasetWriter) -> None:
+        """Give `copy` what the original has and a bare GeoTIFF, or a copy without its .aux.xml and .ovr, lacks."""
+        source = self.dataset
+        nodata_told = len(self._nodata()) == 1 and source.nodata is not None
+        if nodata_told and copy.nodata is None and _fits(source.nodata, copy.dtypes[0]):
+            copy.nodata = source.nodata
+        if copy.colorinterp != source.colorinterp:
+            copy.colorinterp = source.colorinterp
+        if self.paletted and copy.dtypes[0] in ("uint8", "uint16") and not _has_palette(copy):
+            copy.write_colormap(1, source.colormap(1))
+        for name in ("descriptions", "scales", "offsets", "units"):
+            if getattr(copy, name) != getattr(source, name):
+                setattr(copy, name, getattr(source, name))
+        for band in (0, *source.indexes):
+            tags, had = source.tags(band), copy.tags(band)
+            if new := {k: v for k, v in tags.items() if k not in had and k != "AREA_OR_POINT"}:
+                copy.update_tags(band, **new)
+        if copy.mode == "r+" and source.overviews(1) and not copy.overviews(1):
+            resampling = Resampling.nearest if self.paletted else Resampling.average
+            copy.build_overviews(source.overviews(1), resampling)
+
+    def _strips(self) -> Iterator[Window]:
+        """Windows over the whole image, in reading order, because JPEG and PNG can only be decoded from the top."""
+        for y in range(0, self.dataset.height, _STRIP):
+            for x in range(0, self.dataset.width, 256 * _STRIP):
+                yield Window(x, y, min(256 * _STRIP, self.dataset.width - x), min(_STRIP, self.dataset.height - y))
+
+    def _raw(self, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        """The bands (C, H, W) as they are, and the mask (H, W) uint8."""
+        with self.lock, reading(self.path, f"is damaged near y {window.row_off}", EXPORT_AGAIN):
+            return self.dataset.read(window=window), self.dataset.dataset_mask(window=window)
+
+    def _verify(self, path: Path, place: Placement) -> None:
+        """Read the copy back and compare; raises OutputError."""
+        source = self.dataset
+        with rasterio.open(path, sharing=False) as copy:
+            told = {
+                "size": (copy.width, copy.height, copy.count) == (source.width, source.height, source.count),
+                "type": copy.dtypes[0] == np.result_type(*source.dtypes) or copy.dtypes == source.dtypes,
+                "colours": copy.colorinterp == source.colorinterp,
+                "transform": np.allclose(copy.transform, place.transform, rtol=1e-9, atol=0),
+                "coordinate reference system": copy.crs is not None and self._same_system(copy.crs, place.crs),
+                "ground control": not copy.gcps[0] and not copy.rpcs,
+            }
+            wrong = [name for name, right in told.items() if not right]
+            for window in [] if wrong else self._to_compare():
+                pixels, mask = self._raw(window)
+                floating = pixels.dtype.kind == "f"
+                same = np.array_equal(pixels, copy.read(window=window), equal_nan=floating)
+                if not (same and np.array_equal(mask, copy.dataset_mask(window=window))):
+                    wrong = [f"pixels near x {window.col_off}, y {window.row_off}"]
+                    break
+        if wrong:
+            raise OutputError(
+                f"{path} does not read back as it was meant: {', '.join(wrong)}",
+                "Check the disk; if it is sound, convert the input to a plain GeoTIFF first (gdal_translate).",
+            )
+
+    @staticmethod
+    def _same_system(found: CRS, meant: str | CRS) -> bool:
+        """An engineering CRS does not compare equal to what was written; its unit must."""
+        meant = CRS.from_user_input(meant)
+        return found == meant or (found.units_factor[1] == meant.units_factor[1] and not meant.is_projected)
+
+    def _to_compare(self) -> Iterator[Window]:
+        if self.dataset.width * self.dataset.height <= _WHOLE:
+            yield from self._strips()
+            return
+        rng, side = np.random.default_rng(0), min(512, self.dataset.width, self.dataset.height)
+        for y in np.sort(rng.integers(0, self.dataset.height - side + 1, 64)):
+            yield Window(int(rng.integers(0, self.dataset.width - side + 1)), int(y), side, side)
+
+
+def _fits(value: float, dtype: str) -> bool:
+    """Whether a nodata value can occur in bands of this type."""
+    if np.dtype(dtype).kind == "f":
+        return True
+    limits = np.iinfo(dtype)
+    return math.isfinite(value) and limits.min <= value <= limits.max
+
+
+def _has_palette(dataset: DatasetReader) -> bool:
+    try:
+        return bool(dataset.colormap(1))
+    except ValueError:
+        return False
