@@ -225,6 +225,7 @@ def test_more_matches_are_needed_where_more_agree_by_chance():
     assert needed(few, 20) == pytest.approx(10 + 2 * np.log(20 / 1e-4), rel=0.1)
     assert needed(many, 20) == pytest.approx(20 + 5 * np.log(20 / 1e-4), rel=0.1)
     assert needed([*few, 300, 400], 20) == pytest.approx(needed(few, 20), abs=1)
+    assert needed([], 20) == 0, "on a map that shows nothing"
 
 
 # The command

@@ -119,7 +119,10 @@ def needed(wrong: Sequence[int], looks: int) -> int:
     """How many matches must agree, so that none of `looks` wrong places has as many, but for FALSE_RATE.
 
     From the counts of places that are `wrong`, by the extreme value distribution of the largest of many (Gumbel, 1958),
-    fitted to median and quartiles, which a few right ones among them do not move."""
+    fitted to median and quartiles, which a few right ones among them do not move. 0 where there are no wrong ones: on a
+    map that shows nothing, nothing is like the picture."""
+    if not len(wrong):
+        return 0
     low, middle, high = np.percentile(wrong, [25, 50, 75])
     spread = max(high - low, 1.0) / GUMBEL_QUARTILES
     mode = middle - GUMBEL_MEDIAN * spread

@@ -332,7 +332,7 @@ def _wait(running: list[tuple[int, _Pipe, _Pipe]], patience: float) -> list[_Run
             done, status, usage = os.wait4(pid, os.WNOHANG)
             most[pid] = max(most[pid], _resident(pid))
             clock = time.monotonic() - begin
-            slow = not done and clock > WATCHED
+            slow = not done and clock > min(WATCHED, patience)
             waited = _in_line(pid, stood[pid]) if slow else 0.0
             hung = slow and (clock - waited > patience or clock > WAITING * patience)
             if not done and (hung or most[pid] > STOP_AT):
