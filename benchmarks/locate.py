@@ -32,7 +32,7 @@ from support.aerial import Shot, other_date  # noqa: E402
 
 from orthoscale.locate.features import Features, GradientFeatures  # noqa: E402
 from orthoscale.locate.ground import GroundImage  # noqa: E402
-from orthoscale.locate.register import Finder, Known, Registration, register  # noqa: E402
+from orthoscale.locate.register import Known, PlaceFinder, Registration, register  # noqa: E402
 from orthoscale.sources.satellite import Satellite  # noqa: E402
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -179,7 +179,7 @@ class Method:
 
     name: str
     features: Features
-    finder: Finder | None = None
+    finder: PlaceFinder | None = None
 
     @classmethod
     def of(cls, name: str, embedding: Path | None) -> Method:
