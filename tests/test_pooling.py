@@ -73,7 +73,7 @@ def hold_their_word(scales):
 )
 def test_nine_intervals_of_ten_hold_the_truth(code, vans, false):
     fleet, rng = load_fleet(code), np.random.default_rng(7)
-    scenes = 30 if fleet.candidates else 100  # every candidate is fitted
+    scenes = 18 if fleet.candidates else 100  # every candidate is fitted
     scales = [pool(scene(rng, fleet, 60, vans=vans, false=false), fleet, RULER, "m/px") for _ in range(scenes)]
     hold_their_word(scales)
 
