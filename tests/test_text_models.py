@@ -64,6 +64,17 @@ def test_written_again_in_metres(made, tmp_path, writer):
             detections=tmp_path / "boxes.json")  # fmt: skip
 
 
+def test_a_camera_number_of_hundreds_of_digits_is_damage(pinhole, tmp_path):
+    path = nvm(pinhole[0], tmp_path)
+    lines = path.read_text().split("\n")
+    row = next(k for k, line in enumerate(lines) if len(line.split()) > 10 and line.split()[6].isdigit())  # a track
+    words = lines[row].split()
+    lines[row] = " ".join([*words[:7], "9" * 400, *words[8:]])
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match="neither Bundler's"):
+        read_text_model(path)
+
+
 @pytest.mark.parametrize("writer", [bundler, nvm])
 def test_only_lengths_change(pinhole, tmp_path, writer):
     path = writer(pinhole[0], tmp_path)

@@ -70,7 +70,7 @@ def read_text_model(path: Path) -> TextModel:
         if not ((model.seen[:, 0] >= 0) & (model.seen[:, 0] < len(model.focal))).all():
             raise ValueError("a point was seen by a camera that does not exist")
         return model
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:  # the latter of a whole number with hundreds of digits
         raise _damaged(path, str(error)) from error
 
 
