@@ -36,6 +36,7 @@ MOST_PIXELS = 20e6
 CODE_OF_FINDERS = (
     "anchors/*.py",
     "core/anchors.py",
+    "sources/gdal.py",
     "sources/raster*.py",
     "sources/picture_file.py",
     "sources/ground_picture.py",

@@ -33,7 +33,7 @@ EMBEDDING_CARD, EMBEDDING_HINT = (
     "a card of an embedding network",
     "See docs/locate.md: its name, size and normalisation, all optional.",
 )
-EMBEDDING_CODE = ("locate/retrieval.py", "locate/maps.py", "sources/raster*.py")
+EMBEDDING_CODE = ("locate/retrieval.py", "locate/maps.py", "sources/gdal.py", "sources/raster*.py")
 
 
 @dataclass(frozen=True)
