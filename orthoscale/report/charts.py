@@ -215,4 +215,5 @@ def _tag(name: str, **attributes: float | str) -> Markup:
         + '"'
         for key, value in attributes.items()
     )
-    return Markup(f"<{name}{''.join(written)}/>")  # values are escaped one by one: `Markup.format` takes ten times longer
+    # Values are escaped one by one: `Markup.format` takes ten times as long.
+    return Markup(f"<{name}{''.join(written)}/>")
