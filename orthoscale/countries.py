@@ -69,6 +69,8 @@ def country_code(text: str) -> str | None:
     wanted = _plain(text)
     if not wanted:
         return None
+    if len(wanted) == 2 and wanted.upper() in _in_english():  # a code: the names of all countries take half a second
+        return wanted.upper()
     names = _names()
     if wanted in names:
         return names[wanted]
@@ -84,9 +86,7 @@ def nearest_names(text: str) -> list[str]:
 
 def country_name(code: str) -> str:
     """The English name of an ISO 3166 code of two letters, or the code itself where it has none."""
-    from babel import Locale
-
-    return Locale("en").territories.get(code, code)
+    return _in_english().get(code, code)
 
 
 def country_at(longitude: float, latitude: float) -> str | None:
@@ -105,13 +105,22 @@ def _plain(text: str) -> str:
 
 
 @cache
+def _in_english() -> Mapping[str, str]:
+    """Names of countries by code, and of continents by number."""
+    from babel import Locale
+
+    names: Mapping[str, str] = Locale("en").territories
+    return names
+
+
+@cache
 def _names() -> dict[str, str]:
     """Code by plain name or code."""
     from babel import Locale, UnknownLocaleError
     from babel.core import get_global
     from babel.languages import get_official_languages
 
-    english: Mapping[str, str] = Locale("en").territories
+    english = _in_english()
     codes = [code for code in english if len(code) == 2 and code.isalpha()]
     states = US_STATES.split()
     found = {_plain(name): f"US_{code}" for code, name in zip(states[::2], states[1::2], strict=True)}
