@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,12 @@ from orthoscale.core.pooling.posterior import ROBUST_SD, Z90
 from orthoscale.sources.ground import ABOVE, BELOW, SETTLES, SPREAD
 
 PACKAGE = Path(orthoscale.__file__).parent
-MODULES = {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text()) for path in PACKAGE.rglob("*.py")}
+
+
+@cache
+def modules():
+    """Every module of the package, parsed, by its path."""
+    return {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text()) for path in PACKAGE.rglob("*.py")}
 
 
 def constants(tree):
@@ -35,7 +41,7 @@ def constants(tree):
 
 def test_every_constant_is_defined_in_one_module():
     homes = defaultdict(set)
-    for module, tree in MODULES.items():
+    for module, tree in modules().items():
         for name in constants(tree):
             homes[name].add(module)
     assert len(homes) > 300, "the package is not read"
@@ -46,7 +52,7 @@ def test_the_normal_distributions_numbers_have_one_owner():
     """1.4826 and 1.645, in whatever precision, are written nowhere but in core/pooling/posterior.py."""
     found = {
         f"{module}:{node.lineno}": node.value
-        for module, tree in MODULES.items()
+        for module, tree in modules().items()
         if module != "core/pooling/posterior.py"
         for node in ast.walk(tree)
         if isinstance(node, ast.Constant) and isinstance(node.value, float)
