@@ -3,8 +3,8 @@
     python benchmarks/many_frames.py ../shared/data/reconstructions/sheffield --fleet US --copies 1 3 6 12
 
 Copies stand in a row along the longer axis of the ground, a tenth of their length apart; their pictures are links to
-the first one's. Nothing is taken from a cache. Prints Markdown: frames that were looked at, seconds by the clock and of the
-processor, and the process's peak memory.
+the first one's. Nothing is taken from a cache. Prints Markdown: frames that were looked at, seconds by the clock and of
+the processor, and the process's peak memory.
 """
 
 from __future__ import annotations
