@@ -109,6 +109,7 @@ def _unknown(text: str) -> UsageError:
     )
 
 
+@cache
 def _row(code: str) -> Fleet:
     entry = _document()["fleets"][code]
     fleet = Fleet.from_entry(code, entry, _document()["segments"])
