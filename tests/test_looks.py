@@ -14,7 +14,7 @@ from orthoscale.actions import find as find_module
 from orthoscale.actions.estimate import estimate
 from orthoscale.actions.fix import fix
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.measuring.contradiction import BOXES, GROUND, LENS, OTHERS, cause
+from orthoscale.core.measuring.contradiction import Cause, cause
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import CONTRADICTION, compare, together
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
@@ -200,13 +200,13 @@ def parted(measured, apart, plan=None, height=HEIGHT):
 def test_the_cause_of_a_contradiction_is_named(measured):
     noise = np.random.default_rng(0).normal(0, 0.02, 30)
     plan = np.random.default_rng(1).uniform(0, 50, (30, 2))
-    assert parted(measured, noise[:3])[0] == OTHERS, "too few in common"
-    assert parted(measured, noise)[0] == OTHERS, "those in common agree"
-    assert parted(measured, noise + 0.3)[0] == BOXES
+    assert parted(measured, noise[:3])[0] is Cause.OTHERS, "too few in common"
+    assert parted(measured, noise)[0] is Cause.OTHERS, "those in common agree"
+    assert parted(measured, noise + 0.3)[0] is Cause.BOXES
     name, said = parted(measured, noise + 0.3 + 0.004 * plan[:, 0], plan)
-    assert name == GROUND and "across the model" in said
+    assert name is Cause.GROUND and "across the model" in said
     name, said = parted(measured, noise + 0.3, height=measured.found.calibration.card.height[0] + 0.8)
-    assert name == LENS and "focal length" in said
+    assert name is Cause.LENS and "focal length" in said
 
 
 def test_what_the_cause_spares_answers(measured):

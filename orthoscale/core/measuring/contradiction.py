@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from enum import Enum
+
 import numpy as np
 
 from ..pooling.agreement import CONTRADICTION, MIN_COMMON, Agreement
@@ -11,16 +13,20 @@ from .model_drift import by_region
 
 ODD_HEIGHT = 2.0  # sigmas from the detector's card, from which the height that boxes take in is odd; chance makes 5 %
 
-OTHERS = "others"
-GROUND = "ground"
-LENS = "lens"
-BOXES = "boxes"
+
+class Cause(Enum):
+    """What may part two ways of measuring one model."""
+
+    OTHERS = "vehicles that only one of them counts"
+    GROUND = "the ground under the vehicles"
+    LENS = "focal length or distortion"
+    BOXES = "the detector's boxes"
 
 
 def cause(
     agreement: Agreement, apart: np.ndarray, plan: np.ndarray, calibration: SelfCalibration | None
-) -> tuple[str, str]:
-    """What parts two ways that contradict each other: its name (OTHERS, GROUND, LENS, BOXES), and a sentence.
+) -> tuple[Cause, str]:
+    """What parts two ways that contradict each other: and a sentence that says it.
 
     apart : (K,) log of the size that the first way gives over what the second gives it, of the vehicles that count in
     both. plan : (K, 2) where they stand on the ground's plane [units]. calibration : of the frames.
@@ -32,12 +38,15 @@ def cause(
     """
     count = len(apart)
     if count < MIN_COMMON:
-        return OTHERS, f"only {count} vehicles count in both, so other vehicles part them, or wrong boxes"
+        return Cause.OTHERS, f"only {count} vehicles count in both, so other vehicles part them, or wrong boxes"
     if abs(agreement.difference) < CONTRADICTION * agreement.sd:
-        return OTHERS, f"the {count} vehicles that count in both agree, so other vehicles part them, or wrong boxes"
+        return (
+            Cause.OTHERS,
+            f"the {count} vehicles that count in both agree, so other vehicles part them, or wrong boxes",
+        )
     trend = by_region(apart, plan, 1.0)[1]
     if trend is not None and trend.chance < CHANCE and trend.percent_across > 100 * NOTABLE:
-        return GROUND, (
+        return Cause.GROUND, (
             f"the difference changes by {trend.percent_across:.0f} % across the model: the ground under the vehicles "
             "is wrong, or the model is bent"
         )
@@ -46,8 +55,8 @@ def cause(
         sigmas = (ruler.height - card.height) / card.sd[:, 0]
         axis = int(np.argmax(np.abs(sigmas)))
         if abs(sigmas[axis]) > ODD_HEIGHT:
-            return LENS, (
+            return Cause.LENS, (
                 f"the frames make vehicles {ruler.height[axis]:.1f} m high where the detector's boxes take in "
                 f"{card.height[axis]:.1f} m: the focal length or the distortion is wrong"
             )
-    return BOXES, "all vehicles differ alike: one of the two resampling factors does not suit the detector"
+    return Cause.BOXES, "all vehicles differ alike: one of the two resampling factors does not suit the detector"

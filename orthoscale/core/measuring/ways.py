@@ -24,7 +24,7 @@ from ..votes import Votes
 from .agreed import as_agreed
 from .aligned import only_aligned
 from .apart import only_apart
-from .contradiction import LENS, cause
+from .contradiction import Cause, cause
 from .drift import with_drift
 from .measure import measure
 from .measurement import Measurement
@@ -105,7 +105,7 @@ def _answer(source: PosedSet, modes: dict[str, Measurement], fleet: Fleet, metho
     if agreement.contradicts:
         apart = ratio @ np.mean([m.scale.weights for m in modes.values()], axis=0)
         why, said = cause(agreement, apart, source.ground.plane(place), modes[OBLIQUE].found.calibration)
-        agreement = replace(agreement, cause=said, spared=PLANAR if why == LENS else "")
+        agreement = replace(agreement, cause=said, spared=PLANAR if why is Cause.LENS else "")
     answer = modes[agreement.surer] if agreement.contradicts else first
     scale = together(agreement)
     if not agreement.contradicts and all(m.pooled is not None and not m.scale.conflict for m in modes.values()):
