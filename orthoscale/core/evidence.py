@@ -4,8 +4,8 @@ Each piece is one measurement of metres per unit with its own uncertainty. Those
 not are reported, and nothing is averaged away.
 
 An anchor may be of several standards, or be no anchor at all. So it is a mixture, which the vehicles sort out; and it
-never overrules them alone: what it says outside of their 99 % interval does not count unless something else says the
-same.
+never overrules them alone: what it says further from them than CONFLICT_LIMIT does not count unless something else
+says the same. Nearer, it counts as much as its doubt leaves it: the answer may then have two humps.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import ndtr
 
 from .pooling.posterior import Z90, Posterior
 from .remarks import CAUTION, REFUSAL, Remark
@@ -21,7 +22,9 @@ from .remarks import CAUTION, REFUSAL, Remark
 CONFLICT_HINT = "Check the given evidence, the anchors (--anchors) and the boxes (--save-detections)"
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
-ALONE = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
+# Of the vehicles' probability: the interval that no anchor alone leaves. It reaches CONFLICT_LIMIT sigmas to each side,
+# since what does not contradict the vehicles counts, each as much as its doubt leaves it.
+ALONE = float(1 - 2 * ndtr(-CONFLICT_LIMIT))
 COMMON_AT_MOST = 0.99  # share of a scale's variance that may be what all its sources have in common
 SUPPORTS = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
@@ -179,7 +182,7 @@ def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[li
         else:
             e = e.meant(vehicles)
             text = (
-                f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * ALONE:.0f} % interval "
+                f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * ALONE:.1f} % interval "
                 f"({np.exp(interval[0]):.5g} to {np.exp(interval[1]):.5g}); it does not count"
             )
             remarks.append(Remark(CAUTION, text))
