@@ -192,9 +192,7 @@ def square_seen(view, name, corner, size, count=1):
     """A square of `size` at `corner` [units] as the picture `name` of the ground has it."""
     lines = (UNIT_SQUARE * size + corner - view.corner) / view.unit
     place, pixels = lines.mean((0, 1)), size / view.unit
-    return Anchor(
-        "painted square", place, lines, pixels, 0.01, np.zeros(4), (SQUARE,), 0.01, count=count, picture=name
-    )
+    return Anchor("painted square", place, lines, pixels, 0.01, np.zeros(4), (SQUARE,), 0.01, count=count, picture=name)
 
 
 def straight_down(name):

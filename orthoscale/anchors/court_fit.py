@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import cv2
@@ -14,7 +14,8 @@ from .court_models import Court, Pieces
 WINDOWS = (0.9, 0.65, 0.5, 0.4)  # [m] about a stroke where its paint is looked for, round by round
 LEAST_WINDOW = 1.3  # [px] but never closer than this
 PAINT_SD = 0.05  # [m] one sigma of the ridge filter, of the width of the paint ...
-LINE_SD = 0.75  # [px] ... and at least of what a camera leaves of a line
+LINE_SD = 0.75  # [px] ... and at least of what a camera leaves of a line, to see it ...
+FINE_SD, FINE_BELOW = 0.6, 3.0  # [px] ... and to measure it, where strokes are so near each other
 BLURRED_SD = 0.7  # [px] one sigma of what lens and pixels make of a thin line
 # A line of size A and a step B, both blurred to a variance v, peak where B sqrt(v) / A = (3 u - u^3) / (1 - u^2), at
 # u sqrt(v) from the line, with a ridge exp(-u^2 / 2) (1 - u^2 + u B sqrt(v) / A) times that of the line alone; a filter
@@ -24,7 +25,9 @@ _STEP = (3 * _LEANING - _LEANING**3) / (1 - _LEANING**2)
 _STEP_SEEN = _STEP / (np.exp(-0.5 * _LEANING**2) * (1 - _LEANING**2 + _LEANING * _STEP))
 LINE_SEEN = 1.033 / np.sqrt(2 * np.pi)
 GROUND_FROM, GROUND_TO = 1.5, 2.8  # [sd of the filter] from a line, where the ground beside it is asked
-UNDER_STROKE = 0.8  # of a step beside a stroke is taken to lie under it: of some trials the best on 61 chips
+# Of a step beside a stroke is taken to lie under it, by either filter: of some trials the best on 61 chips.
+UNDER_STROKE, FINE_UNDER_STROKE = 0.8, 1.0
+FINE_ROUNDS = 2  # of measuring
 FEWEST_LEANING = 4  # pieces of a stroke
 BESIDE = 2.0  # [m] from a stroke, where another one may disturb it
 PIECE = 1.2  # [m] of strokes, and of so many pixels at least:
@@ -92,23 +95,30 @@ def _neighbours(court: Court, length: float) -> tuple[np.ndarray, np.ndarray]:
     return one, off[one, other]
 
 
-def _pushed(court: Court, length: float, size: float) -> np.ndarray:
+def _pushed(court: Court, length: float, size: float, line_sd: float = LINE_SD) -> np.ndarray:
     """(P,) how far [px] the ridge of each piece is moved by that of a stroke beside it: the peak of the sum of two
     second derivatives of Gaussians, to first order. Only where strokes are a few pixels apart."""
     one, off = _neighbours(court, length)
-    variance = max(LINE_SD, PAINT_SD * size) ** 2 + BLURRED_SD**2
+    variance = max(line_sd, PAINT_SD * size) ** 2 + BLURRED_SD**2
     r = off * size
     slope = (r**3 / variance**2 - 3 * r / variance) * np.exp(-0.5 * r**2 / variance)
     return np.bincount(one, -slope * variance / 3, len(court.pieces(length).length))
 
 
 def _leaned(
-    court: Court, pieces: Pieces, bands: _Bands, strength: np.ndarray, length: float, size: float
+    court: Court,
+    pieces: Pieces,
+    bands: _Bands,
+    strength: np.ndarray,
+    length: float,
+    size: float,
+    line_sd: float = LINE_SD,
+    under: float = UNDER_STROKE,
 ) -> np.ndarray:
     """(P,) how far [px] the ridge of each piece is moved by a step of the ground under its stroke, as where a court is
     of another colour than what is around: the peak of the sum of the line's and the step's second derivatives. The step
     and the line are those of the whole stroke; none where another stroke is too near to tell."""
-    sd = max(LINE_SD, PAINT_SD * size)
+    sd = max(line_sd, PAINT_SD * size)
     blur = float(np.hypot(sd, BLURRED_SD))
     near = np.zeros(len(strength), bool)
     one, off = _neighbours(court, length)
@@ -118,7 +128,7 @@ def _leaned(
         own = (pieces.stroke == number) & (strength > 0) & bands.inside & ~near
         if own.sum() >= FEWEST_LEANING:
             ratio = float(np.median(bands.lean[own]) / np.median(strength[own]))
-            step = UNDER_STROKE * ratio * LINE_SEEN * (sd / blur) ** 2
+            step = under * ratio * LINE_SEEN * (sd / blur) ** 2
             moved[pieces.stroke == number] = np.sign(step) * blur * np.interp(abs(step), _STEP_SEEN, _LEANING)
     return moved
 
@@ -162,10 +172,10 @@ class _Bands:
         return self.offset[best] + np.clip(shift, -1, 1) * step, np.where(peak, np.maximum(middle, 0), 0)
 
 
-def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float) -> _Bands:
+def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float, line_sd: float = LINE_SD) -> _Bands:
     x, y, angle, along, across = pose
     size = np.sqrt(along * across)
-    sd = max(LINE_SD, PAINT_SD * size)
+    sd = max(line_sd, PAINT_SD * size)
     step = sd / 3
     core = int(np.ceil(window / step)) + 1
     reach = core + int(np.ceil(3.5 * sd / step))
@@ -234,21 +244,50 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
             noise = _measure(light, pose, blanks, CLOSE_PX).noise()
         bands = _measure(light, pose, pieces, window_px)
         offset, strength = bands.peaks(window_px)
-        weight = np.clip((strength / noise - 1.5) / 3, 0, 1)
+        weight = _weights(strength, noise)
         if (weight > 0).sum() < FEWEST_PIECES or (
             window < WINDOWS[0] and (strength > CLEAR_NOISES * noise).mean() < HOPELESS
         ):
             return None
         leaned = _leaned(court, pieces, bands, strength, length, size)
-        change = _solve(rows, (offset - pushed - leaned) / now, weight, window_px / now)
-        change = np.clip(change, -1, 1)
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        pose[:2] += change[0] * pose[3] * np.array([c, s]) + change[1] * pose[4] * np.array([-s, c])
-        pose[2] += np.clip(change[2], -0.1, 0.1)
-        pose[3:] *= np.exp(np.clip(change[3:], -0.2, 0.2))
+        pose = _changed(pose, _solve(rows, (offset - pushed - leaned) / now, weight, window_px / now))
         if not (np.abs(np.log(pose[3:] / size)) < 0.25).all():
             return None
-    return _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length)
+    fit = _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length)
+    if np.abs(_neighbours(court, length)[1]).min(initial=BESIDE) * now >= FINE_BELOW:
+        return fit
+    pose = _finer(light, court, pose, pieces, blanks, rows, length, size)
+    angle, along, across = pose[2:].tolist()
+    return replace(fit, place=corner + pose[:2], angle=angle, along=along, across=across)
+
+
+def _finer(light, court, pose, pieces, blanks, rows, length, size) -> np.ndarray:
+    """The pose by a filter that sees less of neighbouring strokes, and more noise."""
+    pushed = _pushed(court, length, size, FINE_SD)
+    for _ in range(FINE_ROUNDS):
+        now = float(np.sqrt(pose[3] * pose[4]))
+        window = max(WINDOWS[-1] * now, LEAST_WINDOW)
+        noise = _measure(light, pose, blanks, CLOSE_PX, FINE_SD).noise()
+        bands = _measure(light, pose, pieces, window, FINE_SD)
+        offset, strength = bands.peaks(window)
+        leaned = _leaned(court, pieces, bands, strength, length, size, FINE_SD, FINE_UNDER_STROKE)
+        change = _solve(rows, (offset - pushed - leaned) / now, _weights(strength, noise), window / now)
+        pose = _changed(pose, change)
+    return pose
+
+
+def _weights(strength: np.ndarray, noise: float) -> np.ndarray:
+    """(P,) of ridges, from none at 1.5 noises to all at 4.5."""
+    return np.clip((strength / noise - 1.5) / 3, 0, 1)
+
+
+def _changed(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """The pose after a `change` of `_solve`, of which no more is believed than a round may be off."""
+    change = np.clip(change, -1, 1)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    place = pose[:2] + change[0] * pose[3] * np.array([c, s]) + change[1] * pose[4] * np.array([-s, c])
+    sizes = pose[3:] * np.exp(np.clip(change[3:], -0.2, 0.2))
+    return np.array([*place, pose[2] + np.clip(change[2], -0.1, 0.1), *sizes])
 
 
 def _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length) -> CourtFit:
