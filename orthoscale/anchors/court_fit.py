@@ -16,7 +16,8 @@ LEAST_WINDOW = 1.3  # [px] but never closer than this
 PAINT_SD = 0.05  # [m] one sigma of the ridge filter, of the width of the paint ...
 LINE_SD = 0.75  # [px] ... and at least of what a camera leaves of a line, to see it ...
 FINE_SD, FINE_BELOW = 0.6, 3.0  # [px] ... and to measure it, where strokes are so near each other
-BLURRED_SD = 0.7  # [px] one sigma of what lens and pixels make of a thin line
+BLURRED_SD = 0.7  # [px] one sigma of what lens and pixels make of a thin line, as a rule ...
+SHARPEST, BLUNTEST = 0.3, 1.2  # [px] ... and at least and at most
 # A line of size A and a step B, both blurred to a variance v, peak where B sqrt(v) / A = (3 u - u^3) / (1 - u^2), at
 # u sqrt(v) from the line, with a ridge exp(-u^2 / 2) (1 - u^2 + u B sqrt(v) / A) times that of the line alone; a filter
 # of `_kernel`, of variance s, shows that line as 1.033 s A / (v sqrt(2 pi v)).
@@ -95,11 +96,13 @@ def _neighbours(court: Court, length: float) -> tuple[np.ndarray, np.ndarray]:
     return one, off[one, other]
 
 
-def _pushed(court: Court, length: float, size: float, line_sd: float = LINE_SD) -> np.ndarray:
+def _pushed(
+    court: Court, length: float, size: float, line_sd: float = LINE_SD, blurred: float = BLURRED_SD
+) -> np.ndarray:
     """(P,) how far [px] the ridge of each piece is moved by that of a stroke beside it: the peak of the sum of two
     second derivatives of Gaussians, to first order. Only where strokes are a few pixels apart."""
     one, off = _neighbours(court, length)
-    variance = max(line_sd, PAINT_SD * size) ** 2 + BLURRED_SD**2
+    variance = max(line_sd, PAINT_SD * size) ** 2 + blurred**2
     r = off * size
     slope = (r**3 / variance**2 - 3 * r / variance) * np.exp(-0.5 * r**2 / variance)
     return np.bincount(one, -slope * variance / 3, len(court.pieces(length).length))
@@ -114,12 +117,13 @@ def _leaned(
     size: float,
     line_sd: float = LINE_SD,
     under: float = UNDER_STROKE,
+    blurred: float = BLURRED_SD,
 ) -> np.ndarray:
     """(P,) how far [px] the ridge of each piece is moved by a step of the ground under its stroke, as where a court is
     of another colour than what is around: the peak of the sum of the line's and the step's second derivatives. The step
     and the line are those of the whole stroke; none where another stroke is too near to tell."""
     sd = max(line_sd, PAINT_SD * size)
-    blur = float(np.hypot(sd, BLURRED_SD))
+    blur = float(np.hypot(sd, blurred))
     near = np.zeros(len(strength), bool)
     one, off = _neighbours(court, length)
     near[one[np.abs(off) * size < (GROUND_TO + 1) * sd]] = True
@@ -263,17 +267,31 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
 
 def _finer(light, court, pose, pieces, blanks, rows, length, size) -> np.ndarray:
     """The pose by a filter that sees less of neighbouring strokes, and more noise."""
-    pushed = _pushed(court, length, size, FINE_SD)
+    window = max(WINDOWS[-1] * size, LEAST_WINDOW)
+    _, coarse = _measure(light, pose, pieces, window).peaks(window)
     for _ in range(FINE_ROUNDS):
-        now = float(np.sqrt(pose[3] * pose[4]))
-        window = max(WINDOWS[-1] * now, LEAST_WINDOW)
         noise = _measure(light, pose, blanks, CLOSE_PX, FINE_SD).noise()
         bands = _measure(light, pose, pieces, window, FINE_SD)
         offset, strength = bands.peaks(window)
-        leaned = _leaned(court, pieces, bands, strength, length, size, FINE_SD, FINE_UNDER_STROKE)
-        change = _solve(rows, (offset - pushed - leaned) / now, _weights(strength, noise), window / now)
-        pose = _changed(pose, change)
+        blurred = _blurred(court, length, coarse, strength, _weights(strength, noise))
+        offset = offset - _pushed(court, length, size, FINE_SD, blurred)
+        leaned = _leaned(court, pieces, bands, strength, length, size, FINE_SD, FINE_UNDER_STROKE, blurred)
+        now = float(np.sqrt(pose[3] * pose[4]))
+        pose = _changed(pose, _solve(rows, (offset - leaned) / now, _weights(strength, noise), window / now))
     return pose
+
+
+def _blurred(court: Court, length: float, coarse: np.ndarray, fine: np.ndarray, weight: np.ndarray) -> float:
+    """One sigma [px] of what lens and pixels make of a thin line, by how much more strength its ridges (P,) have for
+    the coarse filter than for the fine one: see LINE_SEEN. Strokes beside others do not tell."""
+    alone = np.ones(len(fine), bool)
+    alone[_neighbours(court, length)[0]] = False
+    clear = alone & (weight > 0.5) & (coarse > 0)
+    if clear.sum() < FEWEST_PIECES:
+        return BLURRED_SD
+    share = (float(np.median(coarse[clear] / fine[clear])) * (FINE_SD / LINE_SD) ** 2) ** (2 / 3)
+    variance = (FINE_SD**2 - share * LINE_SD**2) / (share - 1) if share < 1 else BLUNTEST**2
+    return float(np.sqrt(np.clip(variance, SHARPEST**2, BLUNTEST**2)))
 
 
 def _weights(strength: np.ndarray, noise: float) -> np.ndarray:
