@@ -144,16 +144,15 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
         summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
         told = tuple(e.meant(vehicles) for e in evidence)
         return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary, told)
-    # What all that was seen on one ground has in common is left aside while it is compared, and remains.
+    # What all that was seen on one ground has in common is left aside while it is compared, and remains. What knows
+    # that ground better shares a part of it only.
     common = max((e.common**2 for e in heard), default=0.0)
     posterior = vehicles.blurred(-common) if common else vehicles
-    for e in heard:
-        if e.common:
-            posterior = posterior.times_doubted(e.own, e.doubt, e.window)
+    for e in sorted(heard, key=lambda e: -e.common):
+        if e.common**2 < common:
+            posterior, common = posterior.blurred(common - e.common**2), e.common**2
+        posterior = posterior.times_doubted(e.own, e.doubt, e.window)
     posterior = posterior.blurred(common) if common else posterior
-    for e in heard:
-        if not e.common:
-            posterior = posterior.times_doubted(e.own, e.doubt, e.window)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
     shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior, common)
     told = tuple(e.meant(posterior) for e in evidence)
