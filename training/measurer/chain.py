@@ -74,7 +74,7 @@ def optics(x: np.ndarray, fine: int, rng: np.random.Generator, sharp: float = 0.
 
 
 def glare(x: np.ndarray, fine: int, rng: np.random.Generator) -> np.ndarray:
-    """A small share of the light scattered over some pixels, as dirty, cheap or wet lenses do (and sensors that are full)."""
+    """A small share of the light scattered over some pixels, as by dirty, cheap or wet lenses, and full sensors."""
     share = np.float32(rng.uniform(0.03, 0.2))
     return (1 - share) * x + share * cv2.GaussianBlur(x, (0, 0), fine * rng.uniform(1.2, 4.0))
 
