@@ -42,7 +42,7 @@ def regions_panel(drift: Mapping[str, Any], scale: float, side: int) -> np.ndarr
         colour = NEUTRAL_RGB + strength(deviation, sd) * ((LARGER_RGB if deviation > 0 else SMALLER_RGB) - NEUTRAL_RGB)
         cv2.rectangle(panel, corner.tolist(), (corner + square - 2).tolist(), colour.tolist(), -1)
         middle = corner + square / 2
-        lines = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", f"{int(region['vehicles'])} vehicles"
+        lines = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", vehicles(region["vehicles"])
         for row, line in zip((-0.6, 0.6), lines, strict=True):
             write_on(panel, (middle[0], middle[1] + 1.2 * letters * row), line, letters, BLACK, WHITE, "mm")
     return panel
@@ -88,9 +88,14 @@ def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) ->
         cv2.rectangle(panel, low.tolist(), high.tolist(), colour.tolist(), -1)
         cv2.rectangle(panel, low.tolist(), high.tolist(), (190, 190, 190), 1)
         middle, across = (low + high) / 2, int(high[0] - low[0])
-        figures = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", f"{int(count)} vehicles"
+        figures = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", vehicles(count)
         size = min(16, int(0.9 * across / max(text_width(line, 100) / 100 for line in figures)))
         if size >= SMALLEST_LETTERS:
             for row, line in zip((-0.6, 0.6), figures, strict=True):
                 write_on(panel, (middle[0], middle[1] + 1.2 * size * row), line, size, BLACK, WHITE, "mm")
     return panel
+
+
+def vehicles(count: float) -> str:
+    """So many vehicles, in words."""
+    return f"{int(count)} vehicle{'' if count == 1 else 's'}"
