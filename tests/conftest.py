@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
 import pytest
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # There is a process for each core already: threads of their own would only wait for each other.
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 # Modules of 20 s and more. They come first, the longest at the front, so that no process is left with one of them when
 # the others are done.
@@ -29,6 +35,11 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
+def pytest_collection_finish():
+    """Thousands of tests and their modules stay to the end: let them not be looked through for garbage."""
+    gc.freeze()
+
+
 @pytest.fixture(scope="session")
 def data() -> Path:
     """The folder of real data, or a skip that says where it was looked for.
@@ -43,9 +54,13 @@ def data() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
-    """Tests keep their looks at tiles to themselves, also those that start the command as a process."""
+    """Tests keep their looks at tiles to themselves, also those that start the command as a process.
+
+    Processes that share the tests share the looks: a scene that several modules use is looked at once.
+    """
     before = os.environ.get("ORTHOSCALE_CACHE")
-    os.environ["ORTHOSCALE_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+    own = tmp_path_factory.getbasetemp()
+    os.environ["ORTHOSCALE_CACHE"] = str((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "cache")
     yield
     if before is None:
         del os.environ["ORTHOSCALE_CACHE"]

@@ -109,6 +109,7 @@ def test_frames_that_show_a_place():
     assert set(looked_at(block.found)) == {n for n, boxes in block.found.boxes.items() if len(boxes)}
 
 
+@pytest.mark.slow
 def test_a_mistake_that_one_frame_of_many_shows_does_not_count():
     block = fly(np.random.default_rng(8), FLEET, Conditions("nadir", vehicles=20), unsure=False)
     frames = dict(block.found.boxes)

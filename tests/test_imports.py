@@ -14,7 +14,8 @@ EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
 FIX = """
 import sys
 import numpy as np
-orthoscale.fix({example!r} + "/sparse", sys.argv[1], fleet="US", detections={example!r} + "/detections.json")
+orthoscale.fix({example!r} + "/sparse", sys.argv[1], fleet="US", mode="planar",
+               detections={example!r} + "/detections.json")
 from orthoscale.formats.pictures import write_png
 from pathlib import Path
 write_png(Path(sys.argv[1]) / "noise.png", np.random.default_rng(0).integers(0, 255, (300, 200, 3), np.uint8))

@@ -42,7 +42,8 @@ class Pixels:
 
 def drawn(box: np.ndarray, width: int, height: int) -> np.ndarray:
     """A light box (5,) on DARK, (H, W, 3) uint8; each pixel has the share that the box covers."""
-    y, x = (np.indices((height * FINE, width * FINE)) + 0.5) / FINE
+    y, x = ((np.arange(n * FINE, dtype=np.float32) + 0.5) / FINE for n in (height, width))
+    y = y[:, None]
     cos, sin = np.cos(box[4]), np.sin(box[4])
     u, v = cos * (x - box[0]) + sin * (y - box[1]), cos * (y - box[1]) - sin * (x - box[0])
     inside = ((np.abs(u) < box[2] / 2) & (np.abs(v) < box[3] / 2)).astype(np.float32)
@@ -160,6 +161,7 @@ def test_mirrors_and_quarter_turns_of_a_picture_give_the_same_vehicle(untrained:
         assert sorted(other.sigma[0]) == pytest.approx(sorted(one.sigma[0]), rel=0.02), name
 
 
+@pytest.mark.slow
 def test_contrast_and_brightness_do_not_move_edges(untrained: Measurer) -> None:
     rng = np.random.default_rng(4)
     picture = cv2.GaussianBlur(rng.integers(0, 255, (160, 200, 3)).astype(np.uint8), (0, 0), 2.0)
@@ -168,10 +170,12 @@ def test_contrast_and_brightness_do_not_move_edges(untrained: Measurer) -> None:
     assert other.boxes.xylwa == pytest.approx(one.boxes.xylwa, abs=0.05)
 
 
+@pytest.mark.slow
 def test_nothing_proposed_nothing_measured(untrained: Measurer) -> None:
     assert len(untrained.in_pixels(np.zeros((50, 50, 3), np.uint8), Boxes.empty()).boxes) == 0
 
 
+@pytest.mark.slow
 def test_a_window_of_a_picture_shows_what_the_whole_picture_does(untrained: Measurer) -> None:
     rng = np.random.default_rng(5)
     picture = cv2.GaussianBlur(rng.integers(0, 255, (260, 300, 3)).astype(np.uint8), (0, 0), 2.0)

@@ -34,7 +34,7 @@ def files_of(folder):
 def town(tmp_path_factory):
     """A synthetic orthophoto of German vehicles, 0.11 m/px."""
     folder = tmp_path_factory.mktemp("town")
-    scene = make_scene(seed=3, fleet=load_fleet("DE"), extent_m=110, n_vehicles=80, style="city")
+    scene = make_scene(seed=3, fleet=load_fleet("DE"), extent_m=70, n_vehicles=45, style="city")
     write_ortho(scene, folder / "town.png", 0.11, seed=3)
     return folder / "town.png"
 

@@ -180,6 +180,7 @@ def test_damaged_glb(tmp_path):
             scale_path(tmp_path / "a.glb", tmp_path / "b.glb", 2)
 
 
+@pytest.mark.slow
 def test_other_meshes_need_open3d(tmp_path, monkeypatch):
     stl = (
         "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid"

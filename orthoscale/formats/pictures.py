@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+COMPRESSION = 4  # of PNG, 0 to 9: a third of the time of zlib's usual 6, files 5 to 10 % larger
+
 
 def write_png(path: Path, image: np.ndarray) -> None:
     """Write `image`, uint8 (H, W) grey or (H, W, 3) RGB, to `path`. Raises OSError."""
-    path.write_bytes(_encoded(image, "PNG"))
+    path.write_bytes(_encoded(image, "PNG", compress_level=COMPRESSION))
 
 
 def write_jpeg(path: Path, image: np.ndarray, quality: int) -> None:

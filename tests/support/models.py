@@ -62,7 +62,7 @@ def make_model(camera_model="OPENCV", params=(400, 410, 320, 240, 0.05, -0.02, 0
         track = []
         for number, image in model.images.items():
             pixel = image.project_point(point)
-            if pixel is not None and (pixel > 0).all() and (pixel < (640, 480)).all():
+            if pixel is not None and 0 < pixel[0] < 640 and 0 < pixel[1] < 480:
                 track.append((number, len(seen[number])))
                 seen[number].append(pixel)
         tracks.append((index, point, track))
