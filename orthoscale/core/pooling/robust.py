@@ -36,6 +36,7 @@ PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that
 # 1.8 % from view to view of one, widths by 3.0 and 4.0 %.
 OF_THE_VEHICLE = 0.5
 LIKELY = 0.01  # probability below which a fleet is not reported
+MOVED_BY = 7  # of the likeliest fleets are asked what all votes change
 FEW = 60  # votes by which candidate fleets are compared; their shapes count for 50 at most (`mixture`)
 # How much of what shapes seem to say of the country is believed. In simulation they tell Japan from Germany; on 12
 # orthophotos of six countries the boxes of version 5 made the true one the less likely the more they were believed
@@ -173,11 +174,13 @@ def _of_candidates(
         return tried([0], count)[0], {candidates[0].code: 1.0}
     each = tried(range(len(candidates)), FEW)
     probability = _probabilities(each, prior)
-    likeliest = max(probability, key=probability.__getitem__)
-    best = tried([likeliest], count)[likeliest] if count > FEW else each[likeliest]
+    several = sorted(probability, key=probability.__getitem__, reverse=True)[:MOVED_BY]
+    full = tried(several, count) if count > FEW else each
+    best = full[several[0]]
     posterior = Posterior.mixed([v.posterior for v in each.values()], np.array(list(probability.values())))
-    # What all votes move the likeliest's scale by, they move every other fleet's.
-    moved = best.posterior.centre - each[likeliest].posterior.centre
+    # What all votes move the likeliest fleets' scales by, they move every other's. By one alone it would be known too
+    # badly: its scales may have two humps, and all votes then choose another.
+    moved = np.median([full[k].posterior.centre - each[k].posterior.centre for k in several if k in full])
     posterior = replace(posterior, mean=posterior.mean + moved)
     others = sum(v**2 for name, v in best.parts.items() if name != "fleet")
     wider = float(np.sqrt(max(posterior.spread**2 - others, best.parts["fleet"] ** 2)))
