@@ -89,6 +89,7 @@ def test_a_map_without_colours_is_one_too(ground, tmp_path, bands):
     assert got.located is not None, got.problem
 
 
+@pytest.mark.slow
 def test_where_the_map_is_empty_nothing_is_learnt_of_wrong_places(ground, sky, tmp_path):
     """Else few matches there, and many elsewhere, would pass for a wide spread."""
     margin = 600

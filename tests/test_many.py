@@ -201,6 +201,7 @@ def test_on_a_cluster_a_killed_worker_loses_no_input(parks, tmp_path):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"{k}_a.tif" for k in range(6)]
 
 
+@pytest.mark.slow
 def test_an_empty_folder_that_was_there_stays(parks, tmp_path):
     """And one that was made for nothing goes."""
     for there in (True, False):

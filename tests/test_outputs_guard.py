@@ -502,11 +502,24 @@ import runpy
 sys.argv[0] = "orthoscale"
 runpy.run_module("orthoscale", run_name="__main__")
 """
+# The command that is installed, while Python imports the package itself: nothing of it has heard of signals yet.
+EARLIEST = EARLY.replace('"click"', '"orthoscale.version"').replace(
+    'runpy.run_module("orthoscale", run_name="__main__")', "__import__('orthoscale_command').main()"
+)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("program", [EARLY, LATE], ids=["early", "late"])
+@pytest.mark.parametrize(
+    "program, how",
+    [
+        pytest.param(EARLIEST, signal.SIGINT, id="earliest-2"),
+        *(
+            pytest.param(program, how, id=f"{when}-{how:d}")
+            for when, program in (("early", EARLY), ("late", LATE))
+            for how in (signal.SIGTERM, signal.SIGINT)
+        ),
+    ],
+)
 def test_a_stopped_run_leaves_nothing_and_says_so(tmp_path, program, how):
     there = tmp_path / "there"
     words = ["fix", MODEL, "--out", tmp_path / "out", *RULES, there]

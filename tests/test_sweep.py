@@ -203,6 +203,7 @@ def test_few_tiles_need_no_promise(town):
     assert (promise(jobs, np.arange(len(jobs)), None, 1) == 1).all()
 
 
+@pytest.mark.slow
 def test_a_stopped_sweep_is_unbiased_against_all_of_it():
     """Vehicles of dense places are shorter here than those of lonely ones by 8 %, the worst case for an order that
     prefers vehicles. The order may not let that into the scale."""

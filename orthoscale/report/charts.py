@@ -209,10 +209,11 @@ def _text(x: float, y: float, text: str, anchor: str = "middle", class_: str = "
 
 
 def _tag(name: str, **attributes: float | str) -> Markup:
-    written = Markup("").join(
-        Markup(' {}="{}"').format(
-            key.rstrip("_").replace("_", "-"), f"{value:.1f}" if isinstance(value, (int, float)) else escape(value)
-        )
+    written = (
+        f' {key.rstrip("_").replace("_", "-")}="'
+        + (f"{value:.1f}" if isinstance(value, (int, float)) else str(escape(value)))
+        + '"'
         for key, value in attributes.items()
     )
-    return Markup("<{}{}/>").format(name, written)
+    # Values are escaped one by one: `Markup.format` takes ten times as long.
+    return Markup(f"<{name}{''.join(written)}/>")

@@ -7,6 +7,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -340,6 +341,7 @@ def _fleet_sizes(fleet: Fleet) -> dict[str, Any]:
     return {**axes, "classes": classes}
 
 
+@cache
 def _version(package: str) -> str:
     try:
         return metadata.version(package)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from math import ceil, floor
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 HALO = 0.13  # width of a halo, as a share of the letters' size
+
+
+_RULED = ImageDraw.Draw(Image.new("RGB", (1, 1)))  # on which texts are measured
 
 
 @cache
@@ -27,12 +31,23 @@ def write_on(
     anchor: str = "ls",
 ) -> None:
     """Draw `text` into `image` (h, w, 3) uint8 RGB, `size` px high, with its `anchor` (Pillow's) at `place` [px]."""
-    drawn = Image.fromarray(image)
     width = max(1, round(HALO * size)) if halo is not None else 0
+    left, top, right, bottom = _RULED.textbbox(place, text, _font(size), anchor=anchor, stroke_width=width)
+    x, y = max(0, floor(left) - 1), max(0, floor(top) - 1)
+    part = image[y : max(0, ceil(bottom) + 1), x : max(0, ceil(right) + 1)]  # a picture is not copied for a word
+    if not part.size:
+        return
+    drawn = Image.fromarray(part)
     ImageDraw.Draw(drawn).text(
-        place, text, colour, _font(size), anchor=anchor, stroke_width=width, stroke_fill=halo or colour
+        (place[0] - x, place[1] - y),
+        text,
+        colour,
+        _font(size),
+        anchor=anchor,
+        stroke_width=width,
+        stroke_fill=halo or colour,
     )
-    image[:] = np.asarray(drawn)
+    part[:] = np.asarray(drawn)
 
 
 def text_width(text: str, size: int) -> float:

@@ -331,13 +331,17 @@ def _refuse_input(out: Path, given: Path) -> None:
     hint = "Inputs are never touched: choose another place."
     if _same(out, given):
         raise UsageError(f"{out} is the input {given}", hint)
-    if any(_within(place, os.path.realpath(out)) for place in _places(given)):
+    places_of_out, places_of_given = _places(out), _places(given)
+    folder = os.path.realpath(out)
+    if any(_within(place, folder) for place in places_of_given):
         raise UsageError(f"{out} contains the input {given}", hint)
-    if given.is_dir() and any(_within(place, os.path.realpath(given)) for place in _places(out)):
-        raise UsageError(f"{out} lies in the input {given}", hint)
-    if not given.is_dir():
-        for mine in _places(out):
-            for theirs in _places(given):
+    if given.is_dir():
+        folder = os.path.realpath(given)
+        if any(_within(place, folder) for place in places_of_out):
+            raise UsageError(f"{out} lies in the input {given}", hint)
+    else:
+        for mine in places_of_out:
+            for theirs in places_of_given:
                 if os.path.dirname(mine) == os.path.dirname(theirs) and Path(mine).name.lower() in _sidecars(theirs):
                     raise UsageError(f"{out} would be taken for a part of the input {given}", hint)
 

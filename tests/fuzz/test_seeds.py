@@ -94,6 +94,7 @@ while time.process_time() < 0.5:
 """
 
 
+@pytest.mark.slow
 def test_who_stands_in_line_does_not_hang():
     """Two that compute on one core have half of it each: the kernel counts the rest as waiting."""
     first, second = (subprocess.Popen([sys.executable, "-c", COMPUTE]) for _ in range(2))
