@@ -3,7 +3,8 @@
 ``python benchmarks/anchors_periodic.py [--kind KIND]``.
 
 Reads ``../shared/data`` or ``ORTHOSCALE_DATA``. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %);
-of an anchor's standards the one nearest to the truth counts. Which finds are false was counted by eye, on pictures that
+of an anchor's standards the one nearest to the truth counts. A place is a picture, with what those vehicles and all its
+anchors say together, as the product fuses them. Which finds are false was counted by eye, on pictures that
 ``--draw FOLDER`` writes. CPU seconds are those of one thread, shrinking to the finder's resolution included.
 """
 
@@ -28,9 +29,11 @@ from orthoscale.anchors.gridiron import Gridirons
 from orthoscale.anchors.rails import RailTracks
 from orthoscale.anchors.running import RunningTracks
 from orthoscale.core.anchors import Anchor, AnchorFinder
+from orthoscale.core.pooling.posterior import Z90
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tests")]
 
+from anchor_places import Place, held, place_of  # noqa: E402
 from support.gridiron import field_picture  # noqa: E402
 from support.markings import PAINT, picture, stroke  # noqa: E402
 from support.rails import RUST, railway, track  # noqa: E402
@@ -39,23 +42,24 @@ from support.running import running_track  # noqa: E402
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
 CHIP_GSD = 0.3048
 SD = 0.08
-Z90 = 1.645
 HEAD = (
     "| pictures | kind | number | Mpx | anchors | in pictures | error: median [%] | 68 % / 90 % / worst [%] | "
-    "in the 90 % interval [%] | CPU s/Mpx |\n|---|---|---|---|---|---|---|---|---|---|"
+    "in the 90 % interval [%] | places: 68 % / 90 % / worst [%] | in the 90 % interval [%] | CPU s/Mpx |\n"
+    "|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
 
 
 @dataclass
 class Tally:
-    """What one finder found in pictures of one sort: (error, stated sd) of each anchor by picture; pixels; seconds."""
+    """What one finder found in pictures of one sort: (error, stated sd) of each anchor; places; pixels; seconds."""
 
     finder: AnchorFinder
     draw: Path | None = None
     pictures: int = 0
     megapixels: float = 0.0
     seconds: float = 0.0
-    found: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    found: list[tuple[float, float]] = field(default_factory=list)
+    places: list[Place] = field(default_factory=list)
 
     def look(self, name: str, image: np.ndarray, gsd: float, country: str, off: float) -> None:
         start = time.process_time()
@@ -69,7 +73,9 @@ class Tally:
             errors = np.log(anchor.metres_per_pixel() * zoom / gsd)
             k = int(np.abs(errors).argmin())
             sd = float(np.hypot(anchor.relative_sd, anchor.standards[k].relative_sd))
-            self.found.setdefault(name, []).append((float(errors[k]), sd))
+            self.found.append((float(errors[k]), sd))
+        if anchors:
+            self.places.append(place_of(anchors, gsd / zoom, gsd * off / zoom, SD, country))
         if self.draw and anchors:
             drawn(small, anchors, self.draw / f"{self.finder.kind}-{name}.png")
 
@@ -77,13 +83,14 @@ class Tally:
         start = f"| {sort} | {self.finder.kind} | {self.pictures} | {self.megapixels:.1f} |"
         cost = f"{self.seconds / max(self.megapixels, 1e-9):.2f} |"
         if not self.found:
-            return f"{start} 0 | 0 | | | | {cost}"
-        each = np.array([pair for pairs in self.found.values() for pair in pairs])
-        size = np.abs(each[:, 0])
-        parts = " / ".join(f"{100 * value:.1f}" for value in (*np.quantile(size, [0.68, 0.9]), size.max()))
-        held = 100 * np.mean(size <= Z90 * each[:, 1])
-        median = 100 * np.median(each[:, 0])
-        return f"{start} {len(each)} | {len(self.found)} | {median:+.1f} | {parts} | {held:.0f} | {cost}"
+            return f"{start} 0 | 0 | | | | | | {cost}"
+        each, places = np.array(self.found), np.array(self.places)
+        parts = [f"{start} {len(each)} | {len(places)} | {100 * np.median(each[:, 0]):+.1f}"]
+        for errors, share in ((each, np.mean(np.abs(each[:, 0]) <= Z90 * each[:, 1])), (places, held(places))):
+            size = np.abs(errors[:, 0])
+            parts.append(" / ".join(f"{100 * value:.1f}" for value in (*np.quantile(size, [0.68, 0.9]), size.max())))
+            parts.append(f"{100 * share:.0f}")
+        return " | ".join([*parts, cost])
 
 
 def drawn(image: np.ndarray, anchors: list[Anchor], path: Path) -> None:

@@ -18,8 +18,10 @@ FLEET_HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height
 AUTO = "auto"
 WORLD = "WORLD"
 # A place of which nothing is known has a country all the same: one of those that have fleets of their own, for the
-# world's average with its many sizes is no country. A country of ten times as many vehicles is three times as likely
-# (square roots, as in the region rows). The average has a share for countries unlike all of those.
+# world's average with its many sizes is no country. Which one is likely depends on why the picture was taken: vehicles
+# stand by their number, maps are made where people live, surveys of one country after the other. Each of the three has
+# a third: whichever is right, its countries are held at most three times too unlikely. The average has a share for
+# countries unlike all of those.
 AVERAGE_SHARE = 0.1
 REGION = "R_"  # codes of regions, which stand in for their countries that have no row
 
@@ -30,15 +32,17 @@ def load_fleet(name: str | Path) -> Fleet:
 
     A country without a fleet of its own takes its neighbours' or its region's, less certain, and its name says so.
     ``world`` and ``auto`` have the fleets of all countries as candidates, and the world's average: ``world`` weighs
-    them by the vehicles that are there, for ``auto`` all are equally likely. Raises UsageError for an unknown name,
-    InputError for a file that is no fleet.
+    them by the vehicles and the people that are there, for ``auto`` all are equally likely. Raises UsageError for an
+    unknown name, InputError for a file that is no fleet.
     """
     if str(name).upper() in (WORLD, AUTO.upper()):
         average, vehicles = _row(WORLD), _document()["world"]
         candidates = (average, *(_row(code) for code in vehicles))
         if str(name).upper() == WORLD:
-            share = np.sqrt(list(vehicles.values()))
-            prior = (AVERAGE_SHARE, *((1 - AVERAGE_SHARE) * share / share.sum()).tolist())
+            people = [_document()["people"][code] for code in vehicles]
+            reasons = np.array([list(vehicles.values()), people, np.ones(len(people))], float)
+            share = (reasons / reasons.sum(1, keepdims=True)).mean(0)
+            prior = (AVERAGE_SHARE, *((1 - AVERAGE_SHARE) * share).tolist())
             return replace(average, candidates=candidates, prior=prior)
         name, prior = "inferred from the vehicles' shapes", (1 / len(candidates),) * len(candidates)
         return replace(average, code=AUTO, name=name, candidates=candidates, prior=prior)
@@ -109,6 +113,7 @@ def _unknown(text: str) -> UsageError:
     )
 
 
+@cache
 def _row(code: str) -> Fleet:
     entry = _document()["fleets"][code]
     fleet = Fleet.from_entry(code, entry, _document()["segments"])

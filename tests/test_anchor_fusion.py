@@ -15,7 +15,7 @@ from orthoscale.core.remarks import REFUSAL
 SD = 0.05  # of the vehicles
 COURT = (Standard("court", 23.77, 0.003, "written here"),)
 BAYS = tuple(Standard(f"bays of {m} m", m, 0.01, "written here", p) for m, p in ((2.3, 0.2), (2.5, 0.5), (2.7, 0.3)))
-INTERVAL99 = 2.5758
+REACH = 3.0
 
 
 def together(votes, centre=0.0, country="", **more):
@@ -48,12 +48,12 @@ def test_nine_intervals_of_ten_hold_the_truth_and_no_answer_leaves_the_vehicles(
             votes += seen(rng, "parking bays", BAYS, rng.integers(1, 5), 0.006, false, centre)
         got = together(votes, centre)
         value, low, high = np.log(got.summary)
-        beyond += abs(value - centre) > INTERVAL99 * SD
+        beyond += abs(value - centre) > REACH * SD
         if not got.conflict:
             inside.append(low <= 0 <= high)
     assert len(inside) > 370, "true anchors seldom contradict"
     assert 0.87 - 0.015 <= np.mean(inside) <= 0.93 + 0.015  # one sigma of the draws is 0.015
-    assert beyond <= (4 if len(kinds) == 2 else 0), "only two kinds that agree may leave the vehicles' 99 %"
+    assert beyond <= (4 if len(kinds) == 2 else 0), "only two kinds that agree may leave the vehicles' 99.7 %"
 
 
 def test_a_court_narrows_the_interval_and_says_how_much_of_it_is_left():
@@ -63,18 +63,29 @@ def test_a_court_narrows_the_interval_and_says_how_much_of_it_is_left():
     assert max(got.parts, key=got.parts.get) == "tennis court" and not got.remarks
 
 
-@pytest.mark.parametrize("off", [-0.19, -0.14, 0.14, 0.16, 0.19])
+@pytest.mark.parametrize("off", [-0.19, -0.16, 0.16, 0.19])
 @pytest.mark.parametrize("false", [0.001, 0.05, 0.3])
 @pytest.mark.parametrize("count", [1, 30])
 def test_a_wrong_kind_never_moves_the_answer_out_of_the_vehicles_interval(off, false, count):
     votes = [vote("tennis court", off, 0.004, COURT, false=false, at=1e4 * k) for k in range(count)]
     got = together(votes)
-    assert abs(np.log(got.summary[0])) < INTERVAL99 * SD
+    assert abs(np.log(got.summary[0])) < REACH * SD
     if abs(off) > 3.02 * SD and false <= 0.05:
         assert got.conflict > 3 and got.remarks[0].text.startswith("conflict: vehicles: 1")
     else:
         assert not got.conflict and "it does not count" in got.remarks[0].text
         assert got.summary == pytest.approx(together([]).summary, rel=1e-12)
+
+
+@pytest.mark.parametrize("off", [-0.135, 0.135])
+def test_a_doubtful_kind_that_does_not_contradict_the_vehicles_gives_an_answer_of_two_humps(off):
+    """2.7 sigmas off: neither said to contradict them nor left out, but counted as much as its doubt leaves it."""
+    got = together([vote("zebra crossing", off, 0.01, COURT, false=0.2)])
+    low, high = sorted(np.log(got.summary[1:]) * np.sign(off))
+    assert not got.conflict and not got.remarks
+    assert low < 0 and high > abs(off) - 0.02
+    surer = together([vote("zebra crossing", off, 0.01, COURT, false=0.01)])
+    assert abs(np.log(got.summary[0])) < abs(np.log(surer.summary[0]))
 
 
 def test_two_kinds_that_contradict_each_other_are_said_and_not_averaged():
@@ -87,8 +98,10 @@ def test_two_kinds_that_contradict_each_other_are_said_and_not_averaged():
 
 
 def test_two_kinds_that_agree_are_believed_where_one_alone_is_not():
-    dashes, court = vote("lane dashes", 0.14, 0.004, COURT), vote("tennis court", 0.142, 0.004, COURT)
-    assert abs(np.log(together([court]).summary[0])) < 0.001
+    dashes, court = (
+        vote(kind, off, 0.004, COURT, false=0.4) for kind, off in (("lane dashes", 0.14), ("tennis court", 0.142))
+    )
+    assert abs(np.log(together([court]).summary[0])) < 0.02
     both = together([court, dashes])
     assert not both.conflict and np.log(both.summary[0]) == pytest.approx(0.141, abs=0.003)
 

@@ -1,5 +1,7 @@
 """Painted courts: found where they are, measured to what was drawn, and not where other lines are."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -18,7 +20,9 @@ from support.courts import (
     volleyball,
 )
 
-from orthoscale.anchors.courts import BASKETBALL, FOOTBALL, HANDBALL, TENNIS, VOLLEYBALL
+from orthoscale.anchors.court_fit import CourtFit
+from orthoscale.anchors.court_models import CENTRE_CIRCLE
+from orthoscale.anchors.courts import BASKETBALL, FOOTBALL, HANDBALL, TENNIS, VOLLEYBALL, evidence
 
 SD = 0.08  # relative one sigma of what the vehicles say
 
@@ -33,6 +37,17 @@ def court(gsd, angle=0.4, off=1.07, seed=0, paint=None, **looks):
 
 def error(anchor, gsd):
     return float(anchor.metres_per_pixel()[0] / gsd - 1)
+
+
+@pytest.mark.parametrize("surface", [GREEN, CLAY])
+@pytest.mark.parametrize("blur", [0.35, 0.9])
+def test_in_coarse_pictures_its_sides_do_not_merge(surface, blur):
+    """At 0.5 m/px the doubles and singles lines are 2.7 px apart, sharp or not; broad lines, so that they are seen."""
+    for seed, angle in enumerate((0.1, 0.4, 0.7, 1.2)):
+        looks = {"ground": GRASS, "surface": surface, "white": 240, "blur_px": blur, "noise": 1.0}
+        _, (found,) = court(0.5, angle, 1.0, seed, tennis(0.08, 0.1), **looks)
+        lengths = np.linalg.norm(np.diff(found.lines, axis=1)[:, 0], axis=1) * 0.5
+        assert sorted(lengths)[2] == pytest.approx(10.97 - 0.08, rel=0.005)  # a base line
 
 
 @pytest.mark.parametrize("gsd", [0.06, 0.15, 0.3, 0.5])
@@ -196,6 +211,15 @@ def test_other_lines_are_no_court(finder, paint, gsd):
     centred = [tuple(np.subtract(box, np.tile((low + high) / 2, 2))) for box in paint]
     picture = court_picture([(centred, middle, 0.2)], gsd, 2 * [round(70 / gsd)], surface=ASPHALT)
     assert not finder.find(picture, gsd, 0.12, "")
+
+
+def test_a_long_line_alone_speaks_for_no_centre_circle():
+    """The spine of two rows of bays, whose strokes lie on some of a circle: as in a real car park."""
+    seen = np.array([1.0, 0.4])
+    lit = float(np.average(seen, weights=[stroke.length for stroke in CENTRE_CIRCLE.strokes]))
+    fit = CourtFit(CENTRE_CIRCLE, np.zeros(2), 0.0, 3.0, 3.0, 0.01, 0.01, np.zeros(20), lit, seen, 0.0, 0.2, 9.0)
+    assert lit > 0.6 and evidence(fit) < FOOTBALL.even
+    assert evidence(replace(fit, seen=np.array([1.0, 0.9]), lit=0.95)) > FOOTBALL.even
 
 
 def test_a_circle_without_a_halfway_line_is_none():

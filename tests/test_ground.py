@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from orthoscale.errors import InputError, TooLittleEvidence
-from orthoscale.sources.ground import Ground
+from orthoscale.sources.ground import Ground, _variances
 
 CAMERA_HEIGHT = 60.0  # [m], before the model's own unit
 SIZE = 200.0
@@ -181,3 +182,15 @@ def test_beyond_its_points_it_goes_on_and_is_less_sure():
     sd = ground.sd(points)
     assert (np.diff(sd) > 0).all()
     assert (np.abs(ground.height_above(world)) < 3 * sd + 0.3 * scene.unit).all()
+
+
+@pytest.mark.parametrize("size, reach", [(30, 7), (28, 7), (5, 7), (8, 7)])
+def test_variances_are_the_diagonal_of_the_inverse(size, reach):
+    rng = np.random.default_rng(size)
+    offsets = range(-reach, reach + 1)
+    band = sparse.diags([rng.normal(size=size - abs(k)) for k in offsets if abs(k) < size],
+                        [k for k in offsets if abs(k) < size]).toarray()  # fmt: skip
+    within = np.abs(np.subtract.outer(range(size), range(size))) <= reach
+    precision = (band @ band.T) * within + 4 * reach * size * np.eye(size)
+    found = _variances(sparse.csr_matrix(precision), reach)
+    assert found == pytest.approx(np.linalg.inv(precision).diagonal(), rel=1e-12)

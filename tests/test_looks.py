@@ -14,6 +14,7 @@ from orthoscale.actions import find as find_module
 from orthoscale.actions.estimate import estimate
 from orthoscale.actions.fix import fix
 from orthoscale.core.boxes import Boxes
+from orthoscale.core.measuring.contradiction import Cause, cause
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import CONTRADICTION, compare, together
 from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence, UsageError
@@ -72,7 +73,7 @@ def test_looks_that_contradict_write_nothing_unless_forced(flight, found, tmp_pa
     smaller = {n: Boxes(b.xylwa * [1, 1, 0.7, 0.7, 1], b.score) for n, b in planar.boxes.items()}
     path = tmp_path / "boxes.json"
     save_detections(replace(found, planar=replace(planar, boxes=smaller)), path)
-    with pytest.raises(EvidenceDisagrees, match="planar gives") as caught:
+    with pytest.raises(EvidenceDisagrees, match="planar gives .* all vehicles differ alike") as caught:
         fix(flight[0], tmp_path / "out", fleet="DE", detections=path)
     assert caught.value.exit_code == 4 and "--mode" in caught.value.hint
     assert not (tmp_path / "out").exists()
@@ -179,6 +180,42 @@ def test_vehicles_measured_both_ways_are_compared_themselves(measured):
     assert compare({"oblique": a, "planar": replace(b, value=1.5 * a.value)}, noise).contradicts
     few = compare({"oblique": a, "planar": replace(b, value=1.06 * a.value)}, noise[:3])
     assert few.common == 0 and few.difference == pytest.approx(np.log(1.06))
+
+
+def parted(measured, apart, plan=None, height=HEIGHT):
+    """The cause for which two ways that give vehicles sizes `apart` (log) contradict each other."""
+    oblique, planar = (measured.modes[name].scale for name in ("oblique", "planar"))
+    apart = np.asarray(apart, float)
+    scales = {"oblique": oblique, "planar": replace(planar, value=1.5 * oblique.value)}
+    agreement = compare(scales, np.column_stack([apart, apart]))
+    plan = np.random.default_rng(1).uniform(0, 50, (len(apart), 2)) if plan is None else plan
+    own = measured.found.calibration
+    value = own.ruler.value.copy()
+    value[:, 0] = height
+    calibration = replace(own, ruler=replace(own.ruler, value=value))
+    assert calibration.ruler.views and agreement.contradicts
+    return cause(agreement, apart, plan, calibration)
+
+
+def test_the_cause_of_a_contradiction_is_named(measured):
+    noise = np.random.default_rng(0).normal(0, 0.02, 30)
+    plan = np.random.default_rng(1).uniform(0, 50, (30, 2))
+    assert parted(measured, noise[:3])[0] is Cause.OTHERS, "too few in common"
+    assert parted(measured, noise)[0] is Cause.OTHERS, "those in common agree"
+    assert parted(measured, noise + 0.3)[0] is Cause.BOXES
+    name, said = parted(measured, noise + 0.3 + 0.004 * plan[:, 0], plan)
+    assert name is Cause.GROUND and "across the model" in said
+    name, said = parted(measured, noise + 0.3, height=measured.found.calibration.card.height[0] + 0.8)
+    assert name is Cause.LENS and "focal length" in said
+
+
+def test_what_the_cause_spares_answers(measured):
+    scale = measured.modes["oblique"].scale
+    vaguer = replace(scale, value=1.5 * scale.value, parts={"sampling": 0.1})
+    apart = compare({"oblique": scale, "planar": vaguer})
+    assert apart.surer == "oblique" and apart.contradicts
+    spared = replace(apart, cause="the focal length is wrong", spared="planar")
+    assert together(spared).value == vaguer.value and "the focal length is wrong" in spared.sentence()
 
 
 # How the pictures of the ground are looked at

@@ -11,7 +11,7 @@ from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
 from orthoscale.fleets import load_fleet
 from orthoscale.report.document import _model_drift
-from orthoscale.report.drift_map import regions_panel
+from orthoscale.report.drift_map import regions_panel, side_by_side
 
 UNIT = 5.0  # [m]
 
@@ -88,3 +88,12 @@ def test_a_strip_without_breadth_has_a_trend_all_the_same():
 
 def test_few_vehicles_have_no_trend():
     assert by_region(np.zeros(6), np.random.default_rng(0).uniform(size=(6, 2)), 5.0)[1] is None
+
+
+def test_squares_of_regions_do_not_hide_each_other():
+    crowded = np.random.default_rng(2).uniform(0, 300, (9, 2))
+    placed = side_by_side(crowded, 100.0)
+    apart = np.abs(placed[:, None] - placed[None]).max(2)
+    assert apart[~np.eye(9, dtype=bool)].min() > 99.9, "the labels of one would cover the other's"
+    far = np.array([[0.0, 0.0], [150.0, 0.0], [0.0, 150.0]])
+    assert (side_by_side(far, 100.0) == far).all(), "what has room stays at its place"

@@ -8,6 +8,7 @@ import pytest
 from support.simulate import place_of
 
 from orthoscale.core.pooling import robust
+from orthoscale.core.pooling.mixture import Mix, fit
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
@@ -334,6 +335,23 @@ def test_what_only_one_frame_of_many_shows_does_not_count():
     assert scale.value == pytest.approx(0.12, rel=0.05)
 
 
+def test_fleets_that_are_solved_in_step_come_out_as_each_alone():
+    """Of 1 to 6 classes, all with their own scales that are possible."""
+    rng = np.random.default_rng(31)
+    log_size, noise = np.log(load_fleet("JP").sample(rng, 40)[:, :2] / 0.1), np.full((40, 2), 0.5)
+    fleets = [load_fleet(code) for code in ("PAPER", "JP", "DE", "US", "PH", "UG", "IN", "NP")]
+    mixes = [
+        Mix(f.told_apart, f.class_mean_covariance + 1e-4 * np.eye(2), np.array([0.6, 0.4]), f.place_vehicles)
+        for f in fleets
+    ]
+    for mix, together in zip(mixes, fit(log_size, noise, mixes), strict=True):
+        (alone,) = fit(log_size, noise, [mix])
+        assert together.log_scale == pytest.approx(alone.log_scale, abs=1e-9)
+        assert together.weight == pytest.approx(alone.weight, abs=1e-9)
+        assert together.log_evidence == pytest.approx(alone.log_evidence, abs=1e-8)
+        assert together.covariance == pytest.approx(alone.covariance, rel=1e-6)
+
+
 def test_a_fleet_that_no_box_fits_is_impossible_and_not_the_end(monkeypatch):
     """As if it were not among the candidates."""
     first, second = (replace(load_fleet(code), candidates=(), prior=()) for code in ("DE", "JP"))
@@ -345,11 +363,10 @@ def test_a_fleet_that_no_box_fits_is_impossible_and_not_the_end(monkeypatch):
     alone = pool(votes, replace(several, candidates=(first,), prior=(1.0,)), ruler, "m/px")
     real = robust.fit
 
-    def fit(log_size, noise, classes, *rest, **more):
-        if classes == second.told_apart:
-            raise np.linalg.LinAlgError("Singular matrix")
-        return real(log_size, noise, classes, *rest, **more)
+    def without_second(log_size, noise, mixes, drawing):
+        found = real(log_size, noise, mixes, drawing)
+        return [None if mix.classes == second.told_apart else fits for mix, fits in zip(mixes, found, strict=True)]
 
-    monkeypatch.setattr(robust, "fit", fit)
+    monkeypatch.setattr(robust, "fit", without_second)
     both = pool(votes, several, ruler, "m/px")
     assert both.value == alone.value and both.fleets == {"DE": 1.0}

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image, ImageDraw, ImageFont
 from support.in_process import run
 from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
 
@@ -19,6 +20,7 @@ from orthoscale.report import places, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, read_json
 from orthoscale.report.files import redraw
+from orthoscale.report.lettering import HALO, write_on
 from orthoscale.report.page import page
 from orthoscale.report.scene import Scene
 from orthoscale.report.terminal import show
@@ -429,3 +431,25 @@ def test_texts_can_be_read_in_both_schemes():
 
 def test_what_chance_gives_stays_pale():
     assert strength(0.1, 0.1) < 0.15 and strength(0.31, 0.1) == strength(0.5, 0.1) == 1 and strength(0.1, 0) == 0
+
+
+@pytest.mark.parametrize("place", [(40.3, 30.6), (-5.0, 20.0), (150.0, 58.5), (70.0, 3.0), (300.0, 20.0)])
+@pytest.mark.parametrize("anchor, halo", [("ls", None), ("mm", (255, 255, 255))])
+def test_a_word_on_a_picture_is_what_pillow_draws_on_all_of_it(place, anchor, halo):
+    """Inside, over each border, and beside the picture."""
+    ground = np.random.default_rng(0).integers(0, 255, (60, 160, 3), np.uint8)
+    image = ground.copy()
+    write_on(image, place, "Aq 4.2 m", 13, (200, 30, 10), halo, anchor)
+    whole = Image.fromarray(ground)
+    width = max(1, round(HALO * 13)) if halo else 0
+    ImageDraw.Draw(whole).text(
+        place,
+        "Aq 4.2 m",
+        (200, 30, 10),
+        ImageFont.load_default(13),
+        anchor=anchor,
+        stroke_width=width,
+        stroke_fill=halo or (200, 30, 10),
+    )
+    assert (image == np.asarray(whole)).all()
+    assert (image != ground).any() == (place[0] < 160)

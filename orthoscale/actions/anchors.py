@@ -139,7 +139,7 @@ def anchors_at(
     )
     if source.posed is not None:
         ground: dict[str, GroundView] = {view.name: view for view in source.posed.ground_pictures}
-        votes = votes_in_model(found, ground, 4 * sd)
+        votes = votes_in_model(found, ground, source.posed.centre, 4 * sd)
     else:
         votes = votes_in_plan(found, 4 * sd)
     votes = [vote.of(wanted.own.get(vote.anchor.kind)) for vote in votes]

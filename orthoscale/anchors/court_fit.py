@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import cv2
@@ -14,8 +14,10 @@ from .court_models import Court, Pieces
 WINDOWS = (0.9, 0.65, 0.5, 0.4)  # [m] about a stroke where its paint is looked for, round by round
 LEAST_WINDOW = 1.3  # [px] but never closer than this
 PAINT_SD = 0.05  # [m] one sigma of the ridge filter, of the width of the paint ...
-LINE_SD = 0.75  # [px] ... and at least of what a camera leaves of a line
-BLURRED_SD = 0.7  # [px] one sigma of what lens and pixels make of a thin line
+LINE_SD = 0.75  # [px] ... and at least of what a camera leaves of a line, to see it ...
+FINE_SD, FINE_BELOW = 0.6, 3.0  # [px] ... and to measure it, where strokes are so near each other
+BLURRED_SD = 0.7  # [px] one sigma of what lens and pixels make of a thin line, as a rule ...
+SHARPEST, BLUNTEST = 0.3, 1.2  # [px] ... and at least and at most
 # A line of size A and a step B, both blurred to a variance v, peak where B sqrt(v) / A = (3 u - u^3) / (1 - u^2), at
 # u sqrt(v) from the line, with a ridge exp(-u^2 / 2) (1 - u^2 + u B sqrt(v) / A) times that of the line alone; a filter
 # of `_kernel`, of variance s, shows that line as 1.033 s A / (v sqrt(2 pi v)).
@@ -24,7 +26,9 @@ _STEP = (3 * _LEANING - _LEANING**3) / (1 - _LEANING**2)
 _STEP_SEEN = _STEP / (np.exp(-0.5 * _LEANING**2) * (1 - _LEANING**2 + _LEANING * _STEP))
 LINE_SEEN = 1.033 / np.sqrt(2 * np.pi)
 GROUND_FROM, GROUND_TO = 1.5, 2.8  # [sd of the filter] from a line, where the ground beside it is asked
-UNDER_STROKE = 0.8  # of a step beside a stroke is taken to lie under it: of some trials the best on 61 chips
+# Of a step beside a stroke is taken to lie under it, by either filter: of some trials the best on 61 chips.
+UNDER_STROKE, FINE_UNDER_STROKE = 0.8, 1.0
+FINE_ROUNDS = 2  # of measuring
 FEWEST_LEANING = 4  # pieces of a stroke
 BESIDE = 2.0  # [m] from a stroke, where another one may disturb it
 PIECE = 1.2  # [m] of strokes, and of so many pixels at least:
@@ -92,24 +96,34 @@ def _neighbours(court: Court, length: float) -> tuple[np.ndarray, np.ndarray]:
     return one, off[one, other]
 
 
-def _pushed(court: Court, length: float, size: float) -> np.ndarray:
+def _pushed(
+    court: Court, length: float, size: float, line_sd: float = LINE_SD, blurred: float = BLURRED_SD
+) -> np.ndarray:
     """(P,) how far [px] the ridge of each piece is moved by that of a stroke beside it: the peak of the sum of two
     second derivatives of Gaussians, to first order. Only where strokes are a few pixels apart."""
     one, off = _neighbours(court, length)
-    variance = max(LINE_SD, PAINT_SD * size) ** 2 + BLURRED_SD**2
+    variance = max(line_sd, PAINT_SD * size) ** 2 + blurred**2
     r = off * size
     slope = (r**3 / variance**2 - 3 * r / variance) * np.exp(-0.5 * r**2 / variance)
     return np.bincount(one, -slope * variance / 3, len(court.pieces(length).length))
 
 
 def _leaned(
-    court: Court, pieces: Pieces, bands: _Bands, strength: np.ndarray, length: float, size: float
+    court: Court,
+    pieces: Pieces,
+    bands: _Bands,
+    strength: np.ndarray,
+    length: float,
+    size: float,
+    line_sd: float = LINE_SD,
+    under: float = UNDER_STROKE,
+    blurred: float = BLURRED_SD,
 ) -> np.ndarray:
     """(P,) how far [px] the ridge of each piece is moved by a step of the ground under its stroke, as where a court is
     of another colour than what is around: the peak of the sum of the line's and the step's second derivatives. The step
     and the line are those of the whole stroke; none where another stroke is too near to tell."""
-    sd = max(LINE_SD, PAINT_SD * size)
-    blur = float(np.hypot(sd, BLURRED_SD))
+    sd = max(line_sd, PAINT_SD * size)
+    blur = float(np.hypot(sd, blurred))
     near = np.zeros(len(strength), bool)
     one, off = _neighbours(court, length)
     near[one[np.abs(off) * size < (GROUND_TO + 1) * sd]] = True
@@ -118,7 +132,7 @@ def _leaned(
         own = (pieces.stroke == number) & (strength > 0) & bands.inside & ~near
         if own.sum() >= FEWEST_LEANING:
             ratio = float(np.median(bands.lean[own]) / np.median(strength[own]))
-            step = UNDER_STROKE * ratio * LINE_SEEN * (sd / blur) ** 2
+            step = under * ratio * LINE_SEEN * (sd / blur) ** 2
             moved[pieces.stroke == number] = np.sign(step) * blur * np.interp(abs(step), _STEP_SEEN, _LEANING)
     return moved
 
@@ -162,10 +176,10 @@ class _Bands:
         return self.offset[best] + np.clip(shift, -1, 1) * step, np.where(peak, np.maximum(middle, 0), 0)
 
 
-def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float) -> _Bands:
+def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float, line_sd: float = LINE_SD) -> _Bands:
     x, y, angle, along, across = pose
     size = np.sqrt(along * across)
-    sd = max(LINE_SD, PAINT_SD * size)
+    sd = max(line_sd, PAINT_SD * size)
     step = sd / 3
     core = int(np.ceil(window / step)) + 1
     reach = core + int(np.ceil(3.5 * sd / step))
@@ -234,21 +248,64 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
             noise = _measure(light, pose, blanks, CLOSE_PX).noise()
         bands = _measure(light, pose, pieces, window_px)
         offset, strength = bands.peaks(window_px)
-        weight = np.clip((strength / noise - 1.5) / 3, 0, 1)
+        weight = _weights(strength, noise)
         if (weight > 0).sum() < FEWEST_PIECES or (
             window < WINDOWS[0] and (strength > CLEAR_NOISES * noise).mean() < HOPELESS
         ):
             return None
         leaned = _leaned(court, pieces, bands, strength, length, size)
-        change = _solve(rows, (offset - pushed - leaned) / now, weight, window_px / now)
-        change = np.clip(change, -1, 1)
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        pose[:2] += change[0] * pose[3] * np.array([c, s]) + change[1] * pose[4] * np.array([-s, c])
-        pose[2] += np.clip(change[2], -0.1, 0.1)
-        pose[3:] *= np.exp(np.clip(change[3:], -0.2, 0.2))
+        pose = _changed(pose, _solve(rows, (offset - pushed - leaned) / now, weight, window_px / now))
         if not (np.abs(np.log(pose[3:] / size)) < 0.25).all():
             return None
-    return _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length)
+    fit = _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length)
+    if np.abs(_neighbours(court, length)[1]).min(initial=BESIDE) * now >= FINE_BELOW:
+        return fit
+    pose = _finer(light, court, pose, pieces, blanks, rows, length, size)
+    angle, along, across = pose[2:].tolist()
+    return replace(fit, place=corner + pose[:2], angle=angle, along=along, across=across)
+
+
+def _finer(light, court, pose, pieces, blanks, rows, length, size) -> np.ndarray:
+    """The pose by a filter that sees less of neighbouring strokes, and more noise."""
+    window = max(WINDOWS[-1] * size, LEAST_WINDOW)
+    _, coarse = _measure(light, pose, pieces, window).peaks(window)
+    for _ in range(FINE_ROUNDS):
+        noise = _measure(light, pose, blanks, CLOSE_PX, FINE_SD).noise()
+        bands = _measure(light, pose, pieces, window, FINE_SD)
+        offset, strength = bands.peaks(window)
+        blurred = _blurred(court, length, coarse, strength, _weights(strength, noise))
+        offset = offset - _pushed(court, length, size, FINE_SD, blurred)
+        leaned = _leaned(court, pieces, bands, strength, length, size, FINE_SD, FINE_UNDER_STROKE, blurred)
+        now = float(np.sqrt(pose[3] * pose[4]))
+        pose = _changed(pose, _solve(rows, (offset - leaned) / now, _weights(strength, noise), window / now))
+    return pose
+
+
+def _blurred(court: Court, length: float, coarse: np.ndarray, fine: np.ndarray, weight: np.ndarray) -> float:
+    """One sigma [px] of what lens and pixels make of a thin line, by how much more strength its ridges (P,) have for
+    the coarse filter than for the fine one: see LINE_SEEN. Strokes beside others do not tell."""
+    alone = np.ones(len(fine), bool)
+    alone[_neighbours(court, length)[0]] = False
+    clear = alone & (weight > 0.5) & (coarse > 0)
+    if clear.sum() < FEWEST_PIECES:
+        return BLURRED_SD
+    share = (float(np.median(coarse[clear] / fine[clear])) * (FINE_SD / LINE_SD) ** 2) ** (2 / 3)
+    variance = (FINE_SD**2 - share * LINE_SD**2) / (share - 1) if share < 1 else BLUNTEST**2
+    return float(np.sqrt(np.clip(variance, SHARPEST**2, BLUNTEST**2)))
+
+
+def _weights(strength: np.ndarray, noise: float) -> np.ndarray:
+    """(P,) of ridges, from none at 1.5 noises to all at 4.5."""
+    return np.clip((strength / noise - 1.5) / 3, 0, 1)
+
+
+def _changed(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """The pose after a `change` of `_solve`, of which no more is believed than a round may be off."""
+    change = np.clip(change, -1, 1)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    place = pose[:2] + change[0] * pose[3] * np.array([c, s]) + change[1] * pose[4] * np.array([-s, c])
+    sizes = pose[3:] * np.exp(np.clip(change[3:], -0.2, 0.2))
+    return np.array([*place, pose[2] + np.clip(change[2], -0.1, 0.1), *sizes])
 
 
 def _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length) -> CourtFit:

@@ -76,11 +76,13 @@ class Court:
 
     @cached_property
     def groups(self) -> tuple[np.ndarray, ...]:
-        """Numbers of the straight strokes, those of one direction together."""
+        """Numbers of the straight strokes, those of one direction together, and of the arcs that are always painted."""
         found: dict[float, list[int]] = {}
         for number, stroke in enumerate(self.strokes):
             if not stroke.radius:
                 found.setdefault(round(float(stroke.at(np.zeros(1))[1][0]) % np.pi, 6), []).append(number)
+            elif stroke.weight == 1.0:
+                found.setdefault(np.inf, []).append(number)
         return tuple(np.array(numbers) for numbers in found.values())
 
     @cached_property

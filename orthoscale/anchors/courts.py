@@ -44,14 +44,14 @@ NEVER_SURE = 0.002  # what looks like a court to the last line may still be some
 # distort, and, by the squared GSD [m/px], what a coarse picture leaves of lines. STRETCH_REMAINS is the share of the
 # disagreement of both that remains in their mean. From 148 courts on 61 chips, at 0.30, 0.41 and 0.50 m/px.
 ALONG_SD, ALONG_COARSE = 0.002, 0.016
-ACROSS_SD, ACROSS_COARSE = 0.003, 0.035
+ACROSS_SD, ACROSS_COARSE = 0.003, 0.018
 STRETCH_REMAINS = 0.5
 
 
 def evidence(fit: CourtFit) -> float:
     """What speaks for a court, 1 if all of it is seen and nothing else: half by the length of what is seen, half by the
-    strokes of that direction in which fewer are; less what is seen where nothing should be, and less where the ridges
-    do not lie on straight lines."""
+    strokes of that direction, or the arcs, of which fewer are; less what is seen where nothing should be, and less
+    where the ridges do not lie on straight lines."""
     weight = np.array([stroke.weight for stroke in fit.court.strokes])
     fewer = min(float(np.average(fit.seen[group], weights=weight[group])) for group in fit.court.groups)
     return (

@@ -4,8 +4,8 @@ Each piece is one measurement of metres per unit with its own uncertainty. Those
 not are reported, and nothing is averaged away.
 
 An anchor may be of several standards, or be no anchor at all. So it is a mixture, which the vehicles sort out; and it
-never overrules them alone: what it says outside of their 99 % interval does not count unless something else says the
-same.
+never overrules them alone: what it says further from them than CONFLICT_LIMIT does not count unless something else
+says the same. Nearer, it counts as much as its doubt leaves it: the answer may then have two humps.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import ndtr
 
 from .pooling.posterior import Z90, Posterior
 from .remarks import CAUTION, REFUSAL, Remark
@@ -21,7 +22,9 @@ from .remarks import CAUTION, REFUSAL, Remark
 CONFLICT_HINT = "Check the given evidence, the anchors (--anchors) and the boxes (--save-detections)"
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
-ALONE = 0.99  # of the vehicles' probability: the interval that no anchor alone leaves
+# Of the vehicles' probability: the interval that no anchor alone leaves. It reaches CONFLICT_LIMIT sigmas to each side,
+# since what does not contradict the vehicles counts, each as much as its doubt leaves it.
+ALONE = float(1 - 2 * ndtr(-CONFLICT_LIMIT))
 COMMON_AT_MOST = 0.99  # share of a scale's variance that may be what all its sources have in common
 SUPPORTS = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
@@ -141,16 +144,15 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
         summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
         told = tuple(e.meant(vehicles) for e in evidence)
         return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary, told)
-    # What all that was seen on one ground has in common is left aside while it is compared, and remains.
+    # What all that was seen on one ground has in common is left aside while it is compared, and remains. What knows
+    # that ground better shares a part of it only.
     common = max((e.common**2 for e in heard), default=0.0)
     posterior = vehicles.blurred(-common) if common else vehicles
-    for e in heard:
-        if e.common:
-            posterior = posterior.times_doubted(e.own, e.doubt, e.window)
+    for e in sorted(heard, key=lambda e: -e.common):
+        if e.common**2 < common:
+            posterior, common = posterior.blurred(common - e.common**2), e.common**2
+        posterior = posterior.times_doubted(e.own, e.doubt, e.window)
     posterior = posterior.blurred(common) if common else posterior
-    for e in heard:
-        if not e.common:
-            posterior = posterior.times_doubted(e.own, e.doubt, e.window)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
     shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior, common)
     told = tuple(e.meant(posterior) for e in evidence)
@@ -179,7 +181,7 @@ def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[li
         else:
             e = e.meant(vehicles)
             text = (
-                f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * ALONE:.0f} % interval "
+                f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * ALONE:.1f} % interval "
                 f"({np.exp(interval[0]):.5g} to {np.exp(interval[1]):.5g}); it does not count"
             )
             remarks.append(Remark(CAUTION, text))

@@ -87,7 +87,7 @@ class Fleet:
         """What its code begins with: an ISO code where it is a country's or of a part of one (``US`` of ``US_TX``)."""
         return self.code.split("_")[0]
 
-    @property
+    @cached_property
     def log_mean(self) -> np.ndarray:
         """(2,) mean of log length and log width over the whole fleet."""
         return sum((c.weight * c.log_mean for c in self.classes), np.zeros(2)) / sum(c.weight for c in self.classes)
@@ -98,7 +98,7 @@ class Fleet:
         country's, and how far a place's stray from its country's."""
         return self._country_covariance + self.log_covariance * place_scatter(self.place_vehicles)
 
-    @property
+    @cached_property
     def class_mean_covariance(self) -> np.ndarray:
         """(2, 2) the part of `log_mean_covariance` that shares of the classes that are `told_apart` do not explain."""
         classes = self.told_apart
@@ -106,7 +106,7 @@ class Fleet:
         within = sum((c.weight / total * c.log_covariance for c in classes), np.zeros((2, 2)))
         return self._country_covariance + within * place_scatter(self.place_vehicles)
 
-    @property
+    @cached_property
     def log_covariance(self) -> np.ndarray:
         """(2, 2) covariance of log length and log width between the vehicles of the whole fleet."""
         total = sum(c.weight for c in self.classes)

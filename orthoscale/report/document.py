@@ -227,6 +227,7 @@ def _of_posed(measured: Measurement) -> dict[str, Any]:
             "sigmas": agreement.tension,
             "common_vehicles": agreement.common,
             "contradicts": agreement.contradicts,
+            "cause": agreement.cause,
         }
     return values
 

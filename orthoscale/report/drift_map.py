@@ -14,33 +14,55 @@ from .lettering import BLACK, WHITE, text_width, write_on
 
 SMALLER_RGB, NEUTRAL_RGB, LARGER_RGB = np.array([47, 127, 209]), np.array([250, 250, 250]), np.array([217, 115, 13])
 SMALLEST_LETTERS = 8  # letters that can be read [px]
+MOVES = 2000  # of overlapping squares, at most
 
 
 def regions_panel(drift: Mapping[str, Any], scale: float, side: int) -> np.ndarray:
     """RGB picture `side` px wide of a model's regions from above, from the report's `drift` and its `scale`; coloured
-    and labelled as the cells of `drift_panel`."""
+    and labelled as the cells of `drift_panel`. Those whose vehicles stand close together are drawn side by side."""
     regions = drift["regions"]
     centres = np.array([region["centre_unit"] for region in regions]) * (1, -1)  # y up on the plan, down on paper
-    low, extent = centres.min(0), np.maximum(np.ptp(centres, axis=0), 1e-12)
-    square = int(side / 5)
-    zoom = (side - square) / extent.max()
+    square = side // 5
+    zoom = (side - square) / np.maximum(np.ptp(centres, axis=0), 1e-12).max()
+    corners = np.round(side_by_side((centres - centres.min(0)) * zoom, square)).astype(int)
+    corners -= corners.min(0)
+    # What was moved apart may need more room than there is: everything becomes smaller.
+    shrink = min(1.0, side / (corners[:, 0].max() + square))
+    corners, square = (corners * shrink).astype(int), int(square * shrink)
+    letters = max(SMALLEST_LETTERS, round(16 * shrink))
     title = 56
-    panel = np.full((round(extent[1] * zoom) + square + title, side, 3), 255, np.uint8)
+    panel = np.full((corners[:, 1].max() + square + title, side, 3), 255, np.uint8)
     drifts = drift.get("drifts")
     judged = "not judged" if drifts is None else "the scale drifts" if drifts else "no significant drift"
     write_on(panel, (10, 22), f"Scale by place: {judged}", 17)
     key = "Per cent from the overall scale, +- 90 %. Pale: chance. Orange: larger, blue: smaller, full from 3 sigma"
     write_on(panel, (10, 45), key, 14)
-    for region, centre in zip(regions, centres, strict=True):
+    for region, corner in zip(regions, corners + (0, title), strict=True):
         deviation, sd = region["scale"] / scale - 1, region["sd"] / scale
         colour = NEUTRAL_RGB + strength(deviation, sd) * ((LARGER_RGB if deviation > 0 else SMALLER_RGB) - NEUTRAL_RGB)
-        corner = np.round((centre - low) * zoom).astype(int) + (0, title)
         cv2.rectangle(panel, corner.tolist(), (corner + square - 2).tolist(), colour.tolist(), -1)
         middle = corner + square / 2
-        lines = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", f"{int(region['vehicles'])} vehicles"
+        lines = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", vehicles(region["vehicles"])
         for row, line in zip((-0.6, 0.6), lines, strict=True):
-            write_on(panel, (middle[0], middle[1] + 19 * row), line, 16, BLACK, WHITE, "mm")
+            write_on(panel, (middle[0], middle[1] + 1.2 * letters * row), line, letters, BLACK, WHITE, "mm")
     return panel
+
+
+def side_by_side(corners: np.ndarray, square: float) -> np.ndarray:
+    """(N, 2) `corners` of squares [px], those that overlap moved apart, each pair along the axis that takes less."""
+    corners = corners.astype(float)
+    for _ in range(MOVES):
+        apart = corners[:, None] - corners[None]
+        overlap = square - np.abs(apart).max(2) - 1e-6
+        np.fill_diagonal(overlap, 0)
+        one, other = np.unravel_index(np.argmax(overlap), overlap.shape)
+        if overlap[one, other] <= 0:
+            break
+        axis = int(np.argmax(np.abs(apart[one, other])))
+        way = 1 if apart[one, other, axis] >= 0 else -1
+        corners[one, axis] += way * overlap[one, other] / 2
+        corners[other, axis] -= way * overlap[one, other] / 2
+    return corners
 
 
 def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) -> np.ndarray:
@@ -66,9 +88,14 @@ def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) ->
         cv2.rectangle(panel, low.tolist(), high.tolist(), colour.tolist(), -1)
         cv2.rectangle(panel, low.tolist(), high.tolist(), (190, 190, 190), 1)
         middle, across = (low + high) / 2, int(high[0] - low[0])
-        figures = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", f"{int(count)} vehicles"
+        figures = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", vehicles(count)
         size = min(16, int(0.9 * across / max(text_width(line, 100) / 100 for line in figures)))
         if size >= SMALLEST_LETTERS:
             for row, line in zip((-0.6, 0.6), figures, strict=True):
                 write_on(panel, (middle[0], middle[1] + 1.2 * size * row), line, size, BLACK, WHITE, "mm")
     return panel
+
+
+def vehicles(count: float) -> str:
+    """So many vehicles, in words."""
+    return f"{int(count)} vehicle{'' if count == 1 else 's'}"

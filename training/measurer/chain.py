@@ -21,6 +21,8 @@ LENGTHS = (8.0, 120.0)  # of a vehicle in the finished picture [px]
 RESAMPLED = (0.5, 2.0)  # finished pixels per sensor pixel
 SHARPEST = 126.0  # a vehicle's length on the sensor, at most [px]: as many as the rendered pictures have
 REACH = 2.9  # side of a window in vehicle lengths: a crop 1.35 times too large lies inside at any turn
+GLARE = 0.3  # share of the lenses that scatter light widely: what is overexposed grows by it
+OVEREXPOSED = 0.12  # share of the pictures whose exposure suits the shade
 CUT = 0.06  # share of the windows that end within the vehicle's surroundings: the picture's edge
 
 
@@ -69,6 +71,12 @@ def optics(x: np.ndarray, fine: int, rng: np.random.Generator, sharp: float = 0.
     else:
         return x
     return cv2.filter2D(x, -1, (kernel / kernel.sum()).astype(np.float32), borderType=cv2.BORDER_REFLECT_101)
+
+
+def glare(x: np.ndarray, fine: int, rng: np.random.Generator) -> np.ndarray:
+    """A small share of the light scattered over some pixels, as by dirty, cheap or wet lenses, and full sensors."""
+    share = np.float32(rng.uniform(0.03, 0.2))
+    return (1 - share) * x + share * cv2.GaussianBlur(x, (0, 0), fine * rng.uniform(1.2, 4.0))
 
 
 def resample(x: np.ndarray, factor: float, rng: np.random.Generator) -> tuple[np.ndarray, float]:
@@ -123,7 +131,8 @@ def develop(light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Linear light to a display's numbers, 0..1: exposure, veil, a shoulder of random softness, gamma."""
     veil = rng.uniform(0.02, 0.5) if rng.random() < 0.25 else 0.0
     sky = np.float32(veil * rng.uniform(0.3, 0.8)) * np.array([0.92, 0.98, 1.06], np.float32)
-    x = light * np.float32(np.exp(rng.normal(0.45, 0.45)) * (1 - veil)) + sky
+    exposure = rng.normal(0.45, 0.45) + (rng.uniform(0.4, 1.2) if rng.random() < OVEREXPOSED else 0.0)
+    x = light * np.float32(np.exp(exposure) * (1 - veil)) + sky
     white, soft = np.float32(rng.uniform(1.0, 4.0)), np.float32(rng.uniform(0.0, 1.0))
     x = x * (1 + x / white**2) / (1 + x * soft)  # Reinhard's curve, or part of it
     return cv2.pow(np.clip(x, 0, 1), float(rng.uniform(0.42, 0.6)))
@@ -162,6 +171,8 @@ def photograph(
         x = x * (1 + (np.float32(rng.uniform(0.4, 0.85)) - 1) * cover[..., None])
     if linear:
         x = optics(np.float32(BRIGHTEST) * x * x, fine, rng)
+        if rng.random() < GLARE:
+            x = glare(x, fine, rng)
     elif fine == 2 and rng.random() < 0.5:
         x = optics(x, fine, rng)
     if fine == 2:

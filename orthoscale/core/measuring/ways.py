@@ -24,6 +24,7 @@ from ..votes import Votes
 from .agreed import as_agreed
 from .aligned import only_aligned
 from .apart import only_apart
+from .contradiction import Cause, cause
 from .drift import with_drift
 from .measure import measure
 from .measurement import Measurement
@@ -91,15 +92,20 @@ def measure_posed(
     notes = tuple(f"{name}: {error.message}" for name, error in failed.items())
     if source.focal.said:
         notes = (*notes, source.focal.said)
-    return replace(_of_one_scale(_answer(modes, fleet, method)), modes=modes, notes=notes)
+    return replace(_of_one_scale(_answer(source, modes, fleet, method)), modes=modes, notes=notes)
 
 
-def _answer(modes: dict[str, Measurement], fleet: Fleet, method: Method) -> Measurement:
+def _answer(source: PosedSet, modes: dict[str, Measurement], fleet: Fleet, method: Method) -> Measurement:
     """What one way or two say together."""
     first = next(iter(modes.values()))
     if len(modes) == 1:
         return first
-    agreement = compare({name: m.scale for name, m in modes.items()}, _common(*modes.values()))
+    ratio, place = _common(*modes.values())
+    agreement = compare({name: m.scale for name, m in modes.items()}, ratio)
+    if agreement.contradicts:
+        apart = ratio @ np.mean([m.scale.weights for m in modes.values()], axis=0)
+        why, said = cause(agreement, apart, source.ground.plane(place), modes[OBLIQUE].found.calibration)
+        agreement = replace(agreement, cause=said, spared=PLANAR if why is Cause.LENS else "")
     answer = modes[agreement.surer] if agreement.contradicts else first
     scale = together(agreement)
     if not agreement.contradicts and all(m.pooled is not None and not m.scale.conflict for m in modes.values()):
@@ -177,10 +183,11 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
     return votes, ruler, covariance
 
 
-def _common(a: Measurement, b: Measurement) -> np.ndarray:
-    """(K, 2) log of the sizes that `a` gives over those that `b` gives, for the vehicles that count in both."""
+def _common(a: Measurement, b: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """(K, 2) log of the sizes that `a` gives over those that `b` gives, for the vehicles that count in both; and (K, 3)
+    where these stand."""
     ia, ib = _matched(a, b, *(np.flatnonzero(m.scale.used) for m in (a, b)))
-    return np.log(a.size[ia]) - np.log(b.size[ib])
+    return np.log(a.size[ia]) - np.log(b.size[ib]), a.votes.place[ia]
 
 
 def _matched(a: Measurement, b: Measurement, some_a: np.ndarray, some_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

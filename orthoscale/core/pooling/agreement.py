@@ -27,6 +27,7 @@ class Agreement:
     apart, apart_sd : log of second scale over first, by all vehicles of each, and one sigma of that.
     mixes_sd : one sigma by which the scales may part besides, because the two count other vehicles of another mix; 0
     unless the vehicles in common show that the two measure alike.
+    cause : why the two contradict each other, in words. spared : the name of the one that this cause leaves as it is.
     """
 
     scales: dict[str, Scale]
@@ -36,6 +37,8 @@ class Agreement:
     apart_sd: float
     common: int = 0
     mixes_sd: float = 0.0
+    cause: str = ""
+    spared: str = ""
 
     @property
     def tension(self) -> float:
@@ -49,8 +52,8 @@ class Agreement:
 
     @property
     def surer(self) -> str:
-        """The name of the one that is known better."""
-        return min(self.scales, key=lambda name: self.scales[name].relative_sd)
+        """The name of the one that is known better: that which the cause of a contradiction spares, where one does."""
+        return self.spared or min(self.scales, key=lambda name: self.scales[name].relative_sd)
 
     @property
     def contradicts(self) -> bool:
@@ -68,6 +71,8 @@ class Agreement:
         (first, a), (second, b) = self.scales.items()
         same = f" on the {self.common} vehicles measured both ways" if self.common else ""
         so = "; the two contradict each other" if self.contradicts else ""
+        if self.cause:
+            so = f"{so}: {self.cause}"
         if self.by_others and not self.contradicts:
             so = "; they part by vehicles that only one of them counts"
         return (

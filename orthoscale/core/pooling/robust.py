@@ -13,7 +13,7 @@ widths where they are fine, without a rule for it. Only the first term shrinks w
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from ..ruler import Ruler
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
 from ..votes import Votes
-from .mixture import FINE, Drawing, fit
+from .mixture import FINE, Drawing, Fits, Mix, fit
 from .posterior import Posterior
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
@@ -36,6 +36,7 @@ PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that
 # 1.8 % from view to view of one, widths by 3.0 and 4.0 %.
 OF_THE_VEHICLE = 0.5
 LIKELY = 0.01  # probability below which a fleet is not reported
+MOVED_BY = 7  # of the likeliest fleets are asked what all votes change
 FEW = 60  # votes by which candidate fleets are compared; their shapes count for 50 at most (`mixture`)
 # How much of what shapes seem to say of the country is believed. In simulation they tell Japan from Germany; on 12
 # orthophotos of six countries the boxes of version 5 made the true one the less likely the more they were believed
@@ -154,34 +155,32 @@ def _of_candidates(
 ) -> tuple[_Vehicles, dict[str, float]]:
     """What the votes say if they are of one of the candidates of `fleet`, and the probability of each, by code.
 
-    Arguments as of `_of_fleet`. Everything is the likeliest's, but for the posterior, which is that of them all: what
+    Arguments as of `_of_fleets`. Everything is the likeliest's, but for the posterior, which is that of them all: what
     it is wider by is a part of not knowing the fleet.
     """
     candidates, count = fleet.candidates or (fleet,), len(log_size)
     prior = np.array(fleet.prior or (1.0,))
 
-    def tried(wanted: Iterable[int], number: int) -> dict[int, _Vehicles]:
+    def tried(wanted: Sequence[int], number: int) -> dict[int, _Vehicles]:
         """What `number` of the votes say, were they of each candidate in turn; without those that they cannot be."""
         some = np.linspace(0, count - 1, min(count, number)).astype(int)
-        out = {}
-        for k in wanted:
-            try:
-                out[k] = _of_fleet(log_size[some], noise[some], candidates[k], known, drawing)
-            except TooLittleEvidence as error:
-                impossible = error
+        found = _of_fleets(log_size[some], noise[some], [candidates[k] for k in wanted], known, drawing)
+        out = {k: v for k, v in zip(wanted, found, strict=True) if v is not None}
         if not out:
-            raise impossible
+            raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {candidates[wanted[-1]].code}")
         return out
 
     if len(candidates) == 1:
         return tried([0], count)[0], {candidates[0].code: 1.0}
     each = tried(range(len(candidates)), FEW)
     probability = _probabilities(each, prior)
-    likeliest = max(probability, key=probability.__getitem__)
-    best = tried([likeliest], count)[likeliest] if count > FEW else each[likeliest]
+    several = sorted(probability, key=probability.__getitem__, reverse=True)[:MOVED_BY]
+    full = tried(several, count) if count > FEW else each
+    best = full[several[0]]
     posterior = Posterior.mixed([v.posterior for v in each.values()], np.array(list(probability.values())))
-    # What all votes move the likeliest's scale by, they move every other fleet's.
-    moved = best.posterior.centre - each[likeliest].posterior.centre
+    # What all votes move the likeliest fleets' scales by, they move every other's. By one alone it would be known too
+    # badly: its scales may have two humps, and all votes then choose another.
+    moved = np.median([full[k].posterior.centre - each[k].posterior.centre for k in several if k in full])
     posterior = replace(posterior, mean=posterior.mean + moved)
     others = sum(v**2 for name, v in best.parts.items() if name != "fleet")
     wider = float(np.sqrt(max(posterior.spread**2 - others, best.parts["fleet"] ** 2)))
@@ -189,21 +188,30 @@ def _of_candidates(
     return replace(best, posterior=posterior, parts={**best.parts, "fleet": wider}), fleets
 
 
-def _of_fleet(
-    log_size: np.ndarray, noise: np.ndarray, fleet: Fleet, known: Mapping[str, np.ndarray], drawing: Drawing
-) -> _Vehicles:
-    """What votes of `log_size` (N, 2) with `noise` (N, 2) [units] say, were they of `fleet`; `known` are the (2, 2)
-    covariances of what else is uncertain about them all."""
-    shared = {"fleet": drawing.covariance(fleet.class_mean_covariance), **known}
-    systematic = sum(shared.values(), np.zeros((2, 2)))
-    none = TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {fleet.code}")
-    weights = _combine(systematic + drawing.covariance(fleet.log_covariance) / len(log_size))
-    try:
-        fits = fit(log_size, noise, fleet.told_apart, systematic, weights, drawing, fleet.place_vehicles)
-    except np.linalg.LinAlgError as error:  # no vote supports any class: nothing determines the scale
-        raise none from error
-    if fits.member.sum() < 1:
-        raise none
+def _of_fleets(
+    log_size: np.ndarray,
+    noise: np.ndarray,
+    fleets: Sequence[Fleet],
+    known: Mapping[str, np.ndarray],
+    drawing: Drawing,
+) -> list[_Vehicles | None]:
+    """What votes of `log_size` (N, 2) with `noise` (N, 2) [units] say, were they of each of `fleets`, None where they
+    cannot be; `known` are the (2, 2) covariances of what else is uncertain about them all."""
+    every = [{"fleet": drawing.covariance(fleet.class_mean_covariance), **known} for fleet in fleets]
+    mixes = []
+    for fleet, shared in zip(fleets, every, strict=True):
+        systematic = sum(shared.values(), np.zeros((2, 2)))
+        weights = _combine(systematic + drawing.covariance(fleet.log_covariance) / len(log_size))
+        mixes.append(Mix(fleet.told_apart, systematic, weights, fleet.place_vehicles))
+    return [
+        None if fits is None or fits.member.sum() < 1 else _vehicles(fits, fleet, mix, shared)
+        for fits, fleet, mix, shared in zip(fit(log_size, noise, mixes, drawing), fleets, mixes, every, strict=True)
+    ]
+
+
+def _vehicles(fits: Fits, fleet: Fleet, mix: Mix, shared: Mapping[str, np.ndarray]) -> _Vehicles:
+    """What `fits` to `mix` say, which is that of `fleet`; `shared` are the (2, 2) parts of `Mix.systematic`."""
+    systematic, weights = mix.systematic, mix.weights
     estimates = fits.weight @ fits.log_scale
     luck = _luck(fleet, fits.member.sum())
     posterior = Posterior(

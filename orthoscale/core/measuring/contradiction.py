@@ -1,0 +1,62 @@
+"""Why two ways of measuring a model contradict each other, by the vehicles that both measured."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+
+from ..pooling.agreement import CONTRADICTION, MIN_COMMON, Agreement
+from .drift import CHANCE, NOTABLE
+from .measurement import SelfCalibration
+from .model_drift import by_region
+
+ODD_HEIGHT = 2.0  # sigmas from the detector's card, from which the height that boxes take in is odd; chance makes 5 %
+
+
+class Cause(Enum):
+    """What may part two ways of measuring one model."""
+
+    OTHERS = "vehicles that only one of them counts"
+    GROUND = "the ground under the vehicles"
+    LENS = "focal length or distortion"
+    BOXES = "the detector's boxes"
+
+
+def cause(
+    agreement: Agreement, apart: np.ndarray, plan: np.ndarray, calibration: SelfCalibration | None
+) -> tuple[Cause, str]:
+    """What parts two ways that contradict each other: and a sentence that says it.
+
+    apart : (K,) log of the size that the first way gives over what the second gives it, of the vehicles that count in
+    both. plan : (K, 2) where they stand on the ground's plane [units]. calibration : of the frames.
+
+    Where they measure the same vehicles alike, the others part them. A difference that changes from place to place is
+    the ground's, or the model is bent: neither way is better. One that comes with odd heights of vehicles is the
+    lens's: with a wrong focal length what flat views show of heights is taken off wrongly, and footprints from above
+    are right. What is left, alike in all vehicles, is in the boxes.
+    """
+    count = len(apart)
+    if count < MIN_COMMON:
+        return Cause.OTHERS, f"only {count} vehicles count in both, so other vehicles part them, or wrong boxes"
+    if abs(agreement.difference) < CONTRADICTION * agreement.sd:
+        return (
+            Cause.OTHERS,
+            f"the {count} vehicles that count in both agree, so other vehicles part them, or wrong boxes",
+        )
+    trend = by_region(apart, plan, 1.0)[1]
+    if trend is not None and trend.chance < CHANCE and trend.percent_across > 100 * NOTABLE:
+        return Cause.GROUND, (
+            f"the difference changes by {trend.percent_across:.0f} % across the model: the ground under the vehicles "
+            "is wrong, or the model is bent"
+        )
+    if calibration is not None and calibration.ruler.views:
+        ruler, card = calibration.ruler, calibration.card
+        sigmas = (ruler.height - card.height) / card.sd[:, 0]
+        axis = int(np.argmax(np.abs(sigmas)))
+        if abs(sigmas[axis]) > ODD_HEIGHT:
+            return Cause.LENS, (
+                f"the frames make vehicles {ruler.height[axis]:.1f} m high where the detector's boxes take in "
+                f"{card.height[axis]:.1f} m: the focal length or the distortion is wrong"
+            )
+    return Cause.BOXES, "all vehicles differ alike: one of the two resampling factors does not suit the detector"
