@@ -175,12 +175,12 @@ def _of_candidates(
     each = tried(range(len(candidates)), FEW)
     probability = _probabilities(each, prior)
     several = sorted(probability, key=probability.__getitem__, reverse=True)[:MOVED_BY]
-    full = tried(several, count) if count > FEW else each
-    best = full[several[0]]
+    full = tried(several, count) if count > FEW else {k: each[k] for k in several}
+    best = next(iter(full.values()))  # the likeliest may be none that all votes can be of
     posterior = Posterior.mixed([v.posterior for v in each.values()], np.array(list(probability.values())))
     # What all votes move the likeliest fleets' scales by, they move every other's. By one alone it would be known too
     # badly: its scales may have two humps, and all votes then choose another.
-    moved = np.median([full[k].posterior.centre - each[k].posterior.centre for k in several if k in full])
+    moved = np.median([full[k].posterior.centre - each[k].posterior.centre for k in full])
     posterior = replace(posterior, mean=posterior.mean + moved)
     others = sum(v**2 for name, v in best.parts.items() if name != "fleet")
     wider = float(np.sqrt(max(posterior.spread**2 - others, best.parts["fleet"] ** 2)))
