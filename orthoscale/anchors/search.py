@@ -15,7 +15,7 @@ import numpy as np
 from ..core.anchors import Anchor, AnchorFinder, Standard, alike
 from ..core.detections import Tile
 from ..core.source import Picture
-from ..detect.cache import Kept, content_key, tile_name
+from ..detect.cache import RASTER_CODE, Kept, content_key, tile_name
 from ..detect.order import visiting_order
 from ..detect.tiles import check_number, read, tiles
 from ..detect.workers import done_on_threads
@@ -36,8 +36,7 @@ MOST_PIXELS = 20e6
 CODE_OF_FINDERS = (
     "anchors/*.py",
     "core/anchors.py",
-    "sources/gdal.py",
-    "sources/raster*.py",
+    *RASTER_CODE,
     "sources/picture_file.py",
     "sources/ground_picture.py",
 )

@@ -23,8 +23,9 @@ from .tiles import CONFIRMING_ZOOM, TILE, TILE_BORDER, Looks
 
 BROKEN = (sqlite3.Error, UnicodeDecodeError)  # what a damaged file raises; SQLite's message may quote its bytes
 KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
+RASTER_CODE = ("sources/gdal.py", "sources/raster*.py")  # that decides over the pixels of a raster
 # What decides over the looks.
-CODE = ("core/boxes.py", "detect/*.py", "sources/gdal.py", "sources/raster*.py", "sources/picture_file.py")
+CODE = ("core/boxes.py", "detect/*.py", *RASTER_CODE, "sources/picture_file.py")
 # What does not.
 NO_MATTER = {
     "cache.py",

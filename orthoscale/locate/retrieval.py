@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ..detect.cache import Kept, content_key
+from ..detect.cache import RASTER_CODE, Kept, content_key
 from ..detect.detector import load_network
 from ..detect.foreign import ForeignError
 from ..detect.output_forms import IMAGENET, Normalisation
@@ -33,7 +33,7 @@ EMBEDDING_CARD, EMBEDDING_HINT = (
     "a card of an embedding network",
     "See docs/locate.md: its name, size and normalisation, all optional.",
 )
-EMBEDDING_CODE = ("locate/retrieval.py", "locate/maps.py", "sources/gdal.py", "sources/raster*.py")
+EMBEDDING_CODE = ("locate/retrieval.py", "locate/maps.py", *RASTER_CODE)
 
 
 @dataclass(frozen=True)

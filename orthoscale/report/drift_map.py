@@ -14,6 +14,7 @@ from .lettering import BLACK, WHITE, text_width, write_on
 
 SMALLER_RGB, NEUTRAL_RGB, LARGER_RGB = np.array([47, 127, 209]), np.array([250, 250, 250]), np.array([217, 115, 13])
 SMALLEST_LETTERS = 8  # letters that can be read [px]
+TITLE = 56  # height of what is written above a map [px]
 MOVES = 2000  # of overlapping squares, at most
 
 
@@ -30,21 +31,12 @@ def regions_panel(drift: Mapping[str, Any], scale: float, side: int) -> np.ndarr
     shrink = min(1.0, side / (corners[:, 0].max() + square))
     corners, square = (corners * shrink).astype(int), int(square * shrink)
     letters = max(SMALLEST_LETTERS, round(16 * shrink))
-    title = 56
-    panel = np.full((corners[:, 1].max() + square + title, side, 3), 255, np.uint8)
-    drifts = drift.get("drifts")
-    judged = "not judged" if drifts is None else "the scale drifts" if drifts else "no significant drift"
-    write_on(panel, (10, 22), f"Scale by place: {judged}", 17)
-    key = "Per cent from the overall scale, +- 90 %. Pale: chance. Orange: larger, blue: smaller, full from 3 sigma"
-    write_on(panel, (10, 45), key, 14)
-    for region, corner in zip(regions, corners + (0, title), strict=True):
+    panel = np.full((corners[:, 1].max() + square + TITLE, side, 3), 255, np.uint8)
+    _entitle(panel, drift)
+    for region, corner in zip(regions, corners + (0, TITLE), strict=True):
         deviation, sd = region["scale"] / scale - 1, region["sd"] / scale
-        colour = NEUTRAL_RGB + strength(deviation, sd) * ((LARGER_RGB if deviation > 0 else SMALLER_RGB) - NEUTRAL_RGB)
-        cv2.rectangle(panel, corner.tolist(), (corner + square - 2).tolist(), colour.tolist(), -1)
-        middle = corner + square / 2
-        lines = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", vehicles(region["vehicles"])
-        for row, line in zip((-0.6, 0.6), lines, strict=True):
-            write_on(panel, (middle[0], middle[1] + 1.2 * letters * row), line, letters, BLACK, WHITE, "mm")
+        cv2.rectangle(panel, corner.tolist(), (corner + square - 2).tolist(), _colour(deviation, sd), -1)
+        _label(panel, corner + square / 2, _figures(deviation, sd, region["vehicles"]), letters)
     return panel
 
 
@@ -71,31 +63,46 @@ def drift_panel(drift: Mapping[str, Any], width: int, height: int, side: int) ->
     Each cell shows its deviation in per cent with what its number of vehicles leaves open (90 %), and that number.
     """
     zoom = side / max(width, height)
-    title = 56
-    panel = np.full((round(height * zoom) + title, round(width * zoom), 3), 255, np.uint8)
-    drifts = drift.get("drifts")
-    judged = "not judged" if drifts is None else "the scale drifts" if drifts else "no significant drift"
+    panel = np.full((round(height * zoom) + TITLE, round(width * zoom), 3), 255, np.uint8)
     change = f"{100 * drift['tilt']:.1f} % from side to side, +- {100 * Z90 * drift['tilt_sd']:.1f} (90 %)"
-    write_on(panel, (10, 22), f"Scale by place: {judged}; {change}", 17)
-    key = "Per cent from the overall scale, +- 90 %. Pale: chance. Orange: larger, blue: smaller, full from 3 sigma"
-    write_on(panel, (10, 45), key, 14)
+    _entitle(panel, drift, f"; {change}")
     half = np.array(drift["cell_px"]) / 2
     for cell in drift["cells"]:
         x, y, count, deviation, sd = (cell[name] for name in ("x_px", "y_px", "vehicles", "deviation", "sd"))
-        colour = NEUTRAL_RGB + strength(deviation, sd) * ((LARGER_RGB if deviation > 0 else SMALLER_RGB) - NEUTRAL_RGB)
-        low = np.round((np.array([x, y]) - half) * zoom).astype(int) + (0, title)
-        high = np.round((np.array([x, y]) + half) * zoom).astype(int) + (0, title)
-        cv2.rectangle(panel, low.tolist(), high.tolist(), colour.tolist(), -1)
+        low = np.round((np.array([x, y]) - half) * zoom).astype(int) + (0, TITLE)
+        high = np.round((np.array([x, y]) + half) * zoom).astype(int) + (0, TITLE)
+        cv2.rectangle(panel, low.tolist(), high.tolist(), _colour(deviation, sd), -1)
         cv2.rectangle(panel, low.tolist(), high.tolist(), (190, 190, 190), 1)
         middle, across = (low + high) / 2, int(high[0] - low[0])
-        figures = f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", vehicles(count)
+        figures = _figures(deviation, sd, count)
         size = min(16, int(0.9 * across / max(text_width(line, 100) / 100 for line in figures)))
         if size >= SMALLEST_LETTERS:
-            for row, line in zip((-0.6, 0.6), figures, strict=True):
-                write_on(panel, (middle[0], middle[1] + 1.2 * size * row), line, size, BLACK, WHITE, "mm")
+            _label(panel, middle, figures, size)
     return panel
 
 
-def vehicles(count: float) -> str:
-    """So many vehicles, in words."""
-    return f"{int(count)} vehicle{'' if count == 1 else 's'}"
+def _entitle(panel: np.ndarray, drift: Mapping[str, Any], more: str = "") -> None:
+    """Write what the map shows onto the TITLE rows of `panel`."""
+    drifts = drift.get("drifts")
+    judged = "not judged" if drifts is None else "the scale drifts" if drifts else "no significant drift"
+    write_on(panel, (10, 22), f"Scale by place: {judged}{more}", 17)
+    key = "Per cent from the overall scale, +- 90 %. Pale: chance. Orange: larger, blue: smaller, full from 3 sigma"
+    write_on(panel, (10, 45), key, 14)
+
+
+def _colour(deviation: float, sd: float) -> list[float]:
+    """RGB of a cell whose scale is off by `deviation`, relative, with one sigma `sd`."""
+    full = LARGER_RGB if deviation > 0 else SMALLER_RGB
+    return (NEUTRAL_RGB + strength(deviation, sd) * (full - NEUTRAL_RGB)).tolist()
+
+
+def _figures(deviation: float, sd: float, count: float) -> tuple[str, str]:
+    """The two lines on a cell."""
+    vehicles = f"{int(count)} vehicle{'' if count == 1 else 's'}"
+    return f"{100 * deviation:+.1f} +- {100 * Z90 * sd:.1f}", vehicles
+
+
+def _label(panel: np.ndarray, middle: np.ndarray, lines: tuple[str, str], size: int) -> None:
+    """Write `lines` about the `middle` (2,) of a cell, in letters `size` px high."""
+    for row, line in zip((-0.6, 0.6), lines, strict=True):
+        write_on(panel, (middle[0], middle[1] + 1.2 * size * row), line, size, BLACK, WHITE, "mm")

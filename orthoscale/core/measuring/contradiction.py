@@ -26,7 +26,7 @@ class Cause(Enum):
 def cause(
     agreement: Agreement, apart: np.ndarray, plan: np.ndarray, calibration: SelfCalibration | None
 ) -> tuple[Cause, str]:
-    """What parts two ways that contradict each other: and a sentence that says it.
+    """What parts two ways that contradict each other, and the sentence that says so.
 
     apart : (K,) log of the size that the first way gives over what the second gives it, of the vehicles that count in
     both. plan : (K, 2) where they stand on the ground's plane [units]. calibration : of the frames.
@@ -38,12 +38,10 @@ def cause(
     """
     count = len(apart)
     if count < MIN_COMMON:
-        return Cause.OTHERS, f"only {count} vehicles count in both, so other vehicles part them, or wrong boxes"
+        return Cause.OTHERS, f"few vehicles count in both ({count}), so other vehicles part them, or wrong boxes"
     if abs(agreement.difference) < CONTRADICTION * agreement.sd:
-        return (
-            Cause.OTHERS,
-            f"the {count} vehicles that count in both agree, so other vehicles part them, or wrong boxes",
-        )
+        said = f"the {count} vehicles that count in both agree, so other vehicles part them, or wrong boxes"
+        return Cause.OTHERS, said
     trend = by_region(apart, plan, 1.0)[1]
     if trend is not None and trend.chance < CHANCE and trend.percent_across > 100 * NOTABLE:
         return Cause.GROUND, (

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from ...errors import TooLittleEvidence, UsageError
 from ..detections import Detections
 from ..fleet import Fleet
-from ..pooling.agreement import compare, together
+from ..pooling.agreement import compare, of_scales, together
 from ..pooling.robust import left_by_views
 from ..ruler import Ruler
 from ..scale import Scale
@@ -101,10 +101,12 @@ def _answer(source: PosedSet, modes: dict[str, Measurement], fleet: Fleet, metho
     if len(modes) == 1:
         return first
     ratio, place = _common(*modes.values())
-    agreement = compare({name: m.scale for name, m in modes.items()}, ratio)
+    scales = {name: m.scale for name, m in modes.items()}
+    agreement = compare(scales, ratio)
     if agreement.contradicts:
-        apart = ratio @ np.mean([m.scale.weights for m in modes.values()], axis=0)
-        why, said = cause(agreement, apart, source.ground.plane(place), modes[OBLIQUE].found.calibration)
+        why, said = cause(
+            agreement, of_scales(scales, ratio), source.ground.plane(place), modes[OBLIQUE].found.calibration
+        )
         agreement = replace(agreement, cause=said, spared=PLANAR if why is Cause.LENS else "")
     answer = modes[agreement.surer] if agreement.contradicts else first
     scale = together(agreement)

@@ -97,13 +97,20 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreem
     apart = float(np.log(b.value / a.value)), float(np.sqrt(own + sampling))
     if ratio is None or len(ratio) < MIN_COMMON:
         return Agreement(scales, *apart, *apart)
-    each = ratio @ (np.add(a.weights, b.weights) / 2)
+    each = of_scales(scales, ratio)
     spread = ROBUST_SD * np.median(np.abs(each - np.median(each)))
     own += 1.57 * spread**2 / len(each)  # of a median
     difference, sd = float(np.median(each)), float(np.sqrt(own))
     alike = abs(difference) < CONTRADICTION * sd
     mixes = float(np.hypot(a.parts.get("fleet", 0.0), b.parts.get("fleet", 0.0))) if alike else 0.0
     return Agreement(scales, difference, sd, *apart, len(each), mixes)
+
+
+def of_scales(scales: dict[str, Scale], ratio: np.ndarray) -> np.ndarray:
+    """(K,) log of the second of two scales over the first by each vehicle whose sizes are `ratio` (K, 2), as `compare`
+    takes it."""
+    a, b = scales.values()
+    return ratio @ (np.add(a.weights, b.weights) / 2)
 
 
 def together(agreement: Agreement) -> Scale:
