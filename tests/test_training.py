@@ -446,6 +446,13 @@ def test_vehicles_to_measure_come_from_all_scenes_and_as_many_pictures_as_there_
         assert len(files) == 4 and set(files) == {f"{scene}{k}.png" for k in range(3)}
 
 
+def test_what_was_measured_before_is_not_measured_again():
+    boxes = field_of_boxes(np.random.default_rng(1))
+    read = [{"picture": "folder/p.png", "read": list(boxes[2])}, {"picture": "q.png", "read": list(boxes[0])}]
+    cells = by_hand.choose([("s", Path("p.png"), boxes, (400, 400))], len(boxes), seed=2, kept=read)
+    assert {tuple(c.label) for c in cells} == {tuple(b) for k, b in enumerate(boxes) if k != 2}
+
+
 def test_cells_show_their_vehicle_where_the_map_says(tmp_path):
     boxes = field_of_boxes(np.random.default_rng(4))
     cv2.imwrite(str(tmp_path / "p.png"), draw_boxes(boxes))

@@ -8,7 +8,7 @@ r"""Vehicles measured by hand, and by how much the labels of each scene are long
     python -m training.by_hand keep runs/by_hand READINGS.json [READINGS.json ...] --data ../shared/data
     python -m training.by_hand margins                              # of all that was kept, in labels/by_hand.json
 
-`sheets` draws vehicles of all scenes in random order, enlarged, turned about level, without any box, each at its own
+`sheets` draws vehicles of all scenes that were not measured before, in random order, enlarged, turned about level, without any box, each at its own
 scale and place, so that one cell's answer tells nothing about the next. A reader says where each ends, sees the answers
 drawn, corrects them, and leaves out what cannot be told. `--found` needs only a detector's boxes (a detections file, or
 a plain ``{picture: [{cx, cy, length, width, angle, score}]}``), which say where to look and nothing else.
@@ -81,16 +81,25 @@ class Cell:
 
 
 def choose(
-    pictures: Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]], count: int, seed: int, smallest: float = SMALLEST
+    pictures: Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]],
+    count: int,
+    seed: int,
+    smallest: float = SMALLEST,
+    kept: Iterable[dict] = (),
 ) -> list[Cell]:
     """`count` vehicles of each scene, at least `smallest` px long, in random order, from as many pictures as possible.
 
     pictures : scene, file, vehicles (N, 5) and (width, height) [px] of each.
+    kept : vehicles as labels/by_hand.json has them; these were measured before and are left out.
     """
+    before: dict[str, list[list[float]]] = {}
+    for vehicle in kept:
+        before.setdefault(Path(vehicle["picture"]).name, []).append(vehicle["read"])
     rng = np.random.default_rng(seed)
     scenes: dict[str, list[tuple[int, float, Path, np.ndarray]]] = {}
     for scene, file, boxes, (width, height) in pictures:
-        whole = boxes[Boxes(boxes, np.ones(len(boxes))).inside(width, height, 8.0) & (boxes[:, 2] > smallest)]
+        fit = Boxes(boxes, np.ones(len(boxes))).inside(width, height, 8.0) & (boxes[:, 2] > smallest)
+        whole = boxes[fit & ~_measured_before(boxes, before.get(file.name, []))]
         # A picture's second vehicle comes after every picture's first.
         scenes.setdefault(scene, []).extend(
             (n, rng.random(), file, box) for n, box in enumerate(rng.permutation(whole))
@@ -100,6 +109,13 @@ def choose(
     )
     cells = [Cell(scene, file, _to_cell(box, rng), box) for scene, (_, _, file, box) in chosen]
     return [cells[k] for k in rng.permutation(len(cells))]
+
+
+def _measured_before(boxes: np.ndarray, read: Sequence[Sequence[float]]) -> np.ndarray:
+    """(N,) bool: the box's centre lies within half a vehicle's width of one of those that were read."""
+    there = np.array(read, float).reshape(-1, 5)
+    apart = np.hypot(*(boxes[:, None, :2] - there[:, :2]).transpose(2, 0, 1))
+    return np.asarray((apart < there[:, 3] / 2).any(1))
 
 
 def _to_cell(box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -266,7 +282,8 @@ def main() -> None:
     tell.add_argument("--of", type=Path, default=BY_HAND, help="(%(default)s)")
     options = parser.parse_args()
     if options.command == "sheets":
-        write_sheets(options.out, choose(_pictures(options), options.count, options.seed, options.smallest))
+        kept = json.loads(BY_HAND.read_text())["vehicles"]
+        write_sheets(options.out, choose(_pictures(options), options.count, options.seed, options.smallest, kept))
     elif options.command == "draw":
         draw_answers(options.folder, {k: v for file in options.readings for k, v in read_answers(file).items()})
     elif options.command == "keep":
