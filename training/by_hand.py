@@ -8,10 +8,11 @@ r"""Vehicles measured by hand, and by how much the labels of each scene are long
     python -m training.by_hand keep runs/by_hand READINGS.json [READINGS.json ...] --data ../shared/data
     python -m training.by_hand margins                              # of all that was kept, in labels/by_hand.json
 
-`sheets` draws vehicles of all scenes that were not measured before, in random order, enlarged, turned about level, without any box, each at its own
-scale and place, so that one cell's answer tells nothing about the next. A reader says where each ends, sees the answers
-drawn, corrects them, and leaves out what cannot be told. `--found` needs only a detector's boxes (a detections file, or
-a plain ``{picture: [{cx, cy, length, width, angle, score}]}``), which say where to look and nothing else.
+`sheets` draws vehicles of all scenes that were not measured before, in random order, enlarged, turned about level,
+without any box, each at its own scale and place, so that one cell's answer tells nothing about the next. A reader says
+where each ends, sees the answers drawn, corrects them, and leaves out what cannot be told. `--found` needs only a
+detector's boxes (a detections file, or a plain ``{picture: [{cx, cy, length, width, angle, score}]}``), which say where
+to look and nothing else.
 
 READINGS.json is ``{"CELL": [left, right, top, bottom, tilt] or null, ...}``: where the vehicle ends in its cell [px of
 the cell, as its rulers count], once the vehicle is turned level about its centre by `tilt` [deg, clockwise on screen],

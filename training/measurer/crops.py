@@ -6,7 +6,7 @@ have a margin of their own; what to make of them is left to the likelihood (`net
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,8 @@ from .real import NONE, SCENES
 from .rendered import Rendered
 
 RENDERED = -1  # the scene of exact edges
-SHARES = {"rendered": 0.62, "real": 0.26, "ground": 0.12}
+HAND = len(SCENES)  # the scene of edges that were read by eye, whatever the place
+SHARES = {"rendered": 0.5, "real": 0.15, "hand": 0.25, "ground": 0.1}
 GROUND = 0.06  # share of the rendered examples that show no vehicle
 HELD_OUT = 10  # rendered pictures, for `evaluate`
 
@@ -32,7 +33,7 @@ class Example:
     pixels : (CROP_HEIGHT, CROP_WIDTH, 3) uint8.
     edges : (4,) -x, +x, -y, +y [crop px from the crop's centre]. turn : of the
     vehicle against the crop [rad]. seen : (4,) bool. kind : index into ANSWERS, or real.UNKNOWN. scene : index into
-    SCENES, or RENDERED. step : crop pixels per pixel of the labelled picture.
+    SCENES, RENDERED or HAND. step : crop pixels per pixel of the labelled picture.
     """
 
     pixels: np.ndarray
@@ -112,10 +113,10 @@ class Examples:
     """Endless random examples.
 
     bank : folder of rendered pictures (`rendered`) and real vehicles (`real`); the first `held_out` rendered pictures
-    are never taken.
+    are never taken, nor are edges that were read at the places `without`.
     """
 
-    def __init__(self, bank: Path, seed: int, held_out: int = HELD_OUT) -> None:
+    def __init__(self, bank: Path, seed: int, held_out: int = HELD_OUT, without: Collection[str] = ()) -> None:
         self._rng = np.random.default_rng([seed, 616])
         pictures = [Rendered.load(file) for file in sorted(bank.glob("scene_*.npz"))[held_out:]]
         self._rendered = [(pyramid(p.light), p) for p in pictures if len(p.boxes)]
@@ -126,20 +127,29 @@ class Examples:
             if scene in SCENES:
                 self._real[SCENES.index(scene)] = [p for p in found if p.kind != NONE]
             self._ground += [p for p in found if p.kind == NONE]
+        places = {f.stem.removeprefix("hand_"): f for f in sorted(bank.glob("hand_*.npz"))}
+        self._hand = [found for place, f in places.items() if place not in without and (found := real.load(f))]
+        # A place of few vehicles is not shown so often that it is learnt by heart.
+        often = np.sqrt([len(found) for found in self._hand])
+        self._often = often / max(often.sum(), 1e-9)
 
     def __iter__(self) -> Iterator[Example]:
         rng = self._rng
-        shares = np.array(list(SHARES.values())) * [1, bool(self._real), bool(self._ground)]
+        there = {"rendered": True, "real": bool(self._real), "hand": bool(self._hand), "ground": bool(self._ground)}
+        shares = np.array([share * there[source] for source, share in SHARES.items()])
         while True:
-            source = rng.choice(3, p=shares / shares.sum())
-            if source == 0:
+            source = rng.choice(list(SHARES), p=shares / shares.sum())
+            if source == "rendered":
                 yield from self._of_rendered(rng)
+                continue
+            scene = int(rng.choice(list(self._real))) if source == "real" else HAND
+            if source == "hand":
+                patches = self._hand[rng.choice(len(self._hand), p=self._often)]
             else:
-                scene = int(rng.choice(list(self._real))) if source == 1 else 0
-                patches = self._real[scene] if source == 1 else self._ground
-                patch = patches[rng.integers(len(patches))]
-                whole = np.full(4, patch.whole and patch.kind != NONE)
-                yield from examples(pyramid(patch.pixels), patch.box, whole, patch.kind, scene, rng)
+                patches = self._real[scene] if source == "real" else self._ground
+            patch = patches[rng.integers(len(patches))]
+            whole = np.full(4, patch.whole and patch.kind != NONE)
+            yield from examples(pyramid(patch.pixels), patch.box, whole, patch.kind, scene, rng)
 
     def _of_rendered(self, rng: np.random.Generator) -> Iterator[Example]:
         levels, picture = self._rendered[rng.integers(len(self._rendered))]

@@ -30,15 +30,14 @@ from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle,
 from .chain import photograph, pyramid, sharpen
 from .crops import HELD_OUT, proposal
 from .real import SCENES as LEARNT
+from .real import SLANTED, WIDTH_HABIT
 from .rendered import Rendered
 from .rendered import rendered as rendering
 
 SHIPPED = Path("orthoscale/detect/weights/small_vehicle.onnx")
-WIDTH_HABIT = 1.027  # readers saw widths that much too small (labels/margins.json)
 SIZES = (8, 15, 25, 40, 60, 90, 121)  # vehicle lengths between which results are told apart [px]
 AROUND = 1.6  # of a window from a vehicle's centre, either way, in its lengths
 NONE = ANSWERS.index("none")
-SLANTED = ("sheffield",)  # scenes of oblique frames, where readers and measurers mean different edges
 FEWEST = 3  # vehicles of a place from which it says something of the ruler
 LEAST_SCATTER = (0.02, 0.05)  # (one sigma) of a vehicle's length and width about its reading, at least
 

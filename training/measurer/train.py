@@ -37,6 +37,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1.5e-3, help="peak learning rate (%(default)s)")
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--start", type=Path, help="checkpoint to begin with, its average, at step 0")
+    parser.add_argument("--without", default="", help="places whose edges read by eye are not learnt from, by commas")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
@@ -46,7 +47,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     options.run.mkdir(parents=True, exist_ok=True)
     file = options.run / "checkpoint.pt"
-    network, habits, step = MeasureNet(), Habits(len(SCENES)), 0
+    network, habits, step = MeasureNet(), Habits(len(SCENES) + 1), 0
     optimiser = torch.optim.AdamW(
         [{"params": network.parameters(), "times": 1.0},
          {"params": habits.parameters(), "times": HABITS_RATE, "weight_decay": 0.0}], weight_decay=1e-4,
@@ -71,7 +72,8 @@ def main() -> None:
         torch.save(state, partial)
         partial.replace(file)
 
-    examples = iter(Examples(options.bank, options.seed + 1000 * step))
+    without = options.without.split(",")
+    examples = iter(Examples(options.bank, options.seed + 1000 * step, without=without))
     log = Log(options.run, 25, BATCH, step, options.steps)
     network.train()
     while step < options.steps:
