@@ -6,7 +6,7 @@ have a margin of their own; what to make of them is left to the likelihood (`net
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -113,10 +113,10 @@ class Examples:
     """Endless random examples.
 
     bank : folder of rendered pictures (`rendered`) and real vehicles (`real`); the first `held_out` rendered pictures
-    are never taken, nor are edges that were read at the places `without`.
+    are never taken.
     """
 
-    def __init__(self, bank: Path, seed: int, held_out: int = HELD_OUT, without: Collection[str] = ()) -> None:
+    def __init__(self, bank: Path, seed: int, held_out: int = HELD_OUT) -> None:
         self._rng = np.random.default_rng([seed, 616])
         pictures = [Rendered.load(file) for file in sorted(bank.glob("scene_*.npz"))[held_out:]]
         self._rendered = [(pyramid(p.light), p) for p in pictures if len(p.boxes)]
@@ -127,8 +127,7 @@ class Examples:
             if scene in SCENES:
                 self._real[SCENES.index(scene)] = [p for p in found if p.kind != NONE]
             self._ground += [p for p in found if p.kind == NONE]
-        places = {f.stem.removeprefix("hand_"): f for f in sorted(bank.glob("hand_*.npz"))}
-        self._hand = [found for place, f in places.items() if place not in without and (found := real.load(f))]
+        self._hand = [found for file in sorted(bank.glob("hand_*.npz")) if (found := real.load(file))]
         # A place of few vehicles is not shown so often that it is learnt by heart.
         often = np.sqrt([len(found) for found in self._hand])
         self._often = often / max(often.sum(), 1e-9)

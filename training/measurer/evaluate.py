@@ -29,7 +29,7 @@ from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle,
 
 from .chain import photograph, pyramid, sharpen
 from .crops import HELD_OUT, proposal
-from .real import SCENES as LEARNT
+from .real import READ as LEARNT
 from .real import SLANTED, WIDTH_HABIT
 from .rendered import Rendered
 from .rendered import rendered as rendering

@@ -3,9 +3,9 @@ r"""Real vehicles, and places without any, cut from labelled pictures with their
     python -m training.measurer.real runs/bank --labels ../shared/data/vehicles/labels.json \\
         --labels ../shared/data/vehicles/chips --hand ../shared/data
 
-One file a scene, one more of those whose edges were read by eye (``hand_SCENE.npz``), so that a place can be left out.
-Boxes are as `training.data` reads them; boxes that were judged to be no vehicle and random places clear of all boxes
-are kept as such. Of the chips these judged boxes alone are: no vehicle of theirs is learnt from.
+One file a scene, one more of those of READ whose edges were read by eye (``hand_SCENE.npz``): the places of known scale
+are none of them. Boxes are as `training.data` reads them; boxes that were judged to be no vehicle and random places
+clear of all boxes are kept as such. Of the chips' boxes only those are.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ CROP_LENGTHS = 1.6  # of a patch from a vehicle's centre, either way, in its len
 GROUND = 6  # random places without a vehicle from each picture, EMPTY_GROUND from those of scenes without any
 EMPTY_GROUND = 25
 GROUND_LENGTHS = (16.0, 90.0)  # of the vehicle that is not there [px]
+READ = (*SCENES, "judged", "ohio", "chips")  # whose edges read by eye are learnt from; other places try the network
 SLANTED = ("sheffield",)  # scenes of oblique frames, where readers and measurers mean different edges
 WIDTH_HABIT = 1.027  # readers saw widths that much too small (labels/margins.json)
 NONE, UNKNOWN = ANSWERS.index("none"), -1
@@ -123,7 +124,7 @@ def main() -> None:
         save(options.out / f"real_{scene}.npz", found)
         print(f"{scene}: {sum(p.kind == UNKNOWN for p in found)} vehicles, {sum(p.kind == NONE for p in found)} others")
     for scene in measured_scenes(options.hand) if options.hand else ():
-        if scene.name not in SLANTED:
+        if scene.name in READ:
             read = [patch for p in scene.pictures for patch in read_patches(p.picture.path, p.vehicles)]
             save(options.out / f"hand_{scene.name}.npz", read)
             print(f"{scene.name}: {len(read)} vehicles read by eye")

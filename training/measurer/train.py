@@ -2,7 +2,7 @@ r"""Train the measurer.
 
     python -m training.measurer.rendered runs/bank --count 170
     python -m training.measurer.real runs/bank --labels ../shared/data/vehicles/labels.json
-    python -m training.measurer.train --bank runs/bank --run runs/m1 --steps 6000
+    python -m training.measurer.train --bank runs/bank --run runs/m2 --steps 6000
 
 A step is BATCH crops; one core does 70 to 140 crops a second, half of the time making them. The checkpoint holds
 everything: `--resume` goes on where it stopped, in newly drawn crops. The exponential moving average of the weights is
@@ -37,7 +37,6 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1.5e-3, help="peak learning rate (%(default)s)")
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--start", type=Path, help="checkpoint to begin with, its average, at step 0")
-    parser.add_argument("--without", default="", help="places whose edges read by eye are not learnt from, by commas")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
@@ -72,8 +71,7 @@ def main() -> None:
         torch.save(state, partial)
         partial.replace(file)
 
-    without = options.without.split(",")
-    examples = iter(Examples(options.bank, options.seed + 1000 * step, without=without))
+    examples = iter(Examples(options.bank, options.seed + 1000 * step))
     log = Log(options.run, 25, BATCH, step, options.steps)
     network.train()
     while step < options.steps:
