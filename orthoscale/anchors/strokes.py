@@ -84,39 +84,39 @@ def find_strokes(light: np.ndarray, sigma: float, shortest: float, among: float 
     """
     height = light.shape[0]
     margin = int(STROKE_SURROUNDINGS * sigma) + int(np.ceil(4 * sigma)) + 1
-    ridge, parts = np.zeros(light.shape, bool), []
+    parts = []
     for top in range(0, height, STRIP_ROWS):
         low, end = max(top - margin, 0), min(top + STRIP_ROWS, height)
-        mask, *maps = _ridges(light[low : end + margin], sigma, among)
-        mask[: top - low] = mask[end - low :] = False
-        y, x = np.nonzero(mask)
-        nx, ny, shift, strength = (each[y, x] for each in maps)
-        ridge[top:end] = mask[top - low : end - low]
-        parts.append(np.column_stack([x, y + low, x + shift * nx, y + low + shift * ny, -ny, nx, strength]))
+        points = _ridges(light[low : end + margin], sigma, among)
+        points = points[(points[:, 1] >= top - low) & (points[:, 1] < end - low)]
+        points[:, [1, 3]] += low
+        parts.append(points)
     rows = np.concatenate(parts) if parts else np.zeros((0, 7))
     if len(rows) < 2:
         return Strokes(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
     x, y = rows[:, :2].astype(int).T
-    member = _joined(ridge, y, x, rows[:, 4:6])
+    member = _joined(light.shape, y, x, rows[:, 4:6])
     return _straight(rows[:, 2:4], member, rows[:, 6], shortest, BENT_PX + BENT_WIDE * sigma)
 
 
-def _ridges(light: np.ndarray, sigma: float, among: float) -> tuple[np.ndarray, ...]:
-    """Where `light` (H, W) has ridges, the unit vector across them (x, y), how far off the pixel they are [px], and
-    their strength, each (H, W)."""
+def _ridges(light: np.ndarray, sigma: float, among: float) -> np.ndarray:
+    """(P, 7) ridge points of `light` (H, W), row by row: pixel (x, y), the ridge's place there (x, y) [px], the unit
+    vector along it (x, y), and its strength [grey levels]."""
     gx, gy, hxx, hxy, hyy = _derivatives(light, sigma)
-    # The eigenvalue of the Hessian that is most negative, and its direction: across the ridge.
-    half, mixed = (hxx - hyy) / 2, np.hypot((hxx - hyy) / 2, hxy)
-    least, most = (hxx + hyy) / 2 - mixed, (hxx + hyy) / 2 + mixed
-    turn = 0.5 * np.arctan2(hxy, half) + np.pi / 2
-    nx, ny = np.cos(turn), np.sin(turn)
-    shift = -(gx * nx + gy * ny) / np.minimum(least, -1e-6)
+    # The eigenvalue of the Hessian that is most negative. One pixel in ten bends as a ridge does; only
+    # there are its direction, across the ridge, and the ridge's place computed.
+    mean, mixed = (hxx + hyy) / 2, cv2.magnitude((hxx - hyy) / 2, hxy)
+    least, most = mean - mixed, mean + mixed
     around = 2 * int(STROKE_SURROUNDINGS * sigma) + 1
     energy = cv2.blur(least * least + most * most, (around, around), borderType=cv2.BORDER_REFLECT)
-    strength = -least * sigma**2
-    ridge = (np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6) & (np.abs(most) < ROUND_STROKE * -least)
-    ridge &= strength > np.maximum(FAINTEST_STROKE, among * sigma**2 * np.sqrt(np.maximum(energy, 0)))
-    return ridge, nx, ny, shift, strength
+    needed = np.maximum(FAINTEST_STROKE, among * sigma**2 * np.sqrt(np.maximum(energy, 0)))
+    y, x = np.nonzero((-least * sigma**2 > needed) & (np.abs(most) < ROUND_STROKE * -least))
+    gx, gy, hxx, hxy, hyy, least = (each[y, x] for each in (gx, gy, hxx, hxy, hyy, least))
+    turn = 0.5 * np.arctan2(hxy, (hxx - hyy) / 2) + np.pi / 2
+    nx, ny = np.cos(turn), np.sin(turn)
+    shift = -(gx * nx + gy * ny) / np.minimum(least, -1e-6)
+    points = np.column_stack([x, y, x + shift * nx, y + shift * ny, -ny, nx, -least * sigma**2])
+    return points[np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6]
 
 
 def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
@@ -137,10 +137,10 @@ def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
     return filtered(g1, g0), filtered(g0, g1), filtered(g2, g0), filtered(g1, g1), filtered(g0, g2)
 
 
-def _joined(ridge: np.ndarray, y: np.ndarray, x: np.ndarray, head: np.ndarray) -> np.ndarray:
-    """(P,) number of the stroke that each ridge point belongs to."""
-    number = np.full((ridge.shape[0] + 2, ridge.shape[1] + 2), -1, np.int32)
-    number[1:-1, 1:-1][ridge] = np.arange(len(x))
+def _joined(shape: tuple[int, ...], y: np.ndarray, x: np.ndarray, head: np.ndarray) -> np.ndarray:
+    """(P,) number of the stroke that each ridge point belongs to, at `y`, `x` of a picture of this `shape`."""
+    number = np.full((shape[0] + 2, shape[1] + 2), -1, np.int32)
+    number[y + 1, x + 1] = np.arange(len(x))
     ends = []
     for dy, dx in ((0, 1), (1, -1), (1, 0), (1, 1)):
         other = number[y + 1 + dy, x + 1 + dx]
