@@ -1,7 +1,7 @@
 """Do the 90 % intervals keep their word, and how near is the value?
 
     python benchmarks/interval_coverage.py                        # every table: hours
-    python benchmarks/interval_coverage.py country --scenes 80    # one of them: minutes
+    python benchmarks/interval_coverage.py country --scenes 3     # one of them: minutes
 
 Simulated car parks in orthophotos; in each, the fleet's mean, the margin and the labels' bias are off by as much as
 they claim to be. Pooled by orthoscale and, on the same boxes, by the paper's IQR mean.
