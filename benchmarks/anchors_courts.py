@@ -148,9 +148,10 @@ def main(kind: str = "tennis", half: str = "other") -> None:
     for zoom in (1.0, 1.333, 1.64) if kind == "tennis" else ():
         tally, rng = Tally(), np.random.default_rng(0)
         for name, chip in chips(half, "tennis"):
-            side = round(256 / zoom)
-            small = cv2.resize(chip, (side, side), interpolation=cv2.INTER_AREA) if zoom > 1 else chip
-            tally.look(finder, name, small, CHIP_GSD * chip.shape[1] / small.shape[1], off(rng))
+            size = [round(side / zoom) for side in chip.shape[1::-1]]
+            small = cv2.resize(chip, size, interpolation=cv2.INTER_AREA) if zoom > 1 else chip
+            gsd = CHIP_GSD * float(np.sqrt(np.divide(chip.shape[:2], small.shape[:2]).prod()))
+            tally.look(finder, name, small, gsd, off(rng))
         print(tally.row(f"chips with tennis courts, {CHIP_GSD * zoom:.2f} m/px"), flush=True)
     for gsd in (0.05, 0.1, 0.2, 0.3, 0.5):
         tally, rng = Tally(), np.random.default_rng(1)

@@ -96,13 +96,29 @@ def _neighbours(court: Court, length: float) -> tuple[np.ndarray, np.ndarray]:
     return one, off[one, other]
 
 
-def _pushed(
-    court: Court, length: float, size: float, line_sd: float = LINE_SD, blurred: float = BLURRED_SD
-) -> np.ndarray:
+@dataclass(frozen=True)
+class _Sight:
+    """How strokes are seen. narrowest : one sigma of the ridge filter, at least [px]. under : share of a step beside a
+    stroke that is taken to lie under it. blurred : one sigma of what lens and pixels make of a thin line [px]."""
+
+    narrowest: float
+    under: float
+    blurred: float = BLURRED_SD
+
+    def width(self, size: float) -> float:
+        """One sigma of the ridge filter [px], where a metre has `size` pixels."""
+        return max(self.narrowest, PAINT_SD * size)
+
+
+WIDE = _Sight(LINE_SD, UNDER_STROKE)
+FINE = _Sight(FINE_SD, FINE_UNDER_STROKE)
+
+
+def _pushed(court: Court, length: float, size: float, sight: _Sight) -> np.ndarray:
     """(P,) how far [px] the ridge of each piece is moved by that of a stroke beside it: the peak of the sum of two
     second derivatives of Gaussians, to first order. Only where strokes are a few pixels apart."""
     one, off = _neighbours(court, length)
-    variance = max(line_sd, PAINT_SD * size) ** 2 + blurred**2
+    variance = sight.width(size) ** 2 + sight.blurred**2
     r = off * size
     slope = (r**3 / variance**2 - 3 * r / variance) * np.exp(-0.5 * r**2 / variance)
     return np.bincount(one, -slope * variance / 3, len(court.pieces(length).length))
@@ -115,15 +131,13 @@ def _leaned(
     strength: np.ndarray,
     length: float,
     size: float,
-    line_sd: float = LINE_SD,
-    under: float = UNDER_STROKE,
-    blurred: float = BLURRED_SD,
+    sight: _Sight,
 ) -> np.ndarray:
     """(P,) how far [px] the ridge of each piece is moved by a step of the ground under its stroke, as where a court is
     of another colour than what is around: the peak of the sum of the line's and the step's second derivatives. The step
     and the line are those of the whole stroke; none where another stroke is too near to tell."""
-    sd = max(line_sd, PAINT_SD * size)
-    blur = float(np.hypot(sd, blurred))
+    sd = sight.width(size)
+    blur = float(np.hypot(sd, sight.blurred))
     near = np.zeros(len(strength), bool)
     one, off = _neighbours(court, length)
     near[one[np.abs(off) * size < (GROUND_TO + 1) * sd]] = True
@@ -132,7 +146,7 @@ def _leaned(
         own = (pieces.stroke == number) & (strength > 0) & bands.inside & ~near
         if own.sum() >= FEWEST_LEANING:
             ratio = float(np.median(bands.lean[own]) / np.median(strength[own]))
-            step = under * ratio * LINE_SEEN * (sd / blur) ** 2
+            step = sight.under * ratio * LINE_SEEN * (sd / blur) ** 2
             moved[pieces.stroke == number] = np.sign(step) * blur * np.interp(abs(step), _STEP_SEEN, _LEANING)
     return moved
 
@@ -176,10 +190,10 @@ class _Bands:
         return self.offset[best] + np.clip(shift, -1, 1) * step, np.where(peak, np.maximum(middle, 0), 0)
 
 
-def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float, line_sd: float = LINE_SD) -> _Bands:
+def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float, sight: _Sight) -> _Bands:
     x, y, angle, along, across = pose
-    size = np.sqrt(along * across)
-    sd = max(line_sd, PAINT_SD * size)
+    size = float(np.sqrt(along * across))
+    sd = sight.width(size)
     step = sd / 3
     core = int(np.ceil(window / step)) + 1
     reach = core + int(np.ceil(3.5 * sd / step))
@@ -230,7 +244,7 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
     too little of it is seen to fit anything, or the fit leaves the place."""
     length = round(max(PIECE, PIECE_PX / size), 1)
     pieces, blanks = _pieces(court, length, round(max(FREE, FREE_PX / size), 1))
-    pushed = _pushed(court, length, size)
+    pushed = _pushed(court, length, size, WIDE)
     reach = court.extent * size * 0.6 + 8
     corner = np.maximum(np.floor(place - reach), 0).astype(int)
     upper = np.maximum(np.ceil(place + reach), 0).astype(int)
@@ -245,15 +259,15 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
         now = float(np.sqrt(pose[3] * pose[4]))
         window_px = max(window * now, LEAST_WINDOW)
         if window in WINDOWS[:2]:
-            noise = _measure(light, pose, blanks, CLOSE_PX).noise()
-        bands = _measure(light, pose, pieces, window_px)
+            noise = _measure(light, pose, blanks, CLOSE_PX, WIDE).noise()
+        bands = _measure(light, pose, pieces, window_px, WIDE)
         offset, strength = bands.peaks(window_px)
         weight = _weights(strength, noise)
         if (weight > 0).sum() < FEWEST_PIECES or (
             window < WINDOWS[0] and (strength > CLEAR_NOISES * noise).mean() < HOPELESS
         ):
             return None
-        leaned = _leaned(court, pieces, bands, strength, length, size)
+        leaned = _leaned(court, pieces, bands, strength, length, size, WIDE)
         pose = _changed(pose, _solve(rows, (offset - pushed - leaned) / now, weight, window_px / now))
         if not (np.abs(np.log(pose[3:] / size)) < 0.25).all():
             return None
@@ -268,16 +282,17 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
 def _finer(light, court, pose, pieces, blanks, rows, length, size) -> np.ndarray:
     """The pose by a filter that sees less of neighbouring strokes, and more noise."""
     window = max(WINDOWS[-1] * size, LEAST_WINDOW)
-    _, coarse = _measure(light, pose, pieces, window).peaks(window)
+    _, coarse = _measure(light, pose, pieces, window, WIDE).peaks(window)
     for _ in range(FINE_ROUNDS):
-        noise = _measure(light, pose, blanks, CLOSE_PX, FINE_SD).noise()
-        bands = _measure(light, pose, pieces, window, FINE_SD)
+        noise = _measure(light, pose, blanks, CLOSE_PX, FINE).noise()
+        bands = _measure(light, pose, pieces, window, FINE)
         offset, strength = bands.peaks(window)
-        blurred = _blurred(court, length, coarse, strength, _weights(strength, noise))
-        offset = offset - _pushed(court, length, size, FINE_SD, blurred)
-        leaned = _leaned(court, pieces, bands, strength, length, size, FINE_SD, FINE_UNDER_STROKE, blurred)
+        weight = _weights(strength, noise)
+        sight = replace(FINE, blurred=_blurred(court, length, coarse, strength, weight))
+        pushed = _pushed(court, length, size, sight)
+        leaned = _leaned(court, pieces, bands, strength, length, size, sight)
         now = float(np.sqrt(pose[3] * pose[4]))
-        pose = _changed(pose, _solve(rows, (offset - leaned) / now, _weights(strength, noise), window / now))
+        pose = _changed(pose, _solve(rows, (offset - pushed - leaned) / now, weight, window / now))
     return pose
 
 
@@ -311,11 +326,11 @@ def _changed(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
 def _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length) -> CourtFit:
     size = float(np.sqrt(pose[3] * pose[4]))
     close = max(CLOSE * size, CLOSE_PX)
-    empty = _measure(light, pose, blanks, close)
+    empty = _measure(light, pose, blanks, close, WIDE)
     noise = empty.noise()
-    bands = _measure(light, pose, pieces, max(2 * close, LEAST_WINDOW))
+    bands = _measure(light, pose, pieces, max(2 * close, LEAST_WINDOW), WIDE)
     offset, strength = bands.peaks(max(2 * close, LEAST_WINDOW))
-    offset = offset - pushed - _leaned(court, pieces, bands, strength, length, size)
+    offset = offset - pushed - _leaned(court, pieces, bands, strength, length, size, WIDE)
     strong = strength[(strength > CLEAR_NOISES * noise) & (np.abs(offset) <= close)]
     typical = float(np.median(strong)) if len(strong) else 0.0
     limit = max(CLEAR_NOISES * noise, FAINT * typical)
