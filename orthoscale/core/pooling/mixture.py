@@ -32,9 +32,10 @@ from ..market_segments import PLACE_VEHICLES, Class
 OUTLIER_DENSITY = 1 / (3.0 * 2.5)
 OUTLIER_SHARE = 0.1  # of the boxes, beforehand, ...
 OUTLIER_BOXES = 10.0  # ... as if it had been counted on so many: it depends on the picture, not on the country's mix
-# Vans, pickups, minivans and the largest SUVs, which a detector of small vehicles finds too: the mean and the spread
-# of those six segments of the fleet table (5.00 to 5.85 m long, 1.86 to 2.05 m wide). Which of them stand at a place is
-# not known, so their mean there is a parameter of its own, with the spread between the segments for a prior.
+# Vans of middle size and large ones, minivans, pickups of middle and of full size, and the largest SUVs, which a
+# detector of small vehicles finds too: the mean and the spread of those six segments (5.00 to 5.85 m long, 1.86 to
+# 2.05 m wide; four are in data/fleets.json, the vans in the table that it was made from). Which of them stand at a
+# place is not known, so their mean there is a parameter of its own, with the spread between the segments for a prior.
 LARGER = Class("larger", 1.0, np.array([5.39, 1.98, 2.0]), np.array([0.31, 0.065, 0.25]), 0.5, np.zeros(3))
 # Their share at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe (ACEA:
 # 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long vehicles already; some are left
