@@ -216,7 +216,7 @@ def test_an_edge_that_is_moved_leaves_the_other_three_where_they_are() -> None:
 def test_what_is_moved_is_less_certain() -> None:
     box = np.array([90.0, 70.5, 48.0, 21.0, 0.3])
     picture = drawn(box, 200, 160).astype(float)
-    shade = 1 / (1 + np.exp((np.indices((160, 200))[1] - 100) / 6))[..., None]  # one end merges with the ground
+    shade = 1 / (1 + np.exp((np.indices((160, 200))[1] - 92) / 4))[..., None]  # one end merges with the ground
     picture = (DARK + (picture - DARK) * (0.05 + 0.95 * shade)).astype(np.uint8)
     measurer = Measurer()
     card, boxes = measurer.card, Boxes(box[None], np.ones(1))

@@ -110,8 +110,8 @@ class _Sight:
         return max(self.narrowest, PAINT_SD * size)
 
 
-WIDE = _Sight(LINE_SD, UNDER_STROKE)
-FINE = _Sight(FINE_SD, FINE_UNDER_STROKE)
+WIDE_SIGHT = _Sight(LINE_SD, UNDER_STROKE)
+FINE_SIGHT = _Sight(FINE_SD, FINE_UNDER_STROKE)
 
 
 def _pushed(court: Court, length: float, size: float, sight: _Sight) -> np.ndarray:
@@ -244,7 +244,7 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
     too little of it is seen to fit anything, or the fit leaves the place."""
     length = round(max(PIECE, PIECE_PX / size), 1)
     pieces, blanks = _pieces(court, length, round(max(FREE, FREE_PX / size), 1))
-    pushed = _pushed(court, length, size, WIDE)
+    pushed = _pushed(court, length, size, WIDE_SIGHT)
     reach = court.extent * size * 0.6 + 8
     corner = np.maximum(np.floor(place - reach), 0).astype(int)
     upper = np.maximum(np.ceil(place + reach), 0).astype(int)
@@ -259,15 +259,15 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
         now = float(np.sqrt(pose[3] * pose[4]))
         window_px = max(window * now, LEAST_WINDOW)
         if window in WINDOWS[:2]:
-            noise = _measure(light, pose, blanks, CLOSE_PX, WIDE).noise()
-        bands = _measure(light, pose, pieces, window_px, WIDE)
+            noise = _measure(light, pose, blanks, CLOSE_PX, WIDE_SIGHT).noise()
+        bands = _measure(light, pose, pieces, window_px, WIDE_SIGHT)
         offset, strength = bands.peaks(window_px)
         weight = _weights(strength, noise)
         if (weight > 0).sum() < FEWEST_PIECES or (
             window < WINDOWS[0] and (strength > CLEAR_NOISES * noise).mean() < HOPELESS
         ):
             return None
-        leaned = _leaned(court, pieces, bands, strength, length, size, WIDE)
+        leaned = _leaned(court, pieces, bands, strength, length, size, WIDE_SIGHT)
         pose = _changed(pose, _solve(rows, (offset - pushed - leaned) / now, weight, window_px / now))
         if not (np.abs(np.log(pose[3:] / size)) < 0.25).all():
             return None
@@ -282,13 +282,13 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
 def _finer(light, court, pose, pieces, blanks, rows, length, size) -> np.ndarray:
     """The pose by a filter that sees less of neighbouring strokes, and more noise."""
     window = max(WINDOWS[-1] * size, LEAST_WINDOW)
-    _, coarse = _measure(light, pose, pieces, window, WIDE).peaks(window)
+    _, coarse = _measure(light, pose, pieces, window, WIDE_SIGHT).peaks(window)
     for _ in range(FINE_ROUNDS):
-        noise = _measure(light, pose, blanks, CLOSE_PX, FINE).noise()
-        bands = _measure(light, pose, pieces, window, FINE)
+        noise = _measure(light, pose, blanks, CLOSE_PX, FINE_SIGHT).noise()
+        bands = _measure(light, pose, pieces, window, FINE_SIGHT)
         offset, strength = bands.peaks(window)
         weight = _weights(strength, noise)
-        sight = replace(FINE, blurred=_blurred(court, length, coarse, strength, weight))
+        sight = replace(FINE_SIGHT, blurred=_blurred(court, length, coarse, strength, weight))
         pushed = _pushed(court, length, size, sight)
         leaned = _leaned(court, pieces, bands, strength, length, size, sight)
         now = float(np.sqrt(pose[3] * pose[4]))
@@ -326,11 +326,11 @@ def _changed(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
 def _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length) -> CourtFit:
     size = float(np.sqrt(pose[3] * pose[4]))
     close = max(CLOSE * size, CLOSE_PX)
-    empty = _measure(light, pose, blanks, close, WIDE)
+    empty = _measure(light, pose, blanks, close, WIDE_SIGHT)
     noise = empty.noise()
-    bands = _measure(light, pose, pieces, max(2 * close, LEAST_WINDOW), WIDE)
+    bands = _measure(light, pose, pieces, max(2 * close, LEAST_WINDOW), WIDE_SIGHT)
     offset, strength = bands.peaks(max(2 * close, LEAST_WINDOW))
-    offset = offset - pushed - _leaned(court, pieces, bands, strength, length, size, WIDE)
+    offset = offset - pushed - _leaned(court, pieces, bands, strength, length, size, WIDE_SIGHT)
     strong = strength[(strength > CLEAR_NOISES * noise) & (np.abs(offset) <= close)]
     typical = float(np.median(strong)) if len(strong) else 0.0
     limit = max(CLEAR_NOISES * noise, FAINT * typical)
