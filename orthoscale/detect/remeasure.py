@@ -26,9 +26,9 @@ from .workers import worker_count
 
 MOST = 400  # boxes that are measured; what a scale then gains from more is less than its margin leaves open
 AT_A_TIME = 8  # boxes that one thread measures at a time
-# Share of "none" from which a box does not count: where that is likelier than not. Of 1243 vehicles in eleven test scenes
-# 4 reach it, of 127 boxes beside them that are none 5; at a tenth it is 154 and 60, small dark vehicles most of all
-# (training/measurer/README.md).
+# Share of "none" from which a box does not count: where that is likelier than not. Of 1243 vehicles in eleven test
+# scenes 4 reach it, of 127 boxes beside them that are none 5; at a tenth it is 154 and 60, small dark vehicles most of
+# all (training/measurer/README.md).
 NONE = 0.5
 SAME = 0.4  # overlap with the proposed box below which another thing was measured; boxes 30 % too large share 0.59
 
