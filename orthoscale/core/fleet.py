@@ -131,7 +131,7 @@ class Fleet:
         return self.sample_of_classes(rng, n)[0]
 
     def sample_of_classes(self, rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 3) length, width, height [m] of random vehicles of this fleet, and (n,) the number of each one's class."""
+        """(n, 3) length, width, height [m] of random vehicles of this fleet; (n,) the number of each one's class."""
         weights = np.array([c.weight for c in self.classes])
         pick = rng.choice(len(weights), size=n, p=weights / weights.sum())
         normal = rng.standard_normal((n, 3))
