@@ -8,14 +8,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from ..confirmed import OF_MISTAKES
 from ..remarks import CAUTION, Remark, by_severity, percent
 from ..scale import Scale
 from ..verdicts import one_step_below, worst
 
-# Share of the boxes that two detection passes agree on, where they are mistakes: see `detect.zoom.AGREED`, which is
-# older than the pictures that follow. Eleven places of known scale have 0.5 to 0.9, one with 14 vehicles 0.2; five of
-# six rendered pictures without any vehicle 0.04 to 0.3, one 0.6.
-OF_MISTAKES = 0.3
 LEAST_SEEN = 20  # boxes of both kinds, below which a share says little
 
 

@@ -34,6 +34,7 @@ from .method import Method
 from .oblique import FramesGeometry
 from .plan import PlanGeometry
 from .planar_sweep import SweepGeometry
+from .unlike import only_unlike
 
 OBLIQUE, PLANAR, BOTH = "oblique", "planar", "both"
 SEEN_BOTH_WAYS = 0.8  # of a vehicle's width: how far apart the two ways may see one vehicle
@@ -48,7 +49,9 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
-        scale = only_aligned(only_apart(measured.scale, measured.boxes), measured.boxes)
+        scale = measured.scale
+        for check in (only_apart, only_aligned, only_unlike):
+            scale = check(scale, measured.boxes)
         scale = as_agreed(scale, len(measured.boxes), sum(map(len, found.doubtful.values())))
         return _of_one_scale(replace(measured, scale=scale))
     if source.posed is not None:
