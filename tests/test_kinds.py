@@ -16,6 +16,7 @@ from orthoscale.detect.measurer import MeasurerCard
 from orthoscale.errors import InputError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections, save_detections
+from training.measurer.confusion import card_entries
 
 TABLE = ((0.93, 0.03, 0.03, 0.01), (0.15, 0.8, 0.03, 0.02), (0.2, 0.03, 0.72, 0.05), (0.05, 0.05, 0.1, 0.8))
 SILENT = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), common_sd=0.02, noise=(1.5, 1.0))
@@ -136,6 +137,24 @@ def test_the_table_travels_with_card_and_boxes(tmp_path):
     save_detections(Detections({}, 1.0, card.ruler, (0.5, 0.5), "d"), tmp_path / "boxes.json")
     assert load_detections(tmp_path / "boxes.json").ruler == card.ruler
     assert MeasurerCard.from_json(json.dumps(entry | {"ruler": asdict(Ruler())}), "a card").ruler.confusion is None
+
+
+def test_the_entries_of_a_card_follow_from_places():
+    rng = np.random.default_rng(2)
+    for vehicles in (5.0, 40.0):
+        rows = np.array([[rng.dirichlet(vehicles * np.array(row)) for row in TABLE] for _ in range(60)])
+        numbers = rng.integers(1, [200, 40, 30, 2], (60, 4))
+        places = [
+            np.array([rng.multinomial(n, row) for n, row in zip(*place, strict=True)])
+            for place in zip(numbers, rows, strict=True)
+        ]
+        entries = card_entries(places)
+        assert np.array(entries["kinds"]) == pytest.approx(np.array(TABLE), abs=0.2)
+        assert np.array(entries["kinds"])[:2] == pytest.approx(np.array(TABLE)[:2], abs=0.05)
+        assert entries["kinds_vehicles"] == pytest.approx(vehicles, rel=0.4)
+        assert replace(RULER, **entries).confusion.called(load_fleet("US").classes).min() > 0
+    never_seen = card_entries([np.diag([9.0, 3.0, 0.0, 0.0])])
+    assert never_seen["kinds"][3] == [0.25] * 4
 
 
 @pytest.mark.parametrize("table", [TABLE[:3], ((0.5, 0.1, 0.1, 0.1), *TABLE[1:]), ((1.2, -0.2, 0, 0), *TABLE[1:])])
