@@ -22,7 +22,7 @@ from orthoscale.core.pooling.paper import pool_iqr
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.errors import TooLittleEvidence
-from orthoscale.fleets import fleet_codes, load_fleet
+from orthoscale.fleets import WORLD, fleet_codes, load_fleet
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
 
@@ -173,35 +173,36 @@ def by_kinds(scenes: int) -> str:
 
 
 def without_country(scenes: int) -> str:
-    """Vehicles of each fleet of the table in turn, `scenes` places of each, pooled as of `world` and `auto`."""
-    codes = [code for code in fleet_codes() if code not in ("WORLD", "PAPER")]
-    fleets = {name: load_fleet(name) for name in ("world", "auto")}
-    found: dict[str, list[tuple[float, float, bool]]] = {name: [] for name in fleets}
-    for k, code in enumerate(codes * scenes):
-        rng = np.random.default_rng([3, k])
-        gsd, (vans, false) = GSDS[rng.integers(len(GSDS))], list(CONDITIONS.values())[rng.integers(len(CONDITIONS))]
-        here = load_fleet(code)
-        votes = car_park(rng, here, VEHICLES, gsd, RULER, vans or Vans.of_place(rng, here), false)
-        for name, fleet in fleets.items():
-            scale = pool(votes, fleet, RULER, "m/px")
-            low, high = scale.interval90
-            found[name].append((np.log(scale.value / gsd), scale.relative_sd, low <= gsd <= high))
+    """Vehicles of each fleet of the table in turn, `scenes` places of each, pooled as of `world` and `auto`; as many
+    places in countries drawn as each of the two holds them for likely."""
+    codes = [code for code in fleet_codes() if code not in (WORLD, "PAPER")]
     rows = []
-    for name, all_scenes in found.items():
-        error, sd, hit = map(np.array, zip(*all_scenes, strict=True))
-        mean = error.reshape(scenes, len(codes)).mean(0)
-        worst = np.argsort(-np.abs(mean))[:5]
-        rows.append(
-            [
-                name,
-                f"{100 * hit.mean():.0f} %",
-                f"{100 * error.mean():+.1f}",
-                rms(error),
-                rms(sd),
-                ", ".join(f"{codes[k]} {100 * mean[k]:+.0f}" for k in worst),
-            ]
-        )
-    return table(["fleet", "coverage", "bias", "RMS error", "claimed one-sigma", "worst fleets, mean error [%]"], rows)
+    for name in ("world", "auto"):
+        fleet = load_fleet(name)
+        rng = np.random.default_rng(4)
+        likely = rng.choice([c.code for c in fleet.candidates], len(codes) * scenes, p=fleet.prior)
+        # The average stands for countries unlike all that have fleets of their own.
+        unlike = [code for code in codes if code not in {c.code for c in fleet.candidates}]
+        likely = [rng.choice(unlike) if code == WORLD else str(code) for code in likely]
+        for drawn, here in (("evenly", codes * scenes), ("as likely", likely)):
+            error, sd, hit = np.array([_without_country(k, code, fleet) for k, code in enumerate(here)]).T
+            mean = {code: error[[k for k, other in enumerate(here) if other == code]].mean() for code in set(here)}
+            worst = sorted(mean, key=lambda code: -abs(mean[code]))[:5]
+            figures = [f"{100 * hit.mean():.0f} %", f"{100 * error.mean():+.1f}", rms(error), rms(sd)]
+            rows.append([name, drawn, *figures, ", ".join(f"{code} {100 * mean[code]:+.0f}" for code in worst)])
+    head = ["fleet", "countries drawn", "coverage", "bias", "RMS error", "claimed one-sigma"]
+    return table([*head, "worst fleets, mean error [%]"], rows)
+
+
+def _without_country(k: int, code: str, fleet: Fleet) -> tuple[float, float, bool]:
+    """Log error, claimed one-sigma and whether the interval holds, of the `k`-th place, in the country of that code."""
+    rng = np.random.default_rng([3, k])
+    gsd, (vans, false) = GSDS[rng.integers(len(GSDS))], list(CONDITIONS.values())[rng.integers(len(CONDITIONS))]
+    here = load_fleet(code)
+    votes = car_park(rng, here, VEHICLES, gsd, RULER, vans or Vans.of_place(rng, here), false)
+    scale = pool(votes, fleet, RULER, "m/px")
+    low, high = scale.interval90
+    return float(np.log(scale.value / gsd)), scale.relative_sd, low <= gsd <= high
 
 
 def by_count(code: str, vans: Vans | None, false: float, scenes: int) -> str:
