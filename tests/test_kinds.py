@@ -85,6 +85,14 @@ def test_half_of_the_vehicles_looked_at_tells_as_much_as_they_know():
     assert abs(some - every) < abs(some - none)
 
 
+def test_one_vehicle_looked_at_says_nothing_of_the_others():
+    fleet = load_fleet("JP")  # all cars: the classes are the same with kinds
+    votes = car_park(np.random.default_rng(3), fleet, 60, GSD, RULER, vans=Vans(0.1))
+    one = np.where(np.arange(60)[:, None] == 0, votes.kinds, np.nan)
+    plain, told = (pool(replace(votes, kinds=kinds), fleet, RULER, "m/px") for kinds in (None, one))
+    assert told.value != plain.value and told.value == pytest.approx(plain.value, rel=0.002)
+
+
 def test_mistakes_that_all_vehicles_of_a_place_share_do_not_carry_the_scale_away():
     """Cars of which a third are called pickups, where the table has a thirtieth: the more vehicles, the surer it would
     be, were each a mistake of its own."""
@@ -153,6 +161,10 @@ def test_the_entries_of_a_card_follow_from_places():
         assert np.array(entries["kinds"])[:2] == pytest.approx(np.array(TABLE)[:2], abs=0.05)
         assert entries["kinds_vehicles"] == pytest.approx(vehicles, rel=0.4)
         assert replace(RULER, **entries).confusion.called(load_fleet("US").classes).min() > 0
+    large_and_easy, small_and_hard = np.diag([20_000.0, 9000, 0, 0]), np.diag([100.0, 10, 0, 0])
+    small_and_hard[1, 0] = 10.0
+    recall = card_entries([large_and_easy, *[small_and_hard] * 9])["kinds"][1][1]
+    assert 0.5 < recall < 0.65, "places count, not their vehicles"
     never_seen = card_entries([np.diag([9.0, 3.0, 0.0, 0.0])])
     assert never_seen["kinds"][3] == [0.25] * 4
 
