@@ -25,14 +25,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.core.boxes import Boxes, matched
+from orthoscale.core.boxes import KINDS, Boxes, matched
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import ANSWERS, Measured, Measurer
+from orthoscale.detect.remeasure import NONE as AS_NONE
 from orthoscale.fleets import load_fleet
 from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
 from training.kinds import LABELS as KINDS_BY_EYE
 
 from .chain import photograph, pyramid, sharpen
+from .confusion import card_entries
 from .crops import HELD_OUT, proposal
 from .real import READ as LEARNT
 from .real import SLANTED, TOLD, WIDTH_HABIT, by_name, told_patches
@@ -354,7 +356,8 @@ def places(measurer: Measurer, detector: Detector, known: list[tuple[Scene, floa
 
 
 def kinds(measurer: Measurer, data: Path, file: Path) -> str:
-    """What it says of which kind: mean shares by kind and by place, and how often the likeliest is right."""
+    """What it says of which kind: mean shares by kind and by place, how often the likeliest is right, and the entries
+    of the card that follow."""
     told: dict[str, list[tuple[int, np.ndarray, float]]] = {}
     for scene, there in by_name(json.loads(file.read_text())["vehicles"], "scene").items():
         if scene in TOLD:
@@ -374,7 +377,14 @@ def kinds(measurer: Measurer, data: Path, file: Path) -> str:
                 right = np.mean([said.argmax() == kind for said in mine])
                 shares = "".join(f"{share:8.2f}" for share in np.mean(mine, axis=0))
                 lines.append(f"{name:22s}{ANSWERS[kind]:>8s} {len(mine):4d}  {shares}  {right:9.2f}")
-    return "\n".join(lines)
+    places = []
+    for some in told.values():
+        given = np.zeros((len(KINDS), len(KINDS)))
+        for truth, said, _ in some:
+            if truth < len(KINDS) and said[NONE] < AS_NONE:
+                given[truth] += said[:NONE] / said[:NONE].sum()
+        places.append(given)
+    return "\n".join([*lines, "", f"for the card's ruler: {json.dumps(card_entries(places))}"])
 
 
 def main() -> None:
