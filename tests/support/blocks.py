@@ -70,7 +70,7 @@ class Conditions:
             roofs=rng.uniform(0, 0.35),
             slope=rng.uniform(0, 0.06),
             relief=rng.uniform(0, 1.5),
-            focal=rng.choice([0.0, 0.1, 0.2]) if straight_down else 0.0,
+            focal=float(rng.choice([0.0, 0.1, 0.2])) if straight_down else 0.0,
             bare=rng.uniform(0.5, 0.98),
             vehicles=int(np.exp(rng.uniform(np.log(10), np.log(90)))),
             altitude=rng.uniform(45, 110),
@@ -198,7 +198,7 @@ class _Boxing:
         return tuple(body(tuple(rings), height, self.corner) for height in self.heights)
 
     def boxes(self, seen: list[np.ndarray], more: np.ndarray) -> Boxes:
-        """seen : (N, P, 2) pixels of the two `bodies` of each vehicle, and (N, 2, 2) of its axis. more : (N, 2) [px]."""
+        """seen : (N, P, 2) pixels of the two `bodies` of each vehicle, and (N, 2, 2) of its axis. more : (N, 2)."""
         rows = []
         for at_ends, at_sides, axis in zip(*seen, strict=True):
             heading = axis[1] - axis[0]

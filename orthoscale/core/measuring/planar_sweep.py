@@ -25,7 +25,7 @@ from .geometry import Geometry, Observation, larger_by
 from .in_view import frames_in_view, looked_at
 from .measure import doubts
 from .measurement import Findings
-from .oblique import GROUND_ERROR, height_share
+from .oblique import height_share
 from .parallax import Standing, standing_in_model
 from .surroundings import Standards, rows_in_model
 
@@ -122,7 +122,7 @@ class SweepGeometry:
         size, longer = (self._footprints(metres_per_unit, ratio) for ratio in (1.0, 1 + self.focal_sd))
         own = height_share(size, np.abs(self.offset), metres_per_unit)
         by_focal = {"focal length": larger_by(longer, size)} if self.focal_sd else {}
-        return Observation(size, self.found.ruler, own, {**GROUND_ERROR, **by_focal}, self.stands.sd)
+        return Observation(size, self.found.ruler, own, {**self.stands.alike, **by_focal}, self.stands.each)
 
     def _footprints(self, metres_per_unit: float, ratio: float) -> np.ndarray:
         """(M, 2) sizes [units], by a focal length `ratio` times as long and a camera so much higher."""
