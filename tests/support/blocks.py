@@ -31,7 +31,7 @@ KINDS = ("nadir", "oblique", "grid", "strip")
 WIDTH, HEIGHT = 1200, 900
 HEIGHT_ENCLOSED = 0.8  # [m]
 RULER = Ruler(margin_sd=(0.3, 0.3), bias_sd=(0.01, 0.015), noise=(0.8, 0.6))
-EXACT = replace(RULER, margin_sd=(0.0, 0.0), bias_sd=(0.0, 0.0), shrink_sd=(0.0, 0.0))  # of it all is known
+EXACT = replace(RULER, margin_sd=(1e-3, 1e-3), bias_sd=(0.0, 0.0), shrink_sd=(0.0, 0.0))  # of it all is known
 LOWEST_ENCLOSED, MOST_CORNER = 0.1, 0.3  # [m], [of the width]
 SEEN = 0.8  # share of a vehicle's views in which it is found
 POINT_NOISE = 0.06  # [m] of a sparse point, and GRASS of those on rough ground, upwards

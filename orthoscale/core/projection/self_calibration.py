@@ -206,17 +206,17 @@ def own_ruler(
 
     plain = settled(start or shipped, (common, common))
     before = plain.size(some, seen, zoom, metres_per_unit)
-    best, most = plain, 0.0
+    best, most, fitted = plain, 0.0, (common, common)
     for shape in SHAPES:
-        free = [common + more for more in shape]
+        free = (common + shape[0], common + shape[1])
         shaped = settled(_undercut(plain) if UNDERCUT in free[0] else plain, free)
         gain = _gain(before, shaped.size(some, seen, zoom, metres_per_unit), vehicle)
         # Another shape only where the views ask for it: the Bayesian information criterion (Schwarz 1978).
         gain -= sum(map(len, shape)) * float(np.log(len(some)))
         told = UNDERCUT not in free[0] or shaped.undercut.max() > LEAST_UNDERCUT
         if told and gain > most:
-            best, most = shaped, gain
-    return best
+            best, most, fitted = shaped, gain, free
+    return _with_the_rest(best, some, seen, zoom, metres_per_unit, vehicle, shipped, fitted)
 
 
 def _undercut(ruler: OwnRuler) -> OwnRuler:
@@ -253,9 +253,8 @@ def _settled(
                 y = size[good, axis] + x @ ruler.value[axis, fitted]
                 chosen = np.ix_(fitted, fitted)
                 covariance[axis] = shipped.covariance[axis]
-                value[axis, fitted], covariance[axis][chosen] = _within(
-                    x, y, vehicle[good], shipped.value[axis, fitted], prior[axis][chosen]
-                )
+                told = _within(x, y, vehicle[good], shipped.value[axis, fitted], prior[axis][chosen])
+                value[axis, fitted], covariance[axis][chosen] = told.slope, told.covariance
                 if value[axis, LEAN] >= least:
                     break
                 value[axis, LEAN] = least  # walls do not lean outwards: the others without it
@@ -269,6 +268,42 @@ def _settled(
         if change < RULER_SETTLED:
             break
     return ruler
+
+
+def _with_the_rest(
+    ruler: OwnRuler,
+    boxes: Boxes,
+    views: Views,
+    zoom: float,
+    metres_per_unit: float,
+    vehicle: np.ndarray,
+    shipped: OwnRuler,
+    free: Sequence[list[int]],
+) -> OwnRuler:
+    """`ruler` with the covariance that it has with what was not `free`, whose errors what was has taken up.
+
+    A body that leans in makes flat views smaller, and a height that is fitted to them lower: the two errors cancel in
+    the views that they were fitted to. Arguments as of `_settled`.
+    """
+    slopes = ruler.slopes(boxes, views, zoom, metres_per_unit)
+    size = ruler.size(boxes, views, zoom, metres_per_unit)
+    good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
+    prior = _with_undercut(shipped.covariance) if UNDERCUT in free[0] else shipped.covariance
+    covariance = shipped.covariance.copy()
+    for axis in range(2):
+        least = ruler.hulls[axis].least_lean[axis]
+        own = [k for k in free[axis] if k != LEAN or ruler.value[axis, LEAN] > least]
+        rest = [k for k in range(len(DIFFERENCES)) if k not in own and covariance[axis, k, k] > 0]
+        x, others = slopes[good, axis][:, own], slopes[good, axis][:, rest]
+        y = size[good, axis] + x @ ruler.value[axis, own]
+        chosen = np.ix_(own, own)
+        told = _within(x, y, vehicle[good], shipped.value[axis, own], prior[axis][chosen])
+        taken = told.gain @ _centred(others, vehicle[good])  # (own, rest) change of the fitted ones for one of the rest
+        unknown = shipped.covariance[axis][np.ix_(rest, rest)]
+        covariance[axis][chosen] = told.covariance + taken @ unknown @ taken.T
+        covariance[axis][np.ix_(own, rest)] = -taken @ unknown
+        covariance[axis][np.ix_(rest, own)] = -unknown @ taken.T
+    return replace(ruler, covariance=covariance)
 
 
 def _with_undercut(covariance: np.ndarray) -> np.ndarray:
@@ -323,8 +358,8 @@ def trends(
         log_scale = -100 * np.log(np.maximum(size, 1e-12)).mean(1)
         out[when] = {}
         for name, x in over.items():
-            slope, covariance = _within(x[index, None], log_scale[index], vehicle, np.zeros(1), np.full((1, 1), 1e12))
-            out[when][name] = [float(slope[0]), float(np.sqrt(covariance[0, 0]))]
+            told = _within(x[index, None], log_scale[index], vehicle, np.zeros(1), np.full((1, 1), 1e12))
+            out[when][name] = [float(told.slope[0]), float(np.sqrt(told.covariance[0, 0]))]
     return out
 
 
@@ -339,21 +374,24 @@ def _far_and_near(views: Views, vehicle: np.ndarray) -> bool:
     return float(np.std(pixel - explained)) > FAR_AND_NEAR
 
 
+@dataclass(frozen=True)
+class _Within:
+    """slope : (D,). covariance : (D, D) of it. gain : (D, N) how it changes with each observation."""
+
+    slope: np.ndarray
+    covariance: np.ndarray
+    gain: np.ndarray
+
+
 def _within(
     x: np.ndarray, y: np.ndarray, vehicle: np.ndarray, prior: np.ndarray, prior_covariance: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes (D,) of `y` (N,) over `x` (N, D) within each `vehicle` (N,), held by a prior; and their covariance.
+) -> _Within:
+    """Of `y` (N,) over `x` (N, D) within each `vehicle` (N,), held by a prior.
 
     Boxes of one vehicle err alike (its paint, its shade), so the scores are summed by vehicle before their scatter is
     taken (Liang and Zeger 1986); it never counts for less than the residuals do.
     """
-    count = np.maximum(np.bincount(vehicle), 1)
-
-    def centred(values: np.ndarray) -> np.ndarray:
-        return values - (np.bincount(vehicle, values) / count)[vehicle]
-
-    x = np.stack([centred(column) for column in x.T], 1)
-    y = centred(y)
+    x, y = _centred(x, vehicle), _centred(y[:, None], vehicle)[:, 0]
     freedom = max(1 - len(np.unique(vehicle)) / len(y), 0.1)  # each vehicle's mean costs one observation
     held = np.linalg.inv(prior_covariance)
     weight, slope, design = np.ones(len(y)), prior, 1.0
@@ -366,4 +404,12 @@ def _within(
         score = np.stack([np.bincount(vehicle, column) for column in (pulled * residual[:, None]).T]) / variance
         design = max(1.0, float(np.trace(np.linalg.pinv(alone) @ score @ score.T)) / x.shape[1])
         slope = np.linalg.solve(alone / design + held, pulled.T @ y / variance / design + held @ prior)
-    return slope, np.linalg.inv(alone / design + held)
+    covariance = np.linalg.inv(alone / design + held)
+    return _Within(slope, covariance, covariance @ pulled.T / variance / design)
+
+
+def _centred(values: np.ndarray, vehicle: np.ndarray) -> np.ndarray:
+    """(N, D) `values` without the mean of each `vehicle` (N,)."""
+    count = np.maximum(np.bincount(vehicle), 1)
+    means = [(np.bincount(vehicle, column) / count)[vehicle] for column in values.T]
+    return values - np.stack(means, 1) if means else values
