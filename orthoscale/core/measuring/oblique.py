@@ -126,8 +126,7 @@ class FramesGeometry:
 
     def shown(self, place: np.ndarray) -> np.ndarray:
         """(N,) number of frames that show the places (N, 3)."""
-        border = float(np.median(self.boxes.length)) / 2
-        return frames_in_view(self.source, looked_at(self.found), place, border, LOWEST_ELEVATION)
+        return shown_in_frames(self.source, self.found, self.boxes, place)
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
@@ -213,6 +212,12 @@ class OtherGeometry(FramesGeometry):
         """How the scale changes from frame to frame and from place to place."""
         bare = seen.size - self.card.margin * self.pixel[:, None]
         return self._findings(seen, bare, bare, self.card, vehicles, scale)
+
+
+def shown_in_frames(source: PosedSet, found: Detections, boxes: Boxes, place: np.ndarray) -> np.ndarray:
+    """(N,) number of the frames looked at that show all of a vehicle at the places (N, 3), as large as `boxes` are."""
+    border = float(np.median(boxes.length)) / 2
+    return frames_in_view(source, looked_at(found), place, border, LOWEST_ELEVATION)
 
 
 def height_share(size: np.ndarray, leaning: np.ndarray, metres_per_unit: float) -> np.ndarray:
