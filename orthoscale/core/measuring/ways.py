@@ -95,7 +95,9 @@ def measure_posed(
     return replace(_of_one_scale(_answer(source, found, modes, fleet, method)), modes=modes, notes=notes)
 
 
-def _answer(source: PosedSet, found: Detections, modes: dict[str, Measurement], fleet: Fleet, method: Method) -> Measurement:
+def _answer(
+    source: PosedSet, found: Detections, modes: dict[str, Measurement], fleet: Fleet, method: Method
+) -> Measurement:
     """What one way or two say together."""
     first = next(iter(modes.values()))
     if len(modes) == 1:

@@ -253,8 +253,9 @@ def _settled(
                 y = size[good, axis] + x @ ruler.value[axis, fitted]
                 chosen = np.ix_(fitted, fitted)
                 covariance[axis] = shipped.covariance[axis]
-                told = _within(x, y, vehicle[good], shipped.value[axis, fitted], prior[axis][chosen])
-                value[axis, fitted], covariance[axis][chosen] = told.slope, told.covariance
+                value[axis, fitted], covariance[axis][chosen] = _within(
+                    x, y, vehicle[good], shipped.value[axis, fitted], prior[axis][chosen]
+                )
                 if value[axis, LEAN] >= least:
                     break
                 value[axis, LEAN] = least  # walls do not lean outwards: the others without it
@@ -280,29 +281,24 @@ def _with_the_rest(
     shipped: OwnRuler,
     free: Sequence[list[int]],
 ) -> OwnRuler:
-    """`ruler` with the covariance that it has with what was not `free`, whose errors what was has taken up.
+    """`ruler` with the covariance that it has with all that is not known of bodies, `free` or not.
 
     A body that leans in makes flat views smaller, and a height that is fitted to them lower: the two errors cancel in
-    the views that they were fitted to. Arguments as of `_settled`.
+    the views that they were fitted to. And a lean that would have shown is not there. So views tell of all of these
+    together; by what they would change if all were free, they may be off besides. Arguments as of `_settled`.
     """
     slopes = ruler.slopes(boxes, views, zoom, metres_per_unit)
     size = ruler.size(boxes, views, zoom, metres_per_unit)
     good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
     prior = _with_undercut(shipped.covariance) if UNDERCUT in free[0] else shipped.covariance
-    covariance = shipped.covariance.copy()
+    covariance = np.zeros_like(shipped.covariance)
     for axis in range(2):
-        least = ruler.hulls[axis].least_lean[axis]
-        own = [k for k in free[axis] if k != LEAN or ruler.value[axis, LEAN] > least]
-        rest = [k for k in range(len(DIFFERENCES)) if k not in own and covariance[axis, k, k] > 0]
-        x, others = slopes[good, axis][:, own], slopes[good, axis][:, rest]
-        y = size[good, axis] + x @ ruler.value[axis, own]
-        chosen = np.ix_(own, own)
-        told = _within(x, y, vehicle[good], shipped.value[axis, own], prior[axis][chosen])
-        taken = told.gain @ _centred(others, vehicle[good])  # (own, rest) change of the fitted ones for one of the rest
-        unknown = shipped.covariance[axis][np.ix_(rest, rest)]
-        covariance[axis][chosen] = told.covariance + taken @ unknown @ taken.T
-        covariance[axis][np.ix_(own, rest)] = -taken @ unknown
-        covariance[axis][np.ix_(rest, own)] = -unknown @ taken.T
+        every = np.flatnonzero(np.diag(prior[axis]) > 0)
+        x, value, chosen = slopes[good, axis][:, every], ruler.value[axis, every], np.ix_(every, every)
+        told, covariance[axis][chosen] = _within(
+            x, size[good, axis] + x @ value, vehicle[good], shipped.value[axis, every], prior[axis][chosen]
+        )
+        covariance[axis][chosen] += np.outer(told - value, told - value)
     return replace(ruler, covariance=covariance)
 
 
@@ -358,8 +354,8 @@ def trends(
         log_scale = -100 * np.log(np.maximum(size, 1e-12)).mean(1)
         out[when] = {}
         for name, x in over.items():
-            told = _within(x[index, None], log_scale[index], vehicle, np.zeros(1), np.full((1, 1), 1e12))
-            out[when][name] = [float(told.slope[0]), float(np.sqrt(told.covariance[0, 0]))]
+            slope, covariance = _within(x[index, None], log_scale[index], vehicle, np.zeros(1), np.full((1, 1), 1e12))
+            out[when][name] = [float(slope[0]), float(np.sqrt(covariance[0, 0]))]
     return out
 
 
@@ -374,24 +370,21 @@ def _far_and_near(views: Views, vehicle: np.ndarray) -> bool:
     return float(np.std(pixel - explained)) > FAR_AND_NEAR
 
 
-@dataclass(frozen=True)
-class _Within:
-    """slope : (D,). covariance : (D, D) of it. gain : (D, N) how it changes with each observation."""
-
-    slope: np.ndarray
-    covariance: np.ndarray
-    gain: np.ndarray
-
-
 def _within(
     x: np.ndarray, y: np.ndarray, vehicle: np.ndarray, prior: np.ndarray, prior_covariance: np.ndarray
-) -> _Within:
-    """Of `y` (N,) over `x` (N, D) within each `vehicle` (N,), held by a prior.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes (D,) of `y` (N,) over `x` (N, D) within each `vehicle` (N,), held by a prior; and their covariance.
 
     Boxes of one vehicle err alike (its paint, its shade), so the scores are summed by vehicle before their scatter is
     taken (Liang and Zeger 1986); it never counts for less than the residuals do.
     """
-    x, y = _centred(x, vehicle), _centred(y[:, None], vehicle)[:, 0]
+    count = np.maximum(np.bincount(vehicle), 1)
+
+    def centred(values: np.ndarray) -> np.ndarray:
+        return values - (np.bincount(vehicle, values) / count)[vehicle]
+
+    x = np.stack([centred(column) for column in x.T], 1)
+    y = centred(y)
     freedom = max(1 - len(np.unique(vehicle)) / len(y), 0.1)  # each vehicle's mean costs one observation
     held = np.linalg.inv(prior_covariance)
     weight, slope, design = np.ones(len(y)), prior, 1.0
@@ -404,12 +397,4 @@ def _within(
         score = np.stack([np.bincount(vehicle, column) for column in (pulled * residual[:, None]).T]) / variance
         design = max(1.0, float(np.trace(np.linalg.pinv(alone) @ score @ score.T)) / x.shape[1])
         slope = np.linalg.solve(alone / design + held, pulled.T @ y / variance / design + held @ prior)
-    covariance = np.linalg.inv(alone / design + held)
-    return _Within(slope, covariance, covariance @ pulled.T / variance / design)
-
-
-def _centred(values: np.ndarray, vehicle: np.ndarray) -> np.ndarray:
-    """(N, D) `values` without the mean of each `vehicle` (N,)."""
-    count = np.maximum(np.bincount(vehicle), 1)
-    means = [(np.bincount(vehicle, column) / count)[vehicle] for column in values.T]
-    return values - np.stack(means, 1) if means else values
+    return slope, np.linalg.inv(alone / design + held)
