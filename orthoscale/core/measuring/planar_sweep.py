@@ -33,7 +33,7 @@ SWEEP_ROUNDS = 3  # the height left in a box is a few percent of it, and the sca
 ROOM = 1.15  # a box, enlarged so, must lie within what the frame saw, or it may be cut
 BORDER = 2.0  # [px of the frame]
 # All pictures of the ground have one size of pixels, whatever height their frames were taken from. What is enlarged in
-# them looks blurred, and its boxes come out too wide: where a frame was enlarged 2.1 times, three cars on `boruszyn` are
+# them looks blurred, and its boxes come out too wide: where a frame is enlarged 2.1 times, three cars on `boruszyn` are
 # 20 % wider than where it was hardly. Half an octave, as far as the two detection passes are apart.
 MOST_ENLARGED = 2**0.5
 TOO_COARSE = "seen from so far away that the picture of the ground is blurred"
