@@ -20,13 +20,13 @@ LEAST_SEEN = 20  # boxes of both kinds, below which a share says little
 # Share of larger vehicles (`Scale.larger_share`) from which they are such a sign. Twelve orthophotos of known scale
 # have 0.04 to 0.23, and the two passes agree on 0.83 of that with the most; of 150 rendered towns full of look-alikes
 # the five that came out 18 to 50 % too large had 0.26 to 0.52 (`benchmarks/zoom_search.py`, 2026-11-23).
-LARGER = 0.2
+MANY_LARGER = 0.2
 
 
 def as_agreed(scale: Scale, believed: int, doubtful: int) -> Scale:
     """`scale`, one step lower in its verdict and ``poor`` at best where of all boxes only OF_MISTAKES or fewer are
     `believed`: things of some other size, all alike, are as sure of themselves as vehicles, and anchors follow them.
-    Refused where more than LARGER are larger vehicles besides."""
+    Refused where more than MANY_LARGER are larger vehicles besides."""
     seen = believed + doubtful
     if seen < LEAST_SEEN or believed > OF_MISTAKES * seen:
         return scale
@@ -38,7 +38,7 @@ def as_agreed(scale: Scale, believed: int, doubtful: int) -> Scale:
     lower = replace(
         scale, verdict=worst(one_step_below(scale.verdict), "poor"), remarks=by_severity((*scale.remarks, few))
     )
-    if scale.larger_share <= LARGER:
+    if scale.larger_share <= MANY_LARGER:
         return lower
     remark = Remark(
         REFUSAL,
