@@ -1,6 +1,6 @@
 """Does the search find the right zoom, and is a scale that it gives never that of something else?
 
-    python benchmarks/zoom_search.py copies --keep copies.jsonl   # real pictures at 0.5 to 4 times their size: 10 minutes
+    python benchmarks/zoom_search.py copies --keep copies.jsonl   # real pictures, 0.5 to 4 times as large: 10 minutes
     python benchmarks/zoom_search.py towns --keep towns.jsonl     # 200 rendered towns full of look-alikes: half an hour
 
 `copies`: the pictures of ``../shared/data`` (or ``ORTHOSCALE_DATA``) reduced by area and enlarged by cubic splines,

@@ -141,3 +141,7 @@ def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, low
     # However narrow the interval: things that are all alike, and anchors that follow them, are sure of themselves.
     good = replace(sure.scale, verdict="good")
     assert as_agreed(good, believed, doubtful).verdict == ("poor" if lowered else "good")
+    # Where many are larger than cars besides, the cars may be something else.
+    larger = as_agreed(replace(good, larger_share=0.3), believed, doubtful)
+    assert (larger.verdict == UNUSABLE) == lowered
+    assert [r.severity for r in larger.remarks if "larger than cars" in r.text] == ([REFUSAL] if lowered else [])

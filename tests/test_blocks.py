@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,8 @@ from support.blocks import Conditions, fly
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring.in_view import frames_in_view, looked_at
 from orthoscale.core.measuring.measurement import Measurement, Pooled
+from orthoscale.core.measuring.oblique import shown_in_frames
+from orthoscale.core.measuring.planar_sweep import TOO_COARSE, SweepGeometry
 from orthoscale.core.measuring.ways import measure_source, united
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
@@ -139,3 +142,59 @@ def test_a_mistake_that_one_frame_of_many_shows_does_not_count():
     assert wrong.votes.fleeting.sum() == right.votes.fleeting.sum() + 1
     assert wrong.votes.shown[wrong.votes.fleeting].min() >= 5
     assert wrong.scale.value == pytest.approx(right.scale.value, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_mistake_in_one_picture_of_the_ground_does_not_count_where_many_frames_show_none():
+    block = fly(np.random.default_rng(8), FLEET, Conditions("oblique", vehicles=20), unsure=False)
+    plain, above = measure_source(block.source, block.found, FLEET), block.found.planar
+    geometry = SweepGeometry.of(block.source, above)
+
+    def strays():
+        for picture in block.source.ground_pictures:
+            if picture.name not in above.boxes:
+                continue
+            grid = np.arange(60, picture.width - 60, 40), np.arange(60, picture.height - 60, 40)
+            pixels = np.stack(np.meshgrid(*grid), -1).reshape(-1, 2)
+            place = picture.ground(pixels)
+            lonely = np.linalg.norm(place[:, None] - plain.votes.place, axis=2).min(1) > 5 / block.metres_per_unit
+            in_frames = shown_in_frames(block.source, block.found, plain.boxes, place)
+            for k in np.flatnonzero(lonely & (geometry.shown(place) < 5) & (in_frames > 5)):
+                stray = Boxes(np.array([[*pixels[k], 75.0, 31.0, 0.1]]), np.ones(1))
+                yield {**above.boxes, picture.name: Boxes.concatenate([above.boxes[picture.name], stray])}
+
+    whole = (
+        b for b in strays() if len(SweepGeometry.of(block.source, replace(above, boxes=b)).boxes) > len(geometry.boxes)
+    )
+    strayed = next(whole)
+    measured = measure_source(block.source, replace(block.found, planar=replace(above, boxes=strayed)), FLEET)
+    planar = measured.modes["planar"].votes
+    assert len(planar) == len(plain.modes["planar"].votes) + 1 and not planar.fleeting.any(), "planar alone believes it"
+    assert measured.scale.value == pytest.approx(plain.scale.value, rel=1e-3)
+
+
+def test_what_a_picture_of_the_ground_enlarges_does_not_count():
+    block = fly(np.random.default_rng(9), FLEET, Conditions("nadir", vehicles=20), unsure=False)
+    plain = SweepGeometry.of(block.source, block.found.planar)
+    picture = max(block.source.ground_pictures, key=lambda p: (plain.picture == p.name).sum())
+    assert plain.lost[TOO_COARSE] == 0
+    whole = int((plain.picture == picture.name).sum())
+    assert whole > 2
+    for times, lost in ((1.3, 0), (1.5, whole)):  # as if the frame had so many times larger pixels
+        coarse = copy.copy(picture)
+        coarse.size = (int(picture.size[0] / times), int(picture.size[1] / times))
+        coarse.seen = lambda points, times=times: (lambda at, off: (at / times, off))(*picture.seen(points))
+        others = [coarse if p is picture else p for p in block.source.ground_pictures]
+        found = SweepGeometry.of(_With(block.source, others), block.found.planar)
+        assert found.lost[TOO_COARSE] == pytest.approx(lost, abs=1)
+        assert len(found.boxes) == pytest.approx(len(plain.boxes) - lost, abs=1)
+
+
+class _With:
+    """A source with other pictures of the ground."""
+
+    def __init__(self, source, ground_pictures):
+        self.source, self.ground_pictures = source, ground_pictures
+
+    def __getattr__(self, name):
+        return getattr(self.source, name)

@@ -25,7 +25,7 @@ from .zoom import ZoomChoice, sample, zoom_for
 CONTESTED = 0.2
 # Log of the ratio to a length, within which boxes are of vehicles of that length: fleets' extremes, but no farther than
 # half of the way to the other length.
-NEAR = 0.4
+OF_THAT_LENGTH = 0.4
 
 
 def settled(
@@ -40,7 +40,7 @@ def settled(
     if detector.confirming is None or choice.vehicle_px is None or not choice.rival_px or choice.rival < CONTESTED:
         return choice
     lengths = [choice.vehicle_px, choice.rival_px]
-    near = min(NEAR, abs(np.log(lengths[0] / lengths[1])) / 2)
+    near = min(OF_THAT_LENGTH, abs(np.log(lengths[0] / lengths[1])) / 2)
     standing = []
     for done, length in enumerate(lengths, 1):
         standing.append(_standing(length, near, pictures, detector, seed, workers))

@@ -31,7 +31,7 @@ from .drift import with_drift
 from .measure import measure
 from .measurement import Measurement
 from .method import Method
-from .oblique import FramesGeometry
+from .oblique import FramesGeometry, shown_in_frames
 from .plan import PlanGeometry
 from .planar_sweep import SweepGeometry
 from .unlike import only_unlike
@@ -97,10 +97,12 @@ def measure_posed(
     notes = tuple(f"{name}: {error.message}" for name, error in failed.items())
     if source.focal.said:
         notes = (*notes, source.focal.said)
-    return replace(_of_one_scale(_answer(source, modes, fleet, method)), modes=modes, notes=notes)
+    return replace(_of_one_scale(_answer(source, found, modes, fleet, method)), modes=modes, notes=notes)
 
 
-def _answer(source: PosedSet, modes: dict[str, Measurement], fleet: Fleet, method: Method) -> Measurement:
+def _answer(
+    source: PosedSet, found: Detections, modes: dict[str, Measurement], fleet: Fleet, method: Method
+) -> Measurement:
     """What one way or two say together."""
     first = next(iter(modes.values()))
     if len(modes) == 1:
@@ -117,14 +119,20 @@ def _answer(source: PosedSet, modes: dict[str, Measurement], fleet: Fleet, metho
     scale = together(agreement)
     if not agreement.contradicts and all(m.pooled is not None and not m.scale.conflict for m in modes.values()):
         with suppress(TooLittleEvidence):  # of other vehicles besides, these may be too few of one scale
-            scale = _by_vehicles(modes, fleet, method)
+            scale = _by_vehicles(source, found, modes, fleet, method)
     return replace(answer, scale=replace(scale, remarks=(*scale.remarks, agreement.remark)), agreement=agreement)
 
 
-def _by_vehicles(modes: dict[str, Measurement], fleet: Fleet, method: Method) -> Scale:
-    """The scale by all vehicles of both ways, each of which counts once, however it was seen."""
+def _by_vehicles(
+    source: PosedSet, found: Detections, modes: dict[str, Measurement], fleet: Fleet, method: Method
+) -> Scale:
+    """The scale by all vehicles of both ways, each of which counts once, however it was seen.
+
+    Both ways look at the same frames: what one picture of the ground shows, and none of many frames, is a mistake."""
     first = next(iter(modes.values()))
     votes, ruler, covariance = united(*modes.values())
+    in_frames = shown_in_frames(source, found, first.boxes, votes.place)
+    votes = replace(votes, shown=in_frames if votes.shown is None else np.maximum(votes.shown, in_frames))
     seen = (m.pooled.more for m in modes.values() if m.pooled is not None and m.pooled.more)
     more = next(seen, ())  # both see the same rows of vehicles
     scale = method.pool(votes, fleet, ruler, first.scale.unit, covariance, more)
