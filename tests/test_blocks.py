@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,8 @@ from support.blocks import Conditions, fly
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.measuring.in_view import frames_in_view, looked_at
 from orthoscale.core.measuring.measurement import Measurement, Pooled
+from orthoscale.core.measuring.oblique import shown_in_frames
+from orthoscale.core.measuring.planar_sweep import TOO_COARSE, SweepGeometry
 from orthoscale.core.measuring.ways import measure_source, united
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
@@ -84,6 +87,23 @@ def test_a_vehicle_that_both_ways_see_counts_once():
     assert at[0] == pytest.approx(4.5) and at[7] == pytest.approx(1.04 * 4.5)
     assert np.log(at[3] / 4.5) == pytest.approx(np.log(1.04) / 5)  # weights of four to one
     assert ruler.margin == (0.0, 0.0) and covariance == pytest.approx(np.eye(2) * 1e-4)
+    assert np.isnan(votes.kinds).all() and not ruler.kinds
+
+
+@pytest.mark.slow
+def test_what_a_vehicle_is_called_in_both_ways_is_their_mean():
+    place = 10 * np.arange(6)[:, None] * np.array([1.0, 0, 0])
+    size, table = np.tile([4.5, 1.8], (6, 1)), tuple(map(tuple, np.eye(4)))
+    a, b, unknown = way(size[:4], place[:4], 0.02), way(size[1:], place[1:], 0.02), np.full(4, np.nan)
+    car, pickup = np.eye(4)[:2]
+    a = replace(a, votes=replace(a.votes, kinds=np.array([car, car, unknown, unknown])))
+    b = replace(b, votes=replace(b.votes, kinds=np.array([pickup, pickup, unknown, pickup, unknown])))
+    told = [replace(m, pooled=replace(m.pooled, ruler=replace(m.pooled.ruler, kinds=table))) for m in (a, b)]
+    votes, ruler, _ = united(*told)
+    order = np.argsort(votes.place[:, 0])
+    expected = np.array([car, (car + pickup) / 2, pickup, unknown, pickup, unknown])
+    assert votes.kinds[order] == pytest.approx(expected, nan_ok=True) and ruler.kinds == table
+    assert np.isnan(united(a, told[1])[0].kinds[order[0]]).all(), "of a ruler that has no table"
 
 
 @pytest.mark.slow
@@ -122,3 +142,59 @@ def test_a_mistake_that_one_frame_of_many_shows_does_not_count():
     assert wrong.votes.fleeting.sum() == right.votes.fleeting.sum() + 1
     assert wrong.votes.shown[wrong.votes.fleeting].min() >= 5
     assert wrong.scale.value == pytest.approx(right.scale.value, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_mistake_in_one_picture_of_the_ground_does_not_count_where_many_frames_show_none():
+    block = fly(np.random.default_rng(8), FLEET, Conditions("oblique", vehicles=20), unsure=False)
+    plain, above = measure_source(block.source, block.found, FLEET), block.found.planar
+    geometry = SweepGeometry.of(block.source, above)
+
+    def strays():
+        for picture in block.source.ground_pictures:
+            if picture.name not in above.boxes:
+                continue
+            grid = np.arange(60, picture.width - 60, 40), np.arange(60, picture.height - 60, 40)
+            pixels = np.stack(np.meshgrid(*grid), -1).reshape(-1, 2)
+            place = picture.ground(pixels)
+            lonely = np.linalg.norm(place[:, None] - plain.votes.place, axis=2).min(1) > 5 / block.metres_per_unit
+            in_frames = shown_in_frames(block.source, block.found, plain.boxes, place)
+            for k in np.flatnonzero(lonely & (geometry.shown(place) < 5) & (in_frames > 5)):
+                stray = Boxes(np.array([[*pixels[k], 75.0, 31.0, 0.1]]), np.ones(1))
+                yield {**above.boxes, picture.name: Boxes.concatenate([above.boxes[picture.name], stray])}
+
+    whole = (
+        b for b in strays() if len(SweepGeometry.of(block.source, replace(above, boxes=b)).boxes) > len(geometry.boxes)
+    )
+    strayed = next(whole)
+    measured = measure_source(block.source, replace(block.found, planar=replace(above, boxes=strayed)), FLEET)
+    planar = measured.modes["planar"].votes
+    assert len(planar) == len(plain.modes["planar"].votes) + 1 and not planar.fleeting.any(), "planar alone believes it"
+    assert measured.scale.value == pytest.approx(plain.scale.value, rel=1e-3)
+
+
+def test_what_a_picture_of_the_ground_enlarges_does_not_count():
+    block = fly(np.random.default_rng(9), FLEET, Conditions("nadir", vehicles=20), unsure=False)
+    plain = SweepGeometry.of(block.source, block.found.planar)
+    picture = max(block.source.ground_pictures, key=lambda p: (plain.picture == p.name).sum())
+    assert plain.lost[TOO_COARSE] == 0
+    whole = int((plain.picture == picture.name).sum())
+    assert whole > 2
+    for times, lost in ((1.3, 0), (1.5, whole)):  # as if the frame had so many times larger pixels
+        coarse = copy.copy(picture)
+        coarse.size = (int(picture.size[0] / times), int(picture.size[1] / times))
+        coarse.seen = lambda points, times=times: (lambda at, off: (at / times, off))(*picture.seen(points))
+        others = [coarse if p is picture else p for p in block.source.ground_pictures]
+        found = SweepGeometry.of(_With(block.source, others), block.found.planar)
+        assert found.lost[TOO_COARSE] == pytest.approx(lost, abs=1)
+        assert len(found.boxes) == pytest.approx(len(plain.boxes) - lost, abs=1)
+
+
+class _With:
+    """A source with other pictures of the ground."""
+
+    def __init__(self, source, ground_pictures):
+        self.source, self.ground_pictures = source, ground_pictures
+
+    def __getattr__(self, name):
+        return getattr(self.source, name)

@@ -6,9 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support import simulate
 from support.ruler_flights import UNIT, find, fly
+from support.simulate import DENSEUAV, Body, found_ruler
 
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.projection import self_calibration
+from orthoscale.core.projection.exact import Hull
 from orthoscale.core.projection.self_calibration import UNDERCUT, OwnRuler, own_ruler, trends
+from orthoscale.core.projection.view import Views
 from orthoscale.fleets import load_fleet
 
 CARD = OwnRuler.shipped((0.7, 0.5), (1.0, 1.0), (0.25, 0.25), (1.0, 1.0))
@@ -80,3 +86,20 @@ def test_what_is_unknown_of_height_and_margin_adds_up(flight):
     alone = CARD.relative_sd(size[good], slopes[good])
     assert (alone**2).sum(1) == pytest.approx(np.einsum("ki,kij,kj->k", shares, CARD.covariance, shares))
     assert (alone[:, :UNDERCUT] > 0).all() and not alone[:, UNDERCUT].any()  # a card knows no undercut
+
+
+def test_what_a_fitted_height_has_taken_up_of_a_leaning_body_is_not_claimed_again(monkeypatch):
+    monkeypatch.setattr(self_calibration, "SHAPES", ())  # the height alone is fitted
+    body = Body.of("car", Hull(height=0.8, end_lean=0.1, side_lean=0.1))
+    seen = [simulate.fly(np.random.default_rng(k), 40, DENSEUAV, p, body) for k, p in enumerate((-80, -70))]
+    boxes, views = Boxes.concatenate([s.boxes for s in seen]), Views.concatenate([s.views(unit=UNIT) for s in seen])
+    card, own = OwnRuler.shipped((0.8, 0.8), (0.0, 0.0), (0.6, 0.6), (1e-3, 1e-3)), found_ruler(seen, "car")
+    card_off, own_off = (np.log(np.nanmedian(r.size(boxes, views, 1.0, UNIT)[:, 0]) * UNIT / 4.4) for r in (card, own))
+    assert own.height[0] < 0.65 and abs(own_off) < 0.5 * abs(card_off), "lengths: the height makes up for the lean"
+    size, slopes = (f(boxes, views, 1.0, UNIT) for f in (own.size, own.slopes))
+    good = np.isfinite(slopes).all((1, 2))
+    together = np.sqrt((own.relative_sd(size[good], slopes[good])[0] ** 2).sum())
+    shares = np.median(slopes[good, 0] / size[good, :1], axis=0)
+    apart = np.sqrt(((shares * own.sd[0]) ** 2).sum())
+    assert together < 0.8 * apart
+    assert 0.5 < abs(own_off) / together < 2, "and what is left is claimed"

@@ -11,7 +11,8 @@ from orthoscale.core.boxes import Boxes, suppress
 from orthoscale.core.detections import Tile
 from orthoscale.core.measuring.drift import Drift
 from orthoscale.core.measuring.geometry import Observation
-from orthoscale.core.measuring.oblique import GROUND_ERROR, height_share
+from orthoscale.core.measuring.oblique import height_share
+from orthoscale.core.measuring.parallax import standing
 from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.projection.exact import Hull
 from orthoscale.core.ruler import Ruler
@@ -83,10 +84,12 @@ def test_the_words_for_a_scale_follow_its_uncertainty(sd, word):
     assert verdict(0.151, odd_shape=False, conflict=False) == verdict(sd, odd_shape=False, conflict=True) != word
 
 
-def test_the_ground_of_a_model_is_known_to_a_hundredth_however_many_vehicles_stand_on_it():
-    size = np.tile([4.5, 1.8], (1000, 1))
+def test_the_ground_under_one_frame_is_known_to_a_hundredth_however_many_vehicles_stand_on_it():
+    size, place = np.tile([4.5, 1.8], (1000, 1)), np.random.default_rng(0).uniform(-30, 30, (1000, 2))
+    frame = np.full(1000, "a.jpg")
+    stands = standing(place, np.zeros((1000, 2)), np.full(1000, 60.0), frame, (4.5, 1.8), np.full(1000, 0.1))
     nadir = height_share(size, np.zeros((1000, 2)), 1.0)  # from there vehicles show nothing of their height
-    shared = Observation(size, Ruler(), nadir, GROUND_ERROR).covariance
+    shared = Observation(size, Ruler(), nadir, stands.alike).covariance
     assert shared == pytest.approx(np.full((2, 2), 0.01**2))
 
 
@@ -95,7 +98,7 @@ def test_vehicles_of_one_place_stray_from_their_countrys_mean():
     national = (fleet.mean_sd / fleet.mean)[:2]
     local = np.sqrt(np.diag(fleet.log_mean_covariance) - national**2)
     assert local == pytest.approx([0.029, 0.0167], abs=0.001)
-    of_classes = np.sqrt(np.diag(fleet.class_mean_covariance) - national**2)
+    of_classes = np.sqrt(np.diag(fleet.class_mean_covariance(fleet.told_apart)) - national**2)
     assert (of_classes < 0.7 * local).all(), "most of it is the mix, which the pooling finds"
 
 

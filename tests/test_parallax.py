@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orthoscale.core.measuring.parallax import MIDDLE, standing
+from orthoscale.core.measuring.parallax import MIDDLE, MIDDLE_SD, standing
+from orthoscale.core.measuring.surroundings import GROUND_SD
 
 SIZE = (4.5, 1.8)
 HEIGHT = 60.0
@@ -60,4 +61,18 @@ def test_without_parallax_the_sheet_stands(frames):
     sd = np.full(len(place), 0.2)
     stands = standing(place, foot, above, picture, SIZE, sd)
     assert stands.vehicles == 0 and not stands.lower.any()
-    assert stands.sd == pytest.approx(sd / above)
+    assert stands.shared == GROUND_SD
+    assert stands.each == pytest.approx(sd / above), "the two together are what is not known"
+
+
+def test_what_all_vehicles_err_by_alike_counts_apart_and_once():
+    error, claimed = [], []
+    for seed in range(40):  # how high over the ground rays meet is another thing in each
+        middle = (MIDDLE + MIDDLE_SD * np.random.default_rng([seed, 1]).standard_normal()) * SIZE[0]
+        place, foot, above, picture, _ = boxes(np.full(20, 5.0), seed, middle=middle)
+        stands = standing(place, foot, above, picture, SIZE, np.full(len(place), 0.15))
+        error.append(np.mean(stands.lower - 5.0 / above))
+        claimed.append(stands.shared)
+        assert stands.each**2 + stands.shared**2 == pytest.approx(np.maximum(stands.sd, stands.shared) ** 2)
+    assert max(claimed) < GROUND_SD, "what the sheet alone leaves open is claimed besides"
+    assert 0.5 < np.sqrt(np.mean(np.square(error) / np.square(claimed))) < 1.2

@@ -6,7 +6,8 @@ matching finds them (roofs, crowns, rough ground; few on bare asphalt). So a blo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,18 +16,23 @@ import pycolmap
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
 from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
+from orthoscale.core.measuring.oblique import HEIGHT_SD
+from orthoscale.core.projection.exact import BEND
+from orthoscale.core.projection.self_calibration import CORNER_SD, LEAN_SD
 from orthoscale.core.ruler import Ruler
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.synthetic.model import Similarity
 
-from .bodies import body
+from .bodies import CAR, CAR_CORNER, body
 from .flights import enclosing
-from .simulate import place_of
+from .simulate import Vans, place_of
 
 KINDS = ("nadir", "oblique", "grid", "strip")
 WIDTH, HEIGHT = 1200, 900
 HEIGHT_ENCLOSED = 0.8  # [m]
 RULER = Ruler(margin_sd=(0.3, 0.3), bias_sd=(0.01, 0.015), noise=(0.8, 0.6))
+EXACT = replace(RULER, margin_sd=(1e-3, 1e-3), bias_sd=(0.0, 0.0), shrink_sd=(0.0, 0.0))  # of it all is known
+LOWEST_ENCLOSED, MOST_CORNER = 0.1, 0.3  # [m], [of the width]
 SEEN = 0.8  # share of a vehicle's views in which it is found
 POINT_NOISE = 0.06  # [m] of a sparse point, and GRASS of those on rough ground, upwards
 GRASS = 0.15
@@ -64,7 +70,7 @@ class Conditions:
             roofs=rng.uniform(0, 0.35),
             slope=rng.uniform(0, 0.06),
             relief=rng.uniform(0, 1.5),
-            focal=rng.choice([0.0, 0.1, 0.2]) if straight_down else 0.0,
+            focal=float(rng.choice([0.0, 0.1, 0.2])) if straight_down else 0.0,
             bare=rng.uniform(0.5, 0.98),
             vehicles=int(np.exp(rng.uniform(np.log(10), np.log(90)))),
             altitude=rng.uniform(45, 110),
@@ -81,17 +87,29 @@ class Block:
     terrain_error: np.ndarray  # [share of the camera's height] of the ground under each vehicle
 
 
-def fly(rng: np.random.Generator, fleet: Fleet, conditions: Conditions, unsure: bool = True) -> Block:
-    """One block. unsure : the fleet's mean and the boxes' bias are off by as much as they claim to be unknown."""
+class _KnownFleet(Fleet):
+    """One whose places are all like it."""
+
+    place_vehicles = ((1e6, 1.0),)
+
+
+def exactly(fleet: Fleet) -> Fleet:
+    """`fleet`, with nothing about it unknown."""
+    own = {field.name: getattr(fleet, field.name) for field in fields(fleet)}
+    return _KnownFleet(**{**own, "mean_sd": np.full(3, 1e-6), "shares_sd": 0.0})
+
+
+def fly(
+    rng: np.random.Generator, fleet: Fleet, conditions: Conditions, unsure: bool = True, ruler: Ruler = RULER
+) -> Block:
+    """One block. unsure : what is not known is off by as much as `fleet`, `ruler` and the program claim (`_Boxing`);
+    else all vehicles are the fleet's, and boxes are what the card says of them."""
     c = conditions
     terrain = _Terrain.drawn(rng, c)
     size, place, heading = _vehicles(rng, fleet, c, terrain, unsure)
-    outline, heights = body(top=HEIGHT_ENCLOSED)
     axes = np.stack(
         [np.stack([np.cos(heading), np.sin(heading)], -1), np.stack([-np.sin(heading), np.cos(heading)], -1)], 1
     )
-    flat = place[:, None] + (outline * size[:, None]) @ axes
-    bodies = np.dstack([flat, terrain(flat) + heights])
     ends = place[:, None] + np.array([-0.25, 0.25])[:, None] * axes[:, :1]
     ends = np.dstack([ends, terrain(ends)])
 
@@ -99,37 +117,97 @@ def fly(rng: np.random.Generator, fleet: Fleet, conditions: Conditions, unsure: 
     cameras = _cameras(rng, c)
     world = Similarity.drawn(rng, float(np.exp(rng.uniform(np.log(0.1), np.log(20)))))
     stretch = np.array([1.0, 1.0, 1 + c.focal])  # what a longer focal length does to a model seen straight from above
-    points = _sparse(rng, c, terrain, place)
-    source = _source(world, cameras, stretch, points, focal * (1 + c.focal))
+    source = _source(world, cameras, stretch, _sparse(rng, c, terrain, place), focal * (1 + c.focal))
 
-    bias, margin = np.zeros(2), np.zeros(2)
-    if unsure:
-        bias, margin = rng.normal(0, RULER.bias_sd), rng.normal(0, RULER.margin_sd)
+    boxing = _Boxing.drawn(rng, ruler) if unsure else _Boxing()
+    outlines = [place[:, None] + (plan * boxing.seen(size)[:, None]) @ axes for plan, _ in boxing.bodies]
+    points = [
+        np.dstack([flat, terrain(flat) + heights]) for flat, (_, heights) in zip(outlines, boxing.bodies, strict=True)
+    ]
     frames: dict[str, Boxes] = {}
     above: dict[str, Boxes] = {}
     pictures = {picture.image: picture for picture in source.ground_pictures}
     for name, (rotation, centre) in zip(source.picture_names, cameras, strict=True):
-        seen = [_project(p, rotation, centre, focal) for p in (bodies, ends)]
-        inside = ((seen[0] > 3) & (seen[0] < [WIDTH - 3, HEIGHT - 3])).all((1, 2)) & (rng.random(len(place)) < SEEN)
-        noise = rng.normal(0, RULER.noise, (len(place), 2))
-        frames[name] = _boxes(seen[0][inside], seen[1][inside], bias, margin + noise[inside])
+        seen = [_project(p, rotation, centre, focal) for p in (*points, ends)]
+        inside = np.all([((p > 3) & (p < [WIDTH - 3, HEIGHT - 3])).all((1, 2)) for p in seen], axis=0)
+        inside &= rng.random(len(place)) < SEEN
+        noise = rng.normal(0, ruler.noise, (len(place), 2))[inside]
+        seen = [p[inside] for p in seen]
+        frames[name] = boxing.boxes(seen, noise)
         if name not in pictures:
             continue
         picture = pictures[name]
         mapped = []
-        for pixels in (seen[0][inside], seen[1][inside]):
+        for pixels in seen:
             _, lies, ok = source.views(name, pixels.reshape(-1, 2))
             plan = (source.ground.plane(lies) - picture.origin) @ picture.axes.T / picture.unit_per_pixel
             plan[~ok] = np.nan
             mapped.append(plan.reshape(pixels.shape))
-        whole = np.isfinite(mapped[0]).all((1, 2)) & np.isfinite(mapped[1]).all((1, 2))
-        whole &= (mapped[0] > 0).all((1, 2)) & (mapped[0] < [picture.width, picture.height]).all((1, 2))
-        again = rng.normal(0, RULER.noise, (len(place), 2))[inside]
-        above[picture.name] = _boxes(mapped[0][whole], mapped[1][whole], bias, margin + again[whole])
-    plain = Detections(frames, 1.0, RULER, (HEIGHT_ENCLOSED,) * 2, "perfect")
+        whole = np.all([((p > 0) & (p < [picture.width, picture.height])).all((1, 2)) for p in mapped], axis=0)
+        above[picture.name] = boxing.boxes([p[whole] for p in mapped], noise[whole])  # the same pixels, warped
+    plain = Detections(frames, 1.0, ruler, (HEIGHT_ENCLOSED,) * 2, "perfect")
     stands = world.points(np.column_stack([place, terrain(place)]) * stretch)
     error = source.ground.height_above(stands) / source.ground.camera_height
     return Block(source, replace(plain, planar=replace(plain, boxes=above)), world.metres_per_unit, error)
+
+
+@dataclass(frozen=True)
+class _Boxing:
+    """How the boxes of one flight relate to its vehicles; by default as the card says. (2,) are of lengths and widths.
+
+    bias : relative. margin : [px]. shrink : how far sizes are drawn to the `usual` ones [m]. heights : up to where
+    boxes enclose the ends of vehicles, and their sides [m]. lean : of ends and sides, and corner, as `Hull` has them.
+    """
+
+    bias: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    margin: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    shrink: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    usual: tuple[float, float] = RULER.usual
+    heights: tuple[float, float] = (HEIGHT_ENCLOSED, HEIGHT_ENCLOSED)
+    lean: tuple[float, float] = (0.0, 0.0)
+    corner: float = CAR_CORNER
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, ruler: Ruler) -> _Boxing:
+        """Off by as much as is claimed to be unknown: of boxes by `ruler`, of bodies by the self-calibration."""
+        heights = np.maximum(HEIGHT_ENCLOSED + rng.normal(0, HEIGHT_SD, 2), LOWEST_ENCLOSED)
+        lean = rng.normal(0, LEAN_SD)
+        return cls(
+            rng.normal(0, ruler.bias_sd),
+            rng.normal(0, ruler.margin_sd),
+            rng.standard_normal() * np.array(ruler.shrink_sd),
+            ruler.usual,
+            (float(heights[0]), float(heights[1])),
+            (float(lean[0]), float(lean[1])),
+            float(np.clip(rng.normal(CAR_CORNER, CORNER_SD), 0, MOST_CORNER)),
+        )
+
+    def seen(self, size: np.ndarray) -> np.ndarray:
+        """(N, 2) sizes that boxes show of vehicles of `size` (N, 2) [m]."""
+        return size * (np.array(self.usual) / size) ** self.shrink
+
+    @cached_property
+    def bodies(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """What boxes enclose at vehicles' ends, and what at their sides: see `bodies.body`."""
+        levels = np.array([ring[0] for ring in CAR])
+        rings: list[tuple[float, float, float, float]] = []
+        for height in sorted({*levels.tolist(), BEND}):
+            front, rear, side = (float(np.interp(height, levels, [ring[k] for ring in CAR])) for k in (1, 2, 3))
+            end, flank = (max(0.0, height - BEND) * lean for lean in self.lean)
+            rings.append((height, min(front - end, 0.5), max(rear + end, -0.5), min(side - flank, 0.5)))
+        return tuple(body(tuple(rings), height, self.corner) for height in self.heights)
+
+    def boxes(self, seen: list[np.ndarray], more: np.ndarray) -> Boxes:
+        """seen : (N, P, 2) pixels of the two `bodies` of each vehicle, and (N, 2, 2) of its axis. more : (N, 2)."""
+        rows = []
+        for at_ends, at_sides, axis in zip(*seen, strict=True):
+            heading = axis[1] - axis[0]
+            long, wide = enclosing(at_ends, heading, 0.0), enclosing(at_sides, heading, 0.0)
+            rows.append([*long[:3], wide[3], long[4]])
+        xylwa = np.array(rows, float).reshape(-1, 5)
+        xylwa[:, 2:4] = np.maximum(xylwa[:, 2:4] * np.exp(self.bias) + self.margin + more, 1.0)
+        swapped = xylwa[:, 2] < xylwa[:, 3]
+        return Boxes(xylwa[~swapped], np.full(int((~swapped).sum()), 0.9))
 
 
 @dataclass(frozen=True)
@@ -162,6 +240,9 @@ def _vehicles(
         unknown = fleet.mean_sd[:2] / fleet.mean[:2]
         r = MEAN_CORRELATION
         size = size * np.exp(unknown * (np.sqrt(r) * rng.standard_normal() + np.sqrt(1 - r) * rng.standard_normal(2)))
+        vans = Vans.of_place(rng, fleet)
+        van = rng.random(len(size)) < vans.share
+        size[van] = vans.sample(rng, int(van.sum()))
     place, heading = [], []
     while len(place) < c.vehicles:
         corner, turn = rng.uniform(-0.35, 0.35, 2) * c.extent, rng.uniform(0, np.pi)
@@ -264,11 +345,3 @@ def _source(
 def _project(points: np.ndarray, rotation: np.ndarray, centre: np.ndarray, focal: float) -> np.ndarray:
     local = (points - centre) @ rotation.T
     return local[..., :2] / local[..., 2:] * focal + np.array([WIDTH, HEIGHT]) / 2
-
-
-def _boxes(bodies: np.ndarray, ends: np.ndarray, bias: np.ndarray, more: np.ndarray) -> Boxes:
-    rows = [enclosing(points, end[1] - end[0], 0.0) for points, end in zip(bodies, ends, strict=True)]
-    xylwa = np.array(rows, float).reshape(-1, 5)
-    xylwa[:, 2:4] = np.maximum(xylwa[:, 2:4] * np.exp(bias) + more, 1.0)
-    swapped = xylwa[:, 2] < xylwa[:, 3]
-    return Boxes(xylwa[~swapped], np.full(int((~swapped).sum()), 0.9))

@@ -32,7 +32,7 @@ from .measurement import Findings, SelfCalibration
 from .method import Method
 from .model_drift import model_drift
 from .parallax import Standing, standing_in_model
-from .surroundings import GROUND_SD, Standards, objects_in_model, rows_in_model, world_axes
+from .surroundings import Standards, objects_in_model, rows_in_model, world_axes
 
 ROUNDS = 6  # of projection and pooling; the scale enters its own projection only through the vehicles' height
 SETTLED = 1e-4  # relative change of the scale at which the rounds end
@@ -126,8 +126,7 @@ class FramesGeometry:
 
     def shown(self, place: np.ndarray) -> np.ndarray:
         """(N,) number of frames that show the places (N, 3)."""
-        border = float(np.median(self.boxes.length)) / 2
-        return frames_in_view(self.source, looked_at(self.found), place, border, LOWEST_ELEVATION)
+        return shown_in_frames(self.source, self.found, self.boxes, place)
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
@@ -172,11 +171,11 @@ class ExactGeometry(FramesGeometry):
         margin_sd = by_margin / per_pixel
         left = replace(known, margin=(0.0, 0.0), margin_sd=(float(margin_sd[0]), float(margin_sd[1])))  # it is off
         own = np.sqrt(by_height**2 + np.square(by_shape).sum(0))
-        shared = GROUND_ERROR
+        shared = self.stands.alike
         if self.source.focal.sd:
             longer = ruler.size(self.boxes, self.views.with_focal(1 + self.source.focal.sd), zoom, metres_per_unit)
             shared = {**shared, "focal length": larger_by(longer, size)}
-        return Observation(size, left, own, shared, self.stands.sd)
+        return Observation(size, left, own, shared, self.stands.each)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """With the ruler for which vehicles have one size from all their views."""
@@ -203,7 +202,7 @@ class OtherGeometry(FramesGeometry):
         size = self.method.sizes(self.boxes, self.views, metres_per_unit, self.card.height, self.fleet)
         ok = np.isfinite(size).all(1)
         own = height_share(size[ok], lean(self.boxes, self.views)[ok], metres_per_unit)
-        return Observation(size, self.found.ruler, own, GROUND_ERROR, self.stands.sd)
+        return Observation(size, self.found.ruler, own, self.stands.alike, self.stands.each)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """There is nothing to refine."""
@@ -215,7 +214,10 @@ class OtherGeometry(FramesGeometry):
         return self._findings(seen, bare, bare, self.card, vehicles, scale)
 
 
-GROUND_ERROR = {"ground": np.full(2, GROUND_SD)}  # what all sizes share of a reconstruction's uncertainty
+def shown_in_frames(source: PosedSet, found: Detections, boxes: Boxes, place: np.ndarray) -> np.ndarray:
+    """(N,) number of the frames looked at that show all of a vehicle at the places (N, 3), as large as `boxes` are."""
+    border = float(np.median(boxes.length)) / 2
+    return frames_in_view(source, looked_at(found), place, border, LOWEST_ELEVATION)
 
 
 def height_share(size: np.ndarray, leaning: np.ndarray, metres_per_unit: float) -> np.ndarray:

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from ..pooling.posterior import ROBUST_SD
 from ..source import PosedSet
 from ..votes import SAME_PLACE, same_place
+from .surroundings import GROUND_SD
 
 # How far below the sheet the ground is looked for, in heights of the cameras: trees and roofs of 15 m under a flight at
 # 60 m; and above it, where strays below the ground have drawn the sheet down.
@@ -33,6 +34,7 @@ OUTLYING = 9.0  # times the median square of a residual, from which it says noth
 # cameras; what one on the ground is off by everywhere alike, and how likely the first is beforehand.
 TOO_HIGH, UNEVEN, ON_GROUND, ON_TREES = 0.08, 0.02, 0.003, 0.1
 ALIKE_WITHIN = 0.5  # heights of the cameras over which a sheet's errors are alike
+MOST_COMPARED = 200  # boxes from which is taken how far all err alike
 STRAY_VEHICLE = 4.0  # sigmas from which a vehicle is left out: its boxes are not of one
 
 
@@ -41,14 +43,26 @@ class Standing:
     """How the ground under M boxes lies to the sheet under the sparse points, relative to the cameras' heights.
 
     lower : (M,) by how much it lies lower; sizes and distances are as much larger. sd : (M,) one sigma of that.
+    shared : the part of it by which all boxes err alike, one sigma, which more of them do not lessen.
     vehicles : that several frames showed, 0 where the sheet alone speaks. trees : probability that the sheet lies on
     other things than the ground.
     """
 
     lower: np.ndarray
     sd: np.ndarray
+    shared: float = GROUND_SD
     vehicles: int = 0
     trees: float = 0.0
+
+    @property
+    def each(self) -> np.ndarray:
+        """(M,) the part of `sd` that is not `shared`."""
+        return np.sqrt(np.maximum(self.sd**2 - self.shared**2, 0.0))
+
+    @property
+    def alike(self) -> dict[str, np.ndarray]:
+        """What `shared` makes of lengths and widths, as `Observation.shared` has it."""
+        return {"ground": np.full(2, self.shared)}
 
 
 def standing_in_model(
@@ -83,7 +97,7 @@ def standing(
     size : usual length and width of a vehicle. sd : (M,) one sigma of the sheet's height; all [units].
     """
     offset = (place - foot) / above[:, None]
-    height, alone = float(np.median(above)) if len(above) else 1.0, Standing(np.zeros(len(place)), sd / above)
+    height, alone = float(np.median(above)) if len(above) else 1.0, _of_sheet(sd / above)
     if len(place) < FEWEST_STANDING:
         return alone
     length, width = size
@@ -169,10 +183,11 @@ def _combined(
     spread = ROBUST_SD * float(np.median(stray))
     keep &= stray < STRAY_VEHICLE * np.sqrt(spread**2 + seen.variance + (UNEVEN * height) ** 2)
     if keep.sum() < FEWEST_STANDING:
-        return Standing(np.zeros(len(place)), sd / above)
+        return _of_sheet(sd / above)
     at, lower, own = seen.place[keep], seen.lower[keep], own[keep]
     noise = np.diag(seen.variance[keep]) + middle_sd**2
-    means, variances, evidence = [], [], []
+    some = np.unique(np.linspace(0, len(place) - 1, MOST_COMPARED).astype(int))
+    means, variances, alike, evidence = [], [], [], []
     for common, uneven in ((ON_GROUND * height, 0.0), (TOO_HIGH * height, UNEVEN * height)):
 
         def between(a: np.ndarray, b: np.ndarray, s: np.ndarray, t: np.ndarray, common=common, uneven=uneven):
@@ -184,10 +199,19 @@ def _combined(
         means.append(gain @ lower)
         prior = common**2 + sd**2 + uneven**2
         variances.append(np.maximum(prior - (gain * between(place, at, sd, own)).sum(1), 1e-12 * height**2))
+        told = gain[some].mean(0) @ between(at, place[some], own, sd[some]).mean(1)
+        alike.append(max(between(place[some], place[some], sd[some], sd[some]).mean() - told, 0.0))
         evidence.append(-0.5 * (np.linalg.slogdet(whole)[1] + lower @ np.linalg.solve(whole, lower)))
     odds = np.array([np.log1p(-ON_TREES), np.log(ON_TREES)]) + evidence
     chance = np.exp(odds - odds.max())
     chance /= chance.sum()
     mean = chance @ np.array(means)
     variance = chance @ (np.array(variances) + (np.array(means) - mean) ** 2)
-    return Standing(mean / above, np.sqrt(variance) / above, int(keep.sum()), float(chance[1]))
+    off = np.mean(means, axis=1) - mean.mean()
+    shared = float(np.sqrt(chance @ (np.array(alike) + off**2))) / height
+    return Standing(mean / above, np.sqrt(variance) / above, shared, int(keep.sum()), float(chance[1]))
+
+
+def _of_sheet(sd: np.ndarray) -> Standing:
+    """Where the sheet alone speaks, whose heights are known to `sd` (M,) from place to place [camera heights]."""
+    return Standing(np.zeros(len(sd)), np.hypot(sd, GROUND_SD))

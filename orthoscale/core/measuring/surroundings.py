@@ -18,8 +18,9 @@ from ..votes import Votes, gather
 from .objects import standard_objects
 from .parking import parking_pitch
 
-# Relative uncertainty of a reconstruction's ground (one sigma), as a share of the camera's height: sparse points on
-# bare ground scatter by about this much on the two real scenes. Whatever is measured on the ground errs with it.
+# Relative uncertainty of a reconstruction's ground (one sigma), as a share of the camera's height, where its sparse
+# points alone tell (else `parallax`): on bare ground these scatter by about this much on the two real scenes. Whatever
+# is measured on the ground errs with it.
 GROUND_SD = 0.01
 CLEAR_OF_BORDER = 3.0  # [px] from a frame's border: nearer, a box may be cut
 

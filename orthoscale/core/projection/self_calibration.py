@@ -206,17 +206,17 @@ def own_ruler(
 
     plain = settled(start or shipped, (common, common))
     before = plain.size(some, seen, zoom, metres_per_unit)
-    best, most = plain, 0.0
+    best, most, fitted = plain, 0.0, (common, common)
     for shape in SHAPES:
-        free = [common + more for more in shape]
+        free = (common + shape[0], common + shape[1])
         shaped = settled(_undercut(plain) if UNDERCUT in free[0] else plain, free)
         gain = _gain(before, shaped.size(some, seen, zoom, metres_per_unit), vehicle)
         # Another shape only where the views ask for it: the Bayesian information criterion (Schwarz 1978).
         gain -= sum(map(len, shape)) * float(np.log(len(some)))
         told = UNDERCUT not in free[0] or shaped.undercut.max() > LEAST_UNDERCUT
         if told and gain > most:
-            best, most = shaped, gain
-    return best
+            best, most, fitted = shaped, gain, free
+    return _with_the_rest(best, some, seen, zoom, metres_per_unit, vehicle, shipped, fitted)
 
 
 def _undercut(ruler: OwnRuler) -> OwnRuler:
@@ -269,6 +269,37 @@ def _settled(
         if change < RULER_SETTLED:
             break
     return ruler
+
+
+def _with_the_rest(
+    ruler: OwnRuler,
+    boxes: Boxes,
+    views: Views,
+    zoom: float,
+    metres_per_unit: float,
+    vehicle: np.ndarray,
+    shipped: OwnRuler,
+    free: Sequence[list[int]],
+) -> OwnRuler:
+    """`ruler` with the covariance that it has with all that is not known of bodies, `free` or not.
+
+    A body that leans in makes flat views smaller, and a height that is fitted to them lower: the two errors cancel in
+    the views that they were fitted to. And a lean that would have shown is not there. So views tell of all of these
+    together; by what they would change if all were free, they may be off besides. Arguments as of `_settled`.
+    """
+    slopes = ruler.slopes(boxes, views, zoom, metres_per_unit)
+    size = ruler.size(boxes, views, zoom, metres_per_unit)
+    good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
+    prior = _with_undercut(shipped.covariance) if UNDERCUT in free[0] else shipped.covariance
+    covariance = np.zeros_like(shipped.covariance)
+    for axis in range(2):
+        every = np.flatnonzero(np.diag(prior[axis]) > 0)
+        x, value, chosen = slopes[good, axis][:, every], ruler.value[axis, every], np.ix_(every, every)
+        told, covariance[axis][chosen] = _within(
+            x, size[good, axis] + x @ value, vehicle[good], shipped.value[axis, every], prior[axis][chosen]
+        )
+        covariance[axis][chosen] += np.outer(told - value, told - value)
+    return replace(ruler, covariance=covariance)
 
 
 def _with_undercut(covariance: np.ndarray) -> np.ndarray:
