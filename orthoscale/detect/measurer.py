@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
 import cv2
@@ -36,6 +37,7 @@ PASSES_EACH = 4
 # up to a tenth of it; one that is unsure by more is anywhere.
 MOVED_AT_MOST = 0.08
 MOVED_SD = 1 / 3  # what a moved edge's place is uncertain by besides, as a share of the way it was moved
+AS_IT_IS = Fraction(1)  # of a picture that is not enlarged
 NO_DATA = (NO_DATA_GREY,) * 3  # beyond the picture's edge
 ANSWERS = (*KINDS, "none")
 
@@ -187,20 +189,30 @@ class Measurer:
             raise InputError(f"{self._path}: the network fails on a crop ({error})", MEASURER_HINT) from error
         return [np.concatenate(part).astype(float) for part in zip(*parts, strict=True)]
 
-    def __call__(self, picture: Picture, boxes: Boxes, looks: int = PASSES_EACH) -> Measured:
-        """Measure the vehicles that `boxes` propose in a picture, of which a window around each is read."""
-        return self._look([_window(picture, box) for box in boxes.xylwa], boxes, looks)
+    def __call__(
+        self, picture: Picture, boxes: Boxes, looks: int = PASSES_EACH, enlarged: Fraction = AS_IT_IS
+    ) -> Measured:
+        """Measure the vehicles that `boxes` propose in a picture, of which a window around each is read.
+
+        enlarged : the picture is looked at so many times smaller. What is told stays in its pixels; the card's margin
+            and noise are so many times as large.
+        """
+        return self._look([_window(picture, box, enlarged) for box in boxes.xylwa], boxes, looks, float(enlarged))
 
     def in_pixels(self, pixels: np.ndarray, boxes: Boxes, looks: int = PASSES_EACH) -> Measured:
         """Measure the vehicles that `boxes` propose in pixels (H, W, 3), uint8 RGB."""
         return self._look([(pixels, np.zeros(2))] * len(boxes), boxes, looks)
 
-    def _look(self, windows: Sequence[tuple[np.ndarray, np.ndarray]], boxes: Boxes, looks: int) -> Measured:
-        """windows : pixels around each vehicle, and where their first corner lies in the picture."""
+    def _look(
+        self, windows: Sequence[tuple[np.ndarray, np.ndarray]], boxes: Boxes, looks: int, enlarged: float = 1.0
+    ) -> Measured:
+        """windows : pixels around each vehicle, `enlarged` times fewer than the picture's, and where their first corner
+        lies in the picture."""
         if not len(boxes):
             return Measured(boxes, np.empty((0, 4)), np.empty((0, 4)), np.empty((0, len(ANSWERS))))
         corner = np.array([[*at, 0, 0, 0] for _, at in windows], float)
-        proposed = boxes.xylwa - corner
+        units = np.array([enlarged] * 4 + [1.0])
+        proposed = (boxes.xylwa - corner) / units
         for _ in range(looks):
             steps = np.array([pixels_per_crop_pixel(box) for box in proposed])
             crops = [crop(pixels, box) for (pixels, _), box in zip(windows, proposed, strict=True)]
@@ -208,14 +220,17 @@ class Measurer:
             proposed = np.array([placed(*each) for each in zip(proposed, edges, turn, strict=True)])
         sigma = sigma * steps[:, None]
         outward = self.card.outward(sigma, proposed[:, 2])
-        boxes = Boxes(moved_out(proposed, outward) + corner, boxes.score)
-        return Measured(boxes, np.hypot(sigma, MOVED_SD * outward), seen, kind)
+        boxes = Boxes(moved_out(proposed, outward) * units + corner, boxes.score)
+        return Measured(boxes, enlarged * np.hypot(sigma, MOVED_SD * outward), seen, kind)
 
 
-def _window(picture: Picture, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The pixels that the looks at `box` (5,) may need, and where their first corner lies."""
+def _window(picture: Picture, box: np.ndarray, enlarged: Fraction) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels that the looks at `box` (5,) may need, `enlarged` times fewer each way, and where their first corner
+    lies. A whole number of them fits the window."""
     half = AROUND * CROP_WIDTH * pixels_per_crop_pixel(box)
     limit = np.array([picture.width, picture.height])
     low = np.clip(np.floor(box[:2] - half), 0, limit - 1).astype(int)
     size = np.clip(np.ceil(box[:2] + half), low + 1, limit).astype(int) - low
-    return picture.read(*low.tolist(), *size.tolist(), *size.tolist()), low.astype(float)
+    out = np.maximum(size // enlarged.numerator, 1) * enlarged.denominator
+    size = np.minimum(out * enlarged.numerator // enlarged.denominator, limit - low)
+    return picture.read(*low.tolist(), *size.tolist(), *out.tolist()), low.astype(float)

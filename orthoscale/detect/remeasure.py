@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from ..core.pooling.posterior import ROBUST_SD
 from ..core.ruler import Ruler
 from ..core.source import Picture
 from .cache import Kept, as_text, content_key
+from .enlarged import enlargement
 from .find import Effort, Progress
 from .measurer import Measured, Measurer
 from .workers import worker_count
@@ -60,10 +62,12 @@ def remeasured(
     if not chosen and len(found):
         return found  # nothing that was found is at hand
     proposed = {name: found.boxes[name][index] for name, index in chosen.items()}
-    key = content_key([by_name[name] for name in chosen], {"measurer": measurer.sha256}) if effort.cache else None
+    enlarged = enlargement(by_name, proposed)
+    settings = {"measurer": measurer.sha256, "enlarged": str(enlarged)}
+    key = content_key([by_name[name] for name in chosen], settings) if effort.cache else None
     with ExitStack() as open_things:
         kept = open_things.enter_context(Kept(key)) if key else None
-        told = _looked_at(by_name, proposed, measurer, worker_count(effort.workers), kept, progress)
+        told = _looked_at(by_name, proposed, measurer, enlarged, worker_count(effort.workers), kept, progress)
     change = _change(
         Boxes.concatenate(list(proposed.values())), Boxes.concatenate([told[name].boxes for name in proposed])
     )
@@ -84,12 +88,15 @@ def remeasured(
     notes = found.notes
     if count:
         notes = (*notes, f"{count} boxes do not count: the measurer saw no vehicle in them")
+    if enlarged > 1:
+        text = f"the picture has {float(enlarged):g} times the pixels that it shows, each way: measured in fewer"
+        notes = (*notes, text)
     card = measurer.card
     return replace(
         found,
         boxes=boxes,
         doubtful=doubtful,
-        ruler=_in_detector_pixels(card.ruler, found.zoom),
+        ruler=_in_detector_pixels(card.ruler, found.zoom * float(enlarged)),
         effective_height=card.effective_height,
         body=card.body,
         detector=f"{found.detector}, measured by {card.name}",
@@ -113,6 +120,7 @@ def _looked_at(
     pictures: Mapping[str, Picture],
     proposed: Mapping[str, Boxes],
     measurer: Measurer,
+    enlarged: Fraction,
     workers: int,
     kept: Kept | None,
     progress: Progress | None,
@@ -125,7 +133,7 @@ def _looked_at(
         new = [k for k, row in enumerate(rows[name]) if row is None]
         jobs += [(name, np.array(new[k : k + AT_A_TIME])) for k in range(0, len(new), AT_A_TIME)]
     with ThreadPoolExecutor(workers) as pool:
-        looks = pool.map(lambda job: measurer(pictures[job[0]], proposed[job[0]][job[1]]), jobs)
+        looks = pool.map(lambda job: measurer(pictures[job[0]], proposed[job[0]][job[1]], enlarged=enlarged), jobs)
         for done, ((name, index), look) in enumerate(zip(jobs, looks, strict=True), 1):
             for k, row in zip(index, np.hstack([look.boxes.xylwa, look.sigma, look.seen, look.kind]), strict=True):
                 rows[name][k] = row
@@ -176,7 +184,7 @@ def _corrected(boxes: Boxes, change: _Change) -> Boxes:
 
 
 def _in_detector_pixels(ruler: Ruler, zoom: float) -> Ruler:
-    """A ruler in pixels of the picture, as `Detections` has it."""
+    """A ruler in pixels that are `zoom` of the detector's, as `Detections` has it."""
     margin, margin_sd, noise = (
         tuple((zoom * np.array(value)).tolist()) for value in (ruler.margin, ruler.margin_sd, ruler.noise)
     )
