@@ -13,7 +13,7 @@ from support.simulate import DENSEUAV, Body, found_ruler
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.projection import self_calibration
 from orthoscale.core.projection.exact import Hull
-from orthoscale.core.projection.self_calibration import UNDERCUT, OwnRuler, own_ruler, trends
+from orthoscale.core.projection.self_calibration import CORNER, UNDERCUT, OwnRuler, own_ruler, trends
 from orthoscale.core.projection.view import Views
 from orthoscale.fleets import load_fleet
 
@@ -103,3 +103,11 @@ def test_what_a_fitted_height_has_taken_up_of_a_leaning_body_is_not_claimed_agai
     apart = np.sqrt(((shares * own.sd[0]) ** 2).sum())
     assert together < 0.8 * apart
     assert 0.5 < abs(own_off) / together < 2, "and what is left is claimed"
+
+
+def test_slopes_do_not_leave_what_bodies_can_be(flight):
+    sharp = OwnRuler.shipped((0.7, 0.5), (1.0, 1.0), (0.25, 0.25), (1.0, 1.0), Hull(corner=0.0))
+    slopes = sharp.slopes(flight.boxes, flight.views, 1.0, UNIT, [CORNER])[..., CORNER]
+    size = sharp.size(flight.boxes, flight.views, 1.0, UNIT)
+    share = np.nanmedian(np.abs(slopes / size), axis=0)
+    assert share[1] < 0.1, "a corner takes nothing off the width; one cut off outwards would add to it"

@@ -59,7 +59,7 @@ LANE_LINES = (
     (3.0, _line(3, 9, "roads", "RONA (Netherlands), wegenwiki.nl; 164/1992 (Finland) 26; Sweden 1:3", "NL FI SE NO")),
     (1.0, _line(1, 3, "towns", "164/1992 (Finland) 26; theoriecursus.nl", "NL FI", 0.7)),
     (3.0, _line(3, 7, "roads", "NZTA TCD manual part 5 table 2-28", "NZ")),
-    (3.0, _line(3, 9, "roads", "Melbourne's lists of markings 2018 to 2024, services2.arcgis.com: 3 m and 9 m", "AU")),
+    (3.0, _line(3, 9, "roads", "lists of markings in Victoria, 2018 to 2024 (services2.arcgis.com): 9 m x 3 m", "AU")),
     (2.0, _line(2, 6, "to 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 1 to 3 m", "RU BY UA KZ", 0.5)),
     (1.0, _line(1, 3, "to 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 1 to 3 m", "RU BY UA KZ", 0.5)),
     (3.0, _line(3, 9, "above 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 3 to 4 m", "RU BY UA KZ")),

@@ -11,6 +11,7 @@ from orthoscale.core.boxes import KINDS
 
 VEHICLES = np.geomspace(1.0, 300.0, 200)  # tried for how much places differ
 ROUNDS = 20
+LESS_LIKELY = 1.92  # log likelihood below the greatest, at the ends of a 95 % interval (Wilks 1938)
 
 
 def card_entries(places: Sequence[np.ndarray]) -> dict[str, object]:
@@ -20,7 +21,8 @@ def card_entries(places: Sequence[np.ndarray]) -> dict[str, object]:
         were taken for vehicles, without the share of none.
     The shares of a place are taken to come from a Dirichlet distribution, and its vehicles from these shares (a
     Dirichlet-multinomial distribution, of the greatest likelihood); so a place of many vehicles does not outweigh the
-    others by their number. A kind that no place has is as likely called anything.
+    others by their number. How much places differ is given at its upper limit, for few places tell it. A kind that no
+    place has is as likely called anything.
     """
     counts = np.array(places, float)
     number = counts.sum(2)  # (P, 4) vehicles of each kind
@@ -31,7 +33,9 @@ def card_entries(places: Sequence[np.ndarray]) -> dict[str, object]:
         row = (weight[..., None] * counts / np.maximum(number, 1e-9)[..., None]).sum(0)
         table = (row + 1e-2 / len(KINDS)) / (row.sum(1, keepdims=True) + 1e-2)
         vehicles = float(VEHICLES[np.argmax([_log_likelihood(counts, v * table) for v in VEHICLES])])
-    return {"kinds": table.round(3).tolist(), "kinds_vehicles": round(vehicles, 1)}
+    likelihood = np.array([_log_likelihood(counts, v * table) for v in VEHICLES])
+    least = VEHICLES[np.argmax(likelihood >= likelihood.max() - LESS_LIKELY)]
+    return {"kinds": table.round(3).tolist(), "kinds_vehicles": round(float(least), 1)}
 
 
 def _log_likelihood(counts: np.ndarray, rows: np.ndarray) -> float:

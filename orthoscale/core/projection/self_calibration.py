@@ -146,12 +146,11 @@ class OwnRuler:
         """(N, 2 axes, 5) how much smaller the size is for one more of each of `value` [units], 0 but for `columns`."""
         out = np.zeros((len(boxes), 2, len(DIFFERENCES)))
         for k in columns:
-            step = DIFFERENCES[k]
             change = np.zeros(len(DIFFERENCES))
-            change[k] = step
-            more, less = (replace(self, value=self.value + sign * change) for sign in (1, -1))
-            apart = less.size(boxes, views, zoom, metres_per_unit) - more.size(boxes, views, zoom, metres_per_unit)
-            out[:, :, k] = apart / (2 * step)
+            change[k] = DIFFERENCES[k]
+            low, high = (np.clip(self.value + sign * change, LOWEST, LARGEST) for sign in (-1, 1))
+            less, more = (replace(self, value=value).size(boxes, views, zoom, metres_per_unit) for value in (low, high))
+            out[:, :, k] = (less - more) / (high - low)[:, k]
         return out
 
     def relative_sd(self, size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
@@ -285,7 +284,8 @@ def _with_the_rest(
 
     A body that leans in makes flat views smaller, and a height that is fitted to them lower: the two errors cancel in
     the views that they were fitted to. And a lean that would have shown is not there. So views tell of all of these
-    together; by what they would change if all were free, they may be off besides. Arguments as of `_settled`.
+    together; by what they would change if all were free, they may be off besides, though by no more than was not known
+    before: far off, the slopes are another body's. Arguments as of `_settled`.
     """
     slopes = ruler.slopes(boxes, views, zoom, metres_per_unit)
     size = ruler.size(boxes, views, zoom, metres_per_unit)
@@ -298,7 +298,9 @@ def _with_the_rest(
         told, covariance[axis][chosen] = _within(
             x, size[good, axis] + x @ value, vehicle[good], shipped.value[axis, every], prior[axis][chosen]
         )
-        covariance[axis][chosen] += np.outer(told - value, told - value)
+        before = np.sqrt(np.diag(prior[axis])[every])
+        off = np.clip(told - value, -before, before)
+        covariance[axis][chosen] += np.outer(off, off)
     return replace(ruler, covariance=covariance)
 
 
