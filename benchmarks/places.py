@@ -106,6 +106,7 @@ def margins(own: dict[str, tuple[float, float]]) -> str:
 
 
 def main(folder: Path, names: set[str], **networks: str | Path | None) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
     rows, errors, own = [], {}, {}
     for scene in scenes():
         if names and scene.name not in names:

@@ -33,7 +33,7 @@ def load_fleet(name: str | Path) -> Fleet:
     A country without a fleet of its own takes its neighbours' or its region's, less certain, and its name says so.
     ``world`` and ``auto`` have the fleets of all countries as candidates, and the world's average: ``world`` weighs
     them by the vehicles and the people that are there, for ``auto`` all are equally likely. Inhabitants are those of
-    2022 (United Nations, World Population Prospects 2022), vehicles those in use about then (rounded, from memory).
+    2022 (United Nations, World Population Prospects 2022), vehicles those in use about then (rounded; `world_source`).
     Raises UsageError for an unknown name, InputError for a file that is no fleet.
     """
     if str(name).upper() in (WORLD, AUTO.upper()):

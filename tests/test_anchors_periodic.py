@@ -72,6 +72,24 @@ def test_bays_with_vehicles_between_their_lines():
     assert anchor.pixels * 0.1 == pytest.approx(2.5, rel=0.005)
 
 
+@pytest.mark.parametrize("gsd, apart", ((0.10, 0.4), (0.10, 0.6), (0.15, 0.6)))
+def test_double_lines_between_bays(gsd, apart):
+    """A left line at one end and a right one at the other would make the pitch 1.3 % longer, or shorter."""
+    lines = [(stroke(12 + 2.5 * k + side * apart / 2, 22, 5, 0.1, 90), PAINT) for k in range(12) for side in (-1, 1)]
+    for turn in (10, 130):
+        anchor = one(ParkingBays().find(picture(lines, gsd, (66, 45), turn=turn), gsd * 1.05, 0.06, "DE"), 2.5)
+        assert anchor.count >= 10
+        assert anchor.pixels * gsd == pytest.approx(2.5, rel=0.003)
+
+
+@pytest.mark.parametrize("turn", (10, 70, 130))
+def test_double_lines_that_are_hardly_resolved_say_nothing_wrong(turn):
+    lines = [(stroke(12 + 2.5 * k + side * 0.2, 22, 5, 0.1, 90), PAINT) for k in range(12) for side in (-1, 1)]
+    for gsd in (0.15, 0.2):
+        for anchor in ParkingBays().find(picture(lines, gsd, (66, 45), turn=turn), gsd, 0.06, "DE"):
+            assert anchor.pixels * gsd == pytest.approx(2.5, rel=0.005)
+
+
 @pytest.mark.parametrize("turn", (0, 33, 90))
 @pytest.mark.parametrize("gsd", (0.10, 0.3))
 def test_the_period_of_a_lane_line(gsd, turn):

@@ -57,6 +57,24 @@ def test_thousands_in_one_place_take_no_time():
     assert standing_in_another(random_boxes(20_000, side=101)).mean() > 0.99
 
 
+@pytest.mark.parametrize(
+    "count, scatter, refused", [(15, 0.012, True), (36, 0.02, True), (15, 0.06, False), (5, 0.01, False)]
+)
+def test_a_scale_of_boxes_of_one_size_is_refused(count, scatter, refused):
+    """Roof machines far apart, which no group gives away; not vehicles, and not five that happen to be alike."""
+    rng = np.random.default_rng(3)
+    x, y = np.meshgrid(np.arange(100, 1900, 280), np.arange(100, 1900, 280))
+    sides = 45 * np.exp(rng.normal(0, scatter, (count, 1))) * [1, 0.42]
+    rows = np.column_stack([x.ravel()[:count], y.ravel()[:count], sides, np.zeros(count)])
+    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px")
+    plan.plan, plan.posed = plan, None
+    found = Detections({"plan": Boxes(rows, np.full(count, 0.9))}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file")
+    measured = measure_source(plan, found, DE)
+    said = [remark.severity for remark in measured.remarks if "of one length" in remark.text]
+    assert said == ([REFUSAL] if refused else [])
+    assert (measured.scale.verdict == UNUSABLE) >= refused
+
+
 @pytest.mark.parametrize("boxes", [random_boxes(2000, 1500), car_park(45, 2000, 2000, 150)], ids=["random", "apart"])
 def test_a_scale_of_such_boxes_is_refused(boxes):
     """Both are of the sizes of vehicles, and would give a scale."""
@@ -123,3 +141,7 @@ def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, low
     # However narrow the interval: things that are all alike, and anchors that follow them, are sure of themselves.
     good = replace(sure.scale, verdict="good")
     assert as_agreed(good, believed, doubtful).verdict == ("poor" if lowered else "good")
+    # Where many are larger than cars besides, the cars may be something else.
+    larger = as_agreed(replace(good, larger_share=0.3), believed, doubtful)
+    assert (larger.verdict == UNUSABLE) == lowered
+    assert [r.severity for r in larger.remarks if "larger than cars" in r.text] == ([REFUSAL] if lowered else [])

@@ -87,6 +87,23 @@ def test_a_vehicle_that_both_ways_see_counts_once():
     assert at[0] == pytest.approx(4.5) and at[7] == pytest.approx(1.04 * 4.5)
     assert np.log(at[3] / 4.5) == pytest.approx(np.log(1.04) / 5)  # weights of four to one
     assert ruler.margin == (0.0, 0.0) and covariance == pytest.approx(np.eye(2) * 1e-4)
+    assert np.isnan(votes.kinds).all() and not ruler.kinds
+
+
+@pytest.mark.slow
+def test_what_a_vehicle_is_called_in_both_ways_is_their_mean():
+    place = 10 * np.arange(6)[:, None] * np.array([1.0, 0, 0])
+    size, table = np.tile([4.5, 1.8], (6, 1)), tuple(map(tuple, np.eye(4)))
+    a, b, unknown = way(size[:4], place[:4], 0.02), way(size[1:], place[1:], 0.02), np.full(4, np.nan)
+    car, pickup = np.eye(4)[:2]
+    a = replace(a, votes=replace(a.votes, kinds=np.array([car, car, unknown, unknown])))
+    b = replace(b, votes=replace(b.votes, kinds=np.array([pickup, pickup, unknown, pickup, unknown])))
+    told = [replace(m, pooled=replace(m.pooled, ruler=replace(m.pooled.ruler, kinds=table))) for m in (a, b)]
+    votes, ruler, _ = united(*told)
+    order = np.argsort(votes.place[:, 0])
+    expected = np.array([car, (car + pickup) / 2, pickup, unknown, pickup, unknown])
+    assert votes.kinds[order] == pytest.approx(expected, nan_ok=True) and ruler.kinds == table
+    assert np.isnan(united(a, told[1])[0].kinds[order[0]]).all(), "of a ruler that has no table"
 
 
 @pytest.mark.slow

@@ -99,7 +99,7 @@ def test_vehicles_of_one_place_stray_from_their_countrys_mean():
     national = (fleet.mean_sd / fleet.mean)[:2]
     local = np.sqrt(np.diag(fleet.log_mean_covariance) - national**2)
     assert local == pytest.approx([0.029, 0.0167], abs=0.001)
-    of_classes = np.sqrt(np.diag(fleet.class_mean_covariance) - national**2)
+    of_classes = np.sqrt(np.diag(fleet.class_mean_covariance(fleet.told_apart)) - national**2)
     assert (of_classes < 0.7 * local).all(), "most of it is the mix, which the pooling finds"
 
 

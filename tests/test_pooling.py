@@ -8,7 +8,7 @@ import pytest
 from support.simulate import place_of
 
 from orthoscale.core.pooling import robust
-from orthoscale.core.pooling.mixture import Mix, fit
+from orthoscale.core.pooling.mixture import Mix, Seen, fit
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
@@ -338,14 +338,15 @@ def test_what_only_one_frame_of_many_shows_does_not_count():
 def test_fleets_that_are_solved_in_step_come_out_as_each_alone():
     """Of 1 to 6 classes, all with their own scales that are possible."""
     rng = np.random.default_rng(31)
-    log_size, noise = np.log(load_fleet("JP").sample(rng, 40)[:, :2] / 0.1), np.full((40, 2), 0.5)
+    seen = Seen(np.log(load_fleet("JP").sample(rng, 40)[:, :2] / 0.1), np.full((40, 2), 0.5), np.empty((40, 0)))
     fleets = [load_fleet(code) for code in ("PAPER", "JP", "DE", "US", "PH", "UG", "IN", "NP")]
+    free = 1e-4 * np.eye(2)
     mixes = [
-        Mix(f.told_apart, f.class_mean_covariance + 1e-4 * np.eye(2), np.array([0.6, 0.4]), f.place_vehicles)
+        Mix(f.told_apart, f.class_mean_covariance(f.told_apart) + free, np.array([0.6, 0.4]), f.place_vehicles)
         for f in fleets
     ]
-    for mix, together in zip(mixes, fit(log_size, noise, mixes), strict=True):
-        (alone,) = fit(log_size, noise, [mix])
+    for mix, together in zip(mixes, fit(seen, mixes), strict=True):
+        (alone,) = fit(seen, [mix])
         assert together.log_scale == pytest.approx(alone.log_scale, abs=1e-9)
         assert together.weight == pytest.approx(alone.weight, abs=1e-9)
         assert together.log_evidence == pytest.approx(alone.log_evidence, abs=1e-8)
@@ -363,8 +364,8 @@ def test_a_fleet_that_no_box_fits_is_impossible_and_not_the_end(monkeypatch):
     alone = pool(votes, replace(several, candidates=(first,), prior=(1.0,)), ruler, "m/px")
     real = robust.fit
 
-    def without_second(log_size, noise, mixes, drawing):
-        found = real(log_size, noise, mixes, drawing)
+    def without_second(seen, mixes, *more):
+        found = real(seen, mixes, *more)
         return [None if mix.classes == second.told_apart else fits for mix, fits in zip(mixes, found, strict=True)]
 
     monkeypatch.setattr(robust, "fit", without_second)

@@ -9,8 +9,9 @@ import pytest
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.detect.decoders import decode_maps
+from orthoscale.detect.measurer import ANSWERS
 from orthoscale.fleets import load_fleet
-from training import augment, by_hand, data, missing, propose
+from training import augment, by_hand, data, kinds, missing, propose
 from training.data import MARGINS, read_labels, split
 from training.evaluate import (
     Comparison,
@@ -31,6 +32,7 @@ from training.evaluate import (
     rendered_scene,
     table,
 )
+from training.measurer import real
 from training.paste import paste
 from training.targets import CROP, encode
 
@@ -513,6 +515,18 @@ def test_margins_are_what_labels_exceed_the_readings_by(tmp_path, monkeypatch, c
     assert sum(len(p.vehicles) for scene in measured.values() for p in scene.pictures) == 35
 
 
+def test_what_is_read_again_is_averaged(tmp_path):
+    def vehicle(read, readers=1, picture="a.png"):
+        return {"scene": "s", "picture": picture, "label": read, "read": read, "readers": readers}
+
+    kept = [vehicle([50.0, 40, 40, 18, 1.56], 2), vehicle([90.0, 40, 40, 18, 0.0])]
+    new = [vehicle([53.0, 40, 43, 15, -1.57]), vehicle([50.0, 40, 40, 18, 0.0], picture="b.png")]
+    told = by_hand.joined(kept, new)
+    assert [v["readers"] for v in told] == [3, 1, 1] and told[2]["picture"] == "b.png"
+    assert told[0]["read"] == pytest.approx([51.0, 40, 41, 17, 1.56 + (np.pi - 3.13) / 3], abs=0.01)
+    assert told[1]["read"] == [90.0, 40, 40, 18, 0.0]
+
+
 def test_sheets_of_a_place_need_only_a_detectors_boxes(tmp_path, monkeypatch):
     boxes = field_of_boxes(np.random.default_rng(8))
     cv2.imwrite(str(tmp_path / "place.png"), draw_boxes(boxes))
@@ -527,6 +541,40 @@ def test_sheets_of_a_place_need_only_a_detectors_boxes(tmp_path, monkeypatch):
     for cell in cells:
         assert np.abs(boxes - cell.label).max(1).min() < 1e-6
     assert (tmp_path / "sheets" / "READING.txt").exists()
+
+
+def test_kinds_are_kept_where_readers_agree(tmp_path, monkeypatch, capsys):
+    boxes = field_of_boxes(np.random.default_rng(8))
+    labels = write_labels(tmp_path / "labels", {"park": (draw_boxes(boxes), rows(boxes))})
+    folder, kept = tmp_path / "sheets", tmp_path / "kinds.json"
+
+    def run(*arguments):
+        monkeypatch.setattr("sys.argv", ["kinds", *map(str, arguments)])
+        kinds.main()
+        return capsys.readouterr().out
+
+    run("sheets", "--labels", labels, "--count", 8, "--out", folder)
+    cells = by_hand.read_sheets(folder)
+    assert len(cells) == 8 and (folder / "sheet_00.png").exists() and (folder / "READING.txt").exists()
+    one, other = tmp_path / "one.json", tmp_path / "other.json"
+    blank = ["??????"] * (kinds.ROWS - 2)
+    one.write_text(json.dumps({"0": ["cpvln?", "cc????", *blank]}))
+    other.write_text(json.dumps({"0": ["ccvlnp", "cp????", *blank]}))
+    run("keep", folder, one, other, "--data", tmp_path / "labels", "--to", kept)
+    vehicles = json.loads(kept.read_text())["vehicles"]
+    assert [v["kind"] for v in vehicles] == ["car", "van", "larger", "none", "car"]
+    assert [v["box"] for v in vehicles] == [cells[k].label.round(2).tolist() for k in (0, 2, 3, 4, 6)]
+    assert {v["readers"] for v in vehicles} == {2}
+    table = run("agreement", folder, one, other)
+    assert "| pickup | 2 | 0 | 0 | 0 | 0 | 1 |" in table  # of three pickups two were cars to the other, one unknown
+    one.write_text(json.dumps({"0": ["cpvln", "cc????", *blank]}))
+    with pytest.raises(ValueError, match="rows of 6 letters"):
+        kinds.read_answers(one)
+    # What was told is what the measurer learns from.
+    patches = real.told_patches(tmp_path / "labels", vehicles)
+    assert [ANSWERS[p.kind] for p in patches] == [v["kind"] for v in vehicles]
+    for patch, vehicle in zip(patches, vehicles, strict=True):
+        assert patch.box[2:].tolist() == vehicle["box"][2:]
 
 
 # The network (with torch)

@@ -115,6 +115,8 @@ def test_only_promising_zooms_are_looked_at_more_widely():
 class Seen:
     """A detector that sees boxes of a picture wherever they are usable; those with chance below 1 now and then."""
 
+    confirming = None
+
     def __init__(self, picture, boxes, chance):
         self.picture, self.boxes, self.chance = picture, boxes, np.asarray(chance)
         self.card, self.sha256 = Detector().card, ""

@@ -4,6 +4,7 @@ r"""Vehicles measured by hand, and by how much the labels of each scene are long
         --labels runs/synthetic/labels.json --checked ../shared/data --out runs/by_hand
     python -m training.by_hand sheets --found manila=../shared/data/orthophotos/manila.tif:BOXES.json --smallest 8 \\
         --out runs/by_hand/manila                                   # places that nobody has labelled
+    python -m training.by_hand sheets --again ../shared/data --out runs/again   # once more, by other readers
     python -m training.by_hand draw runs/by_hand READINGS.json      # what was read, drawn onto the sheets
     python -m training.by_hand keep runs/by_hand READINGS.json [READINGS.json ...] --data ../shared/data
     python -m training.by_hand margins                              # of all that was kept, in labels/by_hand.json
@@ -12,7 +13,7 @@ r"""Vehicles measured by hand, and by how much the labels of each scene are long
 without any box, each at its own scale and place, so that one cell's answer tells nothing about the next. A reader says
 where each ends, sees the answers drawn, corrects them, and leaves out what cannot be told. `--found` needs only a
 detector's boxes (a detections file, or a plain ``{picture: [{cx, cy, length, width, angle, score}]}``), which say where
-to look and nothing else.
+to look and nothing else. What is read `--again` is averaged with what was read before, each reader once.
 
 READINGS.json is ``{"CELL": [left, right, top, bottom, tilt] or null, ...}``: where the vehicle ends in its cell [px of
 the cell, as its rulers count], once the vehicle is turned level about its centre by `tilt` [deg, clockwise on screen],
@@ -38,7 +39,7 @@ import numpy as np
 from orthoscale.core.boxes import Boxes
 
 from .data import read_labels
-from .evaluate import BY_HAND, checked_scenes, middle, reference_scene
+from .evaluate import BY_HAND, checked_scenes, measured_scenes, middle, reference_scene
 
 CELL = (400, 230)  # width, height [px of the sheet]; a sheet of twelve is as large as models see without shrinking it
 COLUMNS, ROWS = 3, 4
@@ -100,7 +101,7 @@ def choose(
     scenes: dict[str, list[tuple[int, float, Path, np.ndarray]]] = {}
     for scene, file, boxes, (width, height) in pictures:
         fit = Boxes(boxes, np.ones(len(boxes))).inside(width, height, 8.0) & (boxes[:, 2] > smallest)
-        whole = boxes[fit & ~_measured_before(boxes, before.get(file.name, []))]
+        whole = boxes[fit & ~_measured_before(boxes, before.get(file.name, [])).any(1)]
         # A picture's second vehicle comes after every picture's first.
         scenes.setdefault(scene, []).extend(
             (n, rng.random(), file, box) for n, box in enumerate(rng.permutation(whole))
@@ -113,10 +114,10 @@ def choose(
 
 
 def _measured_before(boxes: np.ndarray, read: Sequence[Sequence[float]]) -> np.ndarray:
-    """(N,) bool: the box's centre lies within half a vehicle's width of one of those that were read."""
+    """(N, M) bool: the centre of box N lies within half a vehicle's width of that of vehicle M that was read."""
     there = np.array(read, float).reshape(-1, 5)
     apart = np.hypot(*(boxes[:, None, :2] - there[:, :2]).transpose(2, 0, 1))
-    return np.asarray((apart < there[:, 3] / 2).any(1))
+    return np.asarray(apart < there[:, 3] / 2)
 
 
 def _to_cell(box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -126,16 +127,22 @@ def _to_cell(box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.c_[linear, np.array(CELL) / 2 + rng.uniform(-SHIFT, SHIFT, 2) - linear @ box[:2]]
 
 
-def draw_cell(cell: Cell) -> np.ndarray:
-    """The cell's picture, BGR, its contrast stretched, with a scale in cell pixels at its edges and a faint grid."""
+def enlarged(cell: Cell, share: float = 1.0) -> np.ndarray:
+    """The cell's picture, BGR, its contrast stretched, at `share` of the size of CELL."""
     image = cv2.imread(str(cell.picture), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise ValueError(f"{cell.picture}: not an image that OpenCV can read")
-    linear, shift = cell.to_cell[:, :2], cell.to_cell[:, 2]
+    linear, shift = share * cell.to_cell[:, :2], share * cell.to_cell[:, 2]
     centres = np.c_[linear, shift + linear @ (0.5, 0.5) - 0.5]  # OpenCV puts a pixel's centre at its integer index
-    pixels = cv2.warpAffine(image, centres, CELL, flags=cv2.INTER_CUBIC).astype(np.float32)
+    size = (int(share * CELL[0]), int(share * CELL[1]))
+    pixels = cv2.warpAffine(image, centres, size, flags=cv2.INTER_CUBIC).astype(np.float32)
     low, high = np.percentile(pixels, (1, 99))
-    canvas = np.clip((pixels - low) / max(high - low, 1) * 235 + 10, 0, 255).astype(np.uint8)
+    return np.clip((pixels - low) / max(high - low, 1) * 235 + 10, 0, 255).astype(np.uint8)
+
+
+def draw_cell(cell: Cell) -> np.ndarray:
+    """`enlarged`, with a scale in cell pixels at its edges and a faint grid."""
+    canvas = enlarged(cell)
     lines = canvas.copy()
     for axis, size in enumerate(CELL):
         for at in range(0, size, TICK):
@@ -178,7 +185,24 @@ def margins(kept: Iterable[dict]) -> dict[str, tuple[np.ndarray, np.ndarray, np.
     return told
 
 
-def _pictures(options: argparse.Namespace) -> Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]]:
+def sheet_options(parser: argparse.ArgumentParser, smallest: float, count: int) -> None:
+    """What `pictures_of` and `choose` ask for."""
+    parser.add_argument("--labels", type=Path, action="append", default=[], help="label file; may be repeated")
+    parser.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json")
+    parser.add_argument("--found", action="append", default=[], metavar="NAME=IMAGES:BOXES.json")
+    parser.add_argument("--scenes", nargs="*", help="only these")
+    parser.add_argument("--smallest", type=float, default=smallest, help="vehicle length [px] (%(default)s)")
+    parser.add_argument("--count", type=int, default=count, help="vehicles of each scene (%(default)s)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, required=True)
+
+
+def pictures_of(options: argparse.Namespace) -> Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]]:
+    """Scene, file, vehicles (N, 5) and (width, height) [px] of each picture that `sheet_options` name."""
+    return (picture for picture in _every_picture(options) if not options.scenes or picture[0] in options.scenes)
+
+
+def _every_picture(options: argparse.Namespace) -> Iterable[tuple[str, Path, np.ndarray, tuple[int, int]]]:
     for file in options.labels:
         drawn, complete = (read_labels(file, tighten=False, complete=c) for c in (False, True))
         for image, more in zip(drawn, complete, strict=True):
@@ -188,19 +212,25 @@ def _pictures(options: argparse.Namespace) -> Iterable[tuple[str, Path, np.ndarr
     for scene in checked_scenes(options.checked) if options.checked else []:
         for p in scene.pictures:
             yield scene.name, p.picture.path, p.vehicles, (p.picture.width, p.picture.height)
-    for scene in map(reference_scene, options.found):
+    again = getattr(options, "again", None)
+    for scene in [*(measured_scenes(again) if again else []), *map(reference_scene, options.found)]:
         for p in scene.pictures:
             yield scene.name, p.picture.path, p.vehicles, (p.picture.width, p.picture.height)
 
 
-def write_sheets(folder: Path, cells: Sequence[Cell]) -> None:
+def write_cells(folder: Path, cells: Sequence[Cell], reading: str) -> None:
+    """Write what `read_sheets` reads, and how to read the sheets."""
     folder.mkdir(parents=True, exist_ok=True)
     entries = [
         {"scene": c.scene, "picture": str(c.picture), "to_cell": c.to_cell.tolist(), "label": c.label.tolist()}
         for c in cells
     ]
     (folder / "cells.json").write_text(json.dumps(entries))
-    (folder / "READING.txt").write_text(READING)
+    (folder / "READING.txt").write_text(reading)
+
+
+def write_sheets(folder: Path, cells: Sequence[Cell]) -> None:
+    write_cells(folder, cells, READING)
     _join(folder, "sheet", dict(enumerate(map(draw_cell, cells))))
 
 
@@ -230,19 +260,45 @@ def draw_answers(folder: Path, answers: dict[int, list[float]]) -> None:
 def measured(folder: Path, readers: Sequence[dict[int, list[float]]], data: Path) -> list[dict]:
     """Vehicles as labels/by_hand.json has them: the mean box where several have read one. Pictures are named from the
     folder `data` on, others by their name alone."""
-    kept, data = [], data.resolve()
+    kept = []
     for number, cell in enumerate(read_sheets(folder)):
         boxes = [to_picture(read_box(answers[number]), cell.to_cell) for answers in readers if number in answers]
         if boxes:
-            file = cell.picture.resolve()
             kept.append({
                 "scene": cell.scene,
-                "picture": str(file.relative_to(data)) if file.is_relative_to(data) else file.name,
+                "picture": stored_name(cell.picture, data),
                 "label": cell.label.round(2).tolist(),
                 "read": np.mean(boxes, axis=0).round(2).tolist(),
                 "readers": len(boxes),
             })  # fmt: skip
     return kept
+
+
+def stored_name(picture: Path, data: Path) -> str:
+    """A picture's path from the folder `data` on, its name alone if it lies elsewhere."""
+    file, data = picture.resolve(), data.resolve()
+    return str(file.relative_to(data)) if file.is_relative_to(data) else file.name
+
+
+def joined(kept: Iterable[dict], new: Iterable[dict]) -> list[dict]:
+    """Vehicles as `measured` gives them, those of the same picture and place as one: the mean over all readers."""
+    vehicles = list(kept)
+    by_picture: dict[str, list[int]] = {}
+    for n, vehicle in enumerate(vehicles):
+        by_picture.setdefault(vehicle["picture"], []).append(n)
+    for vehicle in new:
+        there = by_picture.get(vehicle["picture"], [])
+        same = _measured_before(np.array([vehicle["read"]]), [vehicles[n]["read"] for n in there])
+        if not same.any():
+            vehicles.append(vehicle)
+            continue
+        before = vehicles[there[int(same[0].argmax())]]
+        readers = before["readers"] + vehicle["readers"]
+        change = np.subtract(vehicle["read"], before["read"])
+        change[4] = (change[4] + np.pi / 2) % np.pi - np.pi / 2  # either end may be called the right one
+        before["read"] = (before["read"] + change * vehicle["readers"] / readers).round(2).tolist()
+        before["readers"] = readers
+    return vehicles
 
 
 def _join(folder: Path, name: str, cells: dict[int, np.ndarray]) -> None:
@@ -265,13 +321,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     sheets = commands.add_parser("sheets", help="draw vehicles to be measured")
-    sheets.add_argument("--labels", type=Path, action="append", default=[], help="label file; may be repeated")
-    sheets.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json")
-    sheets.add_argument("--found", action="append", default=[], metavar="NAME=IMAGES:BOXES.json")
-    sheets.add_argument("--smallest", type=float, default=SMALLEST, help="vehicle length [px] (%(default)s)")
-    sheets.add_argument("--count", type=int, default=24, help="vehicles of each scene (%(default)s)")
-    sheets.add_argument("--seed", type=int, default=0)
-    sheets.add_argument("--out", type=Path, required=True)
+    sheet_options(sheets, SMALLEST, 24)
+    sheets.add_argument("--again", type=Path, metavar="DATA", help="folder of the pictures of labels/by_hand.json")
     draw, keep = (commands.add_parser(name, help=text) for name, text in
                   {"draw": "draw readings onto the sheets", "keep": "add what was read to --to"}.items())  # fmt: skip
     for command in (draw, keep):
@@ -283,13 +334,14 @@ def main() -> None:
     tell.add_argument("--of", type=Path, default=BY_HAND, help="(%(default)s)")
     options = parser.parse_args()
     if options.command == "sheets":
-        kept = json.loads(BY_HAND.read_text())["vehicles"]
-        write_sheets(options.out, choose(_pictures(options), options.count, options.seed, options.smallest, kept))
+        kept = [] if options.again else json.loads(BY_HAND.read_text())["vehicles"]
+        write_sheets(options.out, choose(pictures_of(options), options.count, options.seed, options.smallest, kept))
     elif options.command == "draw":
         draw_answers(options.folder, {k: v for file in options.readings for k, v in read_answers(file).items()})
     elif options.command == "keep":
         kept = json.loads(options.to.read_text()) if options.to.exists() else {"vehicles": []}
-        kept["vehicles"] += measured(options.folder, [read_answers(file) for file in options.readings], options.data)
+        new = measured(options.folder, [read_answers(file) for file in options.readings], options.data)
+        kept["vehicles"] = joined(kept["vehicles"], new)
         rows = ",\n  ".join(json.dumps(vehicle) for vehicle in kept.pop("vehicles"))
         rest = "".join(f" {json.dumps(name)}: {json.dumps(text)},\n" for name, text in kept.items())
         options.to.write_text(f'{{\n{rest} "vehicles": [\n  {rows}\n ]\n}}\n')

@@ -15,7 +15,7 @@ WINDOWS = (0.9, 0.65, 0.5, 0.4)  # [m] about a stroke where its paint is looked 
 LEAST_WINDOW = 1.3  # [px] but never closer than this
 PAINT_SD = 0.05  # [m] one sigma of the ridge filter, of the width of the paint ...
 LINE_SD = 0.75  # [px] ... and at least of what a camera leaves of a line, to see it ...
-FINE_SD, FINE_BELOW = 0.6, 3.0  # [px] ... and to measure it, where strokes are so near each other
+FINE_SD, FINE_BELOW = 0.6, 3.6  # [px] ... and to measure it, where strokes are so near each other
 BLURRED_SD = 0.7  # [px] one sigma of what lens and pixels make of a thin line, as a rule ...
 SHARPEST, BLUNTEST = 0.3, 1.2  # [px] ... and at least and at most
 # A line of size A and a step B, both blurred to a variance v, peak where B sqrt(v) / A = (3 u - u^3) / (1 - u^2), at
@@ -239,16 +239,20 @@ def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: floa
     return change
 
 
-def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, size: float) -> CourtFit | None:
-    """The court near `place` [px], `angle` [rad] and `size` [px/m], in `light` (H, W) float32 grey levels. None where
-    too little of it is seen to fit anything, or the fit leaves the place."""
+def fit_court(
+    light: np.ndarray, grey: np.ndarray, court: Court, place: np.ndarray, angle: float, size: float
+) -> CourtFit | None:
+    """The court near `place` [px], `angle` [rad] and `size` [px/m], in two pictures (H, W) float32 [grey levels]: it is
+    seen in `light`, in which paint stands out, and where its strokes are few pixels apart measured in `grey`, plain
+    brightness, which JPEG keeps at full resolution and colours not. None where too little of it is seen to fit
+    anything, or the fit leaves the place."""
     length = round(max(PIECE, PIECE_PX / size), 1)
     pieces, blanks = _pieces(court, length, round(max(FREE, FREE_PX / size), 1))
     pushed = _pushed(court, length, size, WIDE_SIGHT)
     reach = court.extent * size * 0.6 + 8
     corner = np.maximum(np.floor(place - reach), 0).astype(int)
     upper = np.maximum(np.ceil(place + reach), 0).astype(int)
-    light = np.ascontiguousarray(light[corner[1] : upper[1], corner[0] : upper[0]])
+    light, grey = (np.ascontiguousarray(each[corner[1] : upper[1], corner[0] : upper[0]]) for each in (light, grey))
     if min(light.shape) < 8:
         return None
     pose = np.array([*(place - corner), angle, size, size])
@@ -274,18 +278,18 @@ def fit_court(light: np.ndarray, court: Court, place: np.ndarray, angle: float, 
     fit = _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length)
     if np.abs(_neighbours(court, length)[1]).min(initial=BESIDE) * now >= FINE_BELOW:
         return fit
-    pose = _finer(light, court, pose, pieces, blanks, rows, length, size)
+    pose = _finer(grey, court, pose, pieces, blanks, rows, length, size)
     angle, along, across = pose[2:].tolist()
     return replace(fit, place=corner + pose[:2], angle=angle, along=along, across=across)
 
 
-def _finer(light, court, pose, pieces, blanks, rows, length, size) -> np.ndarray:
+def _finer(grey, court, pose, pieces, blanks, rows, length, size) -> np.ndarray:
     """The pose by a filter that sees less of neighbouring strokes, and more noise."""
     window = max(WINDOWS[-1] * size, LEAST_WINDOW)
-    _, coarse = _measure(light, pose, pieces, window, WIDE_SIGHT).peaks(window)
+    _, coarse = _measure(grey, pose, pieces, window, WIDE_SIGHT).peaks(window)
     for _ in range(FINE_ROUNDS):
-        noise = _measure(light, pose, blanks, CLOSE_PX, FINE_SIGHT).noise()
-        bands = _measure(light, pose, pieces, window, FINE_SIGHT)
+        noise = _measure(grey, pose, blanks, CLOSE_PX, FINE_SIGHT).noise()
+        bands = _measure(grey, pose, pieces, window, FINE_SIGHT)
         offset, strength = bands.peaks(window)
         weight = _weights(strength, noise)
         sight = replace(FINE_SIGHT, blurred=_blurred(court, length, coarse, strength, weight))

@@ -160,7 +160,9 @@ def _box(x: float, y: float) -> list[Stroke]:
 
 
 def _tennis() -> Court:
-    paint, base = 0.05, 0.075  # [m] widths that are painted: 2.5 to 5 cm by the rules, the base line 5 to 10 cm
+    # [m] widths: 2.5 to 5 cm by the rules, of the base line up to 10 cm. Ridges of base lines are 1.05 to 1.08 times as
+    # strong as those of service lines on 100 chips, and courts come out true with:
+    paint, base = 0.05, 0.0625
     x, y = 23.77 / 2 - base / 2, 10.97 / 2 - paint / 2
     single, service = 8.23 / 2 - paint / 2, 6.40 - paint / 2
     lines = [_along(side * at, -x, x) for at in (y, single) for side in (-1, 1)]

@@ -159,6 +159,7 @@ class _Look:
     def __init__(self, image: np.ndarray, gsd: float, gsd_sd: float) -> None:
         self.gsd, self.spread = gsd, 2 * gsd_sd
         self.light = lightness(image)
+        self.grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
         small = _resized(self.light, gsd)
         self.factor = np.array(small.shape[::-1]) / self.light.shape[::-1]
         self.ridges = _ridges(small.astype(np.float32).tobytes(), *small.shape)
@@ -172,7 +173,7 @@ class _Look:
         for place, angle, size in zip(places, poses.angle, poses.size / zoom, strict=True):
             if any(fit.lit > SURE and _overlap(fit, place) for fit in found):
                 continue
-            fit = fit_court(self.light, court, place, float(angle), float(size))
+            fit = fit_court(self.light, self.grey, court, place, float(angle), float(size))
             if fit is not None:
                 found.append(fit)
         return [

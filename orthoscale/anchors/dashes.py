@@ -22,9 +22,12 @@ def _line(dash: float, gap: float, where: str, source: str, countries: str, prio
     return Standard(name, dash + gap, LANE_PAINTED, source, prior, tuple(countries.split()))
 
 
+CALIFORNIA = "48 ft from mark to mark, Orange County Register 2018 (govtech.com); 12 ft of it paint recalled"
+POLAND = "speeds by brd.szkola.pl and droga.zut.edu.pl; lengths recalled"
+
 LANE_LINES = (
-    (3.048, _line(3.048, 9.144, "lane and centre lines", "MUTCD 2009 3A.06: 10 ft and 30 ft", "US CA")),
-    (3.6576, _line(3.6576, 10.9728, "Californian freeways", "Caltrans: 12 ft and 36 ft, recalled", "US", 0.15)),
+    (3.048, _line(3.048, 9.144, "lane and centre lines", "MUTCD 2009 3A.06: 10 ft and 30 ft", "US")),
+    (3.6576, _line(3.6576, 10.9728, "Californian freeways", CALIFORNIA, "US", 0.15)),
     (6.0, _line(6, 12, "motorways", "RMS (Germany), colliseum.eu; BoMaVO (Austria), helmutobermayer.at", "DE AT")),
     (4.0, _line(4, 8, "rural roads", "RMS (Germany), stroke to gap 1:2", "DE", 0.7)),
     (3.0, _line(3, 6, "towns", "RMS (Germany), colliseum.eu: strokes of 3 m in towns, 1:2", "DE")),
@@ -38,7 +41,7 @@ LANE_LINES = (
     (5.0, _line(5, 5, "other roads", "order on road signs (Japan), bike-news.jp", "JP")),
     (3.0, _line(3, 5, "towns", "road marking manual (Korea), wiki1.kr", "KR")),
     (5.0, _line(5, 8, "rural roads", "road marking manual (Korea), wiki1.kr", "KR", 0.7)),
-    (10.0, _line(10, 10, "motorways", "road marking manual (Korea), recalled", "KR", 0.7)),
+    (10.0, _line(10, 10, "motorways", "20 m in all, cafe.daum.net; 10 m of it paint recalled", "KR", 0.7)),
     (2.0, _line(2, 4, "centre lines to 40 mph", "Traffic Signs Manual 5 table 4-1, diagram 1008", "GB")),
     (1.0, _line(1, 5, "lane lines to 40 mph", "Traffic Signs Manual 5 table 4-2, diagram 1005", "GB", 0.7)),
     (3.0, _line(3, 6, "centre lines above 40 mph", "Traffic Signs Manual 5 table 4-1, diagram 1008.1", "GB")),
@@ -56,13 +59,13 @@ LANE_LINES = (
     (3.0, _line(3, 9, "roads", "RONA (Netherlands), wegenwiki.nl; 164/1992 (Finland) 26; Sweden 1:3", "NL FI SE NO")),
     (1.0, _line(1, 3, "towns", "164/1992 (Finland) 26; theoriecursus.nl", "NL FI", 0.7)),
     (3.0, _line(3, 7, "roads", "NZTA TCD manual part 5 table 2-28", "NZ")),
-    (3.0, _line(3, 9, "roads", "AS 1742.2, recalled", "AU")),
+    (3.0, _line(3, 9, "roads", "lists of markings in Victoria, 2018 to 2024 (services2.arcgis.com): 9 m x 3 m", "AU")),
     (2.0, _line(2, 6, "to 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 1 to 3 m", "RU BY UA KZ", 0.5)),
     (1.0, _line(1, 3, "to 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 1 to 3 m", "RU BY UA KZ", 0.5)),
     (3.0, _line(3, 9, "above 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 3 to 4 m", "RU BY UA KZ")),
     (4.0, _line(4, 12, "above 60 km/h", "GOST R 51256, line 1.5: 1:3, dashes of 3 to 4 m", "RU BY UA KZ", 0.5)),
-    (4.0, _line(4, 8, "P-1a, above 70 km/h", "regulation on signs (Poland), recalled", "PL")),
-    (2.0, _line(2, 4, "P-1b, to 70 km/h", "regulation on signs (Poland), recalled", "PL")),
+    (4.0, _line(4, 8, "P-1a, above 70 km/h", POLAND, "PL")),
+    (2.0, _line(2, 4, "P-1b, to 70 km/h", POLAND, "PL")),
 )
 """Length of the dash [m] and standard."""
 

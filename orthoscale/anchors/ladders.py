@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -19,6 +19,7 @@ UNLIKE_RUNGS = 1.7  # ratio of lengths of neighbours: a vehicle hides part of on
 BETWEEN_RUNGS = 0.27  # of a pitch from either stroke; two lines drawn for one stand closer
 LEAN_PX = 0.1  # over its length, one sigma by which all strokes lean towards the pixels' axes [px]
 PROFILES = 12  # across each stroke
+ALIKE_PAIR, PAIR_BESIDE = 1.3, 0.7  # ratio of lengths, and share of the shorter, of two lines that are one double one
 LADDERS = 8  # ladders in one cluster of strokes, at most
 
 
@@ -36,6 +37,11 @@ class Ladder:
     def length(self) -> float:
         """Of its strokes [px]."""
         return float(np.median(self.strokes.length))
+
+    @property
+    def apart(self) -> float:
+        """From one line to the other of its strokes, if they are double [px]; else 0."""
+        return 0.0 if self.strokes.apart is None else float(np.median(self.strokes.apart))
 
     @property
     def relative_sd(self) -> float:
@@ -62,11 +68,49 @@ class Ladder:
         turn = (self.strokes.along * self.across).sum(1) * np.sign((self.strokes.along * self.along).sum(1))
         return float(abs(np.polyfit(self.row.number, turn, 1)[0]) * self.row.number[-1])
 
+    def shares(self, other: Ladder) -> bool:
+        """Whether most of its strokes are among those of `other`, or are one of the two lines of a double one."""
+        gap = self.strokes.centre[:, None] - other.strokes.centre
+        near = np.abs(gap @ other.across) < max(other.apart, 1.0)
+        near &= np.abs(gap @ other.along) < other.length / 2
+        return bool(near.any(1).mean() > 0.5)
+
     def lines(self) -> np.ndarray:
         """(M, 2, 2) the strokes at their fitted places, from end to end [px]."""
         centre = self.strokes.centre - self.row.residual[:, None] * self.across
         half = self.along * self.strokes.length[:, None] / 2
         return np.stack([centre - half, centre + half], 1)
+
+
+def doubled(strokes: Strokes, least: float, most: float) -> Strokes:
+    """The double strokes, each two equal `strokes` side by side, `least` to `most` [px] apart: one midway for both."""
+    pairs = [_pair(strokes, i, j, least, most) for i, j in near_pairs(strokes, 2 * most)]
+    i, j, across = (np.concatenate(each) for each in zip(*pairs, strict=True)) if pairs else np.zeros((3, 0), int)
+    order = np.argsort(across, kind="stable")
+    free, kept = np.ones(len(strokes), bool), []
+    for k in order.tolist():  # each is of one pair, the closest
+        if free[i[k]] and free[j[k]]:
+            free[[i[k], j[k]]] = False
+            kept.append(k)
+    one, other = strokes[i[kept]], strokes[j[kept]]
+    along = one.along + np.sign((one.along * other.along).sum(1))[:, None] * other.along
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    middle = (one.centre + other.centre) / 2
+    return Strokes(middle, along, (one.length + other.length) / 2, (one.strength + other.strength) / 2, across[kept])
+
+
+def _pair(
+    strokes: Strokes, i: np.ndarray, j: np.ndarray, least: float, most: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the pairs (i, j) those that can be one double stroke, and how far their lines are apart [px]."""
+    apart = strokes.centre[j] - strokes.centre[i]
+    ahead = np.abs((apart * strokes.along[i]).sum(1))
+    across = np.sqrt(np.maximum((apart**2).sum(1) - ahead**2, 0))
+    shorter = np.minimum(strokes.length[i], strokes.length[j])
+    longer = np.maximum(strokes.length[i], strokes.length[j])
+    own = (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > RUNGS_PARALLEL) & (longer < ALIKE_PAIR * shorter)
+    own &= (across > least) & (across < most) & ((shorter + longer) / 2 - ahead > PAIR_BESIDE * shorter)
+    return i[own], j[own], across[own]
 
 
 def find_ladders(strokes: Strokes, low: float, high: float, fewest: int) -> Iterator[Ladder]:
@@ -138,8 +182,9 @@ def _across(along: np.ndarray) -> np.ndarray:
 
 def refined(light: np.ndarray, ladder: Ladder, reach: float) -> Ladder:
     """`ladder` with the centres of its strokes by the centroid of `light` (H, W) across them, to `reach` [px] on either
-    side, and one direction for all: ridges of lines that are a pixel wide lean towards the pixels' axes."""
+    side of each line, and one direction for all: ridges of lines a pixel wide lean towards the pixels' axes."""
     strokes = ladder.strokes
+    reach += ladder.apart / 2
     share = np.linspace(-0.42, 0.42, PROFILES)
     offset = np.linspace(-reach, reach, 2 * int(np.ceil(2 * reach)) + 1)
     t = strokes.length[:, None] * share
@@ -162,7 +207,7 @@ def refined(light: np.ndarray, ladder: Ladder, reach: float) -> Ladder:
     own /= np.linalg.norm(own, axis=1, keepdims=True)
     across = _across(along)
     row = fit_row(centre @ across, ladder.row.number)
-    return Ladder(Strokes(centre, own, strokes.length, strokes.strength), row, along, across)
+    return Ladder(replace(strokes, centre=centre, along=own), row, along, across)
 
 
 def crowded(ladder: Ladder, strokes: Strokes) -> float:
@@ -195,14 +240,17 @@ class Levels:
 
 
 def levels(image: np.ndarray, ladder: Ladder, aside: float, past: float) -> Levels:
-    """Of RGB uint8 `image`; how far `aside` of the strokes and `past` their ends [px]."""
+    """Of RGB uint8 `image`; how far `aside` of the strokes' lines and `past` their ends [px]."""
     lines = ladder.lines()
     middle = (lines[1:] + lines[:-1]) / 2
     ends = np.stack([lines[:, 0] - past * ladder.along, lines[:, 1] + past * ladder.along])
     share = np.linspace(0.1, 0.9, 16)[:, None, None]
     spot = np.linspace(-0.3, 0.3, 5)[:, None, None, None] * past * ladder.along
 
-    on = lines[:, 0] * (1 - share) + lines[:, 1] * share
+    axis = lines[:, 0] * (1 - share) + lines[:, 1] * share
+    half = ladder.apart / 2 * ladder.across
+    away = half + aside * ladder.across
+    on = np.concatenate([axis - half, axis + half]) if ladder.apart else axis
     between = middle[:, 0] * (1 - share) + middle[:, 1] * share
-    beside = np.stack([on - aside * ladder.across, on + aside * ladder.across], 1)
+    beside = np.stack([axis - away, axis + away], 1)
     return Levels(*(np.median(values(image, place), axis=0) for place in (on, between, beside, ends + spot)))

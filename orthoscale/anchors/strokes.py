@@ -30,18 +30,20 @@ STROKE_SURROUNDINGS = 30.0  # how far around, in units of the smoothing
 @dataclass(frozen=True)
 class Strokes:
     """(N,) strokes. centre : (N, 2) [px]. along : (N, 2) unit vector. length : from end to end [px]. strength : mean
-    curvature across [grey levels]."""
+    curvature across [grey levels]. apart : of double ones, from one line to the other [px]; None for single ones."""
 
     centre: np.ndarray
     along: np.ndarray
     length: np.ndarray
     strength: np.ndarray
+    apart: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.length)
 
     def __getitem__(self, which: np.ndarray) -> Strokes:
-        return Strokes(self.centre[which], self.along[which], self.length[which], self.strength[which])
+        apart = None if self.apart is None else self.apart[which]
+        return Strokes(self.centre[which], self.along[which], self.length[which], self.strength[which], apart)
 
 
 def near_pairs(strokes: Strokes, reach: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:

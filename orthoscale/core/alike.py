@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from .boxes import Boxes
+from .confirmed import about
 
 TOGETHER = 1.6  # of the shorter box's length: centres nearer than this stand together; bays end to end are 1.2 apart
 TURN = np.radians(8.0)  # boxes of one group point the same way to this
@@ -22,39 +23,42 @@ MISTAKEN = 1e-3  # that a group of vehicles is taken for equal things
 # The same where equal things of about that length are known to be in the picture: what stands on one roof stands on the
 # next. Rendered panels in groups of 10 to 40 have 0.02 to 0.03, too much for small groups to be told by themselves.
 MISTAKEN_AGAIN = 0.05
-ABOUT_AS_LONG = 0.24  # log of the ratio of lengths that may be the same things'
 
 
 def all_alike(boxes: Boxes) -> np.ndarray:
     """(N,) bool: which of `boxes` (of one picture, at any zoom) belong to a group of things too much alike for
     vehicles."""
-    from scipy.special import chdtr
-
     group = _standing_together(boxes)
     count = np.bincount(group, minlength=1)
     log_length = np.log(boxes.length)
     mean = np.bincount(group, log_length) / np.maximum(count, 1)
     squares = np.bincount(group, (log_length - mean[group]) ** 2)
-    freedom = np.maximum(count - 1, 1)
-    # The probability that vehicles scatter as little, by the sum of squares over their least variance.
-    probability = np.where(count > 2, chdtr(freedom, squares / LEAST_SCATTER**2), 1.0)
+    probability = _by_chance(count, squares)
     sure = probability < MISTAKEN
-    again = _so_long(mean, np.sort(mean[sure])) > 0
+    again = about(mean, np.sort(mean[sure])) > 0
     return (sure | (again & (probability < MISTAKEN_AGAIN)))[group]
+
+
+def of_one_size(boxes: Boxes) -> bool:
+    """Whether `boxes`, wherever they stand, are too much alike for vehicles all together."""
+    log_length = np.log(boxes.length)
+    squares = ((log_length - log_length.mean()) ** 2).sum() if len(boxes) else 0.0
+    return bool(_by_chance(np.array([len(boxes)]), np.array([squares]))[0] < MISTAKEN)
+
+
+def _by_chance(count: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """(G,) probability that vehicles in groups of `count` (G,) scatter as little as to have these sums of `squares`
+    (G,) about their mean log length, by the least variance that they have."""
+    from scipy.special import chdtr
+
+    return np.where(count > 2, chdtr(np.maximum(count - 1, 1), squares / LEAST_SCATTER**2), 1.0)
 
 
 def more_of_the_same(boxes: Boxes, alike: np.ndarray) -> np.ndarray:
     """(N,) bool: which others of `boxes` are probably like those that are `alike` (N,): no more are about as long."""
     length = np.log(boxes.length)
-    same, other = (_so_long(length, np.sort(length[which])) for which in (alike, ~alike))
+    same, other = (about(length, np.sort(length[which])) for which in (alike, ~alike))
     return ~alike & (same >= other)
-
-
-def _so_long(where: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(K,) how many of the sorted `values` (N,), log lengths, lie about each of `where` (K,)."""
-    return np.searchsorted(values, where + ABOUT_AS_LONG, "left") - np.searchsorted(
-        values, where - ABOUT_AS_LONG, "right"
-    )
 
 
 def _standing_together(boxes: Boxes) -> np.ndarray:

@@ -5,14 +5,14 @@ The figures, and the source of each, are in ``data/fleets.json``, which `orthosc
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from .market_segments import AXES, Class, classes_of, place_scatter, place_vehicles, told_apart
+from .market_segments import AXES, Class, classes_of, kinds_of, place_scatter, place_vehicles, told_apart
 
 # Correlation between the errors of a fleet's mean length and mean width: a country whose cars are longer than thought
 # has wider ones too. Between the means of the table's 29 national fleets it is 0.92; taken a little lower, because each
@@ -65,9 +65,17 @@ class Fleet:
     @cached_property
     def told_apart(self) -> tuple[Class, ...]:
         """The classes as far as boxes show which is which, three-wheelers last, for the pooling."""
+        return self._told_apart(by_kind=False)
+
+    @cached_property
+    def told_apart_by_kind(self) -> tuple[Class, ...]:
+        """The same where the vehicles' kinds are seen, too."""
+        return self._told_apart(by_kind=True)
+
+    def _told_apart(self, by_kind: bool) -> tuple[Class, ...]:
         if self.three_wheelers is None:
-            return told_apart(self.classes)
-        return (*told_apart(self.every_class[:-1]), self.three_wheelers)
+            return told_apart(self.classes, by_kind)
+        return (*told_apart(self.every_class[:-1], by_kind), self.three_wheelers)
 
     @property
     def every_class(self) -> tuple[Class, ...]:
@@ -98,10 +106,8 @@ class Fleet:
         country's, and how far a place's stray from its country's."""
         return self._country_covariance + self.log_covariance * place_scatter(self.place_vehicles)
 
-    @cached_property
-    def class_mean_covariance(self) -> np.ndarray:
-        """(2, 2) the part of `log_mean_covariance` that shares of the classes that are `told_apart` do not explain."""
-        classes = self.told_apart
+    def class_mean_covariance(self, classes: Sequence[Class]) -> np.ndarray:
+        """(2, 2) the part of `log_mean_covariance` that shares of `classes`, which are told apart, do not explain."""
         total = sum(c.weight for c in classes)
         within = sum((c.weight / total * c.log_covariance for c in classes), np.zeros((2, 2)))
         return self._country_covariance + within * place_scatter(self.place_vehicles)
@@ -122,6 +128,10 @@ class Fleet:
 
     def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
         """(n, 3) length, width, height [m] of random vehicles of this fleet."""
+        return self.sample_of_classes(rng, n)[0]
+
+    def sample_of_classes(self, rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
+        """(n, 3) length, width, height [m] of random vehicles of this fleet; (n,) the number of each one's class."""
         weights = np.array([c.weight for c in self.classes])
         pick = rng.choice(len(weights), size=n, p=weights / weights.sum())
         normal = rng.standard_normal((n, 3))
@@ -130,13 +140,14 @@ class Fleet:
             mine = normal[pick == k]
             mine[:, 1] = c.corr_lw * mine[:, 0] + np.sqrt(1 - c.corr_lw**2) * mine[:, 1]
             sizes[pick == k] = c.mean + c.sd * np.clip(mine, -2.5, 2.5)
-        return sizes
+        return sizes, pick
 
 
 def class_of(part: Mapping[str, Any], weight: float) -> Class:
     """An entry with its own ``mean_sd``, as that of three-wheelers in ``data/fleets.json``, with that weight."""
     mean, sd = np.array([part[axis] for axis in AXES], float).T
-    return Class(part["class"], weight, mean, sd, float(part["corr_LW"]), np.array(part["mean_sd"], float))
+    mean_sd = np.array(part["mean_sd"], float)
+    return Class(part["class"], weight, mean, sd, float(part["corr_LW"]), mean_sd, kinds_of(part["class"]))
 
 
 def _class(part: Mapping[str, Any], total: float, mean_sd: np.ndarray, corr_lw: float) -> Class:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .pooling.mixture import Drawing
+from .pooling.mixture import Confusion, Drawing
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,9 @@ class Ruler:
         vehicle + shrink * (log usual - log vehicle), then the margin; 0 for a faithful detector, 1 for one that draws
         all alike. shrink_sd : (2,) its one-sigma uncertainty.
     usual : (2,) length and width that boxes are drawn to [m].
+    kinds : (4, 4) shares: what vehicles of each of `boxes.KINDS` (rows) are called (columns), on average over places;
+        none where that was not measured: what they are called then tells nothing. kinds_vehicles : how much places
+        differ in it: as if each had its shares from so many vehicles of a kind (`mixture.Confusion`).
     """
 
     margin: tuple[float, float] = (0.0, 0.0)
@@ -32,8 +35,15 @@ class Ruler:
     shrink: tuple[float, float] = (0.0, 0.0)
     shrink_sd: tuple[float, float] = (0.05, 0.05)
     usual: tuple[float, float] = (4.4, 1.78)
+    kinds: tuple[tuple[float, float, float, float], ...] = ()
+    kinds_vehicles: float = 10.0
 
     @property
     def drawing(self) -> Drawing:
         """How the detector draws sizes, for `mixture`."""
         return Drawing(np.asarray(self.shrink), np.asarray(self.shrink_sd), np.asarray(self.usual))
+
+    @property
+    def confusion(self) -> Confusion | None:
+        """How far what vehicles are called is what they are, for `mixture`; None where that is not known."""
+        return Confusion(np.asarray(self.kinds), self.kinds_vehicles) if self.kinds else None

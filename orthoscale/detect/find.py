@@ -12,9 +12,11 @@ import numpy as np
 
 from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import Boxes
+from ..core.confirmed import seldom_confirmed
 from ..core.detections import Detections, Tile
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from .cache import TileCache, cache_key
+from .contested import settled
 from .cover import Cover
 from .detector import Detector
 from .order import visiting_order
@@ -124,7 +126,7 @@ def find_vehicles(
             None if cover is None else cover.enough,
             detector.confirming is None,
         )
-    return _without_equal_things(detections(found)), choice
+    return _without_mistakes(_without_equal_things(detections(found))), choice
 
 
 def _promising_first(
@@ -157,13 +159,29 @@ def _without_equal_things(found: Detections) -> Detections:
     return replace(found, boxes=boxes, doubtful=doubtful, notes=(*found.notes, note))
 
 
+def _without_mistakes(found: Detections) -> Detections:
+    """`found`, where boxes of lengths that are seldom confirmed are doubtful; a note says how many."""
+    seldom = seldom_confirmed(*(Boxes.concatenate(list(some.values())) for some in (found.boxes, found.doubtful)))
+    if not seldom.any():
+        return found
+    boxes, doubtful = {}, dict(found.doubtful)
+    parts = np.split(seldom, np.cumsum([len(some) for some in found.boxes.values()])[:-1])
+    for (name, seen), out in zip(found.boxes.items(), parts, strict=True):
+        boxes[name] = seen[~out]
+        doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), seen[out]])
+    note = f"{int(seldom.sum())} boxes do not count: of about their size the two passes agree on few, as on mistakes"
+    return replace(found, boxes=boxes, doubtful=doubtful, notes=(*found.notes, note))
+
+
 def find_zoom(
     pictures: Sequence[Picture], detector: Detector, progress: Progress | None = None, effort: Effort | None = None
 ) -> ZoomChoice:
     """The zoom to sweep at. Raises TooLittleEvidence where none shows vehicles, EvidenceDisagrees where two do."""
     effort = effort or Effort()
     step = None if progress is None else partial(progress, "Scale search")
-    choice = search_zoom(pictures, detector, detector.card, step, effort.seed, worker_count(effort.workers))
+    workers = worker_count(effort.workers)
+    choice = search_zoom(pictures, detector, detector.card, step, effort.seed, workers)
+    choice = settled(choice, pictures, detector, step, effort.seed, workers)
     if choice.vehicle_px is None:
         raise TooLittleEvidence(
             f"no vehicles found at any resampling factor from {choice.table[0][0]:.2g} to {choice.table[-1][0]:.2g} "

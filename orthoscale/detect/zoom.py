@@ -21,8 +21,8 @@ import numpy as np
 
 from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
+from ..core.confirmed import OF_MISTAKES, share_confirmed
 from ..core.detections import Tile
-from ..core.measuring.agreed import OF_MISTAKES
 from ..core.source import Picture
 from ..errors import UsageError
 from .detector import Card
@@ -150,7 +150,7 @@ def search_zoom(
             break
         votes = look_at(promised, times * BUDGET)
     return ZoomChoice(
-        zoom=1.0 if votes.length is None else float(min(card.best_length / votes.length, MAX_ZOOM)),
+        zoom=1.0 if votes.length is None else zoom_for(votes.length, card),
         vehicle_px=votes.length if votes.best >= FEWEST_VOTES else None,
         votes=votes.best,
         rival_px=votes.rival_length,
@@ -158,6 +158,16 @@ def search_zoom(
         table=votes.table,
         one_scale=len(pictures) == 1,
     )
+
+
+def zoom_for(length: float, card: Card) -> float:
+    """The zoom at which vehicles of `length` [px of the picture] are seen best."""
+    return float(min(card.best_length / length, MAX_ZOOM))
+
+
+def sample(pictures: Sequence[Picture], zoom: float, seed: int = 0) -> list[tuple[int, Tile]]:
+    """Windows (picture number, tile) for one look at `zoom` that costs no more than one zoom of the search."""
+    return _Level(zoom).windows(pictures, np.random.default_rng(seed).permutation(len(pictures)), BUDGET)
 
 
 @dataclass
@@ -288,16 +298,9 @@ def _unlike(boxes: Boxes, zoom: float) -> Boxes:
 
 def _reliability(agreed: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(K,) LEAST_VOTE to 1: what boxes of lengths `agreed` (K,) that two zooms agree on are worth, where one of them
-    has `seen` boxes of these lengths (N,). One of one says little, so shares begin with one of three."""
-    both, all_seen = (1 + _about(np.log(agreed), np.sort(np.log(n))) for n in (agreed, seen))
-    share = both / (2 + all_seen)
+    has `seen` boxes of these lengths (N,)."""
+    share = share_confirmed(agreed, agreed, seen)
     return np.clip((share - AGREED[0]) / (AGREED[1] - AGREED[0]), LEAST_VOTE, 1.0)
-
-
-def _about(where: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(K,) how many of the sorted `values` (N,) lie within twice the kernel's width of each of `where` (K,)."""
-    first = np.searchsorted(values, where - 2 * KERNEL, "right")
-    return np.searchsorted(values, where + 2 * KERNEL, "left") - first
 
 
 def _cost(picture: Picture, tile: Tile) -> float:

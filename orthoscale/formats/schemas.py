@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import UNSET, Meta, Struct, UnsetType
 
+from ..core.boxes import KINDS
 from ..core.market_segments import AXES
 from ..core.projection.exact import BODIES
 from ..core.ruler import Ruler
@@ -49,6 +50,13 @@ class RulerEntry(Struct, forbid_unknown_fields=True):
     shrink: tuple[Shrink, Shrink] = Ruler.shrink
     shrink_sd: tuple[Share, Share] = Ruler.shrink_sd
     usual: tuple[Metres, Metres] = Ruler.usual
+    kinds: tuple[tuple[Share, Share, Share, Share], ...] = Ruler.kinds
+    kinds_vehicles: Annotated[float, Meta(ge=0.1, le=1e6)] = Ruler.kinds_vehicles
+
+    def __post_init__(self) -> None:
+        rows = len(KINDS)
+        if self.kinds and (len(self.kinds) != rows or any(abs(sum(row) - 1) > 0.02 for row in self.kinds)):
+            raise ValueError(f"kinds: expected {rows} rows, the sum of each 1")
 
     @property
     def ruler(self) -> Ruler:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoscale.core.boxes import Boxes
+from orthoscale.core.boxes import KINDS, Boxes
 from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
+from orthoscale.core.pooling.mixture import CALLED_ANYTHING
 from orthoscale.core.projection.decoupled import simple_views
 from orthoscale.core.projection.exact import BODIES, Hull
 from orthoscale.core.projection.self_calibration import OwnRuler, own_ruler
@@ -24,6 +25,9 @@ UNIT = 0.07  # metres; that of the views. Nothing depends on it, and no model is
 # [m], mean and spread between vehicles, are those of the fleets' table's two segments: of middle size (Transit Custom,
 # Vivaro), and large (Transit, Sprinter, Crafter).
 VAN_SHARE = 0.11
+# Of what kinds the vehicles of a class are (people carriers with a bonnet, vans without) is a place's own: as if it had
+# that from so many.
+KINDS_LIKE = 5.0
 VANS = np.array([[[5.00, 1.96], [0.13, 0.04]], [[5.75, 2.03], [0.35, 0.04]]])
 
 
@@ -210,6 +214,17 @@ class Vans:
         return rng.normal(mean, sd)
 
 
+def called(rng: np.random.Generator, kinds: np.ndarray, ruler: Ruler) -> np.ndarray:
+    """(N, 4) what vehicles of true `kinds` (N,), numbers of `boxes.KINDS`, are called at a place whose shares of
+    mistakes are its own, and -1 for boxes of none, which are called anything; the surer the more."""
+    many = len(KINDS)
+    table = (1 - CALLED_ANYTHING) * np.array(ruler.kinds) + CALLED_ANYTHING / many
+    rows = np.array([*(rng.dirichlet(ruler.kinds_vehicles * row) for row in table), rng.dirichlet(np.ones(many))])
+    name = (rng.random((len(kinds), 1)) > np.cumsum(rows[kinds], 1)).sum(1).clip(max=many - 1)
+    sure = rng.beta(9, 1, (len(kinds), 1))
+    return sure * np.eye(many)[name] + (1 - sure) / many
+
+
 def car_park(
     rng: np.random.Generator,
     fleet: Fleet,
@@ -218,17 +233,23 @@ def car_park(
     ruler: Ruler,
     vans: Vans = Vans(),
     false: float = 0.0,
+    most: tuple[str, float] | None = None,
 ) -> Votes:
-    """Votes of `n` boxes in an orthophoto of `gsd` [m/px].
+    """Votes of `n` boxes in an orthophoto of `gsd` [m/px]; with kinds if `ruler` has a table of them.
 
     What is not known is drawn anew in each scene, as wide as `fleet` and `ruler` claim: the place's mean sizes, the
     margin, the labels' bias, how strongly sizes are drawn to the usual. `vans` stand among the fleet's vehicles;
     `false`, a share of the boxes, are not vehicles. Scores are high for vehicles and low for false boxes, with much
-    overlap.
+    overlap. most : a class and the share that it has at this place, whatever the country's.
     """
+    of_kinds = rng.spawn(1)[0]  # so that boxes are the same with and without
     unknown = fleet.mean_sd[:2] / fleet.mean[:2]
     stray = np.sqrt(MEAN_CORRELATION) * rng.standard_normal() + np.sqrt(1 - MEAN_CORRELATION) * rng.standard_normal(2)
-    size = place_of(rng, fleet).sample(rng, n)[:, :2] * np.exp(unknown * stray)
+    place = place_of(rng, fleet)
+    if most is not None:
+        place = with_most(place, *most)
+    size, pick = place.sample_of_classes(rng, n)
+    size = size[:, :2] * np.exp(unknown * stray)
     van = rng.random(n) < vans.share
     size[van] = vans.sample(rng, int(van.sum()))
     bias, margin = rng.normal(0, ruler.bias_sd), rng.normal(ruler.margin, ruler.margin_sd)
@@ -240,7 +261,24 @@ def car_park(
     px[wrong] = np.stack([length, length * rng.uniform(0.25, 1.0, len(length))], -1)
     px = np.sort(np.maximum(px, 1.0), axis=1)[:, ::-1]
     score = np.where(wrong, rng.beta(2, 3, n), rng.beta(6, 2, n))
-    return Votes(px.copy(), np.ones(n), np.ones(n, int), np.zeros((n, 2)), score, [np.array([k]) for k in range(n)])
+    votes = Votes(px.copy(), np.ones(n), np.ones(n, int), np.zeros((n, 2)), score, [np.array([k]) for k in range(n)])
+    if not ruler.kinds:
+        return votes
+    shares = np.array([of_kinds.dirichlet(KINDS_LIKE * c.kinds + 1e-9) for c in place.classes])[pick]
+    kind = (of_kinds.random((n, 1)) > np.cumsum(shares, 1)).sum(1).clip(max=len(KINDS) - 1)
+    kind[van], kind[wrong] = KINDS.index("van"), -1
+    return replace(votes, kinds=called(of_kinds, kind, ruler))
+
+
+def with_most(place: Fleet, name: str, share: float) -> Fleet:
+    """`place` where the class of that name has that share of the vehicles."""
+    rest = sum(c.weight for c in place.classes if c.name != name)
+    return replace(
+        place,
+        classes=tuple(
+            replace(c, weight=share if c.name == name else (1 - share) * c.weight / rest) for c in place.classes
+        ),
+    )
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoscale.detect.measurer import CROP_HEIGHT, CROP_WIDTH, crop, pixels_per_crop_pixel
+from orthoscale.detect.measurer import ANSWERS, CROP_HEIGHT, CROP_WIDTH, crop, pixels_per_crop_pixel
 
 from . import real
 from .chain import photograph, pyramid
@@ -21,7 +21,11 @@ from .rendered import Rendered
 
 RENDERED = -1  # the scene of exact edges
 HAND = len(SCENES)  # the scene of edges that were read by eye, whatever the place
-SHARES = {"rendered": 0.5, "real": 0.15, "hand": 0.25, "ground": 0.1}
+NO_EDGES = -2  # the scene of vehicles of which only the kind is learnt
+SHARES = {"rendered": 0.44, "real": 0.1, "hand": 0.22, "kind": 0.16, "ground": 0.08}
+# Of each kind among the examples of "kind", so far as there are any: as many pickups and vans as cars, so that the
+# answer does not lean on how many stand in the cities that are learnt from.
+OF_KINDS = {"car": 0.3, "pickup": 0.3, "van": 0.25, "larger": 0.1, "none": 0.05}
 GROUND = 0.06  # share of the rendered examples that show no vehicle
 HELD_OUT = 10  # rendered pictures, for `evaluate`
 
@@ -33,7 +37,7 @@ class Example:
     pixels : (CROP_HEIGHT, CROP_WIDTH, 3) uint8.
     edges : (4,) -x, +x, -y, +y [crop px from the crop's centre]. turn : of the
     vehicle against the crop [rad]. seen : (4,) bool. kind : index into ANSWERS, or real.UNKNOWN. scene : index into
-    SCENES, RENDERED or HAND. step : crop pixels per pixel of the labelled picture.
+    SCENES, RENDERED, HAND or NO_EDGES. step : crop pixels per pixel of the labelled picture.
     """
 
     pixels: np.ndarray
@@ -131,21 +135,30 @@ class Examples:
         # A place of few vehicles is not shown so often that it is learnt by heart.
         often = np.sqrt([len(found) for found in self._hand])
         self._often = often / max(often.sum(), 1e-9)
+        told = [patch for file in sorted(bank.glob("kind_*.npz")) for patch in real.load(file)]
+        by_kind = {kind: [p for p in told if p.kind == ANSWERS.index(kind)] for kind in OF_KINDS}
+        self._told = {kind: some for kind, some in by_kind.items() if some}
 
     def __iter__(self) -> Iterator[Example]:
         rng = self._rng
-        there = {"rendered": True, "real": bool(self._real), "hand": bool(self._hand), "ground": bool(self._ground)}
+        there = {"rendered": True, "real": bool(self._real), "hand": bool(self._hand), "kind": bool(self._told),
+                 "ground": bool(self._ground)}  # fmt: skip
         shares = np.array([share * there[source] for source, share in SHARES.items()])
+        of_kinds = np.array([OF_KINDS[kind] for kind in self._told])
         while True:
             source = rng.choice(list(SHARES), p=shares / shares.sum())
             if source == "rendered":
                 yield from self._of_rendered(rng)
                 continue
-            scene = int(rng.choice(list(self._real))) if source == "real" else HAND
-            if source == "hand":
-                patches = self._hand[rng.choice(len(self._hand), p=self._often)]
+            if source == "real":
+                scene = int(rng.choice(list(self._real)))
+                patches = self._real[scene]
+            elif source == "hand":
+                scene, patches = HAND, self._hand[rng.choice(len(self._hand), p=self._often)]
+            elif source == "kind":
+                scene, patches = NO_EDGES, self._told[rng.choice(list(self._told), p=of_kinds / of_kinds.sum())]
             else:
-                patches = self._real[scene] if source == "real" else self._ground
+                scene, patches = NO_EDGES, self._ground
             patch = patches[rng.integers(len(patches))]
             whole = np.full(4, patch.whole and patch.kind != NONE)
             yield from examples(pyramid(patch.pixels), patch.box, whole, patch.kind, scene, rng)

@@ -4,37 +4,45 @@ r"""How good the measurer is, beside the detector's own boxes.
     python -m training.measurer.evaluate --measurer M.onnx changes --found NAME=PICTURES:BOXES.json [--found ...]
     python -m training.measurer.evaluate --measurer M.onnx hand --data ../shared/data
     python -m training.measurer.evaluate --measurer M.onnx places --known NAME=PICTURES:BOXES.json:GSD:FLEET [...]
+    python -m training.measurer.evaluate --measurer M.onnx kinds --data ../shared/data
 
 `rendered`: vehicles with exact edges that were not learnt from, as many cameras took them, proposed badly; by size.
 `changes`: the same real vehicles in a picture that was resampled, blurred, sharpened, ...: by how much their sizes
 move. `hand`: against the edges that were read by eye (labels/by_hand.json). `places`: vehicles of known scale in
-metres, beside the fleet's mean. BOXES.json holds the detector's boxes, which propose where to look.
+metres, beside the fleet's mean. `kinds`: against the kinds that were told by eye (labels/kinds.json) at places that
+were not learnt from. BOXES.json holds the detector's boxes, which propose where to look.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from orthoscale.core.boxes import Boxes, matched
+from orthoscale.core.boxes import KINDS, Boxes, matched
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import ANSWERS, Measured, Measurer
+from orthoscale.detect.remeasure import NONE as AS_NONE
 from orthoscale.fleets import load_fleet
 from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
+from training.kinds import LABELS as KINDS_BY_EYE
 
 from .chain import photograph, pyramid, sharpen
+from .confusion import card_entries
 from .crops import HELD_OUT, proposal
 from .real import READ as LEARNT
-from .real import SLANTED, WIDTH_HABIT
+from .real import SLANTED, TOLD, WIDTH_HABIT, by_name, told_patches
 from .rendered import Rendered
 from .rendered import rendered as rendering
 
 SHIPPED = Path("orthoscale/detect/weights/small_vehicle.onnx")
+KIND_SIZES = (12, 25, 50, 200)  # the same for kinds [px]
 SIZES = (8, 15, 25, 40, 60, 90, 121)  # vehicle lengths between which results are told apart [px]
 AROUND = 1.6  # of a window from a vehicle's centre, either way, in its lengths
 NONE = ANSWERS.index("none")
@@ -347,6 +355,38 @@ def places(measurer: Measurer, detector: Detector, known: list[tuple[Scene, floa
     return "\n".join(lines)
 
 
+def kinds(measurer: Measurer, data: Path, file: Path) -> str:
+    """What it says of which kind: mean shares by kind and by place, how often the likeliest is right, and the entries
+    of the card that follow."""
+    told: dict[str, list[tuple[int, np.ndarray, float]]] = {}
+    for scene, there in by_name(json.loads(file.read_text())["vehicles"], "scene").items():
+        if scene in TOLD:
+            continue
+        for patch in told_patches(data, there):
+            said = measurer.in_pixels(patch.pixels, Boxes(patch.box[None], np.ones(1))).kind[0]
+            told.setdefault(scene, []).append((patch.kind, said, patch.box[2]))
+    everything = [one for scene in told.values() for one in scene]
+    groups = {"all": everything}
+    for low, high in pairwise(KIND_SIZES):
+        groups[f"{low} to {high} px"] = [one for one in everything if low <= one[2] < high]
+    lines = ["mean share given to each kind, by what it is (rows); likeliest: how often that is said", ""]
+    lines.append(f"{'':22s}{'is':>8s}    n  " + "".join(f"{name:>8s}" for name in ANSWERS) + "  likeliest")
+    for name, some in {**groups, **told}.items():
+        for kind in range(len(ANSWERS)):
+            if mine := [said for truth, said, _ in some if truth == kind]:
+                right = np.mean([said.argmax() == kind for said in mine])
+                shares = "".join(f"{share:8.2f}" for share in np.mean(mine, axis=0))
+                lines.append(f"{name:22s}{ANSWERS[kind]:>8s} {len(mine):4d}  {shares}  {right:9.2f}")
+    places = []
+    for some in told.values():
+        given = np.zeros((len(KINDS), len(KINDS)))
+        for truth, said, _ in some:
+            if truth < len(KINDS) and said[NONE] < AS_NONE:
+                given[truth] += said[:NONE] / said[:NONE].sum()
+        places.append(given)
+    return "\n".join([*lines, "", f"for the card's ruler: {json.dumps(card_entries(places))}"])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--measurer", type=Path, required=True)
@@ -367,6 +407,9 @@ def main() -> None:
     c.add_argument("--of", type=Path, default=BY_HAND, help="what was read (%(default)s)")
     d = commands.add_parser("places")
     d.add_argument("--known", action="append", required=True, metavar="NAME=PICTURES:BOXES.json:GSD:FLEET")
+    e = commands.add_parser("kinds")
+    e.add_argument("--data", type=Path, required=True)
+    e.add_argument("--of", type=Path, default=KINDS_BY_EYE, help="what was told (%(default)s)")
     for command in (b, d):
         command.add_argument("--most", type=int, default=30, help="vehicles of each scene (%(default)s)")
     options = parser.parse_args()
@@ -377,6 +420,9 @@ def main() -> None:
         return
     if options.command == "shadows":
         print(shadows(measurer, options.scenes, options.seed))
+        return
+    if options.command == "kinds":
+        print(kinds(measurer, options.data, options.of))
         return
     detector = Detector(options.detector, threads=1)
     if options.command == "changes":

@@ -15,6 +15,8 @@ from torch.nn import functional as F
 from orthoscale.detect.measurer import ANSWERS, CROP_HEIGHT, CROP_WIDTH
 from training.network import Residual, conv, enlarge, stage
 
+from .crops import NO_EDGES
+
 FEATURES = 24  # of the map at half the crop's size
 GATHERED = 3  # weightings by which features are gathered across an axis, the plain mean being one more
 SMALLEST_SIGMA = 0.05  # [crop px]
@@ -139,9 +141,9 @@ class Habits(nn.Module):
 
 def loss(outputs: tuple[Tensor, ...], habits: Habits, batch: dict[str, Tensor]) -> dict[str, Tensor]:
     """Parts by name; their sum is the loss. Edges and turn: negative logarithms of Student's t of the stated scale,
-    an edge that is not seen counts a fifth; seen and kind: cross entropy."""
+    an edge that is not seen counts a fifth; seen and kind: cross entropy. Of NO_EDGES, kind alone."""
     edges, scale, turn, turn_scale, seen, kind = outputs
-    vehicle = (batch["kind"] != ANSWERS.index("none")).float()
+    vehicle = ((batch["kind"] != ANSWERS.index("none")) & (batch["scene"] != NO_EDGES)).float()
     outward, stray = habits(batch["scene"], batch["step"])
     error = edges - (batch["edges"] + outward)
     scale = torch.sqrt(scale.exp().clamp(min=SMALLEST_SIGMA) ** 2 + stray**2)

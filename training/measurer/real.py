@@ -1,18 +1,22 @@
 r"""Real vehicles, and places without any, cut from labelled pictures with their surroundings.
 
     python -m training.measurer.real runs/bank --labels ../shared/data/vehicles/labels.json \\
-        --labels ../shared/data/vehicles/chips --hand ../shared/data
+        --labels ../shared/data/vehicles/chips --hand ../shared/data --kinds ../shared/data
 
-One file a scene, one more of those of READ whose edges were read by eye (``hand_SCENE.npz``): the places of known scale
-are none of them. Boxes are as `training.data` reads them; boxes that were judged to be no vehicle and random places
-clear of all boxes are kept as such. Of the chips' boxes only those are.
+One file a scene, one more of those of READ whose edges were read by eye (``hand_SCENE.npz``), one more of those whose
+kinds were told by eye (``kind_SCENE.npz``): the places of known scale are none of them. Boxes are as `training.data`
+reads them; boxes that were judged to be no vehicle and random places clear of all boxes are kept as such. Of the chips'
+boxes only those are.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,6 +24,7 @@ import numpy as np
 from orthoscale.detect.measurer import ANSWERS
 from training.data import LabelledImage, read_labels
 from training.evaluate import measured_scenes
+from training.kinds import LABELS
 
 SCENES = ("munich", "minsk", "bogota", "warsaw")  # with vehicles; the others' are held out
 EMPTY = ("park", "dunes")
@@ -30,6 +35,9 @@ GROUND = 6  # random places without a vehicle from each picture, EMPTY_GROUND fr
 EMPTY_GROUND = 25
 GROUND_LENGTHS = (16.0, 90.0)  # of the vehicle that is not there [px]
 READ = (*SCENES, "judged", "ohio", "chips")  # whose edges read by eye are learnt from; other places try the network
+# Whose kinds are; the chips' pictures are named by what they show.
+TOLD = (*SCENES, "ohio", "buildings", "denseresidential", "freeway", "intersection", "mobilehomepark", "overpass",
+        "parkinglot", "storagetanks", "tenniscourt")  # fmt: skip
 SLANTED = ("sheffield",)  # scenes of oblique frames, where readers and measurers mean different edges
 WIDTH_HABIT = 1.027  # readers saw widths that much too small (labels/margins.json)
 NONE, UNKNOWN = ANSWERS.index("none"), -1
@@ -37,8 +45,8 @@ NONE, UNKNOWN = ANSWERS.index("none"), -1
 
 @dataclass(frozen=True)
 class Patch:
-    """pixels : (H, W, 3) uint8 RGB. box : (5,) in it. whole : bool, not cut by the picture's edge. kind : NONE or
-    UNKNOWN, some vehicle."""
+    """pixels : (H, W, 3) uint8 RGB. box : (5,) in it. whole : bool, not cut by the picture's edge. kind : index
+    into ANSWERS, or UNKNOWN, some vehicle."""
 
     pixels: np.ndarray
     box: np.ndarray
@@ -69,10 +77,31 @@ def patches(image: LabelledImage, rng: np.random.Generator) -> list[Patch]:
 
 def read_patches(path: Path, read: np.ndarray) -> list[Patch]:
     """The vehicles of one picture whose boxes (N, 5) were read by eye."""
+    return _patches(path, [(box * [1, 1, 1, WIDTH_HABIT, 1], UNKNOWN) for box in read])
+
+
+def told_patches(data: Path, told: Iterable[Mapping[str, Any]]) -> list[Patch]:
+    """Vehicles as labels/kinds.json has them, whose pictures lie under `data`."""
+    return [
+        patch
+        for picture, some in by_name(told, "picture").items()
+        for patch in _patches(data / picture, [(np.array(v["box"]), ANSWERS.index(v["kind"])) for v in some])
+    ]
+
+
+def by_name(vehicles: Iterable[Mapping[str, Any]], name: str) -> dict[str, list[Mapping[str, Any]]]:
+    """The vehicles by what each has under `name`."""
+    some: dict[str, list[Mapping[str, Any]]] = {}
+    for vehicle in vehicles:
+        some.setdefault(vehicle[name], []).append(vehicle)
+    return some
+
+
+def _patches(path: Path, wanted: Iterable[tuple[np.ndarray, int]]) -> list[Patch]:
     pixels = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if pixels is None:
         raise FileNotFoundError(f"{path}: not an image that OpenCV can read")
-    cut = [_patch(pixels[..., ::-1], box * [1, 1, 1, WIDTH_HABIT, 1], UNKNOWN) for box in read]
+    cut = [_patch(pixels[..., ::-1], box, kind) for box, kind in wanted]
     return [patch for patch in cut if patch is not None]
 
 
@@ -113,6 +142,7 @@ def main() -> None:
     parser.add_argument("out", type=Path, help="folder")
     parser.add_argument("--labels", type=Path, action="append", default=[], help="label file; may be repeated")
     parser.add_argument("--hand", type=Path, metavar="DATA", help="folder of the pictures of labels/by_hand.json")
+    parser.add_argument("--kinds", type=Path, metavar="DATA", help="folder of the pictures of labels/kinds.json")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(16)
@@ -128,6 +158,11 @@ def main() -> None:
             read = [patch for p in scene.pictures for patch in read_patches(p.picture.path, p.vehicles)]
             save(options.out / f"hand_{scene.name}.npz", read)
             print(f"{scene.name}: {len(read)} vehicles read by eye")
+    told = json.loads(LABELS.read_text())["vehicles"] if options.kinds else []
+    for name, some in by_name(told, "scene").items():
+        if name in TOLD and (cut := told_patches(options.kinds, some)):
+            save(options.out / f"kind_{name}.npz", cut)
+            print(f"{name}: {len(cut)} vehicles whose kind was told by eye")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ import torch
 from training.log import Log
 from training.train import follow, learning_rate
 
-from .crops import Examples, batch
+from .crops import RENDERED, Examples, batch
 from .network import Habits, MeasureNet, loss
 from .real import NONE, SCENES
 
@@ -91,7 +91,7 @@ def main() -> None:
         follow(average, network, keep)
         with torch.no_grad():
             vehicle = arrays["kind"] != NONE
-            exact = vehicle & (arrays["scene"] < 0)
+            exact = vehicle & (arrays["scene"] == RENDERED)
             error = (outputs[0].float() - arrays["edges"]).abs()[exact]
         told = {**{k: v.item() for k, v in parts.items()}, "error_px": error.median().item()}
         log.add(step, told, margin_px=[[round(v, 2) for v in row] for row in habits.margin.tolist()])

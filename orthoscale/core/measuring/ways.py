@@ -8,11 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ...errors import TooLittleEvidence, UsageError
+from ..boxes import KINDS
 from ..detections import Detections
 from ..fleet import Fleet
 from ..pooling.agreement import compare, of_scales, together
@@ -32,6 +34,7 @@ from .method import Method
 from .oblique import FramesGeometry, shown_in_frames
 from .plan import PlanGeometry
 from .planar_sweep import SweepGeometry
+from .unlike import only_unlike
 
 OBLIQUE, PLANAR, BOTH = "oblique", "planar", "both"
 SEEN_BOTH_WAYS = 0.8  # of a vehicle's width: how far apart the two ways may see one vehicle
@@ -46,7 +49,9 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
-        scale = only_aligned(only_apart(measured.scale, measured.boxes), measured.boxes)
+        scale = measured.scale
+        for check in (only_apart, only_aligned, only_unlike):
+            scale = check(scale, measured.boxes)
         scale = as_agreed(scale, len(measured.boxes), sum(map(len, found.doubtful.values())))
         return _of_one_scale(replace(measured, scale=scale))
     if source.posed is not None:
@@ -146,8 +151,8 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
     """The vehicles of two ways as votes of one, the margin taken off; the ruler and the geometry's covariance of these.
 
     A vehicle that both measured has the mean of what they say, by the inverse of their variances. Both look at the same
-    pixels, so its noise is the mean of theirs. What is not known of ruler and geometry is the mean of both, by how much
-    each has to say: it is largely the same.
+    pixels, so its noise is the mean of theirs, and so is what it is called. What is not known of ruler and geometry is
+    the mean of both, by how much each has to say: it is largely the same.
     """
     known_a, known_b = a.pooled, b.pooled
     assert known_a is not None and known_b is not None, "asked before"
@@ -165,6 +170,9 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
         shown[ia] = np.maximum(shown[ia], b.votes.shown[ib])
         shown = np.concatenate([shown, b.votes.shown[rest]])
     noise = np.concatenate([noise, known_b.noise[rest]])
+    kinds, other = _kinds(a), _kinds(b)
+    mean = (kinds[ia] + other[ib]) / 2
+    kinds[ia] = np.where(np.isfinite(mean), mean, np.where(np.isfinite(kinds[ia]), kinds[ia], other[ib]))
     votes = Votes(
         size=np.concatenate([size, b.size[rest]]),
         pixel=np.concatenate([a.votes.pixel, b.votes.pixel[rest]]),
@@ -172,6 +180,7 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
         place=np.concatenate([a.votes.place, b.votes.place[rest]]),
         score=np.concatenate([a.votes.score, b.votes.score[rest]]),
         members=[np.array([k]) for k in range(len(noise))],
+        kinds=np.concatenate([kinds, other[rest]]),
         shown=shown,
     )
     votes = replace(votes, sigma=noise / left_by_views(votes.views)[:, None])
@@ -182,15 +191,25 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
         np.hypot(r.bias_sd, np.asarray(r.margin_sd) * np.median(m.votes.pixel[:, None] / m.size, axis=0))
         for r, m in zip(rulers, (a, b), strict=True)
     ]
-    middle = {name: tuple((weight @ [getattr(r, name) for r in rulers]).tolist()) for name in names}
+    middle: dict[str, Any] = {name: tuple((weight @ [getattr(r, name) for r in rulers]).tolist()) for name in names}
+    names_kinds = next((r for r in rulers if r.kinds), rulers[0])
     ruler = Ruler(
         margin_sd=(0.0, 0.0),
         bias_sd=tuple((weight @ bias).tolist()),
         common_sd=float(weight @ [r.common_sd for r in rulers]),
+        kinds=names_kinds.kinds,
+        kinds_vehicles=names_kinds.kinds_vehicles,
         **middle,
     )
     covariance = np.tensordot(weight, [known_a.covariance, known_b.covariance], 1)
     return votes, ruler, covariance
+
+
+def _kinds(of: Measurement) -> np.ndarray:
+    """(N, 4) of its votes, NaN where they tell nothing."""
+    if of.votes.kinds is None or of.pooled is None or not of.pooled.ruler.kinds:
+        return np.full((len(of.votes), len(KINDS)), np.nan)
+    return of.votes.kinds.copy()
 
 
 def _common(a: Measurement, b: Measurement) -> tuple[np.ndarray, np.ndarray]:

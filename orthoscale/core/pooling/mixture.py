@@ -14,6 +14,11 @@ then hardly moves with single vehicles, and the interval covers what the tables 
 Detectors draw vehicles as the usual vehicle that they expect, more or less: small ones too large, large ones too small.
 So the classes are compared with boxes as the detector draws them (`Drawing`), and how strongly it does is one more
 unknown: classes that stand apart (kei and ordinary cars) tell it.
+
+What vehicles are called (car, pickup, van, larger) tells classes apart that sizes confuse: a street of pickups from one
+of cars at another scale. How often a detector is mistaken differs from place to place, and all vehicles of a place have
+that in common. So what those of each class are called is fitted like the shares of the classes, about what the
+detector's card says (`Confusion`): a hundred vehicles do not overrule what ten of them would leave open.
 """
 
 from __future__ import annotations
@@ -26,6 +31,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import digamma, gammaln, ndtr
 
+from ..boxes import KINDS
 from ..market_segments import PLACE_VEHICLES, Class
 
 # Outlier class: uniform over a box in (log length, log width) as wide as anything a detector could call a vehicle.
@@ -36,7 +42,10 @@ OUTLIER_BOXES = 10.0  # ... as if it had been counted on so many: it depends on 
 # detector of small vehicles finds too: the mean and the spread of those six segments (5.00 to 5.85 m long, 1.86 to
 # 2.05 m wide; four are in data/fleets.json, the vans in the table that it was made from). Which of them stand at a
 # place is not known, so their mean there is a parameter of its own, with the spread between the segments for a prior.
-LARGER = Class("larger", 1.0, np.array([5.39, 1.98, 2.0]), np.array([0.31, 0.065, 0.25]), 0.5, np.zeros(3))
+LARGER = Class(
+    "larger", 1.0, np.array([5.39, 1.98, 2.0]), np.array([0.31, 0.065, 0.25]), 0.5, np.zeros(3),
+    kinds=np.array([0.25, 0.25, 0.4, 0.1]),  # those six in equal parts, and small lorries; judged
+)  # fmt: skip
 # Their share at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe (ACEA:
 # 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long vehicles already; some are left
 # out all the same.
@@ -61,6 +70,10 @@ COARSE_STEPS, FINE_STEPS, STILL = 12, 40, 3e-4  # of fitting: at most so many, u
 # on six real places with 84 fleets, none was below 100 after two steps, 36 after four, 13 after eight.
 GIVEN_UP = {2: 130.0, 4: 60.0, 8: 25.0}
 UNKNOWNS = 5
+# What boxes without a vehicle are called: any kind alike. Lorries, which are as little of these classes, are larger.
+OUTLIER_CALLED = 1 / len(KINDS)
+# Of the vehicles of a kind, how many are called any kind however good the card's table is: readings have mistakes too.
+CALLED_ANYTHING = 0.02
 # A bag of as many votes as there are would count the luck of the draw twice, once in each posterior and once between
 # them; one of twice as many counts half of it again, for what the tables get wrong.
 BAG = 2.0  # votes in a bag, per vote
@@ -94,6 +107,43 @@ class Drawing:
 
 
 FAITHFUL = Drawing(np.zeros(2), np.zeros(2), np.ones(2))
+
+
+@dataclass(frozen=True)
+class Confusion:
+    """What vehicles are called, when they are of a kind: a measurer's confusion table, and how it holds at a place.
+
+    table : (4, 4) shares; what vehicles of each of `boxes.KINDS` (rows) are called (columns), on average over places.
+    vehicles : a place has shares of its own, as if it had them from so many vehicles (a Dirichlet distribution: one
+        sigma of a share p is the root of p (1 - p) / (vehicles + 1)).
+    """
+
+    table: np.ndarray
+    vehicles: float
+
+    def called(self, classes: Sequence[Class]) -> np.ndarray:
+        """(K, 4) what the vehicles of each class are called, as parameters of Dirichlet distributions."""
+        shares = np.array([c.kinds for c in classes]) @ (self.table / self.table.sum(1, keepdims=True))
+        return self.vehicles * ((1 - CALLED_ANYTHING) * shares + CALLED_ANYTHING / len(KINDS))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is seen of N vehicles.
+
+    log_size : (N, 2) logarithms of length and width [any unit]. noise : (N, 2) their one-sigma noise [the unit].
+    called : (N, 4) shares of `boxes.KINDS` that each is called, zeros where nobody looked; (N, 0) where nobody did.
+    """
+
+    log_size: np.ndarray
+    noise: np.ndarray
+    called: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.log_size)
+
+    def __getitem__(self, some: np.ndarray) -> Seen:
+        return Seen(self.log_size[some], self.noise[some], self.called[some])
 
 
 @dataclass(frozen=True)
@@ -134,22 +184,21 @@ class Mix:
 
 
 def fit(
-    log_size: np.ndarray, noise: np.ndarray, mixes: Sequence[Mix], drawing: Drawing = FAITHFUL
+    seen: Seen, mixes: Sequence[Mix], drawing: Drawing = FAITHFUL, confusion: Confusion | None = None
 ) -> list[Fits | None]:
-    """Of each of `mixes`, fits to votes of `log_size` (N, 2), whose boxes have the one-sigma `noise` (N, 2) [units of
-    the sizes]; None where no vote supports any class.
+    """Of each of `mixes`, fits to the vehicles that are `seen`; None where no vote supports any class.
 
     Lengths and widths have a scale each, for fleet, margin and geometry may be off; `Mix.systematic` says how far
     the two may part: that holds the vehicles to the shape of their class. The grid is one of the sum of the two with
     `Mix.weights`. At each of its scales the shares of the classes are fitted by variational Bayes (Bishop, Pattern
     Recognition and Machine Learning, 10.2, with the components known), and what else is unknown by Newton's steps.
-    `drawing` is how the detector draws sizes.
+    `drawing` is how the detector draws sizes. `confusion` is how it confuses kinds; needed where kinds are seen.
     """
     out: list[Fits | None] = [None] * len(mixes)
     # Those of as many classes are solved in step, since for one fleet alone numpy's calls would take most of the time.
     for number in {len(mix.classes) for mix in mixes}:
         alike = [k for k, mix in enumerate(mixes) if len(mix.classes) == number]
-        problems = [_Problem.of(log_size, noise, mixes[k], drawing) for k in alike]
+        problems = [_Problem.of(seen, mixes[k], drawing, confusion) for k in alike]
         for k, problem, solved in zip(alike, problems, _possible(problems), strict=True):
             with suppress(np.linalg.LinAlgError):
                 out[k] = problem.fits(solved)
@@ -173,8 +222,8 @@ def _possible(problems: Sequence[_Problem]) -> list[_Solved]:
 class _Solved:
     """What stands there for each of V hypotheses: the scale, and how much the place is like its country.
 
-    prior : (V, K + 4) what a place has beforehand, counts : afterwards, as the parameters of three Dirichlet
-    distributions (`_levels`). log_prior : (V,) log probability beforehand; log_probability : afterwards, but for a
+    prior : (V, C) what a place has beforehand, counts : afterwards, as the parameters of Dirichlet distributions
+    (`_levels`). log_prior : (V,) log probability beforehand; log_probability : afterwards, but for a
     constant. unknown : (V, UNKNOWNS).
     """
 
@@ -211,6 +260,8 @@ class _Problem:
     turn : (K + 1, 2, UNKNOWNS) of the residuals. prior : (UNKNOWNS, UNKNOWNS) inverse covariance beforehand.
     shares : (K,) of the classes in the country. larger : share of larger vehicles beside them. place : as of `Mix`.
     basis : (UNKNOWNS, UNKNOWNS - 1) along which the unknowns move while the sum of the scales with `weights` stays.
+    called : (N, J) of `Seen`; J is the number of kinds, or 0. class_called : (K + 1, J) what is called so of each class
+        in general, as the parameters of Dirichlet distributions.
     """
 
     gap: np.ndarray
@@ -222,17 +273,19 @@ class _Problem:
     place: Sequence[tuple[float, float]]
     weights: np.ndarray
     basis: np.ndarray
+    called: np.ndarray
+    class_called: np.ndarray
 
     @classmethod
-    def of(cls, log_size: np.ndarray, noise: np.ndarray, mix: Mix, drawing: Drawing) -> _Problem:
+    def of(cls, seen: Seen, mix: Mix, drawing: Drawing, confusion: Confusion | None) -> _Problem:
         """That of `fit`."""
-        classes, weights = mix.classes, mix.weights
+        log_size, classes, weights = seen.log_size, mix.classes, mix.weights
         every = [*classes, LARGER]
         means = np.array([drawing.log_mean(c) for c in every])
         # A box's noise is a share of what its vehicle should measure, not of what it does measure: else boxes that came
         # out large by chance would count for more. The scale for it need only be rough.
         rough = np.median(np.median(means[:-1], axis=0) - log_size, axis=0)
-        noise = (noise / np.exp(means - rough)[:, None]) ** 2
+        noise = (seen.noise / np.exp(means - rough)[:, None]) ** 2
         spread = np.array([drawing.covariance(c.log_covariance) for c in every])[:, None] + noise[..., None] * np.eye(2)
         tie = np.linalg.inv(mix.systematic)  # holds the two scales to one another, and leaves what they share free
         tie = tie - np.outer(tie.sum(0), tie.sum(0)) / tie.sum()
@@ -257,6 +310,8 @@ class _Problem:
             place=mix.place,
             weights=weights,
             basis=basis,
+            called=seen.called,
+            class_called=confusion.called(every) if confusion and seen.called.size else np.empty((len(every), 0)),
         )
 
     @property
@@ -269,7 +324,7 @@ class _Problem:
         if number >= self.gap.shape[1]:
             return self
         some = np.linspace(0, self.gap.shape[1] - 1, number).astype(int)
-        return replace(self, gap=self.gap[:, some], inverse=self.inverse[:, some])
+        return replace(self, gap=self.gap[:, some], inverse=self.inverse[:, some], called=self.called[some])
 
     def start(self, grid: np.ndarray) -> _Solved:
         """The scales of `grid` (V,), each once for each of `place`, with the country's mix."""
@@ -278,18 +333,23 @@ class _Problem:
         unknown[:, :2] = np.tile(grid, len(self.place))[:, None]
         larger = LEFT_OUT_VEHICLES * np.array([1 - self.larger, self.larger])
         outliers = OUTLIER_BOXES * np.array([1 - OUTLIER_SHARE, OUTLIER_SHARE])
-        prior = np.hstack([number[:, None] * self.shares, np.tile([*larger, *outliers], (len(number), 1))])
+        others = [*larger, *outliers, *self.class_called.ravel()]
+        prior = np.hstack([number[:, None] * self.shares, np.tile(others, (len(number), 1))])
         return _Solved(prior, np.log(likely), prior, unknown, np.log(likely))
 
     @cached_property
     def table(self) -> np.ndarray:
-        """(K + 1, N, 7) of each vote: the log density of a class is linear in these, the coefficients (`_along`) are
-        quadratic in how far the unknowns move the class. The first six are also what Newton's steps are made of."""
+        """(K + 1, N, 7 + J) of each vote: the log density of a class is linear in these, the coefficients (`_along`)
+        are quadratic in how far the unknowns move the class. Of the first six Newton's steps are made, the next J say
+        what the vote is called."""
         i00, i01, i11 = self.inverse[..., 0, 0], self.inverse[..., 0, 1], self.inverse[..., 1, 1]
         g0, g1 = self.gap[..., 0], self.gap[..., 1]
         b0, b1 = i00 * g0 + i01 * g1, i01 * g0 + i11 * g1
         height = 0.5 * np.log(i00 * i11 - i01**2) - np.log(2 * np.pi) - 0.5 * (g0 * b0 + g1 * b1)
-        return np.stack([i00, i01, i11, b0, b1, np.ones_like(g0), height], -1)
+        called = np.broadcast_to(self.called, (*g0.shape, self.called.shape[1]))
+        return np.concatenate(
+            [np.stack([i00, i01, i11, b0, b1, np.ones_like(g0)], -1), called, height[..., None]], axis=-1
+        )
 
     def along(self, unknown: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """`_along` for this fleet."""
@@ -346,7 +406,7 @@ class _Problem:
         The information of votes that wore their classes, with the unknowns' priors, less what the guessing loses: the
         covariance of each vote's score over the classes that it may be of (Louis 1982); the shares are unknown, too.
         """
-        (counts,), _, _ = _levels(solved.counts[k : k + 1])
+        (counts,), *_ = _levels(solved.counts[k : k + 1], len(self.shares))
         along = self.along(solved.unknown[k : k + 1], solved.counts[k : k + 1])
         p, share = _members(self.table, *along)[0][:, 0], counts / counts.sum()
         residual = np.einsum("kiu,u->ki", self.turn, solved.unknown[k])[:, None] - self.gap
@@ -376,7 +436,7 @@ def _solved(problems: Sequence[_Problem], starts: Sequence[_Solved], steps: int)
     unknown, counts = start.unknown.copy(), start.counts.copy()
     turns, priors, bases = (np.array([getattr(p, name) for p in problems]) for name in ("turn", "prior", "basis"))
     bends = np.einsum("ckiu,ckjw->ckijuw", turns, turns).reshape(len(problems), -1, UNKNOWNS**2)
-    count = problems[0].gap.shape[1]
+    classes, count = len(problems[0].shares), problems[0].gap.shape[1]
     told = min(1.0, SHAPE_VEHICLES / count)
     log_density, inside = np.empty(len(owner)), np.empty((len(owner), UNKNOWNS - 1, UNKNOWNS - 1))
     log_probability = np.empty(len(owner))
@@ -387,7 +447,7 @@ def _solved(problems: Sequence[_Problem], starts: Sequence[_Solved], steps: int)
         after, before, prior = counts[which], start.prior[which], priors[owner[which]]
         found = log_density[which] - 0.5 * np.einsum("vi,vij,vj->v", unknown[which], prior, unknown[which])
         found = told * found + start.log_prior[which]
-        for one, other in zip(_levels(after), _levels(before), strict=True):
+        for one, other in zip(_levels(after, classes), _levels(before, classes), strict=True):
             found -= _divergence(one, other)
         # Laplace's approximation of the integral over what else is unknown.
         free = bases.transpose(0, 2, 1) @ priors @ bases
@@ -400,15 +460,17 @@ def _solved(problems: Sequence[_Problem], starts: Sequence[_Solved], steps: int)
         mine, prior, basis = owner[going], priors[owner[going]], bases[owner[going]]
         turn, here = turns[mine], unknown[going]
         along, none = _along(turn, here, counts[going])
-        sums, system = np.empty((len(turns[0]), len(going), 6)), np.empty((len(going), UNKNOWNS**2))
+        sums = np.empty((len(turns[0]), len(going), 6 + problems[0].called.shape[1]))
+        system = np.empty((len(going), UNKNOWNS**2))
         for c in np.unique(mine):
             rows = slice(*np.searchsorted(mine, (c, c + 1)))
             p, density = _members(problems[c].table, along[:, rows], none[rows])
-            sums[:, rows] = p @ problems[c].table[..., :6]
+            sums[:, rows] = p @ problems[c].table[..., :-1]
             log_density[going[rows]] = np.log(density).sum(1)
             curved = sums[:, rows, [0, 1, 1, 2]].transpose(1, 0, 2).reshape(len(p[0]), -1)
             system[rows] = curved @ bends[c]
-        a00, a01, a11, b0, b1, found = np.moveaxis(sums, -1, 0)  # (K + 1, V) each
+        a00, a01, a11, b0, b1, found = np.moveaxis(sums[..., :6], -1, 0)  # (K + 1, V) each
+        called = sums[..., 6:].transpose(1, 0, 2).reshape(len(going), -1)
         m0, m1 = along[..., 3], along[..., 4]
         pulled = np.stack([b0 - a00 * m0 - a01 * m1, b1 - a01 * m0 - a11 * m1])  # (2, K + 1, V) upwards in scale
         right = np.einsum("vkiu,ikv->vu", turn, pulled) - np.einsum("vu,vuw->vw", here, prior)
@@ -417,7 +479,7 @@ def _solved(problems: Sequence[_Problem], starts: Sequence[_Solved], steps: int)
         free = np.linalg.solve(inside[going], np.einsum("vu,vuw->vw", right, basis)[..., None])
         moved = (basis @ free)[..., 0]
         others, vehicles = found[:-1].sum(0), found.sum(0)
-        after = told * np.column_stack([found[:-1].T, others, found[-1], vehicles, count - vehicles])
+        after = told * np.column_stack([found[:-1].T, others, found[-1], vehicles, count - vehicles, called])
         after += start.prior[going]
         change = np.maximum(np.abs(moved[:, :4]).max(1), np.abs(after - counts[going]).max(1) / count)
         counts[going], unknown[going] = after, here + moved
@@ -437,15 +499,17 @@ def _solved(problems: Sequence[_Problem], starts: Sequence[_Solved], steps: int)
 
 
 def _along(turn: np.ndarray, unknown: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K + 1, V, 7) coefficients of `_Problem.table` for hypotheses of `unknown` (V, UNKNOWNS) and `counts` (V, K + 4),
+    """(K + 1, V, 7 + J) coefficients of `_Problem.table` for hypotheses of `unknown` (V, UNKNOWNS) and `counts` (V, C),
     with `turn` (V, K + 1, 2, UNKNOWNS) of the fleet of each; and (V,) the density of outliers."""
     m0, m1 = np.einsum("vkiu,vu->ikv", turn, unknown)
-    classes, (others, larger), (vehicle, none) = (
-        (digamma(level) - digamma(level.sum(1, keepdims=True))).T for level in _levels(counts)
+    classes, (others, larger), (vehicle, none), *called = (
+        (digamma(level) - digamma(level.sum(1, keepdims=True))).T for level in _levels(counts, turn.shape[1] - 1)
     )
     log_share = np.vstack([classes + others, larger[None]]) + vehicle
-    along = np.stack([-0.5 * m0**2, -m0 * m1, -0.5 * m1**2, m0, m1, log_share, np.ones_like(m0)], -1)
-    return along, OUTLIER_DENSITY * np.exp(none)
+    along = [-0.5 * m0**2, -m0 * m1, -0.5 * m1**2, m0, m1, log_share, np.ones_like(m0)]
+    if called:  # against what outliers are called
+        along[6:6] = np.array(called).swapaxes(0, 1) - np.log(OUTLIER_CALLED)
+    return np.stack(along, -1), OUTLIER_DENSITY * np.exp(none)
 
 
 def _members(table: np.ndarray, along: np.ndarray, none: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -459,10 +523,13 @@ def _members(table: np.ndarray, along: np.ndarray, none: np.ndarray) -> tuple[np
     return p, total
 
 
-def _levels(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of `counts` (V, K + 4): (V, K) of the classes; (V, 2) of them together, and of larger vehicles; (V, 2) of
-    vehicles, and of outliers. A place that is odd in one is not therefore odd in another."""
-    return counts[:, :-4], counts[:, -4:-2], counts[:, -2:]
+def _levels(counts: np.ndarray, many: int) -> tuple[np.ndarray, ...]:
+    """Of `counts` (V, C): (V, K) of the classes, which are so `many`; (V, 2) of them together, and of larger vehicles;
+    (V, 2) of vehicles, and of outliers; and if kinds are seen (V, J) for each of the K + 1 classes, of what it is
+    called. A place that is odd in one is not therefore odd in another."""
+    called = counts[:, many + 4 :]
+    each = np.split(called, many + 1, axis=1) if called.size else []
+    return counts[:, :many], counts[:, many : many + 2], counts[:, many + 2 : many + 4], *each
 
 
 def _normalised(log_weight: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from ..ruler import Ruler
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
 from ..votes import Votes
-from .mixture import FINE, Drawing, Fits, Mix, fit
+from .mixture import FINE, Confusion, Drawing, Fits, Mix, Seen, fit
 from .posterior import Posterior
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
@@ -81,11 +81,11 @@ def pool(
         raise TooLittleEvidence(f"{int(measurable.sum())} usable vehicles, {MIN_VEHICLES} are needed")
     size = size[measurable]
     geometry = np.zeros((2, 2)) if geometry is None else geometry
-    noise = vote_noise(votes, ruler)[measurable]
+    seen = Seen(np.log(size), vote_noise(votes, ruler)[measurable], _called(votes, ruler)[measurable])
     share_px = np.median(votes.pixel[measurable, None] / size, axis=0)  # one pixel as a share of length and width
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
-    best, fleets = _of_candidates(np.log(size), noise, fleet, known, ruler.drawing)
+    best, fleets = _of_candidates(seen, fleet, known, ruler)
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
             f"{len(votes)} boxes, but only {int(best.inlier.sum())} have the sizes of vehicles of one scale; "
@@ -145,26 +145,33 @@ def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:
     return np.sqrt(variance)
 
 
+def _called(votes: Votes, ruler: Ruler) -> np.ndarray:
+    """(N, 4) what each vote is called, zeros where nobody looked; (N, 0) where that tells nothing."""
+    if votes.kinds is None or not ruler.kinds or np.isnan(votes.kinds).all():
+        return np.empty((len(votes), 0))
+    return np.where(np.isnan(votes.kinds).any(1, keepdims=True), 0.0, votes.kinds)
+
+
 def left_by_views(views: np.ndarray) -> np.ndarray:
     """(N,) share of a measured box's sigma that is left of it in the middle of so many `views` (N,) of one vehicle."""
     return np.sqrt(OF_THE_VEHICLE + (1 - OF_THE_VEHICLE) / np.maximum(views, 1))
 
 
 def _of_candidates(
-    log_size: np.ndarray, noise: np.ndarray, fleet: Fleet, known: Mapping[str, np.ndarray], drawing: Drawing
+    seen: Seen, fleet: Fleet, known: Mapping[str, np.ndarray], ruler: Ruler
 ) -> tuple[_Vehicles, dict[str, float]]:
     """What the votes say if they are of one of the candidates of `fleet`, and the probability of each, by code.
 
     Arguments as of `_of_fleets`. Everything is the likeliest's, but for the posterior, which is that of them all: what
     it is wider by is a part of not knowing the fleet.
     """
-    candidates, count = fleet.candidates or (fleet,), len(log_size)
+    candidates, count = fleet.candidates or (fleet,), len(seen)
     prior = np.array(fleet.prior or (1.0,))
 
     def tried(wanted: Sequence[int], number: int) -> dict[int, _Vehicles]:
         """What `number` of the votes say, were they of each candidate in turn; without those that they cannot be."""
         some = np.linspace(0, count - 1, min(count, number)).astype(int)
-        found = _of_fleets(log_size[some], noise[some], [candidates[k] for k in wanted], known, drawing)
+        found = _of_fleets(seen[some], [candidates[k] for k in wanted], known, ruler.drawing, ruler.confusion)
         out = {k: v for k, v in zip(wanted, found, strict=True) if v is not None}
         if not out:
             raise TooLittleEvidence(f"no boxes have the shape of vehicles of the fleet {candidates[wanted[-1]].code}")
@@ -189,23 +196,26 @@ def _of_candidates(
 
 
 def _of_fleets(
-    log_size: np.ndarray,
-    noise: np.ndarray,
+    seen: Seen,
     fleets: Sequence[Fleet],
     known: Mapping[str, np.ndarray],
     drawing: Drawing,
+    confusion: Confusion | None,
 ) -> list[_Vehicles | None]:
-    """What votes of `log_size` (N, 2) with `noise` (N, 2) [units] say, were they of each of `fleets`, None where they
-    cannot be; `known` are the (2, 2) covariances of what else is uncertain about them all."""
-    every = [{"fleet": drawing.covariance(fleet.class_mean_covariance), **known} for fleet in fleets]
-    mixes = []
-    for fleet, shared in zip(fleets, every, strict=True):
+    """What the vehicles that are `seen` say, were they of each of `fleets`, None where they cannot be; `known` are the
+    (2, 2) covariances of what else is uncertain about them all."""
+    every, mixes = [], []
+    for fleet in fleets:
+        classes = fleet.told_apart_by_kind if seen.called.size else fleet.told_apart
+        shared = {"fleet": drawing.covariance(fleet.class_mean_covariance(classes)), **known}
         systematic = sum(shared.values(), np.zeros((2, 2)))
-        weights = _combine(systematic + drawing.covariance(fleet.log_covariance) / len(log_size))
-        mixes.append(Mix(fleet.told_apart, systematic, weights, fleet.place_vehicles))
+        weights = _combine(systematic + drawing.covariance(fleet.log_covariance) / len(seen))
+        every.append(shared)
+        mixes.append(Mix(classes, systematic, weights, fleet.place_vehicles))
+    found = fit(seen, mixes, drawing, confusion)
     return [
         None if fits is None or fits.member.sum() < 1 else _vehicles(fits, fleet, mix, shared)
-        for fits, fleet, mix, shared in zip(fit(log_size, noise, mixes, drawing), fleets, mixes, every, strict=True)
+        for fits, fleet, mix, shared in zip(found, fleets, mixes, every, strict=True)
     ]
 
 

@@ -1,0 +1,148 @@
+r"""Kinds of vehicles told by eye: car, pickup, van, larger.
+
+    python -m training.kinds sheets --labels ../shared/data/vehicles/labels.json --count 800 --out runs/kinds
+    python -m training.kinds sheets --found manila=../shared/data/orthophotos/manila.tif:BOXES.json --out runs/manila
+    python -m training.kinds keep runs/kinds ANSWERS.json [ANSWERS.json ...] --data ../shared/data
+    python -m training.kinds agreement runs/kinds ANSWERS.json ANSWERS.json    # of two readers of the same sheets
+
+`sheets` draws vehicles as `training.by_hand` does, smaller and without rulers. ANSWERS.json has a line of letters for
+each row of a sheet, ``{"SHEET": ["ccpcvccc", ...], ...}``; `READING` says which, and is written beside the sheets.
+`keep` adds to labels/kinds.json what all readers of a vehicle say alike; of a vehicle that they differ about, or that
+one cannot tell, nothing is kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from orthoscale.core.boxes import KINDS
+from orthoscale.detect.measurer import ANSWERS
+
+from .by_hand import CELL, Cell, choose, enlarged, pictures_of, read_sheets, sheet_options, stored_name, write_cells
+
+LABELS = Path(__file__).parent / "labels" / "kinds.json"
+SHARE = 0.5  # of the cells that edges are read in
+WIDTH, HEIGHT = (int(SHARE * side) for side in CELL)
+COLUMNS, ROWS = 6, 8
+PER_SHEET = COLUMNS * ROWS
+SMALLEST = 12.0  # vehicles shorter than this are not drawn [px of the picture]
+LETTERS = dict(zip("cpvln", ANSWERS, strict=True))
+READING = f"""Which kind of vehicle stands in each cell of sheet_00.png, sheet_01.png, ...
+
+A sheet has {ROWS} rows of {COLUMNS} cells. Each cell shows one vehicle from above, about level, in the cell's middle;
+which end is its front differs. Answer with one JSON file: for each sheet a list of {ROWS} strings of {COLUMNS} letters,
+
+    {{"0": ["ccpcvc", "cc?ccc", ...], "1": [...]}}
+
+c  car: hatchback, saloon, estate, SUV, people carrier with a bonnet. The roof lies between a windscreen and a rear
+   window; bonnet (and boot) are of the body's colour. An SUV's roof reaches nearly to its rear end.
+p  pickup: an open bed behind a cab. The cab's roof lies in the middle or forward of it, and the rear third to two
+   fifths is a flat bed with a rim: a dark or differently bright rectangle, often with something in it. Also one whose
+   bed is covered by a tonneau or a cap of another colour. A pickup is longer and more angular than a saloon, whose boot
+   is shorter than its bonnet and has no rim.
+v  van, minibus, delivery van, jeepney: one box, a flat roof nearly from end to end, hardly any bonnet, ribs or racks or
+   hatches on the roof, square corners.
+l  larger: lorry, bus, trailer, caravan, motorhome, a truck with a separate box or a bed with more than two axles.
+n  no vehicle, or not a motor vehicle of four wheels (motorcycle, three-wheeler, boat, roof, shadow, skip).
+?  cannot be told: too blurred, hidden, dark, cut. Do not guess between car and pickup.
+
+Judge each cell for itself. Do not expect any share of the kinds: in some towns nearly all are cars, in others half are
+pickups. Crop and magnify a cell when in doubt.
+"""
+
+
+def draw_sheets(folder: Path, cells: Sequence[Cell]) -> None:
+    """Write the cells to sheets of ROWS x COLUMNS, and what `read_sheets` reads beside them."""
+    write_cells(folder, cells, READING)
+    for sheet in range(-(-len(cells) // PER_SHEET)):
+        canvas = np.zeros((ROWS * HEIGHT, COLUMNS * WIDTH, 3), np.uint8)
+        for k, cell in enumerate(cells[sheet * PER_SHEET : (sheet + 1) * PER_SHEET]):
+            y, x = k // COLUMNS * HEIGHT, k % COLUMNS * WIDTH
+            canvas[y : y + HEIGHT, x : x + WIDTH] = enlarged(cell, SHARE)
+            cv2.rectangle(canvas, (x, y), (x + WIDTH - 1, y + HEIGHT - 1), (0, 0, 0), 1)
+        cv2.imwrite(str(folder / f"sheet_{sheet:02d}.png"), canvas)
+
+
+def read_answers(file: Path) -> dict[int, str]:
+    """{cell: one of ANSWERS, or "" for what could not be told} of a reader's file.
+
+    Raises ValueError for a sheet that has other rows than it should.
+    """
+    told: dict[int, str] = {}
+    for sheet, rows in json.loads(file.read_text()).items():
+        letters = "".join(rows)
+        if any(len(row) != COLUMNS for row in rows[:-1]) or set(letters) - {*LETTERS, "?"}:
+            raise ValueError(f"{file}: sheet {sheet} needs rows of {COLUMNS} letters of {''.join(LETTERS)}?")
+        told.update((int(sheet) * PER_SHEET + k, LETTERS.get(letter, "")) for k, letter in enumerate(letters))
+    return told
+
+
+def agreed(readers: Sequence[dict[int, str]]) -> dict[int, str]:
+    """{cell: kind} of cells of which every reader who saw them says the same."""
+    said: dict[int, set[str]] = {}
+    for answers in readers:
+        for cell, kind in answers.items():
+            said.setdefault(cell, set()).add(kind)
+    return {cell: next(iter(kinds)) for cell, kinds in said.items() if len(kinds) == 1 and "" not in kinds}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    sheets = commands.add_parser("sheets", help="draw vehicles")
+    sheet_options(sheets, SMALLEST, 200)
+    keep = commands.add_parser("keep", help="add to --to what was told")
+    agreement = commands.add_parser("agreement", help="how often readers say the same")
+    for command in (keep, agreement):
+        command.add_argument("folder", type=Path, help="of the sheets")
+        command.add_argument("answers", type=Path, nargs="+", help='JSON: {sheet: ["ccpcvccc", ...]}')
+    keep.add_argument("--data", type=Path, required=True, help="folder from which on pictures are named")
+    keep.add_argument("--to", type=Path, default=LABELS, help="(%(default)s)")
+    options = parser.parse_args()
+    if options.command == "sheets":
+        draw_sheets(options.out, choose(pictures_of(options), options.count, options.seed, options.smallest))
+        return
+    readers = [read_answers(file) for file in options.answers]
+    if options.command == "agreement":
+        print(agreement_table(readers))
+        return
+    kept = json.loads(options.to.read_text()) if options.to.exists() else {"vehicles": []}
+    cells = read_sheets(options.folder)
+    for number, kind in sorted(agreed(readers).items()):
+        if number < len(cells):
+            cell = cells[number]
+            kept["vehicles"].append({
+                "scene": cell.scene,
+                "picture": stored_name(cell.picture, options.data),
+                "box": cell.label.round(2).tolist(),
+                "kind": kind,
+                "readers": sum(number in answers for answers in readers),
+            })  # fmt: skip
+    rows = ",\n  ".join(json.dumps(vehicle) for vehicle in kept.pop("vehicles"))
+    rest = "".join(f" {json.dumps(name)}: {json.dumps(text)},\n" for name, text in kept.items())
+    options.to.write_text(f'{{\n{rest} "vehicles": [\n  {rows}\n ]\n}}\n')
+
+
+def agreement_table(readers: Sequence[dict[int, str]]) -> str:
+    """Markdown: how often one reader says what the columns say where another says what the rows say."""
+    names = (*KINDS, "none", "")
+    count = np.zeros((len(names), len(names)), int)
+    for i, one in enumerate(readers):
+        for k, other in enumerate(readers):
+            for cell in one.keys() & other.keys() if i != k else ():
+                count[names.index(one[cell]), names.index(other[cell])] += 1
+    shown = [name or "cannot tell" for name in names]
+    lines = ["| | " + " | ".join(shown) + " |", "|---" * (len(names) + 1) + "|"]
+    return "\n".join(
+        [*lines, *(f"| {n} | " + " | ".join(map(str, row)) + " |" for n, row in zip(shown, count, strict=True))]
+    )
+
+
+if __name__ == "__main__":
+    main()
