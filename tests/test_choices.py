@@ -84,7 +84,8 @@ def test_the_words_for_a_scale_follow_its_uncertainty(sd, word):
     assert verdict(0.151, odd_shape=False, conflict=False) == verdict(sd, odd_shape=False, conflict=True) != word
 
 
-def test_the_ground_under_one_frame_is_known_to_a_hundredth_however_many_vehicles_stand_on_it():
+def test_the_ground_of_a_model_is_known_to_a_hundredth_however_many_vehicles_stand_on_it():
+    """One frame: no parallax says more of the ground."""
     size, place = np.tile([4.5, 1.8], (1000, 1)), np.random.default_rng(0).uniform(-30, 30, (1000, 2))
     frame = np.full(1000, "a.jpg")
     stands = standing(place, np.zeros((1000, 2)), np.full(1000, 60.0), frame, (4.5, 1.8), np.full(1000, 0.1))
