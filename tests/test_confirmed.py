@@ -37,7 +37,7 @@ def test_what_nobody_doubts_counts():
     rng = np.random.default_rng(2)
     assert not seldom_confirmed(boxes(rng, 30, 40.0, 0.2), Boxes.empty()).any()
     assert seldom_confirmed(Boxes.empty(), boxes(rng, 30, 40.0)).shape == (0,)
-    assert share_confirmed(np.array([40.0, 9.0]), np.full(8, 40.0), np.full(18, 40.0)).tolist() == [9 / 20, 1 / 2]
+    assert share_confirmed(np.array([40.0, 9.0]), np.full(8, 40.0), np.full(18, 40.0)).tolist() == [9 / 21, 1 / 3]
 
 
 @pytest.mark.parametrize(

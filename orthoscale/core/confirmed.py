@@ -27,10 +27,10 @@ def share_confirmed(length: np.ndarray, confirmed: np.ndarray, seen: np.ndarray)
     """(K,) share of the boxes of about each `length` (K,) that two passes agree on.
 
     confirmed : (M,) lengths of the boxes that both see; seen : (N,) of all that one sees, those among them. One of one
-    says little, so shares begin with one of two.
+    says little, so shares begin with one of three.
     """
     both, every = (1 + about(np.log(length), np.sort(np.log(some))) for some in (confirmed, seen))
-    return np.asarray(both / (1 + every))
+    return np.asarray(both / (2 + every))
 
 
 def about(where: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -126,7 +126,9 @@ def find_vehicles(
             None if cover is None else cover.enough,
             detector.confirming is None,
         )
-    return _without_mistakes(_without_equal_things(detections(found))), choice
+    unlike = _without_equal_things(detections(found))
+    # Frames from nearer and farther show vehicles at several lengths, of which the farther ones are seldom confirmed.
+    return (_without_mistakes(unlike) if len(pictures) == 1 else unlike), choice
 
 
 def _promising_first(
