@@ -17,7 +17,7 @@ from ..core.boxes import Boxes
 from ..core.source import Picture
 
 FACTORS = tuple(map(Fraction, ("5/4", "3/2", "2", "3", "4")))
-SAMPLED = 30  # windows about boxes that are looked at, two of their lengths wide
+WINDOWS_AT_MOST = 30  # windows about boxes that are looked at, two of their lengths wide
 # Share of a window's contrast (RMS) that is lost by reducing and enlarging it again, up to which that loses nothing. Of
 # twelve orthophotos 0.056 to 0.26 are lost by 5/4 as they are; enlarged by cubic splines and stored in 8 bits, 0.025 to
 # 0.10 of those by 3/2, 0.016 to 0.07 of those by 2, 0.02 to 0.08 of those by 4, by as much (2026-11-23).
@@ -27,7 +27,7 @@ LOST = 0.05
 def enlargement(pictures: Mapping[str, Picture], boxes: Mapping[str, Boxes]) -> Fraction:
     """The largest of FACTORS by which the `pictures` can be reduced with hardly any loss about `boxes`, 1 if none."""
     every = [(name, box) for name, some in boxes.items() for box in some.xylwa]
-    chosen = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, SAMPLED).astype(int))] if every else []
+    chosen = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, WINDOWS_AT_MOST).astype(int))] if every else []
     lost = [_lost(pictures[name], box) for name, box in chosen]
     if not lost:
         return Fraction(1)
