@@ -1,6 +1,7 @@
 """Training: targets and augmentation keep boxes on their pixels, margins and figures are what they say they are."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -471,7 +472,19 @@ def test_cells_show_their_vehicle_where_the_map_says(tmp_path):
         assert np.percentile(drawn[inside], 5) > np.percentile(drawn[ring], 95) + 60
 
 
-def test_margins_are_what_labels_exceed_the_readings_by(tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Runs a module's command line; what it prints."""
+
+    def run(module, *arguments):
+        monkeypatch.setattr("sys.argv", [module.__name__, *map(str, arguments)])
+        module.main()
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_margins_are_what_labels_exceed_the_readings_by(tmp_path, monkeypatch, command):
     rng = np.random.default_rng(7)
     loose = {"park": (0.0, 0.0), "munich": (3.0, -1.0), "minsk": (-2.0, 1.5)}
     scenes, truth = {}, {}
@@ -482,11 +495,7 @@ def test_margins_are_what_labels_exceed_the_readings_by(tmp_path, monkeypatch, c
     labels = write_labels(tmp_path / "labels", scenes)
     folder, kept = tmp_path / "sheets", tmp_path / "by_hand.json"
 
-    def run(*arguments):
-        monkeypatch.setattr("sys.argv", ["by_hand", *map(str, arguments)])
-        by_hand.main()
-        return capsys.readouterr().out
-
+    run = partial(command, by_hand)
     run("sheets", "--labels", labels, "--count", 12, "--out", folder)
     cells = json.loads((folder / "cells.json").read_text())
     assert len(cells) == 36 and len(list(folder.glob("sheet_*.png"))) == 36 // by_hand.PER_SHEET
@@ -527,15 +536,14 @@ def test_what_is_read_again_is_averaged(tmp_path):
     assert told[1]["read"] == [90.0, 40, 40, 18, 0.0]
 
 
-def test_sheets_of_a_place_need_only_a_detectors_boxes(tmp_path, monkeypatch):
+def test_sheets_of_a_place_need_only_a_detectors_boxes(tmp_path, command):
     boxes = field_of_boxes(np.random.default_rng(8))
     cv2.imwrite(str(tmp_path / "place.png"), draw_boxes(boxes))
     names = ("cx", "cy", "length", "width", "angle", "score")
     found = [dict(zip(names, map(float, [*box, 0.9]), strict=True)) for box in boxes]
     (tmp_path / "boxes.json").write_text(json.dumps({"place.png": found}))
-    arguments = ["sheets", "--found", f"place={tmp_path / 'place.png'}:{tmp_path / 'boxes.json'}", "--count", "5"]
-    monkeypatch.setattr("sys.argv", ["by_hand", *arguments, "--out", str(tmp_path / "sheets")])
-    by_hand.main()
+    place = f"place={tmp_path / 'place.png'}:{tmp_path / 'boxes.json'}"
+    command(by_hand, "sheets", "--found", place, "--count", 5, "--out", tmp_path / "sheets")
     cells = by_hand.read_sheets(tmp_path / "sheets")
     assert [cell.scene for cell in cells] == ["place"] * 5
     for cell in cells:
@@ -543,16 +551,12 @@ def test_sheets_of_a_place_need_only_a_detectors_boxes(tmp_path, monkeypatch):
     assert (tmp_path / "sheets" / "READING.txt").exists()
 
 
-def test_kinds_are_kept_where_readers_agree(tmp_path, monkeypatch, capsys):
+def test_kinds_are_kept_where_readers_agree(tmp_path, command):
     boxes = field_of_boxes(np.random.default_rng(8))
     labels = write_labels(tmp_path / "labels", {"park": (draw_boxes(boxes), rows(boxes))})
     folder, kept = tmp_path / "sheets", tmp_path / "kinds.json"
 
-    def run(*arguments):
-        monkeypatch.setattr("sys.argv", ["kinds", *map(str, arguments)])
-        kinds.main()
-        return capsys.readouterr().out
-
+    run = partial(command, kinds)
     run("sheets", "--labels", labels, "--count", 8, "--out", folder)
     cells = by_hand.read_sheets(folder)
     assert len(cells) == 8 and (folder / "sheet_00.png").exists() and (folder / "READING.txt").exists()

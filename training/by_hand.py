@@ -32,6 +32,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -189,6 +190,7 @@ def sheet_options(parser: argparse.ArgumentParser, smallest: float, count: int) 
     """What `pictures_of` and `choose` ask for."""
     parser.add_argument("--labels", type=Path, action="append", default=[], help="label file; may be repeated")
     parser.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json")
+    parser.add_argument("--again", type=Path, metavar="DATA", help="folder of the pictures of labels/by_hand.json")
     parser.add_argument("--found", action="append", default=[], metavar="NAME=IMAGES:BOXES.json")
     parser.add_argument("--scenes", nargs="*", help="only these")
     parser.add_argument("--smallest", type=float, default=smallest, help="vehicle length [px] (%(default)s)")
@@ -212,8 +214,8 @@ def _every_picture(options: argparse.Namespace) -> Iterable[tuple[str, Path, np.
     for scene in checked_scenes(options.checked) if options.checked else []:
         for p in scene.pictures:
             yield scene.name, p.picture.path, p.vehicles, (p.picture.width, p.picture.height)
-    again = getattr(options, "again", None)
-    for scene in [*(measured_scenes(again) if again else []), *map(reference_scene, options.found)]:
+    again = measured_scenes(options.again) if options.again else []
+    for scene in [*again, *map(reference_scene, options.found)]:
         for p in scene.pictures:
             yield scene.name, p.picture.path, p.vehicles, (p.picture.width, p.picture.height)
 
@@ -231,7 +233,7 @@ def write_cells(folder: Path, cells: Sequence[Cell], reading: str) -> None:
 
 def write_sheets(folder: Path, cells: Sequence[Cell]) -> None:
     write_cells(folder, cells, READING)
-    _join(folder, "sheet", dict(enumerate(map(draw_cell, cells))))
+    _join_numbered(folder, "sheet", dict(enumerate(map(draw_cell, cells))))
 
 
 def read_sheets(folder: Path) -> list[Cell]:
@@ -254,7 +256,7 @@ def draw_answers(folder: Path, answers: dict[int, list[float]]) -> None:
     for number, reading in answers.items():
         corners = np.round(Boxes(read_box(reading)[None], np.ones(1)).corners * 16).astype(np.int32)
         cv2.polylines(drawn[number], list(corners), True, (0, 255, 0), 1, cv2.LINE_AA, 4)
-    _join(folder, "drawn", drawn)
+    _join_numbered(folder, "drawn", drawn)
 
 
 def measured(folder: Path, readers: Sequence[dict[int, list[float]]], data: Path) -> list[dict]:
@@ -301,20 +303,38 @@ def joined(kept: Iterable[dict], new: Iterable[dict]) -> list[dict]:
     return vehicles
 
 
-def _join(folder: Path, name: str, cells: dict[int, np.ndarray]) -> None:
-    """Write sheets of COLUMNS x ROWS cells, by number."""
-    for sheet in {number // PER_SHEET for number in cells}:
-        canvas = np.zeros((ROWS * CELL[1], COLUMNS * CELL[0], 3), np.uint8)
-        for number in range(sheet * PER_SHEET, (sheet + 1) * PER_SHEET):
-            if number not in cells:
-                continue
-            row, column = divmod(number % PER_SHEET, COLUMNS)
-            y, x = row * CELL[1], column * CELL[0]
-            canvas[y : y + CELL[1], x : x + CELL[0]] = cells[number]
-            cv2.rectangle(canvas, (x, y), (x + CELL[0] - 1, y + CELL[1] - 1), (0, 0, 0), 2)
-            at = (x + CELL[0] - 62, y + CELL[1] - 6)
-            cv2.putText(canvas, f"cell {number}", at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 255, 255), 1, cv2.LINE_AA)
+def join(folder: Path, name: str, cells: dict[int, np.ndarray], columns: int, rows: int) -> None:
+    """Write pictures of cells, all of one size, to sheets of `columns` x `rows` of them, by their numbers."""
+    for sheet in {number // (columns * rows) for number in cells}:
+        mine = {number: cell for number, cell in cells.items() if number // (columns * rows) == sheet}
+        height, width = next(iter(mine.values())).shape[:2]
+        canvas = np.zeros((rows * height, columns * width, 3), np.uint8)
+        for number, cell in mine.items():
+            row, column = divmod(number % (columns * rows), columns)
+            y, x = row * height, column * width
+            canvas[y : y + height, x : x + width] = cell
+            cv2.rectangle(canvas, (x, y), (x + width - 1, y + height - 1), (0, 0, 0), width // 200)
         cv2.imwrite(str(folder / f"{name}_{sheet:02d}.png"), canvas)
+
+
+def _join_numbered(folder: Path, name: str, cells: dict[int, np.ndarray]) -> None:
+    """Write sheets of COLUMNS x ROWS cells with their numbers."""
+    at = CELL[0] - 62, CELL[1] - 6
+    for number, cell in cells.items():
+        cv2.putText(cell, f"cell {number}", at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 255, 255), 1, cv2.LINE_AA)
+    join(folder, name, cells, COLUMNS, ROWS)
+
+
+def load_kept(file: Path) -> dict[str, Any]:
+    """A file of vehicles as `store` writes it; none where there is no file."""
+    return json.loads(file.read_text()) if file.exists() else {"vehicles": []}
+
+
+def store(file: Path, kept: dict[str, Any]) -> None:
+    """Write what is said of the vehicles that are `kept`, and a line for each of them."""
+    rows = ",\n  ".join(json.dumps(vehicle) for vehicle in kept["vehicles"])
+    rest = "".join(f" {json.dumps(name)}: {json.dumps(text)},\n" for name, text in kept.items() if name != "vehicles")
+    file.write_text(f'{{\n{rest} "vehicles": [\n  {rows}\n ]\n}}\n')
 
 
 def main() -> None:
@@ -322,7 +342,6 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     sheets = commands.add_parser("sheets", help="draw vehicles to be measured")
     sheet_options(sheets, SMALLEST, 24)
-    sheets.add_argument("--again", type=Path, metavar="DATA", help="folder of the pictures of labels/by_hand.json")
     draw, keep = (commands.add_parser(name, help=text) for name, text in
                   {"draw": "draw readings onto the sheets", "keep": "add what was read to --to"}.items())  # fmt: skip
     for command in (draw, keep):
@@ -339,12 +358,10 @@ def main() -> None:
     elif options.command == "draw":
         draw_answers(options.folder, {k: v for file in options.readings for k, v in read_answers(file).items()})
     elif options.command == "keep":
-        kept = json.loads(options.to.read_text()) if options.to.exists() else {"vehicles": []}
+        kept = load_kept(options.to)
         new = measured(options.folder, [read_answers(file) for file in options.readings], options.data)
         kept["vehicles"] = joined(kept["vehicles"], new)
-        rows = ",\n  ".join(json.dumps(vehicle) for vehicle in kept.pop("vehicles"))
-        rest = "".join(f" {json.dumps(name)}: {json.dumps(text)},\n" for name, text in kept.items())
-        options.to.write_text(f'{{\n{rest} "vehicles": [\n  {rows}\n ]\n}}\n')
+        store(options.to, kept)
     else:
         print("scene      vehicles    label longer [px]      wider [px]   measured: length [px], length to width")
         for scene, (margin, sd, read) in margins(json.loads(options.of.read_text())["vehicles"]).items():

@@ -18,17 +18,27 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from orthoscale.core.boxes import KINDS
 from orthoscale.detect.measurer import ANSWERS
 
-from .by_hand import CELL, Cell, choose, enlarged, pictures_of, read_sheets, sheet_options, stored_name, write_cells
+from .by_hand import (
+    Cell,
+    choose,
+    enlarged,
+    join,
+    load_kept,
+    pictures_of,
+    read_sheets,
+    sheet_options,
+    store,
+    stored_name,
+    write_cells,
+)
 
 LABELS = Path(__file__).parent / "labels" / "kinds.json"
 SHARE = 0.5  # of the cells that edges are read in
-WIDTH, HEIGHT = (int(SHARE * side) for side in CELL)
 COLUMNS, ROWS = 6, 8
 PER_SHEET = COLUMNS * ROWS
 SMALLEST = 12.0  # vehicles shorter than this are not drawn [px of the picture]
@@ -60,13 +70,7 @@ pickups. Crop and magnify a cell when in doubt.
 def draw_sheets(folder: Path, cells: Sequence[Cell]) -> None:
     """Write the cells to sheets of ROWS x COLUMNS, and what `read_sheets` reads beside them."""
     write_cells(folder, cells, READING)
-    for sheet in range(-(-len(cells) // PER_SHEET)):
-        canvas = np.zeros((ROWS * HEIGHT, COLUMNS * WIDTH, 3), np.uint8)
-        for k, cell in enumerate(cells[sheet * PER_SHEET : (sheet + 1) * PER_SHEET]):
-            y, x = k // COLUMNS * HEIGHT, k % COLUMNS * WIDTH
-            canvas[y : y + HEIGHT, x : x + WIDTH] = enlarged(cell, SHARE)
-            cv2.rectangle(canvas, (x, y), (x + WIDTH - 1, y + HEIGHT - 1), (0, 0, 0), 1)
-        cv2.imwrite(str(folder / f"sheet_{sheet:02d}.png"), canvas)
+    join(folder, "sheet", {number: enlarged(cell, SHARE) for number, cell in enumerate(cells)}, COLUMNS, ROWS)
 
 
 def read_answers(file: Path) -> dict[int, str]:
@@ -112,7 +116,7 @@ def main() -> None:
     if options.command == "agreement":
         print(agreement_table(readers))
         return
-    kept = json.loads(options.to.read_text()) if options.to.exists() else {"vehicles": []}
+    kept = load_kept(options.to)
     cells = read_sheets(options.folder)
     for number, kind in sorted(agreed(readers).items()):
         if number < len(cells):
@@ -124,9 +128,7 @@ def main() -> None:
                 "kind": kind,
                 "readers": sum(number in answers for answers in readers),
             })  # fmt: skip
-    rows = ",\n  ".join(json.dumps(vehicle) for vehicle in kept.pop("vehicles"))
-    rest = "".join(f" {json.dumps(name)}: {json.dumps(text)},\n" for name, text in kept.items())
-    options.to.write_text(f'{{\n{rest} "vehicles": [\n  {rows}\n ]\n}}\n')
+    store(options.to, kept)
 
 
 def agreement_table(readers: Sequence[dict[int, str]]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .evidence import Evidence
 from .pooling.posterior import Z90
-from .remarks import Remark
+from .remarks import Remark, by_severity
 from .verdicts import CHECK_LIMIT, verdict, worst
 
 PER_PIXEL = "m/px"  # the unit of a plan's scale: its ground sampling distance
@@ -77,6 +77,11 @@ class Scale:
             low, high = (self.value * np.exp(side * Z90 * now) for side in (-1, 1))
         word = worst(self.verdict, verdict(now, self.tension > CHECK_LIMIT, self.conflict > 0))
         return replace(changed, interval90=(float(low), float(high)), verdict=word)
+
+    def remarked(self, *remarks: Remark, at_best: str | None = None) -> Scale:
+        """With `remarks` besides, and a verdict that is `at_best` so good."""
+        word = self.verdict if at_best is None else worst(self.verdict, at_best)
+        return replace(self, verdict=word, remarks=by_severity((*self.remarks, *remarks)))
 
     def text(self, *values: float) -> str:
         """`values` in the scale's unit, by default its own, with the digits that it deserves: two of its uncertainty;

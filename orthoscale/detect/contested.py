@@ -20,8 +20,8 @@ from .sweep import sweep_twice
 from .workers import visitor
 from .zoom import ZoomChoice, sample, zoom_for
 
-# Standing of the second best length, as a share of the best one's, from which the larger network is asked. On twelve
-# places and two orthophotos of known scale it is 0.04 to 0.19, so they cost no more time.
+# Standing of the second best length, as a share of the best one's, from which the larger network is asked. Real
+# orthophotos have less (`core.confirmed.AS_LIKELY`), and cost no more time.
 CONTESTED = 0.2
 # Log of the ratio to a length, within which boxes are of vehicles of that length: fleets' extremes, but no farther than
 # half of the way to the other length.

@@ -16,6 +16,7 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..core.source import Picture
 
+AS_IT_IS = Fraction(1)  # of a picture that is not enlarged
 FACTORS = tuple(map(Fraction, ("5/4", "3/2", "2", "3", "4")))
 WINDOWS_AT_MOST = 30  # windows about boxes that are looked at, two of their lengths wide
 # Share of a window's contrast (RMS) that is lost by reducing and enlarging it again, up to which that loses nothing. Of
@@ -30,12 +31,10 @@ def enlargement(pictures: Mapping[str, Picture], boxes: Mapping[str, Boxes]) -> 
     chosen = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, WINDOWS_AT_MOST).astype(int))] if every else []
     lost = [_lost(pictures[name], box) for name, box in chosen]
     if not lost:
-        return Fraction(1)
+        return AS_IT_IS
     kept = np.median(lost, axis=0) < LOST
-    return max(
-        (factor for factor, fine in zip(FACTORS, np.logical_and.accumulate(kept), strict=True) if fine),
-        default=Fraction(1),
-    )
+    fine = FACTORS[: int(np.logical_and.accumulate(kept).sum())]
+    return fine[-1] if fine else AS_IT_IS
 
 
 def _lost(picture: Picture, box: np.ndarray) -> list[float]:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from ..core.source import Picture
 
 Progress = Callable[[str, int, int], None]  # what, done, total
+WHY_EQUAL = "things of one size that stand together, as solar panels or graves do"
+WHY_SELDOM = "of about their size the two passes agree on few, as on mistakes"
 ZOOM_FRAMES = 200  # of a model, in which the scale search looks: its windows are in as many at most but for the lowest
 
 
@@ -126,9 +128,11 @@ def find_vehicles(
             None if cover is None else cover.enough,
             detector.confirming is None,
         )
-    unlike = _without_equal_things(detections(found))
-    # Frames from nearer and farther show vehicles at several lengths, of which the farther ones are seldom confirmed.
-    return (_without_mistakes(unlike) if len(pictures) == 1 else unlike), choice
+    kept = _without(detections(found), WHY_EQUAL, _equal_things)
+    if len(pictures) == 1:
+        # Frames from nearer and farther show vehicles at several lengths, of which the farther are seldom confirmed.
+        kept = _without(kept, WHY_SELDOM, seldom_confirmed)
+    return kept, choice
 
 
 def _promising_first(
@@ -144,35 +148,25 @@ def _promising_first(
     return visiting_order(places, promise(jobs, evenly, detector, count, progress), seed)
 
 
-def _without_equal_things(found: Detections) -> Detections:
-    """`found`, where boxes of things too much alike for vehicles are doubtful, and what is probably more of the same; a
-    note says how many."""
+def _without(found: Detections, why: str, doubted: Callable[[Boxes, Boxes], np.ndarray]) -> Detections:
+    """`found`, where those boxes of a picture that are `doubted`, (N,) bool of its boxes and its doubtful ones, are
+    doubtful; a note says how many and `why`."""
     boxes, doubtful, count = dict(found.boxes), dict(found.doubtful), 0
     for name, seen in found.boxes.items():
-        alike = all_alike(seen)
-        if alike.any():
-            alike |= more_of_the_same(seen, alike)
-            boxes[name] = seen[~alike]
-            doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), seen[alike]])
-            count += int(alike.sum())
+        before = doubtful.get(name, Boxes.empty())
+        out = doubted(seen, before)
+        if out.any():
+            boxes[name], doubtful[name] = seen[~out], Boxes.concatenate([before, seen[out]])
+            count += int(out.sum())
     if not count:
         return found
-    note = f"{count} boxes do not count: things of one size that stand together, as solar panels or graves do"
-    return replace(found, boxes=boxes, doubtful=doubtful, notes=(*found.notes, note))
+    return replace(found, boxes=boxes, doubtful=doubtful, notes=(*found.notes, f"{count} boxes do not count: {why}"))
 
 
-def _without_mistakes(found: Detections) -> Detections:
-    """`found`, where boxes of lengths that are seldom confirmed are doubtful; a note says how many."""
-    seldom = seldom_confirmed(*(Boxes.concatenate(list(some.values())) for some in (found.boxes, found.doubtful)))
-    if not seldom.any():
-        return found
-    boxes, doubtful = {}, dict(found.doubtful)
-    parts = np.split(seldom, np.cumsum([len(some) for some in found.boxes.values()])[:-1])
-    for (name, seen), out in zip(found.boxes.items(), parts, strict=True):
-        boxes[name] = seen[~out]
-        doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), seen[out]])
-    note = f"{int(seldom.sum())} boxes do not count: of about their size the two passes agree on few, as on mistakes"
-    return replace(found, boxes=boxes, doubtful=doubtful, notes=(*found.notes, note))
+def _equal_things(boxes: Boxes, _: Boxes) -> np.ndarray:
+    """(N,) bool: `boxes` of things too much alike for vehicles, and what is probably more of the same."""
+    alike = all_alike(boxes)
+    return alike | more_of_the_same(boxes, alike) if alike.any() else alike
 
 
 def find_zoom(

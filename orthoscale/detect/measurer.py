@@ -23,6 +23,7 @@ from ..core.source import NO_DATA_GREY, Picture
 from ..errors import InputError
 from ..formats.reading import checked, parsed
 from .detector import load_network
+from .enlarged import AS_IT_IS
 from .foreign import ForeignError
 
 SHIPPED_MEASURER = "measurer.onnx"
@@ -37,7 +38,6 @@ PASSES_EACH = 4
 # up to a tenth of it; one that is unsure by more is anywhere.
 MOVED_AT_MOST = 0.08
 MOVED_SD = 1 / 3  # what a moved edge's place is uncertain by besides, as a share of the way it was moved
-AS_IT_IS = Fraction(1)  # of a picture that is not enlarged
 NO_DATA = (NO_DATA_GREY,) * 3  # beyond the picture's edge
 ANSWERS = (*KINDS, "none")
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
-from ..core.confirmed import OF_MISTAKES, share_confirmed
+from ..core.confirmed import AS_LIKELY, OF_MISTAKES, share_confirmed
 from ..core.detections import Tile
 from ..core.source import Picture
 from ..errors import UsageError
@@ -45,9 +45,6 @@ PROMISING = 0.5  # votes that make a length worth another look; one vehicle that
 ENOUGH_VOTES = 14.0  # votes (of 1 at most each) after which no further round is needed
 CLEAR_WINNER = (4.0, 0.35)  # so are fewer votes, where the second best length has less than this share of them
 FEWEST_VOTES = 2.0  # votes below which no zoom is right; five vehicles that two zooms agree on give more
-# Share of the best length's votes from which another length is about as likely. On twelve places and two orthophotos of
-# known scale the second best has 0.04 to 0.19, on rendered towns of panels and graves up to 0.7.
-AMBIGUOUS = 0.4
 NEAR_AND_FAR = 4.0  # factor between lengths that may be the same vehicles', in frames from nearer and farther
 AGREED = (
     OF_MISTAKES,
@@ -87,7 +84,7 @@ class ZoomChoice:
         if self.vehicle_px is None or self.rival_px is None:
             return None
         apart = max(self.vehicle_px / self.rival_px, self.rival_px / self.vehicle_px)
-        return self.rival_px if self.rival > AMBIGUOUS and (self.one_scale or apart > NEAR_AND_FAR) else None
+        return self.rival_px if self.rival > AS_LIKELY and (self.one_scale or apart > NEAR_AND_FAR) else None
 
 
 def told_zoom(zoom: float | None, gsd_hint: float | None, card: Card, mean_length: float) -> float | None:

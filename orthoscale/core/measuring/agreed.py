@@ -1,18 +1,14 @@
 """Where two detection passes agree on few of their boxes, what they agree on is hardly better than the rest.
 
-Then vehicles much larger than cars are a bad sign: graves or tents may be the cars of the reading, and what stands out
-above them the cars.
-
 Vehicles show at any resolution, mistakes now and then. A picture without a vehicle, full of panels, skylights and
-sheds, has its boxes too, and these are of some size.
+sheds, has its boxes too, and these are of some size. Then vehicles much larger than cars are a bad sign: graves or
+tents may be the cars of the reading, and what stands out above them the cars.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from ..confirmed import OF_MISTAKES
-from ..remarks import CAUTION, REFUSAL, Remark, by_severity, percent
+from ..remarks import CAUTION, REFUSAL, Remark, percent
 from ..scale import Scale
 from ..verdicts import UNUSABLE, one_step_below, worst
 
@@ -35,9 +31,7 @@ def as_agreed(scale: Scale, believed: int, doubtful: int) -> Scale:
         f"two detection passes agree on {believed} of {seen} boxes ({percent(believed / seen)}), as few as of "
         "mistakes: see whether there are vehicles at all",
     )
-    lower = replace(
-        scale, verdict=worst(one_step_below(scale.verdict), "poor"), remarks=by_severity((*scale.remarks, few))
-    )
+    lower = scale.remarked(few, at_best=worst(one_step_below(scale.verdict), "poor"))
     if scale.larger_share <= MANY_LARGER:
         return lower
     remark = Remark(
@@ -46,4 +40,4 @@ def as_agreed(scale: Scale, believed: int, doubtful: int) -> Scale:
         "may be the cars, and the others something else",
         "Inspect the boxes (--save-detections), or say roughly how large a pixel is (--gsd-hint METRES_PER_PIXEL)",
     )
-    return replace(lower, verdict=UNUSABLE, remarks=by_severity((*lower.remarks, remark)))
+    return lower.remarked(remark, at_best=UNUSABLE)

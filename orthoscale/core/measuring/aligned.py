@@ -3,14 +3,11 @@ directions know nothing of one another may be of any size, and give some scale; 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ..boxes import Boxes
-from ..remarks import CAUTION, Remark, by_severity
+from ..remarks import CAUTION, Remark
 from ..scale import Scale
-from ..verdicts import worst
 
 NEAR = 3.0  # lengths of a vehicle from middle to middle within which the nearest one is a neighbour
 LEAST_PAIRS = 30  # neighbours below which chance may look like order, and nothing is said
@@ -46,4 +43,4 @@ def only_aligned(scale: Scale, boxes: Boxes) -> Scale:
         f"the directions of {pairs} pairs of neighbours agree by {agreement:.2f}, where those of vehicles in lanes and "
         "rows agree by 0.5 to 1: see whether the boxes are vehicles",
     )
-    return replace(scale, verdict=worst(scale.verdict, "poor"), remarks=by_severity((*scale.remarks, remark)))
+    return scale.remarked(remark, at_best="poor")

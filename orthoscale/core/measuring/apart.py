@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ..boxes import Boxes
-from ..remarks import REFUSAL, Remark, by_severity
+from ..remarks import REFUSAL, Remark
 from ..scale import Scale
 from ..verdicts import UNUSABLE
 
@@ -49,4 +47,4 @@ def only_apart(scale: Scale, boxes: Boxes) -> Scale:
         f"{100 * share:.0f} % of the vehicles stand in one another: the boxes are no vehicles, or some are there twice",
         "Inspect the boxes (--save-detections), or let the built-in detector look",
     )
-    return replace(scale, verdict=UNUSABLE, remarks=by_severity((*scale.remarks, remark)))
+    return scale.remarked(remark, at_best=UNUSABLE)

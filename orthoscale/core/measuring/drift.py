@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..remarks import CAUTION, REFUSAL, Remark, by_severity
+from ..remarks import CAUTION, REFUSAL, Remark
 from ..scale import Scale
 from ..verdicts import UNUSABLE, one_step_below, worst
 
@@ -99,7 +99,7 @@ def with_drift(scale: Scale, amplitude: float, warnings: Sequence[str]) -> Scale
         scale = replace(scale, verdict=worst(scale.verdict, one_step_below(word) if lowered else word))
     refused = scale.verdict == UNUSABLE != word
     said = [Remark(REFUSAL if refused else CAUTION, text, TO_MEND if refused else "") for text in warnings]
-    return replace(scale, remarks=by_severity((*scale.remarks, *said)))
+    return scale.remarked(*said)
 
 
 def drift(vehicles: np.ndarray, width: float, height: float) -> Drift | None:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from ..alike import of_one_size
 from ..boxes import Boxes
-from ..remarks import REFUSAL, Remark, by_severity
+from ..remarks import REFUSAL, Remark
 from ..scale import Scale
 from ..verdicts import UNUSABLE
 
 
 def only_unlike(scale: Scale, boxes: Boxes) -> Scale:
     """`scale`, refused where its vehicles, those of `boxes` (N) that are used, are too much alike. A detector sees
-    panels and roof machines of one make alike to 1 or 2 %, vehicles of twelve places differ by 5 to 18 %."""
+    panels and roof machines of one make alike to 1 or 2 %, vehicles of twelve places differ by 6 to 20 %."""
     used = boxes[scale.used]
     if not of_one_size(used):
         return scale
@@ -23,4 +21,4 @@ def only_unlike(scale: Scale, boxes: Boxes) -> Scale:
         "model of car",
         "Inspect the boxes (--save-detections); give the vehicles' size (--gsd-hint METRES_PER_PIXEL) if there are any",
     )
-    return replace(scale, verdict=UNUSABLE, remarks=by_severity((*scale.remarks, remark)))
+    return scale.remarked(remark, at_best=UNUSABLE)

@@ -21,6 +21,7 @@ from .exact import FLAT, Hull, ground_size
 from .view import Views
 
 Trends = dict[str, dict[str, list[float]]]  # see `trends`
+Free = tuple[list[int], list[int]]  # columns of `OwnRuler.value` that are fitted, of lengths and of widths
 
 MIN_VIEWS = 3  # views of one vehicle from which its own mean is taken off
 MIN_RESIDUALS = 20  # observations below which nothing is fitted
@@ -197,25 +198,46 @@ def own_ruler(
         return shipped
     index = np.concatenate(often)
     vehicle = np.repeat(np.arange(len(often)), [len(m) for m in often])
-    some, seen = boxes[index], views[index]
-    common = [HEIGHT, MARGIN] if _far_and_near(seen, vehicle) else [HEIGHT]
-
-    def settled(ruler: OwnRuler, free: Sequence[list[int]]) -> OwnRuler:
-        return _settled(ruler, some, seen, zoom, metres_per_unit, vehicle, shipped, free)
-
-    plain = settled(start or shipped, (common, common))
-    before = plain.size(some, seen, zoom, metres_per_unit)
+    seen = _Seen(boxes[index], views[index], zoom, metres_per_unit, vehicle, shipped)
+    common = [HEIGHT, MARGIN] if _far_and_near(seen.views, vehicle) else [HEIGHT]
+    plain = _settled(start or shipped, seen, (common, common))
+    before = seen.size(plain)
     best, most, fitted = plain, 0.0, (common, common)
     for shape in SHAPES:
         free = (common + shape[0], common + shape[1])
-        shaped = settled(_undercut(plain) if UNDERCUT in free[0] else plain, free)
-        gain = _gain(before, shaped.size(some, seen, zoom, metres_per_unit), vehicle)
+        shaped = _settled(_undercut(plain) if UNDERCUT in free[0] else plain, seen, free)
+        gain = _gain(before, seen.size(shaped), vehicle)
         # Another shape only where the views ask for it: the Bayesian information criterion (Schwarz 1978).
-        gain -= sum(map(len, shape)) * float(np.log(len(some)))
+        gain -= sum(map(len, shape)) * float(np.log(len(index)))
         told = UNDERCUT not in free[0] or shaped.undercut.max() > LEAST_UNDERCUT
         if told and gain > most:
             best, most, fitted = shaped, gain, free
-    return _with_the_rest(best, some, seen, zoom, metres_per_unit, vehicle, shipped, fitted)
+    return _with_the_rest(best, seen, fitted)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What a ruler is fitted to: N boxes of vehicles that were seen often, and their views. vehicle : (N,) number of
+    each one's. shipped : the ruler that holds the fitted one. Others as of `own_ruler`."""
+
+    boxes: Boxes
+    views: Views
+    zoom: float
+    metres_per_unit: float
+    vehicle: np.ndarray
+    shipped: OwnRuler
+
+    def size(self, ruler: OwnRuler) -> np.ndarray:
+        """`OwnRuler.size` of all."""
+        return ruler.size(self.boxes, self.views, self.zoom, self.metres_per_unit)
+
+    def slopes(self, ruler: OwnRuler, columns: Iterable[int] = range(len(DIFFERENCES))) -> np.ndarray:
+        """`OwnRuler.slopes` of all."""
+        return ruler.slopes(self.boxes, self.views, self.zoom, self.metres_per_unit, columns)
+
+    def prior(self, free: Free) -> np.ndarray:
+        """(2, 5, 5) covariance beforehand, where `free` may be fitted."""
+        return _with_undercut(self.shipped.covariance) if UNDERCUT in free[0] else self.shipped.covariance
 
 
 def _undercut(ruler: OwnRuler) -> OwnRuler:
@@ -226,23 +248,14 @@ def _undercut(ruler: OwnRuler) -> OwnRuler:
     return replace(ruler, value=value)
 
 
-def _settled(
-    ruler: OwnRuler,
-    boxes: Boxes,
-    views: Views,
-    zoom: float,
-    metres_per_unit: float,
-    vehicle: np.ndarray,
-    shipped: OwnRuler,
-    free: Sequence[list[int]],
-) -> OwnRuler:
-    """From `ruler`, that for which each `vehicle` (N,) has one size; by axis, what is not `free` is as shipped."""
-    prior = _with_undercut(shipped.covariance) if UNDERCUT in free[0] else shipped.covariance
+def _settled(ruler: OwnRuler, seen: _Seen, free: Free) -> OwnRuler:
+    """From `ruler`, that for which each vehicle that is `seen` has one size; what is not `free` is as shipped."""
+    shipped, prior, vehicle = seen.shipped, seen.prior(free), seen.vehicle
     change, slopes = np.inf, np.empty(0)
     for _ in range(RULER_STEPS):
-        size = ruler.size(boxes, views, zoom, metres_per_unit)
+        size = seen.size(ruler)
         if change > SAME_SLOPES:
-            slopes = ruler.slopes(boxes, views, zoom, metres_per_unit, {*free[0], *free[1]})
+            slopes = seen.slopes(ruler, {*free[0], *free[1]})
         good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
         value, covariance = shipped.value.copy(), shipped.covariance.copy()
         for axis in range(2):
@@ -270,33 +283,22 @@ def _settled(
     return ruler
 
 
-def _with_the_rest(
-    ruler: OwnRuler,
-    boxes: Boxes,
-    views: Views,
-    zoom: float,
-    metres_per_unit: float,
-    vehicle: np.ndarray,
-    shipped: OwnRuler,
-    free: Sequence[list[int]],
-) -> OwnRuler:
+def _with_the_rest(ruler: OwnRuler, seen: _Seen, free: Free) -> OwnRuler:
     """`ruler` with the covariance that it has with all that is not known of bodies, `free` or not.
 
     A body that leans in makes flat views smaller, and a height that is fitted to them lower: the two errors cancel in
     the views that they were fitted to. And a lean that would have shown is not there. So views tell of all of these
     together; by what they would change if all were free, they may be off besides, though by no more than was not known
-    before: far off, the slopes are another body's. Arguments as of `_settled`.
+    before: far off, the slopes are another body's.
     """
-    slopes = ruler.slopes(boxes, views, zoom, metres_per_unit)
-    size = ruler.size(boxes, views, zoom, metres_per_unit)
+    shipped, prior, size, slopes = seen.shipped, seen.prior(free), seen.size(ruler), seen.slopes(ruler)
     good = np.isfinite(size).all(1) & np.isfinite(slopes).all((1, 2))
-    prior = _with_undercut(shipped.covariance) if UNDERCUT in free[0] else shipped.covariance
     covariance = np.zeros_like(shipped.covariance)
     for axis in range(2):
         every = np.flatnonzero(np.diag(prior[axis]) > 0)
         x, value, chosen = slopes[good, axis][:, every], ruler.value[axis, every], np.ix_(every, every)
         told, covariance[axis][chosen] = _within(
-            x, size[good, axis] + x @ value, vehicle[good], shipped.value[axis, every], prior[axis][chosen]
+            x, size[good, axis] + x @ value, seen.vehicle[good], shipped.value[axis, every], prior[axis][chosen]
         )
         before = np.sqrt(np.diag(prior[axis])[every])
         off = np.clip(told - value, -before, before)
