@@ -12,7 +12,7 @@ from .ladders import Ladder, crowded, find_ladders, levels, refined
 from .repeated import anchor_of
 from .rules import holding, ruled, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
-from .zebra_rules import ZEBRA_FREE, ZEBRA_STANDARDS, ZEBRA_LEFT_FREE
+from .zebra_rules import ZEBRA_FREE, ZEBRA_LEFT_FREE, ZEBRA_STANDARDS
 
 ZEBRA_FALSE = 0.05  # three of 100 finds in 120 Mpx were louvres of one facade, seen askew, which are told apart since
 ZEBRA_FOREIGN = 1 - (1 - ZEBRA_FALSE) * (1 - ZEBRA_LEFT_FREE)  # where no rule of the country is known: it may be free
