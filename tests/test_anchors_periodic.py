@@ -7,11 +7,12 @@ import pytest
 from support.markings import PAINT, picture, stroke
 
 from orthoscale.anchors.bays import ParkingBays, bay_standards
-from orthoscale.anchors.crossings import ZEBRA_STANDARDS as CROSSINGS
-from orthoscale.anchors.crossings import ZebraCrossings
+from orthoscale.anchors.crossings import ZEBRA_FALSE, ZebraCrossings
 from orthoscale.anchors.dashes import LANE_LINES, LaneDashes
 from orthoscale.anchors.periods import find_row
 from orthoscale.anchors.rules import holding
+from orthoscale.anchors.zebra_rules import ZEBRA_FREE, ZEBRA_RULES, elsewhere
+from orthoscale.anchors.zebra_rules import ZEBRA_STANDARDS as CROSSINGS
 from orthoscale.core.anchors import Standard
 
 FINDERS = (ZebraCrossings(), ParkingBays(), LaneDashes())
@@ -204,3 +205,39 @@ def test_lane_lines_where_no_rule_is_known_say_nothing():
     assert LaneDashes().find(image, 0.1, 0.08, "DE")
     assert not LaneDashes().find(image, 0.1, 0.08, "NP")
     assert not ZebraCrossings().find(picture(zebra(), 0.1), 0.1, 0.08, "US")
+
+
+def test_where_no_rule_is_known_a_crossing_is_what_the_known_rules_make_likely():
+    rules = (
+        Standard("one metre", 1.0, 0.015, "law", countries=("AA", "BB")),
+        Standard("first of two", 1.0, 0.015, "law", 0.6, ("CC",)),
+        Standard("second of two", 1.2, 0.05, "law", 0.4, ("CC",)),
+        Standard("two, evenly", 0.9, 0.015, "law", 1.0, ("DD",)),
+        Standard("two, evenly", 1.2, 0.05, "law", 1.0, ("DD",)),
+    )
+    expected = {each.metres: each for each in elsewhere(rules)}
+    assert {metres: each.prior for metres, each in expected.items()} == pytest.approx(
+        {0.9: 0.125, 1.0: 0.65, 1.2: 0.225}
+    )
+    assert [expected[metres].relative_sd for metres in (0.9, 1.0, 1.2)] == pytest.approx([0.03, 0.03, 0.05])
+    assert not any(each.countries for each in expected.values())
+
+
+def test_the_shares_of_crossings_elsewhere_follow_the_table():
+    ruled = {country for each in ZEBRA_RULES for country in each.countries}
+    shares = dict.fromkeys((each.metres for each in ZEBRA_RULES), 0.0)
+    for country in ruled:
+        own = holding(CROSSINGS, country)
+        for each in own:
+            shares[each.metres] += each.prior / sum(other.prior for other in own) / len(ruled)
+    assert {each.metres: each.prior for each in holding(CROSSINGS, "ZZ")} == pytest.approx(shares)
+    assert sum(shares.values()) == pytest.approx(1)
+    assert not ruled & set(ZEBRA_FREE)
+
+
+def test_a_crossing_elsewhere_may_be_of_no_rule_as_often_as_rules_leave_it_free():
+    image = picture(zebra(), 0.1)
+    ruled = {country for each in ZEBRA_RULES for country in each.countries}
+    (here,), (there,) = (ZebraCrossings().find(image, 0.1, 0.05, country) for country in ("DE", "ZZ"))
+    assert here.false == ZEBRA_FALSE
+    assert 1 - there.false == pytest.approx((1 - ZEBRA_FALSE) * len(ruled) / (len(ruled) + len(ZEBRA_FREE)))

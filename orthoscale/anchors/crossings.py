@@ -12,73 +12,10 @@ from .ladders import Ladder, crowded, find_ladders, levels, refined
 from .repeated import anchor_of
 from .rules import holding, ruled, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
-
-ZEBRA_PAINTED = 0.015  # one sigma of a crossing's period about its rule: those of two Chinese towns, 0.98 to 1.01 m
-ZEBRA_ABOUT = 0.03  # where the rule gives a range, or was only recalled
-
-ZEBRA_STANDARDS = (
-    Standard(
-        "stripes 0.50 m, gaps 0.50 m",
-        1.00,
-        ZEBRA_PAINTED,
-        "RMS (Germany), colliseum.eu; DPR 495/1992 art. 145 (Italy): stripes and gaps of 50 cm",
-        countries=("DE", "IT"),
-    ),
-    Standard(
-        "stripes 0.40 m, gaps 0.60 m",
-        1.00,
-        ZEBRA_PAINTED,
-        "GB 5768.3 (China), hold-in.cn; CONTRAN (Brazil), euquerosabertudo.com",
-        countries=("CN", "BR"),
-    ),
-    Standard(
-        "stripes 0.45 m, gaps 0.45 m",
-        0.90,
-        ZEBRA_PAINTED,
-        "order on road signs (Japan), sign 201: stripes and gaps of 45 to 50 cm",
-        countries=("JP",),
-    ),
-    Standard(
-        "stripes 0.50 m, gaps 0.50 m",
-        1.00,
-        ZEBRA_PAINTED,
-        "order on road signs (Japan), sign 201: stripes and gaps of 45 to 50 cm",
-        countries=("JP",),
-    ),
-    Standard(
-        "stripes 0.50 m, gaps 0.50 m",
-        1.00,
-        ZEBRA_PAINTED,
-        "IISR part 7 art. 118 (France): stripes of 0.50 m, 0.50 to 0.80 m apart",
-        0.6,
-        ("FR",),
-    ),
-    Standard(
-        "stripes 0.50 m, gaps 0.60 to 0.80 m",
-        1.20,
-        0.05,
-        "IISR part 7 art. 118 (France): stripes of 0.50 m, 0.50 to 0.80 m apart",
-        0.4,
-        ("FR",),
-    ),
-    Standard(
-        "stripes 0.60 m, gaps 0.60 m",
-        1.20,
-        ZEBRA_PAINTED,
-        "AS 1742 (Australia); New Zealand from 2021, Walking New Zealand 3/2021: stripes of 600 mm",
-        countries=("AU", "NZ"),
-    ),
-    Standard("stripes and gaps of about 0.50 m", 1.00, ZEBRA_ABOUT, "most of the rules above", 0.8),
-    Standard(
-        "stripes and gaps of about 0.60 m", 1.20, ZEBRA_ABOUT, "rules of Australia and New Zealand, some of France", 0.2
-    ),
-)
-ZEBRA_FREE = ("US", "CA", "GB", "IE", "MX")
-"""Where the rules leave the period to the painter: MUTCD 3B.18 has bars of 12 to 24 inches, gaps of 12 to 60; TSRGD
-has stripes of 500 to 715 mm. Nothing is searched there."""
+from .zebra_rules import ZEBRA_FREE, ZEBRA_LEFT_FREE, ZEBRA_STANDARDS
 
 ZEBRA_FALSE = 0.05  # three of 100 finds in 120 Mpx were louvres of one facade, seen askew, which are told apart since
-ZEBRA_FOREIGN = 0.2  # where no rule of the country is known
+ZEBRA_FOREIGN = 1 - (1 - ZEBRA_FALSE) * (1 - ZEBRA_LEFT_FREE)  # where no rule of the country is known: it may be free
 
 STRIPE_SIGMA = 0.19  # of the ridges' smoothing [m]: a third to a half of a stripe
 ZEBRA_SHORTEST, ZEBRA_LONGEST = 1.8, 11.0  # of stripes [m]
