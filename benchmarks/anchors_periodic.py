@@ -4,7 +4,9 @@
 
 Reads ``../shared/data`` or ``ORTHOSCALE_DATA``. The vehicles' scale is off by a random 8 % (one sigma, at most 12 %);
 of an anchor's standards the one nearest to the truth counts. A place is a picture, with what those vehicles and all its
-anchors say together, as the product fuses them. Which finds are false was counted by eye, on pictures that
+anchors say together, as the product fuses them. A second row tells the picture's share of the errors from the
+standard's: one sigma of the fit alone, by the scatter about it; and places whose anchors were taken for the standard
+nearest to the truth apart from those of another one. Which finds are false was counted by eye, on pictures that
 ``--draw FOLDER`` writes. CPU seconds are those of one thread, shrinking to the finder's resolution included.
 """
 
@@ -27,6 +29,7 @@ from orthoscale.anchors.crossings import ZebraCrossings
 from orthoscale.anchors.dashes import LaneDashes
 from orthoscale.anchors.gridiron import Gridirons
 from orthoscale.anchors.rails import RailTracks
+from orthoscale.anchors.repeated import LOCAL_STRETCH
 from orthoscale.anchors.running import RunningTracks
 from orthoscale.core.anchors import Anchor, AnchorFinder
 from orthoscale.core.pooling.posterior import Z90
@@ -51,14 +54,15 @@ HEAD = (
 
 @dataclass
 class Tally:
-    """What one finder found in pictures of one sort: (error, stated sd) of each anchor; places; pixels; seconds."""
+    """What one finder found in pictures of one sort: of each anchor (error, stated sd, that of the fit alone); places;
+    pixels; seconds."""
 
     finder: AnchorFinder
     draw: Path | None = None
     pictures: int = 0
     megapixels: float = 0.0
     seconds: float = 0.0
-    found: list[tuple[float, float]] = field(default_factory=list)
+    found: list[tuple[float, float, float]] = field(default_factory=list)
     places: list[Place] = field(default_factory=list)
 
     def look(self, name: str, image: np.ndarray, gsd: float, country: str, off: float) -> None:
@@ -73,7 +77,8 @@ class Tally:
             errors = np.log(anchor.metres_per_pixel() * zoom / gsd)
             k = int(np.abs(errors).argmin())
             sd = float(np.hypot(anchor.relative_sd, anchor.standards[k].relative_sd))
-            self.found.append((float(errors[k]), sd))
+            fit = float(np.sqrt(max(anchor.relative_sd**2 - LOCAL_STRETCH**2, 0.0)))
+            self.found.append((float(errors[k]), sd, fit))
         if anchors:
             self.places.append(place_of(anchors, gsd / zoom, gsd * off / zoom, SD, country))
         if self.draw and anchors:
@@ -90,7 +95,21 @@ class Tally:
             size = np.abs(errors[:, 0])
             parts.append(" / ".join(f"{100 * value:.1f}" for value in (*np.quantile(size, [0.68, 0.9]), size.max())))
             parts.append(f"{100 * share:.0f}")
-        return " | ".join([*parts, cost])
+        return " | ".join([*parts, cost]) + "\n" + self.apart(each[:, 2], places)
+
+    @staticmethod
+    def apart(fit: np.ndarray, places: np.ndarray) -> str:
+        """The fit's one sigma (N,), and places (M, 4) of the right standard and of a wrong one."""
+        said = [f"  one sigma of the fit: median {100 * np.median(fit):.2f}, 90 % {100 * np.quantile(fit, 0.9):.2f} %"]
+        for name, chosen in (("right", places[:, 3] > 0), ("wrong", places[:, 3] == 0)):
+            these = places[chosen]
+            if len(these):
+                size = np.abs(these[:, 0])
+                said.append(
+                    f"{len(these)} places of the {name} standard: median {100 * np.median(size):.1f}, "
+                    f"90 % {100 * np.quantile(size, 0.9):.1f} %, {100 * held(these):.0f} % in their intervals"
+                )
+        return "; ".join(said)
 
 
 def drawn(image: np.ndarray, anchors: list[Anchor], path: Path) -> None:

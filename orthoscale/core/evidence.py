@@ -26,6 +26,7 @@ STRONG = 0.05  # probability of a mistake up to which an anchor may contradict o
 # since what does not contradict the vehicles counts, each as much as its doubt leaves it.
 ALONE = float(1 - 2 * ndtr(-CONFLICT_LIMIT))
 COMMON_AT_MOST = 0.99  # share of a scale's variance that may be what all its sources have in common
+SAYS_NOTHING = 1.0  # one sigma of a scale's logarithm, a factor of 2.7: from there on there were no vehicles
 SUPPORTS = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
@@ -115,7 +116,8 @@ class Combined:
 def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
     """`vehicles` and all `evidence` together; `parts` are the one-sigmas of which the vehicles' is made up.
 
-    In a conflict the surest measurement that is no anchor gives the value, and the interval reaches over those of all.
+    In a conflict the surest measurement that is no anchor gives the value, or the surest anchor where there is no such,
+    and the interval reaches over those of all.
     """
     heard, remarks = _within_reach(vehicles, evidence)
     strong = [e.meant(vehicles) for e in evidence if e.doubt <= STRONG]
@@ -134,8 +136,9 @@ def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence
                 text = f"conflict: {these}, {sigmas:.1f} sigmas apart"
                 conflicts.append(Remark(REFUSAL, text, CONFLICT_HINT))
     if conflict:
-        certain = [vehicles, *(e.posterior for e in evidence if not e.doubt)]
-        every = [vehicles, *(e.posterior for e in strong)]
+        seen = [vehicles] if vehicles.spread < SAYS_NOTHING else []
+        every = [*seen, *(e.posterior for e in strong)]
+        certain = [*seen, *(e.posterior for e in evidence if not e.doubt)] or every
         surest = min(certain, key=lambda p: p.spread)
         low = min(p.quantile(0.05) for p in every)
         high = max(p.quantile(0.95) for p in every)
