@@ -355,15 +355,19 @@ def places(measurer: Measurer, detector: Detector, known: list[tuple[Scene, floa
     return "\n".join(lines)
 
 
-def kinds(measurer: Measurer, data: Path, file: Path) -> str:
+def kinds(measurer: Measurer, data: Path, file: Path, longest: float) -> str:
     """What it says of which kind: mean shares by kind and by place, how often the likeliest is right, and the entries
-    of the card that follow."""
+    of the card that follow. Pictures of vehicles of more than `longest` pixels are reduced to that first."""
     told: dict[str, list[tuple[int, np.ndarray, float]]] = {}
     for scene, there in by_name(json.loads(file.read_text())["vehicles"], "scene").items():
         if scene in TOLD:
             continue
         for patch in told_patches(data, there):
-            said = measurer.in_pixels(patch.pixels, Boxes(patch.box[None], np.ones(1))).kind[0]
+            pixels, box = patch.pixels, patch.box
+            if box[2] > longest:
+                pixels = _resample(longest / box[2], cv2.INTER_AREA)(pixels)
+                box, _ = _moved("", patch.pixels, pixels, box)
+            said = measurer.in_pixels(pixels, Boxes(box[None], np.ones(1))).kind[0]
             told.setdefault(scene, []).append((patch.kind, said, patch.box[2]))
     everything = [one for scene in told.values() for one in scene]
     groups = {"all": everything}
@@ -410,6 +414,7 @@ def main() -> None:
     e = commands.add_parser("kinds")
     e.add_argument("--data", type=Path, required=True)
     e.add_argument("--of", type=Path, default=KINDS_BY_EYE, help="what was told (%(default)s)")
+    e.add_argument("--longest", type=float, default=np.inf, help="reduce longer vehicles to so many pixels")
     for command in (b, d):
         command.add_argument("--most", type=int, default=30, help="vehicles of each scene (%(default)s)")
     options = parser.parse_args()
@@ -422,7 +427,7 @@ def main() -> None:
         print(shadows(measurer, options.scenes, options.seed))
         return
     if options.command == "kinds":
-        print(kinds(measurer, options.data, options.of))
+        print(kinds(measurer, options.data, options.of, options.longest))
         return
     detector = Detector(options.detector, threads=1)
     if options.command == "changes":
