@@ -25,7 +25,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.core.boxes import KINDS, Boxes, matched
+from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import ANSWERS, Measured, Measurer
 from orthoscale.detect.remeasure import NONE as AS_NONE
@@ -383,11 +383,10 @@ def kinds(measurer: Measurer, data: Path, file: Path, longest: float) -> str:
                 lines.append(f"{name:22s}{ANSWERS[kind]:>8s} {len(mine):4d}  {shares}  {right:9.2f}")
     places = []
     for some in told.values():
-        given = np.zeros((len(KINDS), len(KINDS)))
-        for truth, said, _ in some:
-            if truth < len(KINDS) and said[NONE] < AS_NONE:
-                given[truth] += said[:NONE] / said[:NONE].sum()
-        places.append(given)
+        vehicles = [(truth, said[:NONE]) for truth, said, _ in some if truth < NONE and said[NONE] < AS_NONE]
+        if vehicles:
+            kind, shares = (np.array(each) for each in zip(*vehicles, strict=True))
+            places.append((kind, shares / shares.sum(1, keepdims=True)))
     return "\n".join([*lines, "", f"for the card's ruler: {json.dumps(card_entries(places))}"])
 
 
