@@ -385,8 +385,8 @@ def kinds(measurer: Measurer, data: Path, file: Path, longest: float) -> str:
     for some in told.values():
         vehicles = [(truth, said[:NONE]) for truth, said, _ in some if truth < NONE and said[NONE] < AS_NONE]
         if vehicles:
-            kind, shares = (np.array(each) for each in zip(*vehicles, strict=True))
-            places.append((kind, shares / shares.sum(1, keepdims=True)))
+            given = np.array([share for _, share in vehicles])
+            places.append((np.array([truth for truth, _ in vehicles]), given / given.sum(1, keepdims=True)))
     return "\n".join([*lines, "", f"for the card's ruler: {json.dumps(card_entries(places))}"])
 
 
