@@ -147,6 +147,12 @@ def test_the_table_travels_with_card_and_boxes(tmp_path):
     assert MeasurerCard.from_json(json.dumps(entry | {"ruler": asdict(Ruler())}), "a card").ruler.confusion is None
 
 
+def _told(counts, sure=1.0):
+    """A place for `card_entries` with `counts` (4, 4) of vehicles by kind and by what they are likeliest."""
+    kind, name = (np.repeat(index.ravel(), counts.ravel().astype(int)) for index in np.indices(counts.shape))
+    return kind, sure * np.eye(len(KINDS))[name] + (1 - sure) / len(KINDS)
+
+
 def test_the_entries_of_a_card_follow_from_places():
     rng = np.random.default_rng(2)
     for vehicles in (5.0, 40.0):
@@ -156,16 +162,19 @@ def test_the_entries_of_a_card_follow_from_places():
             np.array([rng.multinomial(n, row) for n, row in zip(*place, strict=True)])
             for place in zip(numbers, rows, strict=True)
         ]
-        entries = card_entries(places)
+        entries = card_entries([_told(place) for place in places])
         assert np.array(entries["kinds"]) == pytest.approx(np.array(TABLE), abs=0.2)
         assert np.array(entries["kinds"])[:2] == pytest.approx(np.array(TABLE)[:2], abs=0.05)
         assert entries["kinds_vehicles"] == pytest.approx(vehicles, rel=0.4)
         assert replace(RULER, **entries).confusion.called(load_fleet("US").classes).min() > 0
+        unsure = card_entries([_told(place, 0.6) for place in places])
+        assert unsure["kinds_vehicles"] == entries["kinds_vehicles"], "a measurer's doubts make no two places alike"
+        assert np.array(unsure["kinds"])[:2] == pytest.approx(0.6 * np.array(TABLE)[:2] + 0.1, abs=0.05)
     large_and_easy, small_and_hard = np.diag([20_000.0, 9000, 0, 0]), np.diag([100.0, 10, 0, 0])
     small_and_hard[1, 0] = 10.0
-    recall = card_entries([large_and_easy, *[small_and_hard] * 9])["kinds"][1][1]
+    recall = card_entries([_told(place) for place in (large_and_easy, *[small_and_hard] * 9)])["kinds"][1][1]
     assert 0.5 < recall < 0.65, "places count, not their vehicles"
-    never_seen = card_entries([np.diag([9.0, 3.0, 0.0, 0.0])])
+    never_seen = card_entries([_told(np.diag([9.0, 3.0, 0.0, 0.0]))])
     assert never_seen["kinds"][3] == [0.25] * 4
 
 

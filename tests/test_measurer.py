@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ import pytest
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.detect.measurer import (
+    ANSWERS,
     CROP_HEIGHT,
     CROP_WIDTH,
     MOVED_AT_MOST,
@@ -227,3 +229,19 @@ def test_what_is_moved_is_less_certain() -> None:
     assert outward.max() > 0, "all edges are sure: nothing is tested"
     assert after.boxes.xylwa == pytest.approx(moved_out(before.boxes.xylwa, outward))
     assert (after.sigma > before.sigma)[outward > 0].all() and (after.sigma == before.sigma)[outward == 0].all()
+
+
+def test_a_kind_is_shown_from_fine_pictures_though_most_of_it_is_in_coarse_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    crops = pytest.importorskip("training.measurer.crops")
+    real = pytest.importorskip("training.measurer.real")
+
+    def patch(length: int, grey: int) -> object:
+        box = np.array([1.6 * length, 1.6 * length, length, 0.4 * length, 0.0])
+        return real.Patch(np.full((4 * length, 4 * length, 3), grey, np.uint8), box, True, ANSWERS.index("pickup"))
+
+    real.save(tmp_path / "kind_x.npz", [patch(15, 40)] * 99 + [patch(60, 220)])
+    monkeypatch.setitem(crops.SHARES, "rendered", 0.0)
+    shown = [one.pixels.mean() > 128 for one in islice(crops.Examples(tmp_path, seed=1), 900)]
+    assert 0.05 < np.mean(shown) < 0.15  # one in eleven, where one of a hundred is

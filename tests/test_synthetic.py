@@ -18,6 +18,7 @@ from orthoscale.synthetic import (
     NormalFleet,
     Perspective,
     Pose,
+    Vehicle,
     flight,
     lookalikes,
     make_scene,
@@ -31,8 +32,9 @@ from orthoscale.synthetic import (
 )
 from orthoscale.synthetic.__main__ import main
 from orthoscale.synthetic.labels import visible_share
-from orthoscale.synthetic.mesh import pavement
+from orthoscale.synthetic.mesh import pavement, rectangle, rounded
 from orthoscale.synthetic.render import ortho_view, surface
+from orthoscale.synthetic.vehicle import Bed, around
 
 CLEAN = Look(noise=0.0, blur_px=0.0)
 
@@ -128,6 +130,44 @@ def test_panels_lie_side_by_side_within_their_roof():
         rows = np.c_[glass.mean(1)[:, :2], np.ptp(glass[..., :2], axis=1), np.zeros(len(glass))]
         i, j = np.triu_indices(min(len(rows), 60), 1)
         assert overlap(rows[i], rows[j]).max() == 0
+
+
+def _area(plan):
+    x, y = plan.T
+    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def test_the_decks_about_a_bed_are_all_but_the_bed():
+    plan, hole = rounded(5.2, 1.9, 0.3, 0.2), rectangle(1.5, 1.4) + [-1.6, 0.0]
+    parts = around(plan, hole)
+    assert len(parts) == 4
+    assert min(map(_area, parts)) > 0  # counter-clockwise, or they would be seen from below
+    assert sum(map(_area, parts)) == pytest.approx(_area(plan) - _area(hole))
+
+
+@pytest.mark.parametrize(
+    ("bed", "top"),
+    [
+        (Bed(0.3, depth=0.4), "floor"),
+        (Bed(0.3, cover=(0.0, 0.0, 0.0)), "rim"),
+        (Bed(0.3, cover=(0.5, 0.5, 0.5), cap=True), "roof"),
+        (Bed(), "rim"),
+    ],
+)
+def test_what_is_behind_a_pickups_cab_lies_as_high_as_it_says(bed, top):
+    pickup = Vehicle(0.0, 0.0, 0.0, 5.2, 1.9, 1.8, "pickup", shoulder=0.2, bed=bed)
+    mesh = pickup.mesh(np.random.default_rng(0))
+    over = [face for face in mesh.corners if _over(face, (-1.9, 0.1))]
+    highest = max(face[:, 2].mean() for face in over)
+    expected = {"floor": pickup.belt - bed.depth, "rim": pickup.belt, "roof": pickup.height - 0.05}[top]
+    assert highest == pytest.approx(expected, abs=0.035)
+    assert np.ptp(mesh.corners[..., 0]) < 5.25  # nothing sticks out behind
+
+
+def _over(face, point):
+    """Whether a face (n, 3), seen from above, has (x, y) in it."""
+    plan = face[:, :2].astype(np.float32)
+    return abs(_area(plan)) > 1e-6 and cv2.pointPolygonTest(plan, point, False) > 0
 
 
 def test_sizes_come_from_the_fleet():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -46,6 +47,25 @@ CABINS = {
     "pickup": (0.39, 0.43, 0.58, 0.71),
 }
 
+
+@dataclass(frozen=True)
+class Bed:
+    """What a pickup has behind its cab.
+
+    share : of the length, from the rear bumper to the cab: about 0.3 behind two rows of doors, 0.42 behind one.
+    cover : None for an open bed; else the albedo of a lid at the rim, or of a cap as high as the cab.
+    cap : whether the cover is a cap. floor : albedo of an open bed's floor and walls.
+    depth : of that floor below the rim [m]; at 0 it is drawn on the deck. loads : things that lie in it.
+    """
+
+    share: float = 0.39
+    cover: Colour | None = None
+    cap: bool = False
+    floor: Colour = (0.03, 0.03, 0.032)
+    depth: float = 0.0
+    loads: int = 0
+
+
 Profile = Callable[[np.ndarray], np.ndarray]
 """Height [m] over the vehicle's own x [m]."""
 
@@ -58,6 +78,7 @@ class Vehicle:
     length, width, height : [m], without mirrors, as fleets count them.
     shoulder : how far bumpers and doors stand out from the decks [m]. corner : factor on the plan's corner radii.
     bumpers : albedo of what stands out at the rear and at the front, where it is not painted.
+    bed : of a pickup.
     """
 
     x: float
@@ -71,6 +92,7 @@ class Vehicle:
     shoulder: float = SHOULDER
     corner: float = 1.0
     bumpers: tuple[Colour | None, Colour | None] = (None, None)
+    bed: Bed = Bed()
 
     @property
     def belt(self) -> float:
@@ -101,7 +123,10 @@ class Vehicle:
 
     def _stations(self) -> np.ndarray:
         """(4,) x of the rear window's foot and head, the windscreen's head and foot [m]."""
-        return (np.array(CABINS[self.shape]) - 0.5) * self.length
+        stations = np.array(CABINS[self.shape])
+        if self.shape == "pickup":
+            stations[:2] += self.bed.share - stations[0]
+        return (stations - 0.5) * self.length
 
     def _roof(self) -> np.ndarray:
         """(4, 2) [m] plan of the roof."""
@@ -127,7 +152,7 @@ class Vehicle:
             loft(at_height(full, 0.18), at_height(full, 0.32), "paint", np.minimum(paint, 0.03)),
             loft(at_height(full, 0.32), waist, "paint", paint, 0.5),
         ]
-        parts += self._decks(shoulder, deck, paint)
+        parts += self._decks(rng, shoulder, deck, paint)
         parts += self._cabin(rng, paint, rear_foot, screen_foot)
         parts += self._trim(rng, deck, paint, screen_foot)
         parts += self._wheels()
@@ -151,18 +176,43 @@ class Vehicle:
                     parts.append(faces(wheel, "paint", colour, 0.1))
         return parts
 
-    def _decks(self, shoulder: np.ndarray, deck: Profile, paint: np.ndarray) -> list[Mesh]:
+    def _decks(self, rng: np.random.Generator, shoulder: np.ndarray, deck: Profile, paint: np.ndarray) -> list[Mesh]:
         """Bonnet, boot or bed: the top of the lower body, cut across into flat strips."""
         stations = self._stations()
         cuts = [-self.length / 2, stations[3], (stations[3] + self.length / 2) / 2, self.length / 2]
+        plans = [between(shoulder, low, high) for low, high in pairwise(cuts)]
         parts = []
-        for low, high in zip(cuts[:-1], cuts[1:], strict=True):
-            plan = between(shoulder, low, high)
-            parts.append(faces(at_height(plan, deck(plan[:, 0])), "paint", paint, 0.7))
         if self.shape == "pickup":
-            x0, x1 = -self.length / 2 + 0.12, stations[0] - 0.06
-            bed = rectangle(x1 - x0, self.width - 0.36) + [(x0 + x1) / 2, 0]
-            parts.append(patch(bed, self.belt + 0.012, "corrugated", (0.03, 0.03, 0.032)))
+            rim = self.shoulder + 0.05 if self.bed.depth else 0.0  # a sunken floor lies within the decks
+            x0, x1 = -self.length / 2 + max(0.12, rim), stations[0] - 0.06
+            bed = rectangle(x1 - x0, self.width - 2 * max(0.18, rim)) + [(x0 + x1) / 2, 0]
+            if self.bed.depth:
+                plans[:1] = around(plans[0], bed)
+            parts = self._bed(rng, bed, paint)
+        decks = [faces(at_height(plan, deck(plan[:, 0])), "paint", paint, 0.7) for plan in plans]
+        return decks + parts
+
+    def _bed(self, rng: np.random.Generator, plan: np.ndarray, paint: np.ndarray) -> list[Mesh]:
+        """A pickup's bed over `plan` (4, 2), counter-clockwise: its floor with what lies in it, or its cover."""
+        bed, parts = self.bed, []
+        bottom = self.belt - bed.depth
+        if bed.depth:
+            # Of the clockwise ring the walls look inwards.
+            parts = [loft(at_height(plan[::-1], bottom), at_height(plan[::-1], self.belt), "paint", bed.floor)]
+        parts.append(patch(plan, bottom + 0.012, "corrugated", bed.floor))
+        low, high = plan.min(0), plan.max(0)
+        for _ in range(bed.loads):
+            size = rng.uniform(0.25, 0.7, 2) * (high - low)
+            middle = low + size / 2 + rng.random(2) * (high - low - size)
+            red, green, blue = rng.uniform(0.02, 0.7) * rng.uniform(0.6, 1.0, 3)
+            top = bottom + rng.uniform(0.1, 0.7)
+            parts.append(prism(rectangle(*size) + middle, bottom, top, ("paint", (red, green, blue))))
+        if bed.cover is not None:
+            lid = at_height(plan, self.belt + 0.03)
+            if bed.cap:
+                lid = at_height(rectangle(*(high - low - [0.0, 0.16])) + (low + high) / 2, self.height - 0.05)
+                parts.append(loft(at_height(plan, self.belt), lid, "paint", bed.cover, 0.6))
+            parts.append(faces(lid, "paint", bed.cover, 0.6 if bed.cap else 0.2))
         return parts
 
     def _cabin(self, rng: np.random.Generator, paint: np.ndarray, rear_foot: float, screen_foot: float) -> list[Mesh]:
@@ -239,6 +289,14 @@ def between(plan: np.ndarray, low: float, high: float) -> np.ndarray:
                 kept.append(p + (q - p) * here / (here - there))
         plan = np.array(kept)
     return plan
+
+
+def around(plan: np.ndarray, hole: np.ndarray) -> list[np.ndarray]:
+    """What is left of a convex plan (n, 2) about a rectangle (4, 2) along the axes: before, beside and behind it."""
+    (x0, y0), (x1, y1) = hole.min(0), hole.max(0)
+    middle = between(plan, x0, x1)[:, ::-1]
+    beside = [between(middle, low, high)[:, ::-1] for low, high in ((-np.inf, y0), (y1, np.inf))]
+    return [between(plan, -np.inf, x0), *beside, between(plan, x1, np.inf)]
 
 
 def choose(rng: np.random.Generator, length: float, height: float) -> tuple[str, tuple[float, float, float]]:

@@ -6,7 +6,7 @@ have a margin of their own; what to make of them is left to the likelihood (`net
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,10 +22,11 @@ from .rendered import Rendered
 RENDERED = -1  # the scene of exact edges
 HAND = len(SCENES)  # the scene of edges that were read by eye, whatever the place
 NO_EDGES = -2  # the scene of vehicles of which only the kind is learnt
-SHARES = {"rendered": 0.44, "real": 0.1, "hand": 0.22, "kind": 0.16, "ground": 0.08}
+SHARES = {"rendered": 0.42, "real": 0.08, "hand": 0.22, "kind": 0.2, "ground": 0.08}
 # Of each kind among the examples of "kind", so far as there are any: as many pickups and vans as cars, so that the
 # answer does not lean on how many stand in the cities that are learnt from.
 OF_KINDS = {"car": 0.3, "pickup": 0.3, "van": 0.25, "larger": 0.1, "none": 0.05}
+COARSE = 25.0  # length of a vehicle in a coarse picture, at most [px]
 GROUND = 0.06  # share of the rendered examples that show no vehicle
 HELD_OUT = 10  # rendered pictures, for `evaluate`
 
@@ -132,12 +133,14 @@ class Examples:
                 self._real[SCENES.index(scene)] = [p for p in found if p.kind != NONE]
             self._ground += [p for p in found if p.kind == NONE]
         self._hand = [found for file in sorted(bank.glob("hand_*.npz")) if (found := real.load(file))]
-        # A place of few vehicles is not shown so often that it is learnt by heart.
-        often = np.sqrt([len(found) for found in self._hand])
-        self._often = often / max(often.sum(), 1e-9)
+        self._often = _often(self._hand)
         told = [patch for file in sorted(bank.glob("kind_*.npz")) for patch in real.load(file)]
         by_kind = {kind: [p for p in told if p.kind == ANSWERS.index(kind)] for kind in OF_KINDS}
-        self._told = {kind: some for kind, some in by_kind.items() if some}
+        # Pickups are mostly of chips; what is known of a kind in fine pictures and in coarse ones counts alike.
+        self._told = {
+            kind: [group for group in ([p for p in some if (p.box[2] < COARSE) == small] for small in (0, 1)) if group]
+            for kind, some in by_kind.items() if some
+        }  # fmt: skip
 
     def __iter__(self) -> Iterator[Example]:
         rng = self._rng
@@ -156,7 +159,8 @@ class Examples:
             elif source == "hand":
                 scene, patches = HAND, self._hand[rng.choice(len(self._hand), p=self._often)]
             elif source == "kind":
-                scene, patches = NO_EDGES, self._told[rng.choice(list(self._told), p=of_kinds / of_kinds.sum())]
+                groups = self._told[rng.choice(list(self._told), p=of_kinds / of_kinds.sum())]
+                scene, patches = NO_EDGES, groups[rng.choice(len(groups), p=_often(groups))]
             else:
                 scene, patches = NO_EDGES, self._ground
             patch = patches[rng.integers(len(patches))]
@@ -170,6 +174,12 @@ class Examples:
         if rng.random() < GROUND:
             box, seen, kind = _elsewhere(levels, picture.boxes, box[2], rng), np.zeros(4, bool), NONE
         return examples(levels, box, seen, kind, RENDERED, rng)
+
+
+def _often(groups: Sequence[Sequence[real.Patch]]) -> np.ndarray:
+    """(G,) how often each is shown: a group of few vehicles not so often that it is learnt by heart."""
+    often = np.sqrt([len(found) for found in groups])
+    return often / max(often.sum(), 1e-9)
 
 
 def _elsewhere(levels: list[np.ndarray], boxes: np.ndarray, length: float, rng: np.random.Generator) -> np.ndarray:

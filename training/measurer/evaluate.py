@@ -25,7 +25,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from orthoscale.core.boxes import KINDS, Boxes, matched
+from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import ANSWERS, Measured, Measurer
 from orthoscale.detect.remeasure import NONE as AS_NONE
@@ -355,15 +355,19 @@ def places(measurer: Measurer, detector: Detector, known: list[tuple[Scene, floa
     return "\n".join(lines)
 
 
-def kinds(measurer: Measurer, data: Path, file: Path) -> str:
+def kinds(measurer: Measurer, data: Path, file: Path, longest: float) -> str:
     """What it says of which kind: mean shares by kind and by place, how often the likeliest is right, and the entries
-    of the card that follow."""
+    of the card that follow. Pictures of vehicles of more than `longest` pixels are reduced to that first."""
     told: dict[str, list[tuple[int, np.ndarray, float]]] = {}
     for scene, there in by_name(json.loads(file.read_text())["vehicles"], "scene").items():
         if scene in TOLD:
             continue
         for patch in told_patches(data, there):
-            said = measurer.in_pixels(patch.pixels, Boxes(patch.box[None], np.ones(1))).kind[0]
+            pixels, box = patch.pixels, patch.box
+            if box[2] > longest:
+                pixels = _resample(longest / box[2], cv2.INTER_AREA)(pixels)
+                box, _ = _moved("", patch.pixels, pixels, box)
+            said = measurer.in_pixels(pixels, Boxes(box[None], np.ones(1))).kind[0]
             told.setdefault(scene, []).append((patch.kind, said, patch.box[2]))
     everything = [one for scene in told.values() for one in scene]
     groups = {"all": everything}
@@ -379,11 +383,10 @@ def kinds(measurer: Measurer, data: Path, file: Path) -> str:
                 lines.append(f"{name:22s}{ANSWERS[kind]:>8s} {len(mine):4d}  {shares}  {right:9.2f}")
     places = []
     for some in told.values():
-        given = np.zeros((len(KINDS), len(KINDS)))
-        for truth, said, _ in some:
-            if truth < len(KINDS) and said[NONE] < AS_NONE:
-                given[truth] += said[:NONE] / said[:NONE].sum()
-        places.append(given)
+        vehicles = [(truth, said[:NONE]) for truth, said, _ in some if truth < NONE and said[NONE] < AS_NONE]
+        if vehicles:
+            given = np.array([share for _, share in vehicles])
+            places.append((np.array([truth for truth, _ in vehicles]), given / given.sum(1, keepdims=True)))
     return "\n".join([*lines, "", f"for the card's ruler: {json.dumps(card_entries(places))}"])
 
 
@@ -410,6 +413,7 @@ def main() -> None:
     e = commands.add_parser("kinds")
     e.add_argument("--data", type=Path, required=True)
     e.add_argument("--of", type=Path, default=KINDS_BY_EYE, help="what was told (%(default)s)")
+    e.add_argument("--longest", type=float, default=np.inf, help="reduce longer vehicles to so many pixels")
     for command in (b, d):
         command.add_argument("--most", type=int, default=30, help="vehicles of each scene (%(default)s)")
     options = parser.parse_args()
@@ -422,7 +426,7 @@ def main() -> None:
         print(shadows(measurer, options.scenes, options.seed))
         return
     if options.command == "kinds":
-        print(kinds(measurer, options.data, options.of))
+        print(kinds(measurer, options.data, options.of, options.longest))
         return
     detector = Detector(options.detector, threads=1)
     if options.command == "changes":

@@ -19,7 +19,7 @@ from orthoscale.detect.measurer import ANSWERS
 from orthoscale.synthetic import Camera, NormalFleet, Perspective, Pose, Scene, Vehicle, make_scene, vehicle_boxes
 from orthoscale.synthetic.mesh import Mesh
 from orthoscale.synthetic.render import light, ortho_view
-from orthoscale.synthetic.vehicle import GLASS
+from orthoscale.synthetic.vehicle import GLASS, Bed
 from orthoscale.synthetic.view import View
 
 GSD = 0.035  # metres per pixel of the bank
@@ -30,7 +30,11 @@ LEANING = 0.5  # share of the views that are not straight down
 MOST_LEAN = 25.0  # [deg]
 LOW_SUN = 0.35  # share of the scenes whose sun stands at 10 to 30 degrees
 UNPAINTED = (0.2, 0.12)  # share of the rear and the front bumpers of cars
-MORE_PICKUPS = 0.35
+MORE_PICKUPS = 0.6
+# Beds of pickups, seen on real ones: of the length, behind two rows of doors, a row and a half, and one.
+BEDS = ((0.6, 0.25, 0.34), (0.2, 0.34, 0.39), (0.2, 0.39, 0.46))  # share of them, from, to
+OPEN, LID = 0.65, 0.2  # shares of the beds; the others have a cap
+LOADED = 0.4  # share of the open ones
 OVERCAST = 0.12  # share of the scenes without cast shadows
 BRIGHT_GLASS = 0.5  # share of the vehicles whose windows are not nearly black
 FOCAL = 6.0  # of leaning views, in picture widths: nearly parallel rays
@@ -72,6 +76,8 @@ def varied(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
     if vehicle.shape in ("suv", "van") and vehicle.length > 4.6 and rng.random() < MORE_PICKUPS:
         vehicle = replace(vehicle, shape="pickup")
     pickup = vehicle.shape == "pickup"
+    if pickup:
+        vehicle = replace(vehicle, bed=_bed(vehicle, rng))
     roundest = 1.3 if vehicle.shape in ("van", "pickup") else 1.75
     plain = [
         tuple(np.full(3, rng.choice([0.02, 0.06, 0.25, 0.5]))) if rng.random() < share else None
@@ -83,6 +89,20 @@ def varied(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
         corner=float(rng.uniform(0.6, roundest)),
         bumpers=(plain[0], plain[1]),
     )
+
+
+def _bed(vehicle: Vehicle, rng: np.random.Generator) -> Bed:
+    """The bed of a pickup: open, with a liner, of its paint or dusty, or covered."""
+    _, low, high = BEDS[rng.choice(len(BEDS), p=[share for share, *_ in BEDS])]
+    share, kind = rng.uniform(low, high), rng.random()
+    if kind < OPEN:
+        plain = [(0.03, 0.03, 0.032), vehicle.paint, (0.2, 0.18, 0.15)][rng.choice(3, p=[0.5, 0.35, 0.15])]
+        loads = int(rng.integers(1, 4)) if rng.random() < LOADED else 0
+        return Bed(share, floor=plain, depth=rng.uniform(0.35, 0.5), loads=loads)
+    black, white = (0.015, 0.015, 0.015), (0.7, 0.7, 0.68)
+    if kind < OPEN + LID:
+        return Bed(share, cover=black if rng.random() < 0.8 else vehicle.paint)
+    return Bed(share, cover=[vehicle.paint, white, black][rng.choice(3, p=[0.6, 0.25, 0.15])], cap=True)
 
 
 def glaze(mesh: Mesh, rng: np.random.Generator) -> None:
