@@ -46,6 +46,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
             own.sigma,
             own.kinds,
             None if seen.ground is None else seen.ground[solved],
+            geometry.picture[solved],
         )
         votes = replace(votes, shown=geometry.shown(votes.place))
         vehicles = replace(votes, size=tight(votes, seen.ruler.margin))
