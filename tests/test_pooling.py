@@ -87,6 +87,19 @@ def test_a_quarter_of_vans_is_seen_as_such_and_does_not_pull_the_scale(code):
     assert scale.larger_share == pytest.approx(0.25, abs=0.05)
 
 
+@pytest.mark.parametrize("code", ["NP", "DE"])
+def test_small_lorries_and_buses_are_no_vans_at_a_smaller_scale(code):
+    """The cars among them would then be the smallest that there are, or three-wheelers."""
+    fleet, rng = load_fleet(code), np.random.default_rng(5)
+    here = np.vstack([fleet.sample(rng, 35)[:, :2], rng.normal([6.9, 2.3], [0.5, 0.1], (6, 2))])
+    px = here / 0.12 + np.array(RULER.margin) + rng.normal(0, RULER.noise, here.shape)
+    votes = gather(px, np.ones(41), rng.uniform(0, 1000, (41, 2)), np.ones(41), repeated=False)
+    scale = pool(votes, fleet, RULER, "m/px")
+    low, high = scale.interval90
+    assert low < 0.12 < high and scale.value == pytest.approx(0.12, rel=0.05)
+    assert not scale.used[-6:].any() and scale.larger_share < 0.1  # they are rejected as too large
+
+
 @pytest.mark.slow
 def test_without_a_country_the_interval_is_as_wide_as_countries_differ():
     for name in ("world", "auto"):

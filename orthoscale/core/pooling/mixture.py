@@ -46,7 +46,17 @@ LARGER = Class(
     "larger", 1.0, np.array([5.39, 1.98, 2.0]), np.array([0.31, 0.065, 0.25]), 0.5, np.zeros(3),
     kinds=np.array([0.25, 0.25, 0.4, 0.1]),  # those six in equal parts, and small lorries; judged
 )  # fmt: skip
-# Their share at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe (ACEA:
+# Small lorries, large vans and minibuses, which look like cars to a detector of small vehicles: the middle and the spread
+# of their usual sizes (Toyota Coaster 6.3 to 7.0 x 2.04 m, Isuzu NPR 6.0 to 7.7 x 2.1, Mercedes Sprinter, long, 7.0 x 2.02,
+# Tata 407 5.7 x 2.1, American cutaway vans 7.3 x 2.4; makers' sheets, recalled). They say little of the scale. Without a
+# class of their own they would be LARGER at a smaller one, and cars the smallest there are.
+LORRIES = Class(
+    "small lorries and buses", 1.0, np.array([6.8, 2.2, 2.7]), np.array([0.7, 0.15, 0.35]), 0.5, np.zeros(3),
+    kinds=np.array([0.0, 0.0, 0.4, 0.6]),
+)  # fmt: skip
+BESIDE = (LARGER, LORRIES)  # the classes beside a fleet's own
+LORRIES_SHARE = 0.03  # of the boxes that are vehicles: 0.04 of 500 at nine places, longer than 5.9 m there
+# The share of LARGER at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe (ACEA:
 # 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long vehicles already; some are left
 # out all the same.
 LEFT_OUT = 0.11
@@ -156,8 +166,8 @@ class Fits:
     covariance : (2, 2) of these at the likeliest, from the votes' number, noise and unknown classes.
     drawing : (2, 2) the more of it that comes from not knowing how strongly the detector draws to the usual.
     chance : variance of the answer between draws of as many vehicles [log scale]: more of them would lessen it.
-    member : (K + 1, N) probability of each class over all scales, the larger vehicles last; what is missing from one is
-        to be none.
+    member : (K + 1, N) probability of each class over all scales, LARGER last; what is missing from one is to be a lorry
+        or none.
     """
 
     weight: np.ndarray
@@ -252,15 +262,15 @@ def _finer(solved: _Solved) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Problem:
-    """K classes and LARGER, N votes, and UNKNOWNS: two scales, the stray of the larger vehicles' mean here from
+    """K classes, LARGER and LORRIES, N votes, and UNKNOWNS: two scales, the stray of the larger vehicles' mean here from
     LARGER's (2), and of the drawing's share [its one sigma]. They are solved for together: where most votes are larger
     vehicles, scales and stray move as one.
 
-    gap : (K + 1, N, 2) log scale by each vote, were it of each class. inverse : (K + 1, N, 2, 2) of its covariance.
-    turn : (K + 1, 2, UNKNOWNS) of the residuals. prior : (UNKNOWNS, UNKNOWNS) inverse covariance beforehand.
+    gap : (K + 2, N, 2) log scale by each vote, were it of each class. inverse : (K + 2, N, 2, 2) of its covariance.
+    turn : (K + 2, 2, UNKNOWNS) of the residuals. prior : (UNKNOWNS, UNKNOWNS) inverse covariance beforehand.
     shares : (K,) of the classes in the country. larger : share of larger vehicles beside them. place : as of `Mix`.
     basis : (UNKNOWNS, UNKNOWNS - 1) along which the unknowns move while the sum of the scales with `weights` stays.
-    called : (N, J) of `Seen`; J is the number of kinds, or 0. class_called : (K + 1, J) what is called so of each class
+    called : (N, J) of `Seen`; J is the number of kinds, or 0. class_called : (K + 2, J) what is called so of each class
         in general, as the parameters of Dirichlet distributions.
     """
 
@@ -280,18 +290,18 @@ class _Problem:
     def of(cls, seen: Seen, mix: Mix, drawing: Drawing, confusion: Confusion | None) -> _Problem:
         """That of `fit`."""
         log_size, classes, weights = seen.log_size, mix.classes, mix.weights
-        every = [*classes, LARGER]
+        every = [*classes, *BESIDE]
         means = np.array([drawing.log_mean(c) for c in every])
         # A box's noise is a share of what its vehicle should measure, not of what it does measure: else boxes that came
         # out large by chance would count for more. The scale for it need only be rough.
-        rough = np.median(np.median(means[:-1], axis=0) - log_size, axis=0)
+        rough = np.median(np.median(means[: len(classes)], axis=0) - log_size, axis=0)
         noise = (seen.noise / np.exp(means - rough)[:, None]) ** 2
         spread = np.array([drawing.covariance(c.log_covariance) for c in every])[:, None] + noise[..., None] * np.eye(2)
         tie = np.linalg.inv(mix.systematic)  # holds the two scales to one another, and leaves what they share free
         tie = tie - np.outer(tie.sum(0), tie.sum(0)) / tie.sum()
         turn = np.zeros((len(every), 2, UNKNOWNS))
         turn[:, :, :2] = np.eye(2)
-        turn[-1, :, 2:4] = -np.eye(2)
+        turn[len(classes), :, 2:4] = -np.eye(2)
         turn[:, :, 4] = [-drawing.slope(c) for c in every]
         prior = np.zeros((UNKNOWNS, UNKNOWNS))
         prior[:2, :2], prior[4, 4] = tie, 1.0
@@ -317,7 +327,7 @@ class _Problem:
     @property
     def middle(self) -> float:
         """The scale by the votes' median, were all ordinary."""
-        return float(np.median(self.gap[:-1].mean(0) @ self.weights))
+        return float(np.median(self.gap[: len(self.shares)].mean(0) @ self.weights))
 
     def of_votes(self, number: int) -> _Problem:
         """The same for `number` of the votes, if there are more."""
@@ -331,15 +341,15 @@ class _Problem:
         number, likely = np.array(self.place).repeat(len(grid), 0).T
         unknown = np.zeros((len(number), UNKNOWNS))
         unknown[:, :2] = np.tile(grid, len(self.place))[:, None]
-        larger = LEFT_OUT_VEHICLES * np.array([1 - self.larger, self.larger])
+        beside = LEFT_OUT_VEHICLES * np.array([1 - self.larger - LORRIES_SHARE, self.larger, LORRIES_SHARE])
         outliers = OUTLIER_BOXES * np.array([1 - OUTLIER_SHARE, OUTLIER_SHARE])
-        others = [*larger, *outliers, *self.class_called.ravel()]
+        others = [*beside, *outliers, *self.class_called.ravel()]
         prior = np.hstack([number[:, None] * self.shares, np.tile(others, (len(number), 1))])
         return _Solved(prior, np.log(likely), prior, unknown, np.log(likely))
 
     @cached_property
     def table(self) -> np.ndarray:
-        """(K + 1, N, 7 + J) of each vote: the log density of a class is linear in these, the coefficients (`_along`)
+        """(K + 2, N, 7 + J) of each vote: the log density of a class is linear in these, the coefficients (`_along`)
         are quadratic in how far the unknowns move the class. Of the first six Newton's steps are made, the next J say
         what the vote is called."""
         i00, i01, i11 = self.inverse[..., 0, 0], self.inverse[..., 0, 1], self.inverse[..., 1, 1]
@@ -356,10 +366,10 @@ class _Problem:
         return _along(self.turn[None].repeat(len(unknown), 0), unknown, counts)
 
     def members(self, solved: _Solved, weight: np.ndarray) -> np.ndarray:
-        """(K + 1, N) probability of each class over all hypotheses `solved`, which have `weight` (V,)."""
+        """(K + 1, N) probability of each class but LORRIES over all hypotheses `solved`, which have `weight` (V,)."""
         count, along = self.gap.shape[1], self.along(solved.unknown, solved.counts)
         parts = np.array_split(self.table, -(-count // MOST_VOTES), axis=1)
-        return np.hstack([np.einsum("v,kvn->kn", weight, _members(part, *along)[0]) for part in parts])
+        return np.hstack([np.einsum("v,kvn->kn", weight, _members(part, *along)[0][:-1]) for part in parts])
 
     def fits(self, solved: _Solved) -> Fits:
         """The posterior over the grid's scales, and what the votes leave uncertain at the likeliest."""
@@ -414,7 +424,7 @@ class _Problem:
         many = len(share)
         score = np.zeros((*p.shape, UNKNOWNS + many))
         score[..., :UNKNOWNS] = np.einsum("kiu,kni->knu", self.turn, pull)
-        score[:-1, :, UNKNOWNS:] = (np.eye(many) - share)[:, None]
+        score[:many, :, UNKNOWNS:] = (np.eye(many) - share)[:, None]
         expected = np.einsum("kn,knd->nd", p, score)
         lost = np.tensordot(p[..., None] * score, score, ((0, 1), (0, 1))) - expected.T @ expected
         whole = np.zeros_like(lost)
@@ -469,17 +479,18 @@ def _solved(problems: Sequence[_Problem], starts: Sequence[_Solved], steps: int)
             log_density[going[rows]] = np.log(density).sum(1)
             curved = sums[:, rows, [0, 1, 1, 2]].transpose(1, 0, 2).reshape(len(p[0]), -1)
             system[rows] = curved @ bends[c]
-        a00, a01, a11, b0, b1, found = np.moveaxis(sums[..., :6], -1, 0)  # (K + 1, V) each
+        a00, a01, a11, b0, b1, found = np.moveaxis(sums[..., :6], -1, 0)  # (K + 2, V) each
         called = sums[..., 6:].transpose(1, 0, 2).reshape(len(going), -1)
         m0, m1 = along[..., 3], along[..., 4]
-        pulled = np.stack([b0 - a00 * m0 - a01 * m1, b1 - a01 * m0 - a11 * m1])  # (2, K + 1, V) upwards in scale
+        pulled = np.stack([b0 - a00 * m0 - a01 * m1, b1 - a01 * m0 - a11 * m1])  # (2, K + 2, V) upwards in scale
         right = np.einsum("vkiu,ikv->vu", turn, pulled) - np.einsum("vu,vuw->vw", here, prior)
         whole = system.reshape(-1, UNKNOWNS, UNKNOWNS) + prior
         inside[going] = basis.transpose(0, 2, 1) @ whole @ basis
         free = np.linalg.solve(inside[going], np.einsum("vu,vuw->vw", right, basis)[..., None])
         moved = (basis @ free)[..., 0]
-        others, vehicles = found[:-1].sum(0), found.sum(0)
-        after = told * np.column_stack([found[:-1].T, others, found[-1], vehicles, count - vehicles, called])
+        own, vehicles = found[:classes], found.sum(0)
+        after = [*own, own.sum(0), *found[classes:], vehicles, count - vehicles]
+        after = told * np.column_stack([*after, called])
         after += start.prior[going]
         change = np.maximum(np.abs(moved[:, :4]).max(1), np.abs(after - counts[going]).max(1) / count)
         counts[going], unknown[going] = after, here + moved
@@ -499,13 +510,14 @@ def _solved(problems: Sequence[_Problem], starts: Sequence[_Solved], steps: int)
 
 
 def _along(turn: np.ndarray, unknown: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K + 1, V, 7 + J) coefficients of `_Problem.table` for hypotheses of `unknown` (V, UNKNOWNS) and `counts` (V, C),
-    with `turn` (V, K + 1, 2, UNKNOWNS) of the fleet of each; and (V,) the density of outliers."""
+    """(K + 2, V, 7 + J) coefficients of `_Problem.table` for hypotheses of `unknown` (V, UNKNOWNS) and `counts` (V, C),
+    with `turn` (V, K + 2, 2, UNKNOWNS) of the fleet of each; and (V,) the density of outliers."""
     m0, m1 = np.einsum("vkiu,vu->ikv", turn, unknown)
-    classes, (others, larger), (vehicle, none), *called = (
-        (digamma(level) - digamma(level.sum(1, keepdims=True))).T for level in _levels(counts, turn.shape[1] - 1)
+    classes, (own, *beside), (vehicle, none), *called = (
+        (digamma(level) - digamma(level.sum(1, keepdims=True))).T
+        for level in _levels(counts, turn.shape[1] - len(BESIDE))
     )
-    log_share = np.vstack([classes + others, larger[None]]) + vehicle
+    log_share = np.vstack([classes + own, *beside]) + vehicle
     along = [-0.5 * m0**2, -m0 * m1, -0.5 * m1**2, m0, m1, log_share, np.ones_like(m0)]
     if called:  # against what outliers are called
         along[6:6] = np.array(called).swapaxes(0, 1) - np.log(OUTLIER_CALLED)
@@ -513,7 +525,7 @@ def _along(turn: np.ndarray, unknown: np.ndarray, counts: np.ndarray) -> tuple[n
 
 
 def _members(table: np.ndarray, along: np.ndarray, none: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(K + 1, V, N) probability of each class for each hypothesis and vote of a `table`, and (V, N) density of the
+    """(K + 2, V, N) probability of each class for each hypothesis and vote of a `table`, and (V, N) density of the
     vote; `along` and `none` are those of `_along`."""
     p = along @ table.transpose(0, 2, 1)
     np.exp(p, out=p)
@@ -524,12 +536,12 @@ def _members(table: np.ndarray, along: np.ndarray, none: np.ndarray) -> tuple[np
 
 
 def _levels(counts: np.ndarray, many: int) -> tuple[np.ndarray, ...]:
-    """Of `counts` (V, C): (V, K) of the classes, which are so `many`; (V, 2) of them together, and of larger vehicles;
-    (V, 2) of vehicles, and of outliers; and if kinds are seen (V, J) for each of the K + 1 classes, of what it is
-    called. A place that is odd in one is not therefore odd in another."""
-    called = counts[:, many + 4 :]
-    each = np.split(called, many + 1, axis=1) if called.size else []
-    return counts[:, :many], counts[:, many : many + 2], counts[:, many + 2 : many + 4], *each
+    """Of `counts` (V, C): (V, K) of the fleet's classes, which are so `many`; (V, 3) of them together, and of those
+    BESIDE; (V, 2) of vehicles, and of outliers; and if kinds are seen (V, J) for each of the K + 2 classes, of what it
+    is called. A place that is odd in one is not therefore odd in another."""
+    ends = np.cumsum([many, 1 + len(BESIDE), 2])
+    *levels, called = np.split(counts, ends, axis=1)
+    return *levels, *(np.split(called, many + len(BESIDE), axis=1) if called.size else [])
 
 
 def _normalised(log_weight: np.ndarray) -> np.ndarray:
