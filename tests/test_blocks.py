@@ -14,6 +14,7 @@ from orthoscale.core.measuring.in_view import frames_in_view, looked_at
 from orthoscale.core.measuring.measurement import Measurement, Pooled
 from orthoscale.core.measuring.oblique import shown_in_frames
 from orthoscale.core.measuring.planar_sweep import TOO_COARSE, SweepGeometry
+from orthoscale.core.measuring.systematic import Systematic
 from orthoscale.core.measuring.ways import measure_source, united
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
@@ -67,7 +68,7 @@ def way(size, place, noise):
     count = len(size)
     votes = gather(size, np.full(count, 0.01), place, np.ones(count), repeated=True)
     scale = replace(_scale(), used=np.ones(count, bool), reasons=[""] * count)
-    pooled = Pooled(Ruler(margin_sd=(0.0, 0.0)), np.eye(2) * 1e-4, np.full((count, 2), noise))
+    pooled = Pooled(Ruler(margin_sd=(0.0, 0.0)), Systematic(np.full(2, 0.01)), np.full((count, 2), noise))
     return Measurement(None, np.array([]), votes, scale, {}, votes.size, "exact", pooled=pooled)
 
 
@@ -85,8 +86,11 @@ def test_a_vehicle_that_both_ways_see_counts_once():
     assert len(votes) == 8
     at = {int(round(p[0] / 10)): s for p, s in zip(votes.place, votes.size[:, 0], strict=True)}
     assert at[0] == pytest.approx(4.5) and at[7] == pytest.approx(1.04 * 4.5)
-    assert np.log(at[3] / 4.5) == pytest.approx(np.log(1.04) / 5)  # weights of four to one
-    assert ruler.margin == (0.0, 0.0) and covariance == pytest.approx(np.eye(2) * 1e-4)
+    own, noise_a, noise_b = 0.01**2, 0.02**2 / 4, 0.04**2 / 4  # of the mean of the four that both see
+    of_b = (own + noise_a) / (2 * own + noise_a + noise_b)
+    assert np.log(at[3] / 4.5) == pytest.approx(of_b * np.log(1.04))
+    of_all = (2 + 4 * of_b) / 8  # two more are seen in `b` alone
+    assert ruler.margin == (0.0, 0.0) and covariance == pytest.approx(np.eye(2) * own * (of_all**2 + (1 - of_all) ** 2))
     assert np.isnan(votes.kinds).all() and not ruler.kinds
 
 

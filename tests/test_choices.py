@@ -10,12 +10,11 @@ from support.models import make_model, save
 from orthoscale.core.boxes import Boxes, suppress
 from orthoscale.core.detections import Tile
 from orthoscale.core.measuring.drift import Drift
-from orthoscale.core.measuring.geometry import Observation
 from orthoscale.core.measuring.oblique import height_share
 from orthoscale.core.measuring.parallax import standing
+from orthoscale.core.measuring.systematic import Systematic
 from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.projection.exact import Hull
-from orthoscale.core.ruler import Ruler
 from orthoscale.core.scale import Scale
 from orthoscale.core.verdicts import verdict
 from orthoscale.detect.find import Effort
@@ -90,7 +89,7 @@ def test_the_ground_of_a_model_is_known_to_a_hundredth_however_many_vehicles_sta
     frame = np.full(1000, "a.jpg")
     stands = standing(place, np.zeros((1000, 2)), np.full(1000, 60.0), frame, (4.5, 1.8), np.full(1000, 0.1))
     nadir = height_share(size, np.zeros((1000, 2)), 1.0)  # from there vehicles show nothing of their height
-    shared = Observation(size, Ruler(), nadir, stands.alike).covariance
+    shared = Systematic(nadir, stands.alike).covariance
     assert shared == pytest.approx(np.full((2, 2), 0.01**2))
 
 

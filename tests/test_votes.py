@@ -54,3 +54,18 @@ def test_views_of_one_vehicle_err_alike_in_part():
         votes = gather(np.ones((views, 2)), np.ones(views), np.zeros((views, 3)), np.ones(views), True, sigma)
         left = 0.04 * np.sqrt(OF_THE_VEHICLE + (1 - OF_THE_VEHICLE) / views)
         assert vote_noise(votes, Ruler())[0] == pytest.approx([left, left])
+
+
+def test_views_that_stray_are_of_one_vehicle_unless_a_frame_shows_both():
+    """Two vehicles cannot stand closer than a width: boxes 0.85 widths apart in two frames are one's."""
+    size, width = np.tile([4.5, 1.8], (5, 1)), 1.8
+    place = width * np.array([[0.0, 0.0], [0.1, 0.0], [0.85, 0.0], [2.0, 0.0], [3.2, 0.0]])
+    score, pixel = np.ones(5), np.ones(5)
+
+    def views(*frames):
+        seen = gather(size, pixel, place, score, True, picture=np.array(frames))
+        return sorted(map(sorted, (m.tolist() for m in seen.members)))
+
+    assert views(*"abcab") == [[0, 1, 2], [3], [4]]
+    assert views(*"abbab") == [[0, 1], [2], [3], [4]], "a frame shows both"
+    assert len(gather(size, pixel, place, score, True)) == 4, "where frames are not known"

@@ -9,6 +9,9 @@ import numpy as np
 # Views whose ground points lie closer than this share of the typical width are the same vehicle. Parked side by side,
 # vehicles stand 1.35 widths apart or more (stalls of 2.4 m and up), so chains do not form.
 SAME_PLACE = 0.6
+# Nor can the middles of two vehicles come closer than a width: groups of views that do are of one, whose boxes stray
+# (it stands half in the shade or under a tree), unless a frame shows both.
+LEAST_APART = 1.0
 USUAL_VIEWS = 4  # views that a parked vehicle should have, from which a single one counts as a mistake
 # Share of the frames that show a vehicle in which it is found: the recall of the shipped detectors, 0.78 to 0.81
 # (detect/weights/README.md). A parked vehicle that five frames show is then found in one of them alone in 0.6 % of the
@@ -72,15 +75,20 @@ def gather(
     sigma: np.ndarray | None = None,
     kinds: np.ndarray | None = None,
     ground: np.ndarray | None = None,
+    picture: np.ndarray | None = None,
 ) -> Votes:
     """Votes from M boxes: sizes (M, 2), detector pixels (M,), places (M, D), scores (M,), sigma (M, 2), kinds
     (M, 4) and ground (M,), as in `Votes`.
 
     `repeated`: the boxes come from several pictures that show the same vehicles, so boxes in one place are one vehicle.
+    picture : (M,) name of the picture of each; where they are known, views that stray are joined (`LEAST_APART`).
     """
     labels = np.arange(len(size))
     if repeated and len(size):
-        labels = same_place(place, SAME_PLACE * float(np.median(size[:, 1])))
+        width = float(np.median(size[:, 1]))
+        labels = same_place(place, SAME_PLACE * width)
+        if picture is not None:
+            labels = _joined(labels, place, picture, LEAST_APART * width)
     views = np.bincount(labels)
     members = np.split(np.argsort(labels, kind="stable"), np.cumsum(views)[:-1]) if len(size) else []
     alone = views == 1
@@ -103,6 +111,23 @@ def gather(
         kinds=None if kinds is None else over(kinds, _mean_of_known),
         ground=None if ground is None else over(ground),
     )
+
+
+def _joined(labels: np.ndarray, place: np.ndarray, picture: np.ndarray, least: float) -> np.ndarray:
+    """(M,) `labels` of groups of boxes, where two are one if their middles at `place` (M, D) lie closer than `least`,
+    each is the nearest to the other, and no `picture` (M,) shows both."""
+    from scipy.spatial import cKDTree
+
+    number = int(labels.max()) + 1
+    if number < 2:
+        return labels
+    middle = np.array([np.median(place[labels == k], axis=0) for k in range(number)])
+    distance, nearest = (found[:, 1] for found in cKDTree(middle).query(middle, k=2))
+    target = np.arange(number)
+    for k in np.flatnonzero((distance < least) & (nearest[nearest] == target) & (target < nearest)):
+        if not np.isin(picture[labels == k], picture[labels == nearest[k]]).any():
+            target[nearest[k]] = k
+    return np.unique(target[labels], return_inverse=True)[1]
 
 
 def _mean_of_known(rows: np.ndarray, axis: int) -> np.ndarray:

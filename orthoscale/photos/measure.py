@@ -23,6 +23,7 @@ from ..core.measuring.measure import measure as measure_boxes
 from ..core.measuring.measurement import Findings
 from ..core.measuring.oblique import HEIGHT_SD, ROUNDS, SETTLED
 from ..core.measuring.surroundings import Standards
+from ..core.measuring.systematic import Systematic
 from ..core.pooling.posterior import Z90
 from ..core.pooling.robust import MIN_VEHICLES
 from ..core.projection.exact import BODIES, ground_size
@@ -260,7 +261,7 @@ class PhotoGeometry:
             return Observation(size, self.found.ruler)
         shared = {name: _change(size, self._sizes(v, metres_per_unit, height)) for name, v in self.off.items()}
         raised = _change(size, self._sizes(self.views, metres_per_unit, height + HEIGHT_SD))
-        return Observation(size, self.found.ruler, raised, shared)
+        return Observation(size, self.found.ruler, Systematic(raised, shared))
 
     def _sizes(self, view: Views, metres_per_unit: float, height: np.ndarray) -> np.ndarray:
         """(N, 2) length and width of vehicles of the detector's body, each by the effective height of its own."""
@@ -283,7 +284,7 @@ class PhotoGeometry:
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
         """By how much attitude and lens, one sigma off, would change the sizes."""
-        return Findings(shared=seen.shared)
+        return Findings(shared=seen.systematic.shared)
 
 
 def measure(photos: Sequence[Photo], found: Detections, fleet: Fleet, overlap: float = 1.0) -> PhotoScale:

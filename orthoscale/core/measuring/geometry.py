@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -16,6 +16,7 @@ from ..scale import Scale
 from ..votes import Votes
 from .measurement import Findings
 from .surroundings import Standards
+from .systematic import Systematic
 
 
 @dataclass(frozen=True)
@@ -24,26 +25,19 @@ class Observation:
 
     size : (M, 2) length and width of the vehicles on the ground [source units], NaN where no vehicle gives the box.
     ruler : what is left of the detector's ruler to take off, and how well that is known.
-    own : (2,) relative one-sigmas of all lengths, and of all widths, that come from the geometry.
-    shared : by cause, (2,) by how much lengths and widths come out larger (log) where it is one sigma off.
+    systematic : by what all of them err alike.
     ground : (M,) relative one-sigmas of the sizes by what is not known of the ground's height under each box.
     """
 
     size: np.ndarray
     ruler: Ruler
-    own: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    shared: Mapping[str, np.ndarray] = field(default_factory=dict)
+    systematic: Systematic = Systematic()
     ground: np.ndarray | None = None
 
     @cached_property
     def solved(self) -> np.ndarray:
         """(M,) bool, whether a vehicle on the ground explains the box."""
         return np.isfinite(self.size).all(1)
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """(2, 2) relative covariance of lengths and widths, shared by all boxes."""
-        return np.diag(np.square(self.own)) + sum((np.outer(s, s) for s in self.shared.values()), np.zeros((2, 2)))
 
 
 def larger_by(other: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -46,13 +46,14 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
             own.sigma,
             own.kinds,
             None if seen.ground is None else seen.ground[solved],
+            geometry.picture[solved],
         )
         votes = replace(votes, shown=geometry.shown(votes.place))
         vehicles = replace(votes, size=tight(votes, seen.ruler.margin))
         more: Sequence[AnchorVote] = ()
         if method.standards is not None:
             more = geometry.surroundings(seen, vehicles, metres_per_unit, method.standards, fleet.code)
-        scale = method.pool(votes, fleet, seen.ruler, geometry.unit, seen.covariance, more)
+        scale = method.pool(votes, fleet, seen.ruler, geometry.unit, seen.systematic.covariance, more)
         change = abs(np.log(scale.value / metres_per_unit))
         metres_per_unit = scale.value
         if change < geometry.settled:
@@ -67,7 +68,7 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
         size=vehicles.size,
         projection=geometry.projection,
         found=geometry.findings(seen, vehicles, scale),
-        pooled=Pooled(seen.ruler, seen.covariance, vote_noise(votes, seen.ruler) / votes.size, more),
+        pooled=Pooled(seen.ruler, seen.systematic, vote_noise(votes, seen.ruler) / votes.size, more),
     )
 
 

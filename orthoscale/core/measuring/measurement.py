@@ -18,6 +18,7 @@ from ..scale import Scale
 from ..votes import Votes
 from .drift import Drift
 from .model_drift import ModelDrift
+from .systematic import Systematic
 from .vehicles import vehicle_table
 
 LEAST = 0.1  # of a box's side that is taken for the vehicle's at least, however large the margin
@@ -35,7 +36,7 @@ class SelfCalibration:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the boxes of one geometry tell besides the scale, where they can. shared : as in `Observation`."""
+    """What the boxes of one geometry tell besides the scale, where they can. shared : as in `systematic.Systematic`."""
 
     calibration: SelfCalibration | None = None
     drift: Drift | ModelDrift | None = None
@@ -46,12 +47,12 @@ class Findings:
 class Pooled:
     """What a scale was pooled with, besides the votes, the fleet and the method.
 
-    ruler : what was left of it. covariance : (2, 2) of lengths and widths from the source's geometry. noise : (N, 2)
+    ruler : what was left of it. systematic : by what all sizes err alike, from the source's geometry. noise : (N, 2)
     relative one-sigmas of the votes. more : what the boxes themselves show of the scale.
     """
 
     ruler: Ruler
-    covariance: np.ndarray
+    systematic: Systematic
     noise: np.ndarray
     more: Sequence[AnchorVote] = ()
 

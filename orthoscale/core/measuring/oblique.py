@@ -33,6 +33,7 @@ from .method import Method
 from .model_drift import model_drift
 from .parallax import Standing, standing_in_model
 from .surroundings import Standards, objects_in_model, rows_in_model, world_axes
+from .systematic import of_height
 
 ROUNDS = 6  # of projection and pooling; the scale enters its own projection only through the vehicles' height
 SETTLED = 1e-4  # relative change of the scale at which the rounds end
@@ -170,12 +171,13 @@ class ExactGeometry(FramesGeometry):
         per_pixel = np.median(self.pixel[solved, None] / size[solved], axis=0)
         margin_sd = by_margin / per_pixel
         left = replace(known, margin=(0.0, 0.0), margin_sd=(float(margin_sd[0]), float(margin_sd[1])))  # it is off
-        own = np.sqrt(by_height**2 + np.square(by_shape).sum(0))
+        by_body = np.sqrt(by_height**2 + np.square(by_shape).sum(0))
         shared = self.stands.alike
         if self.source.focal.sd:
             longer = ruler.size(self.boxes, self.views.with_focal(1 + self.source.focal.sd), zoom, metres_per_unit)
             shared = {**shared, "focal length": larger_by(longer, size)}
-        return Observation(size, left, own, shared, self.stands.each)
+        left_of_card = ruler.left_of_height(self.card, size[solved], slopes[solved])
+        return Observation(size, left, of_height(by_body, left_of_card).and_shared(shared), self.stands.each)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """With the ruler for which vehicles have one size from all their views."""
@@ -201,8 +203,8 @@ class OtherGeometry(FramesGeometry):
         """Boxes as they are, with their margin."""
         size = self.method.sizes(self.boxes, self.views, metres_per_unit, self.card.height, self.fleet)
         ok = np.isfinite(size).all(1)
-        own = height_share(size[ok], lean(self.boxes, self.views)[ok], metres_per_unit)
-        return Observation(size, self.found.ruler, own, self.stands.alike, self.stands.each)
+        by_height = of_height(height_share(size[ok], lean(self.boxes, self.views)[ok], metres_per_unit))
+        return Observation(size, self.found.ruler, by_height.and_shared(self.stands.alike), self.stands.each)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """There is nothing to refine."""

@@ -28,6 +28,7 @@ from .measurement import Findings
 from .oblique import height_share
 from .parallax import Standing, standing_in_model
 from .surroundings import Standards, rows_in_model
+from .systematic import of_height
 
 SWEEP_ROUNDS = 3  # the height left in a box is a few percent of it, and the scale enters only there
 ROOM = 1.15  # a box, enlarged so, must lie within what the frame saw, or it may be cut
@@ -127,9 +128,10 @@ class SweepGeometry:
     def observe(self, metres_per_unit: float) -> Observation:
         """What is left of a box without the part of the vehicle's height."""
         size, longer = (self._footprints(metres_per_unit, ratio) for ratio in (1.0, 1 + self.focal_sd))
-        own = height_share(size, np.abs(self.offset), metres_per_unit)
+        by_height = of_height(height_share(size, np.abs(self.offset), metres_per_unit))
         by_focal = {"focal length": larger_by(longer, size)} if self.focal_sd else {}
-        return Observation(size, self.found.ruler, own, {**self.stands.alike, **by_focal}, self.stands.each)
+        systematic = by_height.and_shared({**self.stands.alike, **by_focal})
+        return Observation(size, self.found.ruler, systematic, self.stands.each)
 
     def _footprints(self, metres_per_unit: float, ratio: float) -> np.ndarray:
         """(M, 2) sizes [units], by a focal length `ratio` times as long and a camera so much higher."""

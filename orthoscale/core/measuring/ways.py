@@ -29,7 +29,7 @@ from .apart import only_apart
 from .contradiction import Cause, cause
 from .drift import with_drift
 from .measure import measure
-from .measurement import Measurement
+from .measurement import Measurement, Pooled
 from .method import Method
 from .oblique import FramesGeometry, shown_in_frames
 from .plan import PlanGeometry
@@ -150,14 +150,14 @@ def _of_one_scale(measured: Measurement) -> Measurement:
 def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
     """The vehicles of two ways as votes of one, the margin taken off; the ruler and the geometry's covariance of these.
 
-    A vehicle that both measured has the mean of what they say, by the inverse of their variances. Both look at the same
-    pixels, so its noise is the mean of theirs, and so is what it is called. What is not known of ruler and geometry is
-    the mean of both, by how much each has to say: it is largely the same.
+    A vehicle that both measured has the mean of what they say, weighted by what they do not share (`_shares`). Both
+    look at the same pixels, so its noise is the mean of theirs, and so is what it is called. What is not known of the
+    ruler is the mean of both, by how much each has to say: it is largely the same. Of the geometry, some of it is.
     """
     known_a, known_b = a.pooled, b.pooled
     assert known_a is not None and known_b is not None, "asked before"
     ia, ib = _matched(a, b, np.arange(len(a.votes)), np.arange(len(b.votes)))
-    share = known_b.noise[ib] ** 2 / (known_a.noise[ia] ** 2 + known_b.noise[ib] ** 2)
+    share = _shares(known_a, known_b, ia, ib)
     size, noise = a.size.copy(), known_a.noise.copy()
     size[ia] = np.exp(share * np.log(a.size[ia]) + (1 - share) * np.log(b.size[ib]))
     noise[ia] = share * known_a.noise[ia] + (1 - share) * known_b.noise[ib]
@@ -184,25 +184,46 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
         shown=shown,
     )
     votes = replace(votes, sigma=noise / left_by_views(votes.views)[:, None])
-    said = [float((1 / m.pooled.noise**2)[m.scale.used].sum()) for m in (a, b) if m.pooled is not None]
-    weight = np.array(said) / sum(said)
+    weight = _weights(a, b, ia, ib, share)
     rulers, names = (known_a.ruler, known_b.ruler), ("shrink", "shrink_sd", "usual")
     bias = [
         np.hypot(r.bias_sd, np.asarray(r.margin_sd) * np.median(m.votes.pixel[:, None] / m.size, axis=0))
         for r, m in zip(rulers, (a, b), strict=True)
     ]
-    middle: dict[str, Any] = {name: tuple((weight @ [getattr(r, name) for r in rulers]).tolist()) for name in names}
+    middle: dict[str, Any] = {
+        name: tuple((weight * [getattr(r, name) for r in rulers]).sum(0).tolist()) for name in names
+    }
     names_kinds = next((r for r in rulers if r.kinds), rulers[0])
     ruler = Ruler(
         margin_sd=(0.0, 0.0),
-        bias_sd=tuple((weight @ bias).tolist()),
-        common_sd=float(weight @ [r.common_sd for r in rulers]),
+        bias_sd=tuple((weight * bias).sum(0).tolist()),
+        common_sd=float(weight.mean(1) @ [r.common_sd for r in rulers]),
         kinds=names_kinds.kinds,
         kinds_vehicles=names_kinds.kinds_vehicles,
         **middle,
     )
-    covariance = np.tensordot(weight, [known_a.covariance, known_b.covariance], 1)
-    return votes, ruler, covariance
+    return votes, ruler, known_a.systematic.mean(known_b.systematic, weight[1]).covariance
+
+
+def _shares(a: Pooled, b: Pooled, ia: np.ndarray, ib: np.ndarray) -> np.ndarray:
+    """(K, 2) weights of `a` in the lengths and widths of the K vehicles `ia` and `ib` that both measured: for which the
+    mean of all is known best. There each one's noise counts for a Kth, and all of what they err by together."""
+    both, count = a.systematic.cross(b.systematic), max(len(ia), 1)
+    own = [np.diag(way.systematic.covariance) - both + way.noise[some] ** 2 / count for way, some in ((a, ia), (b, ib))]
+    return np.clip(own[1] / (own[0] + own[1]), 0, 1)
+
+
+def _weights(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """(2 ways, 2) weights in the mean of all lengths, and of all widths, where `ia`, `ib` (K,) are the votes of both,
+    in which `a` has `share` (K, 2). Vehicles count alike: their own sizes differ by more than any is mistaken."""
+    of_a = np.ones((len(a.votes), 2))
+    of_a[ia] = share
+    counts = a.scale.used.copy()
+    counts[ia] |= b.scale.used[ib]
+    only_b = b.scale.used.copy()
+    only_b[ib] = False
+    first = of_a[counts].sum(0) / (counts.sum() + only_b.sum())
+    return np.array([first, 1 - first])
 
 
 def _kinds(of: Measurement) -> np.ndarray:

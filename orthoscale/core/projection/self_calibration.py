@@ -164,6 +164,20 @@ class OwnRuler:
         alone = (share * self.sd) ** 2
         return np.sqrt(alone * (together / np.maximum(alone.sum(1), 1e-30))[:, None])
 
+    def left_of_height(self, card: OwnRuler, size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        """(2,) by how much lengths' and widths' errors from bodies correlate with the error of the card's height.
+
+        What views told makes the error of a height, h - fitted, independent of fitted - card; so its covariance with
+        h - card is its own variance, and that of any other error its covariance with h - fitted. 1 where no view told.
+        None below zero: two errors that cancel in a mean would be more than is known of bodies.
+        """
+        bodies = [HEIGHT, UNDERCUT, LEAN, CORNER]
+        share = np.nanmedian(slopes / size[..., None], axis=0)[:, bodies]  # (2 axes, 4)
+        covariance = self.covariance[:, bodies][:, :, bodies]
+        with_height = np.einsum("ki,ki->k", share, covariance[:, :, 0])
+        variance = np.einsum("ki,kij,kj->k", share, covariance, share)
+        return np.clip(with_height / (np.sqrt(np.maximum(variance, 1e-30)) * card.sd[:, HEIGHT]), 0, 1)
+
     def document(self, shipped: OwnRuler) -> dict[str, Any]:
         """As plain values, beside those that were `shipped`."""
         return {

@@ -1,0 +1,61 @@
+"""What makes all sizes of one way of measuring err alike, by cause, and what of it is left in the mean of two ways.
+
+Two ways of measuring one scene share some of their causes: the ground is too high for both, the focal length too long.
+What they share does not get less in their mean; what each has of its own does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+# Up to where boxes enclose the ends and the sides of vehicles, as the detector's card does not know it.
+ENDS, SIDES = "height of ends", "height of sides"
+
+
+@dataclass(frozen=True)
+class Systematic:
+    """own : (2,) relative one-sigmas of all lengths, and of all widths, which no other way of measuring shares.
+    shared : by cause, (2,) by how much lengths and widths come out larger (log) where it is one sigma off. Causes of
+    the same name are the same for all ways, and independent of one another."""
+
+    own: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    shared: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """(2, 2) relative covariance of lengths and widths."""
+        return np.diag(np.square(self.own)) + sum((np.outer(s, s) for s in self.shared.values()), np.zeros((2, 2)))
+
+    def and_shared(self, more: Mapping[str, np.ndarray]) -> Systematic:
+        """With `more` causes besides."""
+        return replace(self, shared={**self.shared, **more})
+
+    def cross(self, other: Systematic) -> np.ndarray:
+        """(2,) covariance of lengths with those of `other`, and of widths."""
+        causes = self.shared.keys() & other.shared.keys()
+        return sum((self.shared[cause] * other.shared[cause] for cause in sorted(causes)), np.zeros(2))
+
+    def mean(self, other: Systematic, weight: np.ndarray) -> Systematic:
+        """Of the mean (of logarithms) of two ways' lengths and widths, in which `other` has `weight` (2,)."""
+        none = np.zeros(2)
+        return Systematic(
+            np.hypot((1 - weight) * self.own, weight * other.own),
+            {
+                cause: (1 - weight) * self.shared.get(cause, none) + weight * other.shared.get(cause, none)
+                for cause in {**self.shared, **other.shared}
+            },
+        )
+
+
+def of_height(alone: np.ndarray, left: np.ndarray | float = 1.0) -> Systematic:
+    """Of sizes that err by `alone` (2,) by what is not known of bodies, heights among it.
+
+    left : (2,) how these errors correlate with what the detector's card does not know of the heights: 1 where only the
+    card tells them. The rest is this way's own.
+    """
+    by_card = alone * left
+    own = np.sqrt(np.maximum(np.square(alone) - np.square(by_card), 0.0))
+    return Systematic(own, {ENDS: np.array([by_card[0], 0.0]), SIDES: np.array([0.0, by_card[1]])})
