@@ -45,6 +45,7 @@ ASKED = {
     "depth_kind": ("--depth-kind", "range"),
     "depth_factor": ("--depth-factor", "2"),
     "images": ("--images", "frames"),
+    "ground_cloud": ("--ground-cloud", "none"),
     "refine": ("--refine",),
     "measurer": ("--measurer", "none"),
     "fast": ("--fast",),

@@ -65,7 +65,11 @@ def check(
 
 def checked(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Checked:
     """What `request` asks of the input at `path`; see `check`."""
-    source = open_source(path, request.images, request.detections is None) if isinstance(path, (str, Path)) else path
+    source = (
+        open_source(path, request.images, request.detections is None, request.ground_cloud, progress)
+        if isinstance(path, (str, Path))
+        else path
+    )
     claimed = source.claimed
     if claimed is None or claimed.gsd_m is None:
         why = "" if claimed is None else f": {claimed.why}"

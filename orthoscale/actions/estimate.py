@@ -77,7 +77,8 @@ def estimate(
     the search for it. refine : look at every vehicle four times more, turned and at neighbouring zooms.
 
     How it is measured
-    images : folder of a model's frames, when not beside it. mode : how a model is measured, one of `requests.MODES`;
+    images : folder of a model's frames, when not beside it. ground_cloud : its dense cloud or workspace, "none" for its
+    sparse points alone; by default one that lies beside it. mode : how a model is measured, one of `requests.MODES`;
     by default in every way that there is evidence for.
     projection, estimator : other ways than the usual, see `measuring.method.Method`. known_distance, ground_control :
     what is known besides, see `actions.control`. against : a georeferenced map that shows the same ground, see
@@ -110,13 +111,20 @@ class Opened:
     satellite: Satellite | None = None
 
 
-def opened(path: str | Path | Source, request: EstimateRequest) -> Opened:
-    """All that `request` names for the input at `path`. Raises InputError, UsageError."""
+def opened(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Opened:
+    """All that `request` names for the input at `path`. progress : told how far its dense cloud was read.
+
+    Raises InputError, UsageError.
+    """
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
     named = named_fleet(request.fleet, known)
     from_file = request.detections is not None
     needs_pictures = not from_file or request.measures is not None
-    source = open_source(path, request.images, needs_pictures) if isinstance(path, (str, Path)) else path
+    source = (
+        open_source(path, request.images, needs_pictures, request.ground_cloud, progress)
+        if isinstance(path, (str, Path))
+        else path
+    )
     fleet, why = (named, ()) if named is not None else fleet_at(location_of(source))
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)
@@ -128,7 +136,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     """What `request` asks of the input at `path`; see `estimate`."""
     started = time.perf_counter()
     log.info("measuring %s", path)
-    asked = opened(path, request)
+    asked = opened(path, request, progress)
     source, fleet = asked.source, asked.fleet
     method = Method(
         request.projection,

@@ -63,7 +63,7 @@ def written(
 ) -> Result:
     """What `request` asks of the input at `path`, written at `out`; see `fix`."""
     with Outputs(request.overwrite, (path, vars(request))) as outputs:
-        begun = _begin(path, out, request, outputs, save_detections)
+        begun = _begin(path, out, request, outputs, save_detections, progress)
         source, writer, save_detections = begun.source, begun.writer, begun.save_detections
         result = measured(source, request.estimating(), progress)
         if not request.force:
@@ -107,13 +107,20 @@ class _Begun:
     save_detections: Path | None
 
 
-def _begin(path: Path, out: Path, request: FixRequest, outputs: Outputs, save_detections: Path | None) -> _Begun:
+def _begin(
+    path: Path,
+    out: Path,
+    request: FixRequest,
+    outputs: Outputs,
+    save_detections: Path | None,
+    progress: Progress | None = None,
+) -> _Begun:
     """Open the input, refuse what makes no sense, and claim all outputs."""
     outputs.check(out)
     if save_detections is not None:
         check_name(save_detections)
         outputs.check(save_detections)
-    source = open_source(path, request.images, need_images=request.detections is None)
+    source = open_source(path, request.images, request.detections is None, request.ground_cloud, progress)
     request.check_for(source)
     writer = _writer(source, out, request)
     if source.metric_already and not request.override:  # not behind its owner's back

@@ -20,7 +20,15 @@ from .estimate import effort_of, measured
 from .requests import EstimateRequest
 from .whose import country_of, named_fleet
 
-WITH_A_SCALE = ("fleet", "images", "anchors", "anchor", "workers", "cache")  # options that matter where it is told
+WITH_A_SCALE = (
+    "fleet",
+    "images",
+    "ground_cloud",
+    "anchors",
+    "anchor",
+    "workers",
+    "cache",
+)  # options that matter where it is told
 FORMAT_OF_LISTS = "orthoscale anchors 1"
 FILES_OF_LISTS = (".png", ".json", ".gpkg")
 OTHER_FORMS = (".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".pdf", ".svg", ".html", ".csv", ".txt",
@@ -103,7 +111,11 @@ def list_anchors(
     if not (scale > 0 and math.isfinite(scale)):
         raise UsageError(f"--scale must be a positive number, not {scale}")
     request.refuse_others(WITH_A_SCALE, "--scale says how large the input is: no vehicles are measured")
-    source = open_source(path, request.images) if isinstance(path, (str, Path)) else path
+    source = (
+        open_source(path, request.images, ground_cloud=request.ground_cloud, progress=progress)
+        if isinstance(path, (str, Path))
+        else path
+    )
     request.check_for(source)
     country = country_of(source, named_fleet(request.fleet, None))
     found = anchors_at(source, scale, MOST_SOUGHT / 4, Wanted(request.anchors, own, country, effort, progress))

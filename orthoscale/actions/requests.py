@@ -207,6 +207,14 @@ class EstimateRequest(VehicleRequest):
     """What `estimate` may be asked for; see its fields' help. Raises UsageError when made of what makes no sense."""
 
     images: str | Path | None = option(None, Path, "Input", "Folder with the model's frames.")
+    ground_cloud: str | Path | None = option(
+        None,
+        str,
+        "Input",
+        "Dense cloud (.ply) or dense workspace of COLMAP that a model's ground is found on, or 'none' for its sparse "
+        "points alone. Default: one that lies beside the model.",
+        metavar="PLY|FOLDER",
+    )
     refine: bool = option(
         False,
         bool,
@@ -356,7 +364,7 @@ class EstimateRequest(VehicleRequest):
         self._refuse(("known_distance", "ground_control"), "it is about one input, and these are several")
 
     def _for_plan(self, path: Path) -> None:
-        self._refuse(("mode", "images"), f"it is for COLMAP models, and {path} is an image")
+        self._refuse(("mode", "images", "ground_cloud"), f"it is for COLMAP models, and {path} is an image")
         if self.projection not in (None, "planar"):
             raise UsageError(
                 f"--projection {self.projection} needs a camera; an orthophoto has none", "Remove --projection."
@@ -434,6 +442,7 @@ class EstimateOptions(VehicleOptions, total=False):
     """The fields of `EstimateRequest` as keywords."""
 
     images: str | Path | None
+    ground_cloud: str | Path | None
     refine: bool
     measurer: str | Path | None
     fast: bool

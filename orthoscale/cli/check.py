@@ -94,7 +94,7 @@ def check(
         if save_detections is not None:
             check_name(save_detections)
             saved = outputs.file(save_detections)
-        source = open_source(path, request.images, request.detections is None)
+        source = open_source(path, request.images, request.detections is None, request.ground_cloud, progress)
         outputs.protect(*source.files)
         outcome = checked(source, request, progress)
         if save_detections is not None:
@@ -121,7 +121,7 @@ def check(
 
 # What says something of one of the two inputs only: of the orthophoto's pixels, of the model's frames.
 OF_ORTHOPHOTO = ("zoom", "gsd_hint", "fast", "target", "known_distance", "ground_control")
-OF_MODEL = ("images", "mode", "projection")
+OF_MODEL = ("images", "ground_cloud", "mode", "projection")
 
 
 def _against_model(

@@ -16,7 +16,7 @@ import numpy as np
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.source import FocalDoubt
-from ..errors import InputError, OutputError, UsageError
+from ..errors import InputError, OrthoscaleError, OutputError, UsageError
 from ..formats.geometry.dense import GEOMETRY, find_dense, scale_dense, sparse_folders
 from ..formats.geometry.files import reason_left
 from ..formats.geometry.sim3 import MATRIX, Sim3
@@ -27,6 +27,8 @@ from .colmap_tables import RIG_TABLES, TABLES
 from .colmap_write import read_model, write_scaled
 from .consistency import check_consistency
 from .database import pose_priors
+from .dense_cloud import DenseCloud
+from .dense_ground import dense_ground
 from .focal import focal_doubt
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
@@ -54,6 +56,7 @@ class ColmapSource:
     pictures : the frames that are on disk, in the order of their names.
     notes : what was chosen or left aside while opening, for the report.
     unit : what `write` wants and what a scale of this source is measured in.
+    cloud : on which the ground is found, beside the sparse points; `opening.open_source` looks for it.
     """
 
     path: Path
@@ -64,6 +67,7 @@ class ColmapSource:
     _paths: tuple[Path, ...]
     _model: pycolmap.Reconstruction
     unit: str = "m/model-unit"
+    cloud: DenseCloud | None = None
 
     @classmethod
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ColmapSource:
@@ -92,7 +96,25 @@ class ColmapSource:
             points = self.sparse[0]
         centres = np.array([self.centre(name) for name in self.picture_names])
         # Which points the fit draws depends on their order, and that is another one in each program's files.
-        return Ground.fit(points[np.lexsort(points.T)], centres)
+        points = points[np.lexsort(points.T)]
+        return self._on_cloud(Ground.fit(points, centres), points, centres)
+
+    def _on_cloud(self, sparse: Ground, points: np.ndarray, centres: np.ndarray) -> Ground:
+        """The ground under the dense cloud too, where there is one; else, and where one that was not named is damaged
+        or of another reconstruction, the `sparse` one."""
+        if self.cloud is None:
+            return sparse
+        try:
+            ground = dense_ground(sparse, points, centres, self.cloud.blocks())
+            note = Remark(INFO, f"the ground is found on {self.cloud.what}")
+        except OrthoscaleError as error:
+            if self.cloud.named:
+                raise InputError(f"{self.cloud.what}: {error.message}", error.hint) from error
+            text = f"{self.cloud.what} is left out, and the ground found from the sparse points: {error.message}"
+            ground, note = sparse, Remark(CAUTION, text)
+        if note not in self.notes:
+            self.notes.append(note)
+        return ground
 
     @cached_property
     def focal(self) -> FocalDoubt:
@@ -174,8 +196,8 @@ class ColmapSource:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files of the model itself."""
-        return self._paths
+        """The files of the model itself, and its dense cloud."""
+        return self._paths if self.cloud is None else (*self._paths, self.cloud.path)
 
     def content_hash(self) -> str:
         """SHA-256 over the names and contents of the model's files."""

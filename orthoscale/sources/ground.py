@@ -7,7 +7,7 @@ it knows its height everywhere: where no point holds it, between points and beyo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -52,13 +52,15 @@ class Ground:
 
     up : (3,) unit vector away from the ground, to the cameras' side.
     camera_height : median height of the cameras over the ground below them.
-    noise : standard deviation of the ground's own points about the sheet.
+    noise : standard deviation of the ground's own points about the sheet. alike : one sigma of what it errs by
+    everywhere besides (`unsure`).
     """
 
     up: np.ndarray
     camera_height: float
     noise: float
     _sheet: _Sheet
+    alike: float = 0.0
 
     @classmethod
     def fit(cls, points: np.ndarray, camera_centres: np.ndarray) -> Ground:
@@ -93,7 +95,12 @@ class Ground:
         """(N,) one sigma of the ground's height straight below `points` (N, 3): more, the farther from its own points.
 
         Beyond the sheet it is that of its nearest edge."""
-        return self._sheet.sd(np.asarray(points, float).reshape(-1, 3) @ self._sheet.plane_from_world.T)
+        local = np.asarray(points, float).reshape(-1, 3) @ self._sheet.plane_from_world.T
+        return np.hypot(self._sheet.sd(local), self.alike)
+
+    def unsure(self, alike: float) -> Ground:
+        """The same ground where its points err by `alike` in common, one sigma, which more of them do not lessen."""
+        return replace(self, alike=alike)
 
     def plane(self, points: np.ndarray) -> np.ndarray:
         """(N, 2) coordinates of `points` (N, 3) along the ground, as a plan shows them: x right, y up."""

@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.source import Source
 from ..errors import InputError, UsageError
 from ..formats.geometry.text_models import SUFFIXES
 from .exchange_files import find_exchange
 
+if TYPE_CHECKING:
+    from .colmap import ColmapSource
+    from .dense_cloud import Progress
 
-def open_source(path: str | Path, images: str | Path | None = None, need_images: bool = True) -> Source:
-    """The source at `path`: a folder or text file is a reconstruction, another file an image. Raises InputError."""
+
+def open_source(
+    path: str | Path,
+    images: str | Path | None = None,
+    need_images: bool = True,
+    ground_cloud: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Source:
+    """The source at `path`: a folder or text file is a reconstruction, another file an image. Raises InputError.
+
+    ground_cloud : dense cloud or workspace of a reconstruction; by default one is looked for beside it, and NO_CLOUD
+    says to do without. progress : told how far that was read, when the ground is asked for.
+    """
     path, images = Path(path), None if images is None else Path(images)
     if not os.path.exists(path):  # noqa: PTH110  pathlib's raises for names that are too long
         raise InputError(f"{path} does not exist", "Give an orthophoto, or the folder of a COLMAP model.")
@@ -20,16 +36,27 @@ def open_source(path: str | Path, images: str | Path | None = None, need_images:
         if text.suffix.lower() in SUFFIXES:
             from .text_model import TextSource
 
-            return TextSource.open(text, images=images, need_images=need_images)
+            return _on_cloud(TextSource.open(text, images, need_images), ground_cloud, progress)
         from .json_model import ExchangeSource
 
-        return ExchangeSource.open(text, images=images, need_images=need_images)
+        return _on_cloud(ExchangeSource.open(text, images, need_images), ground_cloud, progress)
     if path.is_dir():
         from .colmap import ColmapSource
 
-        return ColmapSource.open(path, images=images, need_images=need_images)
+        return _on_cloud(ColmapSource.open(path, images, need_images), ground_cloud, progress)
     if images is not None:
         raise UsageError("--images is for COLMAP models", f"{path} is a file: remove --images.")
     from .raster import RasterSource
 
     return RasterSource.open(path)
+
+
+def _on_cloud(source: ColmapSource, named: str | Path | None, progress: Progress | None) -> ColmapSource:
+    """`source` with the dense cloud that its ground is found on."""
+    from .dense_cloud import NO_CLOUD, cloud_at, find_cloud
+
+    if named is not None:
+        return source if str(named) == NO_CLOUD else replace(source, cloud=cloud_at(Path(named), progress))
+    cloud, remarks = find_cloud(source.folder, progress)
+    source.notes.extend(remarks)
+    return source if cloud is None else replace(source, cloud=cloud)

@@ -21,21 +21,32 @@ COMPUTE_ANEW = "The file is damaged or was cut off: copy it again, or compute it
 
 def scale_depth_map(source: Path, target: Path, scale: float) -> None:
     """Write COLMAP's depth map (``width&height&channels&``, then float32, little-endian) with depths times `scale`."""
-    data = read_bytes(source, COMPUTE_ANEW, HUGE)
+    head, depths = _depth_map(source)
+    target.write_bytes(head + (depths.astype(float) * scale).astype("<f4").tobytes())
+
+
+def read_depth_map(path: Path) -> np.ndarray:
+    """(height, width) depths along the optical axis [model units] in COLMAP's depth map, 0 where there is none. Raises
+    InputError."""
+    return _depth_map(path)[1]
+
+
+def _depth_map(path: Path) -> tuple[bytes, np.ndarray]:
+    """The head of COLMAP's depth map, and its depths (height, width). Raises InputError."""
+    data = read_bytes(path, COMPUTE_ANEW, HUGE)
     try:
         *shape, rest = data[:64].split(b"&", 3)
         width, height, channels = map(int, shape)
         head = len(data[:64]) - len(rest)
     except ValueError:
-        raise InputError(f"{source}: not a depth map of COLMAP", COMPUTE_ANEW) from None
+        raise InputError(f"{path}: not a depth map of COLMAP", COMPUTE_ANEW) from None
     needed = head + 4 * width * height * channels
     if channels != 1 or min(width, height) < 1 or len(data) != needed:
         raise InputError(
-            f"{source}: {len(data)} bytes, but a depth map of {width} x {height} x {channels} has {needed}",
+            f"{path}: {len(data)} bytes, but a depth map of {width} x {height} x {channels} has {needed}",
             COMPUTE_ANEW,
         )
-    depths = np.frombuffer(data, "<f4", offset=head).astype(float) * scale
-    target.write_bytes(data[:head] + depths.astype("<f4").tobytes())
+    return data[:head], np.frombuffer(data, "<f4", offset=head).reshape(height, width)
 
 
 def is_dense(folder: Path) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -101,6 +102,12 @@ def _copy(file: BinaryIO, out: BinaryIO, size: int) -> None:
 
 def read_points(path: Path) -> np.ndarray:
     """(N, 3) vertices of the PLY file `path`, MOST_POINTS of them at most. Raises InputError."""
+    return np.concatenate([np.empty((0, 3)), *points_in(path, MOST_POINTS)])
+
+
+def points_in(path: Path, most: int, told: Callable[[int, int], None] | None = None) -> Iterator[np.ndarray]:
+    """Blocks (N, 3) of the vertices of the PLY file `path`, of more than `most` only every so-manieth. Never are more
+    than ROWS of them in memory. told : how many vertices were passed, of how many. Raises InputError."""
     with path.open("rb") as file:
         _, form, elements = _header(path, file)
         vertex = elements[0] if elements else None
@@ -109,27 +116,26 @@ def read_points(path: Path) -> np.ndarray:
             raise InputError(f"{path}: it does not begin with vertices that have x, y and z", "Export it anew.")
         _require(path, file, form, elements)
         # More points make the ground no better known: of very many, every so-manieth is taken.
-        step = -(-vertex.count // MOST_POINTS)
-        parts = []
-        if form == "ascii":
-            columns = [names.index(axis) for axis in "xyz"]
-            for start in range(0, vertex.count, ROWS):
-                rows = [file.readline() for _ in range(min(ROWS, vertex.count - start))][-start % step :: step]
+        step = -(-vertex.count // most)
+        columns = [names.index(axis) for axis in "xyz"]
+        row = vertex.row(ORDER[form])
+        for start in range(0, vertex.count, ROWS):
+            many = min(ROWS, vertex.count - start)
+            if form == "ascii":
+                lines = [file.readline() for _ in range(many)][-start % step :: step]
                 try:
-                    words = [row.split() for row in rows]
-                    parts.append(np.array([[row[k] for k in columns] for row in words], float).reshape(-1, 3))
+                    words = [line.split() for line in lines]
+                    block = np.array([[each[k] for k in columns] for each in words], float).reshape(-1, 3)
                 except (ValueError, IndexError) as error:
                     raise InputError(f"{path}: a vertex is missing or malformed", EXPORT_ANEW) from error
-        else:
-            row = vertex.row(ORDER[form])
-            for start in range(0, vertex.count, ROWS):
-                data = file.read(min(ROWS, vertex.count - start) * row.itemsize)
-                table = np.frombuffer(data, row)[-start % step :: step]
-                parts.append(np.column_stack([table[axis].astype(float) for axis in "xyz"]))
-    points = np.concatenate([np.empty((0, 3)), *parts])
-    if not np.isfinite(points).all():
-        raise InputError(f"{path}: a vertex is not finite", EXPORT_ANEW)
-    return points
+            else:
+                table = np.frombuffer(file.read(many * row.itemsize), row)[-start % step :: step]
+                block = np.column_stack([table[axis].astype(float) for axis in "xyz"])
+            if not np.isfinite(block).all():
+                raise InputError(f"{path}: a vertex is not finite, after the {start}th", EXPORT_ANEW)
+            yield block
+            if told is not None:
+                told(start + many, vertex.count)
 
 
 def _header(path: Path, file: BinaryIO) -> tuple[list[str], str, list[_Element]]:

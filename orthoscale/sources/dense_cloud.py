@@ -1,0 +1,143 @@
+"""Dense clouds and depth maps that lie beside a reconstruction: where they are, and their points in pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..core.remarks import INFO, Remark
+from ..errors import InputError
+from ..formats.geometry.dense import DEPTH_KINDS, find_dense, read_depth_map, sparse_folders
+from ..formats.geometry.ply import points_in
+from .colmap_check import open_model
+from .colmap_write import read_model
+
+Progress = Callable[[str, int, int], None]  # what, done, total
+
+NO_CLOUD = "none"  # instead of a file: the sparse points alone
+MOST_DENSE_POINTS = 10_000_000  # that are looked at; more make the ground no better known
+FUSED_CLOUD = "fused.ply"
+# Where other programs write clouds in the coordinates of their reconstruction, from the folder of its file.
+CLOUD_PLACES = (
+    "../odm_filterpoints/point_cloud.ply",  # ODM, whose reconstruction.json lies in opensfm/
+    "odm_filterpoints/point_cloud.ply",
+    "undistorted/openmvs/scene_dense.ply",
+    "undistorted/depthmaps/merged.ply",  # OpenSfM
+)
+# ODM's cloud on the map: turned and shifted from the reconstruction's coordinates, by a projection of the Earth.
+CLOUDS_ON_THE_MAP = tuple(f"odm_georeferencing/odm_georeferenced_model.{ending}" for ending in ("laz", "las", "ply"))
+
+
+@dataclass(frozen=True)
+class DenseCloud:
+    """A dense point cloud, or COLMAP's depth maps, in the coordinates of a reconstruction.
+
+    path : a PLY file, or a dense workspace of COLMAP. named : whether the user said that it is of the reconstruction.
+    progress : told how far it was read.
+    """
+
+    path: Path
+    named: bool = False
+    progress: Progress | None = None
+
+    @property
+    def what(self) -> str:
+        """What it is called in a sentence."""
+        return f"the depth maps in {self.path}" if self.path.is_dir() else f"the dense cloud {self.path}"
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        """(N, 3) points [model units, world] in pieces, about MOST_DENSE_POINTS in all at most. Raises InputError for
+        what is damaged or cut off."""
+        return _of_depth_maps(self.path, self._told) if self.path.is_dir() else self._of_file()
+
+    def _of_file(self) -> Iterator[np.ndarray]:
+        try:
+            yield from points_in(self.path, MOST_DENSE_POINTS, self._told)
+        except OSError as error:
+            raise InputError(f"{self.path} cannot be read ({error})", "Check its name and permissions.") from error
+
+    def _told(self, done: int, total: int) -> None:
+        if self.progress is not None:
+            self.progress("dense cloud", done, total)
+
+
+def find_cloud(folder: Path, progress: Progress | None = None) -> tuple[DenseCloud | None, list[Remark]]:
+    """The dense cloud that belongs to the reconstruction in `folder`, if one lies where programs put it; else COLMAP's
+    depth maps. Whether its points lie on the reconstruction's is not asked. And what there is to say of others."""
+    folder = folder.resolve()
+    workspace = find_dense(folder)
+    above = [folder, folder.parent, folder.parent.parent] if folder.name.isdigit() else [folder, folder.parent]
+    files = [place / FUSED_CLOUD for place in ([workspace] if workspace else []) + above]
+    files += [(folder / name).resolve() for name in CLOUD_PLACES]
+    found = next((path for path in files if path.is_file()), None)
+    if found is None and workspace is not None and _depth_maps(workspace):
+        found = workspace
+    if found is not None:
+        return DenseCloud(found, progress=progress), []
+    for place in (folder.parent / name for name in CLOUDS_ON_THE_MAP):
+        if place.is_file():
+            text = (
+                f"{place} is in the coordinates of a map, not in the reconstruction's, and is left out; the ground is "
+                "found from the sparse points (odm_filterpoints/point_cloud.ply would be used as well)"
+            )
+            return None, [Remark(INFO, text)]
+    return None, []
+
+
+def cloud_at(path: Path, progress: Progress | None = None) -> DenseCloud:
+    """The cloud or dense workspace that the user named. Raises InputError for what is neither."""
+    if path.is_dir():
+        fused = path / FUSED_CLOUD
+        if not fused.is_file() and not _depth_maps(path):
+            raise InputError(
+                f"{path} is no dense workspace of COLMAP: no {FUSED_CLOUD} and no depth maps are in it",
+                "Name a .ply file, or the folder that stereo/ lies in.",
+            )
+        return DenseCloud(fused if fused.is_file() else path, True, progress)
+    if not path.is_file():
+        raise InputError(f"{path} does not exist", "Name a dense cloud (.ply) or a dense workspace of COLMAP.")
+    if path.suffix.lower() != ".ply":
+        raise InputError(f"{path} is no PLY file", "Export the cloud as .ply, in the reconstruction's coordinates.")
+    return DenseCloud(path, True, progress)
+
+
+def _depth_maps(workspace: Path) -> list[Path]:
+    """The depth maps of a workspace: those that other views confirmed, where there are any."""
+    folder = workspace / "stereo" / "depth_maps"
+    for kind in DEPTH_KINDS:
+        if maps := sorted(folder.rglob("*" + kind)):
+            return maps
+    return []
+
+
+def _of_depth_maps(workspace: Path, told: Callable[[int, int], None]) -> Iterator[np.ndarray]:
+    """Blocks (N, 3) of the points that depth maps show [world], by the undistorted cameras of their workspace."""
+    maps, sparse = _depth_maps(workspace), sparse_folders(workspace)
+    if not sparse:
+        raise InputError(
+            f"{workspace} has depth maps, but not the undistorted model in sparse/ that they belong to",
+            "Run image_undistorter again.",
+        )
+    model = read_model(sparse[0], open_model(sparse[0]).format)
+    images = {image.name: image for image in (model.image(i) for i in model.reg_image_ids())}
+    top = workspace / "stereo" / "depth_maps"
+    for k, path in enumerate(maps):
+        name = path.relative_to(top).as_posix()
+        name = next(name.removesuffix(kind) for kind in DEPTH_KINDS if name.endswith(kind))
+        if name not in images:
+            raise InputError(f"{path}: no image of {sparse[0]} is called so", "Run image_undistorter again.")
+        depth, camera = read_depth_map(path), model.camera(images[name].camera_id)
+        step = max(1, int(np.ceil(np.sqrt(depth.size * len(maps) / MOST_DENSE_POINTS))))
+        row, column = (axis.ravel() for axis in np.mgrid[: depth.shape[0] : step, : depth.shape[1] : step])
+        z = depth[row, column].astype(float)
+        seen = np.isfinite(z) & (z > 0)
+        # patch_match_stereo may make maps smaller than their images.
+        pixels = np.column_stack([column[seen], row[seen]]) + 0.5
+        pixels *= np.array([camera.width, camera.height]) / depth.shape[::-1]
+        pose = images[name].cam_from_world()
+        rays = np.column_stack([np.asarray(camera.cam_from_img(pixels), float).reshape(-1, 2), np.ones(len(pixels))])
+        yield (rays * z[seen, None] - pose.translation) @ pose.rotation.matrix()
+        told(k + 1, len(maps))

@@ -1,0 +1,125 @@
+"""The ground under a dense cloud: its lower envelope cell by cell, which the sheet of `ground` is then drawn through.
+
+Dense clouds hold everything: roofs of vehicles and houses, crowns, smeared edges, points below the ground. A cell about
+as wide as a vehicle, which is never wider than the gap to the next and half of it, shows the ground nearly everywhere
+that cameras do. What a cell's lowest level is not, the sheet tells: it is too stiff for houses, trees and holes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..errors import InputError
+from .ground import Ground
+
+# In heights of the cameras over the ground: the side of a cell, 2 m at 70 m; the thickness of a layer of its histogram;
+# how many of those make a level, 0.4 m at 70 m, several times the noise of a dense cloud and less than a bonnet's
+# height; and where the ground is looked for, relative to the sheet under the sparse points, which may lie on crowns.
+CELL_SIDE, LAYER_HEIGHT, LEVEL_LAYERS = 0.03, 0.001, 6
+LOWEST_LAYER, HIGHEST_LAYER = -0.25, 0.08
+LAYERS_OF_CELL = round((HIGHEST_LAYER - LOWEST_LAYER) / LAYER_HEIGHT)
+MOST_DENSE_CELLS = 40_000  # 53 MB of counts; beyond, cells are wider
+# A level is made by a tenth of a cell's points and three of them, as in the sheet's own first step; cells of fewer than
+# FEWEST_IN_CELL points are none.
+LEVEL_SHARE, LEVEL_LEAST, FEWEST_IN_CELL = 0.1, 3, 5
+# A cloud lies on a reconstruction where most of the sparse points that it could show are so near to it, in layers; such
+# a cloud covers a fifth of them at least, and its levels are as high as they are to one percent of the cameras' height.
+NEAR_LAYERS, MOST_NEAR, COVERED_SHARE, FEWEST_COVERED, LEVELS_APART = 10, 0.5, 0.2, 20, 0.01
+# What a dense cloud errs by smoothly, in heights of the cameras: a pixel at a focal length of 1000.
+SMOOTH_SD = 0.001
+NOT_ITS_OWN = "It may be of another run, or in other coordinates or metres already: name its own with --ground-cloud."
+
+
+def dense_ground(sparse: Ground, points: np.ndarray, centres: np.ndarray, blocks: Iterable[np.ndarray]) -> Ground:
+    """The ground under a dense cloud, and under the sparse points where that has none.
+
+    sparse : the ground under the sparse `points` (M, 3), seen from `centres` (C, 3). blocks : the cloud, (N, 3) each;
+    all in model units, world. Raises InputError for a cloud that does not lie on the sparse points, and what `blocks`
+    raises.
+    """
+    grid = _Cells(sparse, points)
+    for block in blocks:
+        grid.add(block)
+    cell, layer, inside = grid.find(points)
+    apart = grid.check(cell[inside], layer[inside])
+    covered = np.zeros(len(points), bool)
+    covered[inside] = grid.levels()[1][cell[inside]]
+    ground = Ground.fit(np.concatenate([grid.lowest(), points[~covered]]), centres)
+    return ground.unsure(float(np.hypot(SMOOTH_SD * ground.camera_height, apart)))
+
+
+class _Cells:
+    """How many points lie in each layer of each cell over the plane of a `Ground`, relative to its sheet."""
+
+    def __init__(self, ground: Ground, points: np.ndarray) -> None:
+        """ground, points : the sparse ones, whose extent is the grid's."""
+        self.ground, height = ground, ground.camera_height
+        plane = ground.plane(points)
+        self.low, high = np.percentile(plane, [1, 99], axis=0)
+        extent = np.maximum(high - self.low, CELL_SIDE * height)
+        self.side = max(CELL_SIDE * height, float(np.sqrt(extent.prod() / MOST_DENSE_CELLS)))
+        self.shape = np.ceil(extent / self.side).astype(int)
+        self.layer = LAYER_HEIGHT * height
+        middles = (
+            np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), -1).reshape(-1, 2) + 0.5
+        ) * self.side
+        self.middle = ground.lift(self.low + middles)  # (cells, 3) on the sheet
+        self.base = self.middle @ ground.up + LOWEST_LAYER * height
+        self.count = np.zeros((len(self.base), LAYERS_OF_CELL), np.int32)
+
+    def find(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(N,) cell, layer and whether they are any of the grid's, of points (N, 3)."""
+        column = np.floor((self.ground.plane(points) - self.low) / self.side).astype(np.int64)
+        inside = ((column >= 0) & (column < self.shape)).all(1)
+        cell = np.where(inside, column[:, 0] * self.shape[1] + column[:, 1], 0)
+        layer = np.floor((points @ self.ground.up - self.base[cell]) / self.layer).astype(np.int64)
+        return cell, layer, inside & (layer >= 0) & (layer < LAYERS_OF_CELL)
+
+    def add(self, points: np.ndarray) -> None:
+        """Count points (N, 3)."""
+        cell, layer, inside = self.find(points)
+        np.add.at(self.count.ravel(), cell[inside] * LAYERS_OF_CELL + layer[inside], 1)
+
+    def levels(self) -> tuple[np.ndarray, np.ndarray]:
+        """(cells,) the lowest level of each cell [layers, from LOWEST_LAYER], and whether it has one."""
+        total = self.count.sum(1)
+        summed = np.pad(np.cumsum(self.count, axis=1, dtype=np.int32), ((0, 0), (1, 0)))
+        window = summed[:, LEVEL_LAYERS:] - summed[:, :-LEVEL_LAYERS]  # (cells, LAYERS_OF_CELL - LEVEL_LAYERS + 1)
+        enough = window >= np.maximum(LEVEL_LEAST, LEVEL_SHARE * total)[:, None]
+        first = enough.argmax(1)
+        # The first window that has enough holds the lower tail of the level: it is at its highest above, less than
+        # its own width.
+        reach = np.minimum(first[:, None] + np.arange(LEVEL_LAYERS + 1), window.shape[1] - 1)
+        start = first + np.take_along_axis(window, reach, 1).argmax(1)
+        start = np.minimum(start, window.shape[1] - 1)
+        within = np.take_along_axis(self.count, start[:, None] + np.arange(LEVEL_LAYERS), 1)
+        level = start + (within * (np.arange(LEVEL_LAYERS) + 0.5)).sum(1) / np.maximum(within.sum(1), 1)
+        return level, (total >= FEWEST_IN_CELL) & enough.any(1)
+
+    def lowest(self) -> np.ndarray:
+        """(K, 3) a point on the lowest level of each cell that has one, over the cell's middle."""
+        level, known = self.levels()
+        over = LOWEST_LAYER * self.ground.camera_height + level * self.layer
+        return (self.middle + over[:, None] * self.ground.up)[known]
+
+    def check(self, cell: np.ndarray, layer: np.ndarray) -> float:
+        """By how much the levels lie off the sparse points, those in `cell` and `layer` (N,) [units]. Raises
+        InputError where the cloud is not of them."""
+        level, known = self.levels()
+        shown = known[cell]
+        if shown.sum() < max(COVERED_SHARE * len(cell), FEWEST_COVERED):
+            text = f"it shows the surroundings of {shown.sum()} of {len(cell)} sparse points only"
+            raise InputError(text, NOT_ITS_OWN)
+        cell, layer = cell[shown], layer[shown]
+        around = np.clip(layer[:, None] + np.arange(-NEAR_LAYERS, NEAR_LAYERS + 1), 0, LAYERS_OF_CELL - 1)
+        near = (self.count[cell[:, None], around] > 0).any(1)
+        over = layer + 0.5 - level[cell]
+        low = np.abs(over) < 3 * LEVELS_APART / LAYER_HEIGHT
+        apart = float(np.median(over[low])) * LAYER_HEIGHT if low.any() else np.inf
+        if near.mean() < MOST_NEAR or abs(apart) > LEVELS_APART:
+            raise InputError(
+                f"it does not lie on the sparse points: {near.mean():.0%} of them are near it", NOT_ITS_OWN
+            )
+        return abs(apart) * self.ground.camera_height
