@@ -46,19 +46,19 @@ LARGER = Class(
     "larger", 1.0, np.array([5.39, 1.98, 2.0]), np.array([0.31, 0.065, 0.25]), 0.5, np.zeros(3),
     kinds=np.array([0.25, 0.25, 0.4, 0.1]),  # those six in equal parts, and small lorries; judged
 )  # fmt: skip
-# Small lorries, large vans and minibuses, which look like cars to a detector of small vehicles: the middle and the spread
-# of their usual sizes (Toyota Coaster 6.3 to 7.0 x 2.04 m, Isuzu NPR 6.0 to 7.7 x 2.1, Mercedes Sprinter, long, 7.0 x 2.02,
-# Tata 407 5.7 x 2.1, American cutaway vans 7.3 x 2.4; makers' sheets, recalled). They say little of the scale. Without a
-# class of their own they would be LARGER at a smaller one, and cars the smallest there are.
+# Small lorries, large vans and minibuses, which look like cars to a detector of small vehicles: the middle and the
+# spread of their usual sizes (Toyota Coaster 6.3 to 7.0 x 2.04 m, Isuzu NPR 6.0 to 7.7 x 2.1, Mercedes Sprinter, long,
+# 7.0 x 2.02, Tata 407 5.7 x 2.1, American cutaway vans 7.3 x 2.4; makers' sheets, recalled). They say little of the
+# scale. Without a class of their own they would be LARGER at a smaller one, and cars the smallest there are.
 LORRIES = Class(
     "small lorries and buses", 1.0, np.array([6.8, 2.2, 2.7]), np.array([0.7, 0.15, 0.35]), 0.5, np.zeros(3),
     kinds=np.array([0.0, 0.0, 0.4, 0.6]),
 )  # fmt: skip
 BESIDE = (LARGER, LORRIES)  # the classes beside a fleet's own
-LORRIES_SHARE = 0.03  # of the boxes that are vehicles: 0.04 of 500 at nine places, longer than 5.9 m there
-# The share of LARGER at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe (ACEA:
-# 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long vehicles already; some are left
-# out all the same.
+LORRIES_SHARE = 0.03  # of the vehicles: 19 of 521 boxes of eight orthophotos are longer than 5.9 m, none American
+# The share of LARGER at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe
+# (ACEA: 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long vehicles already; some
+# are left out all the same.
 LEFT_OUT = 0.11
 LEFT_OUT_AT_LEAST = 0.05
 LEFT_OUT_VEHICLES = 20.0  # that share is known as if it had been counted on so many, whatever the place's other mix
@@ -166,8 +166,8 @@ class Fits:
     covariance : (2, 2) of these at the likeliest, from the votes' number, noise and unknown classes.
     drawing : (2, 2) the more of it that comes from not knowing how strongly the detector draws to the usual.
     chance : variance of the answer between draws of as many vehicles [log scale]: more of them would lessen it.
-    member : (K + 1, N) probability of each class over all scales, LARGER last; what is missing from one is to be a lorry
-        or none.
+    member : (K + 1, N) probability of each class over all scales, LARGER last; what is missing from one is to be a
+        lorry or none.
     """
 
     weight: np.ndarray
@@ -262,9 +262,9 @@ def _finer(solved: _Solved) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Problem:
-    """K classes, LARGER and LORRIES, N votes, and UNKNOWNS: two scales, the stray of the larger vehicles' mean here from
-    LARGER's (2), and of the drawing's share [its one sigma]. They are solved for together: where most votes are larger
-    vehicles, scales and stray move as one.
+    """K classes, LARGER and LORRIES, N votes, and UNKNOWNS: two scales, the stray of the larger vehicles' mean here
+    from LARGER's (2), and of the drawing's share [its one sigma]. They are solved for together: where most votes are
+    larger vehicles, scales and stray move as one.
 
     gap : (K + 2, N, 2) log scale by each vote, were it of each class. inverse : (K + 2, N, 2, 2) of its covariance.
     turn : (K + 2, 2, UNKNOWNS) of the residuals. prior : (UNKNOWNS, UNKNOWNS) inverse covariance beforehand.
