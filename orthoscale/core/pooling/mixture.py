@@ -54,7 +54,7 @@ LORRIES = Class(
     "small lorries and buses", 1.0, np.array([6.8, 2.2, 2.7]), np.array([0.7, 0.15, 0.35]), 0.5, np.zeros(3),
     kinds=np.array([0.0, 0.0, 0.4, 0.6]),
 )  # fmt: skip
-BESIDE = (LARGER, LORRIES)  # the classes beside a fleet's own
+BESIDE_FLEET = (LARGER, LORRIES)  # the classes beside a fleet's own
 LORRIES_SHARE = 0.03  # of the vehicles: 19 of 521 boxes of eight orthophotos are longer than 5.9 m, none American
 # The share of LARGER at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe
 # (ACEA: 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long vehicles already; some
@@ -290,7 +290,7 @@ class _Problem:
     def of(cls, seen: Seen, mix: Mix, drawing: Drawing, confusion: Confusion | None) -> _Problem:
         """That of `fit`."""
         log_size, classes, weights = seen.log_size, mix.classes, mix.weights
-        every = [*classes, *BESIDE]
+        every = [*classes, *BESIDE_FLEET]
         means = np.array([drawing.log_mean(c) for c in every])
         # A box's noise is a share of what its vehicle should measure, not of what it does measure: else boxes that came
         # out large by chance would count for more. The scale for it need only be rough.
@@ -515,7 +515,7 @@ def _along(turn: np.ndarray, unknown: np.ndarray, counts: np.ndarray) -> tuple[n
     m0, m1 = np.einsum("vkiu,vu->ikv", turn, unknown)
     classes, (own, *beside), (vehicle, none), *called = (
         (digamma(level) - digamma(level.sum(1, keepdims=True))).T
-        for level in _levels(counts, turn.shape[1] - len(BESIDE))
+        for level in _levels(counts, turn.shape[1] - len(BESIDE_FLEET))
     )
     log_share = np.vstack([classes + own, *beside]) + vehicle
     along = [-0.5 * m0**2, -m0 * m1, -0.5 * m1**2, m0, m1, log_share, np.ones_like(m0)]
@@ -537,11 +537,11 @@ def _members(table: np.ndarray, along: np.ndarray, none: np.ndarray) -> tuple[np
 
 def _levels(counts: np.ndarray, many: int) -> tuple[np.ndarray, ...]:
     """Of `counts` (V, C): (V, K) of the fleet's classes, which are so `many`; (V, 3) of them together, and of those
-    BESIDE; (V, 2) of vehicles, and of outliers; and if kinds are seen (V, J) for each of the K + 2 classes, of what it
-    is called. A place that is odd in one is not therefore odd in another."""
-    ends = np.cumsum([many, 1 + len(BESIDE), 2])
+    BESIDE_FLEET; (V, 2) of vehicles, and of outliers; and if kinds are seen (V, J) for each of the K + 2 classes, of
+    what it is called. A place that is odd in one is not therefore odd in another."""
+    ends = np.cumsum([many, 1 + len(BESIDE_FLEET), 2])
     *levels, called = np.split(counts, ends, axis=1)
-    return *levels, *(np.split(called, many + len(BESIDE), axis=1) if called.size else [])
+    return *levels, *(np.split(called, many + len(BESIDE_FLEET), axis=1) if called.size else [])
 
 
 def _normalised(log_weight: np.ndarray) -> np.ndarray:
