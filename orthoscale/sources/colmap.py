@@ -108,9 +108,10 @@ class ColmapSource:
             ground = dense_ground(sparse, points, centres, self.cloud.blocks())
             note = Remark(INFO, f"the ground is found on {self.cloud.what}")
         except OrthoscaleError as error:
+            why = error.message.removeprefix(str(self.cloud.path)).lstrip(",: ")
             if self.cloud.named:
-                raise InputError(f"{self.cloud.what}: {error.message}", error.hint) from error
-            text = f"{self.cloud.what} is left out, and the ground found from the sparse points: {error.message}"
+                raise InputError(f"{self.cloud.what}: {why}", error.hint) from error
+            text = f"{self.cloud.what} is left out, and the ground found from the sparse points: {why}"
             ground, note = sparse, Remark(CAUTION, text)
         if note not in self.notes:
             self.notes.append(note)

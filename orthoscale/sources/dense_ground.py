@@ -119,7 +119,8 @@ class _Cells:
         low = np.abs(over) < 3 * LEVELS_APART / LAYER_HEIGHT
         apart = float(np.median(over[low])) * LAYER_HEIGHT if low.any() else np.inf
         if near.mean() < MOST_NEAR or abs(apart) > LEVELS_APART:
-            raise InputError(
-                f"it does not lie on the sparse points: {near.mean():.0%} of them are near it", NOT_ITS_OWN
-            )
+            text = f"it does not lie on the sparse points: {near.mean():.0%} of them are near it"
+            if np.isfinite(apart):
+                text += f", its ground is {abs(apart):.1%} of the cameras' height off them"
+            raise InputError(text, NOT_ITS_OWN)
         return abs(apart) * self.ground.camera_height
