@@ -2,6 +2,7 @@
 
     python benchmarks/flights.py                       # 300 simulated flights: ten minutes to half an hour
     python benchmarks/flights.py --flights 40 --known  # fleet and box bias are known: what geometry adds
+    python benchmarks/flights.py --flights 40 --dense  # the same flights with a dense cloud beside each model
 
 Simulated blocks (`tests/support/blocks.py`): nadir, oblique, grid and strip flights over slopes, trees and roofs,
 few or many sparse points, and models whose focal length is 10 to 20 % too long. Boxes are those of a perfect detector
@@ -66,14 +67,14 @@ ROWS: dict[str, Callable[[Outcome], bool]] = {
 }
 
 
-def outcome(number: int, known: bool) -> Outcome:
+def outcome(number: int, known: bool, dense: bool) -> Outcome:
     """The flight of that number. Raises OrthoscaleError where it has no scale."""
     rng = np.random.default_rng([19, number])
     conditions = Conditions.drawn(rng, KINDS[number % len(KINDS)])
     fleet = load_fleet(FLEETS[number % len(FLEETS)])
     if known:
         fleet = exactly(fleet)
-    block = fly(rng, fleet, conditions, ruler=EXACT if known else RULER)
+    block = fly(rng, fleet, conditions, ruler=EXACT if known else RULER, dense=dense)
     measured = measure_source(block.source, block.found, fleet)
     scale, truth = measured.scale, block.metres_per_unit
     low, high = scale.interval90
@@ -112,6 +113,7 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=300)
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
     parser.add_argument("--known", action="store_true", help="nothing but geometry, bodies and luck is unknown")
+    parser.add_argument("--dense", action="store_true", help="a dense cloud lies beside each model")
     parser.add_argument("--rows", type=Path, metavar="FILE", help="keep each flight there, and read those that it has")
     asked = parser.parse_args()
     kept: dict[int, Any] = {}
@@ -121,7 +123,7 @@ def main() -> None:
     for number in range(asked.first, asked.first + asked.flights):
         if number not in kept:
             try:
-                kept[number] = asdict(outcome(number, asked.known))
+                kept[number] = asdict(outcome(number, asked.known, asked.dense))
             except OrthoscaleError as error:
                 kept[number] = error.message
             if asked.rows:

@@ -1,11 +1,12 @@
 """The whole program on every real scene of known scale, with three fleets.
 
-    python benchmarks/places.py [BOXES] [--detector NETWORK.onnx] [--measurer MEASURER] [--scenes NAMES]
+    python benchmarks/places.py [BOXES] [--detector NETWORK.onnx] [--measurer MEASURER] [--scenes NAMES] [--quarters]
 
 The scenes are read from ``../shared/data`` or ``ORTHOSCALE_DATA``. With the folder BOXES, detector and measurer run
 once on each and the boxes are kept there. MEASURER is that of ``--measurer``, none for boxes of the detector alone.
 ``places/``, `boruszyn` and `weedon` had no part in anything that was fitted or chosen up to detector version 5; the
-other four had (README). Coverage comes with its own 90 % interval (Clopper and Pearson 1934).
+other four had (README). ``--quarters``: each orthophoto in four parts, small places of the same ground. Coverage comes
+with its own 90 % interval (Clopper and Pearson 1934).
 
 The last table is for the detector's card: how far the box bias of a place strays from the ruler's, which no number of
 boxes of that place tells. It is what the errors with the country's own fleet scatter by beyond sampling, fleet and
@@ -20,9 +21,10 @@ import json
 import os
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import beta
@@ -65,6 +67,22 @@ def scenes() -> list[Scene]:
     return sorted(found, key=lambda scene: (scene.name in CHOSEN_WITH, scene.name))
 
 
+def quarters(some: list[Scene], folder: Path) -> list[Scene]:
+    """The four quarters of each orthophoto, as files in `folder`, without georeferencing."""
+    parts = []
+    for scene in some:
+        if scene.path.is_dir():
+            continue
+        pixels = cv2.imread(str(scene.path))
+        height, width = pixels.shape[0] // 2, pixels.shape[1] // 2
+        for k in range(4):
+            path = folder / f"{scene.name}_{k}.png"
+            y, x = k // 2 * height, k % 2 * width
+            cv2.imwrite(str(path), pixels[y : y + height, x : x + width])
+            parts.append(replace(scene, path=path))
+    return parts
+
+
 def measured(scene: Scene, fleet: str, boxes: Path) -> tuple[float, float, float, float] | str:
     """Relative error of the scale and of both ends of its 90 % interval, and one sigma of it without the margin's part;
     or why there is none."""
@@ -105,15 +123,17 @@ def margins(own: dict[str, tuple[float, float]]) -> str:
     return table(("left out", "error [%]", "mean of the others [%]", "between places [%]", "would hold (90 %)"), rows)
 
 
-def main(folder: Path, names: set[str], **networks: str | Path | None) -> None:
+def main(some: list[Scene], folder: Path, **networks: str | Path | None) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     rows, errors, own = [], {}, {}
-    for scene in scenes():
-        if names and scene.name not in names:
-            continue
+    for scene in some:
         boxes = folder / f"{scene.name}.det.json"
         if not boxes.exists():
-            found = orthoscale.estimate(scene.path, fleet=scene.country, **networks).detections
+            try:
+                found = orthoscale.estimate(scene.path, fleet=scene.country, **networks).detections
+            except OrthoscaleError:
+                rows.append([scene.name, scene.country, *["too little"] * len(FLEETS)])
+                continue
             orthoscale.save_detections(found, boxes)
         row = [scene.name, scene.country]
         for fleet in FLEETS:
@@ -124,7 +144,7 @@ def main(folder: Path, names: set[str], **networks: str | Path | None) -> None:
             error, low, high, rest = got
             if fleet == "own":
                 own[scene.name] = float(np.log1p(error)), rest
-            errors.setdefault((fleet, scene.name in CHOSEN_WITH), []).append((error, low <= 0 <= high))
+            errors.setdefault((fleet, scene.name.startswith(CHOSEN_WITH)), []).append((error, low <= 0 <= high))
             row.append(
                 f"{100 * error:+.1f} ({100 * low:+.0f} to {100 * high:+.0f}){'' if low <= 0 <= high else ' **out**'}"
             )
@@ -158,7 +178,12 @@ if __name__ == "__main__":
     parser.add_argument("--detector", type=Path)
     parser.add_argument("--measurer")
     parser.add_argument("--scenes", default="", help="comma separated; all by default")
+    parser.add_argument("--quarters", action="store_true", help="of the orthophotos, each by itself")
     options = parser.parse_args()
     networks = {"detector": options.detector, "measurer": options.measurer}
+    names = set(filter(None, options.scenes.split(",")))
+    asked = [scene for scene in scenes() if not names or scene.name in names]
     with tempfile.TemporaryDirectory() as scratch:
-        main(options.boxes or Path(scratch), set(filter(None, options.scenes.split(","))), **networks)
+        if options.quarters:
+            asked = quarters(asked, Path(scratch))
+        main(asked, options.boxes or Path(scratch), **networks)

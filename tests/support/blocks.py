@@ -9,9 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pycolmap
+from scipy.spatial import cKDTree
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
@@ -36,6 +38,7 @@ LOWEST_ENCLOSED, MOST_CORNER = 0.1, 0.3  # [m], [of the width]
 SEEN = 0.8  # share of a vehicle's views in which it is found
 POINT_NOISE = 0.06  # [m] of a sparse point, and GRASS of those on rough ground, upwards
 GRASS = 0.15
+DENSE_PER_M2, DENSE_NOISE = 8.0, 0.04  # points of a dense cloud, thinned; their noise [m]
 
 
 @dataclass(frozen=True)
@@ -100,10 +103,16 @@ def exactly(fleet: Fleet) -> Fleet:
 
 
 def fly(
-    rng: np.random.Generator, fleet: Fleet, conditions: Conditions, unsure: bool = True, ruler: Ruler = RULER
+    rng: np.random.Generator,
+    fleet: Fleet,
+    conditions: Conditions,
+    unsure: bool = True,
+    ruler: Ruler = RULER,
+    dense: bool = False,
 ) -> Block:
     """One block. unsure : what is not known is off by as much as `fleet`, `ruler` and the program claim (`_Boxing`);
-    else all vehicles are the fleet's, and boxes are what the card says of them."""
+    else all vehicles are the fleet's, and boxes are what the card says of them. dense : a dense cloud of the same
+    ground lies beside it; all else is as without."""
     c = conditions
     terrain = _Terrain.drawn(rng, c)
     size, place, heading = _vehicles(rng, fleet, c, terrain, unsure)
@@ -117,7 +126,11 @@ def fly(
     cameras = _cameras(rng, c)
     world = Similarity.drawn(rng, float(np.exp(rng.uniform(np.log(0.1), np.log(20)))))
     stretch = np.array([1.0, 1.0, 1 + c.focal])  # what a longer focal length does to a model seen straight from above
-    source = _source(world, cameras, stretch, _sparse(rng, c, terrain, place), focal * (1 + c.focal))
+    sparse, things = _sparse(rng, c, terrain, place)
+    source = _source(world, cameras, stretch, sparse, focal * (1 + c.focal))
+    if dense:
+        cloud = _dense(np.random.default_rng(len(sparse)), c, terrain, things, size, place, axes)
+        source = replace(source, cloud=_Cloud(world.points(cloud * stretch)))
 
     boxing = _Boxing.drawn(rng, ruler) if unsure else _Boxing()
     outlines = [place[:, None] + (plan * boxing.seen(size)[:, None]) @ axes for plan, _ in boxing.bodies]
@@ -288,8 +301,19 @@ def _cameras(rng: np.random.Generator, c: Conditions) -> list[tuple[np.ndarray, 
     return [looking(*pose) for pose in poses]
 
 
-def _sparse(rng: np.random.Generator, c: Conditions, terrain: _Terrain, vehicles: np.ndarray) -> np.ndarray:
-    """(points, 3) sparse points [m]: the ground, roofs, crowns, vehicles, and strays."""
+class _Things(NamedTuple):
+    """Roofs or crowns: (K, 2) middles, their radius, (K,) tops over the ground and their roughness [m]."""
+
+    middles: np.ndarray
+    reach: float
+    tops: np.ndarray
+    rough: float
+
+
+def _sparse(
+    rng: np.random.Generator, c: Conditions, terrain: _Terrain, vehicles: np.ndarray
+) -> tuple[np.ndarray, list[_Things]]:
+    """(points, 3) sparse points [m]: the ground, roofs, crowns, vehicles, and strays; and the roofs and crowns."""
     half = 0.7 * c.extent
     xy = rng.uniform(-half, half, (6 * c.points, 2))
     roofs = rng.uniform(-half, half, (int(c.roofs * 4 * half**2 / 120) + 1, 2))
@@ -304,19 +328,63 @@ def _sparse(rng: np.random.Generator, c: Conditions, terrain: _Terrain, vehicles
     chance = np.where(nearest < 12, 1 - c.bare, 1.0) * 0.3
     car = nearest < 1.0
     over[car], chance[car] = rng.uniform(0.6, 1.5, int(car.sum())), 0.3
+    things = []
     for middles, reach, low, high, rough in ((roofs, 5.0, 3.0, 8.0, 0.15), (crowns, 3.0, 3.0, 12.0, 1.2)):
         if not len(middles):
             continue
         apart = np.linalg.norm(xy[:, None] - middles, axis=2)
         here, which = apart.min(1) < reach, apart.argmin(1)
-        top = rng.uniform(low, high, len(middles))[which]
-        over[here] = (top * rng.uniform(0.7, 1.0, len(xy)) + rng.normal(0, rough, len(xy)))[here]
+        things.append(_Things(middles, reach, rng.uniform(low, high, len(middles)), rough))
+        over[here] = (things[-1].tops[which] * rng.uniform(0.7, 1.0, len(xy)) + rng.normal(0, rough, len(xy)))[here]
         chance[here] = 1.0
     chosen = np.flatnonzero(rng.random(len(xy)) < chance)[: c.points]
     points = np.column_stack([xy[chosen], terrain(xy[chosen]) + over[chosen]])
     stray = rng.random(len(points)) < 0.02
     points[stray, 2] += rng.normal(0, 0.1 * c.altitude, int(stray.sum()))
-    return points
+    return points, things
+
+
+def _dense(
+    rng: np.random.Generator,
+    c: Conditions,
+    terrain: _Terrain,
+    things: list[_Things],
+    size: np.ndarray,
+    place: np.ndarray,
+    axes: np.ndarray,
+) -> np.ndarray:
+    """(N, 3) points of a dense cloud [m]: ground, bodies of vehicles of `size` at `place` along `axes`, the `things`,
+    1 % strays half of which lie up to metres under the ground, and holes where nothing matched."""
+    half = 0.7 * c.extent
+    xy = rng.uniform(-half, half, (int(DENSE_PER_M2 * 4 * half**2), 2))
+    holes = rng.uniform(-half, half, (30, 2))
+    xy = xy[cKDTree(holes).query(xy)[0] > rng.uniform(1, 6)]
+    over = rng.normal(0, DENSE_NOISE, len(xy)) + rng.exponential(GRASS, len(xy)) * (rng.random(len(xy)) < 0.3)
+    near = cKDTree(xy).query_ball_point(place, 4.0)
+    for some, its_size, its_place, its_axes in zip(near, size, place, axes, strict=True):
+        along = np.abs((xy[some] - its_place) @ its_axes.T) / (its_size / 2)
+        body = np.array(some, int)[(along < 1).all(1)]
+        over[body] = rng.uniform(0.7, 1.5, len(body))
+    for middles, reach, tops, rough in things:
+        apart, which = cKDTree(middles).query(xy)
+        here = apart < reach
+        over[here] = (tops[which] * rng.uniform(0.7, 1.0, len(xy)) + rng.normal(0, rough, len(xy)))[here]
+    stray = rng.random(len(xy)) < 0.01
+    over[stray] += rng.choice([-1, 1], int(stray.sum())) * rng.exponential(2.0, int(stray.sum()))
+    return np.column_stack([xy, terrain(xy) + over])
+
+
+@dataclass(frozen=True)
+class _Cloud:
+    """What `dense_cloud.DenseCloud` is of a file. points : (N, 3) [model units]."""
+
+    points: np.ndarray
+    named: bool = True
+    what: str = "the dense cloud"
+    path: Path = Path("simulated.ply")
+
+    def blocks(self) -> list[np.ndarray]:
+        return np.array_split(self.points, 8)
 
 
 def _source(
