@@ -63,12 +63,13 @@ SAID = {
     "also": ("tfw",),
     "force": True,
     "dense": True,
+    "ground_cloud": "cloud.ply",
     "report": "json",
 }
 OF_DETECTOR = {"detector", "decoder", "zoom", "gsd_hint"} | {
     *("refine", "fast", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
 }
-OF_MODEL = {"mode", "images", "projection", "dense"}
+OF_MODEL = {"mode", "images", "projection", "dense", "ground_cloud"}
 OF_ORTHOPHOTO = {"fast", "target", "keep_origin", "cog", "also"}
 
 
