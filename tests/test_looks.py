@@ -36,9 +36,9 @@ def test_both_looks_agree_and_are_pooled(measured):
     assert planar == pytest.approx(oblique, rel=0.02)
     assert min(oblique, planar) <= measured.scale.value <= max(oblique, planar)
     assert not measured.agreement.contradicts and "planar gives" in measured.scale.remarks[-1].text
-    parts = measured.scale.parts
-    for name, part in parts.items():
-        assert part >= min(s.parts[name] for s in measured.agreement.scales.values()) - 1e-12, "nothing got narrower"
+    for name in ("sampling", "fleet", "margin"):  # of the geometry each look has errors of its own
+        part = measured.scale.parts[name]
+        assert part >= min(s.parts[name] for s in measured.agreement.scales.values()) - 1e-12, f"{name} got narrower"
 
 
 @pytest.mark.slow
