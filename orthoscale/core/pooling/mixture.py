@@ -492,7 +492,7 @@ def _solved(problems: Sequence[_Problem], starts: Sequence[_Solved], steps: int)
         inside[going] = basis.transpose(0, 2, 1) @ whole @ basis
         free = np.linalg.solve(inside[going], np.einsum("vu,vuw->vw", right, basis)[..., None])
         moved = (basis @ free)[..., 0]
-        own, larger, lorries, vehicles = found[:classes], *found[classes:], found.sum(0)
+        own, (larger, lorries), vehicles = found[:classes], found[classes:], found.sum(0)
         after = [*own, own.sum(0), larger, vehicles - lorries, lorries, vehicles, count - vehicles]
         after = told * np.column_stack([*after, called])
         after += start.prior[going]
