@@ -31,7 +31,7 @@ from scipy.stats import beta
 
 import orthoscale
 from orthoscale.core.pooling.posterior import Z90
-from orthoscale.errors import EvidenceDisagrees, OrthoscaleError
+from orthoscale.errors import EvidenceDisagrees, OrthoscaleError, TooLittleEvidence
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -83,14 +83,19 @@ def quarters(some: list[Scene], folder: Path) -> list[Scene]:
     return parts
 
 
+def unanswered(error: OrthoscaleError) -> str:
+    """Why there is no scale, in the table's words."""
+    return "contradiction" if isinstance(error, EvidenceDisagrees) else "too little"
+
+
 def measured(scene: Scene, fleet: str, boxes: Path) -> tuple[float, float, float, float] | str:
     """Relative error of the scale and of both ends of its 90 % interval, and one sigma of it without the margin's part;
     or why there is none."""
     try:
         result = orthoscale.estimate(scene.path, fleet=fleet, detections=boxes)
         result.require_useful()
-    except OrthoscaleError as error:
-        return "contradiction" if isinstance(error, EvidenceDisagrees) else "too little"
+    except (EvidenceDisagrees, TooLittleEvidence) as error:
+        return unanswered(error)
     scale = result.scale
     rest = np.sqrt(sum(v**2 for name, v in scale.parts.items() if name != "margin"))
     return (*(float(v / scene.truth - 1) for v in (scale.value, *scale.interval90)), float(rest))
@@ -131,8 +136,8 @@ def main(some: list[Scene], folder: Path, **networks: str | Path | None) -> None
         if not boxes.exists():
             try:
                 found = orthoscale.estimate(scene.path, fleet=scene.country, **networks).detections
-            except OrthoscaleError:
-                rows.append([scene.name, scene.country, *["too little"] * len(FLEETS)])
+            except (EvidenceDisagrees, TooLittleEvidence) as error:
+                rows.append([scene.name, scene.country, *[unanswered(error)] * len(FLEETS)])
                 continue
             orthoscale.save_detections(found, boxes)
         row = [scene.name, scene.country]

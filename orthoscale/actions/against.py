@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.evidence import BY_MAP, Evidence
+from ..core.progress import Progress
 from ..core.source import Picture, Placement, PosedSet, Source
-from ..detect.find import Progress
 from ..errors import TooLittleEvidence
 
 if TYPE_CHECKING:

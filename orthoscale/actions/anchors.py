@@ -15,9 +15,10 @@ from ..core.anchors import Anchor, AnchorVote, Standard
 from ..core.measuring.anchors import votes_in_model, votes_in_plan
 from ..core.measuring.without_vehicles import FEWEST_KINDS
 from ..core.pooling.posterior import Z90
+from ..core.progress import Progress
 from ..core.scale import Scale
 from ..core.source import GroundView, Picture, Source
-from ..detect.find import Effort, Progress
+from ..detect.find import Effort
 from ..detect.workers import worker_count
 from ..errors import UsageError, shown
 from ..formats.points import number

@@ -14,13 +14,13 @@ from ..core.detections import UNKNOWN_RULER
 from ..core.fleet import Fleet
 from ..core.pooling.posterior import ROBUST_SD
 from ..core.pooling.robust import pool
+from ..core.progress import Progress
 from ..core.projection.planar import ground_size
 from ..core.ruler import Ruler
 from ..core.scale import PER_PIXEL
 from ..core.source import Plan
 from ..core.votes import gather
 from ..detect.detector import Detector
-from ..detect.find import Progress
 from ..detect.tiles import sweep
 from ..detect.zoom import check_zoom
 from ..errors import InputError, TooLittleEvidence, UsageError

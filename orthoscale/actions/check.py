@@ -10,15 +10,14 @@ from ..core.brief import Brief
 from ..core.claims import Comparison, own_claim
 from ..core.source import Source
 from ..errors import UsageError
-from ..sources.opening import open_source
-from .estimate import measured
+from .estimate import measured, source_of
 from .requests import EstimateRequest
 from .result import Result
 
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from ..detect.find import Progress
+    from ..core.progress import Progress
     from .requests import EstimateOptions
 
 
@@ -65,11 +64,7 @@ def check(
 
 def checked(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Checked:
     """What `request` asks of the input at `path`; see `check`."""
-    source = (
-        open_source(path, request.images, request.detections is None, request.ground_cloud, progress)
-        if isinstance(path, (str, Path))
-        else path
-    )
+    source = source_of(path, request, request.detections is None, progress)
     claimed = source.claimed
     if claimed is None or claimed.gsd_m is None:
         why = "" if claimed is None else f": {claimed.why}"

@@ -26,9 +26,10 @@ from ..core.measuring.planar_sweep import SweepGeometry
 from ..core.measuring.ways import measure_source
 from ..core.measuring.without_vehicles import measured_without_vehicles
 from ..core.pooling.anchors import evidence_of
+from ..core.progress import Progress
 from ..core.source import Source
 from ..detect.detector import Detector
-from ..detect.find import Effort, Progress
+from ..detect.find import Effort
 from ..detect.refine import refined
 from ..detect.workers import worker_count
 from ..detect.zoom import told_zoom
@@ -111,6 +112,16 @@ class Opened:
     satellite: Satellite | None = None
 
 
+def source_of(
+    path: str | Path | Source, request: EstimateRequest, need_images: bool = True, progress: Progress | None = None
+) -> Source:
+    """The input at `path` as `request` wants it opened; a source stays what it is. progress : told how far its dense
+    cloud was read. Raises InputError, UsageError."""
+    if not isinstance(path, (str, Path)):
+        return path
+    return open_source(path, request.images, need_images, request.ground_cloud, progress)
+
+
 def opened(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Opened:
     """All that `request` names for the input at `path`. progress : told how far its dense cloud was read.
 
@@ -120,11 +131,7 @@ def opened(path: str | Path | Source, request: EstimateRequest, progress: Progre
     named = named_fleet(request.fleet, known)
     from_file = request.detections is not None
     needs_pictures = not from_file or request.measures is not None
-    source = (
-        open_source(path, request.images, needs_pictures, request.ground_cloud, progress)
-        if isinstance(path, (str, Path))
-        else path
-    )
+    source = source_of(path, request, needs_pictures, progress)
     fleet, why = (named, ()) if named is not None else fleet_at(location_of(source))
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)

@@ -12,10 +12,11 @@ import numpy as np
 
 from ..core.detections import Detections
 from ..core.measuring.ways import BOTH, OBLIQUE, PLANAR
+from ..core.progress import Progress
 from ..core.source import GroundView, PosedSet, Source
 from ..detect.cover import FEW_FRAMES, Cover, covering, places_seen, seen_from_above
 from ..detect.detector import Detector
-from ..detect.find import ZOOM_FRAMES, Effort, Progress, find_vehicles, find_zoom
+from ..detect.find import ZOOM_FRAMES, Effort, find_vehicles, find_zoom
 from ..detect.measurer import Measurer
 from ..detect.remeasure import remeasured
 from ..errors import EvidenceDisagrees, TooLittleEvidence

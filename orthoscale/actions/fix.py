@@ -14,16 +14,15 @@ from ..errors import Incomplete, UsageError
 from ..formats.detections import check_name, save
 from ..report.extras import WRITERS, chosen
 from ..report.files import write_report
-from ..sources.opening import open_source
 from ..system.outputs import Outputs
-from .estimate import measured
+from .estimate import measured, source_of
 from .requests import FixRequest
 from .result import Result
 
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from ..detect.find import Progress
+    from ..core.progress import Progress
     from .requests import FixOptions
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
@@ -120,7 +119,7 @@ def _begin(
     if save_detections is not None:
         check_name(save_detections)
         outputs.check(save_detections)
-    source = open_source(path, request.images, request.detections is None, request.ground_cloud, progress)
+    source = source_of(path, request, request.detections is None, progress)
     request.check_for(source)
     writer = _writer(source, out, request)
     if source.metric_already and not request.override:  # not behind its owner's back

@@ -7,28 +7,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ..core.progress import Progress
 from ..core.scale import Scale
 from ..core.source import Source
-from ..detect.find import Progress
 from ..errors import TooLittleEvidence, UsageError
 from ..report.anchor_sheet import draw_anchors
 from ..report.anchors import entries, write_anchor_layer
 from ..report.document import write_json
-from ..sources.opening import open_source
 from .anchors import MOST_SOUGHT, Searched, Wanted, anchors_at, look_for_anchors, own_standards
-from .estimate import effort_of, measured
+from .estimate import effort_of, measured, source_of
 from .requests import EstimateRequest
 from .whose import country_of, named_fleet
 
-WITH_A_SCALE = (
-    "fleet",
-    "images",
-    "ground_cloud",
-    "anchors",
-    "anchor",
-    "workers",
-    "cache",
-)  # options that matter where it is told
+# Options that matter where the scale is told.
+WITH_A_SCALE = ("fleet", "images", "ground_cloud", "anchors", "anchor", "workers", "cache")
 FORMAT_OF_LISTS = "orthoscale anchors 1"
 FILES_OF_LISTS = (".png", ".json", ".gpkg")
 OTHER_FORMS = (".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".pdf", ".svg", ".html", ".csv", ".txt",
@@ -111,11 +103,7 @@ def list_anchors(
     if not (scale > 0 and math.isfinite(scale)):
         raise UsageError(f"--scale must be a positive number, not {scale}")
     request.refuse_others(WITH_A_SCALE, "--scale says how large the input is: no vehicles are measured")
-    source = (
-        open_source(path, request.images, ground_cloud=request.ground_cloud, progress=progress)
-        if isinstance(path, (str, Path))
-        else path
-    )
+    source = source_of(path, request, progress=progress)
     request.check_for(source)
     country = country_of(source, named_fleet(request.fleet, None))
     found = anchors_at(source, scale, MOST_SOUGHT / 4, Wanted(request.anchors, own, country, effort, progress))

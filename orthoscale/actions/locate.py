@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.brief import Brief
-from ..detect.find import Progress
+from ..core.progress import Progress
 from ..errors import OrthoscaleError, TooLittleEvidence, UsageError
 from ..locate.claimed import ClaimedScale, claimed_scales
 from ..locate.features import Features, GradientFeatures

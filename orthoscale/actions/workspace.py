@@ -18,7 +18,7 @@ from .requests import EstimateRequest, FixRequest
 from .result import Result
 
 if TYPE_CHECKING:
-    from ..detect.find import Progress
+    from ..core.progress import Progress
 
 # What may befall one model and leave the others what they are.
 OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError)

@@ -12,7 +12,7 @@ ZEBRA_PAINTED = 0.015  # one sigma of a crossing's period about its rule: those 
 ZEBRA_ABOUT = 0.03  # where the rule gives a range or says about, or where none is known
 
 
-def votes(rules: Sequence[Standard]) -> dict[str, dict[Standard, float]]:
+def by_country(rules: Sequence[Standard]) -> dict[str, dict[Standard, float]]:
     """For each country that `rules` name what share of its crossings each of its rules has; they sum to 1."""
     named = dict.fromkeys(country for rule in rules for country in rule.countries)
     own = {country: [rule for rule in rules if country in rule.countries] for country in named}
@@ -25,20 +25,20 @@ def votes(rules: Sequence[Standard]) -> dict[str, dict[Standard, float]]:
 def elsewhere(rules: Sequence[Standard]) -> tuple[Standard, ...]:
     """What to expect where no rule is known: the periods of `rules`, each as likely as it is among the countries that
     they name, one vote each. A period's sigma is that of the rules that have it (rms), at least ZEBRA_ABOUT."""
-    voting = votes(rules)
+    countries = by_country(rules)
     found = []
     for metres in sorted({rule.metres for rule in rules}):
         of_it = [
             (vote, rule.relative_sd)
-            for shares in voting.values()
+            for shares in countries.values()
             for rule, vote in shares.items()
             if rule.metres == metres
         ]
         vote, sd = np.array(of_it).T
         spread = max(float(np.sqrt(np.average(sd**2, weights=vote))), ZEBRA_ABOUT)
         name = f"stripe and gap together about {metres:.2f} m"
-        source = f"rules of {vote.sum():.1f} of the {len(voting)} countries above, shared where one has several"
-        found.append(Standard(name, metres, spread, source, float(vote.sum()) / len(voting)))
+        source = f"rules of {vote.sum():.1f} of the {len(countries)} countries above, shared where one has several"
+        found.append(Standard(name, metres, spread, source, float(vote.sum()) / len(countries)))
     return tuple(found)
 
 
@@ -128,7 +128,7 @@ ZEBRA_FREE = ("US", "CA", "GB", "IE", "MX", "CO")
 has stripes of 500 to 715 mm; resolution 1885 of 2015 (Colombia, sojuridica.com) stripes of 40 to 50 cm, gaps of 40 to
 100. Nothing is searched there."""
 
-ZEBRA_LEFT_FREE = len(ZEBRA_FREE) / len({*ZEBRA_FREE, *votes(ZEBRA_RULES)})
+ZEBRA_LEFT_FREE = len(ZEBRA_FREE) / len({*ZEBRA_FREE, *by_country(ZEBRA_RULES)})
 """Share of the countries above whose rule leaves the period free: as probable is that where no rule is known."""
 
 ZEBRA_STANDARDS = (*ZEBRA_RULES, *elsewhere(ZEBRA_RULES))

@@ -70,8 +70,8 @@ def check(
     vehicles that both show.
     """
     from ..actions.check import checked
+    from ..actions.estimate import source_of
     from ..formats.detections import check_name, save
-    from ..sources.opening import open_source
     from ..system.outputs import Outputs
 
     refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summary)
@@ -94,7 +94,7 @@ def check(
         if save_detections is not None:
             check_name(save_detections)
             saved = outputs.file(save_detections)
-        source = open_source(path, request.images, request.detections is None, request.ground_cloud, progress)
+        source = source_of(path, request, request.detections is None, progress)
         outputs.protect(*source.files)
         outcome = checked(source, request, progress)
         if save_detections is not None:

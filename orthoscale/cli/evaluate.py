@@ -29,7 +29,7 @@ from .options import (
 if TYPE_CHECKING:
     from ..core.detections import Detections
     from ..core.fleet import Fleet
-    from ..detect.find import Progress
+    from ..core.progress import Progress
     from ..evaluate.readers import Sample
 
 

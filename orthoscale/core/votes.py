@@ -89,8 +89,7 @@ def gather(
         labels = same_place(place, SAME_PLACE * width)
         if picture is not None:
             labels = _joined(labels, place, picture, LEAST_APART * width)
-    views = np.bincount(labels)
-    members = np.split(np.argsort(labels, kind="stable"), np.cumsum(views)[:-1]) if len(size) else []
+    views, members = np.bincount(labels), _groups(labels)
     alone = views == 1
 
     def over(values: np.ndarray, summary=np.median) -> np.ndarray:
@@ -113,19 +112,24 @@ def gather(
     )
 
 
+def _groups(labels: np.ndarray) -> list[np.ndarray]:
+    """The numbers of the boxes of each label, 0, 1, 2 ..., of `labels` (M,)."""
+    return np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1]) if len(labels) else []
+
+
 def _joined(labels: np.ndarray, place: np.ndarray, picture: np.ndarray, least: float) -> np.ndarray:
     """(M,) `labels` of groups of boxes, where two are one if their middles at `place` (M, D) lie closer than `least`,
     each is the nearest to the other, and no `picture` (M,) shows both."""
     from scipy.spatial import cKDTree
 
-    number = int(labels.max()) + 1
-    if number < 2:
+    groups = _groups(labels)
+    if len(groups) < 2:
         return labels
-    middle = np.array([np.median(place[labels == k], axis=0) for k in range(number)])
+    middle = np.array([np.median(place[group], axis=0) for group in groups])
     distance, nearest = (found[:, 1] for found in cKDTree(middle).query(middle, k=2))
-    target = np.arange(number)
+    target = np.arange(len(groups))
     for k in np.flatnonzero((distance < least) & (nearest[nearest] == target) & (target < nearest)):
-        if not np.isin(picture[labels == k], picture[labels == nearest[k]]).any():
+        if not np.isin(picture[groups[k]], picture[groups[nearest[k]]]).any():
             target[nearest[k]] = k
     return np.unique(target[labels], return_inverse=True)[1]
 

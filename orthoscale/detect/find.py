@@ -27,9 +27,9 @@ from .workers import cores, visitor, worker_count
 from .zoom import ZoomChoice, search_zoom
 
 if TYPE_CHECKING:
-    from ..core.source import Picture
+    from ..core.progress import Progress
+from ..core.source import Picture
 
-Progress = Callable[[str, int, int], None]  # what, done, total
 WHY_EQUAL = "things of one size that stand together, as solar panels or graves do"
 WHY_SELDOM = "of about their size the two passes agree on few, as on mistakes"
 ZOOM_FRAMES = 200  # of a model, in which the scale search looks: its windows are in as many at most but for the lowest

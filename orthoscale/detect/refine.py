@@ -16,8 +16,8 @@ import numpy as np
 
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.detections import Tile
+from ..core.progress import Progress
 from ..core.source import Picture
-from .find import Progress
 from .tiles import Detect, place, read, tiles
 
 FEWEST_VIEWS = 3  # views of a vehicle, the first included, from which a median says more than a single box

@@ -18,11 +18,12 @@ import numpy as np
 from ..core.boxes import Boxes, distinct, overlap
 from ..core.detections import Detections
 from ..core.pooling.posterior import ROBUST_SD
+from ..core.progress import Progress
 from ..core.ruler import Ruler
 from ..core.source import Picture
 from .cache import Kept, as_text, content_key
 from .enlarged import enlargement
-from .find import Effort, Progress
+from .find import Effort
 from .measurer import Measured, Measurer
 from .workers import worker_count
 

@@ -13,7 +13,7 @@ import numpy as np
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.pooling.paper import MIN_SCORE, MIN_VEHICLES
-from ..detect.find import Progress
+from ..core.progress import Progress
 from ..errors import InputError, TooLittleEvidence
 from ..photos.depth.maps import Depths
 from ..photos.tables import write_csv

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..core.pooling.posterior import Z90
-from ..detect.find import Progress
+from ..core.progress import Progress
 from ..errors import InputError, OrthoscaleError, TooLittleEvidence, UsageError
 from ..photos.lens import lens_of
 from ..photos.looking import Looking, boxes_of

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..detect.find import Progress
+from ..core.progress import Progress
 from ..errors import TooLittleEvidence
 from ..sources.picture_file import PictureFile
 from .looking import Looking, boxes_of

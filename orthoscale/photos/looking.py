@@ -10,8 +10,8 @@ from ..actions.requests import PhotoRequest
 from ..actions.whose import fleet_at, named_fleet
 from ..core.detections import Detections
 from ..core.fleet import Fleet
+from ..core.progress import Progress
 from ..core.remarks import Remark
-from ..detect.find import Progress
 from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from ..formats.calibration import load_calibration

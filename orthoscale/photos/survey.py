@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from typing import Unpack
 
     from ..actions.requests import PhotoOptions
-    from ..detect.find import Progress
+    from ..core.progress import Progress
 
 LINES_SHOWN = 6  # photos that printing a survey lists
 SAME_FOCAL = 0.001  # relative difference of focal lengths up to which photos are of one lens

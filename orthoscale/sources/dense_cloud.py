@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.progress import Progress
 from ..core.remarks import INFO, Remark
 from ..errors import InputError
 from ..formats.geometry.dense import DEPTH_KINDS, find_dense, read_depth_map, sparse_folders
 from ..formats.geometry.ply import points_in
 from .colmap_check import open_model
 from .colmap_write import read_model
-
-Progress = Callable[[str, int, int], None]  # what, done, total
 
 NO_CLOUD = "none"  # instead of a file: the sparse points alone
 MOST_DENSE_POINTS = 10_000_000  # that are looked at; more make the ground no better known

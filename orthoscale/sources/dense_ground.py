@@ -42,11 +42,11 @@ def dense_ground(sparse: Ground, points: np.ndarray, centres: np.ndarray, blocks
     grid = _Cells(sparse, points)
     for block in blocks:
         grid.add(block)
+    level, known = grid.levels()
     cell, layer, inside = grid.find(points)
-    apart = grid.check(cell[inside], layer[inside])
-    covered = np.zeros(len(points), bool)
-    covered[inside] = grid.levels()[1][cell[inside]]
-    ground = Ground.fit(np.concatenate([grid.lowest(), points[~covered]]), centres)
+    covered = inside & known[cell]
+    apart = grid.check(level, cell[covered], layer[covered], int(inside.sum()))
+    ground = Ground.fit(np.concatenate([grid.lifted(level)[known], points[~covered]]), centres)
     return ground.unsure(float(np.hypot(SMOOTH_SD * ground.camera_height, apart)))
 
 
@@ -62,10 +62,8 @@ class _Cells:
         self.side = max(CELL_SIDE * height, float(np.sqrt(extent.prod() / MOST_DENSE_CELLS)))
         self.shape = np.ceil(extent / self.side).astype(int)
         self.layer = LAYER_HEIGHT * height
-        middles = (
-            np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), -1).reshape(-1, 2) + 0.5
-        ) * self.side
-        self.middle = ground.lift(self.low + middles)  # (cells, 3) on the sheet
+        cells = np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), -1).reshape(-1, 2)
+        self.middle = ground.lift(self.low + (cells + 0.5) * self.side)  # (cells, 3) on the sheet
         self.base = self.middle @ ground.up + LOWEST_LAYER * height
         self.count = np.zeros((len(self.base), LAYERS_OF_CELL), np.int32)
 
@@ -98,21 +96,17 @@ class _Cells:
         level = start + (within * (np.arange(LEVEL_LAYERS) + 0.5)).sum(1) / np.maximum(within.sum(1), 1)
         return level, (total >= FEWEST_IN_CELL) & enough.any(1)
 
-    def lowest(self) -> np.ndarray:
-        """(K, 3) a point on the lowest level of each cell that has one, over the cell's middle."""
-        level, known = self.levels()
+    def lifted(self, level: np.ndarray) -> np.ndarray:
+        """(cells, 3) the points on each cell's `level` (cells,), over its middle."""
         over = LOWEST_LAYER * self.ground.camera_height + level * self.layer
-        return (self.middle + over[:, None] * self.ground.up)[known]
+        return self.middle + over[:, None] * self.ground.up
 
-    def check(self, cell: np.ndarray, layer: np.ndarray) -> float:
-        """By how much the levels lie off the sparse points, those in `cell` and `layer` (N,) [units]. Raises
-        InputError where the cloud is not of them."""
-        level, known = self.levels()
-        shown = known[cell]
-        if shown.sum() < max(COVERED_SHARE * len(cell), FEWEST_COVERED):
-            text = f"it shows the surroundings of {shown.sum()} of {len(cell)} sparse points only"
+    def check(self, level: np.ndarray, cell: np.ndarray, layer: np.ndarray, number: int) -> float:
+        """By how much the levels (cells,) lie off those of `number` sparse points that are in cells that have one, in
+        `cell` and `layer` (N,) [units]. Raises InputError where the cloud is not of them."""
+        if len(cell) < max(COVERED_SHARE * number, FEWEST_COVERED):
+            text = f"it shows the surroundings of {len(cell)} of {number} sparse points only"
             raise InputError(text, NOT_ITS_OWN)
-        cell, layer = cell[shown], layer[shown]
         around = np.clip(layer[:, None] + np.arange(-NEAR_LAYERS, NEAR_LAYERS + 1), 0, LAYERS_OF_CELL - 1)
         near = (self.count[cell[:, None], around] > 0).any(1)
         over = layer + 0.5 - level[cell]

@@ -13,8 +13,8 @@ from ..formats.geometry.text_models import SUFFIXES
 from .exchange_files import find_exchange
 
 if TYPE_CHECKING:
+    from ..core.progress import Progress
     from .colmap import ColmapSource
-    from .dense_cloud import Progress
 
 
 def open_source(

@@ -56,8 +56,8 @@ LORRIES = Class(
 )  # fmt: skip
 BESIDE_FLEET = (LARGER, LORRIES)  # the classes beside a fleet's own
 LORRIES_SHARE = 0.03  # of the vehicles: 19 of 521 boxes of eight orthophotos are longer than 5.9 m, none American
-# That share is known as if it had been counted on so many: 0.01 to 0.06 at the places of those boxes that have ten or
-# more. Where most vehicles would be lorries, it is the scale that is wrong.
+# That share is known as if it had been counted on so many: it is 0 to 0.06 at the six of those places that have more
+# than 20 boxes. Where most vehicles would be lorries, it is the scale that is wrong.
 LORRIES_VEHICLES = 100.0
 # The share of LARGER at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe
 # (ACEA: 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long vehicles already; some

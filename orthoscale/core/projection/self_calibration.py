@@ -159,7 +159,7 @@ class OwnRuler:
 
         These are found together and may err against each other: their squares add up to what they leave together.
         """
-        share = np.nanmedian(slopes / size[..., None], axis=0)  # (2 axes, 5)
+        share = _median_share(size, slopes)
         together = np.einsum("ki,kij,kj->k", share, self.covariance, share)
         alone = (share * self.sd) ** 2
         return np.sqrt(alone * (together / np.maximum(alone.sum(1), 1e-30))[:, None])
@@ -172,7 +172,7 @@ class OwnRuler:
         None below zero: two errors that cancel in a mean would be more than is known of bodies.
         """
         bodies = [HEIGHT, UNDERCUT, LEAN, CORNER]
-        share = np.nanmedian(slopes / size[..., None], axis=0)[:, bodies]  # (2 axes, 4)
+        share = _median_share(size, slopes)[:, bodies]
         covariance = self.covariance[:, bodies][:, :, bodies]
         with_height = np.einsum("ki,ki->k", share, covariance[:, :, 0])
         variance = np.einsum("ki,kij,kj->k", share, covariance, share)
@@ -191,6 +191,12 @@ class OwnRuler:
                 for k, name in enumerate(("effective_height", "margin_px", "undercut", "lean_per_m", "corner"))
             },
         }
+
+
+def _median_share(size: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """(2 axes, 5) by what share the usual one of sizes (N, 2) is smaller for one more of each of a ruler's values, by
+    their `slopes` (N, 2, 5)."""
+    return np.nanmedian(slopes / size[..., None], axis=0)
 
 
 def own_ruler(

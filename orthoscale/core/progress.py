@@ -1,0 +1,8 @@
+"""How work tells how far it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+Progress = Callable[[str, int, int], None]
+"""Told what is done, how many of its steps are, and of how many."""
