@@ -23,6 +23,10 @@ SHARPEST = 126.0  # a vehicle's length on the sensor, at most [px]: as many as t
 REACH = 2.9  # side of a window in vehicle lengths: a crop 1.35 times too large lies inside at any turn
 GLARE = 0.3  # share of the lenses that scatter light widely: what is overexposed grows by it
 OVEREXPOSED = 0.12  # share of the pictures whose exposure suits the shade
+# Share of the pictures whose contrast was stretched until shadows are black, as it is in orthophotos; dark paint in or
+# beside them then is, too. And the quantiles of a window's light that become black.
+STRETCHED = 0.35
+DARKEST = (0.01, 0.2)
 CUT = 0.06  # share of the windows that end within the vehicle's surroundings: the picture's edge
 
 
@@ -127,6 +131,12 @@ def tone(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return x * gain + (np.float32(shift) - np.float32(0.45) * gain)
 
 
+def stretch(x: np.ndarray, darkest: float, share: float = 1.0) -> np.ndarray:
+    """`x` with contrast stretched: what is as dark as its `darkest` quantile is black, or only by a `share` of that."""
+    black = np.float32(share * np.quantile(cv2.cvtColor(x, cv2.COLOR_RGB2GRAY), darkest))
+    return (x - black) / max(np.float32(1) - black, np.float32(0.2))
+
+
 def develop(light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Linear light to a display's numbers, 0..1: exposure, veil, a shoulder of random softness, gamma."""
     veil = rng.uniform(0.02, 0.5) if rng.random() < 0.25 else 0.0
@@ -140,6 +150,8 @@ def develop(light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def finish(x: np.ndarray, rng: np.random.Generator, strength: float) -> np.ndarray:
     """What is done to a picture after it was taken. strength : factor on the chances of all but JPEG."""
+    if rng.random() < STRETCHED * strength:
+        x = stretch(x, rng.uniform(*DARKEST), rng.uniform(0.6, 1.1))
     if rng.random() < 0.6 * strength:
         x = tone(x, rng)
     if rng.random() < 0.35 * strength:

@@ -33,7 +33,7 @@ from orthoscale.fleets import load_fleet
 from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
 from training.kinds import LABELS as KINDS_BY_EYE
 
-from .chain import photograph, pyramid, sharpen
+from .chain import photograph, pyramid, sharpen, stretch
 from .confusion import card_entries
 from .crops import HELD_OUT, proposal
 from .real import READ as LEARNT
@@ -206,6 +206,7 @@ CHANGES: dict[str, Change] = {
     "JPEG 40": _jpeg(40),
     "darker": _floating(lambda x: 0.75 * x**1.4),
     "brighter": _floating(lambda x: np.clip(1.25 * x**0.75, 0, 1)),
+    "shadows black": _floating(lambda x: stretch(x, 0.1)),
     "grey": lambda x: np.repeat(cv2.cvtColor(x, cv2.COLOR_RGB2GRAY)[..., None], 3, 2),
     "quarter turn": lambda x: np.ascontiguousarray(np.rot90(x)),
     "mirror": lambda x: np.ascontiguousarray(x[:, ::-1]),

@@ -27,7 +27,7 @@ DEGREES_OF_FREEDOM = 4.0  # of Student's t, so that a few gross errors do not ru
 # standard deviation: one standard deviation as users take it is 1.1 of the scale.
 SIGMA_PER_SCALE = 1.1
 TURN_SCALE = 0.1  # [rad] of the turn's output
-KIND = 1.0  # weight of the kinds' part of the loss; an edge's part is 0.5 to 0.6 by itself
+KIND = 0.3  # weight of the kinds' part of the loss; an edge's part is 0.5 to 0.6 by itself
 
 
 class Profile(nn.Module):

@@ -35,6 +35,7 @@ MORE_PICKUPS = 0.6
 BEDS = ((0.6, 0.25, 0.34), (0.2, 0.34, 0.39), (0.2, 0.39, 0.46))  # share of them, from, to
 OPEN, LID = 0.65, 0.2  # shares of the beds; the others have a cap
 LOADED = 0.4  # share of the open ones
+CLEAR = (0.4, 1.0)  # of the sky's light that a clear sky gives: shadows are black there
 OVERCAST = 0.12  # share of the scenes without cast shadows
 BRIGHT_GLASS = 0.5  # share of the vehicles whose windows are not nearly black
 FOCAL = 6.0  # of leaning views, in picture widths: nearly parallel rays
@@ -162,7 +163,9 @@ def rendered(seed: int, overcast: bool | None = None) -> Rendered:
         azimuth, height = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(10, 30))
         sun = np.array([np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)])
         # What stands upright and the camera's exposure make up for the little light that level ground gets.
-        scene = replace(scene, sun=sun, sunlight=scene.sunlight * 1.5, skylight=scene.skylight * rng.uniform(0.6, 1.1))
+        scene = replace(scene, sun=sun, sunlight=scene.sunlight * 1.5, skylight=scene.skylight * rng.uniform(0.3, 1.1))
+    else:
+        scene = replace(scene, skylight=scene.skylight * rng.uniform(*CLEAR))
     by_chance = rng.random() < OVERCAST
     if by_chance if overcast is None else overcast:
         scene = replace(scene, sunlight=scene.sunlight * 0.05, skylight=scene.skylight * 2.4)
