@@ -28,6 +28,7 @@ ANCHOR_KINDS: dict[str, Kind] = {
     "volleyball court": Kind("courts:VOLLEYBALL"),
     "basketball court": Kind("courts:BASKETBALL"),
     "handball court": Kind("courts:HANDBALL"),
+    "padel court": Kind("padel:PadelCourts"),
     "football pitch": Kind("courts:FOOTBALL"),
     "gridiron": Kind("gridiron:Gridirons"),
     "running track": Kind("running:RunningTracks"),
