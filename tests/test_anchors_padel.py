@@ -6,6 +6,7 @@ from support.courts import court_picture, tennis
 from support.padel import (
     ASPHALT,
     BLUE_TURF,
+    CONCRETE,
     GREEN_TURF,
     HALF_LENGTH,
     HALF_WIDTH,
@@ -80,7 +81,24 @@ def test_its_lines_alone_are_none():
     for run_off in (3.0, 6.0, 20.0):
         image = court_picture([(paint, (17, 17), 0.4)], 0.12, (283, 283), surface=BLUE_TURF, run_off=run_off)
         assert not PADEL.find(image, 0.12, SD, "")
-    assert not court(turf=(120, 118, 115), ground=(70, 70, 72))[1]
+    assert not court(turf=(125, 120, 115), ground=LAWN)[1]
+    assert not court(turf=GREEN_TURF, ground=(60, 110, 78), wall=None, noise=0.3)[1]
+
+
+def test_walls_elsewhere_are_none():
+    """All of a court a fifteenth smaller than its walls: as another game's would be."""
+    smaller = [tuple(np.array(box) / 1.07) for box in padel_lines()]
+    assert not court(paint=smaller)[1]
+
+
+def test_walls_that_are_not_straight_are_none():
+    """Ground that reaches into the turf at half of each wall."""
+    image = padel_picture([((17, 17), 0.0)], 0.12, (283, 283))
+    for k in (0, 1, 2, 3):
+        turned = np.rot90(image, k)
+        length, wall = (41, 83) if k % 2 else (83, 41)
+        turned[141 - wall : 141 - wall + 9, 141 - length + 4 : 141 - 10] = CONCRETE
+    assert not PADEL.find(image, 0.12, SD, "")
 
 
 def test_two_walls_are_not_enough():
@@ -95,8 +113,15 @@ def test_two_walls_are_not_enough():
 
 
 def test_turf_of_many_colours_is_none():
+    """Other fields between the lines, none of them at a wall."""
     image = padel_picture([((17, 17), 0.0)], 0.12, (283, 283))
-    image[100:183, 142:225] = image[100:183, 142:225, ::-1]  # the other half is orange
+    assert len(PADEL.find(image, 0.12, SD, "")) == 1
+    for x in (-6.4, 1.0):
+        for y in (-3.4, 0.6):
+            (left, top), (right, bottom) = (
+                np.round((np.array(at) + 17) / 0.12).astype(int) for at in ((x, y), (x + 5.4, y + 2.8))
+            )
+            image[top:bottom, left:right] = image[top:bottom, left:right, ::-1]
     assert not PADEL.find(image, 0.12, SD, "")
 
 
@@ -106,6 +131,13 @@ def test_walls_without_its_lines_are_none():
     for paint in ([], outline, padel_lines()[:2], padel_lines()[1:]):
         assert not court(paint=paint)[1]
     assert not court(paint=[(-SERVICE, -0.025, SERVICE, 0.025), *padel_lines()[:1]])[1]
+    assert not court(paint=[(-SERVICE, -0.025, -2.5, 0.025), *padel_lines()[:2]])[1]
+
+
+def test_its_lines_among_others_are_none():
+    more = [(-SERVICE, at - 0.03, SERVICE, at + 0.03) for at in (-1.7, -1.3, 1.3, 1.7)]
+    more += [(at - 0.03, -HALF_WIDTH, at + 0.03, HALF_WIDTH) for at in (-5.65, -5.25, 5.25, 5.65, -8.25, 8.25)]
+    assert not court(paint=[*padel_lines(), *more])[1]
 
 
 def test_tennis_courts_are_no_padel_courts_nor_these_those():

@@ -18,16 +18,25 @@ from scipy.sparse.csgraph import connected_components
 
 from ..core.anchors import Anchor, Standard
 from .repeated import LOCAL_STRETCH
-from .rules import sizes, within_reach
+from .rules import SIGMAS_SEARCHED, within_reach
 from .strokes import values
 
-CONTAINER_WIDTH = 2.438  # [m]
+CONTAINER_WIDTH, DOMESTIC_WIDTH = 2.438, 2.591  # [m] ISO's 8 ft; of longer American ones 102 in
+LONGEST_ISO = 13.8  # [m]
 CONTAINER_SPREAD = 0.018  # of rims beside gaps and shadows, and of how high stacks are, shared by all of a place
 _SOURCE = "ISO 668: series 1 freight containers, 2.438 m wide; the spread is ours: rims beside gaps, stacks' heights"
 CONTAINERS = (
     Standard("container of 40 ft", 12.192, CONTAINER_SPREAD, _SOURCE, 0.5),
     Standard("container of 20 ft", 6.058, CONTAINER_SPREAD, _SOURCE, 0.4),
     Standard("container of 45 ft", 13.716, CONTAINER_SPREAD, _SOURCE, 0.1),
+    Standard(
+        "container or trailer of 53 ft",
+        16.154,
+        CONTAINER_SPREAD,
+        "AAR M-930 domestic containers and 23 CFR 658 trailers: 53 ft long, 102 in wide; the spread is ours, as above",
+        0.4,
+        ("US", "CA"),
+    ),
 )
 CONTAINER_FALSE = 0.1
 
@@ -36,27 +45,33 @@ SEGMENTED = 0.15  # [m/px] at which roofs are told apart, where corrugation is h
 ROOF_EDGES = (3.0, 5.0, 8.0, 13.0, 21.0)  # [grey levels/px] of an edge between roofs: each is tried
 ROUGH_SLACK = 1.22  # factor by which a region's sides may differ from those of a container of the scale told
 ROOF_FULL = 0.8  # of its rectangle
-ROOF_ASPECT = 0.1  # |ln| of the ratio of a roof's sides to that of a standard
-ROW_ASPECT = 0.05  # the same of a row's medians
+ASPECT = -0.12, 0.04  # ln of the ratio of sides to that of a standard: part of a gap is taken for roof
+ASPECT_PX = 0.4  # [px] of the width by which these may be wider
 EDGE_SOUGHT, EDGE_SOUGHT_PX = 0.35, 1.5  # [m] and [px] about a rough side where its edge is looked for
+FIRST_EDGE = 0.5  # of the strongest, from which an edge is clear
 END_PARTS, SIDE_PARTS = 3, 8  # of an end and of a side that are measured by themselves
+SIDE_MEASURED = 0.85  # of a side: not its corners
+PART_LINES = 5  # across a part, whose mean is taken
+EDGE_STEP = 0.25  # [px] across an edge
+FAINTEST_EDGE = 0.3  # [grey levels] from one step to the next
+FEWEST_PARTS = 8  # of all sides
+FIT_ROUNDS, ROBUST_ROUNDS = 3, 5
 EDGE_CLEAR = 0.6  # of the parts of each side are within
 EDGE_STRAIGHT, EDGE_STRAIGHT_PX = 0.1, 0.4  # [m] and [px] of the fitted side
-FIT_ROUNDS = 3
 ROW_TURN = np.radians(2.5)  # between neighbours
 ROW_LENGTH = 0.02  # |ln| by which neighbours' lengths differ, and [px]:
 ROW_LENGTH_PX = 0.5
 ROW_GAP = -0.1, 0.65  # [m] between neighbours side by side, or end to end
 ROW_SHIFT = 0.5  # [m] by which they may be shifted
-ROOF_EVEN = 12.0  # [grey levels] of one roof's colours, mean over the channels, one sigma
+ROOF_EVEN = 16.0  # [grey levels] of one roof's colours, mean over the channels, one sigma
 PAINTED_GAP = 6.0  # [grey levels] by which a gap may be brighter than both roofs: else it is a painted line
 LENGTH_PX = 0.25  # [px] one sigma of a roof's length, shared by a row: edges beside others
 
 
 @dataclass(frozen=True)
 class Roofs:
-    """(N,) rectangles. place : (N, 2) [px]. angle : of their length [rad]. length, width : [px]. residual : (N,) how far
-    the parts of their sides lie off, root mean square [px]."""
+    """(N,) rectangles. place : (N, 2) [px]. angle : of their length [rad]. length, width : [px]. residual : how far the
+    parts of their sides lie off, root mean square [px]."""
 
     place: np.ndarray
     angle: np.ndarray
@@ -94,20 +109,19 @@ class ContainerRows:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
-        low, high = sizes(self.standards, gsd, gsd_sd)
         if image.ndim != 3 or min(image.shape[:2]) < CONTAINER_WIDTH / gsd * 3:
             return []
         colours = cv2.GaussianBlur(image, (0, 0), 0.5).astype(np.float32)
+        standards = [s for s in self.standards if not s.countries or not country or country in s.countries]
+        roofs = _roofs(colours, image, gsd, gsd_sd, standards)
         found = []
-        for standard in self.standards:
-            likely = (standard.metres / gsd, CONTAINER_WIDTH / gsd, 2 * gsd_sd)
-            roofs = _roofs(colours, _rough(image, gsd, *likely), gsd, *likely)
-            for members in _rows(colours, roofs, gsd):
-                length, width = float(np.median(roofs[members].length)), float(np.median(roofs[members].width))
-                aspect = standard.metres / CONTAINER_WIDTH
-                meant = within_reach((standard,), length, gsd, gsd_sd)
-                if meant and low < length < high and abs(np.log(length / width / aspect)) < ROW_ASPECT:
-                    found.append(self._anchor(roofs[members], meant))
+        for members in _rows(colours, roofs, gsd):
+            row = roofs[members]
+            length = float(np.median(row.length))
+            likely = [s for s in standards if _shaped(length, float(np.median(row.width)), s)]
+            meant = within_reach(likely, length, gsd, gsd_sd)
+            if meant:
+                found.append(self._anchor(row, meant))
         return found
 
     def _anchor(self, roofs: Roofs, meant: tuple[Standard, ...]) -> Anchor:
@@ -127,7 +141,7 @@ class ContainerRows:
         )
 
 
-def _rough(image: np.ndarray, gsd: float, length: float, width: float, spread: float) -> Roofs:
+def _rough(image: np.ndarray, length: float, width: float, spread: float, gsd: float) -> Roofs:
     """Regions without edges in `image` that are about as large as a roof of `length` and `width` [px]."""
     zoom = min(gsd / SEGMENTED, 2.0)
     how = cv2.INTER_AREA if zoom < 1 else cv2.INTER_CUBIC
@@ -157,21 +171,34 @@ def _rough(image: np.ndarray, gsd: float, length: float, width: float, spread: f
             place = (np.array([x + left, y + top]) + 0.5) / factor - 0.5
             rows.append([*place, np.radians(turn), *((own + 2) / zoom)])  # edges take a pixel of either side
     found = np.array(rows).reshape(-1, 5)
-    fits = (np.abs(np.log(found[:, 3] / length)) < np.log(slack)) & (np.abs(np.log(found[:, 4] / width)) < np.log(slack))
+    fits = (np.abs(np.log(found[:, 3] / length)) < np.log(slack)) & (
+        np.abs(np.log(found[:, 4] / width)) < np.log(slack)
+    )
     found = found[fits]
     return Roofs(found[:, :2], found[:, 2] % np.pi, found[:, 3], found[:, 4], np.zeros(len(found)))
 
 
-def _roofs(colours: np.ndarray, rough: Roofs, gsd: float, length: float, width: float, spread: float) -> Roofs:
-    """Those of `rough` whose four sides lie on straight edges, fitted to them; of several in one place the best."""
+def _width(standard: Standard) -> float:
+    """Of its containers [m]."""
+    return CONTAINER_WIDTH if standard.metres < LONGEST_ISO else DOMESTIC_WIDTH
+
+
+def _shaped(length: float, width: float, standard: Standard) -> bool:
+    """Whether `length` by `width` [px] is about that of containers of a standard."""
+    off, slack = np.log(length / width / standard.metres * _width(standard)), ASPECT_PX / width
+    return bool(ASPECT[0] - slack < off < ASPECT[1] + slack)
+
+
+def _roofs(colours: np.ndarray, image: np.ndarray, gsd: float, gsd_sd: float, standards: Sequence[Standard]) -> Roofs:
+    """Rectangles of one colour whose four sides lie on straight edges, shaped as containers of some of `standards`; of
+    several in one place the one that fits best."""
     rows = []
-    aspect = length / width
-    for k in range(len(rough)):
-        fitted = _fitted(colours, rough[np.array([k])], gsd)
-        if fitted is None or abs(np.log(fitted[3] / fitted[4] / aspect)) > ROOF_ASPECT:
-            continue
-        if abs(np.log(fitted[3] / length)) < spread + ROOF_ASPECT:
-            rows.append(fitted)
+    for standard in standards:
+        rough = _rough(image, standard.metres / gsd, _width(standard) / gsd, SIGMAS_SEARCHED * gsd_sd, gsd)
+        for k in range(len(rough)):
+            fitted = _fitted(colours, rough[np.array([k])], gsd)
+            if fitted is not None and _shaped(fitted[3], fitted[4], standard):
+                rows.append(fitted)
     kept: list[np.ndarray] = []
     for row in sorted(rows, key=lambda row: row[5]):
         if all(np.hypot(*(row[:2] - other[:2])) > 0.4 * other[4] for other in kept):
@@ -182,39 +209,36 @@ def _roofs(colours: np.ndarray, rough: Roofs, gsd: float, length: float, width: 
 
 def _fitted(colours: np.ndarray, roof: Roofs, gsd: float) -> np.ndarray | None:
     """(6,) place, angle, length, width and residual of the rectangle on the edges about a rough one, or None."""
-    x, y, angle, length, width = (float(each) for each in (*roof.place[0], roof.angle[0], roof.length[0], roof.width[0]))
+    x, y = roof.place[0].tolist()
+    angle, length, width = (float(each[0]) for each in (roof.angle, roof.length, roof.width))
     reach = max(EDGE_SOUGHT / gsd, EDGE_SOUGHT_PX)
     close = max(EDGE_STRAIGHT / gsd, EDGE_STRAIGHT_PX)
     for step in range(FIT_ROUNDS):
         c, s = np.cos(angle), np.sin(angle)
-        rows, off, hits = [], [], []
-        for side in range(4):
-            sideways, sign = side % 2 == 1, 1 if side < 2 else -1
-            half, wall = (length / 2, width / 2) if sideways else (width / 2, length / 2)
-            parts = SIDE_PARTS if sideways else END_PARTS
-            at = _edges(colours, (x, y, c, s), half, wall, sideways, sign, parts, reach / (1 + step))
-            along = ((np.arange(parts) + 0.5) / parts - 0.5) * 1.8 * half * 0.95
-            one = np.ones(parts)
-            # how far a part of this side moves outwards with x and y along the roof, its angle, half length and width
-            if sideways:
-                rows.append(np.stack([0 * one, sign * one, sign * along, 0 * one, one], 1))
-            else:
-                rows.append(np.stack([sign * one, 0 * one, -sign * along, one, 0 * one], 1))
-            off.append(at)
-            hits.append(np.isfinite(at))
-        by, gap, seen = np.concatenate(rows), np.concatenate(off), np.concatenate(hits)
-        if seen.sum() < 8:
+        rows, off = [], []
+        for end, sign in ((True, 1), (False, 1), (True, -1), (False, -1)):
+            along = _spots(END_PARTS, width) if end else _spots(SIDE_PARTS, length)
+            off.append(_edges(colours, np.array([x, y]), (c, s), (length, width), end, sign, reach / (1 + step)))
+            # how far outwards a part moves with the roof's place along and across, angle, half length and half width
+            one, none = np.ones(len(along)), np.zeros(len(along))
+            columns = (
+                [sign * one, none, -sign * along, one, none] if end else [none, sign * one, sign * along, none, one]
+            )
+            rows.append(np.stack(columns, 1))
+        by, gap = np.concatenate(rows), np.concatenate(off)
+        seen = np.isfinite(gap)
+        if seen.sum() < FEWEST_PARTS:
             return None
-        weight = seen.astype(float)
-        change = np.zeros(5)
-        for _ in range(5):
-            change = np.linalg.lstsq(by * weight[:, None], np.where(seen, gap, 0) * weight, rcond=None)[0]
-            left = np.where(seen, gap, 0) - by @ change
+        gap = np.where(seen, gap, 0)
+        weight, change, left = seen.astype(float), np.zeros(5), gap
+        for _ in range(ROBUST_ROUNDS):
+            change = np.linalg.lstsq(by * weight[:, None], gap * weight, rcond=None)[0]
+            left = gap - by @ change
             weight = seen / (1 + (left / close) ** 2)
         x, y = x + change[0] * c - change[1] * s, y + change[0] * s + change[1] * c
         angle += float(np.clip(change[2], -0.1, 0.1))
         length, width = length + 2 * change[3], width + 2 * change[4]
-        if not (width > 2 and length > width):
+        if not 2 < width < length:
             return None
     near = seen & (np.abs(left) < close)
     parts = np.split(near, np.cumsum([END_PARTS, SIDE_PARTS, END_PARTS]))
@@ -223,24 +247,32 @@ def _fitted(colours: np.ndarray, roof: Roofs, gsd: float) -> np.ndarray | None:
     return np.array([x, y, angle % np.pi, length, width, float(np.sqrt((left[near] ** 2).mean()))])
 
 
-def _edges(colours, pose, half, wall, sideways, sign, parts, reach) -> np.ndarray:
-    """(parts,) how far [px] outside of a side its strongest edge lies, nan where there is none within `reach`."""
-    x, y, c, s = pose
-    out = np.arange(-reach - 1, reach + 1.01, 0.25)
-    fine = 5
-    along = ((np.arange(parts * fine) + 0.5) / (parts * fine) - 0.5) * 1.8 * half * 0.95
-    u, v = np.meshgrid(along, wall + out, indexing="ij")
-    u, v = (u, sign * v) if sideways else (sign * v, u)
-    seen = values(colours, np.stack([x + u * c - v * s, y + u * s + v * c], -1)).reshape(parts, fine, len(out), 3)
+def _spots(count: int, length: float) -> np.ndarray:
+    """(count,) evenly along a side of `length`, from its middle, but for its corners."""
+    return ((np.arange(count) + 0.5) / count - 0.5) * SIDE_MEASURED * length
+
+
+def _edges(colours, place, heading, sides, end, sign, reach) -> np.ndarray:
+    """(parts,) how far [px] outside of a side its innermost clear edge lies, as across a gap is the next roof's; nan
+    where there is none within `reach`. end : whether it is a short side; sign : on which side of the middle."""
+    (length, width), (c, s), parts = sides, heading, END_PARTS if end else SIDE_PARTS
+    out = np.arange(-reach - 1, reach + 1.01, EDGE_STEP)
+    along = _spots(parts * PART_LINES, width if end else length)
+    along, off = np.meshgrid(along, sign * ((length if end else width) / 2 + out), indexing="ij")
+    u, v = (off, along) if end else (along, off)
+    spots = place + np.stack([u * c - v * s, u * s + v * c], -1)
+    seen = values(colours, spots).reshape(parts, PART_LINES, len(out), 3)
     slope = np.linalg.norm(np.gradient(seen.mean(1), axis=1), axis=2)
     slope = cv2.blur(slope, (3, 1))
     slope[:, np.abs(out) > reach] = 0
-    best = slope.argmax(1)
+    peak = (slope[:, 1:-1] >= slope[:, :-2]) & (slope[:, 1:-1] >= slope[:, 2:])
+    clear = peak & (slope[:, 1:-1] > FIRST_EDGE * slope.max(1, keepdims=True))
+    best = np.argmax(clear, axis=1) + 1
     row = np.arange(parts)
     left, middle, right = (slope[row, np.clip(best + d, 0, len(out) - 1)] for d in (-1, 0, 1))
     bend = left - 2 * middle + right
     shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, -1), 0)
-    return np.where(middle > 0.3, out[best] + np.clip(shift, -1, 1) * 0.25, np.nan)
+    return np.where(middle > FAINTEST_EDGE, out[best] + np.clip(shift, -1, 1) * EDGE_STEP, np.nan)
 
 
 def _is_one_colour(colours, x, y, angle, length, width) -> bool:
@@ -267,7 +299,9 @@ def _rows(colours: np.ndarray, roofs: Roofs, gsd: float) -> list[np.ndarray]:
     side_by_side = (beside > low - 1) & (beside < high + 0.5) & (ahead < ROW_SHIFT / gsd)
     end_to_end = (behind > low - 1) & (behind < high + 0.5) & (aside < ROW_SHIFT / gsd)
     joined = (turn < ROW_TURN) & equal & (side_by_side | end_to_end)
-    pairs = [(a, b) for a, b in zip(i[joined].tolist(), j[joined].tolist(), strict=True) if _is_gap(colours, roofs, a, b)]
+    pairs = [
+        (a, b) for a, b in zip(i[joined].tolist(), j[joined].tolist(), strict=True) if _is_gap(colours, roofs, a, b)
+    ]
     if not pairs:
         return []
     a, b = np.array(pairs).T

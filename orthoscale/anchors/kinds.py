@@ -37,6 +37,7 @@ ANCHOR_KINDS: dict[str, Kind] = {
     "zebra crossing": Kind("crossings:ZebraCrossings", proven=True),
     "lane dashes": Kind("dashes:LaneDashes", proven=True),
     "parking bays": Kind("bays:ParkingBays", proven=True),
+    "container": Kind("containers:ContainerRows"),
 }
 
 ALL, NO_KIND, PROVEN = "all", "none", "proven"  # choices beside kinds: of `--anchors`

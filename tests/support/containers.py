@@ -73,3 +73,13 @@ def _shaded(image, boxes, length, u, v, below, sun):
             reach = share * (storeys - below) * STOREY
             dark |= (np.abs(u - cx - sun[0] * reach) < length / 2) & (np.abs(v - cy - sun[1] * reach) < WIDTH / 2)
     return np.where(dark[..., None], 0.4 * image, image)
+
+
+def container_yard(number, gsd, rng):
+    """A picture as of `yard_picture` in one of many looks, how many boxes it shows, and how long they are [ft]."""
+    feet = (40, 20, 40, 20, 45)[number % 5]
+    boxes = yard(number, feet, rng)
+    return yard_picture(
+        boxes, feet, gsd, angle=rng.uniform(0, np.pi), sun=tuple(rng.uniform(-0.6, 0.6, 2)),
+        ribs=rng.uniform(0.02, 0.08), blur_px=rng.uniform(0.5, 0.9), noise=rng.uniform(1, 3), seed=number,
+    ), len(boxes), feet  # fmt: skip

@@ -61,9 +61,9 @@ def padel_picture(
             image = painted(image, box, 3 * [white], left)
         image = painted(image, (-0.03, -HALF_WIDTH, 0.03, HALF_WIDTH), (225, 225, 225))  # the net's band
         if shadow:
-            dark = np.maximum(_cover(u, v, pixel, (-HALF_LENGTH, -HALF_WIDTH, HALF_LENGTH, -HALF_WIDTH + shadow)),
-                              _cover(u, v, pixel, (-HALF_LENGTH, -HALF_WIDTH, -HALF_LENGTH + shadow, HALF_WIDTH)))  # fmt: skip
-            image *= 1 - 0.35 * dark
+            side = (-HALF_LENGTH, -HALF_WIDTH, HALF_LENGTH, -HALF_WIDTH + shadow)
+            back = (-HALF_LENGTH, -HALF_WIDTH, -HALF_LENGTH + shadow, HALF_WIDTH)
+            image *= 1 - 0.35 * np.maximum(_cover(u, v, pixel, side), _cover(u, v, pixel, back))
     if shade:
         dark = (x * 0.8 + y * 0.6 > (shape[1] * 0.8 + shape[0] * 0.6) * gsd * 0.55)[..., None]
         image *= 1 - shade * dark
