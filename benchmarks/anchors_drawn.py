@@ -77,12 +77,10 @@ def main() -> None:
                 seen += anchor.count
         error, held, sure = np.array(found).reshape(-1, 3).T
         size = np.abs(error)
-        far = f"{100 * np.quantile(size, 0.9):.2f} / {100 * size.max():.2f}"
-        print(
-            f"| {kind} | {gsd} | {places} of {PICTURES} | {seen} of {there} | {false} | {100 * np.median(error):+.2f} | "
-            f"{far} | {100 * held.mean():.0f} | {100 * sure.mean():.0f} | {seconds / pixels * 1e6:.2f} |",
-            flush=True,
-        )
+        far = f"{100 * np.quantile(size, 0.9):.2f} / {100 * size.max():.2f} | {100 * held.mean():.0f}"
+        counts = f"{places} of {PICTURES} | {seen} of {there} | {false}"
+        cost = f"{100 * sure.mean():.0f} | {seconds / pixels * 1e6:.2f}"
+        print(f"| {kind} | {gsd} | {counts} | {100 * np.median(error):+.2f} | {far} | {cost} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -112,7 +112,7 @@ class ContainerRows:
         if image.ndim != 3 or min(image.shape[:2]) < CONTAINER_WIDTH / gsd * 3:
             return []
         colours = cv2.GaussianBlur(image, (0, 0), 0.5).astype(np.float32)
-        standards = [s for s in self.standards if not s.countries or not country or country in s.countries]
+        standards = [s for s in self.standards if not s.countries or country in s.countries]
         roofs = _roofs(colours, image, gsd, gsd_sd, standards)
         found = []
         for members in _rows(colours, roofs, gsd):

@@ -27,7 +27,7 @@ from .strokes import values
 
 PADEL_SEARCHED = 0.15  # [m/px] of the search: its lines are no longer than seeds are at 0.3
 PADEL_EVEN = 0.5  # evidence of its lines, at least: its walls speak, too
-LINE_SEEN = 0.5  # of each line
+PADEL_LINE_SEEN = 0.5  # of each line
 PADEL_FALSE = 0.05
 PADEL_COARSE = 0.08  # by the squared GSD [m/px], one sigma of the size: shadows end beside lines. From drawn courts
 HALF_LENGTH, HALF_WIDTH = 10.0, 5.0  # [m] to the inside of the walls
@@ -61,7 +61,7 @@ class PadelCourts:
         look = CourtLook(image, gsd, gsd_sd, PADEL_SEARCHED)
         # The lines of neighbours make H's, too, as clear as their own.
         fits = [replace(fit, across=fit.along) for fit in look.fits(PADEL_COURT, sure=1.0)]
-        lined = [fit for fit in fits if evidence(fit) > PADEL_EVEN and fit.seen.min() > LINE_SEEN]
+        lined = [fit for fit in fits if evidence(fit) > PADEL_EVEN and fit.seen.min() > PADEL_LINE_SEEN]
         if not lined:
             return []
         shares = _shares(image)
