@@ -17,6 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..core.anchors import Anchor, Standard
+from ..core.pooling.posterior import ROBUST_SD
 from .repeated import LOCAL_STRETCH
 from .rules import SIGMAS_SEARCHED, within_reach
 from .strokes import values
@@ -52,7 +53,7 @@ FIRST_EDGE = 0.5  # of the strongest, from which an edge is clear
 END_PARTS, SIDE_PARTS = 3, 8  # of an end and of a side that are measured by themselves
 SIDE_MEASURED = 0.85  # of a side: not its corners
 PART_LINES = 5  # across a part, whose mean is taken
-EDGE_STEP = 0.25  # [px] across an edge
+ACROSS_EDGE = 0.25  # [px] across an edge
 FAINTEST_EDGE = 0.3  # [grey levels] from one step to the next
 FEWEST_PARTS = 8  # of all sides
 FIT_ROUNDS, ROBUST_ROUNDS = 3, 5
@@ -256,7 +257,7 @@ def _edges(colours, place, heading, sides, end, sign, reach) -> np.ndarray:
     """(parts,) how far [px] outside of a side its innermost clear edge lies, as across a gap is the next roof's; nan
     where there is none within `reach`. end : whether it is a short side; sign : on which side of the middle."""
     (length, width), (c, s), parts = sides, heading, END_PARTS if end else SIDE_PARTS
-    out = np.arange(-reach - 1, reach + 1.01, EDGE_STEP)
+    out = np.arange(-reach - 1, reach + 1.01, ACROSS_EDGE)
     along = _spots(parts * PART_LINES, width if end else length)
     along, off = np.meshgrid(along, sign * ((length if end else width) / 2 + out), indexing="ij")
     u, v = (off, along) if end else (along, off)
@@ -272,14 +273,14 @@ def _edges(colours, place, heading, sides, end, sign, reach) -> np.ndarray:
     left, middle, right = (slope[row, np.clip(best + d, 0, len(out) - 1)] for d in (-1, 0, 1))
     bend = left - 2 * middle + right
     shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, -1), 0)
-    return np.where(middle > FAINTEST_EDGE, out[best] + np.clip(shift, -1, 1) * EDGE_STEP, np.nan)
+    return np.where(middle > FAINTEST_EDGE, out[best] + np.clip(shift, -1, 1) * ACROSS_EDGE, np.nan)
 
 
 def _is_one_colour(colours, x, y, angle, length, width) -> bool:
     c, s = np.cos(angle), np.sin(angle)
     u, v = np.meshgrid(np.linspace(-0.42, 0.42, 24) * length, np.linspace(-0.32, 0.32, 5) * width)
     seen = values(colours, np.stack([x + u * c - v * s, y + u * s + v * c], -1)).reshape(-1, 3)
-    return bool((1.4826 * np.median(np.abs(seen - np.median(seen, axis=0)), axis=0)).mean() < ROOF_EVEN)
+    return bool((ROBUST_SD * np.median(np.abs(seen - np.median(seen, axis=0)), axis=0)).mean() < ROOF_EVEN)
 
 
 def _rows(colours: np.ndarray, roofs: Roofs, gsd: float) -> list[np.ndarray]:
