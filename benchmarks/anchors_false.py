@@ -35,6 +35,7 @@ from support.courts import (  # noqa: E402
     court_picture,
     handball,
     penalty_area,
+    tennis,
     volleyball,
 )
 from support.gridiron import field_picture  # noqa: E402
@@ -111,7 +112,7 @@ def drawn() -> Iterator[Sample]:
     for gsd, number in product(DRAWN_GSD, range(DRAWN_EACH)):
         turn = rng.uniform(0, np.pi)
         looks = {"blur_px": rng.uniform(0.5, 0.9), "noise": rng.uniform(1, 4), "seed": number}
-        for paint in (volleyball, basketball, handball, penalty_area):
+        for paint in (volleyball, basketball, handball, penalty_area, tennis):
             size = 2 * [round(64 / gsd)]
             court = court_picture([(paint(), (32, 32), turn)], gsd, size, ground=GRASS, surface=GREEN, **looks)
             yield f"{paint.__name__}-{gsd}-{number}", court, gsd, "US"

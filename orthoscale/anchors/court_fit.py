@@ -349,7 +349,7 @@ def _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length) ->
         left = offset[hit] / size
         by = rows[hit]
         covariance = np.linalg.pinv(by.T @ by) * max(float((left**2).mean()), LEAST_SD**2)
-        sds = np.sqrt(np.diag(covariance)[3:])
+        sds = np.sqrt(np.maximum(np.diag(covariance)[3:], 0))  # 0, nearly, of a direction no stroke measures
         scatter = float(np.sqrt((offset[hit] ** 2).mean())) / close
     return CourtFit(
         court,

@@ -262,7 +262,22 @@ def _centre_circle() -> Court:
     return Court(tuple(lines), rule, beside=NETS, bare=2.0)
 
 
+def _padel() -> Court:
+    service, width, beyond = 6.95, 10.0, 0.2  # [m]; to which edge of 5 cm of paint 6.95 m go is not said: its middle
+    lines = [_across(side * service, -width / 2, width / 2, ends=(False, False)) for side in (-1, 1)]
+    lines += [_along(0.0, -service - beyond, service + beyond)]
+    rule = Standard(
+        "FIP padel court, service line to service line",
+        2 * service,
+        0.004,
+        "FIP Rules of Padel: 20 x 10 m inside its walls, to 0.5 %, service lines of 5 cm at 6.95 m from the net, the "
+        "central one 20 cm longer; the spread is ours: the tolerance, and to which edge of the paint 6.95 m go",
+    )
+    return Court(tuple(lines), rule, beside=(1.3, 1.7))
+
+
 TENNIS_COURT = _tennis()
+PADEL_COURT = _padel()
 VOLLEYBALL_COURT = _volleyball()
 HANDBALL_COURT = _handball()
 PENALTY_AREA = _penalty_area()

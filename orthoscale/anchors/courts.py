@@ -77,15 +77,15 @@ def size_of(fit: CourtFit) -> tuple[float, float]:
     return float(np.exp(share @ size)), own
 
 
-def _resized(light: np.ndarray, gsd: float) -> np.ndarray:
-    factor = min(gsd / SEARCHED, ENLARGED)
+def _resized(light: np.ndarray, gsd: float, searched: float) -> np.ndarray:
+    factor = min(gsd / searched, ENLARGED)
     if abs(np.log(factor)) < 0.05:
         return light
     size = [max(1, round(side * factor)) for side in light.shape[::-1]]
     return cv2.resize(light, size, interpolation=cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC)
 
 
-def _overlap(fit: CourtFit, place: np.ndarray) -> bool:
+def overlap(fit: CourtFit, place: np.ndarray) -> bool:
     """Whether a court like `fit` with its middle at `place` [px] would lie on it."""
     c, s = np.cos(fit.angle), np.sin(fit.angle)
     gap = np.abs(np.array([[c, s], [-s, c]]) @ (place - fit.place)) / (fit.along, fit.across)
@@ -122,13 +122,13 @@ class CourtFinder:
         """The courts in `image`, RGB uint8 (H, W, 3), that do not overlap; see `AnchorFinder`."""
         if image.ndim != 3 or min(image.shape[:2]) < LEAST_SIDE_PX:
             return []
-        look = _Look(image, gsd, gsd_sd)
+        look = CourtLook(image, gsd, gsd_sd)
         fits = [fit for court in self.courts for fit in look.fits(court) if evidence(fit) > self.even]
         if fits:
             fits += [fit for court in self.rivals for fit in look.fits(court)]
         kept: list[CourtFit] = []
         for fit in sorted(fits, key=evidence, reverse=True):
-            if not any(_overlap(fit, other.place) or _overlap(other, fit.place) for other in kept):
+            if not any(overlap(fit, other.place) or overlap(other, fit.place) for other in kept):
                 kept.append(fit)
         return [self._anchor(fit) for fit in kept if fit.court in self.courts]
 
@@ -153,25 +153,27 @@ def _ridges(light: bytes, height: int, width: int) -> Ridges:
     return Ridges(np.frombuffer(light, np.float32).reshape(height, width))
 
 
-class _Look:
-    """One picture with its ridges, searched for courts between two sizes; arguments as of `AnchorFinder.find`."""
+class CourtLook:
+    """One picture with its ridges, searched at `searched` m/px for courts between two sizes; other arguments as of
+    `AnchorFinder.find`."""
 
-    def __init__(self, image: np.ndarray, gsd: float, gsd_sd: float) -> None:
+    def __init__(self, image: np.ndarray, gsd: float, gsd_sd: float, searched: float = SEARCHED) -> None:
         self.gsd, self.spread = gsd, 2 * gsd_sd
         self.light = lightness(image)
         self.grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-        small = _resized(self.light, gsd)
+        small = _resized(self.light, gsd, searched)
         self.factor = np.array(small.shape[::-1]) / self.light.shape[::-1]
         self.ridges = _ridges(small.astype(np.float32).tobytes(), *small.shape)
 
-    def fits(self, court: Court) -> list[CourtFit]:
-        """All fits of `court` of a likely size and shape, court or not, in the order of the search."""
+    def fits(self, court: Court, sure: float = SURE) -> list[CourtFit]:
+        """All fits of `court` of a likely size and shape, court or not, in the order of the search. Where more than the
+        share `sure` of one's paint is seen, no other is tried."""
         zoom = float(np.sqrt(self.factor.prod()))
         poses = search(self.ridges, court, zoom / self.gsd, self.spread)
         places = (poses.place + 0.5) / self.factor - 0.5
         found: list[CourtFit] = []
         for place, angle, size in zip(places, poses.angle, poses.size / zoom, strict=True):
-            if any(fit.lit > SURE and _overlap(fit, place) for fit in found):
+            if any(fit.lit > sure and overlap(fit, place) for fit in found):
                 continue
             fit = fit_court(self.light, self.grey, court, place, float(angle), float(size))
             if fit is not None:

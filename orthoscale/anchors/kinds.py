@@ -28,6 +28,7 @@ ANCHOR_KINDS: dict[str, Kind] = {
     "volleyball court": Kind("courts:VOLLEYBALL"),
     "basketball court": Kind("courts:BASKETBALL"),
     "handball court": Kind("courts:HANDBALL"),
+    "padel court": Kind("padel:PadelCourts"),
     "football pitch": Kind("courts:FOOTBALL"),
     "gridiron": Kind("gridiron:Gridirons"),
     "running track": Kind("running:RunningTracks"),
@@ -36,6 +37,7 @@ ANCHOR_KINDS: dict[str, Kind] = {
     "zebra crossing": Kind("crossings:ZebraCrossings", proven=True),
     "lane dashes": Kind("dashes:LaneDashes", proven=True),
     "parking bays": Kind("bays:ParkingBays", proven=True),
+    "container": Kind("containers:ContainerRows"),
 }
 
 ALL, NO_KIND, PROVEN = "all", "none", "proven"  # choices beside kinds: of `--anchors`

@@ -30,7 +30,6 @@ from .posterior import Posterior
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
 SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
-PRIOR_VOTES = 5.0  # the fleet's own scatter counts as so many vehicles, so that five lucky ones do not look certain
 # Share of the variance of a measured box that all views of a vehicle have alike: its paint, its shade, its shape. Of
 # nine vehicles of `brighton`, 29 boxes read by eye, lengths err by 1.8 % (one sigma) from vehicle to vehicle and by
 # 1.8 % from view to view of one, widths by 3.0 and 4.0 %.
@@ -214,20 +213,19 @@ def _of_fleets(
         mixes.append(Mix(classes, systematic, weights, fleet.place_vehicles))
     found = fit(seen, mixes, drawing, confusion)
     return [
-        None if fits is None or fits.member.sum() < 1 else _vehicles(fits, fleet, mix, shared)
-        for fits, fleet, mix, shared in zip(found, fleets, mixes, every, strict=True)
+        None if fits is None or fits.member.sum() < 1 else _vehicles(fits, mix, shared)
+        for fits, mix, shared in zip(found, mixes, every, strict=True)
     ]
 
 
-def _vehicles(fits: Fits, fleet: Fleet, mix: Mix, shared: Mapping[str, np.ndarray]) -> _Vehicles:
-    """What `fits` to `mix` say, which is that of `fleet`; `shared` are the (2, 2) parts of `Mix.systematic`."""
+def _vehicles(fits: Fits, mix: Mix, shared: Mapping[str, np.ndarray]) -> _Vehicles:
+    """What `fits` to `mix` say; `shared` are the (2, 2) parts of `Mix.systematic`."""
     systematic, weights = mix.systematic, mix.weights
     estimates = fits.weight @ fits.log_scale
-    luck = _luck(fleet, fits.member.sum())
     posterior = Posterior(
         fits.weight,
         fits.log_scale @ weights,
-        np.full(len(fits.weight), np.sqrt(weights @ (systematic + luck) @ weights + FINE**2 / 12)),
+        np.full(len(fits.weight), np.sqrt(weights @ systematic @ weights + FINE**2 / 12)),
     )
     parts = {name: float(np.sqrt(weights @ c @ weights)) for name, c in shared.items()}
     # What more vehicles would tell is sampling, and no less than how far the answer wanders between draws of as many.
@@ -235,13 +233,12 @@ def _vehicles(fits: Fits, fleet: Fleet, mix: Mix, shared: Mapping[str, np.ndarra
     # the mix that stands here: it is the fleet's.
     variance = posterior.spread**2
     rest = variance - sum(v**2 for v in parts.values())
-    sampling = max(float(weights @ fits.covariance @ weights), fits.chance) + float(weights @ luck @ weights)
-    sampling = min(sampling, rest)
+    sampling = min(max(float(weights @ fits.covariance @ weights), fits.chance), rest)
     drawn = float(np.clip(weights @ fits.drawing @ weights, 0, rest - sampling))
     parts["margin"] = float(np.hypot(parts["margin"], np.sqrt(drawn)))
     parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(rest - sampling - drawn)))
     apart = np.array([1.0, -1.0])
-    between = apart @ (systematic + fits.covariance + fits.drawing + luck) @ apart
+    between = apart @ (systematic + fits.covariance + fits.drawing) @ apart
     return _Vehicles(
         posterior=posterior,
         parts={"sampling": float(np.sqrt(sampling)), **parts},
@@ -252,12 +249,6 @@ def _vehicles(fits: Fits, fleet: Fleet, mix: Mix, shared: Mapping[str, np.ndarra
         inlier=fits.member.sum(0) > 0.5,
         log_evidence=fits.log_evidence,
     )
-
-
-def _luck(fleet: Fleet, count: float) -> np.ndarray:
-    """(2, 2) covariance of the scales that `count` votes' own scatter does not show: as much as makes it never less
-    than PRIOR_VOTES more vehicles of the fleet would leave, for the scatter of a few is not known from themselves."""
-    return fleet.log_covariance * PRIOR_VOTES / (count + PRIOR_VOTES) / count
 
 
 def _probabilities(each: Mapping[int, _Vehicles], prior: np.ndarray) -> dict[int, float]:

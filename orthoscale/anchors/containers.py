@@ -1,0 +1,324 @@
+"""ISO containers in rows, by the outlines of their roofs.
+
+A roof is a rectangle of one colour, five times as long as wide, or two and a half times; alone it may be anything. But
+nothing else stands in rows of equal ones whose sides are a hand's breadth apart. Rims beside dark gaps and shadows are
+off by 0.1 to 0.3 m, and stacks are nearer to the camera than the ground: all of one place alike, so the standards'
+spread is wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ..core.anchors import Anchor, Standard
+from ..core.pooling.posterior import ROBUST_SD
+from .repeated import LOCAL_STRETCH
+from .rules import SIGMAS_SEARCHED, within_reach
+from .strokes import values
+
+CONTAINER_WIDTH, DOMESTIC_WIDTH = 2.438, 2.591  # [m] ISO's 8 ft; of longer American ones 102 in
+LONGEST_ISO = 13.8  # [m]
+CONTAINER_SPREAD = 0.018  # of rims beside gaps and shadows, and of how high stacks are, shared by all of a place
+_SOURCE = "ISO 668: series 1 freight containers, 2.438 m wide; the spread is ours: rims beside gaps, stacks' heights"
+CONTAINERS = (
+    Standard("container of 40 ft", 12.192, CONTAINER_SPREAD, _SOURCE, 0.5),
+    Standard("container of 20 ft", 6.058, CONTAINER_SPREAD, _SOURCE, 0.4),
+    Standard("container of 45 ft", 13.716, CONTAINER_SPREAD, _SOURCE, 0.1),
+    Standard(
+        "container or trailer of 53 ft",
+        16.154,
+        CONTAINER_SPREAD,
+        "AAR M-930 domestic containers and 23 CFR 658 trailers: 53 ft long, 102 in wide; the spread is ours, as above",
+        0.4,
+        ("US", "CA"),
+    ),
+)
+CONTAINER_FALSE = 0.1
+
+FEWEST_CONTAINERS = 3  # of a row
+SEGMENTED = 0.15  # [m/px] at which roofs are told apart, where corrugation is hardly seen; coarser pictures enlarged
+ROOF_EDGES = (3.0, 5.0, 8.0, 13.0, 21.0)  # [grey levels/px] of an edge between roofs: each is tried
+ROUGH_SLACK = 1.22  # factor by which a region's sides may differ from those of a container of the scale told
+ROOF_FULL = 0.8  # of its rectangle
+ASPECT = -0.12, 0.04  # ln of the ratio of sides to that of a standard: part of a gap is taken for roof
+ASPECT_PX = 0.4  # [px] of the width by which these may be wider
+EDGE_SOUGHT, EDGE_SOUGHT_PX = 0.35, 1.5  # [m] and [px] about a rough side where its edge is looked for
+FIRST_EDGE = 0.5  # of the strongest, from which an edge is clear
+END_PARTS, SIDE_PARTS = 3, 8  # of an end and of a side that are measured by themselves
+SIDE_MEASURED = 0.85  # of a side: not its corners
+PART_LINES = 5  # across a part, whose mean is taken
+ACROSS_EDGE = 0.25  # [px] across an edge
+FAINTEST_EDGE = 0.3  # [grey levels] from one step to the next
+FEWEST_PARTS = 8  # of all sides
+FIT_ROUNDS, ROBUST_ROUNDS = 3, 5
+EDGE_CLEAR = 0.6  # of the parts of each side are within
+EDGE_STRAIGHT, EDGE_STRAIGHT_PX = 0.1, 0.4  # [m] and [px] of the fitted side
+ROW_TURN = np.radians(2.5)  # between neighbours
+ROW_LENGTH = 0.02  # |ln| by which neighbours' lengths differ, and [px]:
+ROW_LENGTH_PX = 0.5
+ROW_GAP = -0.1, 0.65  # [m] between neighbours side by side, or end to end
+ROW_SHIFT = 0.5  # [m] by which they may be shifted
+ROOF_EVEN = 16.0  # [grey levels] of one roof's colours, mean over the channels, one sigma
+PAINTED_GAP = 6.0  # [grey levels] by which a gap may be brighter than both roofs: else it is a painted line
+LENGTH_PX = 0.25  # [px] one sigma of a roof's length, shared by a row: edges beside others
+
+
+@dataclass(frozen=True)
+class Roofs:
+    """(N,) rectangles. place : (N, 2) [px]. angle : of their length [rad]. length, width : [px]. residual : how far the
+    parts of their sides lie off, root mean square [px]."""
+
+    place: np.ndarray
+    angle: np.ndarray
+    length: np.ndarray
+    width: np.ndarray
+    residual: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.length)
+
+    def __getitem__(self, which: np.ndarray) -> Roofs:
+        return Roofs(*(each[which] for each in vars(self).values()))
+
+    @property
+    def along(self) -> np.ndarray:
+        """(N, 2) unit vectors."""
+        return np.stack([np.cos(self.angle), np.sin(self.angle)], -1)
+
+    def corners(self) -> np.ndarray:
+        """(N, 4, 2) [px]."""
+        along = self.along * self.length[:, None] / 2
+        across = np.stack([-np.sin(self.angle), np.cos(self.angle)], -1) * self.width[:, None] / 2
+        return self.place[:, None] + np.stack([-along - across, along - across, along + across, across - along], 1)
+
+
+@dataclass(frozen=True)
+class ContainerRows:
+    """Finds rows of containers (an `AnchorFinder`) of any of the `standards`."""
+
+    standards: tuple[Standard, ...] = CONTAINERS
+    kind = "container"
+    extent = 45.0
+    finest = 0.05
+    coarsest = 0.32
+
+    def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
+        """See `AnchorFinder.find`."""
+        if image.ndim != 3 or min(image.shape[:2]) < CONTAINER_WIDTH / gsd * 3:
+            return []
+        colours = cv2.GaussianBlur(image, (0, 0), 0.5).astype(np.float32)
+        standards = [s for s in self.standards if not s.countries or country in s.countries]
+        roofs = _roofs(colours, image, gsd, gsd_sd, standards)
+        found = []
+        for members in _rows(colours, roofs, gsd):
+            row = roofs[members]
+            length = float(np.median(row.length))
+            likely = [s for s in standards if _shaped(length, float(np.median(row.width)), s)]
+            meant = within_reach(likely, length, gsd, gsd_sd)
+            if meant:
+                found.append(self._anchor(row, meant))
+        return found
+
+    def _anchor(self, roofs: Roofs, meant: tuple[Standard, ...]) -> Anchor:
+        length = float(np.median(roofs.length))
+        own = float(np.std(roofs.length)) / length / np.sqrt(len(roofs))
+        corners = roofs.corners()
+        return Anchor(
+            kind=self.kind,
+            place=roofs.place.mean(0),
+            lines=np.stack([corners, np.roll(corners, -1, axis=1)], 2).reshape(-1, 2, 2),
+            pixels=length,
+            relative_sd=float(np.sqrt(own**2 + LOCAL_STRETCH**2 + (LENGTH_PX / length) ** 2)),
+            residual=roofs.residual,
+            standards=meant,
+            false=CONTAINER_FALSE,
+            count=len(roofs),
+        )
+
+
+def _rough(image: np.ndarray, length: float, width: float, spread: float, gsd: float) -> Roofs:
+    """Regions without edges in `image` that are about as large as a roof of `length` and `width` [px]."""
+    zoom = min(gsd / SEGMENTED, 2.0)
+    how = cv2.INTER_AREA if zoom < 1 else cv2.INTER_CUBIC
+    small = cv2.GaussianBlur(cv2.resize(image, None, fx=zoom, fy=zoom, interpolation=how), (0, 0), 0.8)
+    factor = np.array(small.shape[1::-1]) / image.shape[1::-1]
+    edge = np.zeros(small.shape[:2], np.float32)
+    for channel in cv2.split(small):
+        gx, gy = (cv2.Sobel(channel, cv2.CV_32F, *d, ksize=3, scale=0.125) for d in ((1, 0), (0, 1)))
+        edge = np.maximum(edge, cv2.magnitude(gx, gy))
+    slack = ROUGH_SLACK * np.exp(spread)
+    rows = []
+    for limit in ROOF_EDGES:
+        count, label, stats, _ = cv2.connectedComponentsWithStats((edge < limit).astype(np.uint8), connectivity=4)
+        area = stats[:, cv2.CC_STAT_AREA] / zoom**2
+        box = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) / zoom
+        likely = (area > 0.25 * length * width) & (area < length * width * slack**2) & (box < 1.2 * slack * length)
+        for k in (np.flatnonzero(likely[1:]) + 1).tolist():
+            left, top, w, h = stats[k, :4].tolist()
+            region = (label[top : top + h, left : left + w] == k).astype(np.uint8)
+            (outline, *_), _ = cv2.findContours(region, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            (x, y), sides, turn = cv2.minAreaRect(outline)
+            own = np.array(sides) + 1
+            if own.max() * own.min() * ROOF_FULL > region.sum():
+                continue
+            if own[1] > own[0]:
+                own, turn = own[::-1], turn + 90
+            place = (np.array([x + left, y + top]) + 0.5) / factor - 0.5
+            rows.append([*place, np.radians(turn), *((own + 2) / zoom)])  # edges take a pixel of either side
+    found = np.array(rows).reshape(-1, 5)
+    fits = (np.abs(np.log(found[:, 3] / length)) < np.log(slack)) & (
+        np.abs(np.log(found[:, 4] / width)) < np.log(slack)
+    )
+    found = found[fits]
+    return Roofs(found[:, :2], found[:, 2] % np.pi, found[:, 3], found[:, 4], np.zeros(len(found)))
+
+
+def _width(standard: Standard) -> float:
+    """Of its containers [m]."""
+    return CONTAINER_WIDTH if standard.metres < LONGEST_ISO else DOMESTIC_WIDTH
+
+
+def _shaped(length: float, width: float, standard: Standard) -> bool:
+    """Whether `length` by `width` [px] is about that of containers of a standard."""
+    off, slack = np.log(length / width / standard.metres * _width(standard)), ASPECT_PX / width
+    return bool(ASPECT[0] - slack < off < ASPECT[1] + slack)
+
+
+def _roofs(colours: np.ndarray, image: np.ndarray, gsd: float, gsd_sd: float, standards: Sequence[Standard]) -> Roofs:
+    """Rectangles of one colour whose four sides lie on straight edges, shaped as containers of some of `standards`; of
+    several in one place the one that fits best."""
+    rows = []
+    for standard in standards:
+        rough = _rough(image, standard.metres / gsd, _width(standard) / gsd, SIGMAS_SEARCHED * gsd_sd, gsd)
+        for k in range(len(rough)):
+            fitted = _fitted(colours, rough[np.array([k])], gsd)
+            if fitted is not None and _shaped(fitted[3], fitted[4], standard):
+                rows.append(fitted)
+    kept: list[np.ndarray] = []
+    for row in sorted(rows, key=lambda row: row[5]):
+        if all(np.hypot(*(row[:2] - other[:2])) > 0.4 * other[4] for other in kept):
+            kept.append(row)
+    found = np.array(kept).reshape(-1, 6)
+    return Roofs(found[:, :2], found[:, 2], *found[:, 3:].T)
+
+
+def _fitted(colours: np.ndarray, roof: Roofs, gsd: float) -> np.ndarray | None:
+    """(6,) place, angle, length, width and residual of the rectangle on the edges about a rough one, or None."""
+    x, y = roof.place[0].tolist()
+    angle, length, width = (float(each[0]) for each in (roof.angle, roof.length, roof.width))
+    reach = max(EDGE_SOUGHT / gsd, EDGE_SOUGHT_PX)
+    close = max(EDGE_STRAIGHT / gsd, EDGE_STRAIGHT_PX)
+    for step in range(FIT_ROUNDS):
+        c, s = np.cos(angle), np.sin(angle)
+        rows, off = [], []
+        for end, sign in ((True, 1), (False, 1), (True, -1), (False, -1)):
+            along = _spots(END_PARTS, width) if end else _spots(SIDE_PARTS, length)
+            off.append(_edges(colours, np.array([x, y]), (c, s), (length, width), end, sign, reach / (1 + step)))
+            # how far outwards a part moves with the roof's place along and across, angle, half length and half width
+            one, none = np.ones(len(along)), np.zeros(len(along))
+            columns = (
+                [sign * one, none, -sign * along, one, none] if end else [none, sign * one, sign * along, none, one]
+            )
+            rows.append(np.stack(columns, 1))
+        by, gap = np.concatenate(rows), np.concatenate(off)
+        seen = np.isfinite(gap)
+        if seen.sum() < FEWEST_PARTS:
+            return None
+        gap = np.where(seen, gap, 0)
+        weight, change, left = seen.astype(float), np.zeros(5), gap
+        for _ in range(ROBUST_ROUNDS):
+            change = np.linalg.lstsq(by * weight[:, None], gap * weight, rcond=None)[0]
+            left = gap - by @ change
+            weight = seen / (1 + (left / close) ** 2)
+        x, y = x + change[0] * c - change[1] * s, y + change[0] * s + change[1] * c
+        angle += float(np.clip(change[2], -0.1, 0.1))
+        length, width = length + 2 * change[3], width + 2 * change[4]
+        if not 2 < width < length:
+            return None
+    near = seen & (np.abs(left) < close)
+    parts = np.split(near, np.cumsum([END_PARTS, SIDE_PARTS, END_PARTS]))
+    if min(part.mean() for part in parts) < EDGE_CLEAR or not _is_one_colour(colours, x, y, angle, length, width):
+        return None
+    return np.array([x, y, angle % np.pi, length, width, float(np.sqrt((left[near] ** 2).mean()))])
+
+
+def _spots(count: int, length: float) -> np.ndarray:
+    """(count,) evenly along a side of `length`, from its middle, but for its corners."""
+    return ((np.arange(count) + 0.5) / count - 0.5) * SIDE_MEASURED * length
+
+
+def _edges(colours, place, heading, sides, end, sign, reach) -> np.ndarray:
+    """(parts,) how far [px] outside of a side its innermost clear edge lies, as across a gap is the next roof's; nan
+    where there is none within `reach`. end : whether it is a short side; sign : on which side of the middle."""
+    (length, width), (c, s), parts = sides, heading, END_PARTS if end else SIDE_PARTS
+    out = np.arange(-reach - 1, reach + 1.01, ACROSS_EDGE)
+    along = _spots(parts * PART_LINES, width if end else length)
+    along, off = np.meshgrid(along, sign * ((length if end else width) / 2 + out), indexing="ij")
+    u, v = (off, along) if end else (along, off)
+    spots = place + np.stack([u * c - v * s, u * s + v * c], -1)
+    seen = values(colours, spots).reshape(parts, PART_LINES, len(out), 3)
+    slope = np.linalg.norm(np.gradient(seen.mean(1), axis=1), axis=2)
+    slope = cv2.blur(slope, (3, 1))
+    slope[:, np.abs(out) > reach] = 0
+    peak = (slope[:, 1:-1] >= slope[:, :-2]) & (slope[:, 1:-1] >= slope[:, 2:])
+    clear = peak & (slope[:, 1:-1] > FIRST_EDGE * slope.max(1, keepdims=True))
+    best = np.argmax(clear, axis=1) + 1
+    row = np.arange(parts)
+    left, middle, right = (slope[row, np.clip(best + d, 0, len(out) - 1)] for d in (-1, 0, 1))
+    bend = left - 2 * middle + right
+    shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, -1), 0)
+    return np.where(middle > FAINTEST_EDGE, out[best] + np.clip(shift, -1, 1) * ACROSS_EDGE, np.nan)
+
+
+def _is_one_colour(colours, x, y, angle, length, width) -> bool:
+    c, s = np.cos(angle), np.sin(angle)
+    u, v = np.meshgrid(np.linspace(-0.42, 0.42, 24) * length, np.linspace(-0.32, 0.32, 5) * width)
+    seen = values(colours, np.stack([x + u * c - v * s, y + u * s + v * c], -1)).reshape(-1, 3)
+    return bool((ROBUST_SD * np.median(np.abs(seen - np.median(seen, axis=0)), axis=0)).mean() < ROOF_EVEN)
+
+
+def _rows(colours: np.ndarray, roofs: Roofs, gsd: float) -> list[np.ndarray]:
+    """Numbers of the roofs of each row: equal ones side by side or end to end."""
+    if len(roofs) < FEWEST_CONTAINERS:
+        return []
+    i, j = np.triu_indices(len(roofs), 1)
+    turn = np.abs((roofs.angle[i] - roofs.angle[j] + np.pi / 2) % np.pi - np.pi / 2)
+    equal = np.abs(np.log(roofs.length[i] / roofs.length[j])) < ROW_LENGTH + ROW_LENGTH_PX / roofs.length[i]
+    step = roofs.place[j] - roofs.place[i]
+    along = roofs.along[i]
+    ahead = np.abs((step * along).sum(1))
+    aside = np.abs(step[:, 1] * along[:, 0] - step[:, 0] * along[:, 1])
+    low, high = ROW_GAP[0] / gsd, ROW_GAP[1] / gsd
+    beside = aside - (roofs.width[i] + roofs.width[j]) / 2
+    behind = ahead - (roofs.length[i] + roofs.length[j]) / 2
+    side_by_side = (beside > low - 1) & (beside < high + 0.5) & (ahead < ROW_SHIFT / gsd)
+    end_to_end = (behind > low - 1) & (behind < high + 0.5) & (aside < ROW_SHIFT / gsd)
+    joined = (turn < ROW_TURN) & equal & (side_by_side | end_to_end)
+    pairs = [
+        (a, b) for a, b in zip(i[joined].tolist(), j[joined].tolist(), strict=True) if _is_gap(colours, roofs, a, b)
+    ]
+    if not pairs:
+        return []
+    a, b = np.array(pairs).T
+    number = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=2 * [len(roofs)]), directed=False)[1]
+    return [np.flatnonzero(number == k) for k in range(number.max() + 1) if (number == k).sum() >= FEWEST_CONTAINERS]
+
+
+def _is_gap(colours: np.ndarray, roofs: Roofs, a: int, b: int) -> bool:
+    """Whether what is between two roofs is not brighter than both, as a painted line or a joint is."""
+    share = np.linspace(0, 1, 41)
+    along = roofs.along[a]
+    middle = roofs.place[a] + share[:, None] * (roofs.place[b] - roofs.place[a])
+    side = abs(float((roofs.place[b] - roofs.place[a]) @ along)) < roofs.length[a] / 2
+    across = along if side else np.array([-along[1], along[0]])
+    wide = 0.7 * (roofs.length[a] if side else roofs.width[a])
+    spots = middle[:, None] + np.linspace(-0.5, 0.5, 15)[:, None] * wide * across
+    seen = np.median(values(colours, spots), axis=1).mean(1)
+    inside = max(np.median(seen[:12]), np.median(seen[-12:]))
+    return bool(seen[14:27].max() < inside + PAINTED_GAP)
