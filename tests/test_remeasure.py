@@ -50,7 +50,7 @@ class Sees:
         xylwa = np.where(there[:, None], self.truth.xylwa[near], boxes.xylwa)
         kind = np.where(there[:, None], [0.2, 0.6, 0.1, 0.1, 0.0], [0.1, 0, 0, 0, 0.9])
         sigma = np.repeat([[0.3, 0.4, 0.1, 0.1]], len(boxes), 0)
-        return Measured(Boxes(xylwa, boxes.score), sigma, np.ones((len(boxes), 4)), kind)
+        return Measured(Boxes(xylwa, boxes.score), sigma, np.ones((len(boxes), 4)), kind, np.full(len(boxes), np.nan))
 
 
 def found(boxes: Boxes, zoom: float = 0.5) -> Detections:

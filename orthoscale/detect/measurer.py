@@ -25,6 +25,7 @@ from ..formats.reading import checked, parsed
 from .detector import load_network
 from .enlarged import AS_IT_IS
 from .foreign import ForeignError
+from .shade import lightness
 
 SHIPPED_MEASURER = "measurer.onnx"
 
@@ -102,12 +103,14 @@ class Measured:
         direction, at the end in it, left and right of who looks along it (image coordinates: left is -y at angle 0).
     seen : (N, 4) 0..1, how surely each edge is in sight, not under a tree or beyond the picture's edge.
     kind : (N, 5) shares of `ANSWERS`.
+    light : (N,) how light its paint is, of `shade.lightness`.
     """
 
     boxes: Boxes
     sigma: np.ndarray
     seen: np.ndarray
     kind: np.ndarray
+    light: np.ndarray
 
     @property
     def size_sigma(self) -> np.ndarray:
@@ -209,7 +212,7 @@ class Measurer:
         """windows : pixels around each vehicle, `enlarged` times fewer than the picture's, and where their first corner
         lies in the picture."""
         if not len(boxes):
-            return Measured(boxes, np.empty((0, 4)), np.empty((0, 4)), np.empty((0, len(ANSWERS))))
+            return Measured(boxes, np.empty((0, 4)), np.empty((0, 4)), np.empty((0, len(ANSWERS))), np.empty(0))
         corner = np.array([[*at, 0, 0, 0] for _, at in windows], float)
         units = np.array([enlarged] * 4 + [1.0])
         proposed = (boxes.xylwa - corner) / units
@@ -217,11 +220,13 @@ class Measurer:
             steps = np.array([pixels_per_crop_pixel(box) for box in proposed])
             crops = [crop(pixels, box) for (pixels, _), box in zip(windows, proposed, strict=True)]
             edges, sigma, turn, seen, kind = self._run(crops)
+            cut_along = proposed
             proposed = np.array([placed(*each) for each in zip(proposed, edges, turn, strict=True)])
+        light = np.array([lightness(*each) for each in zip(crops, cut_along[:, 2:4] / steps[:, None], strict=True)])
         sigma = sigma * steps[:, None]
         outward = self.card.outward(sigma, proposed[:, 2])
         boxes = Boxes(moved_out(proposed, outward) * units + corner, boxes.score)
-        return Measured(boxes, enlarged * np.hypot(sigma, MOVED_SD * outward), seen, kind)
+        return Measured(boxes, enlarged * np.hypot(sigma, MOVED_SD * outward), seen, kind, light)
 
 
 def _window(picture: Picture, box: np.ndarray, enlarged: Fraction) -> tuple[np.ndarray, np.ndarray]:

@@ -19,12 +19,14 @@ from ..core.boxes import Boxes, distinct, overlap
 from ..core.detections import Detections
 from ..core.pooling.posterior import ROBUST_SD
 from ..core.progress import Progress
+from ..core.remarks import signed
 from ..core.ruler import Ruler
 from ..core.source import Picture
 from .cache import Kept, as_text, content_key
 from .enlarged import enlargement
 from .find import Effort
 from .measurer import Measured, Measurer
+from .shade import DARK, shadows
 from .workers import worker_count
 
 MOST = 400  # boxes that are measured; what a scale then gains from more is less than its margin leaves open
@@ -64,11 +66,12 @@ def remeasured(
         return found  # nothing that was found is at hand
     proposed = {name: found.boxes[name][index] for name, index in chosen.items()}
     enlarged = enlargement(by_name, proposed)
-    settings = {"measurer": measurer.sha256, "enlarged": str(enlarged)}
+    settings = {"measurer": measurer.sha256, "enlarged": str(enlarged), "tells": "lightness"}
     key = content_key([by_name[name] for name in chosen], settings) if effort.cache else None
     with ExitStack() as open_things:
         kept = open_things.enter_context(Kept(key)) if key else None
         told = _looked_at(by_name, proposed, measurer, enlarged, worker_count(effort.workers), kept, progress)
+    told, too_large = _without_shadows(told)
     change = _change(
         Boxes.concatenate(list(proposed.values())), Boxes.concatenate([told[name].boxes for name in proposed])
     )
@@ -89,6 +92,9 @@ def remeasured(
     notes = found.notes
     if count:
         notes = (*notes, f"{count} boxes do not count: the measurer saw no vehicle in them")
+    if too_large.any():
+        length, width = signed(np.expm1(too_large[0])), signed(np.expm1(too_large[1]))
+        notes = (*notes, f"dark vehicles measured {length} in length, {width} in width for their shadows: taken off")
     if enlarged > 1:
         text = f"the picture has {float(enlarged):g} times the pixels that it shows, each way: measured in fewer"
         notes = (*notes, text)
@@ -136,7 +142,9 @@ def _looked_at(
     with ThreadPoolExecutor(workers) as pool:
         looks = pool.map(lambda job: measurer(pictures[job[0]], proposed[job[0]][job[1]], enlarged=enlarged), jobs)
         for done, ((name, index), look) in enumerate(zip(jobs, looks, strict=True), 1):
-            for k, row in zip(index, np.hstack([look.boxes.xylwa, look.sigma, look.seen, look.kind]), strict=True):
+            for k, row in zip(
+                index, np.hstack([look.boxes.xylwa, look.sigma, look.seen, look.kind, look.light[:, None]]), strict=True
+            ):
                 rows[name][k] = row
                 if kept is not None:
                     kept.keep(_row_name(pictures[name], proposed[name].xylwa[k]), row.astype("<f8").tobytes())
@@ -144,9 +152,21 @@ def _looked_at(
                 progress("Measuring vehicles", done, len(jobs))
     told = {}
     for name, boxes in proposed.items():
-        xylwa, sigma, seen, kind = np.split(np.array(rows[name]), [5, 9, 13], axis=1)
-        told[name] = Measured(Boxes(xylwa, boxes.score), sigma, seen, kind)
+        xylwa, sigma, seen, kind, light = np.split(np.array(rows[name]), [5, 9, 13, 18], axis=1)
+        told[name] = Measured(Boxes(xylwa, boxes.score), sigma, seen, kind, light[:, 0])
     return told
+
+
+def _without_shadows(told: Mapping[str, Measured]) -> tuple[dict[str, Measured], np.ndarray]:
+    """The same without what dark vehicles have of their shadows; (2,) how much that was, of log length and width."""
+    every = [(np.log(t.boxes.xylwa[:, 2:4]), np.where(t.kind[:, -1] < NONE, t.light, np.nan)) for t in told.values()]
+    too_large = shadows(*(np.concatenate(part) for part in zip(*every, strict=True))) if every else np.zeros(2)
+    without = {}
+    for name, t in told.items():
+        xylwa = t.boxes.xylwa.copy()
+        xylwa[t.light < DARK, 2:4] *= np.exp(-too_large)
+        without[name] = replace(t, boxes=replace(t.boxes, xylwa=xylwa))
+    return without, too_large
 
 
 def _row_name(picture: Picture, box: np.ndarray) -> str:

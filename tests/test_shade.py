@@ -1,0 +1,113 @@
+"""Dark vehicles whose shadows merge with them: told by light ones, and corrected by no more than can be believed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.drawings import Drawing
+from test_remeasure import QUIET, Sees, found, proposed
+
+from orthoscale.core.boxes import Boxes
+from orthoscale.detect.measurer import Measured
+from orthoscale.detect.remeasure import remeasured
+from orthoscale.detect.shade import DARK, FEWEST, LIGHT, PAINT_SD, SHADOW_SD, lightness, shadows
+
+SIZE = np.array([56.0, 24.0])
+
+
+def crop(paint: int, shadow: int = 20, ground: int = 120) -> np.ndarray:
+    """A vehicle of that paint, its shadow along one side of it, in the form of the measurer's crops."""
+    grey = np.full((48, 96), ground, np.uint8)
+    grey[36:46, 20:78] = shadow
+    grey[12:36, 20:76] = paint
+    return np.repeat(grey[..., None], 3, 2)
+
+
+@pytest.mark.parametrize("paint, expected", [(20, 0.0), (70, 0.5), (120, 1.0), (220, 2.0)])
+def test_paint_is_told_between_shadow_and_ground(paint, expected):
+    assert lightness(crop(paint), SIZE) == pytest.approx(expected)
+
+
+def test_where_nothing_casts_a_shadow_nothing_is_told():
+    assert np.isnan(lightness(crop(20, shadow=110), SIZE))
+
+
+def scene(larger: tuple[float, float], dark: int, light: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Log sizes (N, 2) of vehicles of one fleet, the first `dark` of them enlarged, and their lightness."""
+    rng = np.random.default_rng(seed)
+    size = np.log([4.4, 1.8]) + rng.normal(0, [0.07, 0.04], (dark + light, 2))
+    size[:dark] += larger
+    return size, np.repeat([DARK / 2, LIGHT + 0.3], [dark, light])
+
+
+def test_what_shadows_add_is_found():
+    assert shadows(*scene((0.05, 0.12), 300, 300)) == pytest.approx([0.05, 0.12], abs=0.02)
+
+
+def test_half_as_many_lorries_among_the_dark_ones_change_nothing():
+    size, light = scene((0.05, 0.12), 200, 200)
+    lorries = np.log([9.0, 2.5]) + np.zeros((100, 2))
+    alone = shadows(size, light)
+    assert shadows(np.r_[size, lorries], np.r_[light, np.zeros(100)]) == pytest.approx(alone, abs=0.015)
+
+
+def test_vehicles_neither_dark_nor_light_say_nothing():
+    size, light = scene((0.05, 0.12), 200, 200)
+    between = np.log([4.4, 2.1]) + np.zeros((400, 2))
+    assert shadows(np.r_[size, between], np.r_[light, np.full(400, 0.6)]) == pytest.approx(shadows(size, light))
+
+
+def test_paint_keeps_its_part_however_many_there_are():
+    """White vans may be longer than black cars: of a difference as small as that some is left."""
+    size, light = scene((0.02, 0.02), 20_000, 20_000)
+    assert shadows(size, light) == pytest.approx(0.02 * SHADOW_SD**2 / (SHADOW_SD**2 + PAINT_SD**2), abs=0.0015)
+
+
+def test_shadows_only_add():
+    assert (shadows(*scene((-0.05, -0.12), 300, 300)) == 0).all()
+
+
+def test_few_are_hardly_believed():
+    """Against draws of a known truth: what is taken off errs by no more than if nothing or all were taken off."""
+    rng = np.random.default_rng(1)
+    kept, told, all_ = [], [], []
+    for seed in range(200):
+        paint, truth = rng.normal(0, PAINT_SD, 2), np.abs(rng.normal(0, SHADOW_SD))
+        size, light = scene(tuple(truth + paint), 8, 8, seed)
+        apart = np.median(size[:8], 0) - np.median(size[8:], 0)
+        kept.append(truth)
+        told.append(shadows(size, light) - truth)
+        all_.append(apart - truth)
+    rms = [np.sqrt(np.mean(np.square(e))) for e in (told, kept, all_)]
+    assert rms[0] < 0.9 * min(rms[1:])
+
+
+@pytest.mark.parametrize("dark, light", [(FEWEST - 1, 50), (50, FEWEST - 1), (0, 0)])
+def test_too_few_to_compare(dark, light):
+    assert (shadows(*scene((0.1, 0.2), dark, light)) == 0).all()
+
+
+class SeesShadows(Sees):
+    """Takes half of the vehicles, the dark ones, for 20 % wider than they are."""
+
+    def __call__(self, *args: object, **options: object) -> Measured:
+        told = super().__call__(*args, **options)
+        dark = told.boxes.centre[:, 0].astype(int) % 2 == 0
+        xylwa = told.boxes.xylwa.copy()
+        xylwa[dark, 3] *= 1.2
+        boxes = Boxes(xylwa, told.boxes.score)
+        return Measured(boxes, told.sigma, told.seen, told.kind, np.where(dark, 0.0, 1.5))
+
+
+def test_measured_vehicles_lose_their_shadows():
+    rng = np.random.default_rng(3)
+    x, y = np.meshgrid(np.arange(10) * 150 + 100, np.arange(8) * 120 + 100)
+    centre = np.c_[x.ravel() + np.arange(80) % 2, y.ravel()]
+    truth = Boxes(np.c_[centre, rng.normal(60, 3, 80), rng.normal(25, 0.8, 80), np.zeros(80)], np.ones(80))
+    picture = Drawing(1800, 1200, truth)
+    got = remeasured([picture], found(proposed(truth)), SeesShadows(truth), QUIET)
+    width = got.boxes["drawing"].xylwa[:, 3]
+    dark = got.boxes["drawing"].centre[:, 0].astype(int) % 2 == 0
+    assert np.median(width[dark]) / np.median(width[~dark]) == pytest.approx(1.0, abs=0.03)
+    assert np.median(width[~dark]) == pytest.approx(25, abs=0.3)
+    assert any("dark vehicles" in note for note in got.notes)
