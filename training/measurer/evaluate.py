@@ -2,13 +2,15 @@ r"""How good the measurer is, beside the detector's own boxes.
 
     python -m training.measurer.evaluate --measurer M.onnx rendered runs/bank
     python -m training.measurer.evaluate --measurer M.onnx changes --found NAME=PICTURES:BOXES.json [--found ...]
+    python -m training.measurer.evaluate --measurer M.onnx paint --found NAME=PICTURES:BOXES.json [--found ...]
     python -m training.measurer.evaluate --measurer M.onnx hand --data ../shared/data
     python -m training.measurer.evaluate --measurer M.onnx places --known NAME=PICTURES:BOXES.json:GSD:FLEET [...]
     python -m training.measurer.evaluate --measurer M.onnx kinds --data ../shared/data
 
 `rendered`: vehicles with exact edges that were not learnt from, as many cameras took them, proposed badly; by size.
 `changes`: the same real vehicles in a picture that was resampled, blurred, sharpened, ...: by how much their sizes
-move. `hand`: against the edges that were read by eye (labels/by_hand.json). `places`: vehicles of known scale in
+move. `paint`: by how much a scene's dark vehicles measure larger than its light ones, which is their shadows'. `hand`:
+against the edges that were read by eye (labels/by_hand.json). `places`: vehicles of known scale in
 metres, beside the fleet's mean. `kinds`: against the kinds that were told by eye (labels/kinds.json) at places that
 were not learnt from. BOXES.json holds the detector's boxes, which propose where to look.
 """
@@ -29,6 +31,8 @@ from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import ANSWERS, Measured, Measurer
 from orthoscale.detect.remeasure import NONE as AS_NONE
+from orthoscale.detect.shade import ALIKE, DARK, LIGHT
+from orthoscale.detect.shade import FEWEST as FEWEST_PAINTED
 from orthoscale.fleets import load_fleet
 from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
 from training.kinds import LABELS as KINDS_BY_EYE
@@ -260,6 +264,26 @@ def changes(measurer: Measurer, detector: Detector | None, scenes: list[Scene], 
     return "\n".join(lines)
 
 
+def paint(measurer: Measurer, scenes: list[Scene], most: int) -> str:
+    """Dark vehicles against light ones, by scene: difference of medians, and its standard error."""
+    lines = [f"{'':20s} dark light | length [px] | dark ones longer [%] | wider [%]"]
+    for scene in scenes:
+        told = [measurer.in_pixels(pixels, Boxes(box[None], np.ones(1))) for pixels, box in windows(scene, most)]
+        size = np.log([t.boxes.xylwa[0, 2:4] for t in told])
+        light = np.array([t.light[0] for t in told])
+        near = np.abs(size[:, 0] - np.median(size[:, 0])) < ALIKE
+        groups = size[near & (light < DARK)], size[near & (light > LIGHT)]
+        if min(map(len, groups)) < FEWEST_PAINTED:
+            continue
+        larger = 100 * (np.median(groups[0], 0) - np.median(groups[1], 0))
+        error = 100 * np.sqrt(np.pi / 2 * sum(g.var(0, ddof=1) / len(g) for g in groups))
+        lines.append(
+            f"{scene.name:20s} {len(groups[0]):4d} {len(groups[1]):5d} | {np.exp(np.median(size[:, 0])):11.0f} | "
+            f"{larger[0]:+12.1f} +- {error[0]:.1f} | {larger[1]:+6.1f} +- {error[1]:.1f}"
+        )
+    return "\n".join(lines)
+
+
 @dataclass(frozen=True)
 class Place:
     """What one place's vehicles say of a measurer: medians of the log ratios (2,) of length and width to what was read,
@@ -406,6 +430,8 @@ def main() -> None:
     b = commands.add_parser("changes")
     b.add_argument("--found", action="append", required=True, metavar="NAME=PICTURES:BOXES.json")
     b.add_argument("--alone", action="store_true", help="the measurer without the detector")
+    p = commands.add_parser("paint")
+    p.add_argument("--found", action="append", required=True, metavar="NAME=PICTURES:BOXES.json")
     c = commands.add_parser("hand")
     c.add_argument("--data", type=Path, required=True)
     c.add_argument("--of", type=Path, default=BY_HAND, help="what was read (%(default)s)")
@@ -417,6 +443,7 @@ def main() -> None:
     e.add_argument("--longest", type=float, default=np.inf, help="reduce longer vehicles to so many pixels")
     for command in (b, d):
         command.add_argument("--most", type=int, default=30, help="vehicles of each scene (%(default)s)")
+    p.add_argument("--most", type=int, default=150, help="vehicles of each scene (%(default)s)")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     measurer = Measurer(options.measurer)
@@ -428,6 +455,9 @@ def main() -> None:
         return
     if options.command == "kinds":
         print(kinds(measurer, options.data, options.of, options.longest))
+        return
+    if options.command == "paint":
+        print(paint(measurer, [reference_scene(text) for text in options.found], options.most))
         return
     detector = Detector(options.detector, threads=1)
     if options.command == "changes":
