@@ -10,7 +10,7 @@ from test_remeasure import QUIET, Sees, found, proposed
 from orthoscale.core.boxes import Boxes
 from orthoscale.detect.measurer import Measured
 from orthoscale.detect.remeasure import remeasured
-from orthoscale.detect.shade import DARK, FEWEST, LIGHT, PAINT_SD, SHADOW_SD, lightness, shadows
+from orthoscale.detect.shade import DARK, LEAST_PAINTED, LIGHT, OF_PAINT_SD, SHADOW_SD, lightness, shadows
 
 SIZE = np.array([56.0, 24.0])
 
@@ -60,7 +60,7 @@ def test_vehicles_neither_dark_nor_light_say_nothing():
 def test_paint_keeps_its_part_however_many_there_are():
     """White vans may be longer than black cars: of a difference as small as that some is left."""
     size, light = scene((0.02, 0.02), 20_000, 20_000)
-    assert shadows(size, light) == pytest.approx(0.02 * SHADOW_SD**2 / (SHADOW_SD**2 + PAINT_SD**2), abs=0.0015)
+    assert shadows(size, light) == pytest.approx(0.02 * SHADOW_SD**2 / (SHADOW_SD**2 + OF_PAINT_SD**2), abs=0.0015)
 
 
 def test_shadows_only_add():
@@ -72,7 +72,7 @@ def test_few_are_hardly_believed():
     rng = np.random.default_rng(1)
     kept, told, all_ = [], [], []
     for seed in range(200):
-        paint, truth = rng.normal(0, PAINT_SD, 2), np.abs(rng.normal(0, SHADOW_SD))
+        paint, truth = rng.normal(0, OF_PAINT_SD, 2), np.abs(rng.normal(0, SHADOW_SD))
         size, light = scene(tuple(truth + paint), 8, 8, seed)
         apart = np.median(size[:8], 0) - np.median(size[8:], 0)
         kept.append(truth)
@@ -82,7 +82,7 @@ def test_few_are_hardly_believed():
     assert rms[0] < 0.9 * min(rms[1:])
 
 
-@pytest.mark.parametrize("dark, light", [(FEWEST - 1, 50), (50, FEWEST - 1), (0, 0)])
+@pytest.mark.parametrize("dark, light", [(LEAST_PAINTED - 1, 50), (50, LEAST_PAINTED - 1), (0, 0)])
 def test_too_few_to_compare(dark, light):
     assert (shadows(*scene((0.1, 0.2), dark, light)) == 0).all()
 

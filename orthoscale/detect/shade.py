@@ -12,16 +12,16 @@ import numpy as np
 
 # Of a vehicle's length and width: what lies within the first two is its body, what lies beyond the others its
 # surroundings.
-BODY, SURROUNDINGS = (0.7, 0.6), (1.2, 1.3)
+OF_BODY, BESIDE = (0.7, 0.6), (1.2, 1.3)
 DARKEST = 0.05  # quantile of the surroundings' light that tells how dark shadows are
-CONTRAST = 20.0  # grey levels by which shadows are darker than the ground, at least: else there are none
+SHADOW_CONTRAST = 20.0  # grey levels by which shadows are darker than the ground, at least: else there are none
 DARK, LIGHT = 0.35, 0.9  # lightness up to which a vehicle may be taken for its shadow, and from which it is not
-FEWEST = 5  # dark and light ones from which their sizes are compared
+LEAST_PAINTED = 5  # dark and light ones from which their sizes are compared
 ALIKE = 0.35  # log length from the median's within which vehicles are compared: lorries are left out
 # One sigma, of log length and width: by how much shadows enlarge the dark vehicles of a scene, and by how much dark and
 # light ones differ of themselves (white vans, black limousines).
 SHADOW_SD = np.array([0.04, 0.09])
-PAINT_SD = 0.02
+OF_PAINT_SD = 0.02
 
 
 def lightness(crop: np.ndarray, size: np.ndarray) -> float:
@@ -30,12 +30,12 @@ def lightness(crop: np.ndarray, size: np.ndarray) -> float:
     grey = cv2.cvtColor(crop, cv2.COLOR_RGB2GRAY)
     along = np.abs(np.arange(grey.shape[1]) + 0.5 - grey.shape[1] / 2) / (size[0] / 2)
     across = np.abs(np.arange(grey.shape[0]) + 0.5 - grey.shape[0] / 2)[:, None] / (size[1] / 2)
-    body = grey[(along < BODY[0]) & (across < BODY[1])]
-    around = grey[(along > SURROUNDINGS[0]) | (across > SURROUNDINGS[1])]
+    body = grey[(along < OF_BODY[0]) & (across < OF_BODY[1])]
+    around = grey[(along > BESIDE[0]) | (across > BESIDE[1])]
     if not body.size or not around.size:
         return np.nan
     ground, shadow = np.median(around), np.quantile(around, DARKEST)
-    return float((np.median(body) - shadow) / (ground - shadow)) if ground - shadow > CONTRAST else np.nan
+    return float((np.median(body) - shadow) / (ground - shadow)) if ground - shadow > SHADOW_CONTRAST else np.nan
 
 
 def shadows(log_size: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -47,9 +47,9 @@ def shadows(log_size: np.ndarray, light: np.ndarray) -> np.ndarray:
     """
     near = np.abs(log_size[:, 0] - np.median(log_size[:, 0])) < ALIKE if len(log_size) else np.empty(0, bool)
     dark, bright = log_size[near & (light < DARK)], log_size[near & (light > LIGHT)]
-    if min(len(dark), len(bright)) < FEWEST:
+    if min(len(dark), len(bright)) < LEAST_PAINTED:
         return np.zeros(2)
     # Of a median: pi / 2 times a mean's.
-    variance = np.pi / 2 * (dark.var(0, ddof=1) / len(dark) + bright.var(0, ddof=1) / len(bright)) + PAINT_SD**2
+    variance = np.pi / 2 * (dark.var(0, ddof=1) / len(dark) + bright.var(0, ddof=1) / len(bright)) + OF_PAINT_SD**2
     larger = np.median(dark, 0) - np.median(bright, 0)
     return SHADOW_SD**2 / (SHADOW_SD**2 + variance) * np.maximum(larger, 0.0)

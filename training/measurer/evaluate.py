@@ -31,8 +31,7 @@ from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import ANSWERS, Measured, Measurer
 from orthoscale.detect.remeasure import NONE as AS_NONE
-from orthoscale.detect.shade import ALIKE, DARK, LIGHT
-from orthoscale.detect.shade import FEWEST as FEWEST_PAINTED
+from orthoscale.detect.shade import ALIKE, DARK, LEAST_PAINTED, LIGHT
 from orthoscale.fleets import load_fleet
 from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
 from training.kinds import LABELS as KINDS_BY_EYE
@@ -273,7 +272,7 @@ def paint(measurer: Measurer, scenes: list[Scene], most: int) -> str:
         light = np.array([t.light[0] for t in told])
         near = np.abs(size[:, 0] - np.median(size[:, 0])) < ALIKE
         groups = size[near & (light < DARK)], size[near & (light > LIGHT)]
-        if min(map(len, groups)) < FEWEST_PAINTED:
+        if min(map(len, groups)) < LEAST_PAINTED:
             continue
         larger = 100 * (np.median(groups[0], 0) - np.median(groups[1], 0))
         error = 100 * np.sqrt(np.pi / 2 * sum(g.var(0, ddof=1) / len(g) for g in groups))
