@@ -12,7 +12,7 @@ import numpy as np
 
 # Of a vehicle's length and width: what lies within the first two is its body, what lies beyond the others its
 # surroundings.
-OF_BODY, BESIDE = (0.7, 0.6), (1.2, 1.3)
+OF_BODY, AROUND_BODY = (0.7, 0.6), (1.2, 1.3)
 DARKEST = 0.05  # quantile of the surroundings' light that tells how dark shadows are
 SHADOW_CONTRAST = 20.0  # grey levels by which shadows are darker than the ground, at least: else there are none
 DARK, LIGHT = 0.35, 0.9  # lightness up to which a vehicle may be taken for its shadow, and from which it is not
@@ -31,7 +31,7 @@ def lightness(crop: np.ndarray, size: np.ndarray) -> float:
     along = np.abs(np.arange(grey.shape[1]) + 0.5 - grey.shape[1] / 2) / (size[0] / 2)
     across = np.abs(np.arange(grey.shape[0]) + 0.5 - grey.shape[0] / 2)[:, None] / (size[1] / 2)
     body = grey[(along < OF_BODY[0]) & (across < OF_BODY[1])]
-    around = grey[(along > BESIDE[0]) | (across > BESIDE[1])]
+    around = grey[(along > AROUND_BODY[0]) | (across > AROUND_BODY[1])]
     if not body.size or not around.size:
         return np.nan
     ground, shadow = np.median(around), np.quantile(around, DARKEST)
