@@ -16,7 +16,7 @@ from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed
 import orthoscale
 from orthoscale.actions.requests import command_line
 from orthoscale.errors import Incomplete, InputError, UsageError
-from orthoscale.report import places, wording
+from orthoscale.report import files, places, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, read_json
 from orthoscale.report.files import redraw
@@ -149,6 +149,19 @@ def test_the_page_can_be_drawn_again_from_its_json(park, tmp_path):
     again = tmp_path / "scaled.tif.html"  # a page is signed with its name
     assert redraw(folder / "scaled.tif.json", again) == ""
     assert again.read_text() == (folder / "scaled.tif.html").read_text()
+
+
+def test_a_page_drawn_again_stands_on_the_ground_of_the_report(park, tmp_path, monkeypatch):
+    """A model's vehicles are drawn where they were measured: on the cloud that its options named."""
+    about = json.loads((park[0] / "scaled.tif.json").read_text())
+    about["settings"]["ground_cloud"] = "dense/fused.ply"
+    (tmp_path / "report.json").write_text(json.dumps(about))
+    asked = []
+    monkeypatch.setattr(
+        files, "open_source", lambda *_, **named: asked.append(named) or open_source(park[0] / "park.png")
+    )
+    redraw(tmp_path / "report.json", tmp_path / "report.html")
+    assert [named["ground_cloud"] for named in asked] == ["dense/fused.ply"]
 
 
 @pytest.mark.parametrize("fate, why", [("gone", "not there"), ("changed", "changed since")])

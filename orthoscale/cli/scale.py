@@ -101,6 +101,7 @@ def estimate(
     "  orthoscale fix ortho.tif --out placed.tif --fleet PH --against map.tif\n"
     "  orthoscale fix model/ --out scaled/ --fleet US\n"
     "  orthoscale fix model/ --out scaled/ --detections boxes.json\n"
+    "  orthoscale fix model/ --out scaled/ --fleet US --ground-cloud dense/fused.ply\n"
     "  orthoscale fix surveys/ --out scaled/ --fleet US --summary out.csv --jobs 2\n\n" + EXIT_CODES
 )
 @inputs

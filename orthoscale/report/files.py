@@ -81,7 +81,8 @@ def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple
     if images is None and "images" in report["settings"]:
         images = Path(report["settings"]["images"])
     try:
-        source = open_source(found, None if of_plan(report) else images, need_images=False)
+        images = None if of_plan(report) else images
+        source = open_source(found, images, need_images=False, ground_cloud=report["settings"].get("ground_cloud"))
     except OrthoscaleError as error:
         return None, error.message
     if source.content_hash() != report["input"]["sha256"]:
