@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 @command(
     epilog="\b\nExamples:\n  orthoscale estimate ortho.tif --fleet DE\n"
     "  orthoscale estimate sparse/0 --images frames/ --fleet US --json\n"
+    "  orthoscale estimate sparse/0 --images frames/ --fleet US --ground-cloud dense/fused.ply\n"
     "  orthoscale estimate 'surveys/*.tif' --fleet DE --summary scales.csv\n\n" + EXIT_CODES
 )
 @inputs
