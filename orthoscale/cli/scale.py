@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 @command(
     epilog="\b\nExamples:\n  orthoscale estimate ortho.tif --fleet DE\n"
     "  orthoscale estimate sparse/0 --images frames/ --fleet US --json\n"
-    "  orthoscale estimate sparse/0 --images frames/ --fleet US --ground-cloud dense/fused.ply\n"
+    "  orthoscale estimate sparse/0 --images frames/ --ground-cloud fused.ply\n"
     "  orthoscale estimate 'surveys/*.tif' --fleet DE --summary scales.csv\n\n" + EXIT_CODES
 )
 @inputs
@@ -102,7 +102,7 @@ def estimate(
     "  orthoscale fix ortho.tif --out placed.tif --fleet PH --against map.tif\n"
     "  orthoscale fix model/ --out scaled/ --fleet US\n"
     "  orthoscale fix model/ --out scaled/ --detections boxes.json\n"
-    "  orthoscale fix model/ --out scaled/ --fleet US --ground-cloud dense/fused.ply\n"
+    "  orthoscale fix model/ --out scaled/ --ground-cloud dense/fused.ply\n"
     "  orthoscale fix surveys/ --out scaled/ --fleet US --summary out.csv --jobs 2\n\n" + EXIT_CODES
 )
 @inputs
