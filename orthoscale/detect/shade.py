@@ -38,18 +38,31 @@ def lightness(crop: np.ndarray, size: np.ndarray) -> float:
     return float((np.median(body) - shadow) / (ground - shadow)) if ground - shadow > SHADOW_CONTRAST else np.nan
 
 
+def dark_and_light(log_size: np.ndarray, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The log sizes (K, 2) of the dark and of the light ones of N vehicles, lorries left out.
+
+    log_size : (N, 2) of length and width, light : (N,) of `lightness`.
+    """
+    near = np.abs(log_size[:, 0] - np.median(log_size[:, 0])) < ALIKE if len(log_size) else np.empty(0, bool)
+    return log_size[near & (light < DARK)], log_size[near & (light > LIGHT)]
+
+
+def larger(dark: np.ndarray, bright: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(2,) by how much the median of log sizes `dark` (K, 2) exceeds that of `bright` (L, 2), and its variance (2,)."""
+    # Of a median: pi / 2 times a mean's.
+    variance = np.pi / 2 * (dark.var(0, ddof=1) / len(dark) + bright.var(0, ddof=1) / len(bright))
+    return np.median(dark, 0) - np.median(bright, 0), variance
+
+
 def shadows(log_size: np.ndarray, light: np.ndarray) -> np.ndarray:
     """(2,) by how much the dark of N vehicles are too large for their shadows, of log length and width.
 
-    log_size : (N, 2), light : (N,) of `lightness`. The difference of medians is believed as far as its own uncertainty
-    and what paint may have to do with size allow (a normal prior of SHADOW_SD); 0 where too few can be compared, and
-    where dark ones are the smaller, for shadows only add.
+    log_size, light : of `dark_and_light`. The difference of medians is believed as far as its own uncertainty and what
+    paint may have to do with size allow (a normal prior of SHADOW_SD); 0 where too few can be compared, and where dark
+    ones are the smaller, for shadows only add.
     """
-    near = np.abs(log_size[:, 0] - np.median(log_size[:, 0])) < ALIKE if len(log_size) else np.empty(0, bool)
-    dark, bright = log_size[near & (light < DARK)], log_size[near & (light > LIGHT)]
-    if min(len(dark), len(bright)) < LEAST_PAINTED:
+    groups = dark_and_light(log_size, light)
+    if min(map(len, groups)) < LEAST_PAINTED:
         return np.zeros(2)
-    # Of a median: pi / 2 times a mean's.
-    variance = np.pi / 2 * (dark.var(0, ddof=1) / len(dark) + bright.var(0, ddof=1) / len(bright)) + OF_PAINT_SD**2
-    larger = np.median(dark, 0) - np.median(bright, 0)
-    return SHADOW_SD**2 / (SHADOW_SD**2 + variance) * np.maximum(larger, 0.0)
+    apart, variance = larger(*groups)
+    return SHADOW_SD**2 / (SHADOW_SD**2 + variance + OF_PAINT_SD**2) * np.maximum(apart, 0.0)

@@ -80,8 +80,8 @@ def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple
         return None, f"{told} is not there"
     if images is None and "images" in report["settings"]:
         images = Path(report["settings"]["images"])
+    images = None if of_plan(report) else images
     try:
-        images = None if of_plan(report) else images
         source = open_source(found, images, need_images=False, ground_cloud=report["settings"].get("ground_cloud"))
     except OrthoscaleError as error:
         return None, error.message

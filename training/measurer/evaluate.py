@@ -31,7 +31,7 @@ from orthoscale.core.boxes import Boxes, matched
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.measurer import ANSWERS, Measured, Measurer
 from orthoscale.detect.remeasure import NONE as AS_NONE
-from orthoscale.detect.shade import ALIKE, DARK, LEAST_PAINTED, LIGHT
+from orthoscale.detect.shade import LEAST_PAINTED, dark_and_light, larger
 from orthoscale.fleets import load_fleet
 from training.evaluate import BY_HAND, Labelled, Scene, measured_scenes, middle, reference_scene, twice_seen
 from training.kinds import LABELS as KINDS_BY_EYE
@@ -269,16 +269,14 @@ def paint(measurer: Measurer, scenes: list[Scene], most: int) -> str:
     for scene in scenes:
         told = [measurer.in_pixels(pixels, Boxes(box[None], np.ones(1))) for pixels, box in windows(scene, most)]
         size = np.log([t.boxes.xylwa[0, 2:4] for t in told])
-        light = np.array([t.light[0] for t in told])
-        near = np.abs(size[:, 0] - np.median(size[:, 0])) < ALIKE
-        groups = size[near & (light < DARK)], size[near & (light > LIGHT)]
+        groups = dark_and_light(size, np.array([t.light[0] for t in told]))
         if min(map(len, groups)) < LEAST_PAINTED:
             continue
-        larger = 100 * (np.median(groups[0], 0) - np.median(groups[1], 0))
-        error = 100 * np.sqrt(np.pi / 2 * sum(g.var(0, ddof=1) / len(g) for g in groups))
+        apart, variance = larger(*groups)
+        apart, error = 100 * apart, 100 * np.sqrt(variance)
         lines.append(
             f"{scene.name:20s} {len(groups[0]):4d} {len(groups[1]):5d} | {np.exp(np.median(size[:, 0])):11.0f} | "
-            f"{larger[0]:+12.1f} +- {error[0]:.1f} | {larger[1]:+6.1f} +- {error[1]:.1f}"
+            f"{apart[0]:+12.1f} +- {error[0]:.1f} | {apart[1]:+6.1f} +- {error[1]:.1f}"
         )
     return "\n".join(lines)
 
