@@ -9,7 +9,14 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parent.parent
-ELSEWHERE = {"hooks.md": "colmap_hooks/README.md", "benchmarks.md": "benchmarks/README.md"}
+ELSEWHERE = {
+    "hooks.md": "colmap_hooks/README.md",
+    "benchmarks.md": "benchmarks/README.md",
+    **{
+        f"results/{page.name}": f"benchmarks/results/{page.name}"
+        for page in sorted((ROOT / "benchmarks/results").glob("*.md"))
+    },
+}
 """Pages of the site, and the files of the repository that they are."""
 
 
@@ -22,9 +29,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Links between pages that lie elsewhere in the repository lead to where they are on the site."""
+    up = "../" * page.file.src_uri.count("/")
     for name, path in ELSEWHERE.items():
-        up = "../" * page.file.src_uri.count("/")
         markdown = markdown.replace(f"](../{up}{path}", f"]({up}{name}")
     if page.file.src_uri in ELSEWHERE:
-        markdown = markdown.replace("](../docs/", "](")
+        markdown = markdown.replace(f"](../{up}docs/", f"]({up}")
     return markdown

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 LONGEST_MESSAGE = 1500  # [characters] of a message or a hint: names and values from a file may be of any length
@@ -31,9 +32,16 @@ class OrthoscaleError(Exception):
     def __init__(self, message: str, hint: str = ""):
         message = shown(message.replace("\n", " "), LONGEST_MESSAGE)
         hint = "\n".join(shown(line, LONGEST_MESSAGE) for line in hint.split("\n"))
-        super().__init__(f"{message}\n{hint}" if hint else message)
+        super().__init__(message, hint)
         self.message = message
         self.hint = hint
+
+    def __str__(self) -> str:
+        return f"{self.message}\n{self.hint}" if self.hint else self.message
+
+    def reword(self, change: Callable[[str], str]) -> None:
+        """Put `change` of the message in its place, where more is known than where it was raised."""
+        self.message = change(self.message)
 
 
 class UsageError(OrthoscaleError):

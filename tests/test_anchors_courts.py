@@ -13,6 +13,7 @@ from support.courts import (
     GREEN,
     basketball,
     centre_circle,
+    court_along_rows,
     court_picture,
     handball,
     penalty_area,
@@ -21,8 +22,17 @@ from support.courts import (
 )
 
 from orthoscale.anchors.court_fit import CourtFit
-from orthoscale.anchors.court_models import CENTRE_CIRCLE
-from orthoscale.anchors.courts import BASKETBALL, FOOTBALL, HANDBALL, TENNIS, VOLLEYBALL, evidence
+from orthoscale.anchors.court_models import CENTRE_CIRCLE, TENNIS_COURT
+from orthoscale.anchors.courts import (
+    BASKETBALL,
+    FOOTBALL,
+    HANDBALL,
+    TENNIS,
+    VOLLEYBALL,
+    CourtLook,
+    evidence,
+    overlap,
+)
 
 SD = 0.08  # relative one sigma of what the vehicles say
 
@@ -62,6 +72,21 @@ def test_coarse_pictures_are_measured_in_what_jpeg_keeps():
         (found,) = TENNIS.find(cv2.cvtColor(each, cv2.COLOR_YCrCb2RGB), 0.5, SD, "")
         sizes.append(found.pixels)
     assert sizes[1] == pytest.approx(sizes[0], rel=2e-4)
+
+
+@pytest.mark.parametrize("gsd", [0.3, 0.41, 0.5])
+@pytest.mark.parametrize("turned", [False, True])
+def test_where_lines_along_rows_or_columns_lie_in_their_pixels_hardly_matters(gsd, turned):
+    """All of such a line lies in one place of a pixel, and is seen nearer to the middle of the pixel than it is."""
+    errors = []
+    for seed, within in enumerate(np.random.default_rng(1).uniform(0, gsd, (6, 2))):
+        looks = {"white": 230, "blur_px": 0.5, "seed": seed}
+        picture = court_along_rows(tennis(0.05, 0.0625), gsd, 17 + within, 2 * [round(34 / gsd)], **looks)
+        picture = np.ascontiguousarray(picture.transpose(1, 0, 2)) if turned else picture
+        (found,) = TENNIS.find(picture, gsd, SD, "")
+        errors.append(error(found, gsd))
+    assert np.std(errors) < {0.3: 0.0005, 0.41: 0.0015, 0.5: 0.0015}[gsd]
+    assert np.abs(errors).max() < 0.003
 
 
 @pytest.mark.parametrize("gsd", [0.06, 0.15, 0.3, 0.5])
@@ -113,6 +138,15 @@ def test_courts_side_by_side_are_each_found_once():
     found = TENNIS.find(picture, 0.31, SD, "")
     assert sorted(round(float(a.place[0] * 0.3 + 0.15 - 12.0) / 16.5) for a in found) == [0, 1, 2, 3]
     assert max(abs(error(a, 0.3)) for a in found) < 0.004
+
+
+def test_no_court_lies_on_another():
+    """Nor one between two neighbours, with their outer lines for its own: courts 12.8 m wide to the middle of the gap
+    are the nearest that the rules allow beside each other."""
+    picture, _ = court(0.3, 0.0)
+    (fit,) = CourtLook(picture, 0.3, SD).fits(TENNIS_COURT)
+    for off, lies_on_it in ((5.5, True), (9.0, True), (10.2, True), (11.0, False), (14.6, False)):
+        assert overlap(fit, fit.place + np.array([0.0, off]) / 0.3) is lies_on_it
 
 
 def test_the_width_of_the_base_line_matters_little():
@@ -271,6 +305,17 @@ def test_courts_of_american_cities(data):
     assert sum(map(len, found)) in (14, 15)
     places = [np.median([error(a, 0.3048) for a in anchors]) for anchors in found]
     assert max(np.abs(places)) < 0.005
+
+
+@pytest.mark.real
+def test_coarse_courts_of_american_cities(data):
+    """At 0.5 m/px: six courts, one of them cut off by the picture's edge; three in a row, and none between them."""
+    for number, whole in (("95", 6), ("10", 3)):
+        picture = cv2.imread(str(data / "vehicles" / "chips" / f"tenniscourt{number}.jpg"))[..., ::-1]
+        small = cv2.resize(picture, (156, 156), interpolation=cv2.INTER_AREA)
+        gsd = 0.3048 * picture.shape[0] / 156
+        found = TENNIS.find(small, gsd, SD, "US")
+        assert len(found) == whole and max(abs(error(anchor, gsd)) for anchor in found) < 0.01
 
 
 @pytest.mark.real

@@ -1,5 +1,6 @@
 """The command as a person or a script runs it: exit codes, one sentence per error, machine-readable output."""
 
+import io
 import json
 import subprocess
 import sys
@@ -9,6 +10,8 @@ import cv2
 import numpy as np
 import pytest
 from support.in_process import run
+
+from orthoscale.cli.main import main
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
 RULES = ["--detections", str(EXAMPLE / "detections.json"), "--fleet", "US", "--mode", "planar"]
@@ -197,3 +200,17 @@ def test_importing_costs_nothing():
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+def test_what_cannot_be_printed_is_an_output_that_was_not_written(monkeypatch, capsys):
+    with open("/dev/full", "wb", buffering=0) as full:
+        monkeypatch.setattr(sys, "argv", ["orthoscale", "fleets"])
+        monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(full, write_through=True))
+        with pytest.raises(SystemExit) as ended:
+            main()
+        monkeypatch.undo()
+    assert ended.value.code == 6
+    assert (
+        "standard output, or a temporary file, cannot be written (No space left on device)" in capsys.readouterr().err
+    )

@@ -60,6 +60,18 @@ def test_roofs_crowns_strays_and_holes_do_not_move_the_ground(flight, tmp_path):
     assert "dense cloud" in str(dense.notes[0]) and dense.cloud.path in dense.files
 
 
+def test_another_cloud_is_another_input(flight, tmp_path):
+    source, cloud, _ = flight
+    path = write_cloud(tmp_path / "a.ply", cloud[:1000])
+    first = on(source, path).content_hash()
+    assert first == on(source, path).content_hash() != source.content_hash()
+    write_cloud(path, cloud[:999])
+    assert on(source, path).content_hash() != first
+    path.unlink()
+    with pytest.raises(InputError, match=r"a\.ply cannot be read"):
+        on(source, path).content_hash()
+
+
 @pytest.mark.parametrize("what", ["higher", "larger", "elsewhere", "cut", "not finite"])
 def test_a_cloud_that_is_not_of_the_model_is_left_out_or_refused(flight, tmp_path, what):
     source, cloud, truth = flight
@@ -130,6 +142,7 @@ def test_depth_maps_are_points_on_the_ground(flight, tmp_path):
     points = np.concatenate(list(cloud.blocks()))
     assert len(points) > 1000
     assert np.abs(source.ground.height_above(points)).max() < 1e-4 * source.camera_height
+    assert path in cloud.files and {file.name for file in cloud.files} >= {"cameras.bin", "images.bin"}
     path.write_bytes(path.read_bytes()[:-9])
     with pytest.raises(InputError, match="depth map of 60 x 45"):
         list(cloud.blocks())

@@ -23,7 +23,14 @@ from orthoscale.report.schema import report_schema
 ROOT = Path(__file__).parent.parent
 PAGES = [
     path
-    for pattern in ("*.md", "docs/*.md", "docs/*/*.md", "*/README.md", "orthoscale/detect/weights/README.md")
+    for pattern in (
+        "*.md",
+        "docs/*.md",
+        "docs/*/*.md",
+        "*/README.md",
+        "*/results/*.md",
+        "orthoscale/detect/weights/README.md",
+    )
     for path in sorted(ROOT.glob(pattern))
 ]
 PICTURE_OR_LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")

@@ -196,10 +196,19 @@ def test_the_worse_a_countrys_mix_is_known_the_less_a_place_is_held_to_it():
     assert np.allclose(replace(load_fleet("KR"), shares_sd=0.0).place_vehicles, PLACE_VEHICLES)
     for code, relative in (("KR", 0.12), ("CH", 0.25), ("KE", 0.35), ("UG", 0.5)):
         assert load_fleet(code).shares_sd == relative, "by the grade of its row"
-        for (number, _), (usual, _) in zip(load_fleet(code).place_vehicles, PLACE_VEHICLES, strict=True):
-            assert 0.16 / (number + 1) == pytest.approx(0.16 / (usual + 1) + (0.2 * relative) ** 2)
+        for here, usual in zip(load_fleet(code).place_vehicles, PLACE_VEHICLES, strict=True):
+            assert 0.16 / (here.vehicles + 1) == pytest.approx(0.16 / (usual.vehicles + 1) + (0.2 * relative) ** 2)
+            assert here[1:] == usual[1:]
     graded = [code for code in fleet_codes() if not load_fleet(code).shares_sd]
     assert graded == ["PAPER", "WORLD"], "fleets that are no country's have no grade"
+
+
+def test_at_an_odd_place_half_of_the_vehicles_are_of_any_class():
+    from orthoscale.core.market_segments import PLACE_VEHICLES
+
+    usual, odd = (kind.shares(np.array([0.03, 0.17, 0.8])) for kind in PLACE_VEHICLES)
+    assert usual == pytest.approx([0.03, 0.17, 0.8])
+    assert odd == pytest.approx([0.5 * 0.03 + 1 / 6, 0.5 * 0.17 + 1 / 6, 0.5 * 0.8 + 1 / 6])
 
 
 def test_three_wheelers_stand_among_the_cars_of_the_countries_that_have_them():

@@ -21,7 +21,7 @@ from support.in_process import run
 from support.pictures import squares
 
 from orthoscale.actions.fix import fix
-from orthoscale.errors import Incomplete, InputError, OutputError, UsageError
+from orthoscale.errors import Incomplete, InputError, OrthoscaleError, OutputError, UsageError
 from orthoscale.system import outputs as guard
 from orthoscale.system import stopping
 from orthoscale.system.outputs import FOLDER_MARK, Outputs, named, ours, signature
@@ -446,6 +446,34 @@ def test_what_only_looks_like_left_over_is_left_alone(tmp_path, kind):
     assert state(tmp_path) == before
 
 
+def test_a_message_names_an_output_by_its_place_and_not_where_it_is_written_aside(tmp_path):
+    out = tmp_path / "new\x1bline.txt"
+    with pytest.raises(InputError) as found, Outputs() as outputs:
+        raise InputError(f"{outputs.file(out)}, byte 9: announced too much", "Look.")
+    assert found.value.message == rf"{tmp_path}/new\x1bline.txt, byte 9: announced too much"
+    assert str(found.value).endswith("\nLook.")
+    with Outputs() as outputs:
+        partial = outputs.file(out)
+        with outputs.attempt(partial, "the text"):
+            raise InputError(f"{partial} is bad")
+    assert ".partial" not in outputs.missing()
+
+
+@pytest.mark.parametrize("there", ["link", "pipe", "file/out", "gone/out"])
+def test_what_cannot_be_an_output_is_called_what_it_is(tmp_path, there):
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to("file")
+    os.mkfifo(tmp_path / "pipe")
+    reasons = {
+        "link": "link is a symbolic link, so",
+        "pipe": "pipe is neither a file nor a folder, so",
+        "file/out": "file is not a folder",
+        "gone/out": "gone does not exist",
+    }
+    with pytest.raises(OrthoscaleError, match=reasons[there]), Outputs(overwrite=True) as outputs:
+        outputs.file(tmp_path / there)
+
+
 # Signals
 
 
@@ -516,15 +544,15 @@ EARLIEST = EARLY.replace('"click"', '"orthoscale.version"').replace(
         *(
             pytest.param(program, how, id=f"{when}-{how:d}")
             for when, program in (("early", EARLY), ("late", LATE))
-            for how in (signal.SIGTERM, signal.SIGINT)
+            for how in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
         ),
     ],
 )
 def test_a_stopped_run_leaves_nothing_and_says_so(tmp_path, program, how):
     there = tmp_path / "there"
     words = ["fix", MODEL, "--out", tmp_path / "out", *RULES, there]
-    # A shell's background jobs start with Ctrl-C ignored, and hand that on.
-    listening = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    # A shell's background jobs start with Ctrl-C ignored, those of nohup with SIGHUP, and hand that on.
+    listening = {"preexec_fn": lambda: signal.signal(how, signal.SIG_DFL)}
     command = [sys.executable, "-c", program, *map(str, words)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **listening) as process:
         while not there.exists() and process.poll() is None:

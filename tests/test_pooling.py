@@ -1,12 +1,14 @@
 """Pooling: the value, the interval that keeps its word, the refusals."""
 
 import itertools
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from support.simulate import place_of
+from support.simulate import place_of, with_most
 
+from orthoscale.core.fleet import Fleet
+from orthoscale.core.market_segments import Places
 from orthoscale.core.pooling import robust
 from orthoscale.core.pooling.mixture import Mix, Seen, fit
 from orthoscale.core.pooling.robust import pool
@@ -162,6 +164,27 @@ def test_minis_in_a_sharp_picture_are_recognised_and_in_a_coarse_one_leave_the_i
     )
     assert abs(np.log(sharp.value / 0.03)) < 0.4 * off
     assert coarse.interval90[1] / coarse.interval90[0] > 1.12
+
+
+class _ByCountryAlone(Fleet):
+    """One whose odd places have few of its vehicles, but none that are rare among them."""
+
+    place_vehicles = (Places(20.0, 0.8), Places(3.0, 0.2))
+
+
+def test_a_class_that_is_rare_in_a_country_may_be_most_of_a_place():
+    """A campus of minis in Germany, where 7 of 100 cars are: less often taken for usual cars at a larger scale."""
+    fleet = load_fleet("DE")
+    alone = _ByCountryAlone(**{field.name: getattr(fleet, field.name) for field in fields(Fleet) if field.init})
+    place, errors, held = with_most(fleet, "mini", 0.6), [], np.zeros(2, int)
+    ruler = replace(RULER, margin_sd=(0.15, 0.15), bias_sd=(0.01, 0.02), common_sd=0.0, noise=(1.1, 0.7))
+    for k in range(8):
+        votes = scene(np.random.default_rng([11, k]), place, 60, ruler=ruler, surprise=False)
+        scales = [pool(votes, prior, ruler, "") for prior in (fleet, alone)]
+        errors.append([abs(np.log(scale.value / 0.12)) for scale in scales])
+        held += [scale.interval90[0] <= 0.12 <= scale.interval90[1] for scale in scales]
+    better, worse = np.mean(errors, axis=0)
+    assert better < 0.95 * worse and held[0] > held[1]
 
 
 def test_equally_likely_mixes_give_an_interval_that_holds_both():

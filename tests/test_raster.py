@@ -334,6 +334,28 @@ def test_bad_inputs(tmp_path, build, says):
     assert str(path) in caught.value.message and caught.value.hint and caught.value.exit_code == 5
 
 
+@pytest.mark.parametrize(
+    "build, wanted, unwanted",
+    [
+        (lambda d: truncated(converted(d / "a.jpg", "JPEG"), 0.9), "Premature end", "turned as a warning"),
+        (text, "(not recognized as being in a supported file format)", "'"),
+    ],
+)
+def test_a_reason_is_told_without_advice_to_programmers_and_the_name_again(tmp_path, build, wanted, unwanted):
+    with pytest.raises(InputError) as caught:
+        RasterSource.open(build(tmp_path))
+    assert wanted in caught.value.message and unwanted not in caught.value.message
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are bytes on Linux alone")
+def test_a_name_that_is_not_utf_8_is_to_be_changed(tmp_path):
+    path = tmp_path / os.fsdecode(b"\xff.png")
+    converted(tmp_path / "a.png", "PNG").rename(path)
+    with pytest.raises(InputError, match="UTF-8") as caught:
+        RasterSource.open(path)
+    assert caught.value.hint == "Rename it."
+
+
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_damage_in_the_middle_is_found_when_reading_and_when_writing(tmp_path):
     path = make(tmp_path / "a.tif", compress="deflate", blockysize=10)

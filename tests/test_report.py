@@ -151,17 +151,52 @@ def test_the_page_can_be_drawn_again_from_its_json(park, tmp_path):
     assert again.read_text() == (folder / "scaled.tif.html").read_text()
 
 
-def test_a_page_drawn_again_stands_on_the_ground_of_the_report(park, tmp_path, monkeypatch):
-    """A model's vehicles are drawn where they were measured: on the cloud that its options named."""
+@pytest.mark.parametrize("cloud, is_there", [("dense/fused.ply", True), ("dense/fused.ply", False), ("none", True)])
+def test_a_page_drawn_again_stands_on_the_ground_of_the_report(park, tmp_path, monkeypatch, cloud, is_there):
+    """A model's vehicles are drawn where they were measured: on the cloud that its options named, from wherever."""
+    first = tmp_path / "first"
+    if is_there:
+        (first / cloud).parent.mkdir(parents=True)
+        (first / cloud).touch()  # a file of that name is not what "none" means
     about = json.loads((park[0] / "scaled.tif.json").read_text())
-    about["settings"]["ground_cloud"] = "dense/fused.ply"
+    about["input"]["folder"] = str(first)
+    about["settings"]["ground_cloud"] = cloud
     (tmp_path / "report.json").write_text(json.dumps(about))
     asked = []
     monkeypatch.setattr(
         files, "open_source", lambda *_, **named: asked.append(named) or open_source(park[0] / "park.png")
     )
     redraw(tmp_path / "report.json", tmp_path / "report.html")
-    assert [named["ground_cloud"] for named in asked] == ["dense/fused.ply"]
+    expected = first / cloud if cloud != "none" and is_there else cloud
+    assert [named["ground_cloud"] for named in asked] == [expected]
+
+
+def test_a_page_drawn_again_from_elsewhere_finds_what_the_first_run_named_relatively(tmp_path, monkeypatch):
+    (tmp_path / "work/in").mkdir(parents=True)
+    (tmp_path / "elsewhere").mkdir()
+    car_park(tmp_path / "work/in")
+    monkeypatch.chdir(tmp_path / "work")
+    found = orthoscale.estimate("in/park.png", fleet="DE", detections="in/detections.json")
+    report = tmp_path / "elsewhere/report.json"
+    report.write_text(json.dumps(found.to_dict()))
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert redraw(report, report.with_suffix(".html")) == ""
+    (tmp_path / "work").rename(tmp_path / "elsewhere/work")  # moved away together with the report's folder
+    monkeypatch.chdir(tmp_path / "elsewhere/work")
+    assert redraw(report, report.with_suffix(".png")) == ""
+
+
+def test_a_report_is_drawn_as_a_page_or_a_picture_only(park, tmp_path):
+    with pytest.raises(UsageError, match=r"a\.pdf: .* page or a picture"):
+        redraw(park[0] / "scaled.tif.json", tmp_path / "a.pdf")
+    assert not list(tmp_path.iterdir())
+
+
+def test_boxes_that_are_not_drawn_are_not_counted_among_the_outlines(report):
+    html = page({**report, "boxes_rejected": {"low confidence": 6}}, Scene())
+    (line,) = re.findall(r"<p.*rejected: .*</p>", html)
+    assert "rejected: 1 too large for a car &ensp; Boxes that do not count, and are not drawn: 6 low confidence" in line
+    assert "not drawn" not in page(report, Scene())
 
 
 @pytest.mark.parametrize("fate, why", [("gone", "not there"), ("changed", "changed since")])

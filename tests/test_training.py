@@ -782,14 +782,8 @@ def test_a_network_of_other_widths_does_the_same_where_what_it_lost_did_nothing(
         reshaped(before.state_dict(), before.first.state_dict())
 
 
-@pytest.mark.parametrize("kind", ["small", "lite0"])
-def test_training_goes_on_from_what_was_exported(torch, tmp_path, monkeypatch, kind):
-    from training import export
-    from training.network import NETWORKS
-    from training.unfold import unfolded
-
-    torch.manual_seed(5)
-    network = NETWORKS[kind]().eval()
+def with_statistics(torch, network):
+    """The network with normalisations that do something."""
     with torch.no_grad():
         for module in network.modules():
             if isinstance(module, torch.nn.BatchNorm2d):
@@ -797,6 +791,17 @@ def test_training_goes_on_from_what_was_exported(torch, tmp_path, monkeypatch, k
                 module.bias.uniform_(-0.3, 0.3)
                 module.running_mean.uniform_(-0.5, 0.5)
                 module.running_var.uniform_(0.5, 1.5)
+    return network.eval()
+
+
+@pytest.mark.parametrize("kind", ["small", "lite0"])
+def test_training_goes_on_from_what_was_exported(torch, tmp_path, monkeypatch, kind):
+    from training import export
+    from training.network import NETWORKS
+    from training.unfold import unfolded
+
+    torch.manual_seed(5)
+    network = with_statistics(torch, NETWORKS[kind]())
     torch.save({"kind": kind, "average": network.state_dict()}, tmp_path / "checkpoint.pt")
     exported, card = tmp_path / "exported.onnx", Path(export.__file__).with_name("card.json")
     monkeypatch.setattr("sys.argv", ["export", *map(str, ("--run", tmp_path, "--card", card, "--out", exported))])
@@ -809,6 +814,20 @@ def test_training_goes_on_from_what_was_exported(torch, tmp_path, monkeypatch, k
             assert torch.allclose(again.eval()(image), network(image), atol=1e-4)
         # In training, too, it does what it did: its statistics are those of the crops.
         assert torch.allclose(again.train()(crops), network(crops), atol=0.05)
+
+
+def test_the_measurers_training_goes_on_from_what_was_exported(torch, tmp_path):
+    from training.measurer.export import write
+    from training.measurer.network import MeasureNet
+    from training.unfold import unfolded
+
+    torch.manual_seed(6)
+    network, again = with_statistics(torch, MeasureNet()), MeasureNet()
+    crops = 255 * torch.rand(4, 3, 48, 96)
+    again.load_state_dict(unfolded(write(network, tmp_path / "exported.onnx"), again, crops))
+    with torch.no_grad():
+        for before, after in zip(network(crops), again.eval()(crops), strict=True):
+            assert torch.allclose(before, after, atol=1e-3)
 
 
 @pytest.mark.slow

@@ -11,25 +11,28 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+Layer = nn.Conv2d | nn.Conv1d | nn.Linear
+
 
 def unfolded(onnx_file: Path, network: nn.Module, crops: Tensor) -> dict[str, Tensor]:
-    """State in which `network` (one of `training.network`, changed here) does what `onnx_file` (of `training.export`)
-    does.
+    """State in which `network` does what `onnx_file` does, which was exported from such a network.
 
-    crops : (n, 3, h, w) RGB in 0..1, as trained with; one batch is enough, since training soon has its own statistics.
+    network : of `training.network` or `training.measurer.network`; it is changed here.
+
+    crops : (n, 3, h, w) RGB as trained with; one batch is enough, since training soon has its own statistics.
     Raises ValueError where the file is of a network with other layers.
     """
     network.eval()
     layers = list(_by_use(network, crops[:1]).items())
-    folded = _convolutions(onnx_file)
-    sizes = [tuple(conv.weight.shape) for conv, _ in layers]
+    folded = _weights(onnx_file)
+    sizes = [tuple(layer.weight.shape) for layer, _ in layers]
     if [tuple(weight.shape) for weight, _ in folded] != sizes:
         raise ValueError(f"{onnx_file}: not an export of today's {type(network).__name__}; its layers have other sizes")
     with torch.no_grad():
-        for (conv, norm), (weight, bias) in zip(layers, folded, strict=True):
-            conv.weight.copy_(weight)
+        for (layer, norm), (weight, bias) in zip(layers, folded, strict=True):
+            layer.weight.copy_(weight)
             if norm is None:
-                conv.bias.copy_(bias)
+                layer.bias.copy_(bias)
             else:  # statistics as they are at first, 0 and 1
                 norm.weight.fill_((1 + norm.eps) ** 0.5)
                 norm.bias.copy_(bias)
@@ -42,21 +45,21 @@ def unfolded(onnx_file: Path, network: nn.Module, crops: Tensor) -> dict[str, Te
     return network.state_dict()
 
 
-def _convolutions(onnx_file: Path) -> list[tuple[Tensor, Tensor]]:
-    """(weight, bias) of every convolution, in the order in which they are used."""
+def _weights(onnx_file: Path) -> list[tuple[Tensor, Tensor]]:
+    """(weight, bias) of every convolution and every dense layer, in the order in which they are used."""
     import onnx
     from onnx import numpy_helper
 
     graph = onnx.load(onnx_file).graph
     values = {entry.name: torch.from_numpy(numpy_helper.to_array(entry).copy()) for entry in graph.initializer}
-    nodes = (node for node in graph.node if node.op_type == "Conv")
+    nodes = (node for node in graph.node if node.op_type in ("Conv", "Gemm"))
     return [(values[node.input[1]], values[node.input[2]]) for node in nodes]
 
 
-def _by_use(network: nn.Module, image: Tensor) -> dict[nn.Conv2d, nn.BatchNorm2d | None]:
-    """Every convolution, in the order in which they are used, with the normalisation that follows it."""
+def _by_use(network: nn.Module, image: Tensor) -> dict[Layer, nn.BatchNorm2d | None]:
+    """Every convolution and dense layer, in the order in which they are used, and the normalisation that follows it."""
     used: list[nn.Module] = []
-    modules = [m for m in network.modules() if isinstance(m, nn.Conv2d | nn.BatchNorm2d)]
+    modules = [m for m in network.modules() if isinstance(m, Layer | nn.BatchNorm2d)]
     hooks = [m.register_forward_hook(lambda module, *_: used.append(module)) for m in modules]
     with torch.no_grad():
         network(image)
@@ -66,7 +69,7 @@ def _by_use(network: nn.Module, image: Tensor) -> dict[nn.Conv2d, nn.BatchNorm2d
     return {
         module: after if isinstance(after, nn.BatchNorm2d) else None
         for module, after in zip(used, following, strict=True)
-        if isinstance(module, nn.Conv2d)
+        if isinstance(module, Layer)
     }
 
 

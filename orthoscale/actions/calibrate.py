@@ -17,7 +17,7 @@ from ..core.pooling.robust import pool
 from ..core.progress import Progress
 from ..core.projection.planar import ground_size
 from ..core.ruler import Ruler
-from ..core.scale import PER_PIXEL
+from ..core.scale import PER_PIXEL, Scale
 from ..core.source import Plan
 from ..core.votes import gather
 from ..detect.detector import Detector
@@ -189,7 +189,7 @@ def _mean_size(size: np.ndarray, fleet: Fleet) -> np.ndarray:
     return fleet.mean[:2] * np.median(size, axis=0) / usual
 
 
-def _pooled(boxes: Boxes, zoom: float, fleet: Fleet, ruler: Ruler):
+def _pooled(boxes: Boxes, zoom: float, fleet: Fleet, ruler: Ruler) -> Scale:
     votes = gather(ground_size(boxes), np.full(len(boxes), 1 / zoom), boxes.centre, boxes.score, repeated=False)
     return pool(votes, fleet, ruler, PER_PIXEL)
 

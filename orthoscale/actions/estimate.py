@@ -139,6 +139,19 @@ def opened(path: str | Path | Source, request: EstimateRequest, progress: Progre
     return Opened(source, fleet, why, known, tuple(given), own, _satellite(request.against))
 
 
+@dataclass(frozen=True)
+class _Answer:
+    """A scale, and what entered it besides the boxes.
+
+    method : with all evidence. searched : which anchors the pictures show. lies : where the source lies on the map.
+    """
+
+    measurement: Measurement
+    method: Method
+    searched: Searched
+    lies: OnMap
+
+
 def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
     """What `request` asks of the input at `path`; see `estimate`."""
     started = time.perf_counter()
@@ -154,45 +167,76 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         own=asked.own,
     )
     wanted = Wanted(request.anchors, asked.own, method.country, effort_of(request), progress)
-    choice, searched, lies = None, Searched(), OnMap()
-    found = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found")
+    found, choice = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found"), None
     try:
-        if request.detections is not None:
-            found = load_detections(Path(request.detections), source, request.vehicle_classes)
-        else:
-            found, choice = _looked_for(source, request, fleet, progress)
-        found = measured_anew(source, found, request, effort_of(request), progress)
-        log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
-        if asked.calibration is not None:
-            found = asked.calibration.applied(found, Path(str(request.calibration)))
-        answer = _by_vehicles(source, found, fleet, method, request)
-        if asked.satellite is not None:
-            rough = answer.scale.value, answer.scale.relative_sd
-            lies = on_map(source, asked.satellite, rough, request.cache, progress)
-        if lies.evidence:
-            method = replace(method, evidence=(*method.evidence, *lies.evidence))
-            answer = measure_source(source, found, fleet, method, request.mode)
-        if request.estimator == "robust" and not answer.scale.conflict:
-            try:
-                searched = look_for_anchors(source, answer.scale, wanted)
-            except InputError as error:  # the vehicles' boxes may come from a file, and the pictures be damaged
-                searched = Searched(notes=(f"no anchors were looked for: {error.message}",))
-        if searched.votes:
-            method = replace(method, anchors=searched.votes)
-            answer = measure_source(source, found, fleet, method, request.mode)
+        found, choice = _found(asked, request, progress)
+        answer = _of_vehicles(asked, found, method, request, wanted)
     except TooLittleEvidence as error:
-        rough_scale = _rough(source, request)
-        if asked.satellite is not None and rough_scale is not None:
-            lies = on_map(source, asked.satellite, rough_scale, request.cache, progress)
-            method = replace(method, evidence=(*method.evidence, *lies.evidence))
-        searched = at_any_scale(source, rough_scale, wanted, known=len({e.kind for e in method.evidence}))
-        method = replace(method, anchors=searched.votes)
-        answer = _by_anchors(source, fleet, method, doubts(found), error)
+        answer = _of_anchors(asked, doubts(found), method, request, wanted, error)
+    searched, lies, scale = answer.searched, answer.lies, answer.measurement.scale
     log.info("%d anchors, seen %d times", len(searched.votes), len(searched.anchors))
     found = replace(found, notes=(*asked.why, *found.notes, *searched.notes, *lies.notes))
     seconds = time.perf_counter() - started
-    log.info("%.6g %s by %d vehicles in %.1f s", answer.scale.value, source.unit, answer.scale.vehicles_used, seconds)
-    return Result(source, fleet, found, choice, seconds, answer, method, request.settings(), searched, lies)
+    log.info("%.6g %s by %d vehicles in %.1f s", scale.value, source.unit, scale.vehicles_used, seconds)
+    return Result(
+        source, fleet, found, choice, seconds, answer.measurement, answer.method, request.settings(), searched, lies
+    )
+
+
+def _found(asked: Opened, request: EstimateRequest, progress: Progress | None) -> tuple[Detections, ZoomChoice | None]:
+    """The boxes that are measured, from a file or by a detector, with the ruler that fits them."""
+    choice = None
+    if request.detections is not None:
+        found = load_detections(Path(request.detections), asked.source, request.vehicle_classes)
+    else:
+        found, choice = _looked_for(asked.source, request, asked.fleet, progress)
+    found = measured_anew(asked.source, found, request, effort_of(request), progress)
+    log.info("%d boxes at resampling factor %.3g", len(found), found.zoom)
+    if asked.calibration is not None:
+        found = asked.calibration.applied(found, Path(str(request.calibration)))
+    return found, choice
+
+
+def _of_vehicles(asked: Opened, found: Detections, method: Method, request: EstimateRequest, wanted: Wanted) -> _Answer:
+    """The scale by vehicles; then with what the map says, and the anchors that are looked for, at that scale."""
+    source, fleet, lies, searched = asked.source, asked.fleet, OnMap(), Searched()
+    answer = _by_vehicles(source, found, fleet, method, request)
+    if asked.satellite is not None:
+        rough = answer.scale.value, answer.scale.relative_sd
+        lies = on_map(source, asked.satellite, rough, request.cache, wanted.progress)
+    if lies.evidence:
+        method = replace(method, evidence=(*method.evidence, *lies.evidence))
+        answer = measure_source(source, found, fleet, method, request.mode)
+    if request.estimator == "robust" and not answer.scale.conflict:
+        try:
+            searched = look_for_anchors(source, answer.scale, wanted)
+        except InputError as error:  # the vehicles' boxes may come from a file, and the pictures be damaged
+            searched = Searched(notes=(f"no anchors were looked for: {error.message}",))
+    if searched.votes:
+        method = replace(method, anchors=searched.votes)
+        answer = measure_source(source, found, fleet, method, request.mode)
+    return _Answer(answer, method, searched, lies)
+
+
+def _of_anchors(
+    asked: Opened,
+    lost: Mapping[str, int],
+    method: Method,
+    request: EstimateRequest,
+    wanted: Wanted,
+    error: TooLittleEvidence,
+) -> _Answer:
+    """The scale by anchors and the map, where vehicles gave only the `error`; it is raised where these do not suffice.
+
+    lost : boxes that are no vehicles, by reason.
+    """
+    rough, lies = _rough(asked.source, request), OnMap()
+    if asked.satellite is not None and rough is not None:
+        lies = on_map(asked.source, asked.satellite, rough, request.cache, wanted.progress)
+        method = replace(method, evidence=(*method.evidence, *lies.evidence))
+    searched = at_any_scale(asked.source, rough, wanted, known=len({e.kind for e in method.evidence}))
+    method = replace(method, anchors=searched.votes)
+    return _Answer(_by_anchors(asked.source, asked.fleet, method, lost, error), method, searched, lies)
 
 
 def _by_vehicles(

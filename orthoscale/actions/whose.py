@@ -29,7 +29,8 @@ def fleet_at(location: Location | None) -> tuple[Fleet, tuple[str, ...]]:
     code = country_at(location.longitude, location.latitude)
     if code is None:
         return load_fleet("world"), (f"{location.told_by} is in no country: fleet world",)
-    return load_fleet(code), (f"fleet {code}: {location.told_by} is in {country_name(code)}; --fleet names another",)
+    place = f"{location.told_by} is in {country_name(code)}"
+    return load_fleet(code), (f"fleet {code}: {place}; choose another with --fleet",)
 
 
 def country_of(source: Source, fleet: Fleet | None) -> str:

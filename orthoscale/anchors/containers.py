@@ -253,7 +253,15 @@ def _spots(count: int, length: float) -> np.ndarray:
     return ((np.arange(count) + 0.5) / count - 0.5) * SIDE_MEASURED * length
 
 
-def _edges(colours, place, heading, sides, end, sign, reach) -> np.ndarray:
+def _edges(
+    colours: np.ndarray,
+    place: np.ndarray,
+    heading: tuple[float, float],
+    sides: tuple[float, float],
+    end: bool,
+    sign: int,
+    reach: float,
+) -> np.ndarray:
     """(parts,) how far [px] outside of a side its innermost clear edge lies, as across a gap is the next roof's; nan
     where there is none within `reach`. end : whether it is a short side; sign : on which side of the middle."""
     (length, width), (c, s), parts = sides, heading, END_PARTS if end else SIDE_PARTS
@@ -276,7 +284,7 @@ def _edges(colours, place, heading, sides, end, sign, reach) -> np.ndarray:
     return np.where(middle > FAINTEST_EDGE, out[best] + np.clip(shift, -1, 1) * ACROSS_EDGE, np.nan)
 
 
-def _is_one_colour(colours, x, y, angle, length, width) -> bool:
+def _is_one_colour(colours: np.ndarray, x: float, y: float, angle: float, length: float, width: float) -> bool:
     c, s = np.cos(angle), np.sin(angle)
     u, v = np.meshgrid(np.linspace(-0.42, 0.42, 24) * length, np.linspace(-0.32, 0.32, 5) * width)
     seen = values(colours, np.stack([x + u * c - v * s, y + u * s + v * c], -1)).reshape(-1, 3)

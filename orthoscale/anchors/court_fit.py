@@ -25,6 +25,12 @@ _LEANING = np.linspace(0, 0.9, 91)
 _STEP = (3 * _LEANING - _LEANING**3) / (1 - _LEANING**2)
 _STEP_SEEN = _STEP / (np.exp(-0.5 * _LEANING**2) * (1 - _LEANING**2 + _LEANING * _STEP))
 LINE_SEEN = 1.033 / np.sqrt(2 * np.pi)
+# A line as thin as a pixel is sampled too coarsely to tell its place (aliasing): one along rows or columns is seen
+# nearer to the middles of pixels than it is, by up to a tenth of a pixel. On 61 chips of 0.30, 0.41 and 0.50 m/px
+# ridges go by 0.039, 0.094 and 0.111 px with the sine of the place in a pixel; `_pull` says 0.039, 0.089 and 0.101.
+PHASES = 8  # places of a line in a pixel that its pull is reckoned from
+PULL_REACH = 1.5  # [px] from it, in which its ridge is looked for
+PULL_ROUNDS = 2
 GROUND_FROM, GROUND_TO = 1.5, 2.8  # [sd of the filter] from a line, where the ground beside it is asked
 # Of a step beside a stroke is taken to lie under it, by either filter: of some trials the best on 61 chips.
 UNDER_STROKE, FINE_UNDER_STROKE = 0.8, 1.0
@@ -109,6 +115,10 @@ class _Sight:
         """One sigma of the ridge filter [px], where a metre has `size` pixels."""
         return max(self.narrowest, PAINT_SD * size)
 
+    def pull(self, size: float) -> float:
+        """By how much [px] pixels pull ridges to their middles, at most, where a metre has `size` pixels."""
+        return _pull(round(self.width(size), 2), round(self.blurred, 2))
+
 
 WIDE_SIGHT = _Sight(LINE_SD, UNDER_STROKE)
 FINE_SIGHT = _Sight(FINE_SD, FINE_UNDER_STROKE)
@@ -161,15 +171,44 @@ def _kernel(count: int, step: float, sd: float, core: int) -> np.ndarray:
     return kernel / np.abs(kernel).sum(0)
 
 
+@lru_cache(maxsize=64)
+def _offsets(window: float, sd: float) -> tuple[np.ndarray, int]:
+    """Offsets (O,) [px] of a band, and to how many of them to either side ridges of a filter of `sd` [px] are known."""
+    step = sd / 3
+    core = int(np.ceil(window / step)) + 1
+    reach = core + int(np.ceil(3.5 * sd / step))
+    return np.arange(-reach, reach + 1) * step, core
+
+
+@lru_cache(maxsize=64)
+def _pull(sd: float, blurred: float) -> float:
+    """By how much [px] pixels pull the ridge of a line to their middles, at most: where it lies a quarter of a pixel
+    beside one. sd : one sigma of the ridge filter, blurred : of the line [px]. A line is measured as in pictures, in
+    some places of a pixel."""
+    phase = np.arange(PHASES) / PHASES
+    pixel = np.arange(4 * PHASES)
+    line = np.exp(-0.5 * ((pixel - 2 * PHASES - phase[:, None]) / blurred) ** 2)
+    apart = np.repeat(line, PHASES, axis=0).astype(np.float32)  # rows enough that no line sees the next
+    place = np.column_stack([np.full(PHASES, 2.0 * PHASES), (np.arange(PHASES) + 0.5) * PHASES - 0.5])
+    still = np.zeros(PHASES)
+    upright = Pieces(place, still + np.pi / 2, still + 1, still + 1, still.astype(int))
+    bands = _measure(apart, np.array([0.0, 0.0, 0.0, 1.0, 1.0]), upright, PULL_REACH, _Sight(sd, 0.0, blurred))
+    seen = -bands.peaks(PULL_REACH)[0]  # the normal points to the left
+    return float(2 * np.mean((phase - seen) * np.sin(2 * np.pi * phase)))
+
+
 @dataclass
 class _Bands:
     """Ridge responses (P, O) across pieces at offsets (O,) [px]; inside (P,) whether the picture shows all of it; lean
-    (P,) by how much the ground is brighter on the normal's side [grey levels]."""
+    (P,) by how much the ground is brighter on the normal's side [grey levels]; middle (P, I, 2) points along the pieces
+    [px], normal (P, 2) to them."""
 
     response: np.ndarray
     offset: np.ndarray
     inside: np.ndarray
     lean: np.ndarray
+    middle: np.ndarray
+    normal: np.ndarray
 
     def noise(self) -> float:
         """One sigma of the response where nothing is painted."""
@@ -189,15 +228,24 @@ class _Bands:
         step = self.offset[1] - self.offset[0]
         return self.offset[best] + np.clip(shift, -1, 1) * step, np.where(peak, np.maximum(middle, 0), 0)
 
+    def pulled(self, offset: np.ndarray, pull: float) -> np.ndarray:
+        """(P,) how far [px] ridges at `offset` (P,) were moved to the middles of pixels. Only lines along rows or
+        columns are: what others are moved by has both signs within a few pixels."""
+        row, steepest = np.arange(len(offset)), np.abs(self.normal).argmax(1)
+        middle, normal = self.middle[row, :, steepest], self.normal[row, steepest]
+        moved = np.zeros(len(offset))
+        for _ in range(PULL_ROUNDS):
+            wave = np.sin(2 * np.pi * (middle + ((offset - moved) * normal)[:, None])).mean(1)
+            moved = -pull * wave * np.sign(normal)
+        return moved
+
 
 def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float, sight: _Sight) -> _Bands:
     x, y, angle, along, across = pose
     size = float(np.sqrt(along * across))
     sd = sight.width(size)
-    step = sd / 3
-    core = int(np.ceil(window / step)) + 1
-    reach = core + int(np.ceil(3.5 * sd / step))
-    offset = np.arange(-reach, reach + 1) * step
+    offset, core = _offsets(window, sd)
+    step, reach = offset[1] - offset[0], len(offset) // 2
     inner = int(np.clip(np.ceil(pieces.length.max() * size / SAMPLES_PX), 3, 12))
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, s], [-s, c]]) * [[along], [across]]
@@ -220,7 +268,24 @@ def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float,
     response = profile @ _kernel(len(offset), round(step, 6), round(sd, 6), core)
     beside = (np.abs(offset) >= GROUND_FROM * sd) & (np.abs(offset) <= GROUND_TO * sd)
     lean = profile[:, beside & (offset > 0)].mean(1) - profile[:, beside & (offset < 0)].mean(1)
-    return _Bands(response, offset[reach - core : reach + core + 1], inside, lean)
+    return _Bands(response, offset[reach - core : reach + core + 1], inside, lean, base, normal)
+
+
+def _moved(
+    court: Court,
+    pieces: Pieces,
+    bands: _Bands,
+    offset: np.ndarray,
+    strength: np.ndarray,
+    length: float,
+    sizes: tuple[float, float],
+    sight: _Sight,
+) -> np.ndarray:
+    """(P,) how far [px] the ridges at `offset` lie beside their lines: pushed by other strokes and by a step of the
+    ground, and pulled by pixels. sizes : [px/m] as strokes were cut, and as the pose is."""
+    cut, now = sizes
+    pushed = _pushed(court, length, cut, sight)
+    return pushed + _leaned(court, pieces, bands, strength, length, cut, sight) + bands.pulled(offset, sight.pull(now))
 
 
 def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: float) -> np.ndarray:
@@ -248,7 +313,6 @@ def fit_court(
     anything, or the fit leaves the place."""
     length = round(max(PIECE, PIECE_PX / size), 1)
     pieces, blanks = _pieces(court, length, round(max(FREE, FREE_PX / size), 1))
-    pushed = _pushed(court, length, size, WIDE_SIGHT)
     reach = court.extent * size * 0.6 + 8
     corner = np.maximum(np.floor(place - reach), 0).astype(int)
     upper = np.maximum(np.ceil(place + reach), 0).astype(int)
@@ -271,20 +335,18 @@ def fit_court(
             window < WINDOWS[0] and (strength > CLEAR_NOISES * noise).mean() < HOPELESS
         ):
             return None
-        leaned = _leaned(court, pieces, bands, strength, length, size, WIDE_SIGHT)
-        pose = _changed(pose, _solve(rows, (offset - pushed - leaned) / now, weight, window_px / now))
+        offset = offset - _moved(court, pieces, bands, offset, strength, length, (size, now), WIDE_SIGHT)
+        pose = _changed(pose, _solve(rows, offset / now, weight, window_px / now))
         if not (np.abs(np.log(pose[3:] / size)) < 0.25).all():
             return None
-    fit = _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length)
-    if np.abs(_neighbours(court, length)[1]).min(initial=BESIDE) * now >= FINE_BELOW:
-        return fit
-    pose = _finer(grey, court, pose, pieces, blanks, rows, length, size)
-    angle, along, across = pose[2:].tolist()
-    return replace(fit, place=corner + pose[:2], angle=angle, along=along, across=across)
+    sight = WIDE_SIGHT
+    if np.abs(_neighbours(court, length)[1]).min(initial=BESIDE) * now < FINE_BELOW:
+        pose, sight = _finer(grey, court, pose, pieces, blanks, rows, length, size)
+    return _judged(light, court, pose, pieces, blanks, rows, corner, length, sight)
 
 
-def _finer(grey, court, pose, pieces, blanks, rows, length, size) -> np.ndarray:
-    """The pose by a filter that sees less of neighbouring strokes, and more noise."""
+def _finer(grey, court, pose, pieces, blanks, rows, length, size) -> tuple[np.ndarray, _Sight]:
+    """The pose by a filter that sees less of neighbouring strokes, and more noise; and how it sees them."""
     window = max(WINDOWS[-1] * size, LEAST_WINDOW)
     _, coarse = _measure(grey, pose, pieces, window, WIDE_SIGHT).peaks(window)
     for _ in range(FINE_ROUNDS):
@@ -293,11 +355,10 @@ def _finer(grey, court, pose, pieces, blanks, rows, length, size) -> np.ndarray:
         offset, strength = bands.peaks(window)
         weight = _weights(strength, noise)
         sight = replace(FINE_SIGHT, blurred=_blurred(court, length, coarse, strength, weight))
-        pushed = _pushed(court, length, size, sight)
-        leaned = _leaned(court, pieces, bands, strength, length, size, sight)
         now = float(np.sqrt(pose[3] * pose[4]))
-        pose = _changed(pose, _solve(rows, (offset - pushed - leaned) / now, weight, window / now))
-    return pose
+        offset = offset - _moved(court, pieces, bands, offset, strength, length, (size, now), sight)
+        pose = _changed(pose, _solve(rows, offset / now, weight, window / now))
+    return pose, sight
 
 
 def _blurred(court: Court, length: float, coarse: np.ndarray, fine: np.ndarray, weight: np.ndarray) -> float:
@@ -327,14 +388,14 @@ def _changed(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
     return np.array([*place, pose[2] + np.clip(change[2], -0.1, 0.1), *sizes])
 
 
-def _judged(light, court, pose, pieces, blanks, rows, pushed, corner, length) -> CourtFit:
+def _judged(light, court, pose, pieces, blanks, rows, corner, length, sight) -> CourtFit:
     size = float(np.sqrt(pose[3] * pose[4]))
     close = max(CLOSE * size, CLOSE_PX)
-    empty = _measure(light, pose, blanks, close, WIDE_SIGHT)
+    empty = _measure(light, pose, blanks, close, sight)
     noise = empty.noise()
-    bands = _measure(light, pose, pieces, max(2 * close, LEAST_WINDOW), WIDE_SIGHT)
+    bands = _measure(light, pose, pieces, max(2 * close, LEAST_WINDOW), sight)
     offset, strength = bands.peaks(max(2 * close, LEAST_WINDOW))
-    offset = offset - pushed - _leaned(court, pieces, bands, strength, length, size, WIDE_SIGHT)
+    offset = offset - _moved(court, pieces, bands, offset, strength, length, (size, size), sight)
     strong = strength[(strength > CLEAR_NOISES * noise) & (np.abs(offset) <= close)]
     typical = float(np.median(strong)) if len(strong) else 0.0
     limit = max(CLEAR_NOISES * noise, FAINT * typical)

@@ -32,7 +32,7 @@ SEARCHED = 0.3  # [m/px] of the search, where a line of 5 cm is just seen and a 
 ENLARGED = 2.0  # at most: a coarser picture is searched coarser
 LEAST_SIDE_PX = 16  # [px] of a picture's shorter side
 SURE = 0.8  # of a fit's paint is seen: no other court lies on it
-COURTS_OVERLAP = 0.8  # of both sides: courts whose middles are nearer than this overlap
+COURTS_OVERLAP = 0.95  # of both sides: courts whose middles are nearer overlap; the rest is what fits may be off
 PAINT_SCATTER, SCATTER_TAKES = 0.25, 1.5  # of paint hardly more than the first; what more of it takes
 STRETCHED = 0.03  # |ln| of the ratio of both pixel sizes, at most
 # From 61 chips with tennis courts and 409 without (`benchmarks/anchors_courts.py`): fits to other things become ten

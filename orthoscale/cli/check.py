@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -26,6 +26,9 @@ from .options import (
     save_option,
     say,
 )
+
+if TYPE_CHECKING:
+    from ..actions.check import Checked
 
 
 @command(
@@ -99,24 +102,28 @@ def check(
         outcome = checked(source, request, progress)
         if save_detections is not None:
             save(outcome.result.detections, saved, source)
-    result, found = outcome.result, outcome.comparisons
-    low, high = result.scale.interval90
     if as_json:
         click.echo(json.dumps(outcome.to_dict()))
     else:
-        click.echo(
-            f"vehicles   {result.scale.text()}, 90 % {result.scale.text(low, high)}, "
-            f"{result.scale.vehicles_used} of fleet {result.scale.fleet}"
-        )
-        for comparison in found:
-            say(f"claim      {comparison.claimed:.5g} {result.scale.unit}: {comparison.why}")
-            say(f"           {comparison.sentence()}")
-            if not comparison.believed:
-                click.echo("           the claim itself is not tied to the ground; it is compared as if it were metres")
-        for remark in result.remarks:
-            say(f"{remark.label:10s} {remark.text}")
+        _show(outcome)
     if outcome.disagrees:
         sys.exit(EvidenceDisagrees.exit_code)
+
+
+def _show(outcome: Checked) -> None:
+    result = outcome.result
+    low, high = result.scale.interval90
+    say(
+        f"vehicles   {result.scale.text()}, 90 % {result.scale.text(low, high)}, "
+        f"{result.scale.vehicles_used} of fleet {result.scale.fleet}"
+    )
+    for comparison in outcome.comparisons:
+        say(f"claim      {comparison.claimed:.5g} {result.scale.unit}: {comparison.why}")
+        say(f"           {comparison.sentence()}")
+        if not comparison.believed:
+            say("           the claim itself is not tied to the ground; it is compared as if it were metres")
+    for remark in result.remarks:
+        say(f"{remark.label:10s} {remark.text}")
 
 
 # What says something of one of the two inputs only: of the orthophoto's pixels, of the model's frames.

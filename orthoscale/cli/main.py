@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import logging
 import sys
 import traceback
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from importlib import import_module
 
 import click
 
-from ..errors import LONGEST_MESSAGE, InputError, OrthoscaleError, shown
+from ..errors import LONGEST_MESSAGE, InputError, OrthoscaleError, OutputError, shown
 from ..system import chatter, stopping
 from ..version import __version__
 from .options import EXIT_CODES, say, set_verbosity
@@ -32,6 +33,8 @@ COMMANDS = {  # name: module of this package; the function in it has the command
     "fleets": "fleets",
     "calibrate": "calibrate",
 }
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # only writing ends so
 
 
 class Commands(click.Group):
@@ -82,11 +85,17 @@ def main() -> None:
         say(text.getvalue().rstrip("\n"), err=True)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
-        click.echo(stopping.sentence(), err=True)
+        with suppress(OSError):  # the terminal may be gone
+            click.echo(stopping.sentence(), err=True)
         sys.exit(stopping.exit_code())
     except BrokenPipeError:
         sys.exit(141)
     except OSError as error:  # those of outputs are OutputErrors by now
+        if error.errno in NO_ROOM:
+            place = "standard output, or a temporary file," if error.filename is None else str(error.filename)
+            message = shown(f"{place} cannot be written ({error.strerror})", LONGEST_MESSAGE)
+            _complain(message, "Make room on that disk (temporary files: TMPDIR), and run again.", debug)
+            sys.exit(OutputError.exit_code)
         place = "" if error.filename is None else f"{error.filename}: "
         message = shown(f"{place}cannot be read ({error.strerror or error})", LONGEST_MESSAGE)
         _complain(message, "Check the file and its permissions.", debug)

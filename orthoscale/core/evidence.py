@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy.special import ndtr
@@ -26,7 +27,7 @@ STRONG = 0.05  # probability of a mistake up to which an anchor may contradict o
 # since what does not contradict the vehicles counts, each as much as its doubt leaves it.
 ALONE = float(1 - 2 * ndtr(-CONFLICT_LIMIT))
 COMMON_AT_MOST = 0.99  # share of a scale's variance that may be what all its sources have in common
-SAYS_NOTHING = 1.0  # one sigma of a scale's logarithm, a factor of 2.7: from there on there were no vehicles
+ANYTHING = 3.0  # one sigma of the logarithm of a scale of which nothing is known: a factor of 20
 SUPPORTS = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
@@ -113,42 +114,70 @@ class Combined:
     evidence: tuple[Evidence, ...] = ()
 
 
-def combined(vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
+def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
     """`vehicles` and all `evidence` together; `parts` are the one-sigmas of which the vehicles' is made up.
 
-    In a conflict the surest measurement that is no anchor gives the value, or the surest anchor where there is no such,
-    and the interval reaches over those of all.
+    vehicles : None where there are none; there is some evidence then, and any scale is possible beforehand. In a
+    conflict the surest measurement that is no anchor gives the value, or the surest anchor where there is no such, and
+    the interval reaches over those of all.
     """
-    heard, remarks = _within_reach(vehicles, evidence)
-    strong = [e.meant(vehicles) for e in evidence if e.doubt <= STRONG]
-    # Of a mixture, each what is nearest to the other counts.
-    sources = [
-        ("vehicles", Posterior.normal(vehicles.centre, vehicles.spread)),
-        *((e.says, e.posterior) for e in strong),
-    ]
-    conflict, conflicts = 0.0, list[Remark]()
-    for k, (name, one) in enumerate(sources):
-        for other_name, other in sources[k + 1 :]:
-            sigmas, here, there = _nearest(one, other)
-            if sigmas > CONFLICT_LIMIT:
-                conflict = max(conflict, sigmas)
-                these = f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}"
-                text = f"conflict: {these}, {sigmas:.1f} sigmas apart"
-                conflicts.append(Remark(REFUSAL, text, CONFLICT_HINT))
-    if conflict:
-        seen = [vehicles] if vehicles.spread < SAYS_NOTHING else []
-        every = [*seen, *(e.posterior for e in strong)]
-        certain = [*seen, *(e.posterior for e in evidence if not e.doubt)] or every
-        surest = min(certain, key=lambda p: p.spread)
-        low = min(p.quantile(0.05) for p in every)
-        high = max(p.quantile(0.95) for p in every)
-        spread = max((high - low) / (2 * Z90), surest.spread)
-        wide = Posterior.normal(surest.centre, spread)
-        summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
-        told = tuple(e.meant(vehicles) for e in evidence)
-        return Combined(wide, {"conflict": float(spread)}, conflict, [*conflicts, *remarks], summary, told)
-    # What all that was seen on one ground has in common is left aside while it is compared, and remains. What knows
-    # that ground better shares a part of it only.
+    before = _anything(evidence) if vehicles is None else vehicles
+    heard, remarks = _within_reach(before, evidence)
+    strong = [e.meant(before) for e in evidence if e.doubt <= STRONG]
+    sources = [(e.says, e.posterior) for e in strong]
+    if vehicles is not None:  # of a mixture, each what is nearest to the other counts
+        sources.insert(0, ("vehicles", Posterior.normal(vehicles.centre, vehicles.spread)))
+    conflict, conflicts = _conflicts(sources)
+    if not conflict:
+        return _weighed(before, parts, evidence, heard, remarks)
+    seen = [] if vehicles is None else [vehicles]
+    every = [*seen, *(e.posterior for e in strong)]
+    certain = [*seen, *(e.posterior for e in evidence if not e.doubt)] or every
+    posterior, summary = _spanning(every, min(certain, key=lambda p: p.spread))
+    told = tuple(e.meant(before) for e in evidence)
+    return Combined(posterior, {"conflict": posterior.spread}, conflict, [*conflicts, *remarks], summary, told)
+
+
+def _anything(evidence: Sequence[Evidence]) -> Posterior:
+    """What is known of a scale before it is measured: next to nothing, around what the surest `evidence` says."""
+    surest = min(evidence, key=lambda e: e.relative_sd)
+    return Posterior.normal(float(np.log(surest.value)), ANYTHING)
+
+
+def _conflicts(sources: Sequence[tuple[str, Posterior]]) -> tuple[float, list[Remark]]:
+    """Sigmas between the two named `sources` that contradict each other most, 0 where none do; and a remark on each
+    pair that does."""
+    worst, remarks = 0.0, list[Remark]()
+    for (name, one), (other_name, other) in combinations(sources, 2):
+        sigmas, here, there = _nearest(one, other)
+        if sigmas > CONFLICT_LIMIT:
+            worst = max(worst, sigmas)
+            these = f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}"
+            remarks.append(Remark(REFUSAL, f"conflict: {these}, {sigmas:.1f} sigmas apart", CONFLICT_HINT))
+    return worst, remarks
+
+
+def _spanning(every: Sequence[Posterior], surest: Posterior) -> tuple[Posterior, tuple[float, float, float]]:
+    """A distribution at the middle of `surest` and so wide that it holds what `every` one says; and its summary, in
+    which the interval reaches over those of all."""
+    low, high = min(p.quantile(0.05) for p in every), max(p.quantile(0.95) for p in every)
+    spread = float(max((high - low) / (2 * Z90), surest.spread))
+    summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
+    return Posterior.normal(surest.centre, spread), summary
+
+
+def _weighed(
+    vehicles: Posterior,
+    parts: Mapping[str, float],
+    evidence: Sequence[Evidence],
+    heard: Sequence[Evidence],
+    remarks: list[Remark],
+) -> Combined:
+    """The product of `vehicles` and of the evidence that is `heard`, none of which contradicts another.
+
+    What all that was seen on one ground has in common is left aside while it is compared, and remains. What knows that
+    ground better shares a part of it only.
+    """
     common = max((e.common**2 for e in heard), default=0.0)
     posterior = vehicles.blurred(-common) if common else vehicles
     for e in sorted(heard, key=lambda e: -e.common):

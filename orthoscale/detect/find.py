@@ -14,6 +14,7 @@ from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import Boxes
 from ..core.confirmed import seldom_confirmed
 from ..core.detections import Detections, Tile
+from ..core.source import Picture
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from .cache import TileCache, cache_key
 from .contested import settled
@@ -28,7 +29,6 @@ from .zoom import ZoomChoice, search_zoom
 
 if TYPE_CHECKING:
     from ..core.progress import Progress
-from ..core.source import Picture
 
 WHY_EQUAL = "things of one size that stand together, as solar panels or graves do"
 WHY_SELDOM = "of about their size the two passes agree on few, as on mistakes"
@@ -76,10 +76,6 @@ def find_vehicles(
     that overlap: enough of them are looked at, whatever the target, and more only for too little evidence.
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
-
-    def step(what: str) -> Callable[[int, int], None] | None:
-        return (lambda done, total: progress(what, done, total)) if progress else None
-
     effort = effort or Effort()
     count = worker_count(effort.workers)
     detector = detector or Detector(threads=effort.threads_each)
@@ -88,20 +84,7 @@ def find_vehicles(
         some = pictures if cover is None else [pictures[k] for k in cover.first(ZOOM_FRAMES)]
         choice = find_zoom(some, detector, progress, effort)
         zoom = choice.zoom
-    card = detector.card
-
-    def detections(found: Found) -> Detections:
-        ruler = (card.ruler, card.effective_height, detector.name, detector.sha256)
-        return Detections(
-            found.boxes,
-            zoom,
-            *ruler,
-            doubtful=found.doubtful,
-            objects=found.objects,
-            swept=found.swept,
-            body=card.body,
-        )
-
+    detections = partial(_detections, detector=detector, zoom=zoom)
     check_number(pictures, zoom)
     each = [tiles(picture, zoom) for picture in pictures]
     jobs = [(picture, tile) for picture, some in zip(pictures, each, strict=True) for tile in some]
@@ -111,7 +94,9 @@ def find_vehicles(
         of_picture = np.split(np.arange(len(jobs)), np.cumsum([len(some) for some in each])[:-1])
         order = [of_picture[k] for k in cover.order]
     elif anytime:
-        order = _promising_first(jobs, detector, count, effort.seed, step("Coarse pass"))
+        order = _promising_first(
+            jobs, detector, count, effort.seed, None if progress is None else partial(progress, "Coarse pass")
+        )
     with ExitStack() as open_things:
         key = cache_key(pictures, detector, zoom) if effort.cache else None
         cache = open_things.enter_context(TileCache(key)) if key else None
@@ -120,19 +105,35 @@ def find_vehicles(
             jobs,
             order,
             visit,
-            cache,
-            (lambda found: sampling(detections(found))) if anytime and sampling else None,
-            effort.target,
-            step("Finding vehicles"),
-            detector.sure,
-            None if cover is None else cover.enough,
-            detector.confirming is None,
+            cache=cache,
+            spread=(lambda found: sampling(detections(found))) if anytime and sampling else None,
+            target=effort.target,
+            progress=None if progress is None else partial(progress, "Finding vehicles"),
+            sure=detector.sure,
+            enough=None if cover is None else cover.enough,
+            second_measures=detector.confirming is None,
         )
     kept = _without(detections(found), WHY_EQUAL, _equal_things)
     if len(pictures) == 1:
         # Frames from nearer and farther show vehicles at several lengths, of which the farther are seldom confirmed.
         kept = _without(kept, WHY_SELDOM, seldom_confirmed)
     return kept, choice
+
+
+def _detections(found: Found, detector: Detector, zoom: float) -> Detections:
+    card = detector.card
+    return Detections(
+        found.boxes,
+        zoom,
+        card.ruler,
+        card.effective_height,
+        detector.name,
+        detector.sha256,
+        doubtful=found.doubtful,
+        objects=found.objects,
+        swept=found.swept,
+        body=card.body,
+    )
 
 
 def _promising_first(

@@ -94,6 +94,9 @@ class MeasurerCard:
         return np.clip(self.inward * excess, 0.0, MOVED_AT_MOST * length[:, None])
 
 
+FIRST_COLUMNS = (5, 9, 13, 13 + len(ANSWERS))  # in `Measured.rows`, of sigma, seen, kind and light; the box is before
+
+
 @dataclass(frozen=True)
 class Measured:
     """What the measurer says of N vehicles.
@@ -111,6 +114,17 @@ class Measured:
     seen: np.ndarray
     kind: np.ndarray
     light: np.ndarray
+
+    @property
+    def rows(self) -> np.ndarray:
+        """(N, 19) all of it as numbers, one row a vehicle, but for the scores."""
+        return np.column_stack([self.boxes.xylwa, self.sigma, self.seen, self.kind, self.light])
+
+    @classmethod
+    def of_rows(cls, rows: np.ndarray, score: np.ndarray) -> Measured:
+        """What has these `rows` (N, 19), with the scores (N,) of the proposed boxes."""
+        xylwa, sigma, seen, kind, light = np.split(rows, FIRST_COLUMNS, axis=1)
+        return cls(Boxes(xylwa, score), sigma, seen, kind, light[:, 0])
 
     @property
     def size_sigma(self) -> np.ndarray:

@@ -7,7 +7,7 @@ scores, and these tell by how much the detector's boxes of this scene are too la
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -75,29 +75,19 @@ def remeasured(
     change = _change(
         Boxes.concatenate(list(proposed.values())), Boxes.concatenate([told[name].boxes for name in proposed])
     )
-    boxes, doubtful, count = {}, dict(found.doubtful), 0
+    vehicle = {name: _is_vehicle(told[name], boxes) for name, boxes in proposed.items()}
+    boxes, doubtful = {}, dict(found.doubtful)
     for name, before in found.boxes.items():
-        index = chosen.get(name, np.empty(0, int))
-        rest = np.setdiff1d(np.arange(len(before)), index)
-        parts = [_corrected(before[rest], change)]
-        if len(index):
-            parts.append(_of(told[name], measurer))
-            vehicle = _is_vehicle(told[name], proposed[name])
-            count += int((~vehicle).sum())
-            if not vehicle.all():
-                unlike = proposed[name][~vehicle]
-                doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), unlike])
-            parts[1] = parts[1][vehicle]
-        boxes[name] = distinct(Boxes.concatenate(parts))
-    notes = found.notes
-    if count:
-        notes = (*notes, f"{count} boxes do not count: the measurer saw no vehicle in them")
-    if too_large.any():
-        length, width = signed(np.expm1(too_large[0])), signed(np.expm1(too_large[1]))
-        notes = (*notes, f"dark vehicles measured {length} in length, {width} in width for their shadows: taken off")
-    if enlarged > 1:
-        text = f"the picture has {float(enlarged):g} times the pixels that it shows, each way: measured in fewer"
-        notes = (*notes, text)
+        if name not in chosen:
+            boxes[name] = distinct(_corrected(before, change))
+            continue
+        rest = np.setdiff1d(np.arange(len(before)), chosen[name])
+        measured = _of(told[name], measurer)[vehicle[name]]
+        boxes[name] = distinct(Boxes.concatenate([_corrected(before[rest], change), measured]))
+        if not vehicle[name].all():
+            others = proposed[name][~vehicle[name]]
+            doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), others])
+    no_vehicles = sum(int((~some).sum()) for some in vehicle.values())
     card = measurer.card
     return replace(
         found,
@@ -108,8 +98,20 @@ def remeasured(
         body=card.body,
         detector=f"{found.detector}, measured by {card.name}",
         detector_sha256=measurer.sha256,
-        notes=notes,
+        notes=(*found.notes, *_notes(no_vehicles, too_large, enlarged)),
     )
+
+
+def _notes(no_vehicles: int, too_large: np.ndarray, enlarged: Fraction) -> Iterator[str]:
+    """What measuring changed, for the report. no_vehicles : boxes that do not count any more. too_large : (2,) log of
+    what was taken off dark vehicles. enlarged : by how much the pictures had been."""
+    if no_vehicles:
+        yield f"{no_vehicles} boxes do not count: the measurer saw no vehicle in them"
+    if too_large.any():
+        length, width = signed(np.expm1(too_large[0])), signed(np.expm1(too_large[1]))
+        yield f"dark vehicles measured {length} in length, {width} in width for their shadows: taken off"
+    if enlarged > 1:
+        yield f"the picture has {float(enlarged):g} times the pixels that it shows, each way: measured in fewer"
 
 
 def _chosen(boxes: Mapping[str, Boxes]) -> dict[str, np.ndarray]:
@@ -142,19 +144,13 @@ def _looked_at(
     with ThreadPoolExecutor(workers) as pool:
         looks = pool.map(lambda job: measurer(pictures[job[0]], proposed[job[0]][job[1]], enlarged=enlarged), jobs)
         for done, ((name, index), look) in enumerate(zip(jobs, looks, strict=True), 1):
-            for k, row in zip(
-                index, np.hstack([look.boxes.xylwa, look.sigma, look.seen, look.kind, look.light[:, None]]), strict=True
-            ):
+            for k, row in zip(index, look.rows, strict=True):
                 rows[name][k] = row
                 if kept is not None:
                     kept.keep(_row_name(pictures[name], proposed[name].xylwa[k]), row.astype("<f8").tobytes())
             if progress:
                 progress("Measuring vehicles", done, len(jobs))
-    told = {}
-    for name, boxes in proposed.items():
-        xylwa, sigma, seen, kind, light = np.split(np.array(rows[name]), [5, 9, 13, 18], axis=1)
-        told[name] = Measured(Boxes(xylwa, boxes.score), sigma, seen, kind, light[:, 0])
-    return told
+    return {name: Measured.of_rows(np.array(rows[name]), boxes.score) for name, boxes in proposed.items()}
 
 
 def _without_shadows(told: Mapping[str, Measured]) -> tuple[dict[str, Measured], np.ndarray]:

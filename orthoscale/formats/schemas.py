@@ -538,10 +538,11 @@ class Explained(Struct):
 
 
 class ReportInput(Struct):
-    """What was measured, and the hash of its content."""
+    """What was measured, its content's hash, and the folder that relative names here and in `settings` start from."""
 
     path: Annotated[str, Meta(min_length=1, max_length=10_000)]
     sha256: Name
+    folder: Annotated[str, Meta(max_length=10_000)] = ""
 
 
 class ReportBox(Struct):

@@ -18,6 +18,7 @@ from shapely.geometry.base import BaseGeometry
 from ..core.affine import transformed
 from ..errors import InputError, UsageError, shown
 from ..formats.reading import LARGE, check_regular, read, read_plain
+from ..sources.gdal import reason
 from ..sources.raster import RasterSource
 
 MOST_OFF = 10.0  # times that an end of an interval lies from its scale: no report tells more
@@ -145,7 +146,7 @@ def _polygons(path: Path) -> tuple[BaseGeometry, str | None]:
         area = shapely.union_all([p for part in parts for p in shapely.get_parts(part) if p.geom_type == "Polygon"])
         sound = not area.is_empty and bool((np.abs(shapely.get_coordinates(area)) < FARTHEST_M).all())
     except Exception as error:  # GDAL's and GEOS's errors share no base
-        raise InputError(f"{path}: no vector file that GDAL can read ({shown(str(error))})", AREA_HINT) from error
+        raise InputError(f"{path}: no vector file that GDAL can read ({shown(reason(error))})", AREA_HINT) from error
     if not sound:
         raise InputError(f"{path}: no polygon in it", "Draw the area as a polygon.")
     return area, meta["crs"]

@@ -67,6 +67,7 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("calibration", "views"): 0,
     ("calibration", "undercut"): {"card": (0.0, 0.0), "fitted": (0.0, 0.0)},
     ("calibration", "trends"): None,
+    ("input", "folder"): "",
     ("settings",): {},
     ("versions",): {},
     ("created",): "",
@@ -130,7 +131,7 @@ def document(
         if zoom_choice is None
         else {"vehicle_px": zoom_choice.vehicle_px, "votes": zoom_choice.votes, "runner_up": zoom_choice.rival},
         **_of_posed(measured),
-        "input": {"path": str(source.path), "sha256": source.content_hash()},
+        "input": {"path": str(source.path), "sha256": source.content_hash(), "folder": _current_folder()},
         "settings": dict(settings),
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
         "versions": _versions(),
@@ -339,6 +340,14 @@ def _fleet_sizes(fleet: Fleet) -> dict[str, Any]:
         for c in fleet.every_class
     ]
     return {**axes, "classes": classes}
+
+
+def _current_folder() -> str:
+    """What relative names start from now; '' where that folder was deleted."""
+    try:
+        return str(Path.cwd())
+    except OSError:
+        return ""
 
 
 @cache

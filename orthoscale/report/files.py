@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import cache
 from pathlib import Path
@@ -12,13 +12,14 @@ from ..actions.result import Result
 from ..core.source import Source
 from ..errors import InputError, OrthoscaleError, UsageError
 from ..formats.reading import is_there, reason
-from ..sources.opening import open_source
+from ..sources.opening import NO_CLOUD, open_source
 from ..system.outputs import Outputs, ours_in_a_folder
 from .document import of_plan, read_json, write_json
 from .page import page
 from .pictures import draw
 from .scene import Scene
 
+DRAWN_AS = (".html", ".htm", ".png")
 Attempt = Callable[[Path, str], AbstractContextManager[None]]
 
 
@@ -43,8 +44,11 @@ def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = 
     when its input is still there, unchanged.
 
     images : folder of a model's frames, when not beside it. Returns why there are none, or ''.
-    Raises InputError for a file that is no report, UsageError for frames of an orthophoto, and what `Outputs` does.
+    Raises InputError for a file that is no report, UsageError for frames of an orthophoto and for an `out` of another
+    ending than .html and .png, and what `Outputs` does.
     """
+    if out.suffix.lower() not in DRAWN_AS:
+        raise UsageError(f"{out}: a report is drawn as a page or a picture", "Let its name end in .html or .png.")
     with Outputs(overwrite, (path, images)) as outputs:
         partial = outputs.file(out, ours_in_a_folder)
         report = read_json(path)
@@ -74,17 +78,27 @@ def _write_page(html: str, path: Path) -> None:
 
 def _source(report: Mapping[str, Any], path: Path, images: Path | None) -> tuple[Source | None, str]:
     """The source that a report speaks of, or None and why it is not taken."""
-    told = Path(report["input"]["path"])
-    found = next((place for place in (told, path.parent / told) if is_there(place)), None)
+    settings = report["settings"]
+    # Relative names are those of the first run, wherever the report is drawn again; it may have been moved with them.
+    starts = [Path(report["input"].get("folder", "")), path.parent, Path()]
+    found = _there(report["input"]["path"], starts)
     if found is None:
-        return None, f"{told} is not there"
-    if images is None and "images" in report["settings"]:
-        images = Path(report["settings"]["images"])
+        return None, f"{report['input']['path']} is not there"
+    if images is None and "images" in settings:
+        images = _there(settings["images"], starts) or Path(settings["images"])
     images = None if of_plan(report) else images
+    cloud = settings.get("ground_cloud")
+    if cloud not in (None, NO_CLOUD):
+        cloud = _there(cloud, starts) or cloud
     try:
-        source = open_source(found, images, need_images=False, ground_cloud=report["settings"].get("ground_cloud"))
+        source = open_source(found, images, need_images=False, ground_cloud=cloud)
+        if source.content_hash() != report["input"]["sha256"]:
+            return None, f"{found} has changed since"
     except OrthoscaleError as error:
         return None, error.message
-    if source.content_hash() != report["input"]["sha256"]:
-        return None, f"{found} has changed since"
     return source, ""
+
+
+def _there(name: str, starts: Sequence[Path]) -> Path | None:
+    """What lies at `name`, from the first of the folders `starts` where there is anything."""
+    return next((start / name for start in starts if is_there(start / name)), None)

@@ -55,7 +55,8 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
         anchors=[_picture(panel) for panel in scene.anchors],
         found=[_anchor(anchor, report) for anchor in report["anchors"]],
         narrowed=wording.narrowed(report),
-        reasons={**report["vehicles_rejected"], **report["boxes_rejected"]},
+        reasons=_counted(report["vehicles_rejected"]),
+        boxes=_counted(report["boxes_rejected"]),
         histograms=[_histogram(report, axis) for axis in ("length", "width") if report["vehicles_used"]],
         estimates=_estimates(report),
         modes={name: _mode(mode, report) for name, mode in _modes(report).items()},
@@ -66,6 +67,10 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
         fleets=_fleets(report),
         command=command_line(report["input"]["path"], report["settings"]),
     )
+
+
+def _counted(reasons: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in reasons.items())
 
 
 @cache

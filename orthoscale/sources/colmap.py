@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 from collections.abc import Sequence
@@ -29,6 +28,7 @@ from .consistency import check_consistency
 from .database import pose_priors
 from .dense_cloud import DenseCloud
 from .dense_ground import dense_ground
+from .fingerprint import content_hash
 from .focal import focal_doubt
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
+IMAGES_ABOVE = 3  # of a model that are searched for its images, as for workspace/sparse/0
 # Geometry beside a model is in the model's old units: a copy would pass for one in metres.
 UNSCALED = GEOMETRY | {".npz", ".npy", ".bin"}
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
@@ -201,14 +202,9 @@ class ColmapSource:
         return self._paths if self.cloud is None else (*self._paths, self.cloud.path)
 
     def content_hash(self) -> str:
-        """SHA-256 over the names and contents of the model's files."""
-        digest = hashlib.sha256()
-        for path in sorted(self._paths):
-            digest.update(path.name.encode() + b"\0" + path.stat().st_size.to_bytes(8, "little"))
-            with path.open("rb") as file:
-                while block := file.read(1 << 20):
-                    digest.update(block)
-        return digest.hexdigest()
+        """SHA-256 in hex over the names and contents of the model's files, and of its dense cloud's, which the scale
+        depends on as well. Raises InputError."""
+        return content_hash([*sorted(self._paths), *(self.cloud.files if self.cloud is not None else ())])
 
     def views(
         self, name: str, points: np.ndarray, lowest_elevation: float = LOWEST_ELEVATION
@@ -381,8 +377,8 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
     if given is not None:
         places = [given]
     else:
-        above = [folder, *Path(os.path.realpath(folder)).parents[:3]]
-        places = [base / sub for sub in IMAGE_FOLDERS for base in above]
+        bases = [folder, *Path(os.path.realpath(folder)).parents[:IMAGES_ABOVE]]
+        places = [base / sub for sub in IMAGE_FOLDERS for base in bases]
     best, missing = places[0], list(names)
     for place in places:
         if place.is_dir():
@@ -392,9 +388,9 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
             if not lacking:
                 break
     if len(missing) == len(names):
-        looked = ", ".join(str(place) for place in places if given is not None or place.name in IMAGE_FOLDERS)
+        above = f"{folder} and the {IMAGES_ABOVE} folders above it, and in {', '.join(IMAGE_FOLDERS[:-1])} of each"
         raise InputError(
-            f"no frame of the model {folder} was found; the first is {missing[0]}; looked in {looked}",
-            "Give the folder that the image names start from with --images.",
+            f"no frame of the model {folder} was found; the first is {missing[0]}; looked in {given or above}",
+            "Give the folder that the image names start from with --images, or the vehicles' boxes with --detections.",
         )
     return best, missing

@@ -16,7 +16,6 @@ from ..formats.geometry.ply import points_in
 from .colmap_check import open_model
 from .colmap_write import read_model
 
-NO_CLOUD = "none"  # instead of a file: the sparse points alone
 MOST_DENSE_POINTS = 10_000_000  # that are looked at; more make the ground no better known
 FUSED_CLOUD = "fused.ply"
 # Where other programs write clouds in the coordinates of their reconstruction, from the folder of its file.
@@ -46,6 +45,14 @@ class DenseCloud:
     def what(self) -> str:
         """What it is called in a sentence."""
         return f"the depth maps in {self.path}" if self.path.is_dir() else f"the dense cloud {self.path}"
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that its points are read from: the cloud; or the depth maps and the tables of their cameras."""
+        if not self.path.is_dir():
+            return [self.path]
+        cameras = [path for folder in sparse_folders(self.path)[:1] for path in sorted(folder.iterdir())]
+        return [*_depth_maps(self.path), *(path for path in cameras if path.is_file())]
 
     def blocks(self) -> Iterator[np.ndarray]:
         """(N, 3) points [model units, world] in pieces, about MOST_DENSE_POINTS in all at most. Raises InputError for

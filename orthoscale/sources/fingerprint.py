@@ -1,15 +1,27 @@
-"""Which files these are, without reading gigabytes: what cached work is keyed by."""
+"""Which files these are: all of them, for the report; without reading gigabytes, for what cached work is keyed by."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import InputError
 
 WHOLE = 4 * 2**20  # [byte] files up to this size are read whole
 PIECES, PIECE_BYTES = 64, 16 * 2**10  # number and size [byte] of the pieces that are read of larger ones
+
+
+def content_hash(paths: Iterable[Path]) -> str:
+    """SHA-256 in hex over the names and the whole contents of the files, in this order. Raises InputError."""
+    digest = hashlib.sha256()
+    for path in paths:
+        with _reading(path), path.open("rb") as file:
+            digest.update(os.fsencode(path.name) + b"\0" + os.fstat(file.fileno()).st_size.to_bytes(8, "little"))
+            hashlib.file_digest(file, lambda: digest)  # goes on with it, and never holds the whole file
+    return digest.hexdigest()
 
 
 def fingerprint(paths: Iterable[Path]) -> str:
@@ -19,17 +31,22 @@ def fingerprint(paths: Iterable[Path]) -> str:
     """
     digest = hashlib.sha256()
     for path in paths:
-        try:
-            with path.open("rb") as file:
-                size = path.stat().st_size
-                digest.update(f"{size};".encode())
-                if size <= WHOLE:
-                    digest.update(file.read())
-                    continue
-                digest.update(f"{path.stat().st_mtime_ns};".encode())
-                for k in range(PIECES):
-                    file.seek(k * (size - PIECE_BYTES) // (PIECES - 1))
-                    digest.update(file.read(PIECE_BYTES))
-        except OSError as error:
-            raise InputError(f"{path} cannot be read ({error.strerror})", "Was it moved meanwhile?") from error
+        with _reading(path), path.open("rb") as file:
+            size = path.stat().st_size
+            digest.update(f"{size};".encode())
+            if size <= WHOLE:
+                digest.update(file.read())
+                continue
+            digest.update(f"{path.stat().st_mtime_ns};".encode())
+            for k in range(PIECES):
+                file.seek(k * (size - PIECE_BYTES) // (PIECES - 1))
+                digest.update(file.read(PIECE_BYTES))
     return digest.hexdigest()
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror})", "Was it moved meanwhile?") from error

@@ -111,10 +111,15 @@ def reading(path: Path, what: str, hint: str) -> Iterator[None]:
     try:
         with rasterio.Env(**settings()), no_warnings():
             yield
+    except UnicodeEncodeError as error:
+        raise InputError(f"{path}: GDAL takes names in UTF-8 only", "Rename it.") from error
     except GDAL_ERRORS as error:
         raise InputError(f"{path} {what} ({reason(error)})", hint) from error
 
 
 def reason(error: BaseException) -> str:
-    """What GDAL said; rasterio often keeps it in the cause and says only "see previous exception"."""
-    return str(error.__cause__ or error).strip().rstrip(".")
+    """What GDAL said, without its advice to programmers and the file's name, which the reader is told anyway; rasterio
+    often keeps it in the cause and says only "see previous exception"."""
+    text = str(error.__cause__ or error).strip().rstrip(".")
+    text = re.sub(r"^'.*' (not recognized as being in a supported file format).*", r"\1", text, flags=re.DOTALL)
+    return re.sub(r" \(this error can be turned as a warning.*?\)", "", text)

@@ -6,7 +6,6 @@ They are read into the same model as COLMAP's, measured in the same way, and wri
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -76,13 +75,6 @@ class ExchangeSource(OneFileSource):
         placed = [s for s in part["shots"].values() if s.get("gps_dop", GPS_DOP) < GPS_DOP and "gps_position" in s]
         aligned = "reference_lla" in part and len(placed) >= 3
         return "OpenSfM aligned it with the GPS of its images" if aligned else ""
-
-    def content_hash(self) -> str:
-        """SHA-256 of the file, and of its point cloud."""
-        digest = hashlib.sha256()
-        for path in self._paths:
-            digest.update(path.read_bytes())
-        return digest.hexdigest()
 
     def _write_file(self, out: Path, scale: float) -> None:
         text = read_poses(self.path)

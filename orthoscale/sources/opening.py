@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from .colmap import ColmapSource
 
 
+NO_CLOUD = "none"  # instead of the name of a dense cloud: the ground is found from the sparse points alone
+
+
 def open_source(
     path: str | Path,
     images: str | Path | None = None,
@@ -53,7 +56,7 @@ def open_source(
 
 def _on_cloud(source: ColmapSource, named: str | Path | None, progress: Progress | None) -> ColmapSource:
     """`source` with the dense cloud that its ground is found on."""
-    from .dense_cloud import NO_CLOUD, cloud_at, find_cloud
+    from .dense_cloud import cloud_at, find_cloud
 
     if named is not None:
         return source if str(named) == NO_CLOUD else replace(source, cloud=cloud_at(Path(named), progress))

@@ -3,8 +3,8 @@
 Refused before any work is done: an output that is, contains or lies in an input, by whatever name; that belongs to an
 input, as a world file does; that another output of the command is too; that another run is writing; that exists, unless
 it may be overwritten and orthoscale wrote it under this very name. What is left is written aside, and all outputs of a
-command are put in their places together: no name that appeared meanwhile is replaced, and on any error, SIGTERM and
-Ctrl-C included, everything is as it was. What a killed run left is removed by the next one.
+command are put in their places together: no name that appeared meanwhile is replaced, and on any error, SIGTERM,
+SIGHUP and Ctrl-C included, everything is as it was. What a killed run left is removed by the next one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from ..errors import InputError, OrthoscaleError, OutputError, UsageError
+from ..errors import LONGEST_MESSAGE, InputError, OrthoscaleError, OutputError, UsageError, shown
 from ..version import __version__
 from . import stopping
 
@@ -139,7 +139,7 @@ class Outputs:
             yield
         except Exception as error:
             if isinstance(error, OrthoscaleError):
-                why = error.message
+                why = self._named_by_place(error.message)
             else:
                 why = (error.strerror if isinstance(error, OSError) else "") or f"{type(error).__name__}: {error}"
             self.problems.setdefault(why, []).append(what)
@@ -166,6 +166,8 @@ class Outputs:
         try:
             if error is None:
                 self._put(self._claims)
+            elif isinstance(error, OrthoscaleError):
+                error.reword(self._named_by_place)
             elif isinstance(error, DISK):
                 raise error
         except BrokenPipeError:
@@ -176,6 +178,12 @@ class Outputs:
             with stopping.held():
                 for claim in self._claims:
                     claim.release()
+
+    def _named_by_place(self, text: str) -> str:
+        """`text` with the outputs that are not in their places yet named as the user named them."""
+        for claim in self._claims:
+            text = text.replace(shown(claim.partial, LONGEST_MESSAGE), shown(claim.path, LONGEST_MESSAGE))
+        return text
 
     def _said(self, error: Exception) -> OrthoscaleError:
         """An error of a disk in our words: about an input, if it names a file that is none of the outputs."""
@@ -199,8 +207,12 @@ class Outputs:
                 raise UsageError(f"{path} already exists", "Choose another place, or pass --overwrite to replace it.")
             if why := _why_not_ours(path, mine):
                 raise UsageError(f"{path} {why}, so it is not replaced", ELSEWHERE)
-        if not path.absolute().parent.is_dir():
-            raise OutputError(f"{path.absolute().parent} is not a folder", "Create it first, or choose another place.")
+        parent = path.absolute().parent
+        if not parent.is_dir():
+            raise OutputError(
+                f"{path}: {parent} {'is not a folder' if parent.exists() else 'does not exist'}",
+                "Create that folder first, or choose another place.",
+            )
 
     def _claim(self, path: Path, mine: Callable[[Path], bool] | None, folder: bool) -> _Claim:
         path = Path(path)
@@ -380,8 +392,10 @@ def _sidecars(place: str) -> set[str]:
 
 def _why_not_ours(path: Path, mine: Callable[[Path], bool] | None = None) -> str:
     """Why `path` must not be replaced, as the end of a sentence; '' for what orthoscale wrote."""
-    if path.is_symlink() or not (path.is_dir() or path.is_file()):
-        return "is neither a file nor a folder of its own"
+    if path.is_symlink():
+        return "is a symbolic link"
+    if not (path.is_dir() or path.is_file()):
+        return "is neither a file nor a folder"
     if path.is_dir():
         return _why_not_our_folder(path)
     try:

@@ -1,4 +1,7 @@
-"""SIGTERM and Ctrl-C: heard from the first moment, held while files change places, and answered with one sentence."""
+"""SIGTERM, SIGHUP and Ctrl-C: heard from the first moment, held while files change places, answered with one sentence.
+
+SIGHUP is what a closed terminal or a lost connection sends.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,11 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []))  # not in Windows
 written: list[str] = []  # outputs that are in their places already
 _state = {"received": 0, "held": 0}
 
@@ -29,7 +32,8 @@ def leave_at_once() -> None:
     """Until `listening`, and after it, no output is being made: a signal ends the process with the sentence."""
 
     def leave(number: int, frame: FrameType | None) -> None:
-        os.write(2, (sentence() + "\n").encode("ascii", "backslashreplace"))
+        with suppress(OSError):  # the terminal may be gone
+            os.write(2, (sentence() + "\n").encode("ascii", "backslashreplace"))
         os._exit(128 + number)
 
     _handle(leave)

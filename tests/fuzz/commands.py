@@ -543,11 +543,11 @@ def twins(bench: Bench, rng: Rng) -> Attempt:
 
 
 def kills(bench: Bench, rng: Rng) -> Attempt:
-    """SIGINT, SIGTERM or SIGKILL at any time; SIGKILL is followed by a run that must tidy up."""
+    """SIGINT, SIGTERM, SIGHUP or SIGKILL at any time; SIGKILL is followed by a run that must tidy up."""
     argv = writing(bench, rng)
     if argv[0] == "fix" and rng.random() < 0.3:
         argv = (*argv, "--force")
-    number = rng.choice((signal.SIGINT, signal.SIGTERM, signal.SIGKILL))
+    number = rng.choice((signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL))
     if rng.random() < 0.5:
         return Attempt(argv, kill=(int(number), rng.uniform(0, 0.15)), when_writing=True)
     return Attempt(argv, kill=(int(number), rng.choice((rng.uniform(0.1, 0.8), rng.uniform(0.3, 2.5)))))

@@ -224,6 +224,8 @@ def _crashed(run: _Run, attempt: Attempt) -> bool:
     """A signal that nobody sent, an exit code that nobody promised, a traceback, or the words of a bug or a library."""
     if run.hung or run.peak >= STOP_AT:
         return False  # stopped from here: it counts as such
+    if attempt.kill and "Fatal Python error: init_import_site" in run.err:
+        return False  # Python itself was still starting, on a machine that has much else to do: nothing of ours ran
     bad = ["bug in orthoscale", "Fatal Python error"]
     # Python itself has a word to say to a signal while it starts, until the package is imported, before its program.
     frames = [line for line in run.err.splitlines() if "/orthoscale/" in line]
@@ -231,7 +233,7 @@ def _crashed(run: _Run, attempt: Attempt) -> bool:
         bad.append("Traceback (most recent call last)")
     # Whether a program that tidied up ends with 128 + number or with the signal is a matter of taste; Python's way is
     # SIGINT for both.
-    stopped = {130, 143, -signal.SIGINT, -attempt.kill[0]} if attempt.kill else set()
+    stopped = {129, 130, 143, -signal.SIGINT, -attempt.kill[0]} if attempt.kill else set()
     loud = any(line.startswith(LIBRARIES) for line in run.err.splitlines())
     return loud or any(word in run.err for word in bad) or run.code not in attempt.codes | stopped
 

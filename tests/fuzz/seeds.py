@@ -229,7 +229,7 @@ def _kill(number: signal.Signals, delay: float, model: bool, writing: bool) -> N
         return Attempt(("fix", *FIX[1:], "--out", "out.tif"), kill=(int(number), delay), when_writing=writing)
 
 
-for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL):
     for _delay in (0.25, 0.8, 1.4):
         _kill(_number, _delay, model=True, writing=False)
     for _delay in (0.0, 0.02, 0.1):

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
 from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
+from orthoscale.core.market_segments import Places
 from orthoscale.core.measuring.oblique import HEIGHT_SD
 from orthoscale.core.projection.exact import BEND
 from orthoscale.core.projection.self_calibration import CORNER_SD, LEAN_SD
@@ -93,7 +94,7 @@ class Block:
 class _KnownFleet(Fleet):
     """One whose places are all like it."""
 
-    place_vehicles = ((1e6, 1.0),)
+    place_vehicles = (Places(1e6, 1.0),)
 
 
 def exactly(fleet: Fleet) -> Fleet:

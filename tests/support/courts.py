@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy.special import ndtr
 
 FINE = 0.11  # [m/px] that pictures are drawn at, at most
 GREEN, BLUE, CLAY, ASPHALT, GRASS = (70, 110, 85), (60, 95, 150), (150, 85, 60), (105, 105, 108), (85, 105, 60)
@@ -122,3 +123,26 @@ def court_picture(
     picture = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), blur_px * fine)
     picture = cv2.resize(picture, shape[::-1], interpolation=cv2.INTER_AREA)
     return np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8)
+
+
+def court_along_rows(boxes, gsd, place, shape, *, ground=100, white=200, blur_px=0.6, noise=1.0, seed=0):
+    """RGB uint8 of `shape` (H, W) [px], a court along its rows: paint blurred, then summed over each pixel, both
+    exactly. `court_picture` draws in cells as wide as a line, in each of which it may lie anywhere. Arguments as there.
+    """
+    blur = blur_px * gsd
+
+    def within(edge, count):  # integral of the normal distribution about `edge`, over pixels [m]
+        from_edge = (np.arange(count + 1) * gsd - edge) / blur
+        below = blur * (from_edge * ndtr(from_edge) + np.exp(-0.5 * from_edge**2) / np.sqrt(2 * np.pi))
+        return np.diff(below)
+
+    bare = np.ones(shape)
+    for x0, y0, x1, y1 in boxes:
+        x, y = (
+            (within(low + middle, count) - within(high + middle, count)) / gsd
+            for low, high, middle, count in ((x0, x1, place[0], shape[1]), (y0, y1, place[1], shape[0]))
+        )
+        bare *= 1 - y[:, None] * x
+    picture = np.repeat((ground + (white - ground) * (1 - bare))[..., None], 3, axis=2)
+    picture += np.random.default_rng(seed).normal(0, noise, picture.shape)
+    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)

@@ -180,12 +180,20 @@ def found_ruler(flights: list[Seen], body: str) -> OwnRuler:
     return own_ruler(boxes, views, 1.0, groups, UNIT, card)
 
 
+def _vehicles_of_place(rng: np.random.Generator, fleet: Fleet) -> float:
+    """How many vehicles a place is as if drawn from (`market_segments.Places`)."""
+    kinds = fleet.place_vehicles
+    return float(rng.choice([kind.vehicles for kind in kinds], p=[kind.probability for kind in kinds]))
+
+
 def place_of(rng: np.random.Generator, fleet: Fleet) -> Fleet:
-    """The vehicles of one place of a country: its own shares of all classes, and each class's own models."""
+    """The vehicles of one place of a country: its own shares of all classes, and each class's own models.
+
+    An odd place has few of its country's vehicles, not classes that are rare there: those are simulated by `with_most`.
+    """
     weight = np.array([c.weight for c in fleet.every_class])
     weight = weight / weight.sum()
-    numbers, probability = zip(*fleet.place_vehicles, strict=True)
-    number = rng.choice(numbers, p=probability)
+    number = _vehicles_of_place(rng, fleet)
     shares = rng.dirichlet(number * weight)
     classes = []
     for c, country, share in zip(fleet.every_class, weight, shares, strict=True):
@@ -204,8 +212,7 @@ class Vans:
     @classmethod
     def of_place(cls, rng: np.random.Generator, fleet: Fleet) -> Vans:
         """As many as some place has, which differs as in the classes of `fleet`; any share of them are large."""
-        numbers, probability = zip(*fleet.place_vehicles, strict=True)
-        number = rng.choice(numbers, p=probability)
+        number = _vehicles_of_place(rng, fleet)
         return cls(rng.beta(number * VAN_SHARE, number * (1 - VAN_SHARE)), rng.random())
 
     def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:

@@ -1,10 +1,10 @@
 r"""Train the measurer.
 
-    python -m training.measurer.rendered runs/bank --count 170
+    python -m training.measurer.rendered runs/bank --count 300
     python -m training.measurer.real runs/bank --labels ../shared/data/vehicles/labels.json
-    python -m training.measurer.train --bank runs/bank --run runs/m2 --steps 6000
+    python -m training.measurer.train --bank runs/bank --run runs/new --steps 20000
 
-A step is BATCH crops; one core does 70 to 140 crops a second, half of the time making them. The checkpoint holds
+A step is BATCH crops; one core does 70 to 240 crops a second, half of the time making them. The checkpoint holds
 everything: `--resume` goes on where it stopped, in newly drawn crops. The exponential moving average of the weights is
 what `export` writes.
 """
@@ -20,6 +20,7 @@ import torch
 
 from training.log import Log
 from training.train import follow, learning_rate
+from training.unfold import unfolded
 
 from .crops import RENDERED, Examples, batch
 from .network import Habits, MeasureNet, loss
@@ -36,7 +37,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=6000)
     parser.add_argument("--rate", type=float, default=1.5e-3, help="peak learning rate (%(default)s)")
     parser.add_argument("--resume", action="store_true")
-    parser.add_argument("--start", type=Path, help="checkpoint to begin with, its average, at step 0")
+    parser.add_argument("--start", type=Path, help="checkpoint to begin with, its average, or exported file, at step 0")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
@@ -51,16 +52,21 @@ def main() -> None:
         [{"params": network.parameters(), "times": 1.0},
          {"params": habits.parameters(), "times": HABITS_RATE, "weight_decay": 0.0}], weight_decay=1e-4,
     )  # fmt: skip
-    average = {name: value.clone() for name, value in network.state_dict().items()}
-    if options.resume or options.start:
-        state = torch.load(file if options.resume else options.start)
+    average, begin = network.state_dict(), file if options.resume else options.start
+    exported = begin is not None and begin.suffix == ".onnx"
+    if begin is not None and not exported:
+        state = torch.load(begin)
         habits.load_state_dict(state["habits"])
         average = state["average"]
         network.load_state_dict(state["network"] if options.resume else average)
         if options.resume:
             optimiser.load_state_dict(state["optimiser"])
             step = state["step"]
-        average = {name: value.clone() for name, value in average.items()}
+    examples = iter(Examples(options.bank, options.seed + 1000 * step))
+    if exported:
+        seen = batch(list(islice(examples, 8 * BATCH)))["pixels"]
+        average = unfolded(begin, network, torch.from_numpy(seen).float())
+    average = {name: value.clone() for name, value in average.items()}
 
     def save() -> None:
         state = {
@@ -71,7 +77,6 @@ def main() -> None:
         torch.save(state, partial)
         partial.replace(file)
 
-    examples = iter(Examples(options.bank, options.seed + 1000 * step))
     log = Log(options.run, 25, BATCH, step, options.steps)
     network.train()
     while step < options.steps:

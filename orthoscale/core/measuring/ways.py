@@ -23,9 +23,6 @@ from ..ruler import Ruler
 from ..scale import Scale
 from ..source import PosedSet, Source
 from ..votes import Votes
-from .agreed import as_agreed
-from .aligned import only_aligned
-from .apart import only_apart
 from .contradiction import Cause, cause
 from .drift import with_drift
 from .measure import measure
@@ -34,7 +31,7 @@ from .method import Method
 from .oblique import FramesGeometry, shown_in_frames
 from .plan import PlanGeometry
 from .planar_sweep import SweepGeometry
-from .unlike import only_unlike
+from .plausibility import plausible
 
 OBLIQUE, PLANAR, BOTH = "oblique", "planar", "both"
 SEEN_BOTH_WAYS = 0.8  # of a vehicle's width: how far apart the two ways may see one vehicle
@@ -49,10 +46,7 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
-        scale = measured.scale
-        for check in (only_apart, only_aligned, only_unlike):
-            scale = check(scale, measured.boxes)
-        scale = as_agreed(scale, len(measured.boxes), sum(map(len, found.doubtful.values())))
+        scale = plausible(measured.scale, measured.boxes, sum(map(len, found.doubtful.values())))
         return _of_one_scale(replace(measured, scale=scale))
     if source.posed is not None:
         return measure_posed(source.posed, found, fleet, method, mode)
@@ -150,59 +144,75 @@ def _of_one_scale(measured: Measurement) -> Measurement:
 def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
     """The vehicles of two ways as votes of one, the margin taken off; the ruler and the geometry's covariance of these.
 
-    A vehicle that both measured has the mean of what they say, weighted by what they do not share (`_shares`). Both
-    look at the same pixels, so its noise is the mean of theirs, and so is what it is called. What is not known of the
-    ruler is the mean of both, by how much each has to say: it is largely the same. Of the geometry, some of it is.
+    What both measured is weighted by what they do not share (`_shares`). What is not known of the ruler is the mean of
+    both, by how much each has to say: it is largely the same. Of the geometry, some of it is.
     """
     known_a, known_b = a.pooled, b.pooled
     assert known_a is not None and known_b is not None, "asked before"
     ia, ib = _matched(a, b, np.arange(len(a.votes)), np.arange(len(b.votes)))
     share = _shares(known_a, known_b, ia, ib)
-    size, noise = a.size.copy(), known_a.noise.copy()
+    weight = _weights(a, b, ia, ib, share)
+    systematic = known_a.systematic.mean(known_b.systematic, weight[1])
+    return _joined_votes(a, b, ia, ib, share), _joined_ruler(a, b, weight), systematic.covariance
+
+
+def _joined_votes(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray, share: np.ndarray) -> Votes:
+    """All vehicles of `a`, then those that `b` alone measured.
+
+    ia, ib : (K,) numbers of the votes of both that are of one vehicle. It has the mean of what they say, in which `a`
+    has `share` (K, 2). Both look at the same pixels, so its noise is the mean of theirs, and so is what it is called.
+    """
+    known_a, known_b = a.pooled, b.pooled
+    assert known_a is not None and known_b is not None, "asked before"
+    rest = np.setdiff1d(np.arange(len(b.votes)), ib)
+    size, noise, views = a.size.copy(), known_a.noise.copy(), a.votes.views.copy()
     size[ia] = np.exp(share * np.log(a.size[ia]) + (1 - share) * np.log(b.size[ib]))
     noise[ia] = share * known_a.noise[ia] + (1 - share) * known_b.noise[ib]
-    rest = np.setdiff1d(np.arange(len(b.votes)), ib)
-    views = a.votes.views.copy()
     views[ia] = np.maximum(views[ia], b.votes.views[ib])
+    views = np.concatenate([views, b.votes.views[rest]])
+    noise = np.concatenate([noise, known_b.noise[rest]])
     shown = None
     if a.votes.shown is not None and b.votes.shown is not None:
         shown = a.votes.shown.copy()
         shown[ia] = np.maximum(shown[ia], b.votes.shown[ib])
         shown = np.concatenate([shown, b.votes.shown[rest]])
-    noise = np.concatenate([noise, known_b.noise[rest]])
     kinds, other = _kinds(a), _kinds(b)
     mean = (kinds[ia] + other[ib]) / 2
     kinds[ia] = np.where(np.isfinite(mean), mean, np.where(np.isfinite(kinds[ia]), kinds[ia], other[ib]))
-    votes = Votes(
+    return Votes(
         size=np.concatenate([size, b.size[rest]]),
         pixel=np.concatenate([a.votes.pixel, b.votes.pixel[rest]]),
-        views=np.concatenate([views, b.votes.views[rest]]),
+        views=views,
         place=np.concatenate([a.votes.place, b.votes.place[rest]]),
         score=np.concatenate([a.votes.score, b.votes.score[rest]]),
         members=[np.array([k]) for k in range(len(noise))],
+        sigma=noise / left_by_views(views)[:, None],
         kinds=np.concatenate([kinds, other[rest]]),
         shown=shown,
     )
-    votes = replace(votes, sigma=noise / left_by_views(votes.views)[:, None])
-    weight = _weights(a, b, ia, ib, share)
-    rulers, names = (known_a.ruler, known_b.ruler), ("shrink", "shrink_sd", "usual")
+
+
+def _joined_ruler(a: Measurement, b: Measurement, weight: np.ndarray) -> Ruler:
+    """The ruler of the vehicles of both ways, whose `weight` (2 ways, 2) is that of `_weights`. The margins are taken
+    off: what is not known of them is a bias."""
+    rulers = [way.pooled.ruler for way in (a, b) if way.pooled is not None]
     bias = [
-        np.hypot(r.bias_sd, np.asarray(r.margin_sd) * np.median(m.votes.pixel[:, None] / m.size, axis=0))
-        for r, m in zip(rulers, (a, b), strict=True)
+        np.hypot(ruler.bias_sd, np.asarray(ruler.margin_sd) * np.median(way.votes.pixel[:, None] / way.size, axis=0))
+        for ruler, way in zip(rulers, (a, b), strict=True)
     ]
     middle: dict[str, Any] = {
-        name: tuple((weight * [getattr(r, name) for r in rulers]).sum(0).tolist()) for name in names
+        name: tuple((weight * [getattr(ruler, name) for ruler in rulers]).sum(0).tolist())
+        for name in ("shrink", "shrink_sd", "usual")
     }
-    names_kinds = next((r for r in rulers if r.kinds), rulers[0])
-    ruler = Ruler(
+    of_kinds = next((ruler for ruler in rulers if ruler.kinds), rulers[0])
+    return Ruler(
         margin_sd=(0.0, 0.0),
         bias_sd=tuple((weight * bias).sum(0).tolist()),
-        common_sd=float(weight.mean(1) @ [r.common_sd for r in rulers]),
-        kinds=names_kinds.kinds,
-        kinds_vehicles=names_kinds.kinds_vehicles,
+        common_sd=float(weight.mean(1) @ [ruler.common_sd for ruler in rulers]),
+        kinds=of_kinds.kinds,
+        kinds_vehicles=of_kinds.kinds_vehicles,
         **middle,
     )
-    return votes, ruler, known_a.systematic.mean(known_b.systematic, weight[1]).covariance
 
 
 def _shares(a: Pooled, b: Pooled, ia: np.ndarray, ib: np.ndarray) -> np.ndarray:

@@ -9,7 +9,6 @@ import numpy as np
 from ...errors import TooLittleEvidence
 from ..boxes import Boxes
 from ..evidence import SUPPORTS, Combined, Evidence, combined
-from ..pooling.posterior import Posterior
 from ..remarks import CAUTION, Remark
 from ..scale import Scale
 from ..verdicts import UNUSABLE, verdict
@@ -17,7 +16,6 @@ from ..votes import gather
 from .measurement import Measurement
 
 FEWEST_KINDS = 2  # that must agree: one kind alone may be a mistake, or another standard's
-ANYTHING = 3.0  # one sigma of the logarithm of a scale of which nothing is known: a factor of 20
 
 
 def measured_without_vehicles(
@@ -31,9 +29,7 @@ def measured_without_vehicles(
     if len({e.kind for e in evidence}) < FEWEST_KINDS:
         kinds = ", ".join(e.says for e in evidence) or "none"
         raise TooLittleEvidence(f"without vehicles, two kinds of anchors that agree are needed; found: {kinds}")
-    surest = min(evidence, key=lambda e: e.relative_sd)
-    nothing_known = Posterior.normal(float(np.log(surest.value)), ANYTHING)
-    together = combined(nothing_known, {}, evidence)
+    together = combined(None, {}, evidence)
     value, low, high = together.summary
     said = verdict(together.posterior.spread, odd_shape=False, conflict=together.conflict > 0)
     agreeing = _agreeing(together)

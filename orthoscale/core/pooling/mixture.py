@@ -32,7 +32,7 @@ import numpy as np
 from scipy.special import digamma, gammaln, ndtr
 
 from ..boxes import KINDS
-from ..market_segments import PLACE_VEHICLES, Class
+from ..market_segments import PLACE_VEHICLES, Class, Places
 
 # Outlier class: uniform over a box in (log length, log width) as wide as anything a detector could call a vehicle.
 OUTLIER_DENSITY = 1 / (3.0 * 2.5)
@@ -61,10 +61,9 @@ LORRIES_SHARE = 0.03  # of the vehicles: 19 of 521 boxes of eight orthophotos ar
 LORRIES_VEHICLES = 100.0
 # The share of LARGER at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe
 # (ACEA: 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long vehicles already; some
-# are left out all the same.
+# are left out all the same. How well that share is known: `Places.left_out`.
 LEFT_OUT = 0.11
 LEFT_OUT_AT_LEAST = 0.05
-LEFT_OUT_VEHICLES = 20.0  # that share is known as if it had been counted on so many, whatever the place's other mix
 LONG = 5.2  # [m] a third of LARGER is shorter than that
 # The tables' shapes (spreads, tails, shares of classes) are good to about 10 %, which is what 50 vehicles can tell of a
 # spread. More of them make neither a fleet nor a mix more likely than another: what they would tell apart is finer than
@@ -193,7 +192,7 @@ class Mix:
     classes: Sequence[Class]
     systematic: np.ndarray
     weights: np.ndarray
-    place: Sequence[tuple[float, float]] = PLACE_VEHICLES
+    place: Sequence[Places] = PLACE_VEHICLES
 
 
 def fit(
@@ -283,7 +282,7 @@ class _Problem:
     prior: np.ndarray
     shares: np.ndarray
     larger: float
-    place: Sequence[tuple[float, float]]
+    place: Sequence[Places]
     weights: np.ndarray
     basis: np.ndarray
     called: np.ndarray
@@ -341,14 +340,17 @@ class _Problem:
 
     def start(self, grid: np.ndarray) -> _Solved:
         """The scales of `grid` (V,), each once for each of `place`, with the country's mix."""
-        number, likely = np.array(self.place).repeat(len(grid), 0).T
-        unknown = np.zeros((len(number), UNKNOWNS))
+        likely = np.repeat([kind.probability for kind in self.place], len(grid))
+        unknown = np.zeros((len(likely), UNKNOWNS))
         unknown[:, :2] = np.tile(grid, len(self.place))[:, None]
-        larger = LEFT_OUT_VEHICLES * np.array([1 - self.larger, self.larger])
         lorries = LORRIES_VEHICLES * np.array([1 - LORRIES_SHARE, LORRIES_SHARE])
         outliers = OUTLIER_BOXES * np.array([1 - OUTLIER_SHARE, OUTLIER_SHARE])
-        others = [*larger, *lorries, *outliers, *self.class_called.ravel()]
-        prior = np.hstack([number[:, None] * self.shares, np.tile(others, (len(number), 1))])
+        every = []
+        for kind in self.place:
+            larger = kind.left_out * np.array([1 - self.larger, self.larger])
+            own = kind.vehicles * kind.shares(self.shares)
+            every.append([*own, *larger, *lorries, *outliers, *self.class_called.ravel()])
+        prior = np.repeat(every, len(grid), axis=0)
         return _Solved(prior, np.log(likely), prior, unknown, np.log(likely))
 
     @cached_property

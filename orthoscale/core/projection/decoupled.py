@@ -153,11 +153,3 @@ def footprint(s: float, pitch: float, image_size: tuple[float, float]) -> tuple[
     """Ground width and height of the image [m], ``r W_img`` and ``r H_img``: as if all of it lay at the axis' depth."""
     r = ground_sampling_distance(s, pitch)
     return r * image_size[0], r * image_size[1]
-
-
-def satellite_crop(
-    s: float, pitch: float, image_size: tuple[float, float], satellite_gsd: float
-) -> tuple[float, float]:
-    """Width and height [px] of what the image covers in a satellite picture of `satellite_gsd` [m/px]."""
-    width, height = footprint(s, pitch, image_size)
-    return width / satellite_gsd, height / satellite_gsd

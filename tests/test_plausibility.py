@@ -12,10 +12,8 @@ from support.drawings import car_park
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
-from orthoscale.core.measuring.agreed import as_agreed
-from orthoscale.core.measuring.aligned import alignment
-from orthoscale.core.measuring.apart import standing_in_another
 from orthoscale.core.measuring.judgement import judgements
+from orthoscale.core.measuring.plausibility import alignment, if_confirmed, standing_in_another
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.remarks import CAUTION, REFUSAL
 from orthoscale.core.verdicts import UNUSABLE, one_step_below
@@ -140,8 +138,8 @@ def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, low
     assert any("two detection passes agree on" in check.detail for check in judgements(unsure)) == lowered
     # However narrow the interval: things that are all alike, and anchors that follow them, are sure of themselves.
     good = replace(sure.scale, verdict="good")
-    assert as_agreed(good, believed, doubtful).verdict == ("poor" if lowered else "good")
+    assert if_confirmed(good, believed, doubtful).verdict == ("poor" if lowered else "good")
     # Where many are larger than cars besides, the cars may be something else.
-    larger = as_agreed(replace(good, larger_share=0.3), believed, doubtful)
+    larger = if_confirmed(replace(good, larger_share=0.3), believed, doubtful)
     assert (larger.verdict == UNUSABLE) == lowered
     assert [r.severity for r in larger.remarks if "larger than cars" in r.text] == ([REFUSAL] if lowered else [])

@@ -1,0 +1,154 @@
+"""Are the boxes vehicles at all? Whatever is found gives some scale; these checks refuse or doubt it where the boxes of
+an orthophoto stand in one another, stand in no order, are all of one length, or are seldom seen by both passes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..alike import of_one_size
+from ..boxes import Boxes
+from ..confirmed import OF_MISTAKES
+from ..remarks import CAUTION, REFUSAL, Remark, percent
+from ..scale import Scale
+from ..verdicts import UNUSABLE, one_step_below, worst
+
+NEAREST = 5  # boxes that are looked at around each; more than that near one another stand in one another anyway
+# Share of the vehicles that count, from which it cannot be a mistake here and there. Of the 4,649 labelled vehicles of
+# five places 0.0 to 0.16 % have their middle in another one's box; of random boxes of the size of vehicles 9 %, where
+# they cover 8 % of the picture, and 84 % where they cover it all.
+IN_ONE_ANOTHER = 0.1
+LEAST_USED = 20  # vehicles below which one pair is no share
+
+NEAR = 3.0  # lengths of a vehicle from middle to middle within which the nearest one is a neighbour
+LEAST_PAIRS = 30  # neighbours below which chance may look like order, and nothing is said
+# Mean cosine of four times the angle between neighbours, 1 where all are parallel or across, 0 by chance. Eight
+# orthophotos of known scale and 109 parts of them with 25 pairs and more have 0.54 to 0.98, 67 labelled pictures with
+# 15 and more 0.68 to 1; of 4,000 sets of random boxes with 30 pairs one in a thousand reaches it.
+ALIGNED = 0.35
+
+LEAST_SEEN = 20  # boxes of both kinds, below which a share says little
+# Share of larger vehicles (`Scale.larger_share`) from which they are such a sign. Twelve orthophotos of known scale
+# have 0.04 to 0.23, and the two passes agree on 0.83 of that with the most; of 150 rendered towns full of look-alikes
+# the five that came out 18 to 50 % too large had 0.26 to 0.52 (`benchmarks/zoom_search.py`, 2026-11-23).
+MANY_LARGER = 0.2
+
+
+def plausible(scale: Scale, boxes: Boxes, doubtful: int) -> Scale:
+    """`scale` as far as its `boxes` (N, of one picture) may be vehicles, with a remark on each check that says no.
+
+    scale : by all of `boxes`, of which it uses some. doubtful : number of boxes that one of two detection passes sees.
+    """
+    used = boxes[scale.used]
+    for check in (if_apart, if_in_order, if_unlike):
+        scale = check(scale, used)
+    return if_confirmed(scale, len(boxes), doubtful)
+
+
+def if_apart(scale: Scale, used: Boxes) -> Scale:
+    """`scale`, refused where the vehicles that it uses stand in one another: boxes that do so are no vehicles."""
+    share = float(standing_in_another(used).mean()) if len(used) >= LEAST_USED else 0.0
+    if share < IN_ONE_ANOTHER:
+        return scale
+    remark = Remark(
+        REFUSAL,
+        f"{100 * share:.0f} % of the vehicles stand in one another: the boxes are no vehicles, or some are there twice",
+        "Inspect the boxes (--save-detections), or let the built-in detector look",
+    )
+    return scale.remarked(remark, at_best=UNUSABLE)
+
+
+def if_in_order(scale: Scale, used: Boxes) -> Scale:
+    """`scale`, ``poor`` at best where the vehicles that it uses stand in no order at all.
+
+    Vehicles stand parallel to their neighbours or across: lanes, kerbs, bays and rows see to that. Boxes whose
+    directions know nothing of one another may be of any size.
+    """
+    pairs, agreement = alignment(used)
+    if pairs < LEAST_PAIRS or agreement >= ALIGNED:
+        return scale
+    remark = Remark(
+        CAUTION,
+        f"the directions of {pairs} pairs of neighbours agree by {agreement:.2f}, where those of vehicles in lanes and "
+        "rows agree by 0.5 to 1: see whether the boxes are vehicles",
+    )
+    return scale.remarked(remark, at_best="poor")
+
+
+def if_unlike(scale: Scale, used: Boxes) -> Scale:
+    """`scale`, refused where the vehicles that it uses are too much alike: a detector sees panels and roof machines of
+    one make alike to 1 or 2 %, vehicles of twelve places differ by 6 to 20 %."""
+    if not of_one_size(used):
+        return scale
+    remark = Remark(
+        REFUSAL,
+        f"all {len(used)} boxes are of one length, where vehicles differ: panels, graves or machines, or a lot of one "
+        "model of car",
+        "Inspect the boxes (--save-detections); give the vehicles' size (--gsd-hint METRES_PER_PIXEL) if there are any",
+    )
+    return scale.remarked(remark, at_best=UNUSABLE)
+
+
+def if_confirmed(scale: Scale, believed: int, doubtful: int) -> Scale:
+    """`scale`, one step lower in its verdict and ``poor`` at best where of all boxes only OF_MISTAKES or fewer are
+    `believed`, which means that both detection passes see them; refused where more than MANY_LARGER of the vehicles are
+    larger ones besides.
+
+    Vehicles show at any resolution, mistakes now and then. A picture without a vehicle, full of panels, skylights and
+    sheds, has its boxes too, and things of some other size, all alike, are as sure of themselves as vehicles; anchors
+    follow them. Then vehicles much larger than cars are a bad sign: graves or tents may be the cars of the reading, and
+    what stands out above them the cars.
+    """
+    seen = believed + doubtful
+    if seen < LEAST_SEEN or believed > OF_MISTAKES * seen:
+        return scale
+    few = Remark(
+        CAUTION,
+        f"two detection passes agree on {believed} of {seen} boxes ({percent(believed / seen)}), as few as of "
+        "mistakes: see whether there are vehicles at all",
+    )
+    lower = scale.remarked(few, at_best=worst(one_step_below(scale.verdict), "poor"))
+    if scale.larger_share <= MANY_LARGER:
+        return lower
+    remark = Remark(
+        REFUSAL,
+        f"{percent(scale.larger_share)} of the boxes are much larger than cars, where most boxes are mistakes: these "
+        "may be the cars, and the others something else",
+        "Inspect the boxes (--save-detections), or say roughly how large a pixel is (--gsd-hint METRES_PER_PIXEL)",
+    )
+    return lower.remarked(remark, at_best=UNUSABLE)
+
+
+def standing_in_another(boxes: Boxes) -> np.ndarray:
+    """(N,) bool: whose middle lies in another's box, or another's middle in its own. `boxes` are of one picture."""
+    from scipy.spatial import cKDTree
+
+    inside = np.zeros(len(boxes), bool)
+    if len(boxes) < 2:
+        return inside
+    count = min(NEAREST + 1, len(boxes))
+    near = cKDTree(boxes.centre).query(boxes.centre, count)[1]
+    one, other = np.repeat(np.arange(len(boxes)), count), near.ravel()
+    one, other = one[one != other], other[one != other]
+    offset = boxes.centre[one] - boxes.centre[other]
+    along, across = np.cos(boxes.angle[other]), np.sin(boxes.angle[other])
+    u, v = offset[:, 0] * along + offset[:, 1] * across, offset[:, 1] * along - offset[:, 0] * across
+    hit = (np.abs(u) < boxes.length[other] / 2) & (np.abs(v) < boxes.width[other] / 2)
+    inside[one[hit]] = inside[other[hit]] = True
+    return inside
+
+
+def alignment(boxes: Boxes) -> tuple[int, float]:
+    """Pairs of `boxes` (N, of one picture) of which one is the other's nearest neighbour, and how far their directions
+    agree: the mean of cos(4 difference), which is the same for parallel and across, and 0 without any pair."""
+    from scipy.spatial import cKDTree
+
+    if len(boxes) < 2:
+        return 0, 0.0
+    distance, nearest = cKDTree(boxes.centre).query(boxes.centre, 2)
+    near = distance[:, 1] < NEAR * np.median(boxes.length)
+    pairs = np.unique(np.sort(np.column_stack([np.arange(len(boxes)), nearest[:, 1]])[near], 1), axis=0)
+    if not len(pairs):
+        return 0, 0.0
+    between = boxes.angle[pairs[:, 0]] - boxes.angle[pairs[:, 1]]
+    return len(pairs), float(np.cos(4 * between).mean())
