@@ -162,6 +162,37 @@ def test_what_was_changed_meanwhile_is_not_replaced(tmp_path):
     assert names(tmp_path) == ["a"] and "precious" in names(tmp_path / "a")
 
 
+@BOTH
+def test_a_run_that_ends_just_before_the_lock_is_taken_is_not_replaced(tmp_path, monkeypatch, write):
+    really = guard._locked
+
+    def after_another_run(scratch, path):
+        with monkeypatch.context() as patch:
+            patch.setattr(guard, "_locked", really)
+            write(path, text="of the other run")
+        return really(scratch, path)
+
+    with monkeypatch.context() as patch, pytest.raises(UsageError, match="already exists"):
+        patch.setattr(guard, "_locked", after_another_run)
+        write(tmp_path / "a", text="mine")
+    there = state(tmp_path)
+    shutil.rmtree(tmp_path / "a") if write is write_folder else (tmp_path / "a").unlink()
+    write(tmp_path / "a", text="of the other run")
+    assert there == state(tmp_path)
+
+
+@BOTH
+def test_what_a_killed_run_had_put_aside_is_not_replaced_either(tmp_path, monkeypatch, write):
+    write(tmp_path / "a", text="precious")
+    before = state(tmp_path)
+    killed = guard._Claim(tmp_path / "a")
+    killed._put_former_aside()
+    os.close(killed._lock)  # as the kernel does
+    with pytest.raises(UsageError, match="already exists"):
+        write(tmp_path / "a", text="mine")
+    assert state(tmp_path) == before
+
+
 def test_a_full_disk_is_an_output_error_and_a_broken_input_is_not(tmp_path):
     with pytest.raises(OutputError, match="No space") as caught, Outputs() as outputs:
         outputs.file(tmp_path / "a")

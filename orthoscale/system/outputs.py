@@ -200,13 +200,7 @@ class Outputs:
         for other in self._claims:
             if _inside(path, other.path) or _inside(other.path, path):
                 raise UsageError(f"{path} and {other.path} cannot both be outputs", "Give each a place of its own.")
-        with _writing(path):
-            there = _identity(path)
-        if there is not None:
-            if not self.overwrite:
-                raise UsageError(f"{path} already exists", "Choose another place, or pass --overwrite to replace it.")
-            if why := _why_not_ours(path, mine):
-                raise UsageError(f"{path} {why}, so it is not replaced", ELSEWHERE)
+        self._refuse_existing(path, mine)
         parent = path.absolute().parent
         if not parent.is_dir():
             raise OutputError(
@@ -214,12 +208,25 @@ class Outputs:
                 "Create that folder first, or choose another place.",
             )
 
+    def _refuse_existing(self, path: Path, mine: Callable[[Path], bool] | None) -> None:
+        """Raise UsageError if something is at `path` that may not be replaced."""
+        with _writing(path):
+            there = _identity(path)
+        if there is not None:
+            if not self.overwrite:
+                raise UsageError(f"{path} already exists", "Choose another place, or pass --overwrite to replace it.")
+            if why := _why_not_ours(path, mine):
+                raise UsageError(f"{path} {why}, so it is not replaced", ELSEWHERE)
+
     def _claim(self, path: Path, mine: Callable[[Path], bool] | None, folder: bool) -> _Claim:
         path = Path(path)
         self.check(path, mine)
         with stopping.held():
             claim = _Claim(path)
             self._claims.append(claim)
+        # Again under the lock: another run may have ended between that look and the lock, or a killed run's former
+        # output have been brought back.
+        self._refuse_existing(path, mine)
         if claim.before is not None and path.is_dir() != folder:
             kinds = ("file", "folder") if folder else ("folder", "file")
             raise UsageError(f"{path} is a {kinds[0]}, the output is a {kinds[1]}", ELSEWHERE)
