@@ -173,6 +173,22 @@ def test_a_row_with_things_missing_and_others_between():
     assert row.regularity > 8
 
 
+def test_one_thing_beside_its_place_does_not_make_a_row_irregular():
+    place = 10 + 25.0 * np.arange(6) + np.random.default_rng(4).normal(0, 0.1, 6)
+    for stray in (0, 3, 5):
+        row = find_row(place + 2.6 * (np.arange(6) == stray), 20, 30, 5)
+        assert row is not None and row.strays == 1 and stray not in row.member
+        assert row.period == pytest.approx(25.0, abs=0.1)
+        assert row.regularity > 5
+    assert find_row(place, 20, 30, 5).strays == 0
+
+
+def test_what_is_evenly_astray_is_not_sifted_until_it_is_regular():
+    place = 10 + 25.0 * np.arange(12) + np.random.default_rng(5).uniform(-2.5, 2.5, 12)
+    row = find_row(place, 20, 30, 5)
+    assert row is not None and row.strays <= 1 and row.regularity < 4
+
+
 def test_chance_is_not_regular():
     rng = np.random.default_rng(3)
     rows = [find_row(np.sort(rng.uniform(0, 400, 14)), 20, 30, 5) for _ in range(200)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -226,7 +226,7 @@ def _block(
     shift = row.start + nearest * row.period
     if abs(shift) > ASTRAY * row.period:
         return None
-    moved = Row(row.period, row.start - shift, row.member, row.number, row.residual, row.sd)
+    moved = replace(row, start=row.start - shift)
     return Block(place + shift * across, angle, moved, float(np.median(middle[peak[row.member]])))
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import gammaln
 
 NEAR_PLACE = 0.12  # of the period: what is further from its place in the row is none of the row
 ROW_ROUNDS = 3  # of fitting, each with what the one before put in the row
@@ -16,6 +17,7 @@ MISSING_IN_A_ROW = 2  # in a row at most; beyond, it is another row
 class Row:
     """A row of things. period : [px]. start : the place of number 0 [px]. member : (M,) which things. number : (M,)
     their numbers, ascending, from 0. residual : (M,) how far they are from their places [px]. sd : of the period [px].
+    strays : how many more were near their places, and were taken for others.
     """
 
     period: float
@@ -24,6 +26,7 @@ class Row:
     number: np.ndarray
     residual: np.ndarray
     sd: float
+    strays: int = 0
 
     @property
     def filled(self) -> float:
@@ -40,15 +43,19 @@ class Row:
         """How much less likely chance is to put so many things so near their places, natural logarithm of the ratio.
 
         By chance a thing is anywhere among those taken for near, of which one sigma is the half width over sqrt(3).
+        Chance has as many tries as there are choices of the strays.
         """
-        return (len(self.number) - 2) * float(np.log(NEAR_PLACE / np.sqrt(3) / max(self.scatter, FINEST_SCATTER)))
+        n = len(self.number)
+        tries = gammaln(n + self.strays + 1) - gammaln(n + 1) - gammaln(self.strays + 1)
+        return float((n - 2) * np.log(NEAR_PLACE / np.sqrt(3) / max(self.scatter, FINEST_SCATTER)) - tries)
 
 
 def find_row(place: np.ndarray, low: float, high: float, fewest: int) -> Row | None:
     """The longest row in `place` (N,) [px] of a period from `low` to `high` [px]; None of fewer than `fewest` things.
 
     The period starts where the places' spectrum, mean of exp(2 pi i place / period), is strongest; least squares over
-    the numbered places follow. A row ends where more than two are missing.
+    the numbered places follow. A row ends where more than two are missing. A stripe half under a vehicle is seen beside
+    its place: what makes a row less regular than chance would is left out of it.
     """
     if len(place) < fewest:
         return None
@@ -64,7 +71,7 @@ def find_row(place: np.ndarray, low: float, high: float, fewest: int) -> Row | N
             best = row
     if best is None:
         return None
-    return Row(best.period, best.start + middle, best.member, best.number, best.residual, best.sd)
+    return replace(best, start=best.start + middle)
 
 
 def _worth(row: Row) -> float:
@@ -89,7 +96,23 @@ def _fitted(place: np.ndarray, period: float, start: float, fewest: int) -> Row 
         period, start = row.period, row.start
         if period <= 0:
             return None
-    return Row(period, start, near, row.number, row.residual, row.sd)
+    return _without_strays(replace(row, member=near), place, fewest)
+
+
+def _without_strays(row: Row, place: np.ndarray, fewest: int) -> Row:
+    """`row` without what strays most from the places that the others give it, as long as that makes it more regular."""
+    while len(row.number) > fewest:
+        off = row.number - row.number.mean()
+        leverage = 1 / len(off) + off**2 / (off**2).sum()
+        rest = np.delete(np.arange(len(off)), np.argmax(np.abs(row.residual) / np.maximum(1 - leverage, 1e-6)))
+        if np.diff(row.number[rest]).max() > MISSING_IN_A_ROW + 1:
+            break
+        fewer = fit_row(place[row.member[rest]], row.number[rest])
+        fewer = replace(fewer, member=row.member[rest], strays=row.strays + 1)
+        if fewer.regularity <= row.regularity:
+            break
+        row = fewer
+    return row
 
 
 def fit_row(place: np.ndarray, number: np.ndarray) -> Row:
