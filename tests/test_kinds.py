@@ -9,6 +9,7 @@ from support.simulate import Vans, car_park
 
 from orthoscale.core.boxes import KINDS
 from orthoscale.core.detections import Detections
+from orthoscale.core.measuring.vehicles import kinds_in_words
 from orthoscale.core.pooling.mixture import Confusion
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
@@ -59,6 +60,11 @@ def test_intervals_keep_their_word_where_kinds_are_seen(code):
     assert held.mean() >= 0.9 - 2.7 * np.sqrt(0.09 / 60)
     assert rms(error) < 1.3 * rms(sd)
     assert rms(error) < 1.1 * rms(errors(fleet, False, 60, false=0.1, vans=Vans(0.1))[0])
+
+
+def test_kinds_in_words():
+    assert kinds_in_words(["van", "car", "larger", "car", "", "larger"]) == "2 cars, 1 van, 2 larger, 1 not looked at"
+    assert kinds_in_words(["", ""]) == kinds_in_words([]) == ""
 
 
 def test_without_a_table_or_a_look_kinds_change_nothing():

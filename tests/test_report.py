@@ -51,6 +51,14 @@ def states(report):
     return {check["what"]: check["severity"] for check in report["judgements"]}
 
 
+def test_what_the_used_vehicles_are_is_told(report):
+    assert "not looked at" not in page(report, Scene()), "of boxes without kinds nothing is said"
+    told = copy.deepcopy(report)
+    for vehicle, kind in zip(told["vehicles"], ["car"] * 50 + ["van"] * 8 + ["larger", "", "pickup"], strict=True):
+        vehicle["kind"] = kind  # the last one does not count
+    assert "used, 60 (50 cars, 8 vans, 1 larger, 1 not looked at)" in page(told, Scene())
+
+
 def test_vehicles_are_plain_values_in_metres(park, report):
     _, truth = park
     assert report["scale"] == pytest.approx(GSD, rel=0.05)

@@ -12,6 +12,7 @@ import click
 
 from ..actions.result import Result
 from ..core.claims import own_claim
+from ..core.measuring.vehicles import kinds_in_words
 from ..core.pooling.posterior import Z90
 from ..core.remarks import percent
 from ..errors import LONGEST_MESSAGE, shown
@@ -52,10 +53,11 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     checks = (f"{name.replace('_', ' ')} {100 * (v / scale.value - 1):+.1f} %" for name, v in scale.checks.items())
     parts = (f"{name} {percent(sd)}" for name, sd in scale.parts.items() if sd > 0)
     seen = f", in {int(result.votes.views[scale.used].sum())} views" if result.votes.views.max(initial=0) > 1 else ""
+    kinds = kinds_in_words(result.vehicles["kind"][scale.used])
     rejected = {**scale.rejected, **result.rejected_boxes}
     table = [
         *result.answer(),
-        ("vehicles", f"{scale.vehicles_used} used{seen}"),
+        ("vehicles", f"{scale.vehicles_used} used{seen}{': ' if kinds else ''}{kinds}"),
         ("rejected", ", ".join(f"{count} {reason}" for reason, count in rejected.items()) or "none"),
         ("fleet", f"{scale.fleet} ({result.fleet.name})"),
         *_fleets(scale.fleets),
@@ -75,8 +77,8 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
         ("also", f"{e.value:.5g} from {e.says}  +- {percent(Z90 * e.relative_sd)} (90 %)") for e in scale.evidence
     ]
     if result.anchors.votes:
-        kinds = Counter(vote.anchor.kind for vote in result.anchors.votes)
-        found = ", ".join(f"{count} x {kind}" for kind, count in kinds.items())
+        anchors = Counter(vote.anchor.kind for vote in result.anchors.votes)
+        found = ", ".join(f"{count} x {kind}" for kind, count in anchors.items())
         before = result.anchors.without
         without = "" if before is None else f"; without them +- {percent(before.half_width)} (90 %)"
         table.append(("anchors", found + without))
