@@ -69,16 +69,15 @@ class Agreement:
     def sentence(self) -> str:
         """In words."""
         (first, a), (second, b) = self.scales.items()
-        same = f" on the {self.common} vehicles measured both ways" if self.common else ""
+        parts = f"{100 * np.expm1(self.difference):+.1f} %"
+        if self.common:
+            parts = f"{100 * np.expm1(self.apart):+.1f} %, {parts} on the {self.common} vehicles measured both ways"
         so = "; the two contradict each other" if self.contradicts else ""
         if self.cause:
             so = f"{so}: {self.cause}"
         if self.by_others and not self.contradicts:
             so = "; they part by vehicles that only one of them counts"
-        return (
-            f"{second} gives {b.value:.5g} {b.unit}, {first} {a.value:.5g}: {100 * self.difference:+.1f} %{same}, "
-            f"{self.tension:.1f} sigma{so}"
-        )
+        return f"{second} gives {b.value:.5g} {b.unit}, {first} {a.value:.5g}: {parts}, {self.tension:.1f} sigma{so}"
 
 
 def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreement:
