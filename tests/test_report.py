@@ -51,6 +51,15 @@ def states(report):
     return {check["what"]: check["severity"] for check in report["judgements"]}
 
 
+def test_means_are_not_said_to_match_where_other_evidence_counts(report):
+    matches, differ = "matches best", "so the means may differ"
+    plain = page({**report, "evidence": []}, Scene())
+    assert matches in plain and differ not in plain
+    moved = {"kind": "known distance", "scale": report["scale"], "relative_sd": 0.01, "says": "a known distance"}
+    with_ = page({**report, "evidence": [moved]}, Scene())
+    assert differ in with_ and matches not in with_
+
+
 def test_what_the_used_vehicles_are_is_told(report):
     assert "not looked at" not in page(report, Scene()), "of boxes without kinds nothing is said"
     told = copy.deepcopy(report)
