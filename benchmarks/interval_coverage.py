@@ -21,6 +21,7 @@ from orthoscale.core.fleet import Fleet
 from orthoscale.core.pooling.paper import pool_iqr
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
+from orthoscale.detect.measurer import MeasurerCard
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import WORLD, fleet_codes, load_fleet
 
@@ -37,19 +38,13 @@ NO_MARGIN = Ruler(margin=(0.0, 0.0), margin_sd=(0.0, 0.0), bias_sd=(0.015, 0.02)
 # A detector that draws sizes to the usual as the shipped one does on rendered scenes (`training.shrink`).
 DRAWING = replace(RULER, shrink=(0.4, 0.2), shrink_sd=(0.1, 0.1))
 NO_VANS = Vans()
+CARD = Path(__file__).parents[1] / "training" / "measurer" / "card_m13.json"
+SHIPPED = MeasurerCard.from_json(CARD.read_text(), str(CARD)).ruler
 # The measurer's boxes, of which the noise is a share of the vehicle (3 % of length, 4.4 % of width: 1.1 and 0.66 px at
-# 12 cm/px) and hardly any margin is left open, as its card has it: alike at every pixel size.
+# 12 cm/px) and hardly any margin is left open, as its card has it: alike at every pixel size. And what it calls them.
 MEASURED = replace(
-    RULER, margin=(0.33, -0.07), margin_sd=(0.15, 0.15), bias_sd=(0.01, 0.03), noise=(1.1, 0.66), shrink_sd=(0.0, 0.0)
-)
-# What its card says of kinds (`training.measurer.evaluate kinds`): true kind in rows.
-SAYING_KINDS = replace(
-    MEASURED,
-    kinds=(
-        (0.832, 0.083, 0.076, 0.009), (0.339, 0.606, 0.046, 0.009), (0.044, 0.012, 0.847, 0.097),
-        (0.194, 0.137, 0.519, 0.150),
-    ),
-    kinds_vehicles=17.1,
+    RULER, margin=(0.33, -0.07), margin_sd=(0.15, 0.15), bias_sd=(0.01, 0.03), noise=(1.1, 0.66), shrink_sd=(0.0, 0.0),
+    kinds=SHIPPED.kinds, kinds_vehicles=SHIPPED.kinds_vehicles,
 )  # fmt: skip
 CONDITIONS = {  # vans among the vehicles (None: as many as places have), share of false boxes among the boxes
     "vehicles only": (NO_VANS, 0.0),
@@ -177,9 +172,7 @@ def by_kinds(scenes: int) -> str:
         fleet = load_fleet(code)
         for name, (most, vans) in ODD.items():
             if most is None or most[0] in {c.name for c in fleet.classes}:
-                tallies = [
-                    run(fleet, scenes, VEHICLES, SAYING_KINDS, (0.12,), vans, 0.1, most, seen) for seen in (0, 1)
-                ]
+                tallies = [run(fleet, scenes, VEHICLES, MEASURED, (0.12,), vans, 0.1, most, seen) for seen in (0, 1)]
                 rows.append([code, name, *(t.cell() for t in tallies)])
     return table(["fleet", "place", "without kinds", "with kinds"], rows)
 
@@ -190,7 +183,7 @@ def by_oddness(scenes: int) -> str:
     for code in ("US", "DE", "GB", "IT", "CN", "BR", "PH"):
         fleet = load_fleet(code)
         cells = [
-            run(fleet, scenes, ruler=SAYING_KINDS, gsds=(0.12,), vans=vans, most=most).cell()
+            run(fleet, scenes, ruler=MEASURED, gsds=(0.12,), vans=vans, most=most).cell()
             if most is None or most[0] in {c.name for c in fleet.classes} else ""
             for most, vans in (ODD[name] for name in ODDEST)
         ]  # fmt: skip

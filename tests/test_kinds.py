@@ -9,7 +9,6 @@ from support.simulate import Vans, car_park
 
 from orthoscale.core.boxes import KINDS
 from orthoscale.core.detections import Detections
-from orthoscale.core.measuring.vehicles import kinds_in_words
 from orthoscale.core.pooling.mixture import Confusion
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
@@ -17,6 +16,7 @@ from orthoscale.detect.measurer import MeasurerCard
 from orthoscale.errors import InputError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections, save_detections
+from orthoscale.report.wording import counted_kinds
 from training.measurer.confusion import card_entries
 
 TABLE = ((0.93, 0.03, 0.03, 0.01), (0.15, 0.8, 0.03, 0.02), (0.2, 0.03, 0.72, 0.05), (0.05, 0.05, 0.1, 0.8))
@@ -62,9 +62,9 @@ def test_intervals_keep_their_word_where_kinds_are_seen(code):
     assert rms(error) < 1.1 * rms(errors(fleet, False, 60, false=0.1, vans=Vans(0.1))[0])
 
 
-def test_kinds_in_words():
-    assert kinds_in_words(["van", "car", "larger", "car", "", "larger"]) == "2 cars, 1 van, 2 larger, 1 not looked at"
-    assert kinds_in_words(["", ""]) == kinds_in_words([]) == ""
+def test_kinds_are_counted_in_words():
+    assert counted_kinds(["van", "car", "larger", "car", "", "larger"]) == "2 cars, 1 van, 2 larger, 1 not looked at"
+    assert counted_kinds(["", ""]) == counted_kinds([]) == ""
 
 
 def test_without_a_table_or_a_look_kinds_change_nothing():

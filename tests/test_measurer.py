@@ -186,6 +186,10 @@ def test_a_window_of_a_picture_shows_what_the_whole_picture_does(untrained: Meas
     assert untrained(Pixels(picture), boxes).boxes.xylwa == pytest.approx(whole.boxes.xylwa, abs=0.05)
 
 
+def test_the_shipped_card_is_the_one_in_the_training_folder() -> None:
+    assert Measurer().card == MeasurerCard.from_json(CARD.read_text(), str(CARD))
+
+
 def test_a_sure_edge_stays_and_an_unsure_one_is_moved_out_by_as_much_as_it_is_unsure() -> None:
     card = MeasurerCard.from_json(CARD.read_text(), str(CARD))
     length = np.array([20.0, 80.0])

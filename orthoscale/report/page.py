@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..actions.requests import command_line
-from ..core.measuring.vehicles import kinds_in_words
 from ..core.pooling.posterior import Z90
 from ..core.remarks import INFO, percent, signed
 from ..formats.pictures import jpeg
@@ -56,9 +55,9 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
         anchors=[_picture(panel) for panel in scene.anchors],
         found=[_anchor(anchor, report) for anchor in report["anchors"]],
         narrowed=wording.narrowed(report),
-        kinds=kinds_in_words(vehicle.get("kind", "") for vehicle in report["vehicles"] if vehicle["used"]),
-        reasons=_counted(report["vehicles_rejected"]),
-        boxes=_counted(report["boxes_rejected"]),
+        kinds=wording.counted_kinds(vehicle.get("kind", "") for vehicle in report["vehicles"] if vehicle["used"]),
+        reasons=wording.counted(report["vehicles_rejected"]),
+        boxes=wording.counted(report["boxes_rejected"]),
         histograms=[_histogram(report, axis) for axis in ("length", "width") if report["vehicles_used"]],
         estimates=_estimates(report),
         modes={name: _mode(mode, report) for name, mode in _modes(report).items()},
@@ -69,10 +68,6 @@ def page(report: Mapping[str, Any], scene: Scene) -> str:
         fleets=_fleets(report),
         command=command_line(report["input"]["path"], report["settings"]),
     )
-
-
-def _counted(reasons: Mapping[str, int]) -> str:
-    return ", ".join(f"{count} {reason}" for reason, count in reasons.items())
 
 
 @cache

@@ -12,10 +12,10 @@ import click
 
 from ..actions.result import Result
 from ..core.claims import own_claim
-from ..core.measuring.vehicles import kinds_in_words
 from ..core.pooling.posterior import Z90
 from ..core.remarks import percent
 from ..errors import LONGEST_MESSAGE, shown
+from .wording import counted, counted_kinds
 
 VERDICT_STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}
 
@@ -53,12 +53,12 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
     checks = (f"{name.replace('_', ' ')} {100 * (v / scale.value - 1):+.1f} %" for name, v in scale.checks.items())
     parts = (f"{name} {percent(sd)}" for name, sd in scale.parts.items() if sd > 0)
     seen = f", in {int(result.votes.views[scale.used].sum())} views" if result.votes.views.max(initial=0) > 1 else ""
-    kinds = kinds_in_words(result.vehicles["kind"][scale.used])
+    kinds = counted_kinds(result.vehicles["kind"][scale.used])
     rejected = {**scale.rejected, **result.rejected_boxes}
     table = [
         *result.answer(),
         ("vehicles", f"{scale.vehicles_used} used{seen}{': ' if kinds else ''}{kinds}"),
-        ("rejected", ", ".join(f"{count} {reason}" for reason, count in rejected.items()) or "none"),
+        ("rejected", counted(rejected) or "none"),
         ("fleet", f"{scale.fleet} ({result.fleet.name})"),
         *_fleets(scale.fleets),
         *([("checks", "scale from " + ", ".join(checks))] if scale.checks else []),

@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from math import exp, log
 from typing import Any
 
+from ..core.boxes import KINDS
 from ..core.remarks import percent, signed
 from ..core.scale import decimals
 from .document import of_plan
+
+
+def counted(numbers: Mapping[str, int]) -> str:
+    """How many there are of each thing: "6 low confidence, 2 too large for a car"; '' of nothing."""
+    return ", ".join(f"{number} {thing}" for thing, number in numbers.items())
+
+
+def counted_kinds(kinds: Iterable[str]) -> str:
+    """How many vehicles are of each of `kinds`, as in `core.measuring.vehicles.VEHICLE`: "81 cars, 5 pickups, 30 not
+    looked at"; '' where nobody looked at any."""
+    number = Counter(kinds)
+    told = {f"{k}{'' if k == 'larger' or number[k] == 1 else 's'}": number[k] for k in KINDS if number[k]}
+    return counted(told | ({"not looked at": number[""]} if number[""] else {})) if told else ""
 
 
 def half_width(report: Mapping[str, Any]) -> float:

@@ -193,23 +193,25 @@ class Outputs:
         place = self._claims[0].path if self._claims else "the output"
         return OutputError(f"{place}: writing failed ({reason})", "Nothing was left behind.")
 
-    def check(self, path: Path, mine: Callable[[Path], bool] | None = None) -> None:
-        """Refuse early what `file` or `folder` would refuse. Raises UsageError, OutputError."""
+    def check(self, path: Path, mine: Callable[[Path], bool] | None = None) -> tuple[int, ...] | None:
+        """Refuse early what `file` or `folder` would refuse; returns the identity of what is to be replaced, None where
+        there is nothing. Raises UsageError, OutputError."""
         for given in self._inputs:
             _refuse_input(path, given)
         for other in self._claims:
             if _inside(path, other.path) or _inside(other.path, path):
                 raise UsageError(f"{path} and {other.path} cannot both be outputs", "Give each a place of its own.")
-        self._refuse_existing(path, mine)
+        there = self._refuse_existing(path, mine)
         parent = path.absolute().parent
         if not parent.is_dir():
             raise OutputError(
                 f"{path}: {parent} {'is not a folder' if parent.exists() else 'does not exist'}",
                 "Create that folder first, or choose another place.",
             )
+        return there
 
-    def _refuse_existing(self, path: Path, mine: Callable[[Path], bool] | None) -> None:
-        """Raise UsageError if something is at `path` that may not be replaced."""
+    def _refuse_existing(self, path: Path, mine: Callable[[Path], bool] | None) -> tuple[int, ...] | None:
+        """Raise UsageError if something is at `path` that may not be replaced; returns its identity."""
         with _writing(path):
             there = _identity(path)
         if there is not None:
@@ -217,16 +219,16 @@ class Outputs:
                 raise UsageError(f"{path} already exists", "Choose another place, or pass --overwrite to replace it.")
             if why := _why_not_ours(path, mine):
                 raise UsageError(f"{path} {why}, so it is not replaced", ELSEWHERE)
+        return there
 
     def _claim(self, path: Path, mine: Callable[[Path], bool] | None, folder: bool) -> _Claim:
         path = Path(path)
-        self.check(path, mine)
+        there = self.check(path, mine)
         with stopping.held():
             claim = _Claim(path)
             self._claims.append(claim)
-        # Again under the lock: another run may have ended between that look and the lock, or a killed run's former
-        # output have been brought back.
-        self._refuse_existing(path, mine)
+        if claim.before != there:  # another run ended just before the lock, or a killed one's former output came back
+            self._refuse_existing(path, mine)
         if claim.before is not None and path.is_dir() != folder:
             kinds = ("file", "folder") if folder else ("folder", "file")
             raise UsageError(f"{path} is a {kinds[0]}, the output is a {kinds[1]}", ELSEWHERE)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable
-
 import numpy as np
 
 from ..boxes import KINDS, Boxes
@@ -59,14 +56,6 @@ def vehicle_table(votes: Votes, size: np.ndarray, scale: Scale, boxes: Boxes, pi
         for name, column in zip(fields, boxes.xylwa[best].T, strict=True):
             table[name] = column
     return table
-
-
-def kinds_in_words(kinds: Iterable[str]) -> str:
-    """How many vehicles are of each of `kinds`, as in `VEHICLE`: "81 cars, 5 pickups, 30 not looked at"; '' where
-    nobody looked at any."""
-    count = Counter(kinds)
-    words = [f"{count[k]} {k}{'' if k == 'larger' or count[k] == 1 else 's'}" for k in KINDS if count[k]]
-    return ", ".join([*words, *([f"{count['']} not looked at"] if count[""] else [])]) if words else ""
 
 
 def _kind(votes: Votes) -> list[str]:
