@@ -66,6 +66,7 @@ ODD = {  # places by what most of their vehicles are, whatever the country: of a
     "60 % minis": (("mini", 0.6), NO_VANS),
     "60 % vans": (None, Vans(0.6, 0.5)),
 }
+HIDDEN = (0.0, 0.1, 0.25)  # shares of the vehicles that stand partly under trees
 ODDEST = ("as places are", "60 % minis", "80 % pickups", "60 % vans")
 COUNTS = (5, 10, 20, 50, 100, 300, 1000, 3000, 10_000)
 
@@ -101,14 +102,15 @@ def run(
     false: float = 0.0,
     most: tuple[str, float] | None = None,
     kinds: bool = True,
+    hidden: float = 0.0,
 ) -> Tally:
     """`scenes` car parks of `n` boxes, at each of `gsds` [m/px] in turn; the same draws at every call. `vans` are None
-    for as many as each place has, `most` as of `car_park`. kinds : seen, if the ruler has a table of them."""
+    for as many as each place has, `most` and `hidden` as of `car_park`. kinds : seen, if the ruler has a table of them."""
     rows, refused = [], 0
     for k in range(scenes):
         gsd = gsds[k % len(gsds)]
         rng = np.random.default_rng([0, k])
-        votes = car_park(rng, fleet, n, gsd, ruler, vans or Vans.of_place(rng, fleet), false, most)
+        votes = car_park(rng, fleet, n, gsd, ruler, vans or Vans.of_place(rng, fleet), false, most, hidden)
         if not kinds:
             votes = replace(votes, kinds=None)
         try:
@@ -191,6 +193,15 @@ def by_oddness(scenes: int) -> str:
     return table(["fleet", *ODDEST], rows)
 
 
+def by_hidden(scenes: int) -> str:
+    """Each fleet with measured boxes and vans, where more or fewer vehicles are partly hidden."""
+    rows = []
+    for code in FLEETS:
+        fleet = load_fleet(code)
+        rows.append([code, *(run(fleet, scenes, ruler=MEASURED, vans=None, hidden=h).cell() for h in HIDDEN)])
+    return table(["fleet", *(f"{100 * h:.0f} % partly hidden" for h in HIDDEN)], rows)
+
+
 def without_country(scenes: int) -> str:
     """Vehicles of each fleet of the table in turn, `scenes` places of each, pooled as of `world` and `auto`; as many
     places in countries drawn as each of the two holds them for likely."""
@@ -270,6 +281,7 @@ TABLES: dict[str, tuple[str, Callable[[int], str]]] = {
     "vans": ("With margins, vans of one kind", by_vans),
     "kinds": ("With margins, vans and 10 % false boxes, kinds seen or not", by_kinds),
     "odd": ("Measured boxes, 12 cm/px: odd places", by_oddness),
+    "hidden": ("Measured boxes and vans, of which some vehicles are partly hidden", by_hidden),
     "country": ("The country not known [%]: each of the table's fleets in turn", without_country),
     "count": ("Error against the number of boxes [%], DE", lambda scenes: by_count("DE", NO_VANS, 0.0, scenes)),
     "count-vans": (

@@ -28,6 +28,7 @@ VAN_SHARE = 0.11
 # Of what kinds the vehicles of a class are (people carriers with a bonnet, vans without) is a place's own: as if it had
 # that from so many.
 KINDS_LIKE = 5.0
+LEFT_OF_HIDDEN = (0.5, 0.95)  # share of its length that is seen of a vehicle which stands partly under a tree
 VANS = np.array([[[5.00, 1.96], [0.13, 0.04]], [[5.75, 2.03], [0.35, 0.04]]])
 
 
@@ -241,15 +242,17 @@ def car_park(
     vans: Vans = Vans(),
     false: float = 0.0,
     most: tuple[str, float] | None = None,
+    hidden: float = 0.0,
 ) -> Votes:
     """Votes of `n` boxes in an orthophoto of `gsd` [m/px]; with kinds if `ruler` has a table of them.
 
     What is not known is drawn anew in each scene, as wide as `fleet` and `ruler` claim: the place's mean sizes, the
     margin, the labels' bias, how strongly sizes are drawn to the usual. `vans` stand among the fleet's vehicles;
     `false`, a share of the boxes, are not vehicles. Scores are high for vehicles and low for false boxes, with much
-    overlap. most : a class and the share that it has at this place, whatever the country's.
+    overlap. most : a class and the share that it has at this place, whatever the country's. hidden : the share of the
+    vehicles of which only a part of the length is seen.
     """
-    of_kinds = rng.spawn(1)[0]  # so that boxes are the same with and without
+    of_kinds, of_hidden = rng.spawn(2)  # so that boxes are the same with and without
     unknown = fleet.mean_sd[:2] / fleet.mean[:2]
     stray = np.sqrt(MEAN_CORRELATION) * rng.standard_normal() + np.sqrt(1 - MEAN_CORRELATION) * rng.standard_normal(2)
     place = place_of(rng, fleet)
@@ -263,6 +266,7 @@ def car_park(
     shrink = np.asarray(ruler.shrink) + np.asarray(ruler.shrink_sd) * rng.standard_normal()
     drawn = size * (np.asarray(ruler.usual) / size) ** shrink
     px = drawn / gsd * np.exp(bias) + margin + rng.normal(0, ruler.noise, (n, 2))
+    px[:, 0] *= np.where(of_hidden.random(n) < hidden, of_hidden.uniform(*LEFT_OF_HIDDEN, n), 1.0)
     wrong = rng.random(n) < false
     length = rng.uniform(1.0, 7.0, int(wrong.sum())) / gsd
     px[wrong] = np.stack([length, length * rng.uniform(0.25, 1.0, len(length))], -1)
