@@ -42,7 +42,7 @@ from ..tables import standards
 from .against import OnMap, on_map
 from .anchors import Searched, Wanted, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
 from .control import read_control, read_distance
-from .find import Sampling, find_in, measured_anew
+from .find import Sampling, VehicleSearch, find_in, measured_anew
 from .requests import EstimateRequest
 from .result import Result
 from .whose import country_of, fleet_at, named_fleet
@@ -283,15 +283,8 @@ def _looked_for(
     effort, network = effort_of(request), detector_of(source, request)
     zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
-        found, choice = find_in(
-            source,
-            request.mode,
-            network,
-            zoom,
-            progress,
-            effort,
-            _sampling(source, fleet),
-        )
+        search = VehicleSearch(network, zoom, effort, _sampling(source, fleet), progress)
+        found, choice = find_in(source, request.mode, search)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
