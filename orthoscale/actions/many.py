@@ -31,7 +31,6 @@ from .inputs import outputs_of
 from .requests import EstimateRequest, FixRequest
 from .result import Result
 
-ACTIONS = ("estimate", "fix", "check")
 BUG = 1
 """Exit code of an input that met a bug of orthoscale, or whose process died."""
 
@@ -69,7 +68,7 @@ def run_many(
     jobs: int = 1,
     said: Callable[[Row], None] = lambda row: None,
 ) -> list[Row]:
-    """`action`, one of ACTIONS, for each of `inputs`; a row of COLUMNS for each, in their order.
+    """`action` (estimate, fix or check) for each of `inputs`; a row of COLUMNS for each, in their order.
 
     out : folder for what `fix` writes, made if need be. jobs : how many inputs are worked on at once, each in a process
     of its own with its own memory budget; the cores are shared among them. With a Dask scheduler in `request` each

@@ -57,7 +57,6 @@ def check(
     many: Many | None,
     as_json: bool,
     dry_run: bool,
-    debug: bool,
     save_detections: Path | None,
     overwrite: bool,
     model: Path | None,

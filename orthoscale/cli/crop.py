@@ -62,7 +62,6 @@ def crop(
     gsd: float | None,
     overwrite: bool,
     as_json: bool,
-    debug: bool,
     lens: dict[str, Any],
     **looking: Any,
 ) -> None:

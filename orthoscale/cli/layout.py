@@ -77,7 +77,6 @@ def layout(
     list_them: bool,
     overwrite: bool,
     as_json: bool,
-    debug: bool,
 ) -> None:
     """Place courts, pitches and parking on an orthophoto in metres.
 

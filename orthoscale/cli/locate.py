@@ -75,7 +75,6 @@ def locate(
     out: Path,
     overwrite: bool,
     as_json: bool,
-    debug: bool,
     lens: dict[str, Any],
     **looking: Any,
 ) -> None:

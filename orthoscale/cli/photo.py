@@ -63,7 +63,6 @@ def photo(
     outputs: tuple[Path, ...],
     overwrite: bool,
     as_json: bool,
-    debug: bool,
     **looking: Any,
 ) -> None:
     """Measure drone photos: altitude, GSD and footprint.
