@@ -1,4 +1,4 @@
-"""Anchors of exact size in a source: which are looked for, at what scale, and what was found."""
+"""Anchors in a source: which kinds are searched for, at what scale, and what was found."""
 
 from __future__ import annotations
 

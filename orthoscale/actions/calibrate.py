@@ -1,4 +1,6 @@
-"""From an orthophoto of known scale to a calibration: the same vehicles at three zooms, against their fleet."""
+"""Calibrates a detector on an orthophoto of known scale: the same vehicles at three resampling factors, against their
+fleet.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Distances and control points that the user knows, read and found in the source."""
+"""Distances and control points given by the user: reading them, and locating them in the source."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""An orthophoto against the reconstruction it was made from: the vehicles themselves say how one lies in the other.
+"""Compares an orthophoto with the reconstruction it was made from, by the vehicles that both show.
 
-Both show the same parked vehicles, the orthophoto in pixels, the model in its units. Their places fix the similarity
-between the two, whatever their sizes; so the model's scale gives metres per pixel a second time, from other pictures
-and another projection than the orthophoto's own boxes.
+The orthophoto has the vehicles' positions in pixels, the model in its units. The positions fix the similarity transform
+between the two, independently of the vehicles' sizes. So the model's scale gives metres per pixel a second time, from
+other pictures and by another projection than the orthophoto's own boxes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""The way the data goes: source, tiles, boxes, projection, pooling, Scale, written copy, report."""
+"""The main sequence: source, tiles, boxes, projection, pooling, Scale (`actions.fix` adds the written copy and the
+report).
+"""
 
 from __future__ import annotations
 

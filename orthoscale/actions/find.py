@@ -1,4 +1,6 @@
-"""The vehicles in a plan, or in a posed set: in its frames as they are, and in frames warped onto the ground."""
+"""Finds the vehicles of a source: in a plan, or in the frames of a posed set and in these frames warped onto the
+ground.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Many inputs in one command: each is done for itself, and what befalls one leaves the others what they are.
+"""Many inputs in one command: each is processed independently, and the failure of one does not affect the others.
 
-An input is a job of plain values, and so is what became of it: jobs go to processes of this machine or to a Dask
+An input becomes a job of plain values, and so does its outcome: jobs are sent to processes of this machine or to a Dask
 cluster, and come back as rows of one table.
 """
 

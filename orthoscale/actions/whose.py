@@ -1,4 +1,6 @@
-"""Whose vehicles and standards an input shows: of the fleet that was named, or else of the country that it lies in."""
+"""The country whose vehicles and standards apply to an input: that of the named fleet, or else the one in which it
+lies.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Things of standard size in a picture: what one is, and what it says of the scale."""
+"""Anchors, objects of standard size in a picture: the values that describe one, and the scale that follows from it."""
 
 from __future__ import annotations
 

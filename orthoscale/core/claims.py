@@ -1,4 +1,4 @@
-"""A scale that something claims, against the one that vehicles give."""
+"""A claimed scale compared with the scale from vehicles."""
 
 from __future__ import annotations
 

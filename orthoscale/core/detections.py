@@ -1,4 +1,4 @@
-"""The vehicles found in a source, with what is needed to measure with them."""
+"""The vehicles found in a source, with all that is needed to measure them."""
 
 from __future__ import annotations
 

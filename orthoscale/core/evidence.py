@@ -1,11 +1,12 @@
-"""What is known of the scale besides vehicles: distances, ground control, anchors of exact size.
+"""Evidence on the scale besides the vehicles: known distances, ground control, anchors.
 
-Each piece is one measurement of metres per unit with its own uncertainty. Those that agree are combined; those that do
-not are reported, and nothing is averaged away.
+Each piece is one measurement of metres per unit with its own uncertainty. Pieces that agree are combined;
+contradictions are reported and never averaged.
 
-An anchor may be of several standards, or be no anchor at all. So it is a mixture, which the vehicles sort out; and it
-never overrules them alone: what it says further from them than CONFLICT_LIMIT does not count unless something else
-says the same. Nearer, it counts as much as its doubt leaves it: the answer may then have two humps.
+An anchor may follow one of several standards, or be a false find. So it is a mixture of scales, and the vehicles decide
+between its components. It never overrules the vehicles alone: a component further from them than CONFLICT_LIMIT does
+not count unless other evidence agrees with it. A nearer one counts by its probability; the posterior may then have two
+modes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is said of a scale beside its figures, each with how serious it is."""
+"""Remarks on a scale beside its figures, each with its severity."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scale, its interval, and where its uncertainty comes from."""
+"""A scale, its interval, and the parts of its uncertainty."""
 
 from __future__ import annotations
 

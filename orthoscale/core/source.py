@@ -1,4 +1,6 @@
-"""What is measured: something with pictures and without metres. A plan, or a set of pictures whose poses are known."""
+"""The protocols of sources, pictures without metres: a `Plan` (an orthophoto) or a `PosedSet` (pictures with known
+poses).
+"""
 
 from __future__ import annotations
 

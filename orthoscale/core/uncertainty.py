@@ -1,4 +1,4 @@
-"""Where the uncertainty of a scale comes from, and what would halve it."""
+"""The parts of the uncertainty of a scale, and what would halve it."""
 
 from __future__ import annotations
 

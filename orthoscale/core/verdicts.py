@@ -1,4 +1,4 @@
-"""What to think of a scale, in one word, and why votes were set aside, in a few."""
+"""The verdict on a scale, and the reasons for which votes are rejected."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Why two ways of measuring a model contradict each other, by the vehicles that both measured."""
+"""The likely cause of a contradiction between the planar and the oblique scale of a model, by the vehicles that both
+measured.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Scale by place: a tilted orthophoto shows a gradient, a bent one a bowl, and vehicles show both."""
+"""Drift of the scale across an orthophoto: vehicle sizes show a gradient where it is tilted, a quadratic surface where
+it is bent.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What measuring asks of a geometry: how boxes and vehicles on the ground belong together in one kind of picture."""
+"""The protocol `Geometry`: how the boxes of one kind of picture relate to vehicles on the ground."""
 
 from __future__ import annotations
 

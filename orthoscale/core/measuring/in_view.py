@@ -1,4 +1,4 @@
-"""Which frames have a place in view: a vehicle should be found in most of them, a mistake hardly shows twice."""
+"""Which frames have a place in view: a vehicle should be found in most of them, a false detection rarely twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""From boxes to the scale: measured on the ground, one vote per vehicle, pooled; again until the scale settles."""
+"""From boxes to the scale: boxes are measured on the ground, merged to one vote per vehicle and pooled, until the scale
+settles.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What measuring gives: the scale, the vehicles, and what they tell besides."""
+"""The outcome of measuring: the scale, the vehicles, and further findings."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Measuring in the frames of a reconstruction, as they are: each box with its own camera, distortion and ground.
+"""Measures vehicles in the frames of a reconstruction: each box with its own camera, distortion and ground.
 
-The ruler calibrates itself on the way (`projection.self_calibration`): what the boxes take in of a vehicle's height,
-and their margin, follow from vehicles that are seen steeply and flatly, near and far.
+The ruler is calibrated meanwhile (`projection.self_calibration`): the height that boxes enclose, and their margin,
+follow from vehicles seen in steep and flat views, near and far.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Where vehicles stand, by their own parallax: a vehicle that several frames show lies where their rays meet.
+"""The height of the ground from the vehicles' own parallax: a vehicle in several frames lies where their rays meet.
 
-The ground of a reconstruction is drawn under its sparse points. Where these are but crowns and roofs, it is drawn too
-high: all distances are too short, and the scale comes out too large. Vehicles stand on the ground, and frames that see
-one from two sides tell how far away it is, without any sparse point. So the sheet under the points is one measurement
-of the ground's height, the vehicles are another, and what both say together is used.
+The ground of a reconstruction is a surface fitted below its sparse points. Where these lie on tree crowns and roofs
+only, it is too high: all distances are too short, and the scale comes out too large. Vehicles stand on the ground, and
+frames that show one from two sides give its distance without any sparse point. So the surface is one measurement of the
+ground's height, the vehicles are another, and the two are combined.
 """
 
 from __future__ import annotations

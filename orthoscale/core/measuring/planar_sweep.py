@@ -1,8 +1,8 @@
-"""Measuring a reconstruction as if it were an orthophoto: frames warped onto the ground, the planar variant.
+"""Measures vehicles in frames warped onto the ground (planar), as if they were an orthophoto.
 
-The paper's orthophoto method without an orthophoto, and a second look that shares neither the projection model nor the
-picture with the first (`oblique`). A plan shows footprints; what remains of the vehicles' height in the near-nadir
-parts is taken off.
+This is the paper's orthophoto method without an orthophoto, and a measurement independent of `oblique`: it shares
+neither the projection nor the pictures. A plan shows footprints; the relief displacement that remains near the nadir is
+removed.
 """
 
 from __future__ import annotations

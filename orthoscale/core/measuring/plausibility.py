@@ -1,5 +1,8 @@
-"""Are the boxes vehicles at all? Whatever is found gives some scale; these checks refuse or doubt it where the boxes of
-an orthophoto stand in one another, stand in no order, are all of one length, or are seldom seen by both passes.
+"""Whether the boxes can be vehicles at all: some scale fits any boxes, so implausible ones are refused or lower the
+verdict.
+
+Implausible are boxes of an orthophoto that overlap, lie in no order, are all of one length, or are seldom found by both
+detection passes.
 """
 
 from __future__ import annotations

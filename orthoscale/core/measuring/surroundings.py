@@ -1,4 +1,4 @@
-"""What boxes show of a scale besides the vehicles' sizes: rows of parked vehicles, objects of standard size."""
+"""Evidence on the scale in the boxes besides the sizes of vehicles: rows of parked vehicles, objects of standard size."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What makes all sizes of one way of measuring err alike, by cause, and what of it is left in the mean of two ways.
+"""Errors common to all sizes of one measuring mode, by cause, and what remains of them in the mean of two modes.
 
-Two ways of measuring one scene share some of their causes: the ground is too high for both, the focal length too long.
-What they share does not get less in their mean; what each has of its own does.
+Two modes share some causes: the ground is too high for both, the focal length too long for both. Shared errors do not
+average out; errors that only one mode has do.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""A plan is measured in one way, a posed set in two: in its frames as they are, and in these warped onto the ground.
+"""Chooses the measuring modes of a source: one for a plan, two for a posed set (its frames, and frames warped onto the
+ground).
 
-The two ways share neither the projection model nor the pictures, so each is a check on the other.
+The two modes share neither the projection nor the pictures, so each is a check on the other.
 """
 
 from __future__ import annotations

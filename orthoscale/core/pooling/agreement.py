@@ -1,4 +1,4 @@
-"""Two measurements of one model's scale: do they agree, and what do they say together?"""
+"""Agreement of two measurements of the scale of one model, and their combination."""
 
 from __future__ import annotations
 

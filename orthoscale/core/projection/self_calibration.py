@@ -1,10 +1,10 @@
-"""A reconstruction finds its own ruler: what its boxes take in of a vehicle's height, and by how much they exceed it.
+"""Self-calibration of the ruler by a reconstruction: the height that boxes enclose, their margin and the undercut.
 
-The same vehicle must have one size from all its views. A box that takes in height makes it larger in flat views, one
-with a margin makes it larger from afar, and one that ends above the ground grows in the flattest views only. So all
-three follow from how sizes change from view to view, without any metres (but for the hull's shape, which is in metres).
-Sizes are measured with the exact projection at the ruler so far, and how they would change with another one by
-measuring again: nothing is linear but the step, and steps are repeated.
+The same vehicle must have one size in all its views. Boxes that enclose height make it larger in flat views, a margin
+makes it larger from afar, and an undercut makes boxes grow in the flattest views only. So all three follow from how
+sizes change from view to view, without any metres (except that the hull's shape is in metres). Sizes are measured by
+the exact projection with the current ruler, their derivatives by measuring again with a changed one: Gauss-Newton
+steps, repeated until they converge.
 """
 
 from __future__ import annotations
