@@ -1,6 +1,4 @@
-"""Calibrates a detector on an orthophoto of known scale: the same vehicles at three resampling factors, against their
-fleet.
-"""
+"""Calibrates a detector on an orthophoto of known scale: the same vehicles at three resampling factors."""
 
 from __future__ import annotations
 

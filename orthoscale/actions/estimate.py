@@ -1,6 +1,4 @@
-"""The main sequence: source, tiles, boxes, projection, pooling, Scale (`actions.fix` adds the written copy and the
-report).
-"""
+"""The main sequence: source, tiles, boxes, projection, pooling, Scale; copy and report follow in `actions.fix`."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Finds the vehicles of a source: in a plan, or in the frames of a posed set and in these frames warped onto the
-ground.
-"""
+"""Finds the vehicles of a source: in a plan, in a posed set's frames, and in frames warped onto the ground."""
 
 from __future__ import annotations
 

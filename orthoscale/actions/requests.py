@@ -1,5 +1,4 @@
-"""What a user can ask for: every option is defined once, with its default, choices, help, and the options that it
-excludes.
+"""Every option that a user can give, defined once: its default, choices, help, and the options that it excludes.
 
 The command line generates its options from these fields; `estimate` and `fix` take them as keywords. A request is
 validated when it is created: an unknown option, or one that would have no effect, is refused and never ignored.

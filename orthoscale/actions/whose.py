@@ -1,6 +1,4 @@
-"""The country whose vehicles and standards apply to an input: that of the named fleet, or else the one in which it
-lies.
-"""
+"""The country whose vehicles and standards apply to an input: of the named fleet, or else by its place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`orthoscale anchors`: the things of standard size in an orthophoto or a model, listed and drawn."""
+"""`orthoscale anchors`: the objects of standard size in an orthophoto or a model, listed and drawn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`orthoscale check`: is the ground sampling distance that an orthophoto claims the one that its vehicles show?"""
+"""`orthoscale check`: does the claimed ground sampling distance of an orthophoto agree with its vehicles?"""
 
 from __future__ import annotations
 

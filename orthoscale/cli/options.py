@@ -1,4 +1,4 @@
-"""What the commands share: options, exit codes, progress bars."""
+"""Options, exit codes and progress bars that the commands share."""
 
 from __future__ import annotations
 

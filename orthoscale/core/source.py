@@ -1,6 +1,4 @@
-"""The protocols of sources, pictures without metres: a `Plan` (an orthophoto) or a `PosedSet` (pictures with known
-poses).
-"""
+"""The protocols of sources, pictures of unknown scale: `Plan` (an orthophoto), `PosedSet` (frames with poses)."""
 
 from __future__ import annotations
 

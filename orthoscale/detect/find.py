@@ -1,4 +1,4 @@
-"""All vehicles of some pictures: the right zoom, then two passes over as many tiles as it takes."""
+"""All vehicles in some pictures: the resampling factor, then two detection passes over as many tiles as needed."""
 
 from __future__ import annotations
 

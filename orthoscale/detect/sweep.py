@@ -1,4 +1,4 @@
-"""Sweeping pictures until enough is seen: tile by tile, or frame by frame, in an order that makes every stop fair."""
+"""The sweep: two detection passes tile by tile, or frame by frame, that may stop at any time with a fair sample."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """How well a reconstruction's own observations determine its focal length.
 
-Seen straight from above over flat ground, a longer focal length and a higher camera give the same pictures: bundle
-adjustment then leaves both open, and heights with them, while what lies on the ground stays where it is. Whether that
-is so, the normal equations of the adjustment tell: with poses and points eliminated, what is left of the information on
-the focal length (Schur complement; Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000, 6.1).
+From straight above flat ground, a longer focal length and a higher camera give the same pictures: bundle adjustment
+cannot separate them, nor determine heights, while horizontal positions on the ground are unaffected. The normal
+equations of the adjustment show whether this is the case: with poses and points eliminated, what is left of the
+information on the focal length (Schur complement; Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000, 6.1).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The ground under a reconstruction: a smooth sheet drawn under its sparse points, below trees, roofs and vehicles.
+"""The ground of a reconstruction: a smooth surface fitted below its sparse points, under trees, roofs and vehicles.
 
-A vehicle's size in model units is its size in pixels times its distance, and its distance is where its ray meets the
-ground: an error of one percent of the camera height is an error of one percent of the scale. So the sheet says how well
-it knows its height everywhere: where no point holds it, between points and beyond them, it may have wandered off.
+A vehicle's size in model units is its size in pixels times its distance, and the distance is where its ray meets the
+ground: an error of one percent of the camera height is an error of one percent of the scale. So the surface has an
+uncertainty of its height everywhere, which grows between points and beyond them.
 """
 
 from __future__ import annotations

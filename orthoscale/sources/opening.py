@@ -1,4 +1,4 @@
-"""Which kind of source lies at a path."""
+"""Opens the source at a path: decides what kind it is."""
 
 from __future__ import annotations
 

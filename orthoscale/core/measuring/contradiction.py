@@ -1,6 +1,4 @@
-"""The likely cause of a contradiction between the planar and the oblique scale of a model, by the vehicles that both
-measured.
-"""
+"""The likely cause of a contradiction between the planar and the oblique scale, by the vehicles of both."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Drift of the scale across an orthophoto: vehicle sizes show a gradient where it is tilted, a quadratic surface where
-it is bent.
-"""
+"""Drift of the scale across an orthophoto: a gradient of vehicle sizes where it is tilted, a bowl where it is bent."""
 
 from __future__ import annotations
 

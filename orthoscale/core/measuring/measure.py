@@ -1,6 +1,4 @@
-"""From boxes to the scale: boxes are measured on the ground, merged to one vote per vehicle and pooled, until the scale
-settles.
-"""
+"""The measuring loop: boxes are measured on the ground, merged to votes and pooled, until the scale settles."""
 
 from __future__ import annotations
 

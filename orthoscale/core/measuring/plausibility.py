@@ -1,5 +1,4 @@
-"""Whether the boxes can be vehicles at all: some scale fits any boxes, so implausible ones are refused or lower the
-verdict.
+"""Whether boxes can be vehicles at all: some scale fits any boxes, so implausible ones are refused or doubted.
 
 Implausible are boxes of an orthophoto that overlap, lie in no order, are all of one length, or are seldom found by both
 detection passes.

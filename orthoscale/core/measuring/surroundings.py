@@ -1,4 +1,4 @@
-"""Evidence on the scale in the boxes besides the sizes of vehicles: rows of parked vehicles, objects of standard size."""
+"""Evidence on the scale in the boxes besides vehicle sizes: rows of parked vehicles, objects of standard size."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Chooses the measuring modes of a source: one for a plan, two for a posed set (its frames, and frames warped onto the
-ground).
+"""Chooses the measuring modes of a source: planar for a plan, oblique and planar for a posed set.
 
-The two modes share neither the projection nor the pictures, so each is a check on the other.
+The two modes of a posed set (its frames, and frames warped onto the ground) share neither the projection nor the
+pictures, so each is a check on the other.
 """
 
 from __future__ import annotations
