@@ -25,7 +25,7 @@ CONTROL_HINT = (
 
 
 def read_distance(text: str, source: Source) -> Evidence:
-    """The known distance that `text` tells of, between two points of `source`. Raises UsageError."""
+    """The known distance described by `text`, between two points of `source`. Raises UsageError."""
     try:
         words = shlex.split(text)
         if len(words) not in (3, 4):

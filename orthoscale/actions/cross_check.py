@@ -30,11 +30,10 @@ BY_CHANCE = 1e-3  # of so many tries, how many may reach as many common vehicles
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """What an orthophoto and a model say of one another.
+    """An orthophoto compared with a model.
 
-    units_per_pixel : model units that one pixel of the orthophoto covers. common : vehicles found in both.
-    by_model : metres per pixel by the model's vehicles; by_ortho : by the orthophoto's own.
-    agreement : of the two.
+    units_per_pixel : model units that one pixel of the orthophoto covers. common : vehicles found in both. by_model :
+    metres per pixel by the model's vehicles; by_ortho : by the orthophoto's own. agreement : of the two.
     """
 
     units_per_pixel: float

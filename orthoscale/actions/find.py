@@ -32,9 +32,9 @@ Found = tuple[Detections, "ZoomChoice | None"]
 
 @dataclass(frozen=True)
 class Sampling:
-    """How far the vehicles found so far determine the scale; None where all pictures are to be looked at.
+    """How far the vehicles found so far determine the scale; None if all pictures are to be processed.
 
-    in_pictures : of an orthophoto or of frames. from_above : of pictures of a model's ground.
+    in_pictures : of an orthophoto or of frames. from_above : of ground pictures of a model.
     """
 
     in_pictures: Spread | None = None
@@ -74,11 +74,10 @@ def find_in(source: Source, mode: str | None, search: VehicleSearch) -> Found:
 
 
 def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> Found:
-    """The vehicles in the frames of `source`, and in `planar` those in its pictures of the ground, as `mode` asks.
+    """The vehicles in the frames of `source`, and in `planar` those in its ground pictures, as `mode` asks.
 
-    Of FEW_FRAMES and more only those that show all of the ground are looked at (`detect.cover`), if the search has a
-    `sampling` that says whether what was seen is enough for a scale. Without it all are, and what they show is always
-    enough. Raises TooLittleEvidence.
+    Of FEW_FRAMES or more, only those that show all of the ground are processed (`detect.cover`), if the search has a
+    `sampling` that decides whether they are enough for a scale. Without it all are processed. Raises TooLittleEvidence.
     """
     names = [picture.name for picture in source.pictures]
     seen = places_seen(source, names) if len(names) >= FEW_FRAMES else {}
@@ -158,10 +157,11 @@ def measured_anew(
     effort: Effort | None = None,
     progress: Progress | None = None,
 ) -> Detections:
-    """`found` with what is seen from above measured by the measurer that is asked for; as it is, if none is.
+    """`found` with the vehicles that are seen from above measured by the measurer of `request`; unchanged if it has
+    none.
 
-    In frames it is not: seen at a slant, the measurer's edges are those of what is bright, not of the body that the
-    projection takes off. Raises InputError.
+    In frames the detector's boxes are kept: in oblique views the measurer's edges follow the bright parts, not the
+    outline of the body that the projection assumes. Raises InputError.
     """
     if request.measures is None:
         return found

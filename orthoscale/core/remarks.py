@@ -22,7 +22,7 @@ class Remark:
     hint: str = ""
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a severity that is none."""
+        """Raises ValueError for an unknown severity."""
         if self.severity not in SEVERITIES:
             raise ValueError(f"severity: expected one of {', '.join(SEVERITIES)}")
 
@@ -46,7 +46,7 @@ class Judgement:
 
 
 def informing(texts: Iterable[str]) -> list[Remark]:
-    """Remarks of `texts` that only inform."""
+    """The `texts` as remarks of severity `info`."""
     return [Remark(INFO, text) for text in texts]
 
 

@@ -39,7 +39,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Remedy:
-    """do : what would help. leaves : relative one-sigma of the scale that would be left."""
+    """do : what would help. leaves : relative one-sigma of the scale afterwards."""
 
     do: str
     leaves: float
