@@ -39,10 +39,9 @@ LENS_UNKNOWNS = 3  # columns shared by all images: focal length, and two of radi
 
 
 def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> FocalDoubt:
-    """How far the focal length of `model` may be trusted, by its tracks and by what EXIF and XMP of its frames tell.
+    """The uncertainty of the focal length of `model`, by its tracks and by EXIF and XMP of its frames.
 
-    Where the tracks determine it, it stands, whatever EXIF says; where they leave it open, it is what they and EXIF say
-    together.
+    If the tracks determine it, it is kept, whatever EXIF says; otherwise it is the combination of both.
     """
     told = _told(model, pictures)
     formal = focal_sd(model)

@@ -88,7 +88,7 @@ class Geometry(Protocol):
         ...
 
     def shown(self, place: np.ndarray) -> np.ndarray | None:
-        """(N,) number of processed pictures that have the places (N, D) in view; None where a single picture shows all."""
+        """(N,) number of processed pictures that have the places (N, D) in view; None where one picture shows all."""
         ...
 
     def surroundings(

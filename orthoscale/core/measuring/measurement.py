@@ -104,5 +104,5 @@ class Measurement:
 
 
 def tight(votes: Votes, margin: Sequence[float] | np.ndarray) -> np.ndarray:
-    """(N, 2) sizes of the vehicles behind the votes, without the boxes' `margin` (2,) [detector px]; always positive."""
+    """(N, 2) sizes of the vehicles behind the votes, less the boxes' `margin` (2,) [detector px]; always positive."""
     return np.maximum(votes.size - np.asarray(margin) * votes.pixel[:, None], LEAST * votes.size)

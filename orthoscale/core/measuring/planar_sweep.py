@@ -126,7 +126,7 @@ class SweepGeometry:
         return float(np.median(self.flat[:, 0]))
 
     def observe(self, metres_per_unit: float) -> Observation:
-        """What is left of a box without the part of the vehicle's height."""
+        """Sizes of the boxes less the part due to the vehicles' height."""
         size, longer = (self._footprints(metres_per_unit, ratio) for ratio in (1.0, 1 + self.focal_sd))
         by_height = of_height(height_share(size, np.abs(self.offset), metres_per_unit))
         by_focal = {"focal length": larger_by(longer, size)} if self.focal_sd else {}
@@ -157,7 +157,7 @@ class SweepGeometry:
         return self
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
-        """Nothing: the frames as they are tell more."""
+        """None: the frames themselves show more."""
         return Findings()
 
 
