@@ -24,7 +24,7 @@ from orthoscale.detect.detector import Detector
 from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.promise import FAR, FAR_TILES, UNPROMISING, hint
-from orthoscale.detect.sweep import sweep_twice
+from orthoscale.detect.sweep import Stop, sweep_twice
 from orthoscale.detect.tiles import CONFIRMING_ZOOM, tiles
 from orthoscale.fleets import load_fleet
 from orthoscale.sources.opening import open_source
@@ -63,9 +63,8 @@ def main() -> None:
             weight = np.full(len(jobs), UNPROMISING)
             weight[evenly[:FAR_TILES]] = np.where(far[evenly[:FAR_TILES]], 1.0, UNPROMISING)
             scales: list = []
-            found = sweep_twice(
-                jobs, visiting_order(places, weight, seed), lambda jobs: iter(()), cache, sampling, a.target
-            )
+            order = visiting_order(places, weight, seed)
+            found = sweep_twice(jobs, order, lambda jobs: iter(()), cache, Stop(sampling, a.target))
             seen = pixels[[places.index(tile) for _, tile in found.swept.tiles]].sum() * (1 + CONFIRMING_ZOOM**2)
             cost = seen + pixels[evenly[:FAR_TILES]].sum() * FAR**2
             last = scales[-1]

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from orthoscale.actions.find import find_in_model
+from orthoscale.actions.find import VehicleSearch, find_in_model
 from orthoscale.detect.detector import Detector
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
@@ -45,7 +45,7 @@ def make_sheffield(data: Path) -> None:
     original = data / "reconstructions" / "sheffield"
     reduced(pycolmap.Reconstruction(str(original / "sparse"))).write_binary(str(folder / "sparse"))
     source = ColmapSource.open(original)
-    found, _ = find_in_model(source, None, Detector())
+    found, _ = find_in_model(source, None, VehicleSearch(Detector()))
     save_detections(found, folder / "detections.json")
     truth = json.loads((original / "truth.json").read_text())
     keep = {key: truth[key] for key in ("metres_per_model_unit", "how", "relative_uncertainty")}

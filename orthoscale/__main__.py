@@ -1,4 +1,4 @@
-"""`python -m orthoscale`, and the command `orthoscale`: signals are heard before anything large is loaded."""
+"""`python -m orthoscale`, and the command `orthoscale`: signal handlers come before anything large is loaded."""
 
 from __future__ import annotations
 

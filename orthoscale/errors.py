@@ -1,4 +1,4 @@
-"""One tree of errors. Each says what was wrong, where, and what to do; each class has one exit code.
+"""The hierarchy of errors. Each states what was wrong, where, and what to do; each class has one exit code.
 
 0 scaled; 2 usage; 3 too little evidence; 4 evidence disagrees; 5 input unreadable or damaged; 6 output not written.
 """

@@ -1,4 +1,4 @@
-"""The tables of what has a standard size beside vehicles: parking stalls, and objects that detectors know.
+"""The tables of standard sizes other than vehicles': parking stalls, and objects for which detectors have classes.
 
 The figures, and the source of each, are in ``data/stalls.json`` and ``data/objects.json``.
 """

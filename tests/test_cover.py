@@ -7,7 +7,7 @@ import pytest
 from support.drawings import Drawing, RectangleDetector, car_park
 
 from orthoscale.actions import find as find_module
-from orthoscale.actions.find import Sampling, find_in_model
+from orthoscale.actions.find import Sampling, VehicleSearch, find_in_model
 from orthoscale.core.detections import Detections
 from orthoscale.core.source import NEAR_NADIR
 from orthoscale.detect.cover import ENOUGH_VIEWS, Cover, covering, places_seen, seen_from_above
@@ -108,7 +108,7 @@ def test_a_model_of_many_frames_may_stop_and_one_of_few_may_not(flight, monkeypa
     monkeypatch.setattr(find_module, "FEW_FRAMES", few)
     source = ColmapSource.open(flight[0])
     sampling = Sampling(lambda found: 0.1, lambda found: 0.2)
-    find_in_model(source, None, RectangleDetector(), sampling=sampling)
+    find_in_model(source, None, VehicleSearch(RectangleDetector(), sampling=sampling))
     assert [count for count, *_ in asked] == [12, 12]
     if few == 12:
         assert [one for _, one, _ in asked] == [sampling.in_pictures, sampling.from_above]

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.camera import simple_views
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.projection import decoupled
-from orthoscale.core.projection.decoupled import NAIVE, PROGRAM, TEXT, VARIANTS, simple_views
+from orthoscale.core.projection.decoupled import NAIVE, PROGRAM, TEXT, VARIANTS
 
 SIZE, FOCAL = (1440, 1080), 1000.0
 MIDDLE = [720.0, 540.0]

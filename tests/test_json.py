@@ -105,7 +105,7 @@ READERS = {
     "fleet": ("f.json", load_fleet, FLEET, ("shares",)),
     "calibration": ("c.json", load_calibration, CALIBRATION, ("ruler", "margin")),
     "report": ("r.json", read_json, REPORT, ("fleet_sizes", "length")),
-    "explained report": ("r.json", lambda p: explain.callback(p, False, False), REPORT, ("uncertainty",)),
+    "explained report": ("r.json", lambda p: explain.callback(p, False), REPORT, ("uncertainty",)),
     "lens": ("l.json", read_calibration, LENS, ("fx",)),
     "catalogue": ("k.json", catalogue.load, {"facilities": {"own": FACILITY}}, ("facilities", "own", "length")),
     "lot": ("lot.geojson", _polygons, {"type": "FeatureCollection", "features": [

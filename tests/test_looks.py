@@ -246,7 +246,7 @@ def test_the_frames_zoom_is_tried_where_the_grounds_own_shows_too_little(
         return seen, "choice"
 
     monkeypatch.setattr(find_module, "find_vehicles", find)
-    found, _ = find_module._planar(
-        [], None, given, None, None, lambda seen: 0.01 if seen >= 5 else np.inf, None, lambda: 0.5
-    )
+    sampling = find_module.Sampling(from_above=lambda seen: 0.01 if seen >= 5 else np.inf)
+    search = find_module.VehicleSearch(None, given, sampling=sampling)
+    found, _ = find_module._planar([], search, None, lambda: 0.5)
     assert (asked, found) == (zooms, number)

@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 from support import in_process
 from support.bodies import CAR, VAN, VAN_CORNER, block, body
+from support.camera import simple_views
 from support.photos import ALTITUDE, CALIBRATIONS, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
 
-from orthoscale.core.projection.decoupled import simple_views
 from orthoscale.core.projection.exact import BODIES
 from orthoscale.core.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey
 from orthoscale.detect.find import Effort

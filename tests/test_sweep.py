@@ -22,7 +22,7 @@ from orthoscale.core.detections import Tile
 from orthoscale.detect.cache import CODE, TileCache, cache_key
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.promise import UNPROMISING, promise
-from orthoscale.detect.sweep import sweep_twice
+from orthoscale.detect.sweep import Stop, sweep_twice
 from orthoscale.detect.tiles import Looks, look_twice, tiles
 from orthoscale.detect.workers import on_threads, worker_count
 from orthoscale.errors import UsageError
@@ -107,7 +107,7 @@ def test_workers_change_nothing_but_the_time(town, count):
         return 1 / np.sqrt(1 + len(found.boxes["drawing"]))
 
     order = visiting_order([t for _, t in jobs_of(town[0])], np.ones(len(jobs_of(town[0]))), seed=3)
-    one, many = (swept(town[0], n, order=order, spread=spread, target=0.086) for n in (1, count))
+    one, many = (swept(town[0], n, order=order, stop=Stop(spread, 0.086)) for n in (1, count))
     assert 16 <= len(one.swept.tiles) < one.swept.total
     assert one.swept.tiles == many.swept.tiles
     assert np.array_equal(one.boxes["drawing"].xylwa, many.boxes["drawing"].xylwa)
@@ -122,11 +122,11 @@ def test_it_stops_when_the_spread_is_small_enough_and_not_before(town):
 
     steps = []
     order = np.arange(len(jobs_of(town[0])))[::-1]
-    found = swept(town[0], order=order, spread=spread, target=0.05, progress=lambda *s: steps.append(s))
+    found = swept(town[0], order=order, stop=Stop(spread, 0.05), progress=lambda *s: steps.append(s))
     # 10 % above the target: a fifth more tiles, four at least; when all are seen there is nothing more to ask.
     assert asked == [16, 20, 24, 29] and len(found.swept.tiles) == found.swept.total == 30
     assert steps[-1] == (30, 30)
-    assert len(swept(town[0], order=order, spread=lambda found: 0.0, target=0.05).swept.tiles) == 16
+    assert len(swept(town[0], order=order, stop=Stop(lambda found: 0.0, 0.05)).swept.tiles) == 16
 
 
 def test_an_error_in_a_thread_ends_the_sweep_at_once(town):

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -34,6 +35,8 @@ SCENE_WEIGHTS = {
 }  # fmt: skip
 PEAK_RATE = 1.5e-3
 WARM_UP = 300  # steps
+CHECKPOINT = "checkpoint.pt"
+CHECKPOINT_EVERY = 250  # steps
 
 
 class Crops(IterableDataset):
@@ -59,7 +62,7 @@ def learning_rate(step: int, steps: int, peak: float = PEAK_RATE) -> float:
     return peak * min(1.0, (step + 1) / WARM_UP) * (0.5 * (1 + math.cos(math.pi * step / steps)) + 0.01)
 
 
-def main() -> None:
+def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--labels", type=Path, action="append", required=True, help="label file; may be repeated")
     parser.add_argument("--run", type=Path, required=True, help="folder for checkpoint.pt and log.jsonl")
@@ -82,79 +85,119 @@ def main() -> None:
         metavar="CHECKPOINT|ONNX",
         help="begin with the average of another run, or what it exported",
     )
-    options = parser.parse_args()
+    return parser.parse_args()
 
+
+def optimiser_of(network: torch.nn.Module, backbone_rate: float) -> torch.optim.Optimizer:
+    """AdamW; the pretrained backbone learns at the share `backbone_rate` of the rate."""
+    learnt = {name: value for name, value in network.named_parameters() if value.requires_grad}
+    taught = [value for name, value in learnt.items() if name.startswith("backbone.")]
+    new = [value for name, value in learnt.items() if not name.startswith("backbone.")]
+    groups = [{"params": new, "share": 1.0}, {"params": taught, "share": backbone_rate}]
+    return torch.optim.AdamW([group for group in groups if group["params"]], weight_decay=1e-4)
+
+
+@dataclass
+class State:
+    """A training run between two steps. kind : key of NETWORKS. average : exponential moving average of the weights."""
+
+    kind: str
+    network: torch.nn.Module
+    optimiser: torch.optim.Optimizer
+    average: dict[str, torch.Tensor]
+    step: int = 0
+
+    @classmethod
+    def begun(cls, options: argparse.Namespace, training: list, device: str) -> State:
+        """At step 0 with new, pretrained or given weights, or where the run's checkpoint ended.
+
+        training : images of which a batch passes through a network that is read from ONNX (see `unfold`).
+        """
+        network = NETWORKS[options.network]()
+        if isinstance(network, Finder) and not (options.start or options.resume):
+            network.backbone.load_imagenet()
+        network.to(device, memory_format=torch.channels_last)
+        optimiser = optimiser_of(network, options.backbone_rate)
+        state = cls(options.network, network, optimiser, copied(network.state_dict()))
+        if options.start:
+            state.take(options, training, device)
+        elif options.resume:
+            state.resume(options.run, device)
+        return state
+
+    def take(self, options: argparse.Namespace, training: list, device: str) -> None:
+        """Take the averaged weights of another run, from its checkpoint or its exported file."""
+        if options.start.suffix == ".onnx":
+            sample = islice(crops(training, SCENE_WEIGHTS, options.seed), options.batch)
+            seen = torch.stack([torch.from_numpy(image) for image, *_ in sample])
+            average = unfolded(options.start, self.network, seen)
+        else:
+            average = torch.load(options.start, map_location=device)["average"]
+        self.network.load_state_dict(average)
+        self.average = copied(average)
+
+    def resume(self, run: Path, device: str) -> None:
+        """Go on from the checkpoint in `run`."""
+        kept = torch.load(run / CHECKPOINT, map_location=device)
+        self.network.load_state_dict(kept["network"])
+        self.optimiser.load_state_dict(kept["optimiser"])
+        self.average, self.step = kept["average"], kept["step"]
+
+    def save(self, run: Path) -> None:
+        """Write the checkpoint into `run`, whole or not at all."""
+        kept = {
+            "kind": self.kind, "step": self.step, "network": self.network.state_dict(), "average": self.average,
+            "optimiser": self.optimiser.state_dict(),
+        }  # fmt: skip
+        partial = (run / CHECKPOINT).with_suffix(".partial")
+        torch.save(kept, partial)
+        partial.replace(run / CHECKPOINT)
+
+    def learn(self, batch: list[torch.Tensor], rate: float, device: str) -> dict[str, torch.Tensor]:
+        """One step at the learning rate `rate`; the parts of the loss."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = group["share"] * rate
+        image, *targets = (part.to(device, non_blocking=True) for part in batch)
+        # Numbers of 16 bits where they do no harm: 1.7 times the crops per second of a core that has AVX-512 BF16.
+        with torch.autocast(device, torch.bfloat16):
+            maps = self.network(image.contiguous(memory_format=torch.channels_last))
+        parts = loss(maps.float(), *targets)
+        self.optimiser.zero_grad()
+        sum(parts.values()).backward()
+        torch.nn.utils.clip_grad_norm_([p for p in self.network.parameters() if p.requires_grad], 5.0)
+        self.optimiser.step()
+        self.step += 1
+        follow(self.average, self.network, min(0.999, (1 + self.step) / (10 + self.step)))
+        return parts
+
+
+def copied(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    return {name: value.clone() for name, value in weights.items()}
+
+
+def main() -> None:
+    options = arguments()
     device = "cuda" if torch.cuda.is_available() else "cpu"
     torch.manual_seed(options.seed)
     torch.set_num_threads(options.threads)
     images = [image for file in options.labels for image in read_labels(file)]
     training, _ = split(images, set(filter(None, options.hold_out.split(","))))
-
     options.run.mkdir(parents=True, exist_ok=True)
-    checkpoint_file = options.run / "checkpoint.pt"
-    network = NETWORKS[options.network]()
-    if isinstance(network, Finder) and not (options.start or options.resume):
-        network.backbone.load_imagenet()
-    network.to(device, memory_format=torch.channels_last)
-    learnt = {name: value for name, value in network.named_parameters() if value.requires_grad}
-    taught = [value for name, value in learnt.items() if name.startswith("backbone.")]
-    new = [value for name, value in learnt.items() if not name.startswith("backbone.")]
-    groups = [{"params": new, "share": 1.0}, {"params": taught, "share": options.backbone_rate}]
-    optimiser = torch.optim.AdamW([group for group in groups if group["params"]], weight_decay=1e-4)
-    average = {name: value.clone() for name, value in network.state_dict().items()}
-    step = 0
-    if options.start:
-        if options.start.suffix == ".onnx":
-            sample = islice(crops(training, SCENE_WEIGHTS, options.seed), options.batch)
-            seen = torch.stack([torch.from_numpy(image) for image, *_ in sample])
-            average = unfolded(options.start, network, seen)
-        else:
-            average = torch.load(options.start, map_location=device)["average"]
-        network.load_state_dict(average)
-        average = {name: value.clone() for name, value in average.items()}
-    elif options.resume:
-        state = torch.load(checkpoint_file, map_location=device)
-        network.load_state_dict(state["network"])
-        optimiser.load_state_dict(state["optimiser"])
-        average, step = state["average"], state["step"]
-
-    network.train()
-
-    def save() -> None:
-        state = {
-            "kind": options.network, "step": step, "network": network.state_dict(), "average": average,
-            "optimiser": optimiser.state_dict(),
-        }  # fmt: skip
-        partial = checkpoint_file.with_suffix(".partial")
-        torch.save(state, partial)
-        partial.replace(checkpoint_file)
-
+    state = State.begun(options, training, device)
+    state.network.train()
     loader = DataLoader(
-        Crops(training, options.seed + 1000 * step), batch_size=options.batch, num_workers=options.workers,
+        Crops(training, options.seed + 1000 * state.step), batch_size=options.batch, num_workers=options.workers,
         prefetch_factor=8 if options.workers else None,
     )  # fmt: skip
-    log = Log(options.run, 100, options.batch, step, options.steps)
+    log = Log(options.run, 100, options.batch, state.step, options.steps)
     for batch in loader:
-        if step >= options.steps:
+        if state.step >= options.steps:
             break
-        for group in optimiser.param_groups:
-            group["lr"] = group["share"] * learning_rate(step, options.steps, options.rate)
-        image, *targets = (part.to(device, non_blocking=True) for part in batch)
-        # Numbers of 16 bits where they do no harm: 1.7 times the crops per second of a core that has AVX-512 BF16.
-        with torch.autocast(device, torch.bfloat16):
-            maps = network(image.contiguous(memory_format=torch.channels_last))
-        parts = loss(maps.float(), *targets)
-        optimiser.zero_grad()
-        sum(parts.values()).backward()
-        torch.nn.utils.clip_grad_norm_(learnt.values(), 5.0)
-        optimiser.step()
-        step += 1
-        keep = min(0.999, (1 + step) / (10 + step))
-        follow(average, network, keep)
-        log.add(step, {name: value.item() for name, value in parts.items()})
-        if step % 250 == 0:
-            save()
-    save()
+        parts = state.learn(batch, learning_rate(state.step, options.steps, options.rate), device)
+        log.add(state.step, {name: value.item() for name, value in parts.items()})
+        if state.step % CHECKPOINT_EVERY == 0:
+            state.save(options.run)
+    state.save(options.run)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""A georeferenced map of another date: where the input lies on it, how it is turned, and the scale that follows.
+"""A georeferenced map of another date: the position and orientation of the input on it, and the scale that follows.
 
-The map's scale is one more piece of evidence beside the vehicles, with an uncertainty of its own. An orthophoto takes
-its place and direction from the map too. What is not found on the map for certain gives nothing, and that is said.
+The map's scale is further evidence beside the vehicles, with its own uncertainty. An orthophoto also takes its position
+and orientation from the map. An uncertain match is not used, and a note says so.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Anchors of exact size in a source: which are looked for, at what scale, and what was found."""
+"""Anchors in a source: which kinds are searched for, at what scale, and what was found."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Searched:
 
 
 def kinds_of_boxes(choices: Sequence[str]) -> set[str]:
-    """The kinds that may be told from boxes, as `choices` of `--anchors` allow."""
+    """The kinds of evidence that boxes alone can give, as `choices` of `--anchors` allow."""
     every = {name.replace("-", " ") for name in BOXED}
     if kinds.NO_KIND in choices:
         return set()
@@ -70,11 +70,8 @@ def own_standards(told: Sequence[str]) -> dict[str, tuple[Standard, ...]]:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is looked for, and how.
-
-    choices : of `--anchors`. own : a user's standards by kind, which take the place of the finders'. country : ISO
-    code, empty where not known. effort, progress : as in `detect.find`.
-    """
+    """What is searched for, and how. choices : of `--anchors`. own : a user's standards by kind, which replace those of
+    the finders. country : ISO code, empty if unknown. effort, progress : as in `detect.find`."""
 
     choices: Sequence[str]
     own: Mapping[str, tuple[Standard, ...]] = field(default_factory=dict)
@@ -108,10 +105,8 @@ def anchors_at(
     wanted: Wanted,
     share: float = 1.0,
 ) -> Searched:
-    """The anchors in `source`, of roughly `metres_per_unit`, within twice the relative one-sigma `sd` of it.
-
-    An orthophoto is looked at as it is, a reconstruction in its pictures of the ground. share : of the usual effort.
-    """
+    """The anchors in `source`, of roughly `metres_per_unit`, within twice its relative one-sigma `sd`. An orthophoto is
+    searched as it is, a reconstruction in its ground pictures. share : of the usual effort."""
     from ..anchors.search import ENOUGH_ANCHORS, MOST_PIXELS, Sought, search
 
     views = _views(source) if wanted.kinds else {}
@@ -153,10 +148,10 @@ def at_any_scale(
     wanted: Wanted,
     known: int = 0,
 ) -> Searched:
-    """The anchors in `source`, of which nobody knows the scale: looked for on a ladder of them.
+    """The anchors in `source`, whose scale is unknown: searched for at each of a ladder of scales.
 
-    rough : metres per unit and its relative one-sigma, where something tells; else all of LADDER is tried.
-    known : kinds of evidence that there are besides. Nothing is looked for where not enough kinds could be found.
+    rough : metres per unit and its relative one-sigma, if there is an estimate; else all of LADDER is tried. known :
+    number of other kinds of evidence. Nothing is searched for if not enough kinds could be found.
     """
     units = [unit for _, unit in _views(source).values()]
     if not units or not wanted.kinds or len(wanted.kinds) + known < FEWEST_KINDS:

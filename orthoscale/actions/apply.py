@@ -1,4 +1,4 @@
-"""Other files of a scaled model, brought to metres by its similarity."""
+"""Other files of a scaled model, brought to metres by the model's similarity transform."""
 
 from __future__ import annotations
 

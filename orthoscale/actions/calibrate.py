@@ -1,4 +1,4 @@
-"""From an orthophoto of known scale to a calibration: the same vehicles at three zooms, against their fleet."""
+"""Calibrates a detector on an orthophoto of known scale: the same vehicles at three resampling factors."""
 
 from __future__ import annotations
 
@@ -134,11 +134,12 @@ def same_vehicles(looks: Sequence[Boxes]) -> list[Boxes]:
 def measure_ruler(
     looks: Sequence[Boxes], zooms: np.ndarray, gsd: float, fleet: Fleet, ruler: Ruler
 ) -> tuple[Ruler, tuple[MarginFit, MarginFit], np.ndarray]:
-    """The ruler that `looks` at the same vehicles ask for, beginning from the detector's own `ruler`.
+    """The ruler fitted to boxes of the same vehicles at several resampling factors, with the detector's own `ruler` as
+    the prior.
 
-    looks : boxes of the same vehicles [px of the picture] at `zooms` (K,) [detector px per picture px].
-    Returns the ruler, the fits of length and width, and the vehicles' sizes (N, 2) [m] by that ruler. Raises InputError
-    when they do not belong to this scale.
+    looks : boxes of the same vehicles [px of the picture] at `zooms` (K,) [detector px per picture px]. Returns the
+    ruler, the fits of length and width, and the vehicles' sizes (N, 2) [m] by that ruler. Raises InputError if they do
+    not fit the given scale.
     """
     middle = len(looks) // 2
     pooled = _pooled(looks[middle], zooms[middle], fleet, ruler)

@@ -1,4 +1,4 @@
-"""Does a scale that something claims agree with the one that vehicles give?"""
+"""Compares a claimed scale with the scale from vehicles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Distances and control points that the user knows, read and found in the source."""
+"""Distances and control points given by the user: reading them, and locating them in the source."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CONTROL_HINT = (
 
 
 def read_distance(text: str, source: Source) -> Evidence:
-    """The known distance that `text` tells of, between two points of `source`. Raises UsageError."""
+    """The known distance described by `text`, between two points of `source`. Raises UsageError."""
     try:
         words = shlex.split(text)
         if len(words) not in (3, 4):

@@ -1,8 +1,8 @@
-"""An orthophoto against the reconstruction it was made from: the vehicles themselves say how one lies in the other.
+"""Compares an orthophoto with the reconstruction it was made from, by the vehicles that both show.
 
-Both show the same parked vehicles, the orthophoto in pixels, the model in its units. Their places fix the similarity
-between the two, whatever their sizes; so the model's scale gives metres per pixel a second time, from other pictures
-and another projection than the orthophoto's own boxes.
+The orthophoto has the vehicles' positions in pixels, the model in its units. The positions fix the similarity transform
+between the two, independently of the vehicles' sizes. So the model's scale gives metres per pixel a second time, from
+other pictures and by another projection than the orthophoto's own boxes.
 """
 
 from __future__ import annotations
@@ -30,11 +30,10 @@ BY_CHANCE = 1e-3  # of so many tries, how many may reach as many common vehicles
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """What an orthophoto and a model say of one another.
+    """An orthophoto compared with a model.
 
-    units_per_pixel : model units that one pixel of the orthophoto covers. common : vehicles found in both.
-    by_model : metres per pixel by the model's vehicles; by_ortho : by the orthophoto's own.
-    agreement : of the two.
+    units_per_pixel : model units that one pixel of the orthophoto covers. common : vehicles found in both. by_model :
+    metres per pixel by the model's vehicles; by_ortho : by the orthophoto's own. agreement : of the two.
     """
 
     units_per_pixel: float

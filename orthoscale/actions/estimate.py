@@ -1,4 +1,4 @@
-"""The way the data goes: source, tiles, boxes, projection, pooling, Scale, written copy, report."""
+"""The main sequence: source, tiles, boxes, projection, pooling, Scale; copy and report follow in `actions.fix`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from ..tables import standards
 from .against import OnMap, on_map
 from .anchors import Searched, Wanted, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
 from .control import read_control, read_distance
-from .find import Sampling, find_in, measured_anew
+from .find import Sampling, VehicleSearch, find_in, measured_anew
 from .requests import EstimateRequest
 from .result import Result
 from .whose import country_of, fleet_at, named_fleet
@@ -97,10 +97,10 @@ def estimate(
 
 @dataclass(frozen=True)
 class Opened:
-    """What a request speaks of, opened and found to fit together, before anything is measured.
+    """The inputs of a request, opened and checked against each other, before anything is measured.
 
-    fleet : whose vehicles they are, and why, where that was not asked for. given : what the user knows of the scale.
-    own : the user's standards for anchors, by kind. satellite : the map that the source is compared with.
+    fleet : whose vehicles they are. why : notes on its choice, if the user did not name it. given : the user's evidence
+    on the scale. own : the user's standards for anchors, by kind. satellite : the map that the source is compared with.
     """
 
     source: Source
@@ -115,15 +115,15 @@ class Opened:
 def source_of(
     path: str | Path | Source, request: EstimateRequest, need_images: bool = True, progress: Progress | None = None
 ) -> Source:
-    """The input at `path` as `request` wants it opened; a source stays what it is. progress : told how far its dense
-    cloud was read. Raises InputError, UsageError."""
+    """The input at `path`, opened as `request` says; a source is returned as it is. progress : of reading its dense
+    cloud. Raises InputError, UsageError."""
     if not isinstance(path, (str, Path)):
         return path
     return open_source(path, request.images, need_images, request.ground_cloud, progress)
 
 
 def opened(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Opened:
-    """All that `request` names for the input at `path`. progress : told how far its dense cloud was read.
+    """All inputs that `request` names, with the one at `path`. progress : of reading its dense cloud.
 
     Raises InputError, UsageError.
     """
@@ -143,7 +143,7 @@ def opened(path: str | Path | Source, request: EstimateRequest, progress: Progre
 class _Answer:
     """A scale, and what entered it besides the boxes.
 
-    method : with all evidence. searched : which anchors the pictures show. lies : where the source lies on the map.
+    method : with all evidence. searched : the anchors in the pictures. lies : the place of the source on the map.
     """
 
     measurement: Measurement
@@ -279,19 +279,12 @@ def _rough(source: Source, request: EstimateRequest) -> tuple[float, float] | No
 def _looked_for(
     source: Source, request: EstimateRequest, fleet: Fleet, progress: Progress | None
 ) -> tuple[Detections, ZoomChoice | None]:
-    """The vehicles that a detector finds. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
+    """The vehicles found by a detector. Raises TooLittleEvidence, EvidenceDisagrees, which name the input."""
     effort, network = effort_of(request), detector_of(source, request)
     zoom = told_zoom(request.zoom, request.gsd_hint, network.card, float(fleet.mean[0]))
     try:
-        found, choice = find_in(
-            source,
-            request.mode,
-            network,
-            zoom,
-            progress,
-            effort,
-            _sampling(source, fleet),
-        )
+        search = VehicleSearch(network, zoom, effort, _sampling(source, fleet), progress)
+        found, choice = find_in(source, request.mode, search)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         raise type(error)(f"{source.path}: {error.message}", error.hint) from error
     if request.refine:
@@ -302,7 +295,7 @@ def _looked_for(
 
 
 def effort_of(request: EstimateRequest) -> Effort:
-    """How much `request` wants to be looked at, and with what."""
+    """The effort that `request` sets."""
     return Effort(request.target, request.exhaustive, request.seed, request.workers, request.scheduler, request.cache)
 
 

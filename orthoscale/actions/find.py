@@ -1,4 +1,4 @@
-"""The vehicles in a plan, or in a posed set: in its frames as they are, and in frames warped onto the ground."""
+"""Finds the vehicles of a source: in a plan, in a posed set's frames, and in frames warped onto the ground."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from ..core.detections import Detections
 from ..core.measuring.ways import BOTH, OBLIQUE, PLANAR
 from ..core.progress import Progress
-from ..core.source import GroundView, PosedSet, Source
+from ..core.source import GroundView, Picture, PosedSet, Source
 from ..detect.cover import FEW_FRAMES, Cover, covering, places_seen, seen_from_above
 from ..detect.detector import Detector
 from ..detect.find import ZOOM_FRAMES, Effort, find_vehicles, find_zoom
@@ -32,113 +32,108 @@ Found = tuple[Detections, "ZoomChoice | None"]
 
 @dataclass(frozen=True)
 class Sampling:
-    """How sure the vehicles found so far make the scale; None where all pictures are to be looked at.
+    """How far the vehicles found so far determine the scale; None if all pictures are to be processed.
 
-    in_pictures : of an orthophoto or of frames. from_above : of pictures of a model's ground.
+    in_pictures : of an orthophoto or of frames. from_above : of ground pictures of a model.
     """
 
     in_pictures: Spread | None = None
     from_above: Spread | None = None
 
 
-def find_in(
-    source: Source,
-    mode: str | None,
-    detector: Detector,
-    zoom: float | None = None,
-    progress: Progress | None = None,
-    effort: Effort | None = None,
-    sampling: Sampling | None = None,
-) -> tuple[Detections, ZoomChoice | None]:
-    """The vehicles in `source`. mode : of a posed set, see `find_in_model`. sampling : by which the sweep may stop.
+@dataclass(frozen=True)
+class VehicleSearch:
+    """How vehicles are searched for, the same for all pictures of a source.
+
+    zoom : resampling factor (of a model, in its frames); None to search for it. sampling : when a sweep may stop.
+    """
+
+    detector: Detector
+    zoom: float | None = None
+    effort: Effort | None = None
+    sampling: Sampling = Sampling()
+    progress: Progress | None = None
+
+    def within(self, where: str) -> VehicleSearch:
+        """The same, with `where` added to what its progress says."""
+        return replace(self, progress=_named(self.progress, where))
+
+    def vehicles(self, pictures: Sequence[Picture], spread: Spread | None, cover: Cover | None = None) -> Found:
+        """See `find_vehicles`, of which `spread` is the sampling."""
+        return find_vehicles(pictures, self.detector, self.zoom, self.progress, self.effort, spread, cover)
+
+
+def find_in(source: Source, mode: str | None, search: VehicleSearch) -> Found:
+    """The vehicles in `source`. mode : of a posed set, see `find_in_model`.
 
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
-    sampling = sampling or Sampling()
     if source.posed is not None:
-        return find_in_model(source.posed, mode, detector, zoom, progress, effort, sampling)
-    return find_vehicles(source.pictures, detector, zoom, progress, effort, sampling.in_pictures)
+        return find_in_model(source.posed, mode, search)
+    return search.vehicles(source.pictures, search.sampling.in_pictures)
 
 
-def find_in_model(
-    source: PosedSet,
-    mode: str | None,
-    detector: Detector,
-    zoom: float | None = None,
-    progress: Progress | None = None,
-    effort: Effort | None = None,
-    sampling: Sampling | None = None,
-) -> tuple[Detections, ZoomChoice | None]:
-    """The vehicles in the frames of `source`, and in `planar` those in its pictures of the ground, as `mode` asks.
+def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> Found:
+    """The vehicles in the frames of `source`, and in `planar` those in its ground pictures, as `mode` asks.
 
-    zoom : of the frames; by default it is searched for. sampling : says whether what was seen is enough for a scale; of
-    FEW_FRAMES and more only those that show all of the ground are then looked at (`detect.cover`). Without it all are,
-    and what they show is always enough. Raises TooLittleEvidence.
+    Of FEW_FRAMES or more, only those that show all of the ground are processed (`detect.cover`), if the search has a
+    `sampling` that decides whether they are enough for a scale. Without it all are processed. Raises TooLittleEvidence.
     """
-    sampling = sampling or Sampling()
     names = [picture.name for picture in source.pictures]
     seen = places_seen(source, names) if len(names) >= FEW_FRAMES else {}
     cover = covering(list(seen.values())) if seen else None
 
-    def searched() -> float:
+    def zoom_of_frames() -> float:
         some = source.pictures if cover is None else [source.pictures[k] for k in cover.first(ZOOM_FRAMES)]
-        return find_zoom(some, detector, _named(progress, "in the frames"), effort).zoom
+        return find_zoom(some, search.detector, _named(search.progress, "in the frames"), search.effort).zoom
 
-    def planar(plans: Sequence[GroundView], shown: Progress | None, of_frames: Callable[[], float]) -> Found:
+    def planar(plans: Sequence[GroundView], search: VehicleSearch, of_frames: Callable[[], float]) -> Found:
         places = [seen_from_above(seen[plan.image]) for plan in plans] if len(plans) >= FEW_FRAMES else []
-        above = covering(places) if places else None
-        return _planar(plans, detector, zoom, shown, effort, sampling.from_above, above, of_frames)
+        return _planar(plans, search, covering(places) if places else None, of_frames)
 
     if mode == PLANAR:
-        from_above, choice = planar(_plans(source, True), progress, searched)
+        from_above, choice = planar(_plans(source, True), search, zoom_of_frames)
         return replace(from_above, boxes={}, doubtful={}, planar=from_above), choice
-    in_frames = sampling.in_pictures if cover is not None else None
-    found, choice = find_vehicles(source.pictures, detector, zoom, progress, effort, in_frames, cover)
+    found, choice = search.vehicles(source.pictures, search.sampling.in_pictures if cover is not None else None, cover)
     if mode == OBLIQUE:
         return found, choice
     plans = _plans(source, mode == BOTH)
     if not plans:
         return found, choice
     try:
-        known = found.zoom  # what `searched` would give
-        from_above, _ = planar(plans, _named(progress, "from above"), lambda: known)
+        known = found.zoom  # what `zoom_of_frames` would give
+        from_above, _ = planar(plans, search.within("from above"), lambda: known)
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         return replace(found, notes=(*found.notes, f"planar sweep: {error.message}")), choice
     return replace(found, planar=from_above), choice
 
 
 def _planar(
-    plans: Sequence[GroundView],
-    detector: Detector,
-    zoom: float | None,
-    progress: Progress | None,
-    effort: Effort | None,
-    sampling: Spread | None,
-    cover: Cover | None,
-    of_frames: Callable[[], float],
+    plans: Sequence[GroundView], search: VehicleSearch, cover: Cover | None, of_frames: Callable[[], float]
 ) -> Found:
     """The vehicles in pictures of the ground, the same in `planar` alone and beside the frames.
 
-    The resampling factor is first searched for in these pictures themselves. Where few vehicles stand, a slightly other
-    one may decide whether there are enough: then that `of_frames`, which show the same vehicles as large, is tried too.
+    The resampling factor is first searched for in these pictures themselves. Where there are few vehicles, a slightly
+    different factor may decide whether they are enough: then that `of_frames`, which show them equally large, is tried.
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
-    stop = sampling if cover is not None else None
+    spread = search.sampling.from_above
+    stop = spread if cover is not None else None
 
     def enough(planar: Detections) -> bool:
-        return sampling is None or np.isfinite(sampling(planar))
+        return spread is None or np.isfinite(spread(planar))
 
     failed = None
     try:
-        found, choice = find_vehicles(plans, detector, zoom, progress, effort, stop, cover)
-        if zoom is not None or enough(found):
+        found, choice = search.vehicles(plans, stop, cover)
+        if search.zoom is not None or enough(found):
             return found, choice
     except (TooLittleEvidence, EvidenceDisagrees) as error:
-        if zoom is not None:
+        if search.zoom is not None:
             raise
         failed = error
     with suppress(TooLittleEvidence, EvidenceDisagrees):
-        again, _ = find_vehicles(plans, detector, of_frames(), progress, effort, stop, cover)
+        again, _ = replace(search, zoom=of_frames()).vehicles(plans, stop, cover)
         if enough(again):
             return again, None
     if failed is not None:
@@ -162,10 +157,11 @@ def measured_anew(
     effort: Effort | None = None,
     progress: Progress | None = None,
 ) -> Detections:
-    """`found` with what is seen from above measured by the measurer that is asked for; as it is, if none is.
+    """`found` with the vehicles that are seen from above measured by the measurer of `request`; unchanged if it has
+    none.
 
-    In frames it is not: seen at a slant, the measurer's edges are those of what is bright, not of the body that the
-    projection takes off. Raises InputError.
+    In frames the detector's boxes are kept: in oblique views the measurer's edges follow the bright parts, not the
+    outline of the body that the projection assumes. Raises InputError.
     """
     if request.measures is None:
         return found

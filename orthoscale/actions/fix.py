@@ -1,4 +1,4 @@
-"""Writing the scaled copy of a source and what goes with it: all of it appears, or nothing."""
+"""Writes the scaled copy of a source and its accompanying files: all of them, or none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What several words of a command line name: files, models, folders full of either, and patterns."""
+"""The inputs that the arguments of a command line name: files, models, folders of either, and patterns."""
 
 from __future__ import annotations
 

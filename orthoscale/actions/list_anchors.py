@@ -1,4 +1,4 @@
-"""All anchors of a source, for a person to judge: listed, drawn, and as a layer."""
+"""All anchors of a source for visual inspection: as a list, as pictures, and as a GIS layer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photos onto a map: from a request to where each was taken."""
+"""Locates photos on a map: from a request to the place where each was taken."""
 
 from __future__ import annotations
 

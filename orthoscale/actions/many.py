@@ -1,6 +1,6 @@
-"""Many inputs in one command: each is done for itself, and what befalls one leaves the others what they are.
+"""Many inputs in one command: each is processed independently, and the failure of one does not affect the others.
 
-An input is a job of plain values, and so is what became of it: jobs go to processes of this machine or to a Dask
+An input becomes a job of plain values, and so does its outcome: jobs are sent to processes of this machine or to a Dask
 cluster, and come back as rows of one table.
 """
 
@@ -31,7 +31,6 @@ from .inputs import outputs_of
 from .requests import EstimateRequest, FixRequest
 from .result import Result
 
-ACTIONS = ("estimate", "fix", "check")
 BUG = 1
 """Exit code of an input that met a bug of orthoscale, or whose process died."""
 
@@ -69,7 +68,7 @@ def run_many(
     jobs: int = 1,
     said: Callable[[Row], None] = lambda row: None,
 ) -> list[Row]:
-    """`action`, one of ACTIONS, for each of `inputs`; a row of COLUMNS for each, in their order.
+    """`action` (estimate, fix or check) for each of `inputs`; a row of COLUMNS for each, in their order.
 
     out : folder for what `fix` writes, made if need be. jobs : how many inputs are worked on at once, each in a process
     of its own with its own memory budget; the cores are shared among them. With a Dask scheduler in `request` each

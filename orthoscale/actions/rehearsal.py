@@ -1,4 +1,4 @@
-"""What a command would do, found out without doing it: everything is opened and checked, nothing is measured."""
+"""What a command would do (`--dry-run`): everything is opened and checked, nothing is measured."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What can be asked for: every option once, with its default, its choices, its help, and which others it excludes.
+"""Every option that a user can give, defined once: its default, choices, help, and the options that it excludes.
 
-The command line makes its options of these fields, `estimate` and `fix` take them as keywords. A request is checked
-when it is made: an option that would do nothing, or is not one, is refused and never ignored.
+The command line generates its options from these fields; `estimate` and `fix` take them as keywords. A request is
+validated when it is created: an unknown option, or one that would have no effect, is refused and never ignored.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What was found in one source, and the scale that follows."""
+"""The result of measuring one source: the vehicles found, and the scale."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whose vehicles and standards an input shows: of the fleet that was named, or else of the country that it lies in."""
+"""The country whose vehicles and standards apply to an input: of the named fleet, or else by its place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A workspace whose mapper left several models: each has its own scale."""
+"""A workspace in which the mapper left several models: each has its own scale."""
 
 from __future__ import annotations
 

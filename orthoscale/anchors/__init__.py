@@ -1,1 +1,1 @@
-"""Finders of things whose size is a rule, one file a kind: painted courts, lane dashes, crossings, bays."""
+"""Finders of anchors, objects of standard size, one file a kind: painted courts, lane dashes, crossings, bays."""

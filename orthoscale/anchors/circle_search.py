@@ -1,5 +1,7 @@
-"""Where courts may lie that are known by a circle: ridges vote for the middle of theirs (Hough; Duda and Hart 1972),
-and a line through it gives the direction."""
+"""Candidate poses of courts with a circle, such as the centre circle of a pitch.
+
+Ridges vote for the centre of their circle (Hough; Duda and Hart 1972), and a line through it gives the direction.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """ISO containers in rows, by the outlines of their roofs.
 
-A roof is a rectangle of one colour, five times as long as wide, or two and a half times; alone it may be anything. But
-nothing else stands in rows of equal ones whose sides are a hand's breadth apart. Rims beside dark gaps and shadows are
-off by 0.1 to 0.3 m, and stacks are nearer to the camera than the ground: all of one place alike, so the standards'
-spread is wide.
+A roof is a rectangle of one colour, five times as long as wide, or two and a half times; a single one may be anything.
+But nothing else stands in rows of equal rectangles a hand's breadth apart. Rims beside dark gaps and shadows are off by
+0.1 to 0.3 m, and stacks are nearer to the camera than the ground. These errors are common to all of one place, so the
+spread of the standards is wide.
 """
 
 from __future__ import annotations

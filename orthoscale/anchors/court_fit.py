@@ -89,6 +89,34 @@ def _pieces(court: Court, length: float, free: float) -> tuple[Pieces, Pieces]:
     return court.pieces(length), court.blanks(length, free)
 
 
+@dataclass(frozen=True)
+class _Cut:
+    """A court cut into pieces of its strokes for pictures of about `size` [px/m]. length : of a piece [m]. pieces : P
+    of the strokes, blanks : where nothing is painted. rows : (P, 5) by how much a piece moves across its stroke with
+    each part of the pose, as in `_solve`."""
+
+    court: Court
+    size: float
+    length: float
+    pieces: Pieces
+    blanks: Pieces
+    rows: np.ndarray
+
+    @classmethod
+    def of(cls, court: Court, size: float) -> _Cut:
+        length = round(max(PIECE, PIECE_PX / size), 1)
+        pieces, blanks = _pieces(court, length, round(max(FREE, FREE_PX / size), 1))
+        u, v = pieces.middle.T
+        nu, nv = -np.sin(pieces.direction), np.cos(pieces.direction)
+        rows = np.stack([nu, nv, u * nv - v * nu, u * nu, v * nv], 1)
+        return cls(court, size, length, pieces, blanks, rows)
+
+    @property
+    def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `_neighbours`."""
+        return _neighbours(self.court, self.length)
+
+
 @lru_cache(maxsize=64)
 def _neighbours(court: Court, length: float) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of the pieces that a stroke beside them runs along, and how far off it is, to the normal's side [m]."""
@@ -124,40 +152,33 @@ WIDE_SIGHT = _Sight(LINE_SD, UNDER_STROKE)
 FINE_SIGHT = _Sight(FINE_SD, FINE_UNDER_STROKE)
 
 
-def _pushed(court: Court, length: float, size: float, sight: _Sight) -> np.ndarray:
+def _pushed(cut: _Cut, size: float, sight: _Sight) -> np.ndarray:
     """(P,) how far [px] the ridge of each piece is moved by that of a stroke beside it: the peak of the sum of two
     second derivatives of Gaussians, to first order. Only where strokes are a few pixels apart."""
-    one, off = _neighbours(court, length)
+    one, off = cut.neighbours
     variance = sight.width(size) ** 2 + sight.blurred**2
     r = off * size
     slope = (r**3 / variance**2 - 3 * r / variance) * np.exp(-0.5 * r**2 / variance)
-    return np.bincount(one, -slope * variance / 3, len(court.pieces(length).length))
+    return np.bincount(one, -slope * variance / 3, len(cut.pieces.length))
 
 
-def _leaned(
-    court: Court,
-    pieces: Pieces,
-    bands: _Bands,
-    strength: np.ndarray,
-    length: float,
-    size: float,
-    sight: _Sight,
-) -> np.ndarray:
+def _leaned(cut: _Cut, bands: _Bands, strength: np.ndarray, size: float, sight: _Sight) -> np.ndarray:
     """(P,) how far [px] the ridge of each piece is moved by a step of the ground under its stroke, as where a court is
     of another colour than what is around: the peak of the sum of the line's and the step's second derivatives. The step
     and the line are those of the whole stroke; none where another stroke is too near to tell."""
     sd = sight.width(size)
     blur = float(np.hypot(sd, sight.blurred))
     near = np.zeros(len(strength), bool)
-    one, off = _neighbours(court, length)
+    one, off = cut.neighbours
     near[one[np.abs(off) * size < (GROUND_TO + 1) * sd]] = True
     moved = np.zeros(len(strength))
-    for number in range(len(court.strokes)):
-        own = (pieces.stroke == number) & (strength > 0) & bands.inside & ~near
+    for number in range(len(cut.court.strokes)):
+        of_stroke = cut.pieces.stroke == number
+        own = of_stroke & (strength > 0) & bands.inside & ~near
         if own.sum() >= FEWEST_LEANING:
             ratio = float(np.median(bands.lean[own]) / np.median(strength[own]))
             step = sight.under * ratio * LINE_SEEN * (sd / blur) ** 2
-            moved[pieces.stroke == number] = np.sign(step) * blur * np.interp(abs(step), _STEP_SEEN, _LEANING)
+            moved[of_stroke] = np.sign(step) * blur * np.interp(abs(step), _STEP_SEEN, _LEANING)
     return moved
 
 
@@ -272,20 +293,13 @@ def _measure(light: np.ndarray, pose: np.ndarray, pieces: Pieces, window: float,
 
 
 def _moved(
-    court: Court,
-    pieces: Pieces,
-    bands: _Bands,
-    offset: np.ndarray,
-    strength: np.ndarray,
-    length: float,
-    sizes: tuple[float, float],
-    sight: _Sight,
+    cut: _Cut, bands: _Bands, offset: np.ndarray, strength: np.ndarray, sizes: tuple[float, float], sight: _Sight
 ) -> np.ndarray:
     """(P,) how far [px] the ridges at `offset` lie beside their lines: pushed by other strokes and by a step of the
-    ground, and pulled by pixels. sizes : [px/m] as strokes were cut, and as the pose is."""
-    cut, now = sizes
-    pushed = _pushed(court, length, cut, sight)
-    return pushed + _leaned(court, pieces, bands, strength, length, cut, sight) + bands.pulled(offset, sight.pull(now))
+    ground, and pulled by pixels. sizes : [px/m] for the pushes, and for the pull."""
+    pushed, pulled = sizes
+    leaned = _leaned(cut, bands, strength, pushed, sight)
+    return _pushed(cut, pushed, sight) + leaned + bands.pulled(offset, sight.pull(pulled))
 
 
 def _solve(rows: np.ndarray, offset: np.ndarray, weight: np.ndarray, width: float) -> np.ndarray:
@@ -311,8 +325,7 @@ def fit_court(
     seen in `light`, in which paint stands out, and where its strokes are few pixels apart measured in `grey`, plain
     brightness, which JPEG keeps at full resolution and colours not. None where too little of it is seen to fit
     anything, or the fit leaves the place."""
-    length = round(max(PIECE, PIECE_PX / size), 1)
-    pieces, blanks = _pieces(court, length, round(max(FREE, FREE_PX / size), 1))
+    cut = _Cut.of(court, size)
     reach = court.extent * size * 0.6 + 8
     corner = np.maximum(np.floor(place - reach), 0).astype(int)
     upper = np.maximum(np.ceil(place + reach), 0).astype(int)
@@ -320,52 +333,49 @@ def fit_court(
     if min(light.shape) < 8:
         return None
     pose = np.array([*(place - corner), angle, size, size])
-    u, v = pieces.middle.T
-    nu, nv = -np.sin(pieces.direction), np.cos(pieces.direction)
-    rows = np.stack([nu, nv, u * nv - v * nu, u * nu, v * nv], 1)
     for window in WINDOWS:
         now = float(np.sqrt(pose[3] * pose[4]))
         window_px = max(window * now, LEAST_WINDOW)
         if window in WINDOWS[:2]:
-            noise = _measure(light, pose, blanks, CLOSE_PX, WIDE_SIGHT).noise()
-        bands = _measure(light, pose, pieces, window_px, WIDE_SIGHT)
+            noise = _measure(light, pose, cut.blanks, CLOSE_PX, WIDE_SIGHT).noise()
+        bands = _measure(light, pose, cut.pieces, window_px, WIDE_SIGHT)
         offset, strength = bands.peaks(window_px)
         weight = _weights(strength, noise)
         if (weight > 0).sum() < FEWEST_PIECES or (
             window < WINDOWS[0] and (strength > CLEAR_NOISES * noise).mean() < HOPELESS
         ):
             return None
-        offset = offset - _moved(court, pieces, bands, offset, strength, length, (size, now), WIDE_SIGHT)
-        pose = _changed(pose, _solve(rows, offset / now, weight, window_px / now))
+        offset = offset - _moved(cut, bands, offset, strength, (size, now), WIDE_SIGHT)
+        pose = _changed(pose, _solve(cut.rows, offset / now, weight, window_px / now))
         if not (np.abs(np.log(pose[3:] / size)) < 0.25).all():
             return None
     sight = WIDE_SIGHT
-    if np.abs(_neighbours(court, length)[1]).min(initial=BESIDE) * now < FINE_BELOW:
-        pose, sight = _finer(grey, court, pose, pieces, blanks, rows, length, size)
-    return _judged(light, court, pose, pieces, blanks, rows, corner, length, sight)
+    if np.abs(cut.neighbours[1]).min(initial=BESIDE) * now < FINE_BELOW:
+        pose, sight = _finer(grey, cut, pose)
+    return _judged(light, cut, pose, corner, sight)
 
 
-def _finer(grey, court, pose, pieces, blanks, rows, length, size) -> tuple[np.ndarray, _Sight]:
+def _finer(grey: np.ndarray, cut: _Cut, pose: np.ndarray) -> tuple[np.ndarray, _Sight]:
     """The pose by a filter that sees less of neighbouring strokes, and more noise; and how it sees them."""
-    window = max(WINDOWS[-1] * size, LEAST_WINDOW)
-    _, coarse = _measure(grey, pose, pieces, window, WIDE_SIGHT).peaks(window)
+    window = max(WINDOWS[-1] * cut.size, LEAST_WINDOW)
+    _, coarse = _measure(grey, pose, cut.pieces, window, WIDE_SIGHT).peaks(window)
     for _ in range(FINE_ROUNDS):
-        noise = _measure(grey, pose, blanks, CLOSE_PX, FINE_SIGHT).noise()
-        bands = _measure(grey, pose, pieces, window, FINE_SIGHT)
+        noise = _measure(grey, pose, cut.blanks, CLOSE_PX, FINE_SIGHT).noise()
+        bands = _measure(grey, pose, cut.pieces, window, FINE_SIGHT)
         offset, strength = bands.peaks(window)
         weight = _weights(strength, noise)
-        sight = replace(FINE_SIGHT, blurred=_blurred(court, length, coarse, strength, weight))
+        sight = replace(FINE_SIGHT, blurred=_blurred(cut, coarse, strength, weight))
         now = float(np.sqrt(pose[3] * pose[4]))
-        offset = offset - _moved(court, pieces, bands, offset, strength, length, (size, now), sight)
-        pose = _changed(pose, _solve(rows, offset / now, weight, window / now))
+        offset = offset - _moved(cut, bands, offset, strength, (cut.size, now), sight)
+        pose = _changed(pose, _solve(cut.rows, offset / now, weight, window / now))
     return pose, sight
 
 
-def _blurred(court: Court, length: float, coarse: np.ndarray, fine: np.ndarray, weight: np.ndarray) -> float:
+def _blurred(cut: _Cut, coarse: np.ndarray, fine: np.ndarray, weight: np.ndarray) -> float:
     """One sigma [px] of what lens and pixels make of a thin line, by how much more strength its ridges (P,) have for
     the coarse filter than for the fine one: see LINE_SEEN. Strokes beside others do not tell."""
     alone = np.ones(len(fine), bool)
-    alone[_neighbours(court, length)[0]] = False
+    alone[cut.neighbours[0]] = False
     clear = alone & (weight > 0.5) & (coarse > 0)
     if clear.sum() < FEWEST_PIECES:
         return BLURRED_SD
@@ -388,14 +398,16 @@ def _changed(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
     return np.array([*place, pose[2] + np.clip(change[2], -0.1, 0.1), *sizes])
 
 
-def _judged(light, court, pose, pieces, blanks, rows, corner, length, sight) -> CourtFit:
+def _judged(light: np.ndarray, cut: _Cut, pose: np.ndarray, corner: np.ndarray, sight: _Sight) -> CourtFit:
+    """What of the court is seen at its fitted `pose` in `light`, whose upper left pixel is `corner` of the picture."""
+    court, pieces = cut.court, cut.pieces
     size = float(np.sqrt(pose[3] * pose[4]))
     close = max(CLOSE * size, CLOSE_PX)
-    empty = _measure(light, pose, blanks, close, sight)
+    empty = _measure(light, pose, cut.blanks, close, sight)
     noise = empty.noise()
     bands = _measure(light, pose, pieces, max(2 * close, LEAST_WINDOW), sight)
     offset, strength = bands.peaks(max(2 * close, LEAST_WINDOW))
-    offset = offset - _moved(court, pieces, bands, offset, strength, length, (size, size), sight)
+    offset = offset - _moved(cut, bands, offset, strength, (size, size), sight)
     strong = strength[(strength > CLEAR_NOISES * noise) & (np.abs(offset) <= close)]
     typical = float(np.median(strong)) if len(strong) else 0.0
     limit = max(CLEAR_NOISES * noise, FAINT * typical)
@@ -408,7 +420,7 @@ def _judged(light, court, pose, pieces, blanks, rows, corner, length, sight) -> 
     sds, scatter = np.ones(2), 1.0
     if hit.sum() > 8:
         left = offset[hit] / size
-        by = rows[hit]
+        by = cut.rows[hit]
         covariance = np.linalg.pinv(by.T @ by) * max(float((left**2).mean()), LEAST_SD**2)
         sds = np.sqrt(np.maximum(np.diag(covariance)[3:], 0))  # 0, nearly, of a direction no stroke measures
         scatter = float(np.sqrt((offset[hit] ** 2).mean())) / close

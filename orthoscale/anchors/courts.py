@@ -1,6 +1,6 @@
-"""Finders of painted courts: searched where lines are just seen, measured in the picture's own pixels.
+"""Finders of painted courts: searched for at a coarse resolution, measured in the picture's own pixels.
 
-What is found counts only if nearly all that the rules say is painted is seen, and little where nothing should be:
+A court counts only if nearly all lines that the rules prescribe are found, and little where nothing should be painted:
 a car park has many parallel lines, but none where a service line would have to be.
 """
 

@@ -1,4 +1,4 @@
-"""The kinds of anchors that there is a finder for. A finder's module is imported when its kind is looked for."""
+"""The table of anchor kinds and their finders. A finder's module is imported when its kind is searched for."""
 
 from __future__ import annotations
 

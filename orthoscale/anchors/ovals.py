@@ -1,8 +1,8 @@
-"""Running tracks as a whole, by the length of their inner edge: 400 m are run 0.30 m outside of it, whatever the radius
-of the bends and the length of the straights.
+"""Whole running tracks, by the length of their inner edge.
 
-Edges of the right curvature vote for the middles of bends (Hough; Duda and Hart 1972); two that belong together make an
-oval, which is fitted to the edge. That it is the inner edge shows in the lanes: a band of one colour outside of it.
+400 m are run 0.30 m outside of it, whatever the radius of the bends and the length of the straights. Edges of the right
+curvature vote for the centres of bends (Hough; Duda and Hart 1972); two that fit together make an oval, which is fitted
+to the edge. The lanes show that it is the inner edge: a band of one colour outside of it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Padel courts, by their service lines within the walls.
 
-Three lines are soon seen: in nets of joints, within tennis courts. But a padel court is also one artificial turf, which
-ends 10 m to either side of the net and 5 m to either side of the central line, at its walls; within them nothing else
-is painted.
+Three lines are common elsewhere: in nets of joints, within tennis courts. But a padel court is also a single artificial
+turf that ends at its walls, 10 m to either side of the net and 5 m to either side of the central line, and nothing else
+is painted on it.
 """
 
 from __future__ import annotations

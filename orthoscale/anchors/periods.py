@@ -1,4 +1,4 @@
-"""The period of things in a row: places on a line, some of them missing, some of them others."""
+"""The period of objects in a row: positions on a line, of which some are missing and some are outliers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where courts may lie, and the ridges of a picture that are looked up for it."""
+"""Candidate poses of courts, and the ridges of a picture with which they are compared."""
 
 from __future__ import annotations
 

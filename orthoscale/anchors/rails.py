@@ -1,7 +1,7 @@
 """Railway tracks, by the distance between the heads of their rails.
 
 Two lines that run a gauge apart are followed along the track, block by block; sleepers between them, or a second track
-beside, tell it from kerbs and lane lines.
+beside, distinguish them from kerbs and lane lines.
 """
 
 from __future__ import annotations

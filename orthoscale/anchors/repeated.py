@@ -1,4 +1,4 @@
-"""What a row of equal things, painted at one period, is as an anchor."""
+"""The anchor that a row of equal objects at one period makes."""
 
 from __future__ import annotations
 

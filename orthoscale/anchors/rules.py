@@ -1,4 +1,4 @@
-"""Which of a kind's standards can be meant: by country, and by a size that is roughly known."""
+"""Which standards of a kind are possible: by country, and by a size that is roughly known."""
 
 from __future__ import annotations
 

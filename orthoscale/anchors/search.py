@@ -1,4 +1,4 @@
-"""Looks for anchors in pictures of roughly known scale: window by window, each kind at the resolution that it needs."""
+"""Searches for anchors in pictures of roughly known scale: window by window, each kind at the resolution it needs."""
 
 from __future__ import annotations
 

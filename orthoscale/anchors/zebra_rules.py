@@ -1,4 +1,4 @@
-"""What countries' rules say of zebra crossings: the period of their stripes, and what to expect elsewhere."""
+"""Countries' rules for zebra crossings: the period of their stripes, and the priors where no rule is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`orthoscale anchors`: the things of standard size in an orthophoto or a model, listed and drawn."""
+"""`orthoscale anchors`: the objects of standard size in an orthophoto or a model, listed and drawn."""
 
 from __future__ import annotations
 
@@ -47,9 +47,7 @@ from .options import (
 @overwrite_option
 @json_option("the anchors")
 @debug_option
-def anchors(
-    path: Path, scale: float | None, out: Path | None, overwrite: bool, as_json: bool, debug: bool, **options: Any
-) -> None:
+def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, as_json: bool, **options: Any) -> None:
     """List and draw the things of standard size in INPUT.
 
     Courts, pitches, lane dashes, crossings, parking bays ...: all of them, with the lines that were fitted. They are

@@ -1,4 +1,4 @@
-"""`orthoscale apply`: other files of a scaled model, brought to metres by its similarity."""
+"""`orthoscale apply`: other files of a scaled model, brought to metres by the model's similarity transform."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .options import EXIT_CODES, PATH, command, debug_option, json_option, optio
 @overwrite_option
 @json_option("what was written")
 @debug_option
-def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_json: bool, debug: bool) -> None:
+def apply(sim3: Path, files: tuple[Path, ...], out: Path, overwrite: bool, as_json: bool) -> None:
     """Bring other files of a scaled model to metres.
 
     FILEs are in the units of the model that SIM3 belongs to, and are written again in metres. SIM3 is the sim3.json

@@ -47,7 +47,7 @@ NOT_HERE = ("fleet", "detections", "calibration", "zoom", "gsd_hint")
 @overwrite_option
 @json_option("the calibration")
 @debug_option
-def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, debug: bool, **options: Any) -> None:
+def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, **options: Any) -> None:
     """Measure a detector's ruler on an orthophoto of known scale.
 
     The ruler says how far the detector's boxes exceed vehicles (margin) and how they scatter. Pass the file to `fix` or

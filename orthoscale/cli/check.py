@@ -1,4 +1,4 @@
-"""`orthoscale check`: is the ground sampling distance that an orthophoto claims the one that its vehicles show?"""
+"""`orthoscale check`: does the claimed ground sampling distance of an orthophoto agree with its vehicles?"""
 
 from __future__ import annotations
 
@@ -57,7 +57,6 @@ def check(
     many: Many | None,
     as_json: bool,
     dry_run: bool,
-    debug: bool,
     save_detections: Path | None,
     overwrite: bool,
     model: Path | None,

@@ -62,11 +62,7 @@ def crop(
     gsd: float | None,
     overwrite: bool,
     as_json: bool,
-    debug: bool,
-    focal_px: float | None,
-    lens_file: Path | None,
-    pitch: float | None,
-    roll: float | None,
+    lens: dict[str, Any],
     **looking: Any,
 ) -> None:
     """Cut satellite crops with the footprint of a photo.
@@ -82,12 +78,11 @@ def crop(
     from ..photos.looking import Looking
     from ..system.outputs import Outputs
 
-    lens = {"focal_px": focal_px, "lens_file": lens_file, "pitch": pitch, "roll": roll}
     how = Looking.of(looking)
     if gsd is not None and (how.settings() or any(value is not None for value in lens.values())):
         raise UsageError("--gsd says how large a pixel is: nothing is measured", "Remove the other options.")
     place = _place(at)
-    with Outputs(overwrite, (path, satellite, lens_file, looking)) as outputs, progress_bars() as progress:
+    with Outputs(overwrite, (path, satellite, lens["lens_file"], looking)) as outputs, progress_bars() as progress:
         folder = outputs.folder(out)
         sky = cropping.Satellite.open(satellite)
         outputs.protect(*sky.source.files)

@@ -99,7 +99,6 @@ def evaluate(
     outputs: tuple[Path, ...],
     overwrite: bool,
     as_json: bool,
-    debug: bool,
     **looking: Any,
 ) -> None:
     """Compare altitudes by vehicles with true ones, on a data set.

@@ -17,7 +17,7 @@ from .options import PATH, command, debug_option, json_option
 @click.argument("report", metavar="REPORT", type=PATH)
 @json_option("the explanation")
 @debug_option
-def explain(report: Path, as_json: bool, debug: bool) -> None:
+def explain(report: Path, as_json: bool) -> None:
     """Explain the uncertainty of a scale, and what would halve it.
 
     REPORT is the report.json (or OUT.json) that `fix` wrote, or what `estimate --json` printed.

@@ -40,7 +40,7 @@ MOST_UNKNOWN = 10  # models of unknown size that are listed
 @json_option("the fleets")
 @debug_option
 def fleets(
-    codes: tuple[str, ...], registrations: Path | None, out: Path | None, overwrite: bool, as_json: bool, debug: bool
+    codes: tuple[str, ...], registrations: Path | None, out: Path | None, overwrite: bool, as_json: bool
 ) -> None:
     """List the vehicle fleets, with sizes and sources.
 

@@ -1,4 +1,4 @@
-"""`orthoscale layout`: standard facilities on an orthophoto that has its metres."""
+"""`orthoscale layout`: standard facilities on an orthophoto of known scale."""
 
 from __future__ import annotations
 
@@ -77,7 +77,6 @@ def layout(
     list_them: bool,
     overwrite: bool,
     as_json: bool,
-    debug: bool,
 ) -> None:
     """Place courts, pitches and parking on an orthophoto in metres.
 

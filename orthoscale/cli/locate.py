@@ -75,11 +75,7 @@ def locate(
     out: Path,
     overwrite: bool,
     as_json: bool,
-    debug: bool,
-    focal_px: float | None,
-    lens_file: Path | None,
-    pitch: float | None,
-    roll: float | None,
+    lens: dict[str, Any],
     **looking: Any,
 ) -> None:
     """Find where on a map photos were taken.
@@ -103,10 +99,10 @@ def locate(
         embedding=embedding,
         embedding_map=embedding_map,
         top=top,
-        lens={"focal_px": focal_px, "lens_file": lens_file, "pitch": pitch, "roll": roll},
+        lens=lens,
         looking=Looking.of(looking),
     )
-    inputs = (paths, satellite, embedding, embedding_map, lens_file, looking)
+    inputs = (paths, satellite, embedding, embedding_map, lens["lens_file"], looking)
     with Outputs(overwrite, inputs) as outputs, progress_bars() as progress:
         folder = outputs.folder(out)
         sky = Satellite.open(satellite)

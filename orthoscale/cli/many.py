@@ -1,4 +1,4 @@
-"""What `estimate`, `fix` and `check` share where they are given several inputs: options, one line each, a summary."""
+"""Options, output lines and summary that `estimate`, `fix` and `check` share for several inputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the commands share: options, exit codes, progress bars."""
+"""Options, exit codes and progress bars that the commands share."""
 
 from __future__ import annotations
 
@@ -152,7 +152,9 @@ dry_run_option = option(
     "--dry-run", is_flag=True, group="Advanced", help="Check all that was asked and say what would be done; do nothing."
 )
 
-debug_option = option("--debug", is_flag=True, group="Advanced", help="Show the traceback of an error.")
+debug_option = option(  # `main` looks for it itself
+    "--debug", is_flag=True, expose_value=False, group="Advanced", help="Show the traceback of an error."
+)
 
 
 def set_verbosity(louder: int, quiet: bool) -> None:

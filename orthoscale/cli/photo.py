@@ -57,16 +57,12 @@ if TYPE_CHECKING:
 @debug_option
 def photo(
     paths: tuple[Path, ...],
-    focal_px: float | None,
-    lens_file: Path | None,
-    pitch: float | None,
-    roll: float | None,
+    lens: dict[str, Any],
     together: bool,
     save_detections: Path | None,
     outputs: tuple[Path, ...],
     overwrite: bool,
     as_json: bool,
-    debug: bool,
     **looking: Any,
 ) -> None:
     """Measure drone photos: altitude, GSD and footprint.
@@ -82,8 +78,7 @@ def photo(
 
     refuse_idle_overwrite(overwrite, outputs, save_detections)
     how = Looking.of(looking)
-    lens = {"lens_file": lens_file, "focal_px": focal_px, "pitch": pitch, "roll": roll}
-    with Outputs(overwrite, (paths, lens_file, looking)) as files, progress_bars() as progress:
+    with Outputs(overwrite, (paths, lens["lens_file"], looking)) as files, progress_bars() as progress:
         for path in outputs:
             tables.check_ending(path)
         partials = [files.file(path, tables.known(path)) for path in outputs]

@@ -1,8 +1,10 @@
-"""Options for the camera of single photos; shared by `photo` and `crop`."""
+"""Options for the camera of single photos, which `photo`, `crop` and `locate` share."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
+from typing import Any
 
 from .options import PATH, option
 
@@ -32,8 +34,17 @@ LENS = (
 )
 
 
+LENS_NAMES = ("focal_px", "lens_file", "pitch", "roll")
+
+
 def lens_options(function: Callable) -> Callable:
-    """--focal-px, --lens, --pitch, --roll, in place of the photo's own tags."""
+    """--focal-px, --lens, --pitch, --roll, in place of the photo's own tags; the command gets them as one mapping
+    `lens`, keywords of `photos.measure.open_photo`."""
+
+    @wraps(function)
+    def gathered(**given: Any) -> Any:
+        return function(lens={name: given.pop(name) for name in LENS_NAMES}, **given)
+
     for each in reversed(LENS):
-        function = each(function)
-    return function
+        gathered = each(gathered)
+    return gathered

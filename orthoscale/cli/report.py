@@ -38,7 +38,7 @@ def _print_schema(context: click.Context, parameter: click.Parameter, asked: boo
 @overwrite_option
 @memory_option
 @debug_option
-def report(path: Path, out: Path | None, images: Path | None, overwrite: bool, debug: bool) -> None:
+def report(path: Path, out: Path | None, images: Path | None, overwrite: bool) -> None:
     """Make the page or the picture of a report, from its JSON.
 
     REPORT.json is what `fix` wrote, or what `estimate --json` printed. The page is one HTML file that needs nothing

@@ -52,7 +52,6 @@ def estimate(
     many: Many | None,
     as_json: bool,
     dry_run: bool,
-    debug: bool,
     save_detections: Path | None,
     overwrite: bool,
     **options: Any,
@@ -118,7 +117,6 @@ def fix(
     out: Path,
     as_json: bool,
     dry_run: bool,
-    debug: bool,
     save_detections: Path | None,
     **options: Any,
 ) -> None:

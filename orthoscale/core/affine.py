@@ -1,4 +1,4 @@
-"""Affine transforms of the plane, as rasters have them from their pixels to the coordinates of a map."""
+"""Affine transforms of the plane: from the pixels of a raster to map coordinates."""
 
 from __future__ import annotations
 

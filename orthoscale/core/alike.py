@@ -1,9 +1,9 @@
-"""Things that stand together and are all of one size are no vehicles: solar panels, skylights, graves, stacked crates.
+"""Objects in one place that are all of one size are not vehicles: solar panels, skylights, graves, stacked crates.
 
-Vehicles of a place differ in length by 7 to 10 %, and a detector measures each with an error of its own: the lengths of
-boxes of parked vehicles scatter by 4 to 8 % in every row and car park (below). Panels are of one make: their boxes
-scatter by 1 to 3 %. Whether things scatter too little to be vehicles is asked of each group that stands together, by a
-chi-squared test, so that a few vehicles that happen to be alike are kept.
+Vehicles of a place differ in length by 7 to 10 %, and a detector adds an error to each: the lengths of boxes of parked
+vehicles scatter by 4 to 8 % in every row and car park (below). Panels are of one make: their boxes scatter by 1 to 3 %.
+A chi-squared test decides for each group of neighbouring boxes whether they scatter too little to be vehicles, so that
+a few vehicles of equal size are kept.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Things of standard size in a picture: what one is, and what it says of the scale."""
+"""Anchors, objects of standard size in a picture: the values that describe one, and the scale that follows from it."""
 
 from __future__ import annotations
 
@@ -18,12 +18,9 @@ SHARED_LINES = 0.5  # of either's lines, from which two anchors are one thing
 
 @dataclass(frozen=True)
 class Standard:
-    """A size that a rule sets.
-
-    name : of the rule, for people. metres : of the anchor's reference length. relative_sd : one sigma by which things
-    built to it differ from it. prior : how likely this standard is among those of its kind, before anything is known.
-    countries : ISO codes where it holds, empty for everywhere. source : of the figure.
-    """
+    """A standardised size. name : of the rule, for people. metres : of the anchor's reference length. relative_sd : one
+    sigma of objects built to the standard. prior : probability of this standard among those of its kind, beforehand.
+    countries : ISO codes where it applies, empty for everywhere. source : of the figure."""
 
     name: str
     metres: float
@@ -59,7 +56,7 @@ class Anchor:
     picture: str = field(default="", kw_only=True)
 
     def metres_per_pixel(self) -> np.ndarray:
-        """(S,) what it says of the scale if it is each of its standards."""
+        """(S,) the scale that it gives for each of its standards."""
         return np.array([standard.metres / self.pixels for standard in self.standards])
 
 
@@ -83,17 +80,16 @@ class AnchorVote:
     views: int = 1
 
     def of(self, standards: tuple[Standard, ...] | None) -> AnchorVote:
-        """The same, were it of one of these `standards`; itself for None."""
+        """The same with only these `standards`; itself for None."""
         return self if standards is None else replace(self, anchor=replace(self.anchor, standards=standards))
 
 
 class AnchorFinder(Protocol):
     """Finds one kind of anchor.
 
-    kind : as its anchors'. standards : all that its anchors may be of.
-    extent : the largest that one is [m]; windows overlap by so much.
-    finest, coarsest : between which ground sampling distances [m/px] it can work: a finer picture is shrunk to
-    `finest` first, a coarser one than `coarsest` is not searched.
+    kind : as in its anchors. standards : all that its anchors may follow. extent : of the largest anchor [m]; windows
+    overlap by so much. finest, coarsest : range of ground sampling distances [m/px] in which it works: a finer picture
+    is first reduced to `finest`, a picture coarser than `coarsest` is not searched.
     """
 
     @property

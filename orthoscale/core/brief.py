@@ -1,4 +1,4 @@
-"""How a result shows itself where it is printed: a few labelled lines, as text and in a notebook."""
+"""The short form of a result when it is printed: a few labelled lines, as text and in a notebook."""
 
 from __future__ import annotations
 

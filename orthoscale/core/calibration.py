@@ -1,8 +1,8 @@
-"""What an orthophoto of known scale says of a detector: the pixels by which its boxes exceed vehicles.
+"""A detector's margin from an orthophoto of known scale: the pixels by which its boxes exceed vehicles.
 
-In metres a box of zoom k is ``S + c x_k``: the vehicle, and a margin of c detector pixels, each x_k metres on the
-ground. The same vehicles at several zooms tell S and c apart a little; what is known of the fleet (S) and of the
-detector (c) beforehand tells the rest. All of it is one least-squares problem per axis.
+At resampling factor k a box measures ``S + c x_k`` metres: the vehicle, and a margin of c detector pixels, each x_k
+metres on the ground. The same vehicles at several factors separate S from c to some extent; the priors of the fleet (S)
+and of the detector (c) do the rest. All of it is one least-squares problem per axis.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A scale that something claims, against the one that vehicles give."""
+"""A claimed scale compared with the scale from vehicles."""
 
 from __future__ import annotations
 
@@ -27,10 +27,9 @@ MISTAKES = (
 class Comparison:
     """A claimed scale against a recovered one, in the same unit.
 
-    claimed_by : what claims it, for people. claimed, recovered : metres per unit.
-    sd : relative one sigma of the recovered scale (and of the claim, where it has one).
-    by : what recovered it.
-    believed : False when the claim itself says that nothing ties it to the ground. why : where the claim comes from.
+    claimed_by : what claims it, for people. claimed, recovered : metres per unit. sd : relative one sigma of the
+    recovered scale (and of the claim, where it has one). by : what recovered it. believed : False if by the claim
+    itself nothing ties it to the ground. why : where the claim comes from.
     """
 
     claimed_by: str
@@ -90,7 +89,7 @@ class Comparison:
 
 
 def own_claim(source: Source, scale: Scale) -> Comparison | None:
-    """What the source says of its own scale against `scale`; None where it says nothing."""
+    """The scale that the source claims, compared with `scale`; None where it claims none."""
     claimed = source.claimed
     if claimed is None or claimed.gsd_m is None:
         return None

@@ -1,8 +1,7 @@
-"""Of boxes of one length, how many both detection passes see: nearly all of vehicles, few of mistakes.
+"""The share of boxes of one length that both detection passes find: nearly all of vehicles, few of false detections.
 
-A detector makes mistakes of the sizes that it looks for, and where graves, panels or boats lie in hundreds, some of
-them pass twice. Their share tells them from vehicles, whatever their number: what is no vehicle passes twice now and
-then, a vehicle nearly always.
+A detector makes mistakes of the sizes that it was trained for, and where there are hundreds of graves, panels or boats,
+some are found in both passes. The share of confirmed boxes distinguishes them from vehicles, whatever their number.
 """
 
 from __future__ import annotations

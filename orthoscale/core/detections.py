@@ -1,4 +1,4 @@
-"""The vehicles found in a source, with what is needed to measure with them."""
+"""The vehicles found in a source, with all that is needed to measure them."""
 
 from __future__ import annotations
 
@@ -26,12 +26,9 @@ class Tile:
 
 @dataclass(frozen=True)
 class Swept:
-    """Which tiles were looked at.
-
-    tiles : (picture name, tile) of each that was, in reading order. total : how many there are.
-    from_cache : how many of the looks had been had before. pictures : how many pictures there are.
-    why : why no more of them were looked at, in words; empty if all were.
-    """
+    """Which tiles were processed. tiles : (picture name, tile) of each, in reading order. total : number of tiles that
+    there are. from_cache : number of tiles whose boxes came from the cache. pictures : number of pictures. why : why
+    the others were left out, in words; empty if none were."""
 
     tiles: list[tuple[str, Tile]] = field(repr=False)
     total: int
@@ -41,7 +38,7 @@ class Swept:
 
     @property
     def looked_at(self) -> str:
-        """How many of how many, in words: frames where there are several pictures, else tiles."""
+        """Number processed and total, in words: of frames where there are several pictures, else of tiles."""
         if self.pictures == 1:
             return f"looked at {len(self.tiles):,} of {self.total:,} tiles"
         return f"looked at {len({name for name, _ in self.tiles}):,} of {self.pictures:,} frames"

@@ -1,11 +1,12 @@
-"""What is known of the scale besides vehicles: distances, ground control, anchors of exact size.
+"""Evidence on the scale besides the vehicles: known distances, ground control, anchors.
 
-Each piece is one measurement of metres per unit with its own uncertainty. Those that agree are combined; those that do
-not are reported, and nothing is averaged away.
+Each piece is one measurement of metres per unit with its own uncertainty. Pieces that agree are combined;
+contradictions are reported and never averaged.
 
-An anchor may be of several standards, or be no anchor at all. So it is a mixture, which the vehicles sort out; and it
-never overrules them alone: what it says further from them than CONFLICT_LIMIT does not count unless something else
-says the same. Nearer, it counts as much as its doubt leaves it: the answer may then have two humps.
+An anchor may follow one of several standards, or be a false find. So it is a mixture of scales, and the vehicles decide
+between its components. It never overrules the vehicles alone: a component further from them than CONFLICT_LIMIT does
+not count unless other evidence agrees with it. A nearer one counts by its probability; the posterior may then have two
+modes.
 """
 
 from __future__ import annotations
@@ -38,11 +39,12 @@ CONTROL_SD = 0.05  # of a ground control point's position, where its residuals d
 
 @dataclass(frozen=True)
 class Evidence:
-    """One measurement of the scale: metres per unit of the source, with a relative one-sigma; `says` where from.
+    """One measurement of the scale: metres per unit of the source, with a relative one-sigma; `says` describes it.
 
-    modes, words : where it may mean several scales, all of them, and what it says of each; `value` is one of them.
-    doubt : probability that it is a mistake, and may mean any scale of a range as wide as `window` (in logarithms).
-    common : one sigma of what vehicles, and all else that was seen on the same ground, err by alike; not in `modes`.
+    modes, words : all scales that it may mean, where there are several, and a description of each; `value` is one of
+    them. doubt : probability that it is false; then any scale in a range as wide as `window` (in logarithms) is
+    possible. common : one sigma of the error that it shares with the vehicles and with all else that was seen on the
+    same ground; not contained in `modes`.
     """
 
     kind: str
@@ -65,11 +67,11 @@ class Evidence:
         window: float = 1.0,
         common: float = 0.0,
     ) -> Evidence:
-        """That of a mixture of scales; its `value` is the likeliest."""
+        """Evidence for a mixture of scales; its `value` is the most likely of them."""
         return cls(kind, 1.0, 1.0, "", modes, tuple(words), doubt, window, common)._meaning(modes.weight)
 
     def meant(self, scale: Posterior) -> Evidence:
-        """The same, its `value` the one that it means if the scale is known to be `scale`."""
+        """The same, with the mode as its `value` that fits the given `scale`."""
         if self.modes is None:
             return self
         variance = self.modes.sd**2 + scale.spread**2
@@ -77,7 +79,7 @@ class Evidence:
         return self._meaning(self.modes.weight * np.exp(-0.5 * (off - off.min())) / np.sqrt(variance))
 
     def only(self, which: np.ndarray) -> Evidence:
-        """That of those of its modes that are `which` (K,) bool."""
+        """The same, restricted to the modes `which` (K,) bool."""
         words = [word for word, keep in zip(self.words, which, strict=True) if keep]
         return replace(self, modes=self.own.only(which), words=tuple(words))._meaning(self.own.only(which).weight)
 
@@ -88,22 +90,22 @@ class Evidence:
 
     @property
     def posterior(self) -> Posterior:
-        """The same as a distribution of the scale's logarithm, were it no mistake."""
+        """The distribution of the scale's logarithm, given that the evidence is not false."""
         return self.own.blurred(self.common**2)
 
     @property
     def own(self) -> Posterior:
-        """The same without what it has in common with others."""
+        """The same without the error that it shares with others."""
         return self.modes or Posterior.normal(float(np.log(self.value)), self.relative_sd)
 
 
 @dataclass(frozen=True)
 class Combined:
-    """What all measurements say together.
+    """The combination of all measurements.
 
-    conflict : sigmas between the two that contradict each other most, 0 where none do.
-    summary : value and the ends of its 90 % interval. Where measurements conflict, the interval spans them all.
-    evidence : what entered, each as what it means at that scale.
+    conflict : sigmas between the two that contradict each other most, 0 if none do. summary : value and the ends of its
+    90 % interval. In a conflict, the interval covers all of them. evidence : what entered, each with the scale that it
+    means given the combined one.
     """
 
     posterior: Posterior
@@ -115,11 +117,12 @@ class Combined:
 
 
 def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
-    """`vehicles` and all `evidence` together; `parts` are the one-sigmas of which the vehicles' is made up.
+    """The combination of `vehicles` and all `evidence`; `parts` are the one-sigmas of the vehicles' uncertainty by
+    cause.
 
-    vehicles : None where there are none; there is some evidence then, and any scale is possible beforehand. In a
-    conflict the surest measurement that is no anchor gives the value, or the surest anchor where there is no such, and
-    the interval reaches over those of all.
+    vehicles : None if there are none; then there is some evidence, and the prior of the scale is flat. In a conflict
+    the most certain measurement that is no anchor gives the value, or the most certain anchor if there is no such, and
+    the interval covers all of them.
     """
     before = _anything(evidence) if vehicles is None else vehicles
     heard, remarks = _within_reach(before, evidence)
@@ -139,7 +142,7 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
 
 
 def _anything(evidence: Sequence[Evidence]) -> Posterior:
-    """What is known of a scale before it is measured: next to nothing, around what the surest `evidence` says."""
+    """A nearly flat prior of a scale, centred on the most certain `evidence`."""
     surest = min(evidence, key=lambda e: e.relative_sd)
     return Posterior.normal(float(np.log(surest.value)), ANYTHING)
 
@@ -158,8 +161,8 @@ def _conflicts(sources: Sequence[tuple[str, Posterior]]) -> tuple[float, list[Re
 
 
 def _spanning(every: Sequence[Posterior], surest: Posterior) -> tuple[Posterior, tuple[float, float, float]]:
-    """A distribution at the middle of `surest` and so wide that it holds what `every` one says; and its summary, in
-    which the interval reaches over those of all."""
+    """A distribution centred on `surest` and wide enough to cover `every` one; and its summary, whose interval covers
+    all of them."""
     low, high = min(p.quantile(0.05) for p in every), max(p.quantile(0.95) for p in every)
     spread = float(max((high - low) / (2 * Z90), surest.spread))
     summary = (float(np.exp(surest.centre)), float(np.exp(low)), float(np.exp(high)))
@@ -173,11 +176,9 @@ def _weighed(
     heard: Sequence[Evidence],
     remarks: list[Remark],
 ) -> Combined:
-    """The product of `vehicles` and of the evidence that is `heard`, none of which contradicts another.
-
-    What all that was seen on one ground has in common is left aside while it is compared, and remains. What knows that
-    ground better shares a part of it only.
-    """
+    """The product of `vehicles` and of the evidence `heard`, none of which contradicts another. The error common to all
+    that was seen on one ground is left out while these are combined, and added afterwards. A measurement that knows
+    that ground better shares a part of it only."""
     common = max((e.common**2 for e in heard), default=0.0)
     posterior = vehicles.blurred(-common) if common else vehicles
     for e in sorted(heard, key=lambda e: -e.common):
@@ -192,8 +193,8 @@ def _weighed(
 
 
 def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[list[Evidence], list[Remark]]:
-    """The evidence that counts, each without the scales outside of the vehicles' interval that nothing else supports;
-    and remarks on what does not count at all."""
+    """The evidence that counts, each without the scales outside of the vehicles' interval that no other evidence
+    supports; and remarks on evidence that does not count at all."""
     low, high = (1 - ALONE) / 2, (1 + ALONE) / 2
     heard, remarks, interval = [], [], None
     for e in evidence:
@@ -221,7 +222,7 @@ def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[li
 
 
 def _nearest(one: Posterior, other: Posterior) -> tuple[float, float, float]:
-    """How many sigmas the nearest parts of two mixtures lie apart, and these parts' means."""
+    """Sigmas between the nearest components of two mixtures, and the means of these components."""
     apart = np.abs(one.mean[:, None] - other.mean) / np.hypot(one.sd[:, None], other.sd)
     here, there = np.unravel_index(np.argmin(apart), apart.shape)
     return float(apart[here, there]), float(one.mean[here]), float(other.mean[there])
@@ -267,11 +268,9 @@ def known_distance(points: np.ndarray, metres: float, sd: float | None = None, w
 
 
 def ground_control(units: np.ndarray, metres: np.ndarray) -> Evidence:
-    """Points (N, D) [units] and the same points (N, D') [m], N >= 2: the scale of the similarity that takes one to the
-    other (ratio of their spreads about the middle, Horn 1987), and its uncertainty from what does not fit.
-
-    Distances between the points are compared, not positions, so axes may point anywhere. Raises ValueError.
-    """
+    """Points (N, D) [units] and the same points (N, D') [m], N >= 2: the scale of the similarity transform between them
+    (ratio of their spreads about the centroid, Horn 1987), with an uncertainty from the residuals. Distances between
+    the points are compared, not positions, so the axes may have any direction. Raises ValueError."""
     if len(units) < 2 or len(units) != len(metres):
         raise ValueError("at least two points are needed, each in both systems")
     spread = [np.sqrt(((p - p.mean(0)) ** 2).sum()) for p in (units, metres)]

@@ -1,4 +1,4 @@
-"""What is said of a scale beside its figures, each with how serious it is."""
+"""Remarks on a scale beside its figures, each with its severity."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Remark:
     hint: str = ""
 
     def __post_init__(self) -> None:
-        """Raises ValueError for a severity that is none."""
+        """Raises ValueError for an unknown severity."""
         if self.severity not in SEVERITIES:
             raise ValueError(f"severity: expected one of {', '.join(SEVERITIES)}")
 
@@ -46,7 +46,7 @@ class Judgement:
 
 
 def informing(texts: Iterable[str]) -> list[Remark]:
-    """Remarks of `texts` that only inform."""
+    """The `texts` as remarks of severity `info`."""
     return [Remark(INFO, text) for text in texts]
 
 

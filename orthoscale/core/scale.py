@@ -1,4 +1,4 @@
-"""A scale, its interval, and where its uncertainty comes from."""
+"""A scale, its interval, and the parts of its uncertainty."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PER_PIXEL = "m/px"  # the unit of a plan's scale: its ground sampling distance
 
 
 def decimals(uncertainty: float) -> int:
-    """Decimal places of a figure that is known to so much: two digits of it. 6 where it is known exactly."""
+    """Number of decimal places that shows two digits of the uncertainty; 6 for an exact figure."""
     return max(0, 1 - int(np.floor(np.log10(uncertainty)))) if uncertainty > 0 else 6
 
 
@@ -79,13 +79,13 @@ class Scale:
         return replace(changed, interval90=(float(low), float(high)), verdict=word)
 
     def remarked(self, *remarks: Remark, at_best: str | None = None) -> Scale:
-        """With `remarks` besides, and a verdict that is `at_best` so good."""
+        """The same with these `remarks` added, and a verdict no better than `at_best`."""
         word = self.verdict if at_best is None else worst(self.verdict, at_best)
         return replace(self, verdict=word, remarks=by_severity((*self.remarks, *remarks)))
 
     def text(self, *values: float) -> str:
-        """`values` in the scale's unit, by default its own, with the digits that it deserves: two of its uncertainty;
-        centimetres too where it is in metres per pixel."""
+        """`values` in the scale's unit, by default its own value, with two significant digits of the uncertainty; also
+        in centimetres where the unit is metres per pixel."""
         values = values or (self.value,)
         places = decimals(self.half_width * self.value)
         metres = f"{' to '.join(f'{value:.{places}f}' for value in values)} {self.unit}"
@@ -95,7 +95,7 @@ class Scale:
 
     @property
     def vehicles_used(self) -> int:
-        """How many vehicles the value rests on."""
+        """Number of vehicles from which the value was computed."""
         return int(self.used.sum())
 
     @property

@@ -1,4 +1,4 @@
-"""What is measured: something with pictures and without metres. A plan, or a set of pictures whose poses are known."""
+"""The protocols of sources, pictures of unknown scale: `Plan` (an orthophoto), `PosedSet` (frames with poses)."""
 
 from __future__ import annotations
 
@@ -38,10 +38,8 @@ class Picture(Protocol):
 
 
 class Pictures(Protocol):
-    """Something with pictures.
-
-    path : of its file or folder. notes : what its user should know of how it was read or written.
-    """
+    """Something with pictures. path : of its file or folder. notes : remarks for the user on how it was read or
+    written."""
 
     @property
     def path(self) -> Path: ...
@@ -61,11 +59,8 @@ class Pictures(Protocol):
 
 
 class Claim(Protocol):
-    """What a source says of its own scale.
-
-    gsd_m : metres per pixel, None without any. usable : whether to believe it. why : the reason, for people.
-    crs, transform : the georeferencing behind it, None without any.
-    """
+    """The scale that a source claims for itself. gsd_m : metres per pixel, None without any. usable : whether to trust
+    it. why : the reason, for people. crs, transform : the georeferencing behind it, None without any."""
 
     @property
     def gsd_m(self) -> float | None: ...
@@ -111,16 +106,13 @@ class Source(Pictures, Protocol):
         ...
 
     def locate(self, point: str) -> np.ndarray:
-        """(2,) or (3,) the place that a user's word for a point means [source units]. Raises ValueError."""
+        """(2,) or (3,) the position of a point that a user named in text [source units]. Raises ValueError."""
         ...
 
 
 class Placement(Protocol):
-    """Where a plan lies.
-
-    crs : its coordinate reference system. transform : the affine transform of its pixels into that.
-    said : what became of the input's own georeferencing, in words.
-    """
+    """Georeferencing of a plan. crs : its coordinate reference system. transform : the affine transform of its pixels
+    into that. said : in words, how the input's own georeferencing was changed."""
 
     @property
     def crs(self) -> Any: ...
@@ -155,11 +147,8 @@ class Plan(Source, Picture, Protocol):
 
 @dataclass(frozen=True)
 class FocalDoubt:
-    """How far a reconstruction's focal length may be trusted.
-
-    ratio : what it probably is over what the model has. sd : relative one-sigma of that. said : for people, where there
-    is something to say.
-    """
+    """The uncertainty of a reconstruction's focal length. ratio : its most likely value over that in the model. sd :
+    relative one-sigma of that. said : a remark for people, or ''."""
 
     ratio: float = 1.0
     sd: float = 0.0

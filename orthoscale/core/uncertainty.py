@@ -1,4 +1,4 @@
-"""Where the uncertainty of a scale comes from, and what would halve it."""
+"""The parts of the uncertainty of a scale, and what would halve it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Remedy:
-    """do : what would help. leaves : relative one-sigma of the scale that would be left."""
+    """do : what would help. leaves : relative one-sigma of the scale afterwards."""
 
     do: str
     leaves: float

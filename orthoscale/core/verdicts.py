@@ -1,4 +1,4 @@
-"""What to think of a scale, in one word, and why votes were set aside, in a few."""
+"""The verdict on a scale, and the reasons for which votes are rejected."""
 
 from __future__ import annotations
 
@@ -20,11 +20,9 @@ SHAPE_LIMIT = 4.0  # sigmas between them from which nothing is written without b
 
 
 def verdict(sd: float, odd_shape: bool, conflict: bool) -> str:
-    """``good``, ``fair``, ``poor`` or ``unusable``.
-
-    sd : relative one-sigma of the scale. odd_shape : lengths and widths give different scales; one step down, to
-    ``poor`` at worst. conflict : two measurements contradict each other; nothing is known then.
-    """
+    """``good``, ``fair``, ``poor`` or ``unusable``. sd : relative one-sigma of the scale. odd_shape : lengths and
+    widths give different scales; one step down, to ``poor`` at worst. conflict : two measurements contradict each
+    other, so the scale is not known."""
     rank = next((k for k, (_, limit) in enumerate(VERDICTS) if sd <= limit), len(VERDICTS))
     if conflict or rank == len(VERDICTS):
         return UNUSABLE

@@ -1,4 +1,4 @@
-"""One vote per physical vehicle: a parked car that thirty frames show is one car, not thirty."""
+"""Merges boxes into one vote per physical vehicle: a parked car in thirty frames is one car, not thirty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Looks that were had before: a sweep that was killed goes on where it stopped, a second run is over at once."""
+"""Cache of the detections in tiles: an interrupted sweep continues, a repeated one needs no detection."""
 
 from __future__ import annotations
 

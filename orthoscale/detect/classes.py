@@ -1,4 +1,4 @@
-"""Which of a detector's or a file's classes are small vehicles: their names decide."""
+"""Which classes of a detector or a file are small vehicles, by their names."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Two lengths that vehicles may have, and the network that takes the second look to decide between them.
+"""Two possible lengths of the vehicles after the scale search: the finder decides between them.
 
-The search counts what one small network sees at many zooms. It takes many graves and panels for vehicles; the larger
-network, which confirms in a sweep, hardly any. So where the search leaves two lengths open, both are swept for, and
-the one counts of which more is confirmed.
+The search counts the detections of one small network at many resampling factors. It mistakes many graves and panels for
+vehicles; the larger network, which makes the second detection pass of a sweep, hardly any. So if the search leaves two
+lengths possible, a sample is swept at both, and the length at which more boxes are confirmed is taken.
 """
 
 from __future__ import annotations

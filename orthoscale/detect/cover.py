@@ -1,9 +1,9 @@
-"""Which frames of a model to look at: those that show new ground, until all of it was seen from many sides.
+"""Selects the frames of a model to process: those that show new ground, until all of it was seen from many directions.
 
-Frames overlap: each vehicle stands in ten of them and more, and after some views another one tells hardly anything. But
-the first ones tell much: mistakes do not show again, and what boxes take in of a vehicle's height follows from steep
-and flat views of it. So no part of the ground is left out, as it is of an orthophoto; only what repeats is. All follows
-from the poses alone: the order knows nothing of the vehicles and prefers none.
+Frames overlap: each vehicle is in ten of them or more, and after some views another one adds hardly anything. But the
+first views add much: false detections do not recur, and the height that boxes enclose follows from steep and flat
+views. So no part of the ground is left out, unlike in an orthophoto; only repeated views are. The selection follows
+from the poses alone and is thus independent of the vehicles.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""From a network's output arrays to boxes."""
+"""Decoders: from a network's output arrays to boxes."""
 
 from __future__ import annotations
 

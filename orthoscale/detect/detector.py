@@ -1,4 +1,4 @@
-"""A detector: an ONNX network, the shipped one or another's, and the card that says what its boxes mean."""
+"""A detector: an ONNX network, the shipped one or a user's, and its card, which relates its boxes to vehicles."""
 
 from __future__ import annotations
 

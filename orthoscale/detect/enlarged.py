@@ -1,8 +1,8 @@
-"""By how much a picture is enlarged beyond what it shows.
+"""By how much a picture was enlarged beyond its detail.
 
-Maps are resampled: an orthophoto may have two or four pixels where its frames had one. An edge is then as blurred as
-before, but over more pixels, and what is known of edges in pixels (the ruler's margin, which edges are sure) does not
-hold. So vehicles are measured in the size that the picture has in truth: reduced so far that nothing is lost.
+Maps are resampled: an orthophoto may have two or four pixels for one of its frames. Edges are then blurred over more
+pixels, and properties of boxes that are known in pixels (the ruler's margin, the uncertainty of edges) do not hold. So
+vehicles are measured at the picture's true resolution: reduced as far as no detail is lost.
 """
 
 from __future__ import annotations

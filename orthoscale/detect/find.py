@@ -1,4 +1,4 @@
-"""All vehicles of some pictures: the right zoom, then two passes over as many tiles as it takes."""
+"""All vehicles in some pictures: the resampling factor, then two detection passes over as many tiles as needed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .cover import Cover
 from .detector import Detector
 from .order import visiting_order
 from .promise import promise
-from .sweep import Found, sweep_twice
+from .sweep import Found, Stop, sweep_twice
 from .tiles import check_number, tiles
 from .workers import cores, visitor, worker_count
 from .zoom import ZoomChoice, search_zoom
@@ -97,6 +97,9 @@ def find_vehicles(
         order = _promising_first(
             jobs, detector, count, effort.seed, None if progress is None else partial(progress, "Coarse pass")
         )
+    stop = None
+    if anytime and sampling is not None:
+        stop = Stop(lambda found: sampling(detections(found)), effort.target, None if cover is None else cover.enough)
     with ExitStack() as open_things:
         key = cache_key(pictures, detector, zoom) if effort.cache else None
         cache = open_things.enter_context(TileCache(key)) if key else None
@@ -106,11 +109,9 @@ def find_vehicles(
             order,
             visit,
             cache=cache,
-            spread=(lambda found: sampling(detections(found))) if anytime and sampling else None,
-            target=effort.target,
+            stop=stop,
             progress=None if progress is None else partial(progress, "Finding vehicles"),
             sure=detector.sure,
-            enough=None if cover is None else cover.enough,
             second_measures=detector.confirming is None,
         )
     kept = _without(detections(found), WHY_EQUAL, _equal_things)

@@ -1,4 +1,4 @@
-"""Networks of others run in a process of their own: whatever one does, it takes only so much memory and time."""
+"""Runs other people's networks in a process of their own, with limits on memory and time."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""The process that runs somebody's ONNX network, started by `foreign.Worker`. It needs NumPy and onnxruntime alone.
+"""The process that runs a user's ONNX network, started by `foreign.Worker`. It needs only NumPy and onnxruntime.
 
-Messages go both ways as 8 bytes of length, one line of JSON and raw bytes. First comes the network with the limits,
-answered by what it says of itself; then images, each answered by the network's outputs; or "error" instead.
+Messages in both directions are 8 bytes of length, one line of JSON and raw bytes. The first holds the network and the
+limits, and is answered with the network's description; then come images, each answered with the network's outputs; or
+"error" instead.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""In which order to visit the tiles of a large picture, so that any beginning of it is a fair sample of the whole."""
+"""The order in which the tiles of a picture are processed: every first part of it is a fair sample of the whole."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cheap look from far away at a large picture: which tiles might show vehicles?"""
+"""The coarse pass over a large picture: which tiles may contain vehicles, at little cost."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Test-time consistency: vehicles that were found are looked at again, turned and at neighbouring zooms.
+"""Test-time augmentation (`--refine`): detected vehicles are detected again, turned and at neighbouring resampling
+factors.
 
-A box that says the same from every side is a better measurement than one that does not. The median over the views is
-the sharper box, and their spread is part of its own noise (`Boxes.sigma`). Turns are by quarters,
-which needs no resampling; zooms are a quarter octave up and down, so that a margin in pixels counts the same on
-average.
+The median over these views has less noise than a single box, and their spread is part of the box's own noise
+(`Boxes.sigma`). Turns are by quarters, which needs no resampling; the factors are a quarter octave higher and lower, so
+that a margin in pixels is the same on average.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Dark vehicles and their shadows: where the two are one dark thing, boxes enclose both.
+"""Corrects boxes of dark vehicles, which enclose their shadows where the two cannot be separated.
 
-In coarse pictures under a low sun nobody can tell black paint from the shadow beside it. But paint tells nothing of a
-vehicle's size: where the dark vehicles of a scene measure larger than its light ones, that is their shadows', and is
-taken off. No truth is needed, and where dark vehicles measure as light ones do, nothing changes.
+In coarse pictures under a low sun black paint cannot be distinguished from the shadow beside it. But paint is
+independent of size: a difference between the dark and the light vehicles of a scene is attributed to shadows, and taken
+off. No truth is needed, and where dark vehicles measure as light ones do, nothing changes.
 """
 
 from __future__ import annotations

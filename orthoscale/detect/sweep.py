@@ -1,4 +1,4 @@
-"""Sweeping pictures until enough is seen: tile by tile, or frame by frame, in an order that makes every stop fair."""
+"""The sweep: two detection passes tile by tile, or frame by frame, that may stop at any time with a fair sample."""
 
 from __future__ import annotations
 
@@ -34,67 +34,84 @@ class Found:
     objects: dict[str, dict[str, Boxes]] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Stop:
+    """When a sweep has seen enough: `spread` of what was found so far is at most `target`.
+
+    spread : sampling part of the scale's uncertainty (relative, one sigma), infinite for too little evidence. It is
+    asked after batches of tiles that depend on nothing but what was found before, never on the time or on the number of
+    workers, so the same tiles are visited every time. enough : how many steps of the order show all that there is; then
+    so many are taken whatever the target, and more only while the spread is infinite.
+    """
+
+    spread: Callable[[Found], float]
+    target: float = 0.0
+    enough: int | None = None
+
+    @property
+    def first(self) -> int:
+        """Steps before the spread is asked for the first time."""
+        return FIRST if self.enough is None else max(self.enough, 1)
+
+    def reached(self, spread: float) -> bool:
+        """Whether `spread` is small enough."""
+        return bool(spread <= self.target if self.enough is None else np.isfinite(spread))
+
+    @property
+    def why(self) -> str:
+        """Why the sweep ended where it is reached."""
+        return ON_TARGET if self.enough is None else REPEATED
+
+    def further(self, steps: int, spread: float) -> int:
+        """How many more steps are likely to reach the target from `spread` after `steps`: it falls with the square root
+        of their number. At most as many again, because the guess is rough."""
+        excess = spread / self.target if self.target > 0 else np.inf
+        return int(max(min(steps * (excess**2 - 1), steps), SMALLEST_BATCH))
+
+
 def sweep_twice(
     jobs: Sequence[tuple[Picture, Tile]],
     order: Sequence[int | np.ndarray] | np.ndarray,
     visit: Visit,
     cache: TileCache | None = None,
-    spread: Callable[[Found], float] | None = None,
-    target: float = 0.0,
+    stop: Stop | None = None,
     progress: Callable[[int, int], None] | None = None,
     sure: float = 0.0,
-    enough: int | None = None,
     second_measures: bool = True,
 ) -> Found:
-    """Look at the tiles `jobs` in `order`, until `spread` of what was found is at most `target`.
+    """Look at the tiles `jobs` in `order`, all of them or until `stop`.
 
-    order : numbers of all jobs, each once; those of one frame, which are looked at together, as one array. enough : how
-    many steps of it show all that there is: so many are looked at, and more only while the spread is infinite.
-
-    `spread` is asked after batches of tiles that depend on nothing but what was found before, never on the time or on
-    the number of workers, so the same tiles are visited every time. Without it all tiles are. `progress(done, total)`
-    counts tiles, the total being a guess when a sweep may stop early. A vehicle counts when the mean score of its two
-    looks is at least `sure`; its size is the geometric mean of theirs, or that of the first alone where not
-    `second_measures`.
+    order : numbers of all jobs, each once; those of one frame, which are looked at together, as one array.
+    `progress(done, total)` counts tiles, the total being a guess when a sweep may stop early. A vehicle counts when the
+    mean score of its two looks is at least `sure`; its size is the geometric mean of theirs, or that of the first alone
+    where not `second_measures`.
     """
     looks: dict[int, Looks] = {}
     cached = steps = 0
-    batch = len(order) if spread is None else FIRST if enough is None else max(enough, 1)
+    batch = len(order) if stop is None else stop.first
     while True:
         # Files are read fastest from the top; many (JPEG, PNG) only so.
         numbers = sorted(n for step in order[steps : steps + batch] for n in np.atleast_1d(step).tolist())
         steps += batch
         expected = len(looks) + len(numbers)
-        missing = {}
-        for number in numbers:
-            had = cache.get(*jobs[number]) if cache else None
-            if had is None:
-                missing[number] = jobs[number]
-            else:
-                looks[number] = had
-                cached += 1
+        kept = {n: had for n in numbers if (had := cache.get(*jobs[n])) is not None} if cache else {}
+        looks |= kept
+        cached += len(kept)
         if progress:
             progress(len(looks), expected)
-        for number, seen in visit(missing):
+        for number, seen in visit({n: jobs[n] for n in numbers if n not in kept}):
             looks[number] = seen
             if cache:
                 cache.put(*jobs[number], seen)
             if progress:
                 progress(len(looks), expected)
         found = _assembled(jobs, looks, cached, sure, second_measures)
-        if spread is None or len(looks) == len(jobs):
+        if stop is None or len(looks) == len(jobs):
             return found
-        reached = spread(found)
-        if reached <= target if enough is None else np.isfinite(reached):
-            return replace(found, swept=replace(found.swept, why=ON_TARGET if enough is None else REPEATED))
-        batch = _next_batch(steps, reached / target if target > 0 else np.inf)
-
-
-def _next_batch(seen: int, excess: float) -> int:
-    """How many more steps, when the spread after `seen` of them is `excess` times the target: it falls with the square
-    root of their number. At most as many again, because the guess is rough."""
-    wanted = seen * (excess**2 - 1)
-    return int(max(min(wanted, seen), SMALLEST_BATCH))
+        spread = stop.spread(found)
+        if stop.reached(spread):
+            return replace(found, swept=replace(found.swept, why=stop.why))
+        batch = stop.further(steps, spread)
 
 
 def _assembled(

@@ -1,4 +1,4 @@
-"""Sweeping a picture of any size: overlapping windows, boxes put back into the picture's own pixels."""
+"""Detection in pictures of any size: overlapping windows, whose boxes are converted to the picture's own pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who detects in the tiles: threads of this process, or a Dask cluster. Boxes are the same, only the time differs."""
+"""Runs the detector on tiles: in threads of this process, or on a Dask cluster. The boxes are the same either way."""
 
 from __future__ import annotations
 

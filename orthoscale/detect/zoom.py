@@ -1,14 +1,16 @@
-"""At what zoom does the detector see vehicles? Nobody knows the GSD, and a detector works only in its range of sizes.
+"""The scale search: the resampling factor at which the detector sees the vehicles of pictures of unknown GSD.
 
-A vehicle has one size in the picture, at whatever zoom it is looked at; a mistake has the size that the detector likes,
-so it shrinks as the zoom grows. A sample of windows is therefore looked at over a whole pyramid of zooms.
-Boxes that a neighbouring zoom confirms vote for their length in picture pixels; the length with most votes is the
-vehicles', and the zoom that brings it to the detector's best length is the one to sweep at. What two zooms agree on now
-and then is chance, however often it happens in a large picture (glints on water, tiles, gravel): so a box's vote is its
-score times what the share of boxes of about its length that the two zooms agree on says, which is 0.6 to 0.95 where
-they are vehicles and 0.05 to 0.4 where they are not. And what zooms looked at differs: a small picture is soon seen as
-a whole at a low zoom, while there is always more to see at a high one. Mistakes grow in number with what is looked at,
-their scatter with its root; so the length is chosen whose votes stand out most.
+A vehicle has the same size in the picture at every resampling factor; a false detection has the size that the detector
+was trained for, so it shrinks in the picture as the factor grows. A sample of windows is therefore processed at a whole
+pyramid of factors. Boxes that a neighbouring factor confirms vote for their length in picture pixels. The length with
+most votes is taken for the vehicles', and the factor that brings it to the detector's best length is used for the
+sweep.
+
+In a large picture two factors often agree by chance (glints on water, tiles, gravel). So a box's vote is its score
+times a weight that depends on the share of boxes of about its length on which the two factors agree: 0.6 to 0.95 for
+vehicles, 0.05 to 0.4 for anything else. Factors also differ in the area that was sampled: at a low factor a small
+picture is soon seen as a whole, at a high one there is always more to see. The number of false votes grows with this
+area, their scatter with its root; so the length whose votes are most significant is chosen.
 """
 
 from __future__ import annotations

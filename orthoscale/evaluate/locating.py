@@ -1,4 +1,4 @@
-"""How often photos are found on a map, against the error of their scale (the paper's curve, arXiv 2603.07535)."""
+"""How often photos are found on a map, as a function of the error of their scale (a curve in arXiv 2603.07535)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An evaluation as one document, and the tables that a person reads."""
+"""An evaluation as one document, and its tables for the terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writing pictures, by Pillow: if pycolmap came first, OpenCV may be bound to libraries that are not its own."""
+"""Writing pictures with Pillow: if pycolmap was imported first, OpenCV may be bound to the wrong libraries."""
 
 from __future__ import annotations
 

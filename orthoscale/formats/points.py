@@ -1,4 +1,4 @@
-"""Points and numbers as people write them."""
+"""Parsing points and numbers that users type."""
 
 from __future__ import annotations
 

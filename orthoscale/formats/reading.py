@@ -1,7 +1,7 @@
-"""Files that users hand in, read carefully: bytes, text, JSON, and JSON that must fit a schema.
+"""Safe reading of files from users: bytes, text, JSON, and JSON that is validated against a schema.
 
-Every JSON that orthoscale reads comes through here. What is no regular file, too large, too deep, not UTF-8, or of the
-wrong kind raises InputError, in one line that names the file, the place in it and what was expected there.
+Every JSON that orthoscale reads is read here. A file that is not regular, is too large, too deeply nested, not UTF-8,
+or of the wrong form raises InputError with one line that names the file, the place in it and what was expected there.
 """
 
 from __future__ import annotations

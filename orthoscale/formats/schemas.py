@@ -1,7 +1,7 @@
-"""What each JSON file that orthoscale reads must look like: types, and the ranges outside of which nothing is meant.
+"""Schemas of all JSON files that orthoscale reads: types, and the ranges of plausible values.
 
-Lengths are in metres or pixels as the names in the formats' own documents say. Fields that are not named here are
-allowed unless a schema forbids them. This module is imported when a file is read, because msgspec takes time.
+Lengths are in metres or pixels as the documents of the formats define. Fields that are not named here are allowed
+unless a schema forbids them. This module is imported only when a file is read, because msgspec takes time to import.
 """
 
 from __future__ import annotations

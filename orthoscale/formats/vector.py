@@ -1,4 +1,4 @@
-"""Shapes with attributes into GIS files, through GDAL."""
+"""Writes shapes with attributes into GIS files, through GDAL."""
 
 from __future__ import annotations
 

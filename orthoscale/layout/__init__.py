@@ -1,1 +1,1 @@
-"""Standard facilities placed on an orthophoto that has its metres, and drawn there to the pixel."""
+"""Standard facilities placed on an orthophoto of known scale, and drawn there to the pixel."""

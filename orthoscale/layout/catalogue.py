@@ -1,6 +1,6 @@
-"""What can be placed: standard facilities with their sources, parking by country, or a file of one's own.
+"""The facilities that can be placed: standard ones with their sources, parking by country, or a user's own file.
 
-The figures and the source of each lie in ``data/facilities.json``, whose ``about`` describes the format.
+The figures and the source of each are in ``data/facilities.json``, whose ``about`` describes the format.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The layout to the pixel: a mask, a line drawing, and the orthophoto with it laid over."""
+"""Draws a layout: a mask, a line drawing, and an overlay on the orthophoto."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The layout's files: vectors for GIS, a drawing for CAD, rasters on the orthophoto's own grid."""
+"""The files of a layout: vectors for GIS, a drawing for CAD, rasters on the orthophoto's own grid."""
 
 from __future__ import annotations
 

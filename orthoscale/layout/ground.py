@@ -1,4 +1,4 @@
-"""The ground that an orthophoto shows: pixels, metres to the east and north, and the coordinates of its CRS."""
+"""The ground of an orthophoto: conversion between pixels, metres east and north, and coordinates of its CRS."""
 
 from __future__ import annotations
 

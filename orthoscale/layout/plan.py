@@ -1,4 +1,4 @@
-"""From a lot and a list of wishes to the layout, and to the folder that holds it in every form."""
+"""From a lot and a list of facilities to the layout, and to the folder with all its files."""
 
 from __future__ import annotations
 

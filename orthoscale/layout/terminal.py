@@ -1,4 +1,4 @@
-"""What a person reads of a layout: what fits, what does not, and how far to trust the metres."""
+"""The summary of a layout in the terminal: what fits, what does not, and the uncertainty in metres."""
 
 from __future__ import annotations
 

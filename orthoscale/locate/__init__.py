@@ -1,1 +1,1 @@
-"""Where on a map a picture was taken: cross-view localisation at the scale that vehicles give."""
+"""Cross-view localisation: where on a map a picture was taken, at the scale given by its vehicles."""

@@ -1,4 +1,4 @@
-"""How large a photo's ground is before it is looked for: from its vehicles, or from a GSD that is told."""
+"""The size of a photo's ground before the search: from its vehicles, or from a GSD that is given."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where on a map dense features agree with those of a picture: correlation by FFT, block by block."""
+"""Correlation of the dense features of a picture with those of a map, by FFT, block by block."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Dense features: what a place looks like in a way that survives another light, season and camera.
+"""Dense features: descriptions of places that are stable under changes of light, season and camera.
 
-A feature map has one vector for each cell of `stride` x `stride` px. Vectors of cells without a picture are nil.
+A feature map has one vector for each cell of `stride` x `stride` px. Vectors of cells without a picture are zero.
 """
 
 from __future__ import annotations

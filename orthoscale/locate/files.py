@@ -1,4 +1,4 @@
-"""The files of a search: all of it as JSON, candidates as a table, places for GIS, and the matches as a picture."""
+"""The files of a search: all results as JSON, candidates as a table, places for GIS, and the matches as a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of the ground from straight above, as the search sees them: pixels, what of them is known, and metres."""
+"""Pictures of the ground from above, as they are searched for on a map: pixels, valid area, and metres."""
 
 from __future__ import annotations
 

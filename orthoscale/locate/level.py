@@ -1,4 +1,4 @@
-"""A photo levelled by its pitch and roll: the ground that it shows, as from straight above."""
+"""A photo rectified to a nadir view of level ground, by its pitch and roll."""
 
 from __future__ import annotations
 

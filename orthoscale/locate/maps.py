@@ -1,4 +1,4 @@
-"""The map as a square grid of metres, and its dense features tile by tile, kept for the next photo."""
+"""The map on a square grid in metres, and its dense features tile by tile, cached for the next photo."""
 
 from __future__ import annotations
 

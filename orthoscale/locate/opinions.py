@@ -1,4 +1,4 @@
-"""Two opinions on one scale: the vehicles', and the one of the map that a photo was matched with."""
+"""The two measurements of a photo's scale: by its vehicles, and by the map that it was matched with."""
 
 from __future__ import annotations
 

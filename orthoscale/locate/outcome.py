@@ -1,4 +1,4 @@
-"""What came of the search for each photo, as plain values: places on Earth, scales, candidates, and words."""
+"""The outcome of the search for each photo, as plain values: places on Earth, scales, candidates, and messages."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""One picture of the ground onto a georeferenced map: where it lies, which way it is turned, and how large it is.
+"""Registers a picture of the ground on a georeferenced map: its position, orientation and scale.
 
 The picture is turned and scaled in all the ways that are possible, each is correlated with the map, and the best places
-are verified by local matches that agree on one similarity. How many must agree follows from what the same picture
-reaches at wrong places of the same map.
+are verified by local matches that agree on one similarity transform. How many must agree follows from the counts that
+the same picture reaches at wrong places of the same map.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Windows of the map that an embedding network finds most like the photo (the paradigm of arXiv 2603.07535).
+"""Windows of the map that an embedding network finds most similar to the photo (the paradigm of arXiv 2603.07535).
 
-The map is cut into squares as large as the photo shows ground, each shifted by half of its side. Network and card are
-the user's: an ONNX file with one image as its input and one vector as its output. It runs in a process of its own.
+The map is cut into squares as large as the photo's ground, each shifted by half of its side. Network and card are the
+user's: an ONNX file with one image as its input and one vector as its output. It runs in a process of its own.
 """
 
 from __future__ import annotations

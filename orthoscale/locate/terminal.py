@@ -1,4 +1,4 @@
-"""What a search found, for a terminal: a few labelled lines for each photo."""
+"""The summary of a search in the terminal: a few labelled lines for each photo."""
 
 from __future__ import annotations
 

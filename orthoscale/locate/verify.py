@@ -1,4 +1,4 @@
-"""Whether a picture lies where it was found: local matches that agree on one similarity."""
+"""Verifies a place on the map: counts local matches that agree on one similarity transform."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Single photos of a drone: what their tags say, how they see level ground, and what their vehicles make of it."""
+"""Single drone photos: their tags, their view of level ground, and the scale from their vehicles."""

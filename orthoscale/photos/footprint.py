@@ -1,4 +1,4 @@
-"""How much ground a photo shows: measured from its vehicles, or by a GSD that is told."""
+"""The ground that a photo covers: by the scale from its vehicles, or by a given GSD."""
 
 from __future__ import annotations
 

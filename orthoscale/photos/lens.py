@@ -1,4 +1,4 @@
-"""The lens of a photo: from a calibration file, from a focal length that is told, or from the photo's own tags."""
+"""The lens of a photo: from a calibration file, from a given focal length, or from the photo's own tags."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the boxes of photos come from: a detector, or a file in any format; and the fleet that they are measured by."""
+"""The boxes of photos, from a detector or a file in any format, and the fleet that they are compared with."""
 
 from __future__ import annotations
 

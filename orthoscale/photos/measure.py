@@ -1,9 +1,9 @@
 """One photo over level ground: from the boxes of its vehicles to scale, altitude, GSD and footprint.
 
 The unit is chosen so that the pooled scale is the paper's ``s`` (arXiv 2603.07535): metres per pixel of the nadir view
-from the same altitude. Then altitude = s f, ground sampling distance r = s / |sin pitch|, footprint = r W_img.
-Vehicles are measured by the exact model, not by the paper's. What is not known of pitch, roll, focal length and of the
-detector's effective height is carried through by measuring again with each a little off.
+from the same altitude. Then altitude = s f, ground sampling distance r = s / |sin pitch|, footprint = r W_img. Vehicles
+are measured by the exact projection, not by the paper's. The uncertainties of pitch, roll, focal length and the
+detector's effective height are propagated by measuring again with each of them changed a little.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A set of photos: found, measured each by itself, and on demand all together."""
+"""A set of photos: detected together, measured one by one, and on request pooled."""
 
 from __future__ import annotations
 

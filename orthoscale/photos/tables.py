@@ -1,4 +1,4 @@
-"""Photos and what was measured of them, as rows: CSV, JSON, and a GeoPackage with places and footprints."""
+"""Photos and their measurements as rows: CSV, JSON, and a GeoPackage with places and footprints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person reads of measured photos: the answer first, a line per photo."""
+"""The summary of measured photos in the terminal: the answer first, then a line per photo."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Anchors as one PNG: each by itself, with the lines that were fitted to it."""
+"""A contact sheet of anchors as PNG: each with the lines that were fitted to it."""
 
 from __future__ import annotations
 

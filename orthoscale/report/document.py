@@ -1,4 +1,4 @@
-"""The report as one JSON document; everything a person sees is drawn from it (and from the pictures)."""
+"""The report as one JSON document, from which page, terminal and layers are made (with the pictures)."""
 
 from __future__ import annotations
 

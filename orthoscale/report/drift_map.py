@@ -1,4 +1,4 @@
-"""A map of the scale by place: cells coloured by how surely their vehicles' scale differs from the whole picture's."""
+"""A map of the local scale: cells coloured by the significance of their difference from the whole picture's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Letters on pictures, readable on any ground: black or coloured, with a halo all round."""
+"""Lettering on pictures that is readable on any background: black or coloured, with a halo."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report as one HTML file that needs nothing else: no network, no scripts, pictures and charts inside."""
+"""The report as one self-contained HTML file: no network, no scripts, pictures and charts inside."""
 
 from __future__ import annotations
 

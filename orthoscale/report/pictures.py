@@ -1,4 +1,4 @@
-"""One PNG that a person judges in five seconds: where the vehicles are, and whether the boxes fit them."""
+"""One PNG for visual inspection: where the vehicles are, and whether the boxes fit them."""
 
 from __future__ import annotations
 

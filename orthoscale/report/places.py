@@ -1,4 +1,4 @@
-"""The scale by place and by frame, as a report has it: of an orthophoto by cells, of a model by regions and frames."""
+"""The local scale in a report: of an orthophoto by cells, of a model by regions and frames."""
 
 from __future__ import annotations
 

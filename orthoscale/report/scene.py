@@ -1,6 +1,6 @@
-"""What there is to see of a report: the scene from above, the frame with most vehicles, and vehicles one by one.
+"""The pictures of a report: the scene from above, the frame with most vehicles, and single vehicles.
 
-Panels are pixels with outlines that lie over them; `pictures` draws them into a PNG, `page` into HTML.
+Panels are pixels with outlines over them; `pictures` draws them into a PNG, `page` into HTML.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The JSON Schema of a report, made of the very types that check one when it is read."""
+"""The JSON Schema of a report, generated from the types that validate one when it is read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person reads in the terminal: one table, the answer first, then why to believe it."""
+"""The summary of a result in the terminal: one table, the answer first, then its support."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A report's figures as people read them: with the digits and the unit that they deserve."""
+"""The figures of a report as text: with suitable digits and units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Walking the binary files of a COLMAP model: every count is held against what is left of the file."""
+"""Checks the binary files of a COLMAP model: every count is compared with what is left of the file."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Finding a COLMAP model and walking its files, so that pycolmap never meets a damaged one.
+"""Finds a COLMAP model and checks its files before pycolmap reads them.
 
-pycolmap trusts what it reads: a lying count eats all memory, a NaN pose loads as valid, random bytes hang it. Here
-every count is held against the file's size, every number must be finite, and every reference must lead somewhere.
+pycolmap trusts what it reads: a false count takes all memory, a NaN pose loads as valid, random bytes hang it. Here
+every count is compared with the file's size, every number must be finite, and every reference must exist.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""pycolmap, which only this module imports: its logging takes SIGTERM at import, to print a stack and die."""
+"""Imports pycolmap, in one place, such that its logging does not take over SIGTERM (to print a stack and die)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the files of a COLMAP model hold, as plain values, and how damage to them is told."""
+"""The content of the files of a COLMAP model as plain values, and the messages for damaged ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Walking the text files of a COLMAP model, line by line."""
+"""Checks the text files of a COLMAP model, line by line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writing a COLMAP model in metres, and reading it back before anybody trusts it."""
+"""Writes a COLMAP model in metres, and reads it back as a check."""
 
 from __future__ import annotations
 

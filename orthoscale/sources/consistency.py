@@ -1,7 +1,7 @@
-"""Whether a reconstruction agrees with itself: where its images saw its points, and where they ought to have.
+"""Whether a reconstruction is consistent: the reprojection errors of its points.
 
-An adjusted model projects its points within a pixel or two of where its images saw them. A damaged focal length, pose
-or point, or files of two models in one folder, do not; and vehicles would then be measured against a wrong model.
+In an adjusted model points project within a pixel or two of their observations. With a damaged focal length, pose or
+point, or with files of two models in one folder, they do not; vehicles would then be measured in a wrong model.
 """
 
 from __future__ import annotations

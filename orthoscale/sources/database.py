@@ -1,4 +1,4 @@
-"""COLMAP's database beside a model: looked at, never written."""
+"""COLMAP's database beside a model: it is read, never written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dense clouds and depth maps that lie beside a reconstruction: where they are, and their points in pieces."""
+"""Dense clouds and depth maps beside a reconstruction: finding them, and reading their points piece by piece."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The ground under a dense cloud: its lower envelope cell by cell, which the sheet of `ground` is then drawn through.
+"""The ground of a dense cloud: its lower envelope in cells, to which the surface of `ground` is then fitted.
 
-Dense clouds hold everything: roofs of vehicles and houses, crowns, smeared edges, points below the ground. A cell about
-as wide as a vehicle, which is never wider than the gap to the next and half of it, shows the ground nearly everywhere
-that cameras do. What a cell's lowest level is not, the sheet tells: it is too stiff for houses, trees and holes.
+Dense clouds contain roofs of vehicles and houses, tree crowns, smeared edges, and points below the ground. A cell about
+as wide as a vehicle contains ground nearly everywhere that the cameras see ground. Where a cell's lowest level is not
+ground, the surface ignores it: it is too stiff for houses, trees and holes.
 """
 
 from __future__ import annotations

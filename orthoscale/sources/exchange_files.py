@@ -1,4 +1,4 @@
-"""Which file is another program's reconstruction. What reads it is imported only where there is one."""
+"""Recognises other programs' reconstruction files. Their readers are imported only when needed."""
 
 from __future__ import annotations
 

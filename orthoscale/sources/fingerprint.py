@@ -1,4 +1,4 @@
-"""Which files these are: all of them, for the report; without reading gigabytes, for what cached work is keyed by."""
+"""Identifies files: by a hash of all their content for the report, by a quick fingerprint for cache keys."""
 
 from __future__ import annotations
 

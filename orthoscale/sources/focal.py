@@ -1,9 +1,9 @@
 """How well a reconstruction's own observations determine its focal length.
 
-Seen straight from above over flat ground, a longer focal length and a higher camera give the same pictures: bundle
-adjustment then leaves both open, and heights with them, while what lies on the ground stays where it is. Whether that
-is so, the normal equations of the adjustment tell: with poses and points eliminated, what is left of the information on
-the focal length (Schur complement; Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000, 6.1).
+From straight above flat ground, a longer focal length and a higher camera give the same pictures: bundle adjustment
+cannot separate them, nor determine heights, while horizontal positions on the ground are unaffected. The normal
+equations of the adjustment show whether this is the case: with poses and points eliminated, what is left of the
+information on the focal length (Schur complement; Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000, 6.1).
 """
 
 from __future__ import annotations
@@ -39,10 +39,9 @@ LENS_UNKNOWNS = 3  # columns shared by all images: focal length, and two of radi
 
 
 def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> FocalDoubt:
-    """How far the focal length of `model` may be trusted, by its tracks and by what EXIF and XMP of its frames tell.
+    """The uncertainty of the focal length of `model`, by its tracks and by EXIF and XMP of its frames.
 
-    Where the tracks determine it, it stands, whatever EXIF says; where they leave it open, it is what they and EXIF say
-    together.
+    If the tracks determine it, it is kept, whatever EXIF says; otherwise it is the combination of both.
     """
     told = _told(model, pictures)
     formal = focal_sd(model)

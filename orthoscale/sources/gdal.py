@@ -1,4 +1,4 @@
-"""GDAL as this package uses it: within a memory limit, with files of this machine only, its errors in words."""
+"""Access to GDAL: within the memory limit, for local files only, with its errors as messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a raster lies and how large its pixels are on the ground: what a file claims, and what its copy is given."""
+"""Georeferencing: the position and pixel size that a raster file claims, and those that its copy gets."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The ground under a reconstruction: a smooth sheet drawn under its sparse points, below trees, roofs and vehicles.
+"""The ground of a reconstruction: a smooth surface fitted below its sparse points, under trees, roofs and vehicles.
 
-A vehicle's size in model units is its size in pixels times its distance, and its distance is where its ray meets the
-ground: an error of one percent of the camera height is an error of one percent of the scale. So the sheet says how well
-it knows its height everywhere: where no point holds it, between points and beyond them, it may have wandered off.
+A vehicle's size in model units is its size in pixels times its distance, and the distance is where its ray meets the
+ground: an error of one percent of the camera height is an error of one percent of the scale. So the surface has an
+uncertainty of its height everywhere, which grows between points and beyond them.
 """
 
 from __future__ import annotations
@@ -48,12 +48,11 @@ NOT_KNOWN = 0.1
 
 @dataclass(frozen=True)
 class Ground:
-    """The ground surface of one reconstruction; lengths in model units, coordinates those of the world.
+    """The ground surface of one reconstruction; lengths in model units, world coordinates.
 
-    up : (3,) unit vector away from the ground, to the cameras' side.
-    camera_height : median height of the cameras over the ground below them.
-    noise : standard deviation of the ground's own points about the sheet. alike : one sigma of what it errs by
-    everywhere besides (`unsure`).
+    up : (3,) unit vector away from the ground, towards the cameras. camera_height : median height of the cameras over
+    the ground below them. noise : standard deviation of the ground's own points about the surface. alike : one sigma of
+    a further error common to all places (`unsure`).
     """
 
     up: np.ndarray
@@ -66,10 +65,9 @@ class Ground:
     def fit(cls, points: np.ndarray, camera_centres: np.ndarray) -> Ground:
         """Find the ground under `points` (M, 3) seen from `camera_centres` (C, 3).
 
-        Points on trees, roofs, walls and vehicles, and stray points on either side, are told from the ground by the
-        sheet's stiffness and by where the cameras are. The result is the same for the same input.
-
-        Raises TooLittleEvidence where there are too few points, InputError where no surface lies below the cameras.
+        Points on trees, roofs, walls and vehicles, and outliers on either side, are separated from the ground by the
+        surface's stiffness and by the side on which the cameras are. The result is reproducible. Raises
+        TooLittleEvidence for too few points, InputError if no surface lies below the cameras.
         """
         points, centres = _finite(points), _finite(camera_centres)
         if len(points) < MIN_POINTS or not len(centres):
@@ -92,18 +90,17 @@ class Ground:
         return self._sheet.height_above(np.asarray(points, float).reshape(-1, 3))
 
     def sd(self, points: np.ndarray) -> np.ndarray:
-        """(N,) one sigma of the ground's height straight below `points` (N, 3): more, the farther from its own points.
-
-        Beyond the sheet it is that of its nearest edge."""
+        """(N,) one sigma of the ground's height vertically below `points` (N, 3): it grows with the distance from the
+        ground's points. Beyond the surface it is that of its nearest edge."""
         local = np.asarray(points, float).reshape(-1, 3) @ self._sheet.plane_from_world.T
         return np.hypot(self._sheet.sd(local), self.alike)
 
     def unsure(self, alike: float) -> Ground:
-        """The same ground where its points err by `alike` in common, one sigma, which more of them do not lessen."""
+        """The same ground with an error of one sigma `alike` common to all its points, which does not average out."""
         return replace(self, alike=alike)
 
     def plane(self, points: np.ndarray) -> np.ndarray:
-        """(N, 2) coordinates of `points` (N, 3) along the ground, as a plan shows them: x right, y up."""
+        """(N, 2) plane coordinates of `points` (N, 3), as on a plan: x right, y up."""
         return (np.asarray(points, float).reshape(-1, 3) @ self._sheet.plane_from_world.T)[:, :2]
 
     def lift(self, plane: np.ndarray) -> np.ndarray:
@@ -138,8 +135,8 @@ def _no_ground() -> InputError:
 def _plane_below(points: np.ndarray, centres: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """Rotation (3, 3) `plane_from_world` whose third row is up: the normal of the plane that most points lie on.
 
-    Random triples of points propose planes. A plane counts when nearly all cameras are on one side of it; points in
-    it speak for it and points behind it against it, so that the ground wins over a roof or a canopy.
+    Random triples of points propose planes (RANSAC). A plane counts only if nearly all cameras are on one side of it;
+    points in it count for it and points behind it against it, so that the ground wins over a roof or a canopy.
     """
     some = points[random.choice(len(points), min(len(points), 2000), replace=False)]
     few = centres[random.choice(len(centres), min(len(centres), 200), replace=False)]

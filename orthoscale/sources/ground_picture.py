@@ -1,7 +1,7 @@
-"""Frames of a reconstruction seen from straight above: warped onto the ground, in model units per pixel.
+"""Ground pictures: the near-nadir part of frames of a reconstruction, warped onto the ground, in model units per pixel.
 
-What an orthophoto would show of the near-nadir part of each frame, without the orthophoto. What stands on the ground
-still leans outwards, as in any picture that is not a true orthophoto.
+They show what an orthophoto would show, without a true orthophoto: objects above the ground lean outwards (relief
+displacement).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where on the Earth an input is, as it says itself: that tells whose vehicles it shows."""
+"""Where on the Earth an input lies, by its own metadata: from it the fleet follows."""
 
 from __future__ import annotations
 

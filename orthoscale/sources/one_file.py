@@ -1,4 +1,4 @@
-"""What reconstructions that are one file share: they are written as one file, and have no workspace around them."""
+"""The common part of reconstructions that are a single file: written as one file, without a workspace around it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which kind of source lies at a path."""
+"""Opens the source at a path: decides what kind it is."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def open_source(
 ) -> Source:
     """The source at `path`: a folder or text file is a reconstruction, another file an image. Raises InputError.
 
-    ground_cloud : dense cloud or workspace of a reconstruction; by default one is looked for beside it, and NO_CLOUD
-    says to do without. progress : told how far that was read, when the ground is asked for.
+    ground_cloud : dense cloud or workspace of a reconstruction; by default one is searched for beside it, and NO_CLOUD
+    means none. progress : of reading it, when the ground is needed.
     """
     path, images = Path(path), None if images is None else Path(images)
     if not os.path.exists(path):  # noqa: PTH110  pathlib's raises for names that are too long

@@ -1,4 +1,4 @@
-"""Frames of a reconstruction: image files on disk, as COLMAP saw them."""
+"""The frames of a reconstruction: image files with the sizes that COLMAP recorded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Orthophotos and other single images, through GDAL: windows of pixels in, a copy in metres out."""
+"""Orthophotos and other single images, through GDAL: reading by windows, and writing a copy in metres."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Copies of an image as GeoTIFF: the same pixels with another place, read back and compared."""
+"""Copies of an image as GeoTIFF: the same pixels with a new georeferencing, read back and compared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A satellite picture, or an orthophoto, with a place on Earth: where its pixels are, and the ground they cover."""
+"""A georeferenced satellite picture or orthophoto: the place of its pixels on Earth, and the ground they cover."""
 
 from __future__ import annotations
 

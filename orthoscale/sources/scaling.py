@@ -1,4 +1,4 @@
-"""Any file or folder that is in a model's units, again in metres."""
+"""Scales any file or folder that is in a model's units to metres."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Reconstructions of Bundler (bundle.out) and VisualSFM (.nvm), in plain text, with their frames.
 
-Their files do not tell how large the images are: the frames do, so they must be there.
+Their files do not state the sizes of the images, so the frames are needed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where a TIFF keeps its pixels, from its own directory: GDAL reads a block whose place is lost as if it were empty.
+"""The block offsets of a TIFF, from its own directory: GDAL reads a block whose offset is lost as if it were empty.
 
 Tags and types are those of TIFF 6.0 (Adobe, 1992) and of BigTIFF.
 """

@@ -1,4 +1,4 @@
-"""Pixels to rays, for any lens that COLMAP knows."""
+"""Undistortion: from pixels to rays, for every camera model of COLMAP."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What detectors take for vehicles because it stands in rows and is about as large: panels, boats, graves, garages.
+"""Objects that detectors mistake for vehicles, in rows and about as large: panels, boats, graves, garages.
 
 Sizes are those of the trade, drawn once for a whole row where real rows are alike.
 """

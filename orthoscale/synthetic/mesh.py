@@ -1,4 +1,4 @@
-"""Faces: everything in a synthetic scene is a list of flat convex polygons in metres, z up."""
+"""Meshes: everything in a synthetic scene is a list of flat convex polygons in metres, z up."""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 
 import cv2
@@ -79,90 +81,183 @@ def _lines(place: np.ndarray, width: float) -> np.ndarray:
     return (np.abs(place - 0.5) > 0.5 - width / 2).astype(np.float32)
 
 
-def _paint_material(name: str, rng: np.random.Generator) -> np.ndarray:
-    """(SIZE, SIZE) or (SIZE, SIZE, 3) of the named material, before its mean is set to 1."""
-    texel = TEXEL_M[name]
-    white = rng.standard_normal((TEXTURE_SIZE, TEXTURE_SIZE)).astype(np.float32)
-    fine, middle, slow = (fractal(rng, s, coarsest=c) for s, c in ((0.6, 8), (1.1, 6), (1.6, 4)))
-    if name == "plain":
-        return 1 + 0.02 * fine
-    if name == "paint":
-        return 1 + 0.015 * slow
-    if name == "asphalt":
-        return 1 + 0.05 * white + 0.04 * fine + 0.03 * slow
-    if name == "worn_asphalt":
-        cracks = np.exp(-((fractal(rng, 1.5, coarsest=5) / 0.035) ** 2)) * (slow > 0.2)
-        repairs = np.where(slow > 1.5, 0.72, 1.0)
-        return (1 + 0.06 * white + 0.07 * fine + 0.06 * middle - 0.35 * cracks) * repairs
-    if name == "concrete":
-        column, row, u, v = _grid(2.5, 2.5, texel)
-        joint = np.maximum(_lines(u, 0.02), _lines(v, 0.02))
-        return (1 + 0.03 * white + 0.05 * middle) * _per_cell(rng, column, row, 0.04) * (1 - 0.35 * joint)
-    if name == "paving":
-        column, row, u, v = _grid(0.4, 0.2, texel, 0.5)
-        joint = np.maximum(_lines(u, 0.08), _lines(v, 0.12))
-        return (1 + 0.04 * white + 0.05 * middle) * _per_cell(rng, column, row, 0.1) * (1 - 0.3 * joint)
-    if name in ("grass", "dry_grass"):
-        strength, bare = (0.13, 0.5) if name == "grass" else (0.16, 1.0)
-        tone = 1 + strength * fine + 0.08 * white + 0.06 * middle
-        dryness = (bare * (0.12 * slow + 0.08 * fine)).clip(-0.3, 0.6)[..., None]
+@dataclass(frozen=True)
+class _Noise:
+    """What materials are painted with: noise (SIZE, SIZE) from texel to texel (`white`) to the slowest, and `rng`."""
+
+    rng: np.random.Generator
+    texel: float
+    white: np.ndarray
+    fine: np.ndarray
+    middle: np.ndarray
+    slow: np.ndarray
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, texel: float) -> _Noise:
+        """For a material with `texel` metres per texel."""
+        white = rng.standard_normal((TEXTURE_SIZE, TEXTURE_SIZE)).astype(np.float32)
+        return cls(rng, texel, white, *(fractal(rng, s, coarsest=c) for s, c in ((0.6, 8), (1.1, 6), (1.6, 4))))
+
+
+Painter = Callable[[_Noise], np.ndarray]
+"""Gives (SIZE, SIZE) or (SIZE, SIZE, 3) of a material, before its mean is set to 1."""
+
+
+def _plain(n: _Noise) -> np.ndarray:
+    return 1 + 0.02 * n.fine
+
+
+def _paint(n: _Noise) -> np.ndarray:
+    return 1 + 0.015 * n.slow
+
+
+def _asphalt(n: _Noise) -> np.ndarray:
+    return 1 + 0.05 * n.white + 0.04 * n.fine + 0.03 * n.slow
+
+
+def _worn_asphalt(n: _Noise) -> np.ndarray:
+    cracks = np.exp(-((fractal(n.rng, 1.5, coarsest=5) / 0.035) ** 2)) * (n.slow > 0.2)
+    repairs = np.where(n.slow > 1.5, 0.72, 1.0)
+    return (1 + 0.06 * n.white + 0.07 * n.fine + 0.06 * n.middle - 0.35 * cracks) * repairs
+
+
+def _concrete(n: _Noise) -> np.ndarray:
+    column, row, u, v = _grid(2.5, 2.5, n.texel)
+    joint = np.maximum(_lines(u, 0.02), _lines(v, 0.02))
+    return (1 + 0.03 * n.white + 0.05 * n.middle) * _per_cell(n.rng, column, row, 0.04) * (1 - 0.35 * joint)
+
+
+def _paving(n: _Noise) -> np.ndarray:
+    column, row, u, v = _grid(0.4, 0.2, n.texel, 0.5)
+    joint = np.maximum(_lines(u, 0.08), _lines(v, 0.12))
+    return (1 + 0.04 * n.white + 0.05 * n.middle) * _per_cell(n.rng, column, row, 0.1) * (1 - 0.3 * joint)
+
+
+def _grass(strength: float, bare: float) -> Painter:
+    def paint(n: _Noise) -> np.ndarray:
+        tone = 1 + strength * n.fine + 0.08 * n.white + 0.06 * n.middle
+        dryness = (bare * (0.12 * n.slow + 0.08 * n.fine)).clip(-0.3, 0.6)[..., None]
         return tone[..., None] * (1 + dryness * np.array([1.1, 0.25, 0.3]))
-    if name == "soil":
-        tracks = np.exp(-((middle / 0.15) ** 2))
-        return 1 + 0.06 * white + 0.12 * fine + 0.1 * slow - 0.06 * tracks
-    if name == "sand":
-        ripples = np.sin(np.arange(TEXTURE_SIZE)[:, None] * 2 * np.pi * 64 / TEXTURE_SIZE + 2.5 * slow)
-        return 1 + 0.03 * white + 0.05 * fine + 0.05 * ripples * (0.5 + 0.5 * np.tanh(middle))
-    if name in ("gravel", "roof_gravel", "rubble"):
-        grain = {"gravel": 0.16, "roof_gravel": 0.12, "rubble": 0.3}[name]
-        return 1 + grain * (0.5 * white + cv2.GaussianBlur(white, (0, 0), 1.2) * 2) + 0.06 * slow
-    if name == "field":
-        rows = np.sin(np.arange(TEXTURE_SIZE)[None] * 2 * np.pi * 34 / TEXTURE_SIZE + 0.5 * slow)
-        return (1 + 0.12 * rows + 0.1 * fine + 0.06 * white)[..., None] * (1 + 0.1 * middle[..., None] * [1, 0.3, 0.2])
-    if name == "water":
-        waves = np.sin(np.arange(TEXTURE_SIZE)[None] * 2 * np.pi * 40 / TEXTURE_SIZE + 3 * slow)
-        return 1 + 0.04 * waves + 0.06 * fine + 0.08 * slow
-    if name == "tiles":
-        column, row, u, v = _grid(0.26, 0.36, texel)
-        roll = 0.8 + 0.4 * np.sin(np.pi * u) - 0.25 * _lines(v, 0.2)
-        return roll * _per_cell(rng, column, row, 0.09) * (1 + 0.1 * slow + 0.04 * white)
-    if name == "corrugated":
-        sheet, row, u, _ = _grid(1.0, 4.0, texel)
-        wave = 1 + 0.16 * np.sin(2 * np.pi * u * 4)
-        rust = np.clip(slow + 0.4 * fine - 1.1, 0, 1)[..., None] * np.array([-0.15, -0.4, -0.55])
-        return (wave * _per_cell(rng, sheet, row, 0.07) * (1 + 0.03 * white))[..., None] * (1 + rust)
-    if name == "seam":
-        sheet, row, u, _ = _grid(0.5, 6.0, texel)
-        return (1 - 0.3 * _lines(u, 0.09) + 0.2 * _lines(u - 0.09, 0.09)) * _per_cell(rng, sheet, row, 0.03)
-    if name == "bitumen":
-        sheet, row, u, v = _grid(1.0, 5.0, texel)
-        puddles = np.clip(slow - 0.9, 0, 0.8)
-        joint = np.maximum(_lines(u, 0.05), _lines(v, 0.02))
-        return (1 + 0.05 * white + 0.06 * fine - 0.3 * puddles) * _per_cell(rng, sheet, row, 0.06) * (1 - 0.25 * joint)
-    if name == "leaves":
-        clumps = cv2.GaussianBlur(white, (0, 0), 3) * 10 + cv2.GaussianBlur(white, (0, 0), 1.2) * 2.2 + 0.5 * fine
-        return np.clip(1 + 0.3 * clumps, 0.2, 2.2)
-    if name == "facade":
-        _, _, u, v = _grid(3.0, 3.0, texel)
-        window = (np.abs(u - 0.5) < 0.24) & (np.abs(v - 0.55) < 0.25)
-        return np.where(window, 0.25, 1.0 + 0.05 * slow)
-    if name == "plaster":
-        return 1 + 0.04 * slow + 0.03 * fine
-    if name == "solar":
-        _, _, u, v = _grid(1.0, 1.7, texel)
-        frame = np.maximum(_lines(u, 0.06), _lines(v, 0.04))
-        cell = np.maximum(_lines(u * 6 % 1, 0.08), _lines(v * 10 % 1, 0.08))
-        return 1 + 4 * frame + 0.5 * cell
-    if name == "planks":
-        column, row, u, _ = _grid(0.15, 3.0, texel)
-        return _per_cell(rng, column, row, 0.12) * (1 - 0.4 * _lines(u, 0.15)) * (1 + 0.05 * fine)
-    raise ValueError(f"no material {name!r}")
+
+    return paint
+
+
+def _soil(n: _Noise) -> np.ndarray:
+    tracks = np.exp(-((n.middle / 0.15) ** 2))
+    return 1 + 0.06 * n.white + 0.12 * n.fine + 0.1 * n.slow - 0.06 * tracks
+
+
+def _sand(n: _Noise) -> np.ndarray:
+    ripples = np.sin(np.arange(TEXTURE_SIZE)[:, None] * 2 * np.pi * 64 / TEXTURE_SIZE + 2.5 * n.slow)
+    return 1 + 0.03 * n.white + 0.05 * n.fine + 0.05 * ripples * (0.5 + 0.5 * np.tanh(n.middle))
+
+
+def _grains(grain: float) -> Painter:
+    def paint(n: _Noise) -> np.ndarray:
+        return 1 + grain * (0.5 * n.white + cv2.GaussianBlur(n.white, (0, 0), 1.2) * 2) + 0.06 * n.slow
+
+    return paint
+
+
+def _field(n: _Noise) -> np.ndarray:
+    rows = np.sin(np.arange(TEXTURE_SIZE)[None] * 2 * np.pi * 34 / TEXTURE_SIZE + 0.5 * n.slow)
+    return (1 + 0.12 * rows + 0.1 * n.fine + 0.06 * n.white)[..., None] * (
+        1 + 0.1 * n.middle[..., None] * [1, 0.3, 0.2]
+    )
+
+
+def _water(n: _Noise) -> np.ndarray:
+    waves = np.sin(np.arange(TEXTURE_SIZE)[None] * 2 * np.pi * 40 / TEXTURE_SIZE + 3 * n.slow)
+    return 1 + 0.04 * waves + 0.06 * n.fine + 0.08 * n.slow
+
+
+def _tiles(n: _Noise) -> np.ndarray:
+    column, row, u, v = _grid(0.26, 0.36, n.texel)
+    roll = 0.8 + 0.4 * np.sin(np.pi * u) - 0.25 * _lines(v, 0.2)
+    return roll * _per_cell(n.rng, column, row, 0.09) * (1 + 0.1 * n.slow + 0.04 * n.white)
+
+
+def _corrugated(n: _Noise) -> np.ndarray:
+    sheet, row, u, _ = _grid(1.0, 4.0, n.texel)
+    wave = 1 + 0.16 * np.sin(2 * np.pi * u * 4)
+    rust = np.clip(n.slow + 0.4 * n.fine - 1.1, 0, 1)[..., None] * np.array([-0.15, -0.4, -0.55])
+    return (wave * _per_cell(n.rng, sheet, row, 0.07) * (1 + 0.03 * n.white))[..., None] * (1 + rust)
+
+
+def _seam(n: _Noise) -> np.ndarray:
+    sheet, row, u, _ = _grid(0.5, 6.0, n.texel)
+    return (1 - 0.3 * _lines(u, 0.09) + 0.2 * _lines(u - 0.09, 0.09)) * _per_cell(n.rng, sheet, row, 0.03)
+
+
+def _bitumen(n: _Noise) -> np.ndarray:
+    sheet, row, u, v = _grid(1.0, 5.0, n.texel)
+    puddles = np.clip(n.slow - 0.9, 0, 0.8)
+    joint = np.maximum(_lines(u, 0.05), _lines(v, 0.02))
+    return (
+        (1 + 0.05 * n.white + 0.06 * n.fine - 0.3 * puddles) * _per_cell(n.rng, sheet, row, 0.06) * (1 - 0.25 * joint)
+    )
+
+
+def _leaves(n: _Noise) -> np.ndarray:
+    clumps = cv2.GaussianBlur(n.white, (0, 0), 3) * 10 + cv2.GaussianBlur(n.white, (0, 0), 1.2) * 2.2 + 0.5 * n.fine
+    return np.clip(1 + 0.3 * clumps, 0.2, 2.2)
+
+
+def _facade(n: _Noise) -> np.ndarray:
+    _, _, u, v = _grid(3.0, 3.0, n.texel)
+    window = (np.abs(u - 0.5) < 0.24) & (np.abs(v - 0.55) < 0.25)
+    return np.where(window, 0.25, 1.0 + 0.05 * n.slow)
+
+
+def _plaster(n: _Noise) -> np.ndarray:
+    return 1 + 0.04 * n.slow + 0.03 * n.fine
+
+
+def _solar(n: _Noise) -> np.ndarray:
+    _, _, u, v = _grid(1.0, 1.7, n.texel)
+    frame = np.maximum(_lines(u, 0.06), _lines(v, 0.04))
+    cell = np.maximum(_lines(u * 6 % 1, 0.08), _lines(v * 10 % 1, 0.08))
+    return 1 + 4 * frame + 0.5 * cell
+
+
+def _planks(n: _Noise) -> np.ndarray:
+    column, row, u, _ = _grid(0.15, 3.0, n.texel)
+    return _per_cell(n.rng, column, row, 0.12) * (1 - 0.4 * _lines(u, 0.15)) * (1 + 0.05 * n.fine)
+
+
+PAINTERS: dict[str, Painter] = {
+    "plain": _plain,
+    "paint": _paint,
+    "asphalt": _asphalt,
+    "worn_asphalt": _worn_asphalt,
+    "concrete": _concrete,
+    "paving": _paving,
+    "grass": _grass(0.13, 0.5),
+    "dry_grass": _grass(0.16, 1.0),
+    "soil": _soil,
+    "sand": _sand,
+    "gravel": _grains(0.16),
+    "field": _field,
+    "water": _water,
+    "tiles": _tiles,
+    "corrugated": _corrugated,
+    "seam": _seam,
+    "bitumen": _bitumen,
+    "roof_gravel": _grains(0.12),
+    "leaves": _leaves,
+    "facade": _facade,
+    "plaster": _plaster,
+    "solar": _solar,
+    "planks": _planks,
+    "rubble": _grains(0.3),
+}
 
 
 @cache
 def _levels(name: str) -> tuple[np.ndarray, ...]:
     """The texture as float32 (s, s, 3) with mean 1, and its area-shrunk half sizes down to 1 texel."""
-    picture = np.asarray(_paint_material(name, np.random.default_rng(MATERIALS.index(name))), np.float32)
+    noise = _Noise.drawn(np.random.default_rng(MATERIALS.index(name)), TEXEL_M[name])
+    picture = np.asarray(PAINTERS[name](noise), np.float32)
     picture = picture[..., None] if picture.ndim == 2 else picture
     picture = np.broadcast_to(picture, (TEXTURE_SIZE, TEXTURE_SIZE, 3)).clip(0.05, None)
     levels = [(picture / picture.mean()).astype(np.float32)]

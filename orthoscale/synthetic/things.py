@@ -1,4 +1,4 @@
-"""What stands in a scene besides vehicles, much of it chosen because detectors take it for one."""
+"""Objects of a scene besides vehicles, many of them chosen because detectors mistake them for one."""
 
 from __future__ import annotations
 

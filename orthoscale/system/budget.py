@@ -1,4 +1,4 @@
-"""The memory budget: what pictures, boxes and foreign networks may take, one figure for the whole process."""
+"""The memory budget for pictures, boxes and other networks: one figure for the whole process."""
 
 from __future__ import annotations
 

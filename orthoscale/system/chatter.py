@@ -1,4 +1,4 @@
-"""What libraries in C print of their own accord (libpng, libjpeg, COLMAP's log): not for the user's eyes."""
+"""Suppresses what C libraries print of their own accord (libpng, libjpeg, COLMAP's log)."""
 
 from __future__ import annotations
 

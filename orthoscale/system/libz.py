@@ -1,7 +1,8 @@
-"""One zlib for the process, whichever of pycolmap and orthoscale is imported first.
+"""Ensures one zlib in the process, whichever of pycolmap and orthoscale is imported first.
 
-pycolmap's wheels for Linux carry a zlib of their own and load the system's as well. If nothing has loaded that before,
-its inner calls are bound to pycolmap's functions, and whatever compresses later (zlib, Pillow, OpenCV, GDAL) aborts.
+pycolmap's wheels for Linux contain a zlib of their own and also load the system's. If nothing has loaded the system's
+before, its internal calls are bound to pycolmap's functions, and whatever compresses later (zlib, Pillow, OpenCV, GDAL)
+aborts.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""The guard that every output of every command passes.
+"""The transaction in which a command writes its outputs: all of them whole, or none, and never over an input.
 
-Refused before any work is done: an output that is, contains or lies in an input, by whatever name; that belongs to an
-input, as a world file does; that another output of the command is too; that another run is writing; that exists, unless
-it may be overwritten and orthoscale wrote it under this very name. What is left is written aside, and all outputs of a
-command are put in their places together: no name that appeared meanwhile is replaced, and on any error, SIGTERM,
-SIGHUP and Ctrl-C included, everything is as it was. What a killed run left is removed by the next one.
+Refused before any work is done: an output that is, contains or lies in an input, under whatever name; that belongs to
+an input, as a world file does; that is also another output of the command; that another run is writing; or that exists,
+unless it may be overwritten and orthoscale wrote it under this very name. Outputs are written to temporary names and
+all of a command are renamed into place together: no file that appeared meanwhile is replaced, and on any error,
+SIGTERM, SIGHUP and Ctrl-C included, everything is as it was. Leftovers of a killed run are removed by the next one.
 """
 
 from __future__ import annotations

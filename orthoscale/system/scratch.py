@@ -1,4 +1,4 @@
-"""Folders for what is needed only while the program runs. A killed run's are removed by the next one."""
+"""Temporary folders of the running program. Those of a killed run are removed by the next one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SIGTERM, SIGHUP and Ctrl-C: heard from the first moment, held while files change places, answered with one sentence.
+"""SIGTERM, SIGHUP and Ctrl-C: handled from the start, deferred while files are renamed, answered with one sentence.
 
 SIGHUP is what a closed terminal or a lost connection sends.
 """

@@ -10,13 +10,14 @@ import numpy as np
 from orthoscale.core.boxes import KINDS, Boxes
 from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
 from orthoscale.core.pooling.mixture import CALLED_ANYTHING
-from orthoscale.core.projection.decoupled import simple_views
 from orthoscale.core.projection.exact import BODIES, Hull
 from orthoscale.core.projection.self_calibration import OwnRuler, own_ruler
 from orthoscale.core.projection.view import Views
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import Votes
 from orthoscale.synthetic.vehicle import Vehicle
+
+from .camera import simple_views
 
 SMALLEST = 5.0  # px: narrower boxes are not detected
 PITCHES = (-90, -75, -60, -45, -30)

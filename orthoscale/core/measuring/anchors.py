@@ -1,4 +1,4 @@
-"""Anchors in pictures become votes on the ground of their source: one each, however many pictures show it."""
+"""Merges the views of each anchor into one vote on the ground of the source, however many pictures show it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why two ways of measuring a model contradict each other, by the vehicles that both measured."""
+"""The likely cause of a contradiction between the planar and the oblique scale, by the vehicles of both."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ODD_HEIGHT = 2.0  # sigmas from the detector's card, from which the height that 
 
 
 class Cause(Enum):
-    """What may part two ways of measuring one model."""
+    """Possible causes of a contradiction between two modes of measuring one model."""
 
     OTHERS = "vehicles that only one of them counts"
     GROUND = "the ground under the vehicles"
@@ -26,15 +26,15 @@ class Cause(Enum):
 def cause(
     agreement: Agreement, apart: np.ndarray, plan: np.ndarray, calibration: SelfCalibration | None
 ) -> tuple[Cause, str]:
-    """What parts two ways that contradict each other, and the sentence that says so.
+    """The likely cause of a contradiction between two modes, and the sentence that states it.
 
-    apart : (K,) log of the size that the first way gives over what the second gives it, of the vehicles that count in
-    both. plan : (K, 2) where they stand on the ground's plane [units]. calibration : of the frames.
+    apart : (K,) log ratio of the size by the first mode to that by the second, of the vehicles that count in both. plan
+    : (K, 2) their positions on the ground's plane [units]. calibration : of the frames.
 
-    Where they measure the same vehicles alike, the others part them. A difference that changes from place to place is
-    the ground's, or the model is bent: neither way is better. One that comes with odd heights of vehicles is the
-    lens's: with a wrong focal length what flat views show of heights is taken off wrongly, and footprints from above
-    are right. What is left, alike in all vehicles, is in the boxes.
+    If both modes give the vehicles in common the same sizes, the other vehicles are the cause. A difference that
+    changes with the position is due to the ground, or to a bent model: neither mode is better. If the fitted heights of
+    vehicles are odd as well, it is the lens: a wrong focal length falsifies the correction for height in flat views,
+    while footprints from above are right. Otherwise, if all vehicles differ equally, it is the boxes.
     """
     count = len(apart)
     if count < MIN_COMMON:

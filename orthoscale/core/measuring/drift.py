@@ -1,4 +1,4 @@
-"""Scale by place: a tilted orthophoto shows a gradient, a bent one a bowl, and vehicles show both."""
+"""Drift of the scale across an orthophoto: a gradient of vehicle sizes where it is tilted, a bowl where it is bent."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ class Drift:
 
     @property
     def drifts(self) -> bool:
-        """The one judgement that every output prints."""
+        """Whether there is a drift: the one decision that every output prints."""
         return self.tilts or self.bends
 
     @property
     def amplitude(self) -> float:
-        """By how much the scale differs between its extremes, relative; 0 where nothing speaks for a drift."""
+        """Relative difference of the scale between its extremes; 0 without a significant drift."""
         return float(np.hypot(self.tilt if self.tilts else 0.0, self.bend if self.bends else 0.0))
 
     @property
@@ -69,7 +69,7 @@ class Drift:
 
     @property
     def remark(self) -> str:
-        """A warning in words, empty where there is nothing to warn of."""
+        """A warning in words, empty without a drift."""
         found = []
         if self.tilts:
             octant = round(self.direction / (np.pi / 4)) % 8
@@ -86,10 +86,10 @@ class Drift:
 def with_drift(scale: Scale, amplitude: float, warnings: Sequence[str]) -> Scale:
     """`scale` as it holds for any one place of its source, if it differs by `amplitude` (relative) between extremes.
 
-    By how much one place strays from the whole is one more part of the uncertainty, EVEN_SD of the amplitude, as of a
-    change that is spread evenly; interval and verdict follow. The verdict sinks by one step at least where the change
-    is larger than the 90 % interval is wide: then the places exclude each other's scale. Where it sinks to
-    ``unusable``, no one scale describes the source, and the `warnings` refuse it.
+    The difference of one place from the mean is one more part of the uncertainty, EVEN_SD of the amplitude, as for a
+    change that is spread evenly; interval and verdict follow. The verdict is at least one step lower where the change
+    is larger than the 90 % interval is wide: then places exclude each other's scale. Where it becomes ``unusable``, no
+    single scale describes the source, and the `warnings` refuse it.
     """
     word = scale.verdict
     if amplitude > 0:

@@ -1,4 +1,4 @@
-"""What measuring asks of a geometry: how boxes and vehicles on the ground belong together in one kind of picture."""
+"""The protocol `Geometry`: how the boxes of one kind of picture relate to vehicles on the ground."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from .systematic import Systematic
 
 @dataclass(frozen=True)
 class Observation:
-    """What M boxes measure, if a unit of the source is so many metres as the geometry was told.
+    """The sizes that M boxes have on the ground, for the scale that was assumed.
 
-    size : (M, 2) length and width of the vehicles on the ground [source units], NaN where no vehicle gives the box.
-    ruler : what is left of the detector's ruler to take off, and how well that is known.
-    systematic : by what all of them err alike.
-    ground : (M,) relative one-sigmas of the sizes by what is not known of the ground's height under each box.
+    size : (M, 2) length and width of the vehicles on the ground [source units], NaN where no vehicle on the ground fits
+    the box. ruler : the part of the detector's ruler that `size` still contains, with its uncertainty. systematic : the
+    errors common to all of them. ground : (M,) relative one-sigmas of the sizes from the uncertainty of the ground's
+    height under each box.
     """
 
     size: np.ndarray
@@ -41,22 +41,21 @@ class Observation:
 
 
 def larger_by(other: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """(2,) by how much the lengths and widths `other` (M, 2) are larger than `size` (log, median); 0 where no box has a
-    size of both: that of boxes which no vehicle gives is NaN, or below 0."""
+    """(2,) by how much the lengths and widths `other` (M, 2) exceed `size` (log, median); 0 where no box has a size of
+    both: the size of a box that no vehicle fits is NaN, or below 0."""
     ok = ((size > 0) & (other > 0)).all(1)
     return np.median(np.log(other[ok] / size[ok]), axis=0) if ok.any() else np.zeros(2)
 
 
 class Geometry(Protocol):
-    """M boxes of one source, and what they measure on its ground.
+    """M boxes of one source, and their projection onto the ground.
 
-    unit : of its lengths, as a scale's. projection : what it is called, one of `method.PROJECTIONS`.
-    boxes : M of them, all that can be measured. called : what these are, for people.
-    picture : (M,) name of the picture of each. pixel : (M,) ground size of one detector pixel [source units].
-    place : (M, D) where they stand [source units]. lost : boxes that cannot be measured, by reason.
-    repeated : whether pictures show vehicles again, so that boxes in one place are one vehicle.
-    typical_length : median length of the boxes [source units], with which the rounds begin.
-    rounds : of measuring and pooling, at most. settled : relative change of the scale at which they end.
+    unit : of its lengths, as of a scale. projection : its name, one of `method.PROJECTIONS`. boxes : all M that can be
+    measured. called : what they are called in messages. picture : (M,) name of the picture of each. pixel : (M,) ground
+    size of one detector pixel [source units]. place : (M, D) positions [source units]. lost : number of boxes that
+    cannot be measured, by reason. repeated : whether several pictures show the same vehicles, so that boxes in one
+    place are one vehicle. typical_length : median length of the boxes [source units], from which the first scale is
+    estimated. rounds : of measuring and pooling, at most. settled : relative change of the scale at which they end.
     """
 
     @property
@@ -85,23 +84,23 @@ class Geometry(Protocol):
     def settled(self) -> float: ...
 
     def observe(self, metres_per_unit: float) -> Observation:
-        """What the boxes measure; the scale enters through the vehicles' height."""
+        """The sizes of the boxes on the ground; they depend on the scale through the vehicles' height."""
         ...
 
     def shown(self, place: np.ndarray) -> np.ndarray | None:
-        """(N,) number of pictures that were looked at and have the places (N, D) in view; None where one shows all."""
+        """(N,) number of processed pictures that have the places (N, D) in view; None where one picture shows all."""
         ...
 
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
     ) -> Sequence[AnchorVote]:
-        """What else the pictures show of the scale; `vehicles` are the votes without the detector's margin."""
+        """Other evidence on the scale in the boxes; `vehicles` are the votes without the detector's margin."""
         ...
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
-        """The same after what the vehicles tell of it themselves, for the next round."""
+        """The geometry after self-calibration by the vehicles, for the next round."""
         ...
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
-        """What the boxes tell besides the scale."""
+        """What else the boxes show, beside the scale."""
         ...

@@ -1,4 +1,4 @@
-"""Which frames have a place in view: a vehicle should be found in most of them, a mistake hardly shows twice."""
+"""Which frames have a place in view: a vehicle should be found in most of them, a false detection rarely twice."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..source import PosedSet
 
 
 def looked_at(found: Detections) -> list[str]:
-    """Names of the pictures in which anything was seen, believed or not: those that were surely looked at."""
+    """Names of the pictures with any boxes, accepted or doubtful: those that were certainly processed."""
     return [name for name in {**found.boxes, **found.doubtful} if _count(found, name)]
 
 
@@ -22,8 +22,8 @@ def _count(found: Detections, name: str) -> int:
 def frames_in_view(
     source: PosedSet, names: Iterable[str], place: np.ndarray, border: float, lowest_elevation: float
 ) -> np.ndarray:
-    """(N,) how many of the frames `names` show the places (N, 3) [units, world], `border` [px] or more from their edge
-    and at `lowest_elevation` [deg] or steeper. What stands in the way is not looked for."""
+    """(N,) number of the frames `names` that show the places (N, 3) [units, world], `border` [px] or more from their
+    edge and at `lowest_elevation` [deg] or steeper. Occlusion is not considered."""
     count = np.zeros(len(place), int)
     for name in names:
         ray = source.centre(name) - place

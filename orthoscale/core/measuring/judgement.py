@@ -1,4 +1,4 @@
-"""What speaks for a scale, and what against it: every check that a report shows is made here, with its severity."""
+"""The checks that speak for and against a scale: all that a report shows are made here, with their severity."""
 
 from __future__ import annotations
 

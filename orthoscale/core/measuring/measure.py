@@ -1,4 +1,4 @@
-"""From boxes to the scale: measured on the ground, one vote per vehicle, pooled; again until the scale settles."""
+"""The measuring loop: boxes are measured on the ground, merged to votes and pooled, until the scale settles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What measuring gives: the scale, the vehicles, and what they tell besides."""
+"""The outcome of measuring: the scale, the vehicles, and further findings."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ LEAST = 0.1  # of a box's side that is taken for the vehicle's at least, however
 
 @dataclass(frozen=True)
 class SelfCalibration:
-    """ruler : as the vehicles' own views have it. card : as the detector ships it. trends : what is left of either,
-    None for too few views."""
+    """ruler : as fitted to the vehicles' own views. card : as in the detector's card. trends : what remains with either
+    ruler, None for too few views."""
 
     ruler: OwnRuler
     card: OwnRuler
@@ -36,7 +36,7 @@ class SelfCalibration:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the boxes of one geometry tell besides the scale, where they can. shared : as in `systematic.Systematic`."""
+    """What the boxes of one geometry show beside the scale, where they can. shared : as in `systematic.Systematic`."""
 
     calibration: SelfCalibration | None = None
     drift: Drift | ModelDrift | None = None
@@ -45,10 +45,10 @@ class Findings:
 
 @dataclass(frozen=True)
 class Pooled:
-    """What a scale was pooled with, besides the votes, the fleet and the method.
+    """The inputs of pooling other than the votes, the fleet and the method.
 
-    ruler : what was left of it. systematic : by what all sizes err alike, from the source's geometry. noise : (N, 2)
-    relative one-sigmas of the votes. more : what the boxes themselves show of the scale.
+    ruler : the part that the votes still contain. systematic : errors common to all sizes, from the source's geometry.
+    noise : (N, 2) relative one-sigmas of the votes. more : evidence on the scale in the boxes themselves.
     """
 
     ruler: Ruler
@@ -89,7 +89,7 @@ class Measurement:
 
     @property
     def drift(self) -> Drift | ModelDrift | None:
-        """How the scale changes from place to place, where there are vehicles enough to say."""
+        """How the scale changes from place to place, if there are enough vehicles to tell."""
         return self.found.drift
 
     @property
@@ -99,10 +99,10 @@ class Measurement:
 
     @property
     def remarks(self) -> list[Remark]:
-        """What should be known beside the figures, the most serious first."""
+        """The remarks on the scale, the most serious first."""
         return [*self.scale.remarks, *(Remark(INFO, note) for note in self.notes)]
 
 
 def tight(votes: Votes, margin: Sequence[float] | np.ndarray) -> np.ndarray:
-    """(N, 2) sizes of the vehicles behind the votes, without the boxes' `margin` (2,) [detector px]; never nothing."""
+    """(N, 2) sizes of the vehicles behind the votes, less the boxes' `margin` (2,) [detector px]; always positive."""
     return np.maximum(votes.size - np.asarray(margin) * votes.pixel[:, None], LEAST * votes.size)

@@ -1,4 +1,4 @@
-"""Which way from boxes to the scale: the projection, the estimator, and what is known besides."""
+"""How boxes become a scale: the projection, the estimator, and the evidence besides the vehicles."""
 
 from __future__ import annotations
 

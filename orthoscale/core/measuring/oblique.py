@@ -1,7 +1,7 @@
-"""Measuring in the frames of a reconstruction, as they are: each box with its own camera, distortion and ground.
+"""Measures vehicles in the frames of a reconstruction: each box with its own camera, distortion and ground.
 
-The ruler calibrates itself on the way (`projection.self_calibration`): what the boxes take in of a vehicle's height,
-and their margin, follow from vehicles that are seen steeply and flatly, near and far.
+The ruler is calibrated meanwhile (`projection.self_calibration`): the height that boxes enclose, and their margin,
+follow from vehicles seen in steep and flat views, near and far.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ CALLED_IN_FRAMES = "boxes on the ground"
 
 @dataclass(frozen=True)
 class FramesGeometry:
-    """What a `Geometry` of boxes that are seen in `views`, each by its own camera, has whatever the projection.
+    """The common part of a `Geometry` of boxes in `views`, each with its own camera, for any projection.
 
-    source : whose frames they are. found : all that was found in them. place, views : on the ground on which the
-    vehicles stand, which `stands` says how far below the sparse points' it lies.
+    source : of the frames. found : all detections in them. place, views : on the ground on which the vehicles stand;
+    `stands` is how far below the ground by the sparse points it lies.
     """
 
     source: PosedSet
@@ -152,7 +152,7 @@ class FramesGeometry:
 
 @dataclass(frozen=True)
 class ExactGeometry(FramesGeometry):
-    """By the exact model. ruler : as the vehicles have it so far, the card's at first."""
+    """By the exact projection. ruler : the current one, at first that of the card."""
 
     ruler: OwnRuler | None = None
 
@@ -194,7 +194,7 @@ class ExactGeometry(FramesGeometry):
 
 @dataclass(frozen=True)
 class OtherGeometry(FramesGeometry):
-    """By another projection of `method.PROJECTIONS`: it has no effective height, or one of its own, and measures by the
+    """By another projection of `method.PROJECTIONS`, without an effective height or with one of its own, and by the
     detector's card."""
 
     method: Method = Method()
@@ -217,16 +217,15 @@ class OtherGeometry(FramesGeometry):
 
 
 def shown_in_frames(source: PosedSet, found: Detections, boxes: Boxes, place: np.ndarray) -> np.ndarray:
-    """(N,) number of the frames looked at that show all of a vehicle at the places (N, 3), as large as `boxes` are."""
+    """(N,) number of the processed frames that show a vehicle at the places (N, 3) as a whole, if it is as large as
+    `boxes` are."""
     border = float(np.median(boxes.length)) / 2
     return frames_in_view(source, looked_at(found), place, border, LOWEST_ELEVATION)
 
 
 def height_share(size: np.ndarray, leaning: np.ndarray, metres_per_unit: float) -> np.ndarray:
-    """(2,) relative one-sigmas of lengths and widths from what is not known of the effective height.
-
-    size, leaning : (N, 2) as measured [units], and by `height.lean`.
-    """
+    """(2,) relative one-sigmas of lengths and widths from the uncertainty of the effective height. size, leaning : (N,
+    2) as measured [units], and by `height.lean`."""
     if not len(size):
         return np.zeros(2)
     return np.median(leaning * np.full(2, HEIGHT_SD / metres_per_unit) / size, axis=0)

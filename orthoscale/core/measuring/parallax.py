@@ -1,9 +1,9 @@
-"""Where vehicles stand, by their own parallax: a vehicle that several frames show lies where their rays meet.
+"""The height of the ground from the vehicles' own parallax: a vehicle in several frames lies where their rays meet.
 
-The ground of a reconstruction is drawn under its sparse points. Where these are but crowns and roofs, it is drawn too
-high: all distances are too short, and the scale comes out too large. Vehicles stand on the ground, and frames that see
-one from two sides tell how far away it is, without any sparse point. So the sheet under the points is one measurement
-of the ground's height, the vehicles are another, and what both say together is used.
+The ground of a reconstruction is a surface fitted below its sparse points. Where these lie on tree crowns and roofs
+only, it is too high: all distances are too short, and the scale comes out too large. Vehicles stand on the ground, and
+frames that show one from two sides give its distance without any sparse point. So the surface is one measurement of the
+ground's height, the vehicles are another, and the two are combined.
 """
 
 from __future__ import annotations
@@ -40,12 +40,13 @@ STRAY_VEHICLE = 4.0  # sigmas from which a vehicle is left out: its boxes are no
 
 @dataclass(frozen=True)
 class Standing:
-    """How the ground under M boxes lies to the sheet under the sparse points, relative to the cameras' heights.
+    """The ground under M boxes by the surface below the sparse points and by parallax, relative to the cameras'
+    heights.
 
-    lower : (M,) by how much it lies lower; sizes and distances are as much larger. sd : (M,) one sigma of that.
-    shared : the part of it by which all boxes err alike, one sigma, which more of them do not lessen.
-    vehicles : that several frames showed, 0 where the sheet alone speaks. trees : probability that the sheet lies on
-    other things than the ground.
+    lower : (M,) how far it lies below that surface; sizes and distances are larger by the same factor. sd : (M,) one
+    sigma of that. shared : the part of it that is common to all boxes, one sigma, which does not average out. vehicles
+    : number of vehicles seen in several frames, 0 if the surface alone is used. trees : probability that the surface
+    lies on other things than the ground.
     """
 
     lower: np.ndarray
@@ -61,17 +62,17 @@ class Standing:
 
     @property
     def alike(self) -> dict[str, np.ndarray]:
-        """What `shared` makes of lengths and widths, as `Observation.shared` has it."""
+        """The error of lengths and widths that follows from `shared`, as in `Systematic.shared`."""
         return {"ground": np.full(2, self.shared)}
 
 
 def standing_in_model(
     source: PosedSet, picture: np.ndarray, place: np.ndarray, size: np.ndarray
 ) -> tuple[Standing, np.ndarray]:
-    """Where the vehicles of M boxes stand, and their places (M, 3) there [units, world].
+    """The ground under M boxes, and their places (M, 3) on it [units, world].
 
-    picture : (M,) name of the frame of each. place : (M, 3) where its middle is on the ground of `source`. size : (2,)
-    usual length and width of a vehicle [units].
+    picture : (M,) name of the frame of each. place : (M, 3) where the ray through its centre meets the ground of
+    `source`. size : (2,) typical length and width of a vehicle [units].
     """
     ground = source.ground
     names, which = np.unique(picture, return_inverse=True)
@@ -90,11 +91,11 @@ def standing(
     size: tuple[float, float],
     sd: np.ndarray,
 ) -> Standing:
-    """Where the vehicles in M boxes stand.
+    """The ground under the vehicles in M boxes.
 
-    place, foot : (M, 2) on the sheet's plane, where the ray through the box's middle meets it, and below the camera.
-    above : (M,) the camera's height over the sheet there. picture : (M,) name of the frame of each box.
-    size : usual length and width of a vehicle. sd : (M,) one sigma of the sheet's height; all [units].
+    place, foot : (M, 2) on the surface's plane, where the ray through the box's centre meets it, and below the camera.
+    above : (M,) the camera's height over the surface there. picture : (M,) name of the frame of each box. size :
+    typical length and width of a vehicle. sd : (M,) one sigma of the surface's height; all [units].
     """
     offset = (place - foot) / above[:, None]
     height, alone = float(np.median(above)) if len(above) else 1.0, _of_sheet(sd / above)
@@ -115,7 +116,7 @@ def standing(
 
 @dataclass(frozen=True)
 class _Seen:
-    """K vehicles that several frames show: place (K, 2), how much lower than the sheet they stand and its variance."""
+    """K vehicles seen in several frames: place (K, 2), how far below the surface they stand, and its variance."""
 
     place: np.ndarray
     lower: np.ndarray
@@ -132,7 +133,7 @@ def _cells(place: np.ndarray, side: float) -> list[np.ndarray]:
 def _search(
     place: np.ndarray, offset: np.ndarray, picture: np.ndarray, tried: np.ndarray, usual: float, width: float
 ) -> float:
-    """By how much lower than the sheet, of those `tried`, boxes of different frames coincide best; `usual` where that
+    """The depth below the surface, of those `tried`, at which boxes of different frames coincide best; `usual` if that
     is hardly better."""
     _, frame = np.unique(picture, return_inverse=True)
     tried = np.r_[usual, tried[np.argsort(np.abs(tried - usual), kind="stable")]]
@@ -147,7 +148,7 @@ def _search(
 
 
 def _triangulated(place: np.ndarray, offset: np.ndarray, picture: np.ndarray, start: np.ndarray, width: float) -> _Seen:
-    """Vehicles that several frames show, found where boxes coincide at `start` (M,) below the sheet."""
+    """Vehicles seen in several frames, found where boxes coincide at `start` (M,) below the surface."""
     at = place + start[:, None] * offset
     labels = same_place(at, SAME_PLACE * width)
     rows, left = [], []
@@ -175,7 +176,7 @@ def _triangulated(place: np.ndarray, offset: np.ndarray, picture: np.ndarray, st
 def _combined(
     seen: _Seen, place: np.ndarray, sd: np.ndarray, above: np.ndarray, height: float, middle_sd: float
 ) -> Standing:
-    """The sheet and the vehicles together, for the boxes at `place`: a Gaussian process for each of two hypotheses."""
+    """The surface and the vehicles combined, for the boxes at `place`: a Gaussian process for each of two cases."""
     nearest = cKDTree(place).query(seen.place)[1]
     own = sd[nearest]
     keep = np.ones(len(seen.lower), bool)
@@ -213,5 +214,5 @@ def _combined(
 
 
 def _of_sheet(sd: np.ndarray) -> Standing:
-    """Where the sheet alone speaks, whose heights are known to `sd` (M,) from place to place [camera heights]."""
+    """The ground by the surface alone, whose height has the one-sigma `sd` (M,) at each place [camera heights]."""
     return Standing(np.zeros(len(sd)), np.hypot(sd, GROUND_SD))

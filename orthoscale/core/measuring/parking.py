@@ -1,8 +1,7 @@
-"""The pitch of parking rows: vehicles side by side repeat at a stall's width, which each country builds to a standard.
+"""The pitch of parking rows: vehicles side by side repeat at the width of a stall, which each country standardises.
 
-Seen in the boxes alone. In a row, the distances between vehicles across their length are multiples of one pitch, give
-or take how askew they park; where that pitch shows, it is a measurement of the scale that knows nothing of vehicles'
-sizes.
+It uses the boxes alone. In a row, the lateral distances between vehicles are multiples of one pitch, up to how askew
+they are parked. Where that pitch is found, it measures the scale independently of the vehicles' sizes.
 """
 
 from __future__ import annotations

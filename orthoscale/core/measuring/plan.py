@@ -1,4 +1,4 @@
-"""Measuring in a plan: an orthophoto shows footprints, so a box is a vehicle."""
+"""Measures vehicles in a plan: an orthophoto shows footprints, so a box less its margin is a vehicle."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Measuring a reconstruction as if it were an orthophoto: frames warped onto the ground, the planar variant.
+"""Measures vehicles in frames warped onto the ground (planar), as if they were an orthophoto.
 
-The paper's orthophoto method without an orthophoto, and a second look that shares neither the projection model nor the
-picture with the first (`oblique`). A plan shows footprints; what remains of the vehicles' height in the near-nadir
-parts is taken off.
+This is the paper's orthophoto method without an orthophoto, and a measurement independent of `oblique`: it shares
+neither the projection nor the pictures. A plan shows footprints; the relief displacement that remains near the nadir is
+removed.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ class SweepGeometry:
         return float(np.median(self.flat[:, 0]))
 
     def observe(self, metres_per_unit: float) -> Observation:
-        """What is left of a box without the part of the vehicle's height."""
+        """Sizes of the boxes less the part due to the vehicles' height."""
         size, longer = (self._footprints(metres_per_unit, ratio) for ratio in (1.0, 1 + self.focal_sd))
         by_height = of_height(height_share(size, np.abs(self.offset), metres_per_unit))
         by_focal = {"focal length": larger_by(longer, size)} if self.focal_sd else {}
@@ -157,7 +157,7 @@ class SweepGeometry:
         return self
 
     def findings(self, seen: Observation, vehicles: Votes, scale: Scale) -> Findings:
-        """Nothing: the frames as they are tell more."""
+        """None: the frames themselves show more."""
         return Findings()
 
 

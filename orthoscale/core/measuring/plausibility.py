@@ -1,5 +1,7 @@
-"""Are the boxes vehicles at all? Whatever is found gives some scale; these checks refuse or doubt it where the boxes of
-an orthophoto stand in one another, stand in no order, are all of one length, or are seldom seen by both passes.
+"""Whether boxes can be vehicles at all: some scale fits any boxes, so implausible ones are refused or doubted.
+
+Implausible are boxes of an orthophoto that overlap, lie in no order, are all of one length, or are seldom found by both
+detection passes.
 """
 
 from __future__ import annotations
@@ -35,9 +37,10 @@ MANY_LARGER = 0.2
 
 
 def plausible(scale: Scale, boxes: Boxes, doubtful: int) -> Scale:
-    """`scale` as far as its `boxes` (N, of one picture) may be vehicles, with a remark on each check that says no.
+    """`scale`, with a remark on each check by which its `boxes` (N, of one picture) may not be vehicles.
 
-    scale : by all of `boxes`, of which it uses some. doubtful : number of boxes that one of two detection passes sees.
+    scale : by all of `boxes`, of which it uses some. doubtful : number of boxes that only one of the two detection
+    passes found.
     """
     used = boxes[scale.used]
     for check in (if_apart, if_in_order, if_unlike):
@@ -46,7 +49,7 @@ def plausible(scale: Scale, boxes: Boxes, doubtful: int) -> Scale:
 
 
 def if_apart(scale: Scale, used: Boxes) -> Scale:
-    """`scale`, refused where the vehicles that it uses stand in one another: boxes that do so are no vehicles."""
+    """`scale`, refused if the vehicles that it uses overlap: such boxes are not vehicles."""
     share = float(standing_in_another(used).mean()) if len(used) >= LEAST_USED else 0.0
     if share < IN_ONE_ANOTHER:
         return scale
@@ -59,10 +62,10 @@ def if_apart(scale: Scale, used: Boxes) -> Scale:
 
 
 def if_in_order(scale: Scale, used: Boxes) -> Scale:
-    """`scale`, ``poor`` at best where the vehicles that it uses stand in no order at all.
+    """`scale`, ``poor`` at best if the vehicles that it uses are in no order at all.
 
-    Vehicles stand parallel to their neighbours or across: lanes, kerbs, bays and rows see to that. Boxes whose
-    directions know nothing of one another may be of any size.
+    Vehicles are parallel or perpendicular to their neighbours, because of lanes, kerbs, bays and rows. Boxes of
+    unrelated directions may be things of any size.
     """
     pairs, agreement = alignment(used)
     if pairs < LEAST_PAIRS or agreement >= ALIGNED:
@@ -76,8 +79,8 @@ def if_in_order(scale: Scale, used: Boxes) -> Scale:
 
 
 def if_unlike(scale: Scale, used: Boxes) -> Scale:
-    """`scale`, refused where the vehicles that it uses are too much alike: a detector sees panels and roof machines of
-    one make alike to 1 or 2 %, vehicles of twelve places differ by 6 to 20 %."""
+    """`scale`, refused if the vehicles that it uses are too similar in size: boxes of panels and roof machines of one
+    make scatter by 1 or 2 %, those of vehicles of twelve places by 6 to 20 %."""
     if not of_one_size(used):
         return scale
     remark = Remark(
@@ -91,13 +94,13 @@ def if_unlike(scale: Scale, used: Boxes) -> Scale:
 
 def if_confirmed(scale: Scale, believed: int, doubtful: int) -> Scale:
     """`scale`, one step lower in its verdict and ``poor`` at best where of all boxes only OF_MISTAKES or fewer are
-    `believed`, which means that both detection passes see them; refused where more than MANY_LARGER of the vehicles are
-    larger ones besides.
+    `believed`, that is, found by both detection passes; refused where also more than MANY_LARGER of the vehicles are
+    larger ones.
 
-    Vehicles show at any resolution, mistakes now and then. A picture without a vehicle, full of panels, skylights and
-    sheds, has its boxes too, and things of some other size, all alike, are as sure of themselves as vehicles; anchors
-    follow them. Then vehicles much larger than cars are a bad sign: graves or tents may be the cars of the reading, and
-    what stands out above them the cars.
+    Vehicles are found at any resolution, other things only now and then. A picture without vehicles, full of panels,
+    skylights and sheds, also gives boxes, and things of one other size give as certain a scale as vehicles, which
+    anchors then follow. Vehicles much larger than cars are a bad sign there: the supposed cars may be graves or tents,
+    and the supposed larger vehicles the cars.
     """
     seen = believed + doubtful
     if seen < LEAST_SEEN or believed > OF_MISTAKES * seen:
@@ -120,7 +123,7 @@ def if_confirmed(scale: Scale, believed: int, doubtful: int) -> Scale:
 
 
 def standing_in_another(boxes: Boxes) -> np.ndarray:
-    """(N,) bool: whose middle lies in another's box, or another's middle in its own. `boxes` are of one picture."""
+    """(N,) bool: boxes whose centre lies in another box, or that contain another's centre; all of one picture."""
     from scipy.spatial import cKDTree
 
     inside = np.zeros(len(boxes), bool)
@@ -139,8 +142,8 @@ def standing_in_another(boxes: Boxes) -> np.ndarray:
 
 
 def alignment(boxes: Boxes) -> tuple[int, float]:
-    """Pairs of `boxes` (N, of one picture) of which one is the other's nearest neighbour, and how far their directions
-    agree: the mean of cos(4 difference), which is the same for parallel and across, and 0 without any pair."""
+    """Number of pairs of nearest neighbours in `boxes` (N, of one picture), and how well their directions agree: the
+    mean of cos(4 difference), which is the same for parallel and perpendicular, and 0 without any pair."""
     from scipy.spatial import cKDTree
 
     if len(boxes) < 2:

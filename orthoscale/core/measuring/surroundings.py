@@ -1,4 +1,4 @@
-"""What boxes show of a scale besides the vehicles' sizes: rows of parked vehicles, objects of standard size."""
+"""Evidence on the scale in the boxes besides vehicle sizes: rows of parked vehicles, objects of standard size."""
 
 from __future__ import annotations
 
@@ -27,17 +27,15 @@ CLEAR_OF_BORDER = 3.0  # [px] from a frame's border: nearer, a box may be cut
 
 @dataclass(frozen=True)
 class Standards:
-    """What is of a standard size beside vehicles.
-
-    stalls : of car parks, by country, as in ``data/stalls.json``. objects : by class, as in ``data/objects.json``.
-    """
+    """Sizes of standardised things other than vehicles. stalls : of car parks, by country, as in ``data/stalls.json``.
+    objects : by class, as in ``data/objects.json``."""
 
     stalls: dict[str, dict[str, Any]]
     objects: dict[str, list[dict[str, Any]]]
 
 
 def rows_in_plan(votes: Votes, along: np.ndarray, standards: Standards, country: str) -> list[AnchorVote]:
-    """The pitch of parking rows in an orthophoto, where they show one.
+    """The pitch of parking rows in an orthophoto, if there are any.
 
     votes : of single boxes, `size` without the margin. along : (N, 2) unit vectors of their long sides. country : the
     fleet's code.
@@ -93,11 +91,11 @@ def objects_in_model(
     metres_per_unit: float,
     known: Standards,
 ) -> list[AnchorVote]:
-    """Objects of standard size in a reconstruction's frames, one vote for each object however often it was seen.
+    """Objects of standard size in a reconstruction's frames, one vote for each object however many frames show it.
 
-    objects : boxes by frame and class. `metres_per_unit` is the scale so far, for the heights of what is not flat. Up
-    to where boxes enclose that, nobody has measured: half its height is assumed, and what the whole and none of it
-    would make of the scale is in the uncertainty.
+    objects : boxes by frame and class. `metres_per_unit` is the current scale, for the heights of objects that are not
+    flat. The height up to which boxes enclose them has not been measured: half the object's height is assumed, and the
+    range from none to all of it is in the uncertainty.
     """
     found = []
     for kind, standards in known.objects.items():

@@ -1,7 +1,7 @@
-"""What makes all sizes of one way of measuring err alike, by cause, and what of it is left in the mean of two ways.
+"""Errors common to all sizes of one measuring mode, by cause, and what remains of them in the mean of two modes.
 
-Two ways of measuring one scene share some of their causes: the ground is too high for both, the focal length too long.
-What they share does not get less in their mean; what each has of its own does.
+Two modes share some causes: the ground is too high for both, the focal length too long for both. Shared errors do not
+average out; errors that only one mode has do.
 """
 
 from __future__ import annotations
@@ -17,9 +17,12 @@ ENDS, SIDES = "height of ends", "height of sides"
 
 @dataclass(frozen=True)
 class Systematic:
-    """own : (2,) relative one-sigmas of all lengths, and of all widths, which no other way of measuring shares.
-    shared : by cause, (2,) by how much lengths and widths come out larger (log) where it is one sigma off. Causes of
-    the same name are the same for all ways, and independent of one another."""
+    """Errors common to all sizes of one measuring mode.
+
+    own : (2,) relative one-sigmas of all lengths, and of all widths, that no other mode shares. shared : by cause, (2,)
+    by how much lengths and widths come out larger (log) if it is one sigma off. Causes of the same name are identical
+    in all modes; different causes are independent.
+    """
 
     own: np.ndarray = field(default_factory=lambda: np.zeros(2))
     shared: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -30,16 +33,16 @@ class Systematic:
         return np.diag(np.square(self.own)) + sum((np.outer(s, s) for s in self.shared.values()), np.zeros((2, 2)))
 
     def and_shared(self, more: Mapping[str, np.ndarray]) -> Systematic:
-        """With `more` causes besides."""
+        """The same with `more` shared causes."""
         return replace(self, shared={**self.shared, **more})
 
     def cross(self, other: Systematic) -> np.ndarray:
-        """(2,) covariance of lengths with those of `other`, and of widths."""
+        """(2,) covariance with `other`: of the lengths of both, and of the widths of both."""
         causes = self.shared.keys() & other.shared.keys()
         return sum((self.shared[cause] * other.shared[cause] for cause in sorted(causes)), np.zeros(2))
 
     def mean(self, other: Systematic, weight: np.ndarray) -> Systematic:
-        """Of the mean (of logarithms) of two ways' lengths and widths, in which `other` has `weight` (2,)."""
+        """Errors of the mean (of logarithms) of two modes' lengths and widths, in which `other` has `weight` (2,)."""
         none = np.zeros(2)
         return Systematic(
             np.hypot((1 - weight) * self.own, weight * other.own),
@@ -51,10 +54,10 @@ class Systematic:
 
 
 def of_height(alone: np.ndarray, left: np.ndarray | float = 1.0) -> Systematic:
-    """Of sizes that err by `alone` (2,) by what is not known of bodies, heights among it.
+    """Errors of sizes with one-sigmas `alone` (2,) from the uncertainty of vehicle bodies, including their heights.
 
-    left : (2,) how these errors correlate with what the detector's card does not know of the heights: 1 where only the
-    card tells them. The rest is this way's own.
+    left : (2,) correlation of these errors with the error of the heights in the detector's card: 1 if the heights come
+    from the card alone. The rest is this mode's own.
     """
     by_card = alone * left
     own = np.sqrt(np.maximum(np.square(alone) - np.square(by_card), 0.0))

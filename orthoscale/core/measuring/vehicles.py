@@ -1,4 +1,4 @@
-"""The vehicles that were measured, one row each: the only place where their metres are made."""
+"""The measured vehicles as a table, one row each: the only place where their sizes in metres are computed."""
 
 from __future__ import annotations
 

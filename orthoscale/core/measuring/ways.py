@@ -1,6 +1,7 @@
-"""A plan is measured in one way, a posed set in two: in its frames as they are, and in these warped onto the ground.
+"""Chooses the measuring modes of a source: planar for a plan, oblique and planar for a posed set.
 
-The two ways share neither the projection model nor the pictures, so each is a check on the other.
+The two modes of a posed set (its frames, and frames warped onto the ground) share neither the projection nor the
+pictures, so each is a check on the other.
 """
 
 from __future__ import annotations
@@ -56,12 +57,12 @@ def measure_source(
 def measure_posed(
     source: PosedSet, found: Detections, fleet: Fleet, method: Method | None = None, mode: str | None = None
 ) -> Measurement:
-    """The scale of a reconstruction by the vehicles `found`, in each way that `mode` asks for and they allow.
+    """The scale of a reconstruction by the vehicles `found`, in each mode that `mode` allows and they suffice for.
 
-    By default both ways are tried. Where one has too little evidence, the other answers; where both have enough, they
-    are pooled, each vehicle once, and `Measurement.agreement` says how they fit. Two that contradict each other are
-    not: the surer one answers, its verdict is ``unusable``, and its interval reaches over both.
-    Raises TooLittleEvidence, UsageError.
+    By default both modes are tried. If one has too little evidence, the other is used alone; otherwise they are pooled,
+    each vehicle once, and `Measurement.agreement` compares them. If they contradict each other they are not pooled: the
+    more certain one gives the value, its verdict is ``unusable``, and its interval covers both. Raises
+    TooLittleEvidence, UsageError.
     """
     method = method or Method()
     if mode is None and method.projection is not None:
@@ -97,7 +98,7 @@ def measure_posed(
 def _answer(
     source: PosedSet, found: Detections, modes: dict[str, Measurement], fleet: Fleet, method: Method
 ) -> Measurement:
-    """What one way or two say together."""
+    """The scale by one mode, or by both."""
     first = next(iter(modes.values()))
     if len(modes) == 1:
         return first
@@ -120,9 +121,8 @@ def _answer(
 def _by_vehicles(
     source: PosedSet, found: Detections, modes: dict[str, Measurement], fleet: Fleet, method: Method
 ) -> Scale:
-    """The scale by all vehicles of both ways, each of which counts once, however it was seen.
-
-    Both ways look at the same frames: what one picture of the ground shows, and none of many frames, is a mistake."""
+    """The scale by all vehicles of both modes, each of which counts once. A vehicle found in a single ground picture,
+    and in none of many frames that show its place, is a false detection."""
     first = next(iter(modes.values()))
     votes, ruler, covariance = united(*modes.values())
     in_frames = shown_in_frames(source, found, first.boxes, votes.place)
@@ -135,17 +135,20 @@ def _by_vehicles(
 
 
 def _of_one_scale(measured: Measurement) -> Measurement:
-    """`measured` with what its drift makes of its scale: that of one place is known less well than that of all."""
+    """`measured`, with the drift of its scale as a part of the uncertainty: the scale of a single place is less certain
+    than the mean."""
     if measured.drift is None:
         return measured
     return replace(measured, scale=with_drift(measured.scale, measured.drift.amplitude, measured.drift.warnings))
 
 
 def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
-    """The vehicles of two ways as votes of one, the margin taken off; the ruler and the geometry's covariance of these.
+    """The vehicles of two modes as one set of votes, without the margin; with their ruler and the geometry's
+    covariance.
 
-    What both measured is weighted by what they do not share (`_shares`). What is not known of the ruler is the mean of
-    both, by how much each has to say: it is largely the same. Of the geometry, some of it is.
+    A vehicle measured in both is weighted by the errors that the modes do not share (`_shares`). The ruler's
+    uncertainty is the weighted mean of both, since it is largely common to them; that of the geometry is common in
+    part.
     """
     known_a, known_b = a.pooled, b.pooled
     assert known_a is not None and known_b is not None, "asked before"
@@ -157,10 +160,10 @@ def united(a: Measurement, b: Measurement) -> tuple[Votes, Ruler, np.ndarray]:
 
 
 def _joined_votes(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray, share: np.ndarray) -> Votes:
-    """All vehicles of `a`, then those that `b` alone measured.
+    """All vehicles of `a`, then those that only `b` measured.
 
-    ia, ib : (K,) numbers of the votes of both that are of one vehicle. It has the mean of what they say, in which `a`
-    has `share` (K, 2). Both look at the same pixels, so its noise is the mean of theirs, and so is what it is called.
+    ia, ib : (K,) indices of the votes of both that are one vehicle. Its size is the mean of the two, in which `a` has
+    `share` (K, 2). Both modes use the same pixels, so its noise is the mean of their noises, and so are its kinds.
     """
     known_a, known_b = a.pooled, b.pooled
     assert known_a is not None and known_b is not None, "asked before"
@@ -193,8 +196,8 @@ def _joined_votes(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray
 
 
 def _joined_ruler(a: Measurement, b: Measurement, weight: np.ndarray) -> Ruler:
-    """The ruler of the vehicles of both ways, whose `weight` (2 ways, 2) is that of `_weights`. The margins are taken
-    off: what is not known of them is a bias."""
+    """The ruler of the vehicles of both modes, whose `weight` (2 modes, 2) is that of `_weights`. The margins are
+    removed already: their uncertainty is a bias."""
     rulers = [way.pooled.ruler for way in (a, b) if way.pooled is not None]
     bias = [
         np.hypot(ruler.bias_sd, np.asarray(ruler.margin_sd) * np.median(way.votes.pixel[:, None] / way.size, axis=0))
@@ -216,16 +219,18 @@ def _joined_ruler(a: Measurement, b: Measurement, weight: np.ndarray) -> Ruler:
 
 
 def _shares(a: Pooled, b: Pooled, ia: np.ndarray, ib: np.ndarray) -> np.ndarray:
-    """(K, 2) weights of `a` in the lengths and widths of the K vehicles `ia` and `ib` that both measured: for which the
-    mean of all is known best. There each one's noise counts for a Kth, and all of what they err by together."""
+    """(K, 2) weights of `a` in the lengths and widths of the K vehicles `ia` and `ib` that both measured: those that
+    minimise the variance of the mean of all K. In that mean, the noise of each counts for a Kth, common errors in full.
+    """
     both, count = a.systematic.cross(b.systematic), max(len(ia), 1)
     own = [np.diag(way.systematic.covariance) - both + way.noise[some] ** 2 / count for way, some in ((a, ia), (b, ib))]
     return np.clip(own[1] / (own[0] + own[1]), 0, 1)
 
 
 def _weights(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(2 ways, 2) weights in the mean of all lengths, and of all widths, where `ia`, `ib` (K,) are the votes of both,
-    in which `a` has `share` (K, 2). Vehicles count alike: their own sizes differ by more than any is mistaken."""
+    """(2 modes, 2) weights in the mean of all lengths, and of all widths, where `ia`, `ib` (K,) are the votes of both,
+    in which `a` has `share` (K, 2). All vehicles have equal weight: their true sizes differ by more than any
+    measurement error."""
     of_a = np.ones((len(a.votes), 2))
     of_a[ia] = share
     counts = a.scale.used.copy()
@@ -237,21 +242,21 @@ def _weights(a: Measurement, b: Measurement, ia: np.ndarray, ib: np.ndarray, sha
 
 
 def _kinds(of: Measurement) -> np.ndarray:
-    """(N, 4) of its votes, NaN where they tell nothing."""
+    """(N, 4) kinds of its votes, NaN where they are not used."""
     if of.votes.kinds is None or of.pooled is None or not of.pooled.ruler.kinds:
         return np.full((len(of.votes), len(KINDS)), np.nan)
     return of.votes.kinds.copy()
 
 
 def _common(a: Measurement, b: Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """(K, 2) log of the sizes that `a` gives over those that `b` gives, for the vehicles that count in both; and (K, 3)
-    where these stand."""
+    """(K, 2) log ratio of the sizes by `a` to those by `b`, of the vehicles that count in both; and (K, 3) their
+    positions."""
     ia, ib = _matched(a, b, *(np.flatnonzero(m.scale.used) for m in (a, b)))
     return np.log(a.size[ia]) - np.log(b.size[ib]), a.votes.place[ia]
 
 
 def _matched(a: Measurement, b: Measurement, some_a: np.ndarray, some_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the votes of both, of `some`, that are of one vehicle: each the nearest to the other."""
+    """Indices of the votes of both, among `some`, that are one vehicle: mutual nearest neighbours."""
     if not len(some_a) or not len(some_b):
         return np.empty(0, int), np.empty(0, int)
     reach = SEEN_BOTH_WAYS * float(np.median(a.size[some_a, 1]))

@@ -1,4 +1,4 @@
-"""The scale of a source with too few vehicles: by anchors of two kinds, or more, that agree."""
+"""The scale of a source with too few vehicles: from anchors of at least two kinds that agree."""
 
 from __future__ import annotations
 

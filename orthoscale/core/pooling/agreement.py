@@ -1,4 +1,4 @@
-"""Two measurements of one model's scale: do they agree, and what do they say together?"""
+"""Agreement of two measurements of the scale of one model, and their combination."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ MIN_COMMON = 5  # vehicles measured in both ways from which these alone are comp
 
 @dataclass(frozen=True)
 class Agreement:
-    """The two measurements, by name; how far apart they are (log of second over first), and one sigma of that.
+    """Two measurements of the scale of one model, compared.
 
-    common : vehicles that the difference was taken over, 0 where it is that of the scales.
-    apart, apart_sd : log of second scale over first, by all vehicles of each, and one sigma of that.
-    mixes_sd : one sigma by which the scales may part besides, because the two count other vehicles of another mix; 0
-    unless the vehicles in common show that the two measure alike.
-    cause : why the two contradict each other, in words. spared : the name of the one that this cause leaves as it is.
+    The two by name; their difference (log of second over first), and its one sigma. common : number of vehicles from
+    which the difference was taken, 0 if it is that of the scales. apart, apart_sd : log of second scale over first, by
+    all vehicles of each, and its one sigma. mixes_sd : one sigma of a further difference of the scales because the two
+    count different vehicles of different mixes; 0 unless the vehicles in common agree. cause : of a contradiction, in
+    words. spared : the name of the one that this cause does not affect.
     """
 
     scales: dict[str, Scale]
@@ -42,22 +42,23 @@ class Agreement:
 
     @property
     def tension(self) -> float:
-        """Sigmas between the two: on the vehicles that both measured, or by all of each, whichever is more."""
+        """Sigmas between the two: by the vehicles that both measured, or by all of each, whichever is more."""
         return max(abs(self.difference) / self.sd, abs(self.apart) / float(np.hypot(self.apart_sd, self.mixes_sd)))
 
     @property
     def by_others(self) -> bool:
-        """Whether the scales part by the vehicles that only one of the two counts, and not by how they measure."""
+        """Whether the scales differ by vehicles that only one of the two counts, and not by how they measure."""
         return self.mixes_sd > 0 and abs(self.apart) > CONTRADICTION * self.apart_sd
 
     @property
     def surer(self) -> str:
-        """The name of the one that is known better: that which the cause of a contradiction spares, where one does."""
+        """The name of the more certain one: the one that the cause of a contradiction does not affect, if there is
+        such."""
         return self.spared or min(self.scales, key=lambda name: self.scales[name].relative_sd)
 
     @property
     def contradicts(self) -> bool:
-        """Whether the two lie further apart than CONTRADICTION sigmas, which chance makes 1 % do."""
+        """Whether the two differ by more than CONTRADICTION sigmas, which happens by chance in 1 %."""
         return self.tension > CONTRADICTION
 
     @property
@@ -81,14 +82,14 @@ class Agreement:
 
 
 def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreement:
-    """How two scales of one source, by the same vehicles, fit together.
+    """The agreement of two scales of one source by the same vehicles.
 
-    ratio : (K, 2) log of the size that the first gives a vehicle over what the second gives it, for lengths and widths
-    of the vehicles that both measured. With enough of them the vehicles' own sizes cancel, and so do the fleet's.
-    Where these agree, the two measure alike, and what still parts their scales are the other vehicles: which mix of
-    them stands there each way tells by its own (`mixes_sd`, the fleet's part of both).
-    Without, sampling is taken as independent, which lets the two differ by more than two passes over one place should.
-    Most of the detector's error is the same in both; geometry is taken as independent.
+    ratio : (K, 2) log ratio of the size by the first to that by the second, for lengths and widths of the vehicles that
+    both measured. With enough of them the vehicles' true sizes cancel, and so does the fleet. If these agree, the two
+    modes measure alike, and a remaining difference of the scales comes from the other vehicles, whose mix each mode
+    estimates by itself (`mixes_sd`, the fleet's part of both). Without vehicles in common, sampling is taken as
+    independent, which tolerates a larger difference than the same vehicles should have. Most of the detector's error is
+    common to both; geometry is taken as independent.
     """
     a, b = scales.values()
     own = sum(scale.parts.get("geometry", 0.0) ** 2 for scale in (a, b)) + 2 * OWN_MARGIN**2
@@ -106,20 +107,20 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreem
 
 
 def of_scales(scales: dict[str, Scale], ratio: np.ndarray) -> np.ndarray:
-    """(K,) log of the second of two scales over the first by each vehicle whose sizes are `ratio` (K, 2), as `compare`
-    takes it."""
+    """(K,) log of the second scale over the first by each vehicle of size ratio `ratio` (K, 2), as in `compare`."""
     a, b = scales.values()
     return ratio @ (np.add(a.weights, b.weights) / 2)
 
 
 def together(agreement: Agreement) -> Scale:
-    """The pooled scale: the first, moved towards the second by its weight.
+    """The pooled scale: the first, shifted towards the second by its weight.
 
-    Weights are the inverse variances of what the two do not share. Vehicles, detector and ground are largely the same,
-    so no part of the uncertainty gets smaller than its weighted mean. By how much more the two part than their own
-    uncertainties explain is a part of not knowing the mix of vehicles (DerSimonian and Laird 1986).
-    Two that contradict each other have no mean: the surer one gives the value, and the interval reaches over both, as
-    with other evidence (`core.evidence`).
+    Weights are the inverse variances of the errors that are not shared. Vehicles, detector and ground are largely the
+    same, so no part of the uncertainty becomes smaller than its weighted mean. A difference that exceeds their own
+    uncertainties is attributed to the mix of vehicles (DerSimonian and Laird 1986).
+
+    Two that contradict each other are not averaged: the more certain one gives the value, and the interval covers both,
+    as with other evidence (`core.evidence`).
     """
     a, b = agreement.scales.values()
     for scale in (a, b):

@@ -1,10 +1,11 @@
-"""What the anchors of one source say of its scale: one piece of evidence for each kind.
+"""The anchors of one source as evidence: one piece for each kind.
 
-Anchors of one kind are not independent. The same painter measured them, the same picture bends them alike, and what the
-finder takes for one it takes for one again. So of the variance that each has by its fit, `SHARED` stays however many
-there are, and so does all of what things of its standard differ from the rule; and the whole kind is a mistake with the
-probability that its surest one is. A kind may mean several scales, one for each standard and each group of anchors that
-agree; each counts by its standard's prior and by the square of the number that mean it, since mistakes seldom agree.
+Anchors of one kind are not independent: the same painter measured them, the same picture distorts them, and the same
+structure deceives the finder. So of the variance of each fit the share `SHARED` remains, however many there are, and so
+does all of the variance of the standard; and the kind as a whole is a false find with the probability of its most
+certain anchor. A kind may support several scales, one for each standard and each group of anchors that agree. Each is
+weighted by its standard's prior and by the square of the number of anchors that support it, since false finds seldom
+agree.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The paper's estimator (arXiv 2603.07535), to the letter: a trimmed mean of what each vehicle says."""
+"""The paper's estimator (arXiv 2603.07535), as published: a trimmed mean of the scales of single vehicles."""
 
 from __future__ import annotations
 

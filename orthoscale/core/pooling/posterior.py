@@ -1,4 +1,4 @@
-"""What is known of a scale: a mixture of normal distributions of its logarithm."""
+"""The posterior of a scale: a mixture of normal distributions of its logarithm."""
 
 from __future__ import annotations
 

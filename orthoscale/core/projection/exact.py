@@ -1,9 +1,9 @@
-"""The exact model: which vehicle on the ground, seen by this very camera, gives this box?
+"""The exact projection: finds the vehicle on the ground that, seen by the given camera, fills the given box.
 
-The vehicle is a hull standing on the local ground plane: the full footprint up to the belt line, a narrower cabin
-above, cut off at the detector's effective height (its boxes do not enclose the whole silhouette). Its outline is
-projected with true perspective; length, width and position are solved for so that the outline's extents along the
-box's two axes and its middle are those of the box. Nothing is linearised except the lens across one vehicle.
+The vehicle is a hull on the local ground plane: the full footprint up to the belt line, a narrower cabin above, cut off
+at the detector's effective height (its boxes do not enclose the whole silhouette). Its outline is projected in true
+perspective. Length, width and position are solved for so that the outline's extents along the box's two axes and its
+centre are those of the box. Only the lens distortion is linearised, across one vehicle.
 """
 
 from __future__ import annotations

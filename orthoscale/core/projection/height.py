@@ -1,6 +1,6 @@
-"""How much of its height a vehicle shows in a box: what makes it look longer or wider than its footprint.
+"""How far a vehicle's height makes its box longer or wider than its footprint.
 
-Seen from the side it covers ``height * cot(elevation)`` more of the ground, shared between length and width by its
+Seen obliquely it covers ``height * cot(elevation)`` more of the ground, divided between length and width by its
 heading.
 """
 

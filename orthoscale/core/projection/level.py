@@ -1,4 +1,4 @@
-"""Level ground under a camera of which only the attitude is known: what a single photo has for a ground."""
+"""Level ground under a camera of known attitude: the ground model of single photos."""
 
 from __future__ import annotations
 

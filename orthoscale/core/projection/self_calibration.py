@@ -1,10 +1,10 @@
-"""A reconstruction finds its own ruler: what its boxes take in of a vehicle's height, and by how much they exceed it.
+"""Self-calibration of the ruler by a reconstruction: the height that boxes enclose, their margin and the undercut.
 
-The same vehicle must have one size from all its views. A box that takes in height makes it larger in flat views, one
-with a margin makes it larger from afar, and one that ends above the ground grows in the flattest views only. So all
-three follow from how sizes change from view to view, without any metres (but for the hull's shape, which is in metres).
-Sizes are measured with the exact projection at the ruler so far, and how they would change with another one by
-measuring again: nothing is linear but the step, and steps are repeated.
+The same vehicle must have one size in all its views. Boxes that enclose height make it larger in flat views, a margin
+makes it larger from afar, and an undercut makes boxes grow in the flattest views only. So all three follow from how
+sizes change from view to view, without any metres (except that the hull's shape is in metres). Sizes are measured by
+the exact projection with the current ruler, their derivatives by measuring again with a changed one: Gauss-Newton
+steps, repeated until they converge.
 """
 
 from __future__ import annotations
@@ -53,16 +53,16 @@ HUBER = 1.5  # residuals beyond so many sigmas count less (Huber 1964)
 
 @dataclass(frozen=True)
 class OwnRuler:
-    """For lengths and widths apart: height [m], margin [detector px], undercut [m], lean [1/m], corner [of the width].
+    """A ruler for lengths and for widths: height [m], margin [detector px], undercut [m], lean [1/m], corner [of the
+    width].
 
-    A vehicle is widest above the ground; below, it recedes into its own shade. Seen from steeply above, its outline is
-    that of the waist on all sides, and it looks no larger than it is. Seen more flatly, the near side shows what lies
-    under the waist, `undercut` further in, and only then does height make a box larger. A straight line through the
-    flat views alone, as a body with upright sides gives it, takes too much off all: on `sheffield` 11 % of the widths.
+    A vehicle is widest above the ground; below, it recedes into its own shade. In steep views its outline is that of
+    the waist on all sides, which is its true size. In flatter views the near side ends on the ground, `undercut`
+    further in, and only then does height make a box larger. Fitting a straight line to the flat views alone, as for a
+    body with upright sides, would remove too much everywhere: on `sheffield` 11 % of the widths.
 
-    value : (2, 5) by axis, in that order. covariance : (2, 5, 5) of these, by axis.
-    views : how many boxes told something about them, 0 where they are the detector's.
-    body : the hull that height, lean and corner are those of.
+    value : (2, 5) by axis, in that order. covariance : (2, 5, 5) of these, by axis. views : number of boxes that they
+    were fitted to, 0 for the detector's own values. body : the hull to which height, lean and corner belong.
     """
 
     value: np.ndarray
@@ -208,10 +208,10 @@ def own_ruler(
     shipped: OwnRuler,
     start: OwnRuler | None = None,
 ) -> OwnRuler:
-    """The ruler for which vehicles have one size from all their views, held by the one that the detector ships.
+    """The ruler for which vehicles have one size in all their views, with the detector's own as the prior.
 
-    start : the ruler so far, if another than shipped.
-    members : indices of each vehicle's boxes. metres_per_unit : the scale so far, for the hull's shape.
+    start : the current ruler, if it is not `shipped`. members : indices of each vehicle's boxes. metres_per_unit : the
+    current scale, for the hull's shape.
     """
     often = [m for m in members if len(m) >= MIN_VIEWS]
     if sum(map(len, often)) < MIN_RESIDUALS:
@@ -237,8 +237,8 @@ def own_ruler(
 
 @dataclass(frozen=True)
 class _Seen:
-    """What a ruler is fitted to: N boxes of vehicles that were seen often, and their views. vehicle : (N,) number of
-    each one's. shipped : the ruler that holds the fitted one. Others as of `own_ruler`."""
+    """The data that a ruler is fitted to: N boxes of vehicles with enough views, and their views. vehicle : (N,) index
+    of each one's vehicle. shipped : the prior. Others as of `own_ruler`."""
 
     boxes: Boxes
     views: Views
@@ -269,7 +269,8 @@ def _undercut(ruler: OwnRuler) -> OwnRuler:
 
 
 def _settled(ruler: OwnRuler, seen: _Seen, free: Free) -> OwnRuler:
-    """From `ruler`, that for which each vehicle that is `seen` has one size; what is not `free` is as shipped."""
+    """The ruler for which each vehicle of `seen` has one size, starting from `ruler`; values that are not `free` are as
+    shipped."""
     shipped, prior, vehicle = seen.shipped, seen.prior(free), seen.vehicle
     change, slopes = np.inf, np.empty(0)
     for _ in range(RULER_STEPS):
@@ -335,11 +336,12 @@ def _with_undercut(covariance: np.ndarray) -> np.ndarray:
 
 
 def _gain(plain: np.ndarray, shaped: np.ndarray, vehicle: np.ndarray) -> float:
-    """By how much `shaped` sizes (N, 2) of each `vehicle` (N,) agree better than `plain` ones: twice the difference
-    of their Huber losses, in the noise that the shaped ones leave.
+    """By how much `shaped` sizes (N, 2) of each `vehicle` (N,) agree better than `plain` ones: twice the difference of
+    their Huber losses, relative to the residual noise of the shaped ones.
 
-    The less of two: as shares of their own sizes, and of the plain ones. A body that makes vehicles larger makes their
-    noise a smaller share of them, one that makes them smaller makes it smaller itself; neither is an agreement.
+    It is the smaller of two: with residuals as shares of each one's own sizes, and of the plain sizes. A body that
+    makes vehicles larger reduces the noise as a share of them, one that makes them smaller reduces the noise itself;
+    neither is a better agreement.
     """
     good = np.isfinite(plain).all(1) & np.isfinite(shaped).all(1)
     plain, shaped, vehicle = plain[good], shaped[good], vehicle[good]

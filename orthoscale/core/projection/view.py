@@ -1,4 +1,4 @@
-"""How boxes are seen: the geometry between a box in an image and the ground under it."""
+"""The viewing geometry of boxes: camera, ray and the ground below each box."""
 
 from __future__ import annotations
 

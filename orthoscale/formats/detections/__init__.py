@@ -1,4 +1,4 @@
-"""Detections in the files of others: DOTA text, COCO, GeoJSON, GeoPackage, beside our own JSON."""
+"""Detections in other programs' formats: DOTA text, COCO, GeoJSON, GeoPackage, beside our own JSON."""
 
 from .files import FORMATS, check_name, load, save
 

@@ -1,4 +1,4 @@
-"""Detections in and out, by what the file's name ends in."""
+"""Reading and writing detections in the format given by the file's name."""
 
 from __future__ import annotations
 

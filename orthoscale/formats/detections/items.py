@@ -1,4 +1,4 @@
-"""What every format comes down to: named polygons in pixels, and how they become boxes."""
+"""The common form of all formats of detections: named polygons in pixels, and their conversion to boxes."""
 
 from __future__ import annotations
 

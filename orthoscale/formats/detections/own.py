@@ -1,4 +1,4 @@
-"""Orthoscale's own JSON of detections, and the note of them that files of other formats keep."""
+"""orthoscale's own JSON of detections, which files of other formats also carry as a note."""
 
 from __future__ import annotations
 

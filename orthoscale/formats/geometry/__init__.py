@@ -1,1 +1,1 @@
-"""What is handed on beside a model, in metres: point clouds, meshes, splats, camera files, dense workspaces."""
+"""Files derived from a model, scaled to metres: point clouds, meshes, splats, camera files, dense workspaces."""

@@ -1,6 +1,6 @@
-"""glTF 2.0, as .glb or .gltf: every scene gets a root node that scales, so that no buffer is touched.
+"""glTF 2.0, as .glb or .gltf: every scene gets a root node with the scale, so that no buffer is changed.
 
-That holds for whatever hangs below: meshes, skins, animations, quantised or compressed geometry.
+The root node applies to all that is below it: meshes, skins, animations, quantised or compressed geometry.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The mark that a rescaled file carries, so that nobody scales it twice."""
+"""The mark in a rescaled file that prevents scaling it twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: its vertices grow; faces, normals, textures and colours stay."""
+"""Wavefront OBJ: vertices are scaled; faces, normals, textures and colours are unchanged."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""PLY: point clouds, meshes and Gaussian splats. Coordinates grow, a splat's log scales too; the rest stays as it is.
+"""PLY: point clouds, meshes and Gaussian splats; coordinates and the log scales of splats are scaled.
 
-Turk's format in its three encodings. A splat (Kerbl et al. 2023) keeps the logarithms of its axes in ``scale_0`` ...,
-so metres add ``log(scale)`` to them; rotations, opacities and harmonics have no length.
+Turk's format in its three encodings. A splat (Kerbl et al. 2023) stores the logarithms of its axes in ``scale_0`` ...,
+to which ``log(scale)`` is added; rotations, opacities and harmonics have no length.
 """
 
 from __future__ import annotations

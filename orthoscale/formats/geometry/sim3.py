@@ -1,4 +1,4 @@
-"""The similarity that takes a model to metres, and the files that keep it."""
+"""The similarity transform that brings a model to metres, and the files that store it."""
 
 from __future__ import annotations
 

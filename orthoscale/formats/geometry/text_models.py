@@ -1,7 +1,7 @@
 """Reconstructions in plain text: Bundler's bundle.out (v0.3) and VisualSFM's .nvm (NVM_V3).
 
-Both are walked line by line, so that a count that lies meets the end of the file and not all of the memory. The walk
-says which words of a line are lengths: reading and scaling are the same walk.
+Both are parsed line by line, so that a false count runs into the end of the file instead of filling the memory. The
+parser marks which words of a line are lengths: reading and scaling share it.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The altitude of a photo by a network for metric depth, beside the one by vehicles."""
+"""The altitude of a photo by a metric depth network, for comparison with the one by vehicles."""

@@ -1,7 +1,7 @@
-"""From a depth map to the altitude over the ground around the vehicles; and which maps are no metric depth.
+"""The altitude from a depth map, over the ground around the vehicles; and tests for maps that are not metric depth.
 
-Level ground under a camera is seen at a depth that goes with the altitude: the depth of a pixel, over what level ground
-1 m below would have there, is how far below the camera the pixel's point lies.
+The depth of a pixel, divided by the depth that level ground 1 m below the camera would have there, is the height of the
+camera above the pixel's point.
 """
 
 from __future__ import annotations

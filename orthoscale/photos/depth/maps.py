@@ -1,4 +1,4 @@
-"""Where the depth of photos comes from: a file, a folder of files by the photos' names, or a network."""
+"""The source of depth maps for photos: a file, a folder of files named as the photos are, or a network."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A network for metric depth, as an ONNX file of its user's: it runs in a process of its own (`detect.foreign`)."""
+"""A metric depth network, as a user's ONNX file: it runs in a process of its own (`detect.foreign`)."""
 
 from __future__ import annotations
 

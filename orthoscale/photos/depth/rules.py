@@ -1,4 +1,4 @@
-"""What a unit of depth is in metres: a number, or the rule of the network that made it."""
+"""The unit of a depth map in metres: a number, or the rule of the network that made it."""
 
 from __future__ import annotations
 
