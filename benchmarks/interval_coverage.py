@@ -104,8 +104,11 @@ def run(
     kinds: bool = True,
     hidden: float = 0.0,
 ) -> Tally:
-    """`scenes` car parks of `n` boxes, at each of `gsds` [m/px] in turn; the same draws at every call. `vans` are None
-    for as many as each place has, `most` and `hidden` as of `car_park`. kinds : seen, if the ruler has a table of them."""
+    """`scenes` car parks of `n` boxes, at each of `gsds` [m/px] in turn; the same draws at every call.
+
+    `vans` are None for as many as each place has, `most` and `hidden` as of `car_park`. kinds : seen, if the ruler has
+    a table of them.
+    """
     rows, refused = [], 0
     for k in range(scenes):
         gsd = gsds[k % len(gsds)]

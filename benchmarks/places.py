@@ -1,12 +1,14 @@
 """The whole program on every real scene of known scale, with three fleets.
 
-    python benchmarks/places.py [BOXES] [--detector NETWORK.onnx] [--measurer MEASURER] [--scenes NAMES] [--quarters]
+    python benchmarks/places.py [BOXES] [--detector NETWORK.onnx] [--measurer MEASURER] [--scenes NAMES]
+                                [--quarters | --chips]
 
 The scenes are read from ``../shared/data`` or ``ORTHOSCALE_DATA``. With the folder BOXES, detector and measurer run
 once on each and the boxes are kept there. MEASURER is that of ``--measurer``, none for boxes of the detector alone.
 ``places/``, `boruszyn` and `weedon` had no part in anything that was fitted or chosen up to detector version 5; the
-other four had (README). ``--quarters``: each orthophoto in four parts, small places of the same ground. Coverage comes
-with its own 90 % interval (Clopper and Pearson 1934).
+other four had (README). ``--quarters``: each orthophoto in four parts, small places of the same ground. ``--chips``:
+American places made of the chips, twelve of a kind each; the finder has learnt from them. Coverage comes with its own
+90 % interval (Clopper and Pearson 1934).
 
 The last table is for the detector's card: how far the box bias of a place strays from the ruler's, which no number of
 boxes of that place tells. It is what the errors with the country's own fleet scatter by beyond sampling, fleet and
@@ -40,6 +42,10 @@ from support.simulate import table  # noqa: E402
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
 CHOSEN_WITH = ("manila", "banepa", "sheffield", "brighton")  # scenes that choices of version 5 were made with in view
 FLEETS = ("own", "world", "auto")
+# Chips that show vehicles; 256 px at a foot a pixel, a few are a pixel or two smaller.
+CHIPS = ("parkinglot", "denseresidential", "freeway", "intersection", "overpass", "mobilehomepark", "buildings")
+CHIP, CHIP_GSD = 256, 0.3048
+ACROSS, DOWN = 4, 3  # chips of a montage
 
 
 @dataclass(frozen=True)
@@ -81,6 +87,20 @@ def quarters(some: list[Scene], folder: Path) -> list[Scene]:
             cv2.imwrite(str(path), pixels[y : y + height, x : x + width])
             parts.append(replace(scene, path=path))
     return parts
+
+
+def of_chips(folder: Path) -> list[Scene]:
+    """Montages of twelve chips each as files in `folder`, of one kind and in the order of their numbers."""
+    places = []
+    for kind in CHIPS:
+        files = sorted((DATA / "vehicles" / "chips").glob(f"{kind}[0-9]*"))
+        for first in range(0, len(files) - ACROSS * DOWN + 1, ACROSS * DOWN):
+            chips = [cv2.resize(cv2.imread(str(file)), (CHIP, CHIP)) for file in files[first : first + ACROSS * DOWN]]
+            rows = [np.hstack(chips[k : k + ACROSS]) for k in range(0, len(chips), ACROSS)]
+            path = folder / f"{kind}_{first:03d}.png"
+            cv2.imwrite(str(path), np.vstack(rows))
+            places.append(Scene(path, "US", CHIP_GSD))
+    return places
 
 
 def unanswered(error: OrthoscaleError) -> str:
@@ -183,7 +203,9 @@ if __name__ == "__main__":
     parser.add_argument("--detector", type=Path)
     parser.add_argument("--measurer")
     parser.add_argument("--scenes", default="", help="comma separated; all by default")
-    parser.add_argument("--quarters", action="store_true", help="of the orthophotos, each by itself")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--quarters", action="store_true", help="of the orthophotos, each by itself")
+    which.add_argument("--chips", action="store_true", help="American places made of the chips")
     options = parser.parse_args()
     networks = {"detector": options.detector, "measurer": options.measurer}
     names = set(filter(None, options.scenes.split(",")))
@@ -191,4 +213,6 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as scratch:
         if options.quarters:
             asked = quarters(asked, Path(scratch))
+        if options.chips:
+            asked = of_chips(Path(scratch))
         main(asked, options.boxes or Path(scratch), **networks)

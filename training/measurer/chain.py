@@ -27,8 +27,8 @@ OVEREXPOSED = 0.12  # share of the pictures whose exposure suits the shade
 # beside them then is, too. And the quantiles of a window's light that become black.
 STRETCHED = 0.35
 DARKEST = (0.01, 0.2)
-# One sigma of how much the ratio of length to width is changed (log) before a camera sees the vehicle. Of blurred vehicles
-# of 12 to 18 px a network tells the usual shape, more or less; the wider the shapes that it has seen, the less.
+# One sigma of how much the ratio of length to width is changed (log) before a camera sees the vehicle. Of blurred
+# vehicles of 12 to 18 px a network tells the usual shape, more or less; the wider the shapes that it saw, the less.
 SHAPES_SD = 0.14
 CUT = 0.06  # share of the windows that end within the vehicle's surroundings: the picture's edge
 
