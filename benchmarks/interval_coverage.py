@@ -206,24 +206,23 @@ def by_hidden(scenes: int) -> str:
 
 
 def without_country(scenes: int) -> str:
-    """Vehicles of each fleet of the table in turn, `scenes` places of each, pooled as of `world` and `auto`; as many
-    places in countries drawn as each of the two holds them for likely."""
+    """Vehicles of each fleet of the table in turn, `scenes` places of each, pooled as of `world`; and as many places in
+    countries drawn as it holds them for likely."""
     codes = [code for code in fleet_codes() if code not in (WORLD, "PAPER")]
     rows = []
-    for name in ("world", "auto"):
-        fleet = load_fleet(name)
-        rng = np.random.default_rng(4)
-        likely = rng.choice([c.code for c in fleet.candidates], len(codes) * scenes, p=fleet.prior)
-        # The average stands for countries unlike all that have fleets of their own.
-        unlike = [code for code in codes if code not in {c.code for c in fleet.candidates}]
-        likely = [rng.choice(unlike) if code == WORLD else str(code) for code in likely]
-        for drawn, here in (("evenly", codes * scenes), ("as likely", likely)):
-            error, sd, hit = np.array([_without_country(k, code, fleet) for k, code in enumerate(here)]).T
-            mean = {code: error[[k for k, other in enumerate(here) if other == code]].mean() for code in set(here)}
-            worst = sorted(mean, key=lambda code: -abs(mean[code]))[:5]
-            figures = [f"{100 * hit.mean():.0f} %", f"{100 * error.mean():+.1f}", rms(error), rms(sd)]
-            rows.append([name, drawn, *figures, ", ".join(f"{code} {100 * mean[code]:+.0f}" for code in worst)])
-    head = ["fleet", "countries drawn", "coverage", "bias", "RMS error", "claimed one-sigma"]
+    fleet = load_fleet("world")
+    rng = np.random.default_rng(4)
+    likely = rng.choice([c.code for c in fleet.candidates], len(codes) * scenes, p=fleet.prior)
+    # The average stands for countries unlike all that have fleets of their own.
+    unlike = [code for code in codes if code not in {c.code for c in fleet.candidates}]
+    likely = [rng.choice(unlike) if code == WORLD else str(code) for code in likely]
+    for drawn, here in (("evenly", codes * scenes), ("as likely", likely)):
+        error, sd, hit = np.array([_without_country(k, code, fleet) for k, code in enumerate(here)]).T
+        mean = {code: error[[k for k, other in enumerate(here) if other == code]].mean() for code in set(here)}
+        worst = sorted(mean, key=lambda code: -abs(mean[code]))[:5]
+        figures = [f"{100 * hit.mean():.0f} %", f"{100 * error.mean():+.1f}", rms(error), rms(sd)]
+        rows.append([drawn, *figures, ", ".join(f"{code} {100 * mean[code]:+.0f}" for code in worst)])
+    head = ["countries drawn", "coverage", "bias", "RMS error", "claimed one-sigma"]
     return table([*head, "worst fleets, mean error [%]"], rows)
 
 

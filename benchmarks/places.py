@@ -1,4 +1,4 @@
-"""The whole program on every real scene of known scale, with three fleets.
+"""The whole program on every real scene of known scale, with two fleets.
 
     python benchmarks/places.py [BOXES] [--detector NETWORK.onnx] [--measurer MEASURER] [--scenes NAMES]
                                 [--quarters | --chips]
@@ -41,7 +41,7 @@ from support.simulate import table  # noqa: E402
 
 DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
 CHOSEN_WITH = ("manila", "banepa", "sheffield", "brighton")  # scenes that choices of version 5 were made with in view
-FLEETS = ("own", "world", "auto")
+FLEETS = ("own", "world")
 # Chips that show vehicles; 256 px at a foot a pixel, a few are a pixel or two smaller.
 CHIPS = ("parkinglot", "denseresidential", "freeway", "intersection", "overpass", "mobilehomepark", "buildings")
 CHIP, CHIP_GSD = 256, 0.3048

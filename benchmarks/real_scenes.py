@@ -65,7 +65,7 @@ def main(folder: Path) -> None:
             for way in ways
             for estimator in ESTIMATORS
         ]
-        rows += [row(scene, boxes, fleet) for fleet in ("world", "auto")]
+        rows.append(row(scene, boxes, "world"))
         rows.append(row(scene, boxes, "PAPER", estimator="iqr", **({"projection": "program"} if ways[0] else {})))
     head = ["scene", "fleet", "projection", "estimator", "error [%]", "90 % [%]", "holds the truth", "vehicles"]
     print(table(head, rows))

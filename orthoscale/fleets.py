@@ -15,8 +15,8 @@ from .errors import InputError, UsageError, shown
 from .formats.reading import checked, read_plain
 
 FLEET_HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
-AUTO = "auto"
 WORLD = "WORLD"
+ANY_COUNTRY = (WORLD, "AUTO")  # names of the fleet of a place whose country is not known
 # A place of which nothing is known has a country all the same: one of those that have fleets of their own, for the
 # world's average with its many sizes is no country. Which one is likely depends on why the picture was taken: vehicles
 # stand by their number, maps are made where people live, surveys of one country after the other. Each of the three has
@@ -31,22 +31,18 @@ def load_fleet(name: str | Path) -> Fleet:
     code of the table (``US_pickup``, ``world``), or from a JSON file of one such entry.
 
     A country without a fleet of its own takes its neighbours' or its region's, less certain, and its name says so.
-    ``world`` and ``auto`` have the fleets of all countries as candidates, and the world's average: ``world`` weighs
-    them by the vehicles and the people that are there, for ``auto`` all are equally likely. Inhabitants are those of
-    2022 (United Nations, World Population Prospects 2022), vehicles those in use about then (rounded; `world_source`).
+    ``world``, or ``auto``, has the fleets of all countries as candidates, and the world's average, weighed by the
+    vehicles and the people that are there. Inhabitants are those of 2022 (United Nations, World Population Prospects
+    2022), vehicles those in use about then (rounded; `world_source`).
     Raises UsageError for an unknown name, InputError for a file that is no fleet.
     """
-    if str(name).upper() in (WORLD, AUTO.upper()):
+    if str(name).upper() in ANY_COUNTRY:
         average, vehicles = _row(WORLD), _document()["world"]
-        candidates = (average, *(_row(code) for code in vehicles))
-        if str(name).upper() == WORLD:
-            people = [_document()["people"][code] for code in vehicles]
-            reasons = np.array([list(vehicles.values()), people, np.ones(len(people))], float)
-            share = (reasons / reasons.sum(1, keepdims=True)).mean(0)
-            prior = (AVERAGE_SHARE, *((1 - AVERAGE_SHARE) * share).tolist())
-            return replace(average, candidates=candidates, prior=prior)
-        name, prior = "inferred from the vehicles' shapes", (1 / len(candidates),) * len(candidates)
-        return replace(average, code=AUTO, name=name, candidates=candidates, prior=prior)
+        people = [_document()["people"][code] for code in vehicles]
+        reasons = np.array([list(vehicles.values()), people, np.ones(len(people))], float)
+        share = (reasons / reasons.sum(1, keepdims=True)).mean(0)
+        prior = (AVERAGE_SHARE, *((1 - AVERAGE_SHARE) * share).tolist())
+        return replace(average, candidates=(average, *(_row(code) for code in vehicles)), prior=prior)
     known = {code.lower(): code for code in fleet_codes()}
     if str(name).lower() in known:
         return _row(known[str(name).lower()])
@@ -109,8 +105,7 @@ def _unknown(text: str) -> UsageError:
     hint = f"Did you mean {', '.join(near)}? " if near else ""
     return UsageError(
         f"no fleet is called {text!r}",
-        f"{hint}Give a country's name or ISO 3166 code, {AUTO}, world, or a .json file; "
-        "`orthoscale fleets` lists them.",
+        f"{hint}Give a country's name or ISO 3166 code, world, or a .json file; `orthoscale fleets` lists them.",
     )
 
 

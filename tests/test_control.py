@@ -141,10 +141,10 @@ def test_the_papers_estimator_and_what_it_cannot_take(boxes):
 
 @pytest.mark.slow
 def test_the_command_takes_them_all(boxes):
-    words = ("--detections", boxes, "--fleet", "auto", "--known-distance", "0,0 1000,0 85 0.5", "--json")
+    words = ("--detections", boxes, "--fleet", "world", "--known-distance", "0,0 1000,0 85 0.5", "--json")
     done = run("estimate", TOWN, *words)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
-    assert report["fleet"] == "auto" and len(report["fleets"]) > 3
+    assert report["fleet"] == "WORLD" and len(report["fleets"]) > 3
     assert report["method"] == {"projection": "planar", "estimator": "robust"}
     assert report["evidence"][0]["kind"] == "known distance"

@@ -87,7 +87,7 @@ class VehicleRequest:
         None,
         str,
         "Input",
-        "Country of the vehicles, by code or name (US, DE, Japan ...); 'auto' to infer it from their shapes; 'world'; "
+        "Country of the vehicles, by code or name (US, DE, Japan ...); 'world' where it is not known; "
         "or a fleet.json. Default: the calibration's own, else the country where the input lies, else world.",
     )
     detections: str | Path | None = option(

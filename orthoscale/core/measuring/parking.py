@@ -46,9 +46,9 @@ def parking_pitch(
 
     place : (N, D) where vehicles stand [units], D 2 or 3. along : (N, D) unit vectors of their long sides.
     size : (N, 2) length and width [units]. stalls : widths and their one sigma by country, as in ``data/stalls.json``
-    [m]. country : code of a fleet; ``auto`` and ``WORLD`` mean any country.
+    [m]. country : code of a fleet; ``WORLD`` means any country.
     """
-    stall = stalls.get("WORLD" if country == "auto" else country)
+    stall = stalls.get(country)
     if stall is None or len(place) < min_vehicles:
         return None
     length, width = np.median(size, axis=0)
