@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from PIL import Image
 from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, Resampling
@@ -741,6 +742,23 @@ def test_a_tiff_that_lost_where_its_blocks_are_is_damaged(tmp_path, options, whi
     damaged_list(path, which, how)
     with pytest.raises(InputError, match="is damaged|is truncated"):
         RasterSource.open(path)
+
+
+@pytest.mark.parametrize("shape, mode", [((90, 120, 3), "RGB"), ((90, 120), "L"), ((1100, 1100), "1")])
+def test_a_single_strip_is_whole(tmp_path, shape, mode):
+    """Pillow, tifffile and ImageJ write all of an image as one strip, which GDAL shows as if it were many."""
+    pixels = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    Image.fromarray(pixels).convert(mode).save(tmp_path / "a.tif")
+    with rasterio.open(tmp_path / "a.tif") as dataset:
+        assert 1 < dataset.block_shapes[0][0] < dataset.height, "GDAL shows it as it is: nothing is tested"
+    with RasterSource.open(tmp_path / "a.tif") as source:
+        seen = source.read(0, 0, source.width, source.height, source.width, source.height)
+        assert np.array_equal(seen, Image.open(tmp_path / "a.tif").convert("RGB"))
+        source.write(tmp_path / "out.tif", 0.1)
+    cut = (tmp_path / "a.tif").read_bytes()
+    (tmp_path / "cut.tif").write_bytes(cut[: len(cut) * 3 // 4])
+    with pytest.raises(InputError, match="is truncated|is damaged|cannot open"):
+        RasterSource.open(tmp_path / "cut.tif")
 
 
 def test_blocks_that_were_never_written_show_nothing(tmp_path):

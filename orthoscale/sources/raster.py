@@ -278,7 +278,7 @@ class RasterSource:
     def _written_at(self, window: Window, out: tuple[int, int]) -> np.ndarray:
         """(out) bool: where the window of a sparse TIFF, resampled to `out`, shows blocks that were ever written."""
         assert self._written is not None
-        rows, columns = self._dataset.block_shapes[0]
+        rows, columns = self._block
         y = window.row_off + (np.arange(out[0]) + 0.5) * window.height / out[0]
         x = window.col_off + (np.arange(out[1]) + 0.5) * window.width / out[1]
         return self._written[(y / rows).astype(int)[:, None], (x / columns).astype(int)]
@@ -335,15 +335,15 @@ class RasterSource:
         dataset, lists = self._dataset, blocks_of(self.path)
         rows, columns = dataset.block_shapes[0]
         apart = dataset.interleaving == Interleaving.band
-        shape = (dataset.count if apart else 1, math.ceil(self.height / rows), math.ceil(self.width / columns))
         size = rows * columns * np.dtype(dataset.dtypes[0]).itemsize * (1 if apart else dataset.count)
         require(2 * size, f"{self.path}, whose pixels are in blocks of {columns} x {rows} px,")
         if lists is None:
             return
-        # GDAL shows a single strip as many lines.
-        single = len(lists.offset) == shape[0] and (rows, columns) == (1, self.width)
-        self._in_order = single and dataset.compression is not None
-        wanted = shape[0] if single else math.prod(shape)
+        if lists.strip is not None:
+            rows = min(lists.strip, self.height)
+        shape = (dataset.count if apart else 1, math.ceil(self.height / rows), math.ceil(self.width / columns))
+        self._in_order = shape[1:] == (1, 1) and dataset.compression is not None
+        wanted = math.prod(shape)
         listed = min(len(values) for values in (lists.offset, lists.count) if values is not None)
         if listed < wanted:
             raise InputError(f"{self.path} is damaged: its directory lists {listed} of {wanted} blocks", EXPORT_AGAIN)
@@ -357,8 +357,9 @@ class RasterSource:
             raise InputError(
                 f"{self.path} is truncated: it has {length} bytes, but its pixels end at byte {end}", EXPORT_AGAIN
             )
-        if not single and not offset.all():
+        if not offset.all():
             self._written = np.asarray((offset > 0).reshape(shape).any(0))
+            self._block = rows, columns
 
     def _palette_table(self) -> np.ndarray | None:
         """(K, 3) uint8 colours of a paletted image, transparent ones grey, or None."""
