@@ -406,6 +406,30 @@ def test_pixels_that_are_not_square_on_the_ground(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "latitude, wide, high, severity", [(60, 0.0558, 0.1114, "caution"), (15, 0.1075, 0.1106, "info")]
+)
+@pytest.mark.parametrize("rows", [-1, 1])
+def test_a_copy_in_metres_has_pixels_of_the_shape_that_they_have_on_the_ground(
+    tmp_path, latitude, wide, high, severity, rows
+):
+    """Square ones would make a town at 60 degrees twice as wide as it is."""
+    path = make(tmp_path / "a.tif", crs="EPSG:4326", transform=Affine(1e-6, 0, 10, 0, rows * 1e-6, latitude))
+    source = RasterSource.open(path)
+    (note,) = source.notes
+    assert note.severity == severity and f"{wide / high:.2g}" in note.text
+    source.write(tmp_path / "b.tif", 2 * source.claimed.gsd_m)
+    with rasterio.open(tmp_path / "b.tif") as copy:
+        t = copy.transform
+        assert (t.a, t.e, t.b, t.d) == (
+            pytest.approx(2 * wide, rel=2e-3),
+            pytest.approx(2 * rows * high, rel=2e-3),
+            0,
+            0,
+        )
+        assert (t.c, min(t.f, (t * (0, H))[1])) == (0, pytest.approx(0, abs=1e-9)), "origin at the lower left"
+
+
+@pytest.mark.parametrize(
     "profile, says",
     [
         ({}, "not georeferenced"),
@@ -553,7 +577,7 @@ def test_written_copy_is_the_same_picture_in_metres(tmp_path, build):
     with RasterSource.open(path) as source:
         source.read(0, 0, W, H, W // 2, H // 2)
         source.write(target / "b.tif", 0.123)
-        usable = source.claimed.usable
+        usable, shape = source.claimed.usable, math.sqrt(source.claimed.aspect)
         assert any("local metres" in n for n in map(str, source.notes))
         assert any("--keep-origin" in n for n in map(str, source.notes)) == usable
     assert listing(folder) == before, "the input's folder was touched"
@@ -571,7 +595,7 @@ def test_written_copy_is_the_same_picture_in_metres(tmp_path, build):
         )
         assert a.overviews(1) == b.overviews(1)
         assert not b.gcps[0] and not b.rpcs
-        assert np.allclose(b.transform, Affine(0.123, 0, 0, 0, -0.123, 0.123 * H))
+        assert np.allclose(b.transform, Affine(0.123 * shape, 0, 0, 0, -0.123 / shape, 0.123 / shape * H))
         assert b.crs.units_factor == ("metre", 1.0) and not b.crs.is_projected and not b.crs.is_geographic
         tags = a.tags()
         assert tags.items() <= b.tags().items() and a.tags(1).items() <= b.tags(1).items()
@@ -759,6 +783,24 @@ def test_a_single_strip_is_whole(tmp_path, shape, mode):
     (tmp_path / "cut.tif").write_bytes(cut[: len(cut) * 3 // 4])
     with pytest.raises(InputError, match="is truncated|is damaged|cannot open"):
         RasterSource.open(tmp_path / "cut.tif")
+
+
+@pytest.mark.parametrize(
+    "dtype, low, high, fill", [("float32", 0, 1, -9999), ("float32", 0, 1, np.finfo("f4").min), ("float64", 0, 1, 1e30),
+                               ("int16", 0, 4095, -32768), ("uint16", 0, 4095, 65535)])  # fmt: skip
+def test_what_fills_borders_undeclared_leaves_the_picture_its_contrast(tmp_path, dtype, low, high, fill):
+    pixels = (scene(high=4096).astype(float) / 4095 * high).astype(dtype)
+    whole = RasterSource.open(make(tmp_path / "whole.tif", pixels)).read(150, 0, 100, H, 100, H)
+    pixels[:, :, :120] = fill
+    seen = RasterSource.open(make(tmp_path / "a.tif", pixels)).read(0, 0, W, H, W, H)
+    assert np.abs(seen[:, 150:250].astype(int) - whole).max() < 40
+    assert (seen[:, :120] == (255 if fill > 0 else 0)).all()
+
+
+def test_an_image_of_two_values_keeps_both(tmp_path):
+    pixels = (scene() > 128).astype("uint16") * 7
+    seen = RasterSource.open(make(tmp_path / "a.tif", pixels)).read(0, 0, W, H, W, H)
+    assert np.array_equal(seen, np.moveaxis((pixels > 0) * np.uint8(255), 0, -1))
 
 
 def test_blocks_that_were_never_written_show_nothing(tmp_path):

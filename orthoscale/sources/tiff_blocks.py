@@ -15,7 +15,7 @@ import numpy as np
 STRIP_OFFSETS, STRIP_COUNTS = (273, 324), (279, 325)  # StripOffsets, TileOffsets; StripByteCounts, TileByteCounts
 ROWS_PER_STRIP, TILE_WIDTH = 278, 322
 TAG_TYPES = {3: "u2", 4: "u4", 16: "u8"}  # SHORT, LONG, LONG8
-WHOLE = 2**32 - 1  # rows of a strip that holds all of the image: what is meant where nothing is said
+ONE_STRIP = 2**32 - 1  # rows of a strip that holds all of the image: what is meant where nothing is said
 MOST_TAGS = 4096  # of a directory; more is damage
 
 
@@ -46,7 +46,7 @@ def blocks_of(path: Path) -> Blocks | None:
         lists = _lists(file, at, order, big)
     offset, count = (next((lists[tag] for tag in tags if tag in lists), None) for tags in (STRIP_OFFSETS, STRIP_COUNTS))
     rows = [int(value) for value in lists.get(ROWS_PER_STRIP, ()) if value > 0]
-    strip = None if TILE_WIDTH in lists else (*rows, WHOLE)[0]
+    strip = None if TILE_WIDTH in lists else (*rows, ONE_STRIP)[0]
     return Blocks(np.empty(0, np.uint64) if offset is None else offset, count, strip)
 
 
