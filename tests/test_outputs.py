@@ -125,7 +125,9 @@ def test_a_world_files_corner_is_kept_in_local_metres(tmp_path, boxes):
         assert d.transform[:6] == pytest.approx((result.scale.value, 0, 500, 0, -result.scale.value, 900))
 
 
-@pytest.mark.parametrize("options", [{}, {"compress": "jpeg", "photometric": "ycbcr"}, {"nodata": 7}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{}, {"compress": "jpeg", "photometric": "ycbcr"}, {"nodata": 7}, {"nbits": 7}], ids=str
+)
 def test_a_cog_stays_one_on_demand(tmp_path, boxes, options):
     from rasterio.shutil import copy
 

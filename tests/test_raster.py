@@ -797,6 +797,19 @@ def test_what_fills_borders_undeclared_leaves_the_picture_its_contrast(tmp_path,
     assert (seen[:, :120] == (255 if fill > 0 else 0)).all()
 
 
+@pytest.mark.parametrize("dtype, high", [("uint8", 256), ("uint16", 65536)])
+def test_a_tiff_whose_zero_is_white_is_shown_as_it_was_meant(tmp_path, dtype, high):
+    """GDAL gives the values as they are stored, a negative, and takes minutes to average those of 16 bit."""
+    grey = scene(1, dtype, high)
+    plain = RasterSource.open(make(tmp_path / "plain.tif", grey)).read(0, 0, W, H, W, H)
+    negative = RasterSource.open(make(tmp_path / "a.tif", high - 1 - grey, photometric="MINISWHITE"))
+    small = RasterSource.open(tmp_path / "plain.tif").read(0, 0, W, H, W // 3, H // 3).astype(int)
+    assert np.abs(negative.read(0, 0, W, H, W // 3, H // 3) - small).max() < 10
+    assert np.abs(negative.read(0, 0, W, H, W, H).astype(int) - plain).max() <= 1
+    negative.write(tmp_path / "b.tif", 0.1)
+    assert np.abs(RasterSource.open(tmp_path / "b.tif").read(0, 0, W, H, W, H).astype(int) - plain).max() <= 1
+
+
 def test_an_image_of_two_values_keeps_both(tmp_path):
     pixels = (scene() > 128).astype("uint16") * 7
     seen = RasterSource.open(make(tmp_path / "a.tif", pixels)).read(0, 0, W, H, W, H)

@@ -74,6 +74,7 @@ class RasterSource:
         self._overviews = dataset.overviews(self._bands[0])
         self._masked = any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
         self._stretch = self._stretch_limits()
+        self._negative = self._palette is None and dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
         self._scratch: Scratch | None = None
         self._blocks = dataset  # or, from the first look on, a copy of it in blocks
         self.claimed = claim_of(dataset)
@@ -218,8 +219,8 @@ class RasterSource:
         with self._lock, self._damage(f"at x {x}..{x + width}, y {y}..{y + height}"):
             if self._needs_blocks:
                 self._copy_into_blocks()
-            if self._palette is not None:
-                rgb = self._read_palette(window, out)
+            if self._palette is not None or self._negative:
+                rgb = self._read_table(window, out)
             else:
                 pixels = self._blocks.read(
                     self._bands, window=window, out_shape=(len(self._bands), *out), resampling=resampling
@@ -239,12 +240,15 @@ class RasterSource:
         factor = max([f for f in self._overviews if f <= shrink], default=1)
         return width * height / factor**2
 
-    def _read_palette(self, window: Window, out: tuple[int, int]) -> np.ndarray:
-        """Colours, not their numbers, must be averaged; up to 4 x 4 pixels per result are."""
-        assert self._palette is not None
+    def _read_table(self, window: Window, out: tuple[int, int]) -> np.ndarray:
+        """Of a palette, colours must be averaged, not their numbers; of a negative (TIFF's MINISWHITE), GDAL averages
+        none without a search among as many colours as its type has values. Up to 4 x 4 pixels per result are."""
         shape = min(window.height, 4 * out[0]), min(window.width, 4 * out[1])
         index = self._blocks.read(1, window=window, out_shape=shape, resampling=Resampling.nearest)
-        rgb = self._palette[np.clip(index, 0, len(self._palette) - 1)]
+        if self._palette is None:
+            rgb = np.repeat(255 - self._to_8_bit(index)[..., None], 3, axis=2)
+        else:
+            rgb = self._palette[np.clip(index, 0, len(self._palette) - 1)]
         if shape == out:
             return rgb
         shrinking = out[0] * out[1] < shape[0] * shape[1]
