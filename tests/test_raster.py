@@ -797,6 +797,19 @@ def test_what_fills_borders_undeclared_leaves_the_picture_its_contrast(tmp_path,
     assert (seen[:, :120] == (255 if fill > 0 else 0)).all()
 
 
+def test_a_fourth_band_is_no_mask_because_it_is_called_alpha(tmp_path):
+    """So GDAL calls near infrared where nobody says what it is."""
+    pixels = scene(4)
+    source = RasterSource.open(make(tmp_path / "a.tif", pixels))
+    assert source._dataset.colorinterp[3] == ColorInterp.alpha
+    assert np.array_equal(source.read(0, 0, W, H, W, H), np.moveaxis(pixels[:3], 0, -1))
+    assert "near infrared" in source.notes[0].text
+    pixels[3] = np.where(np.arange(W) < 100, 0, 255)
+    pixels[3, :, 100:110] = np.arange(10) * 25  # a soft edge
+    source = RasterSource.open(make(tmp_path / "b.tif", pixels))
+    assert (source.read(0, 0, W, H, W, H)[:, :100] == NO_DATA_GREY).all() and not source.notes
+
+
 @pytest.mark.parametrize("dtype, high", [("uint8", 256), ("uint16", 65536)])
 def test_a_tiff_whose_zero_is_white_is_shown_as_it_was_meant(tmp_path, dtype, high):
     """GDAL gives the values as they are stored, a negative, and takes minutes to average those of 16 bit."""

@@ -6,6 +6,7 @@ import hashlib
 import math
 import shutil
 import threading
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from functools import lru_cache
 from pathlib import Path
@@ -41,6 +42,10 @@ SQUEEZED = 0.05
 """Width over height of a pixel, as a logarithm. Where all vehicles stand one way they err by half of it: as much as
 boxes and fleet leave open (2 to 3 %)."""
 
+MOST_BETWEEN = 0.5
+"""Share of an alpha band's values that are neither nothing nor all, above which it masks nothing. Of masks it is the
+share of their edges, of a near infrared band nearly all."""
+
 # Formats that can be decoded from the top only.
 _IN_ORDER = frozenset(["AVIF", "BIGGIF", "GIF", "HEIF", "JPEG", "JPEGXL", "PNG", "WEBP"])
 
@@ -72,7 +77,9 @@ class RasterSource:
         self._probe()
         self._palette = self._palette_table()
         self._overviews = dataset.overviews(self._bands[0])
-        self._masked = any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
+        self._masked = (
+            any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums) and self._alpha_masks()
+        )
         self._stretch = self._stretch_limits()
         self._negative = self._palette is None and dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
         self._scratch: Scratch | None = None
@@ -388,25 +395,50 @@ class RasterSource:
                 table[index] = rgb
         return table
 
+    def _samples(self, side: int = 128) -> Iterator[Window]:
+        """Windows of `side` px in an even grid: a decimated read of a file without overviews reads all of it."""
+        for y in np.unique(np.linspace(0, max(self.height - side, 0), 8).astype(int)):
+            for x in np.unique(np.linspace(0, max(self.width - side, 0), 8).astype(int)):
+                yield Window(x, y, min(side, self.width), min(side, self.height))
+
+    def _alpha_masks(self) -> bool:
+        """Whether an alpha band, if there is one, says where there is data: its values are nearly all nothing or all.
+
+        Of four bands of 8 bit GDAL calls the last one alpha where nobody told it otherwise. Often it is near infrared:
+        dark asphalt and water would show nothing. Formats that are decoded in order know their alpha themselves.
+        """
+        alpha = next((k for k, c in enumerate(self._dataset.colorinterp, 1) if c.name == "alpha"), None)
+        if alpha is None or self._in_order:
+            return True
+        values = []
+        for window in self._samples():
+            with self._damage(f"near x {window.col_off}, y {window.row_off}"):
+                values.append(self._dataset.read(alpha, window=window).ravel())
+        sample = np.concatenate(values)
+        between = float(np.mean((sample != 0) & (sample < sample.max())))
+        if between <= MOST_BETWEEN:
+            return True
+        self.notes.append(
+            Remark(INFO, f"band {alpha} is called alpha, but is a picture of its own, such as near infrared: not used")
+        )
+        return False
+
     def _stretch_limits(self) -> tuple[float, float] | None:
         """The values that become 0 and 255: percentiles 0.5 and 99.5 of samples, or None for plain 8 bit.
 
-        Sampled in an even grid of windows, because a decimated read of a file without overviews reads all of it.
         All bands share the limits, which keeps the hues.
         """
         dtypes = {self._dataset.dtypes[b - 1] for b in self._bands}
         bits = self._dataset.tags(self._bands[0], "IMAGE_STRUCTURE").get("NBITS", "8")
         if self._palette is not None or (dtypes == {"uint8"} and int(bits) == 8):
             return None
-        side, values = 128, []
-        for y in np.unique(np.linspace(0, max(self.height - side, 0), 8).astype(int)):
-            for x in np.unique(np.linspace(0, max(self.width - side, 0), 8).astype(int)):
-                window = Window(x, y, min(side, self.width), min(side, self.height))
-                with self._damage(f"near x {x}, y {y}"):
-                    pixels = self._dataset.read(self._bands, window=window)
-                    known = self._dataset.dataset_mask(window=window) > 0
-                sample = pixels[:, known].ravel()
-                values.append(sample[np.isfinite(sample)])
+        values = []
+        for window in self._samples():
+            with self._damage(f"near x {window.col_off}, y {window.row_off}"):
+                pixels = self._dataset.read(self._bands, window=window)
+                known = self._dataset.dataset_mask(window=window) > 0
+            sample = pixels[:, known].ravel()
+            values.append(sample[np.isfinite(sample)])
         sample = _without_fill(np.concatenate(values))
         low, high = (float(v) for v in np.percentile(sample, [0.5, 99.5])) if len(sample) else (0.0, 1.0)
         high = high if high > low else low + 1
