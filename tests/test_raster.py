@@ -797,6 +797,17 @@ def test_what_fills_borders_undeclared_leaves_the_picture_its_contrast(tmp_path,
     assert (seen[:, :120] == (255 if fill > 0 else 0)).all()
 
 
+def test_bands_may_be_named_by_their_descriptions(tmp_path):
+    """As a multispectral camera's are; GDAL takes the first three of 8 bit for red, green and blue."""
+    pixels = scene(4)
+
+    def describe(dataset):
+        dataset.descriptions = ("Blue", "Green ", "RED", "Red edge")
+
+    source = RasterSource.open(make(tmp_path / "a.tif", pixels, describe))
+    assert np.array_equal(source.read(0, 0, W, H, W, H), np.moveaxis(pixels[2::-1], 0, -1))
+
+
 def test_a_fourth_band_is_no_mask_because_it_is_called_alpha(tmp_path):
     """So GDAL calls near infrared where nobody says what it is."""
     pixels = scene(4)

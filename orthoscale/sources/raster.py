@@ -327,10 +327,13 @@ class RasterSource:
             self.notes.append(Remark(INFO, f"{self.name} holds {len(dataset.subdatasets)} images; the first is read"))
 
     def _colour_bands(self) -> list[int]:
-        """The bands (from 1) to show: red, green, blue where they are named, else the first three, else one grey."""
+        """The bands (from 1) to show: red, green, blue where they are named, by what they mean to GDAL or, as those of
+        multispectral cameras are, by their descriptions; else the first three, else one grey."""
         kinds = [c.name for c in self._dataset.colorinterp]
-        if {"red", "green", "blue"} <= set(kinds):
-            bands = [kinds.index(k) + 1 for k in ("red", "green", "blue")]
+        described = [(text or "").strip().lower() for text in self._dataset.descriptions]
+        named = next((names for names in (described, kinds) if {"red", "green", "blue"} <= set(names)), None)
+        if named is not None:
+            bands = [named.index(k) + 1 for k in ("red", "green", "blue")]
         else:
             bands = [i for i, k in enumerate(kinds, 1) if k != "alpha"]
             bands = bands[:3] if len(bands) >= 3 else bands[:1]
