@@ -815,6 +815,11 @@ def test_a_fourth_band_is_no_mask_because_it_is_called_alpha(tmp_path):
     assert source._dataset.colorinterp[3] == ColorInterp.alpha
     assert np.array_equal(source.read(0, 0, W, H, W, H), np.moveaxis(pixels[:3], 0, -1))
     assert "near infrared" in source.notes[0].text
+    pixels[3, 50:60, 50:60] = 0  # GDAL leaves these out of what it resamples
+    plain, odd = (
+        RasterSource.open(make(tmp_path / f"{n}.tif", pixels[:n])).read(0, 0, W, H, W * 2, H * 2) for n in (3, 4)
+    )
+    assert np.abs(plain.astype(int) - odd)[90:130, 90:130].max() < 30
     pixels[3] = np.where(np.arange(W) < 100, 0, 255)
     pixels[3, :, 100:110] = np.arange(10) * 25  # a soft edge
     source = RasterSource.open(make(tmp_path / "b.tif", pixels))

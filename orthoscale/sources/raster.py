@@ -77,11 +77,11 @@ class RasterSource:
         self._probe()
         self._palette = self._palette_table()
         self._overviews = dataset.overviews(self._bands[0])
-        self._masked = (
-            any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums) and self._alpha_masks()
-        )
+        masks = self._alpha_masks()
+        self._masked = masks and any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
         self._stretch = self._stretch_limits()
         self._negative = self._palette is None and dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
+        self._unmixed = self._palette is not None or self._negative or not masks
         self._scratch: Scratch | None = None
         self._blocks = dataset  # or, from the first look on, a copy of it in blocks
         self.claimed = claim_of(dataset)
@@ -226,8 +226,8 @@ class RasterSource:
         with self._lock, self._damage(f"at x {x}..{x + width}, y {y}..{y + height}"):
             if self._needs_blocks:
                 self._copy_into_blocks()
-            if self._palette is not None or self._negative:
-                rgb = self._read_table(window, out)
+            if self._unmixed:
+                rgb = self._read_unmixed(window, out)
             else:
                 pixels = self._blocks.read(
                     self._bands, window=window, out_shape=(len(self._bands), *out), resampling=resampling
@@ -247,19 +247,24 @@ class RasterSource:
         factor = max([f for f in self._overviews if f <= shrink], default=1)
         return width * height / factor**2
 
-    def _read_table(self, window: Window, out: tuple[int, int]) -> np.ndarray:
-        """Of a palette, colours must be averaged, not their numbers; of a negative (TIFF's MINISWHITE), GDAL averages
-        none without a search among as many colours as its type has values. Up to 4 x 4 pixels per result are."""
+    def _read_unmixed(self, window: Window, out: tuple[int, int]) -> np.ndarray:
+        """What GDAL must not resample: numbers of colours, which have no average; negatives, whose averages it seeks
+        among as many colours as their type has values, for minutes; bands beside one that it takes for their mask.
+        Up to 4 x 4 pixels per result are averaged."""
         shape = min(window.height, 4 * out[0]), min(window.width, 4 * out[1])
-        index = self._blocks.read(1, window=window, out_shape=shape, resampling=Resampling.nearest)
-        if self._palette is None:
-            rgb = np.repeat(255 - self._to_8_bit(index)[..., None], 3, axis=2)
+        values = self._blocks.read(
+            self._bands, window=window, out_shape=(len(self._bands), *shape), resampling=Resampling.nearest
+        )
+        if self._palette is not None:
+            rgb = self._palette[np.clip(values[0], 0, len(self._palette) - 1)]
         else:
-            rgb = self._palette[np.clip(index, 0, len(self._palette) - 1)]
-        if shape == out:
-            return rgb
-        shrinking = out[0] * out[1] < shape[0] * shape[1]
-        return cv2.resize(rgb, out[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_CUBIC)
+            rgb = cv2.merge(list(self._to_8_bit(values)))
+        if self._negative:
+            rgb = 255 - rgb
+        if shape != out:
+            shrinking = out[0] * out[1] < shape[0] * shape[1]
+            rgb = cv2.resize(rgb, out[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_CUBIC)
+        return rgb.reshape(*out, -1)
 
     def _to_8_bit(self, pixels: np.ndarray) -> np.ndarray:
         """(C, H, W) of any real type to uint8; NaN becomes grey."""
