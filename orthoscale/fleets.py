@@ -13,6 +13,7 @@ from .core.calibration import Calibration
 from .core.fleet import Fleet, class_of
 from .errors import InputError, UsageError, shown
 from .formats.reading import checked, read_plain
+from .system.paths import path_of
 
 FLEET_HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
 WORLD = "WORLD"
@@ -46,7 +47,7 @@ def load_fleet(name: str | Path) -> Fleet:
     known = {code.lower(): code for code in fleet_codes()}
     if str(name).lower() in known:
         return _row(known[str(name).lower()])
-    path = Path(name)
+    path = path_of(name, "a country, or the path of a fleet.json")
     return read_fleet(path) if path.suffix == ".json" else _of_country(str(name))
 
 

@@ -230,10 +230,15 @@ def projected(path, crs, lon, lat, step, turned=0.0):
 
 @pytest.mark.parametrize(
     "crs, step, turned, gsd",
-    [("EPSG:32632", 0.1, 0, 0.1), ("EPSG:3857", 0.2, 0, 0.1), ("EPSG:32632", 0.1, 30, 0.1)],
+    [
+        ("EPSG:32632", 0.1, 0, 0.1),
+        ("EPSG:3857", 0.2, 0, 0.1),
+        ("EPSG:32632", 0.1, 30, 0.1),
+        ("EPSG:4326", 0.1 / 78_845, 0, 0.1),
+    ],
 )
 def test_places_on_earth_have_true_metres_and_true_north(tmp_path, crs, step, turned, gsd):
-    """At 60 degrees north, metres of EPSG:3857 are half as long as they say."""
+    """At 60 degrees north, metres of EPSG:3857 are half as long as they say, and degrees half as wide as high."""
     path = projected(tmp_path / "a.tif", crs, 9.0, 60.0, step, turned)
     geod = pyproj.Geod(ellps="WGS84")
     ring = [geod.fwd(9.0, 60.0, b, 45)[:2] for b in (45, 135, 225, 315)]

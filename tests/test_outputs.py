@@ -87,12 +87,13 @@ def test_each_case_is_handled_and_said(tmp_path, boxes, profile, says):
     out = tmp_path / "out.tif"
     result = fixed(path, out, boxes)
     assert any(says in note for note in map(str, result.source.notes)), result.source.notes
-    s = result.scale.value
+    shape = math.sqrt(result.source.claimed.aspect)
+    w, h = result.scale.value * shape, result.scale.value / shape
     with rasterio.open(path) as a, rasterio.open(out) as b:
         assert np.array_equal(a.read(), b.read()) and not b.gcps[0]
         assert b.crs.units_factor[1] == 1.0 and not b.crs.is_projected
         up = "south-up" in " ".join(map(str, result.source.notes))
-        assert np.allclose(b.transform[:6], (s, 0, 0, 0, s, 0) if up else (s, 0, 0, 0, -s, s * H))
+        assert np.allclose(b.transform[:6], (w, 0, 0, 0, h, 0) if up else (w, 0, 0, 0, -h, h * H))
         assert (b.bounds.left, min(b.bounds.bottom, b.bounds.top)) == (0, 0), "origin at the lower left"
 
 
@@ -124,7 +125,9 @@ def test_a_world_files_corner_is_kept_in_local_metres(tmp_path, boxes):
         assert d.transform[:6] == pytest.approx((result.scale.value, 0, 500, 0, -result.scale.value, 900))
 
 
-@pytest.mark.parametrize("options", [{}, {"compress": "jpeg", "photometric": "ycbcr"}, {"nodata": 7}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{}, {"compress": "jpeg", "photometric": "ycbcr"}, {"nodata": 7}, {"nbits": 7}], ids=str
+)
 def test_a_cog_stays_one_on_demand(tmp_path, boxes, options):
     from rasterio.shutil import copy
 

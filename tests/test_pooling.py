@@ -104,7 +104,7 @@ def test_small_lorries_and_buses_are_no_vans_at_a_smaller_scale(code):
 
 @pytest.mark.parametrize("code, most", [("US", 0.017), ("DE", 0.033)])
 def test_vehicles_that_trees_hide_in_part_hardly_make_the_scale_larger(code, most):
-    """The fleet's smallest would have to be as short as what is seen of them: 2.3 and 4.1 % without a class for them."""
+    """The fleet's smallest would have to be as short as what is seen: 2.3 and 4.1 % without a class for them."""
     fleet, errors = load_fleet(code), []
     for seed in range(8):
         rng = np.random.default_rng([9, seed])

@@ -110,3 +110,60 @@ def test_what_is_done_is_told_to_the_logger_and_on_demand_to_the_terminal(park, 
         for how in ([], ["-v"], ["-q"])
     ]
     assert "61 boxes" not in said[0] and "61 boxes" in said[1] and said[2] == ""
+
+
+def path_arguments(folder):
+    """Every path that a public function takes: a call with it, and what it names, which need not be there."""
+    found = orthoscale.load_detections(folder / "detections.json")
+    ruler = orthoscale.Calibration("d", "0", found.ruler, None, {})
+    image, boxes = folder / "park.png", {"fleet": "DE", "detections": folder / "detections.json"}
+    return {
+        "estimate": (lambda path: orthoscale.estimate(path, **boxes), image),
+        "check": (lambda path: orthoscale.check(path, **boxes), folder / "none.tif"),
+        "fix": (lambda path: orthoscale.fix(path, folder / "a.tif", report="none", **boxes), image),
+        "fix, out": (lambda path: orthoscale.fix(image, path, report="none", **boxes), folder / "b.tif"),
+        "fix, save_detections": (
+            lambda path: orthoscale.fix(image, folder / "c.tif", report="none", save_detections=path, **boxes),
+            folder / "c.json",
+        ),
+        "apply": (lambda path: orthoscale.apply(path, image, folder / "m"), folder / "none.json"),
+        "apply, files": (lambda path: orthoscale.apply(folder / "none.json", path, folder / "m"), image),
+        "apply, one of files": (lambda path: orthoscale.apply(folder / "none.json", [path], folder / "m"), image),
+        "apply, out": (lambda path: orthoscale.apply(folder / "none.json", image, path), folder / "m"),
+        "calibrate": (lambda path: orthoscale.calibrate(path, gsd=0.1), folder / "none.tif"),
+        "calibrate, detector": (lambda path: orthoscale.calibrate(image, gsd=0.1, detector=path), folder / "n.onnx"),
+        "calibrate, fleet": (lambda path: orthoscale.calibrate(image, gsd=0.1, fleet=path), folder / "none.json"),
+        "photo": (lambda path: orthoscale.photo(path, focal_px=1000.0, **boxes), image),
+        "photo, one of paths": (lambda path: orthoscale.photo([path], focal_px=1000.0, **boxes), image),
+        "photo, lens_file": (lambda path: orthoscale.photo(image, lens_file=path, **boxes), folder / "none.xml"),
+        "load_fleet": (orthoscale.load_fleet, folder / "none.json"),
+        "save_detections": (lambda path: orthoscale.save_detections(found, path), folder / "kept.json"),
+        "load_detections": (orthoscale.load_detections, folder / "kept.json"),
+        "save_calibration": (lambda path: orthoscale.save_calibration(ruler, path), folder / "ruler.json"),
+        "load_calibration": (orthoscale.load_calibration, folder / "ruler.json"),
+    }
+
+
+@pytest.mark.slow
+def test_every_path_may_be_text_and_nothing_else_passes_for_one(tmp_path):
+    """Text does what a path does, be it an error; a number would be an open file, an empty text the current folder."""
+    car_park(tmp_path)
+    done = {}
+    for kind in (str, tmp_path.__class__):
+        for name, (call, path) in path_arguments(tmp_path).items():
+            try:
+                done.setdefault(name, []).append(type(call(kind(path))).__name__)
+            except orthoscale.OrthoscaleError as error:
+                done.setdefault(name, []).append(str(error))
+        for made in "abc":
+            (tmp_path / f"{made}.tif").unlink()
+        (tmp_path / "c.json").unlink()
+    assert {name: said for name, said in done.items() if said[0] != said[1]} == {}
+    assert done["load_detections"] == ["Detections"] * 2 and done["load_calibration"] == ["Calibration"] * 2
+    public = {name for name in orthoscale.__all__ if name[0].islower()}
+    assert {name.split(",")[0] for name in done} == public
+    for name, (call, _) in path_arguments(tmp_path).items():
+        for wrong in (5, b"x.json", 0.5, object(), "", "a\0b", [None], *([] if "," in name else [None])):
+            with pytest.raises(orthoscale.OrthoscaleError, match="expected|fleet is called") as error:
+                call(wrong)
+            assert error.value.exit_code == 2, (name, wrong)

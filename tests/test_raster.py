@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from PIL import Image
 from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, Resampling
@@ -405,6 +406,30 @@ def test_pixels_that_are_not_square_on_the_ground(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "latitude, wide, high, severity", [(60, 0.0558, 0.1114, "caution"), (15, 0.1075, 0.1106, "info")]
+)
+@pytest.mark.parametrize("rows", [-1, 1])
+def test_a_copy_in_metres_has_pixels_of_the_shape_that_they_have_on_the_ground(
+    tmp_path, latitude, wide, high, severity, rows
+):
+    """Square ones would make a town at 60 degrees twice as wide as it is."""
+    path = make(tmp_path / "a.tif", crs="EPSG:4326", transform=Affine(1e-6, 0, 10, 0, rows * 1e-6, latitude))
+    source = RasterSource.open(path)
+    (note,) = source.notes
+    assert note.severity == severity and f"{wide / high:.2g}" in note.text
+    source.write(tmp_path / "b.tif", 2 * source.claimed.gsd_m)
+    with rasterio.open(tmp_path / "b.tif") as copy:
+        t = copy.transform
+        assert (t.a, t.e, t.b, t.d) == (
+            pytest.approx(2 * wide, rel=2e-3),
+            pytest.approx(2 * rows * high, rel=2e-3),
+            0,
+            0,
+        )
+        assert (t.c, min(t.f, (t * (0, H))[1])) == (0, pytest.approx(0, abs=1e-9)), "origin at the lower left"
+
+
+@pytest.mark.parametrize(
     "profile, says",
     [
         ({}, "not georeferenced"),
@@ -552,7 +577,7 @@ def test_written_copy_is_the_same_picture_in_metres(tmp_path, build):
     with RasterSource.open(path) as source:
         source.read(0, 0, W, H, W // 2, H // 2)
         source.write(target / "b.tif", 0.123)
-        usable = source.claimed.usable
+        usable, shape = source.claimed.usable, math.sqrt(source.claimed.aspect)
         assert any("local metres" in n for n in map(str, source.notes))
         assert any("--keep-origin" in n for n in map(str, source.notes)) == usable
     assert listing(folder) == before, "the input's folder was touched"
@@ -570,7 +595,7 @@ def test_written_copy_is_the_same_picture_in_metres(tmp_path, build):
         )
         assert a.overviews(1) == b.overviews(1)
         assert not b.gcps[0] and not b.rpcs
-        assert np.allclose(b.transform, Affine(0.123, 0, 0, 0, -0.123, 0.123 * H))
+        assert np.allclose(b.transform, Affine(0.123 * shape, 0, 0, 0, -0.123 / shape, 0.123 / shape * H))
         assert b.crs.units_factor == ("metre", 1.0) and not b.crs.is_projected and not b.crs.is_geographic
         tags = a.tags()
         assert tags.items() <= b.tags().items() and a.tags(1).items() <= b.tags(1).items()
@@ -741,6 +766,83 @@ def test_a_tiff_that_lost_where_its_blocks_are_is_damaged(tmp_path, options, whi
     damaged_list(path, which, how)
     with pytest.raises(InputError, match="is damaged|is truncated"):
         RasterSource.open(path)
+
+
+@pytest.mark.parametrize("shape, mode", [((90, 120, 3), "RGB"), ((90, 120), "L"), ((1100, 1100), "1")])
+def test_a_single_strip_is_whole(tmp_path, shape, mode):
+    """Pillow, tifffile and ImageJ write all of an image as one strip, which GDAL shows as if it were many."""
+    pixels = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    Image.fromarray(pixels).convert(mode).save(tmp_path / "a.tif")
+    with rasterio.open(tmp_path / "a.tif") as dataset:
+        assert 1 < dataset.block_shapes[0][0] < dataset.height, "GDAL shows it as it is: nothing is tested"
+    with RasterSource.open(tmp_path / "a.tif") as source:
+        seen = source.read(0, 0, source.width, source.height, source.width, source.height)
+        assert np.array_equal(seen, Image.open(tmp_path / "a.tif").convert("RGB"))
+        source.write(tmp_path / "out.tif", 0.1)
+    cut = (tmp_path / "a.tif").read_bytes()
+    (tmp_path / "cut.tif").write_bytes(cut[: len(cut) * 3 // 4])
+    with pytest.raises(InputError, match="is truncated|is damaged|cannot open"):
+        RasterSource.open(tmp_path / "cut.tif")
+
+
+@pytest.mark.parametrize(
+    "dtype, low, high, fill", [("float32", 0, 1, -9999), ("float32", 0, 1, np.finfo("f4").min), ("float64", 0, 1, 1e30),
+                               ("int16", 0, 4095, -32768), ("uint16", 0, 4095, 65535)])  # fmt: skip
+def test_what_fills_borders_undeclared_leaves_the_picture_its_contrast(tmp_path, dtype, low, high, fill):
+    pixels = (scene(high=4096).astype(float) / 4095 * high).astype(dtype)
+    whole = RasterSource.open(make(tmp_path / "whole.tif", pixels)).read(150, 0, 100, H, 100, H)
+    pixels[:, :, :120] = fill
+    seen = RasterSource.open(make(tmp_path / "a.tif", pixels)).read(0, 0, W, H, W, H)
+    assert np.abs(seen[:, 150:250].astype(int) - whole).max() < 40
+    assert (seen[:, :120] == (255 if fill > 0 else 0)).all()
+
+
+def test_bands_may_be_named_by_their_descriptions(tmp_path):
+    """As a multispectral camera's are; GDAL takes the first three of 8 bit for red, green and blue."""
+    pixels = scene(4)
+
+    def describe(dataset):
+        dataset.descriptions = ("Blue", "Green ", "RED", "Red edge")
+
+    source = RasterSource.open(make(tmp_path / "a.tif", pixels, describe))
+    assert np.array_equal(source.read(0, 0, W, H, W, H), np.moveaxis(pixels[2::-1], 0, -1))
+
+
+def test_a_fourth_band_is_no_mask_because_it_is_called_alpha(tmp_path):
+    """So GDAL calls near infrared where nobody says what it is."""
+    pixels = scene(4)
+    source = RasterSource.open(make(tmp_path / "a.tif", pixels))
+    assert source._dataset.colorinterp[3] == ColorInterp.alpha
+    assert np.array_equal(source.read(0, 0, W, H, W, H), np.moveaxis(pixels[:3], 0, -1))
+    assert "near infrared" in source.notes[0].text
+    pixels[3, 50:60, 50:60] = 0  # GDAL leaves these out of what it resamples
+    plain, odd = (
+        RasterSource.open(make(tmp_path / f"{n}.tif", pixels[:n])).read(0, 0, W, H, W * 2, H * 2) for n in (3, 4)
+    )
+    assert np.abs(plain.astype(int) - odd)[90:130, 90:130].max() < 30
+    pixels[3] = np.where(np.arange(W) < 100, 0, 255)
+    pixels[3, :, 100:110] = np.arange(10) * 25  # a soft edge
+    source = RasterSource.open(make(tmp_path / "b.tif", pixels))
+    assert (source.read(0, 0, W, H, W, H)[:, :100] == NO_DATA_GREY).all() and not source.notes
+
+
+@pytest.mark.parametrize("dtype, high", [("uint8", 256), ("uint16", 65536)])
+def test_a_tiff_whose_zero_is_white_is_shown_as_it_was_meant(tmp_path, dtype, high):
+    """GDAL gives the values as they are stored, a negative, and takes minutes to average those of 16 bit."""
+    grey = scene(1, dtype, high)
+    plain = RasterSource.open(make(tmp_path / "plain.tif", grey)).read(0, 0, W, H, W, H)
+    negative = RasterSource.open(make(tmp_path / "a.tif", high - 1 - grey, photometric="MINISWHITE"))
+    small = RasterSource.open(tmp_path / "plain.tif").read(0, 0, W, H, W // 3, H // 3).astype(int)
+    assert np.abs(negative.read(0, 0, W, H, W // 3, H // 3) - small).max() < 10
+    assert np.abs(negative.read(0, 0, W, H, W, H).astype(int) - plain).max() <= 1
+    negative.write(tmp_path / "b.tif", 0.1)
+    assert np.abs(RasterSource.open(tmp_path / "b.tif").read(0, 0, W, H, W, H).astype(int) - plain).max() <= 1
+
+
+def test_an_image_of_two_values_keeps_both(tmp_path):
+    pixels = (scene() > 128).astype("uint16") * 7
+    seen = RasterSource.open(make(tmp_path / "a.tif", pixels)).read(0, 0, W, H, W, H)
+    assert np.array_equal(seen, np.moveaxis((pixels > 0) * np.uint8(255), 0, -1))
 
 
 def test_blocks_that_were_never_written_show_nothing(tmp_path):

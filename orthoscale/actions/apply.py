@@ -10,6 +10,7 @@ from ..errors import UsageError
 from ..formats.geometry.sim3 import Sim3
 from ..sources.scaling import scale_path
 from ..system.outputs import Outputs
+from ..system.paths import path_of, paths_of
 
 
 def apply(
@@ -21,16 +22,16 @@ def apply(
     reconstruction.json, or folders of sparse models and dense workspaces, one or several; they are never touched.
     Returns what was written, with notes on each; all of it, or none. Raises UsageError, InputError, OutputError.
     """
-    out = Path(out)
-    files = [files] if isinstance(files, (str, Path)) else list(files)
-    names = [Path(os.path.realpath(path)).name for path in files]
+    sim3, out = path_of(sim3, "the path of a sim3.json"), path_of(out, "the path of the output folder")
+    given = paths_of(files, "the path of a file in the model's units")
+    names = [Path(os.path.realpath(path)).name for path in given]
     if len(set(names)) < len(names):
         raise UsageError("two FILEs have the same name", "Write them to different folders, one after the other.")
     written = {}
-    with Outputs(overwrite, (sim3, files)) as outputs:
+    with Outputs(overwrite, (sim3, given)) as outputs:
         folder = outputs.folder(out)
-        scale = Sim3.load(Path(sim3)).scale
-        for path, name in zip(map(Path, files), names, strict=True):
+        scale = Sim3.load(sim3).scale
+        for path, name in zip(given, names, strict=True):
             target = folder / name
             if path.is_dir():
                 target.mkdir()

@@ -37,7 +37,8 @@ from ..errors import EvidenceDisagrees, InputError, TooLittleEvidence
 from ..formats.calibration import load_calibration
 from ..formats.detections import load as load_detections
 from ..sources.location import location_of
-from ..sources.opening import open_source
+from ..sources.opening import AN_INPUT, open_source
+from ..system.paths import path_of
 from ..tables import standards
 from .against import OnMap, on_map
 from .anchors import Searched, Wanted, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
@@ -117,9 +118,9 @@ def source_of(
 ) -> Source:
     """The input at `path`, opened as `request` says; a source is returned as it is. progress : of reading its dense
     cloud. Raises InputError, UsageError."""
-    if not isinstance(path, (str, Path)):
+    if not isinstance(path, (str, Path)) and hasattr(path, "posed"):
         return path
-    return open_source(path, request.images, need_images, request.ground_cloud, progress)
+    return open_source(path_of(path, AN_INPUT), request.images, need_images, request.ground_cloud, progress)
 
 
 def opened(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Opened:

@@ -14,7 +14,9 @@ from ..errors import Incomplete, UsageError
 from ..formats.detections import check_name, save
 from ..report.extras import WRITERS, chosen
 from ..report.files import write_report
+from ..sources.opening import AN_INPUT
 from ..system.outputs import Outputs
+from ..system.paths import path_of
 from .estimate import measured, source_of
 from .requests import FixRequest
 from .result import Result
@@ -53,8 +55,9 @@ def fix(
     Raises what `estimate` raises, OutputError; Incomplete if the copy is verified and in its place but something beside
     it could not be made.
     """
-    keep = None if save_detections is None else Path(save_detections)
-    return written(Path(path), Path(out), FixRequest.of(options), progress, keep)
+    keep = None if save_detections is None else path_of(save_detections, "the path of the boxes")
+    given, copy = path_of(path, AN_INPUT), path_of(out, "the path of the copy")
+    return written(given, copy, FixRequest.of(options), progress, keep)
 
 
 def written(

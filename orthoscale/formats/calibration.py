@@ -8,14 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from ..core.calibration import Calibration
+from ..system.paths import path_of
 from .reading import checked, read_plain
 
 CALIBRATION_FORMAT = "orthoscale calibration 1"
+A_CALIBRATION = "the path of a calibration"
 
 
-def save_calibration(calibration: Calibration, path: Path) -> None:
-    """Write as JSON."""
-    path.write_text(json.dumps(calibration_values(calibration), indent=1) + "\n", encoding="utf-8")
+def save_calibration(calibration: Calibration, path: str | Path) -> None:
+    """Write as JSON. Raises UsageError for what is no path, OSError."""
+    path_of(path, A_CALIBRATION).write_text(
+        json.dumps(calibration_values(calibration), indent=1) + "\n", encoding="utf-8"
+    )
 
 
 def calibration_values(calibration: Calibration) -> dict[str, Any]:
@@ -30,10 +34,11 @@ def calibration_values(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def load_calibration(path: Path) -> Calibration:
-    """Raises InputError for what `save_calibration` did not write."""
+def load_calibration(path: str | Path) -> Calibration:
+    """Raises InputError for what `save_calibration` did not write, UsageError for what is no path."""
     from .schemas import CalibrationEntry
 
+    path = path_of(path, A_CALIBRATION)
     hint = "Make one: orthoscale calibrate ORTHO --out FILE.json"
     text = read_plain(path, "a calibration", hint)
     entry = checked(text, CalibrationEntry, str(path), "a calibration", hint)

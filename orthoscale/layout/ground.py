@@ -94,7 +94,8 @@ def open_ground(path: Path, scale_error: float | None = None) -> Ground:
     with rasterio.open(path) as dataset:
         transform, crs = dataset.transform, dataset.crs
     across, down = math.hypot(transform.a, transform.d), math.hypot(transform.b, transform.e)
-    aspect = math.sqrt(across / down)
+    # A transform in degrees does not tell the shape that pixels have on the ground.
+    aspect = math.sqrt(source.claimed.aspect if source.claimed.usable else across / down)
     north, notes = _north(source, transform, crs)
     interval, told = _interval(path, scale_error)
     return Ground(source, gsd * np.array([aspect, 1 / aspect]), north, transform, crs, interval, (*notes, *told))

@@ -14,6 +14,7 @@ from ..core.brief import Brief
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..errors import InputError, TooLittleEvidence, UsageError
+from ..system.paths import path_of, paths_of
 from .depth.maps import Depths
 from .looking import Looking, boxes_of
 from .measure import Measure, Photo, PhotoScale, find_photos, measure, open_photo
@@ -77,11 +78,10 @@ def photo(
     of `estimate`; depth, depth_kind, depth_factor : a metric depth, whose altitude is compared.
     Raises InputError, UsageError; TooLittleEvidence where no photo has enough vehicles.
     """
-    given = [paths] if isinstance(paths, (str, Path)) else paths
-    lens = {"focal_px": focal_px, "lens_file": None if lens_file is None else Path(lens_file)}
-    return surveyed(
-        [Path(path) for path in given], Looking.of(options), together, progress, None, pitch=pitch, roll=roll, **lens
-    )
+    given = paths_of(paths, "the path of a photo, or of a folder of them")
+    lens = None if lens_file is None else path_of(lens_file, "the path of a calibration of the lens")
+    told = {"lens_file": lens, "focal_px": focal_px, "pitch": pitch, "roll": roll}
+    return surveyed(given, Looking.of(options), together, progress, None, **told)
 
 
 def surveyed(

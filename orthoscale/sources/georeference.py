@@ -33,6 +33,7 @@ class Claim:
     why : for people, to follow the figure: where it comes from, or why there is none or it is not to be believed.
     crs, transform : the georeferencing behind it, from ground control points where there is no geotransform; None
         without any.
+    aspect : how many times as wide as high a pixel is on the ground; 1 where that is not known, and where it is square.
     """
 
     gsd_m: float | None
@@ -40,6 +41,7 @@ class Claim:
     why: str
     crs: CRS | None = None
     transform: Affine | None = None
+    aspect: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -121,9 +123,10 @@ def _claim_on_earth(dataset: DatasetReader, crs: CRS, t: Affine, why: str) -> Cl
         why += f"; {size:.6g} degrees per pixel"
     elif abs(size / gsd - 1) > 0.002:  # feet, or a projection that stretches: Mercator by 1/cos(latitude)
         why += f"; {size:.6g} {unit} per pixel there"
-    if not _square(across, down):
+    aspect = 1.0 if _square(across, down) else across / down
+    if aspect != 1:
         why += f"; its pixels are {across:.6g} m wide and {down:.6g} m high"
-    return Claim(gsd, True, why + _attitude(t), crs, t)
+    return Claim(gsd, True, why + _attitude(t), crs, t, aspect)
 
 
 def _attitude(t: Affine) -> str:
@@ -142,7 +145,9 @@ def local_place(claim: Claim, height: int, gsd_m: float) -> Place:
     """Local metres, north up, origin at the lower left corner of the image of `height` px.
 
     An image whose first row is its southernmost keeps that order, or the copy would be a mirror image of the ground.
+    Pixels that are not square on the ground stay so: `gsd_m` is the geometric mean of their sides.
     """
+    wide, high = gsd_m * math.sqrt(claim.aspect), gsd_m / math.sqrt(claim.aspect)
     said = "local metres, origin at the lower left corner"
     t = claim.transform
     if claim.usable:
@@ -150,8 +155,8 @@ def local_place(claim: Claim, height: int, gsd_m: float) -> Place:
     elif t is not None or "not georeferenced" not in claim.why:
         said += f"; not believed and not in it: {claim.why}"
     if t is not None and t.determinant > 0:
-        return Place(LOCAL_CRS, Affine(gsd_m, 0, 0, 0, gsd_m, 0), said + "; rows go north, as in the input")
-    return Place(LOCAL_CRS, Affine(gsd_m, 0, 0, 0, -gsd_m, gsd_m * height), said)
+        return Place(LOCAL_CRS, Affine(wide, 0, 0, 0, high, 0), said + "; rows go north, as in the input")
+    return Place(LOCAL_CRS, Affine(wide, 0, 0, 0, -high, high * height), said)
 
 
 def kept_place(claim: Claim, height: int, gsd_m: float) -> Place:

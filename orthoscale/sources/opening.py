@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .colmap import ColmapSource
 
 
+AN_INPUT = "the path of an orthophoto or of a model"  # as a message calls it
 NO_CLOUD = "none"  # instead of the name of a dense cloud: the ground is found from the sparse points alone
 
 

@@ -6,6 +6,7 @@ import hashlib
 import math
 import shutil
 import threading
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +19,7 @@ from rasterio.io import DatasetReader
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from ..core.remarks import INFO, Remark, informing
+from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.scale import PER_PIXEL
 from ..core.source import NO_DATA_GREY, Picture, Placement
 from ..errors import InputError, UsageError
@@ -36,6 +37,14 @@ SMALLEST = 32
 
 LONGEST_SIDE = 10_000_000
 """[px] A side longer than this no map has, 1,000 km at 0.1 m. A VRT promises it in a few words; copying never ends."""
+
+SQUEEZED = 0.05
+"""Width over height of a pixel, as a logarithm. Where all vehicles stand one way they err by half of it: as much as
+boxes and fleet leave open (2 to 3 %)."""
+
+MOST_BETWEEN = 0.5
+"""Share of an alpha band's values that are neither nothing nor all, above which it masks nothing. Of masks it is the
+share of their edges, of a near infrared band nearly all."""
 
 # Formats that can be decoded from the top only.
 _IN_ORDER = frozenset(["AVIF", "BIGGIF", "GIF", "HEIF", "JPEG", "JPEGXL", "PNG", "WEBP"])
@@ -68,11 +77,21 @@ class RasterSource:
         self._probe()
         self._palette = self._palette_table()
         self._overviews = dataset.overviews(self._bands[0])
-        self._masked = any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
+        masks = self._alpha_masks()
+        self._masked = masks and any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
         self._stretch = self._stretch_limits()
+        self._negative = self._palette is None and dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
+        self._unmixed = self._palette is not None or self._negative or not masks
         self._scratch: Scratch | None = None
         self._blocks = dataset  # or, from the first look on, a copy of it in blocks
         self.claimed = claim_of(dataset)
+        if (aspect := self.claimed.aspect) != 1:
+            squeezed = abs(math.log(aspect)) > SQUEEZED
+            text = (
+                f"pixels are {aspect:.3g} times as wide as high on the ground, and vehicles look it: the scale is the "
+                "geometric mean of both sides (warped to UTM, they are square)"
+            )
+            self.notes.append(Remark(CAUTION if squeezed else INFO, text))
 
     @classmethod
     def open(cls, path: str | Path) -> RasterSource:
@@ -207,8 +226,8 @@ class RasterSource:
         with self._lock, self._damage(f"at x {x}..{x + width}, y {y}..{y + height}"):
             if self._needs_blocks:
                 self._copy_into_blocks()
-            if self._palette is not None:
-                rgb = self._read_palette(window, out)
+            if self._unmixed:
+                rgb = self._read_unmixed(window, out)
             else:
                 pixels = self._blocks.read(
                     self._bands, window=window, out_shape=(len(self._bands), *out), resampling=resampling
@@ -228,23 +247,32 @@ class RasterSource:
         factor = max([f for f in self._overviews if f <= shrink], default=1)
         return width * height / factor**2
 
-    def _read_palette(self, window: Window, out: tuple[int, int]) -> np.ndarray:
-        """Colours, not their numbers, must be averaged; up to 4 x 4 pixels per result are."""
-        assert self._palette is not None
+    def _read_unmixed(self, window: Window, out: tuple[int, int]) -> np.ndarray:
+        """What GDAL must not resample: numbers of colours, which have no average; negatives, whose averages it seeks
+        among as many colours as their type has values, for minutes; bands beside one that it takes for their mask.
+        Up to 4 x 4 pixels per result are averaged."""
         shape = min(window.height, 4 * out[0]), min(window.width, 4 * out[1])
-        index = self._blocks.read(1, window=window, out_shape=shape, resampling=Resampling.nearest)
-        rgb = self._palette[np.clip(index, 0, len(self._palette) - 1)]
-        if shape == out:
-            return rgb
-        shrinking = out[0] * out[1] < shape[0] * shape[1]
-        return cv2.resize(rgb, out[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_CUBIC)
+        values = self._blocks.read(
+            self._bands, window=window, out_shape=(len(self._bands), *shape), resampling=Resampling.nearest
+        )
+        if self._palette is not None:
+            rgb = self._palette[np.clip(values[0], 0, len(self._palette) - 1)]
+        else:
+            rgb = cv2.merge(list(self._to_8_bit(values)))
+        if self._negative:
+            rgb = 255 - rgb
+        if shape != out:
+            shrinking = out[0] * out[1] < shape[0] * shape[1]
+            rgb = cv2.resize(rgb, out[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_CUBIC)
+        return rgb.reshape(*out, -1)
 
     def _to_8_bit(self, pixels: np.ndarray) -> np.ndarray:
         """(C, H, W) of any real type to uint8; NaN becomes grey."""
         if self._stretch is None:
             return pixels
         low, high = self._stretch
-        scaled = (pixels.astype(np.float32) - low) * (255 / (high - low))
+        with np.errstate(over="ignore"):  # of what fills borders: 1e38 and more
+            scaled = (pixels.astype(np.float32) - low) * (255 / (high - low))
         scaled = np.nan_to_num(scaled, nan=NO_DATA_GREY, posinf=255, neginf=0)
         return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
 
@@ -278,7 +306,7 @@ class RasterSource:
     def _written_at(self, window: Window, out: tuple[int, int]) -> np.ndarray:
         """(out) bool: where the window of a sparse TIFF, resampled to `out`, shows blocks that were ever written."""
         assert self._written is not None
-        rows, columns = self._dataset.block_shapes[0]
+        rows, columns = self._block
         y = window.row_off + (np.arange(out[0]) + 0.5) * window.height / out[0]
         x = window.col_off + (np.arange(out[1]) + 0.5) * window.width / out[1]
         return self._written[(y / rows).astype(int)[:, None], (x / columns).astype(int)]
@@ -304,10 +332,13 @@ class RasterSource:
             self.notes.append(Remark(INFO, f"{self.name} holds {len(dataset.subdatasets)} images; the first is read"))
 
     def _colour_bands(self) -> list[int]:
-        """The bands (from 1) to show: red, green, blue where they are named, else the first three, else one grey."""
+        """The bands (from 1) to show: red, green, blue where they are named, by what they mean to GDAL or, as those of
+        multispectral cameras are, by their descriptions; else the first three, else one grey."""
         kinds = [c.name for c in self._dataset.colorinterp]
-        if {"red", "green", "blue"} <= set(kinds):
-            bands = [kinds.index(k) + 1 for k in ("red", "green", "blue")]
+        described = [(text or "").strip().lower() for text in self._dataset.descriptions]
+        named = next((names for names in (described, kinds) if {"red", "green", "blue"} <= set(names)), None)
+        if named is not None:
+            bands = [named.index(k) + 1 for k in ("red", "green", "blue")]
         else:
             bands = [i for i, k in enumerate(kinds, 1) if k != "alpha"]
             bands = bands[:3] if len(bands) >= 3 else bands[:1]
@@ -335,15 +366,15 @@ class RasterSource:
         dataset, lists = self._dataset, blocks_of(self.path)
         rows, columns = dataset.block_shapes[0]
         apart = dataset.interleaving == Interleaving.band
-        shape = (dataset.count if apart else 1, math.ceil(self.height / rows), math.ceil(self.width / columns))
         size = rows * columns * np.dtype(dataset.dtypes[0]).itemsize * (1 if apart else dataset.count)
         require(2 * size, f"{self.path}, whose pixels are in blocks of {columns} x {rows} px,")
         if lists is None:
             return
-        # GDAL shows a single strip as many lines.
-        single = len(lists.offset) == shape[0] and (rows, columns) == (1, self.width)
-        self._in_order = single and dataset.compression is not None
-        wanted = shape[0] if single else math.prod(shape)
+        if lists.strip is not None:
+            rows = min(lists.strip, self.height)
+        shape = (dataset.count if apart else 1, math.ceil(self.height / rows), math.ceil(self.width / columns))
+        self._in_order = shape[1:] == (1, 1) and dataset.compression is not None
+        wanted = math.prod(shape)
         listed = min(len(values) for values in (lists.offset, lists.count) if values is not None)
         if listed < wanted:
             raise InputError(f"{self.path} is damaged: its directory lists {listed} of {wanted} blocks", EXPORT_AGAIN)
@@ -357,8 +388,9 @@ class RasterSource:
             raise InputError(
                 f"{self.path} is truncated: it has {length} bytes, but its pixels end at byte {end}", EXPORT_AGAIN
             )
-        if not single and not offset.all():
+        if not offset.all():
             self._written = np.asarray((offset > 0).reshape(shape).any(0))
+            self._block = rows, columns
 
     def _palette_table(self) -> np.ndarray | None:
         """(K, 3) uint8 colours of a paletted image, transparent ones grey, or None."""
@@ -371,26 +403,51 @@ class RasterSource:
                 table[index] = rgb
         return table
 
+    def _samples(self, side: int = 128) -> Iterator[Window]:
+        """Windows of `side` px in an even grid: a decimated read of a file without overviews reads all of it."""
+        for y in np.unique(np.linspace(0, max(self.height - side, 0), 8).astype(int)):
+            for x in np.unique(np.linspace(0, max(self.width - side, 0), 8).astype(int)):
+                yield Window(x, y, min(side, self.width), min(side, self.height))
+
+    def _alpha_masks(self) -> bool:
+        """Whether an alpha band, if there is one, says where there is data: its values are nearly all nothing or all.
+
+        Of four bands of 8 bit GDAL calls the last one alpha where nobody told it otherwise. Often it is near infrared:
+        dark asphalt and water would show nothing. Formats that are decoded in order know their alpha themselves.
+        """
+        alpha = next((k for k, c in enumerate(self._dataset.colorinterp, 1) if c.name == "alpha"), None)
+        if alpha is None or self._in_order:
+            return True
+        values = []
+        for window in self._samples():
+            with self._damage(f"near x {window.col_off}, y {window.row_off}"):
+                values.append(self._dataset.read(alpha, window=window).ravel())
+        sample = np.concatenate(values)
+        between = float(np.mean((sample != 0) & (sample < sample.max())))
+        if between <= MOST_BETWEEN:
+            return True
+        self.notes.append(
+            Remark(INFO, f"band {alpha} is called alpha, but is a picture of its own, such as near infrared: not used")
+        )
+        return False
+
     def _stretch_limits(self) -> tuple[float, float] | None:
         """The values that become 0 and 255: percentiles 0.5 and 99.5 of samples, or None for plain 8 bit.
 
-        Sampled in an even grid of windows, because a decimated read of a file without overviews reads all of it.
         All bands share the limits, which keeps the hues.
         """
         dtypes = {self._dataset.dtypes[b - 1] for b in self._bands}
         bits = self._dataset.tags(self._bands[0], "IMAGE_STRUCTURE").get("NBITS", "8")
         if self._palette is not None or (dtypes == {"uint8"} and int(bits) == 8):
             return None
-        side, values = 128, []
-        for y in np.unique(np.linspace(0, max(self.height - side, 0), 8).astype(int)):
-            for x in np.unique(np.linspace(0, max(self.width - side, 0), 8).astype(int)):
-                window = Window(x, y, min(side, self.width), min(side, self.height))
-                with self._damage(f"near x {x}, y {y}"):
-                    pixels = self._dataset.read(self._bands, window=window)
-                    known = self._dataset.dataset_mask(window=window) > 0
-                sample = pixels[:, known].ravel()
-                values.append(sample[np.isfinite(sample)])
-        sample = np.concatenate(values)
+        values = []
+        for window in self._samples():
+            with self._damage(f"near x {window.col_off}, y {window.row_off}"):
+                pixels = self._dataset.read(self._bands, window=window)
+                known = self._dataset.dataset_mask(window=window) > 0
+            sample = pixels[:, known].ravel()
+            values.append(sample[np.isfinite(sample)])
+        sample = _without_fill(np.concatenate(values))
         low, high = (float(v) for v in np.percentile(sample, [0.5, 99.5])) if len(sample) else (0.0, 1.0)
         high = high if high > low else low + 1
         text = f"{'/'.join(sorted(dtypes))} values from {low:g} to {high:g} are shown as 0 to 255"
@@ -439,6 +496,16 @@ class RasterSource:
         if original.is_cog and not cog:
             notes.append(f"{path.name} is no longer cloud-optimised as {self.name} is (--cog makes it so)")
         self.notes += [note for note in informing(notes) if note not in self.notes]
+
+
+def _without_fill(sample: np.ndarray) -> np.ndarray:
+    """`sample` (N,) without what fills an image's borders although it is not declared as nodata, such as -9999: one
+    value at an end, farther from all others than these are from one another."""
+    for end in (np.min, np.max):
+        rest = sample[sample != end(sample)] if len(sample) else sample
+        if len(rest) and abs(float(end(sample)) - float(end(rest))) > float(rest.max()) - float(rest.min()) > 0:
+            sample = rest
+    return sample
 
 
 @lru_cache(maxsize=4)

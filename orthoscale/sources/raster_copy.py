@@ -92,13 +92,15 @@ class Original:
     def _optimise(self, plain: Path, path: Path) -> None:
         """A cloud-optimised copy of the GeoTIFF `plain`. Always deflate: what JPEG compressed once stays as it was
         decoded, at the cost of a larger file."""
-        floating = np.result_type(*self.dataset.dtypes).kind == "f"
+        predictor = "FLOATING_POINT" if np.result_type(*self.dataset.dtypes).kind == "f" else "STANDARD"
+        if "NBITS" in self.dataset.tags(1, ns="IMAGE_STRUCTURE"):  # 1 or 12 bits a value, say: there is none for these
+            predictor = "NO"
         gdal_copy(
             plain,
             path,
             driver="COG",
             COMPRESS="DEFLATE",
-            PREDICTOR="FLOATING_POINT" if floating else "STANDARD",
+            PREDICTOR=predictor,
             BLOCKSIZE=512,
             BIGTIFF="IF_SAFER",
             OVERVIEWS="AUTO",

@@ -13,7 +13,9 @@ from typing import BinaryIO
 import numpy as np
 
 STRIP_OFFSETS, STRIP_COUNTS = (273, 324), (279, 325)  # StripOffsets, TileOffsets; StripByteCounts, TileByteCounts
+ROWS_PER_STRIP, TILE_WIDTH = 278, 322
 TAG_TYPES = {3: "u2", 4: "u4", 16: "u8"}  # SHORT, LONG, LONG8
+ONE_STRIP = 2**32 - 1  # rows of a strip that holds all of the image: what is meant where nothing is said
 MOST_TAGS = 4096  # of a directory; more is damage
 
 
@@ -21,10 +23,12 @@ MOST_TAGS = 4096  # of a directory; more is damage
 class Blocks:
     """offset, count : (N,) where the blocks (strips or tiles) of the first image begin and how long they are [byte];
     0 and 0 for one that was never written. An empty list is one that cannot be read; `count` is None in files so old
-    that they leave the lengths to the reader."""
+    that they leave the lengths to the reader. strip : rows of a strip [px], which may be more than the image has; None
+    for tiles. GDAL may tell another number: it shows a file's only strip as if it were many."""
 
     offset: np.ndarray
     count: np.ndarray | None
+    strip: int | None
 
 
 def blocks_of(path: Path) -> Blocks | None:
@@ -41,7 +45,9 @@ def blocks_of(path: Path) -> Blocks | None:
         at = struct.unpack_from(f"{order}{'Q' if big else 'I'}", start, 8 if big else 4)[0]
         lists = _lists(file, at, order, big)
     offset, count = (next((lists[tag] for tag in tags if tag in lists), None) for tags in (STRIP_OFFSETS, STRIP_COUNTS))
-    return Blocks(np.empty(0, np.uint64) if offset is None else offset, count)
+    rows = [int(value) for value in lists.get(ROWS_PER_STRIP, ()) if value > 0]
+    strip = None if TILE_WIDTH in lists else (*rows, ONE_STRIP)[0]
+    return Blocks(np.empty(0, np.uint64) if offset is None else offset, count, strip)
 
 
 def _lists(file: BinaryIO, at: int, order: str, big: bool) -> dict[int, np.ndarray]:
@@ -55,7 +61,7 @@ def _lists(file: BinaryIO, at: int, order: str, big: bool) -> dict[int, np.ndarr
     table = file.read(size * min(struct.unpack(order + head, number)[0], MOST_TAGS))
     for k in range(0, len(table) - size + 1, size):
         tag, kind, count = struct.unpack_from(order + entry, table, k)
-        if tag not in STRIP_OFFSETS + STRIP_COUNTS:
+        if tag not in (*STRIP_OFFSETS, *STRIP_COUNTS, ROWS_PER_STRIP, TILE_WIDTH):
             continue
         if kind not in TAG_TYPES:
             lists[tag] = np.empty(0, np.uint64)

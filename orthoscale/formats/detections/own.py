@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.boxes import KINDS, Boxes
 from ...core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
+from ...system.paths import path_of
 from ...tables import known_objects
 from ..reading import LARGE, checked, read_plain
 
@@ -23,13 +24,18 @@ WHAT = "a detections file"
 BOXES_HINT = 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle", "score"}]} in pixels and radians.'
 
 
-def save_detections(found: Detections, path: Path) -> None:
-    """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians."""
-    path.write_text(json.dumps(_document(found), indent=0))
+def save_detections(found: Detections, path: str | Path) -> None:
+    """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians.
+
+    Raises UsageError for what is no path, OSError.
+    """
+    path_of(path, f"the path of {WHAT}").write_text(json.dumps(_document(found), indent=0))
 
 
-def load_detections(path: Path) -> Detections:
-    """Read what `save_detections` wrote, or a plain ``{name: [box, ...]}``. Raises InputError."""
+def load_detections(path: str | Path) -> Detections:
+    """Read what `save_detections` wrote, or a plain ``{name: [box, ...]}``. Raises InputError; UsageError for what is
+    no path."""
+    path = path_of(path, f"the path of {WHAT}")
     return of_document(read_plain(path, WHAT, BOXES_HINT, LARGE), path)
 
 

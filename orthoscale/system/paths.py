@@ -1,0 +1,29 @@
+"""Paths as callers of the library give them: text or `Path`, and nothing that only happens to pass for one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from ..errors import UsageError, shown
+
+
+def path_of(value: object, what: str) -> Path:
+    """`value` as a path; `what` was expected, for the message ("the path of a fleet").
+
+    Raises UsageError for what is no path: a number, which the system takes for an open file; nothing; an empty text,
+    which would be the current folder; a zero byte.
+    """
+    if isinstance(value, (str, os.PathLike)):
+        text = os.fspath(value)
+        if isinstance(text, str) and text and "\0" not in text:
+            return Path(text)
+    raise UsageError(f"expected {what}, not {shown(repr(value))}", "Give it as text or as a pathlib.Path.")
+
+
+def paths_of(values: object, what: str) -> list[Path]:
+    """One path or several as a list; see `path_of`."""
+    if isinstance(values, Iterable) and not isinstance(values, (str, bytes, os.PathLike)):
+        return [path_of(each, what) for each in values]
+    return [path_of(values, what)]
