@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoscale.core.fleet import Fleet
+from orthoscale.core.fleet import WORLD, Fleet
 from orthoscale.core.pooling.paper import pool_iqr
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect.measurer import MeasurerCard
 from orthoscale.errors import TooLittleEvidence
-from orthoscale.fleets import WORLD, fleet_codes, load_fleet
+from orthoscale.fleets import fleet_codes, load_fleet
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
 

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from .core.calibration import Calibration
-from .core.fleet import Fleet, class_of
+from .core.fleet import WORLD, Fleet, class_of
 from .errors import InputError, UsageError, shown
 from .formats.reading import checked, read_plain
 from .system.paths import path_of
 
 FLEET_HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
-WORLD = "WORLD"
-ANY_COUNTRY = (WORLD, "AUTO")  # names of the fleet of a place whose country is not known
+OF_ANY_COUNTRY = (WORLD, "AUTO")  # names of the fleet of a place whose country is not known
 # A place of which nothing is known has a country all the same: one of those that have fleets of their own, for the
 # world's average with its many sizes is no country. Which one is likely depends on why the picture was taken: vehicles
 # stand by their number, maps are made where people live, surveys of one country after the other. Each of the three has
@@ -37,7 +36,7 @@ def load_fleet(name: str | Path) -> Fleet:
     2022), vehicles those in use about then (rounded; `world_source`).
     Raises UsageError for an unknown name, InputError for a file that is no fleet.
     """
-    if str(name).upper() in ANY_COUNTRY:
+    if str(name).upper() in OF_ANY_COUNTRY:
         average, vehicles = _row(WORLD), _document()["world"]
         people = [_document()["people"][code] for code in vehicles]
         reasons = np.array([list(vehicles.values()), people, np.ones(len(people))], float)

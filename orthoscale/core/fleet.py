@@ -18,6 +18,7 @@ from .market_segments import AXES, Class, Places, classes_of, kinds_of, place_sc
 # has wider ones too. Between the means of the table's 29 national fleets it is 0.92; taken a little lower, because each
 # fleet's two means were also estimated apart.
 MEAN_CORRELATION = 0.85
+WORLD = "WORLD"  # code of the fleet of a place whose country is not known
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .fleet import WORLD
+
 MEANINGS = {
     "sampling": "the sizes of vehicles scatter, and their number is limited",
     "fleet": "the mean size of the vehicles at that place is uncertain",
@@ -20,7 +22,6 @@ MEANINGS = {
     "parking bays": "the width of parking bays at one place",
 }
 OF_AN_ANCHOR = "how well its size is known, and measured in the pictures"  # of a kind of anchor
-ANY_COUNTRY = "WORLD"  # code of the fleet of a place whose country is not known
 # A country's mean is known about twice as well as the world's (fleet table: 2 to 3 % against 5.6 %).
 COUNTRY_SHARE = 0.5
 NOTABLE_SHARE = 0.05  # share of the variance below which a part is not worth a remedy
@@ -80,7 +81,7 @@ def explain(parts: Mapping[str, float], vehicles_used: int, fleet: str) -> Expla
         "use steeper views, or more ground points under the vehicles": ("geometry", 0.75),
         "straighten the input, or measure its parts by themselves": ("drift", 1.0),
     }
-    if fleet == ANY_COUNTRY:
+    if fleet == WORLD:
         removable["name the country (--fleet)"] = ("fleet", 1 - COUNTRY_SHARE**2)
     remedies = [
         Remedy(do, float(np.sqrt(max(variance - part * parts[name] ** 2, 0))))
