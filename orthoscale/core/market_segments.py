@@ -10,16 +10,16 @@ import numpy as np
 from scipy.special import entr
 
 AXES = ("length", "width", "height")
-# Classes are merged while that loses at most so much of what a vehicle's box tells of its class [nats]. A higher limit
-# would merge Japan's small and ordinary cars; a lower one keeps classes apart whose shares no car park tells, takes
+# Classes are merged while that loses at most so much of what a vehicle's box tells of its class [nats]. At 0.05 China's
+# and Brazil's minis were lost among small cars; a lower limit keeps classes apart whose shares no car park tells, takes
 # longer, and is no nearer.
-TOLD_APART = 0.05
+TOLD_APART = 0.02
 # What stands at an odd place is not only what is usual in its country: a campus of minis or a lot of pickups is there
-# for a reason of its own. So half of its vehicles are expected to be as in the country, half of any class alike. That
-# is judged, for no survey counts odd places. A class that is rare in the country may then be most of a place: of
-# Germany's cars 7 % are minis, and half of a place's or more at 1 place of 240 by the country's shares alone, 1 of 90
-# by these.
-ANY_CLASS = 0.5
+# for a reason of its own. So a fifth of its vehicles are expected to be as in the country, the others of any class
+# alike. That is judged, for no survey counts odd places. A class that is rare in the country may then be most of a
+# place: of Germany's cars 7 % are minis, and half of a place's or more at 1 place of 240 by the country's shares alone,
+# 1 of 100 by these.
+ANY_CLASS = 0.8
 
 
 class Places(NamedTuple):
@@ -43,7 +43,7 @@ class Places(NamedTuple):
 
 # A place (a car park, a district, a campus) has its own mix of vehicles: most places are much like their country, some
 # hardly. By their country's shares the means of places scatter about the country's with `place_scatter` times the
-# covariance of its vehicles: 2.9 % of length in Germany, 3.1 % in the USA; ANY_CLASS adds 0.3 and 0.4 %. On 12 places
+# covariance of its vehicles: 2.9 % of length in Germany, 3.1 % in the USA; ANY_CLASS adds 0.2 %. On 12 places
 # read by eye it was 1.6 % (0 to 6 %), what is not known of the countries included (training/between_places.py). How
 # often a place is odd cannot be told from 12. Vans are 0 to 25 % at real places, but there are depots of them: at odd
 # places their share is as of 8 vehicles, not 20.
