@@ -13,7 +13,7 @@ AXES = ("length", "width", "height")
 # Classes are merged while that loses at most so much of what a vehicle's box tells of its class [nats]. At 0.05 China's
 # and Brazil's minis were lost among small cars; a lower limit keeps classes apart whose shares no car park tells, takes
 # longer, and is no nearer.
-TOLD_APART = 0.02
+TOLD_APART = 0.03
 # What stands at an odd place is not only what is usual in its country: a campus of minis or a lot of pickups is there
 # for a reason of its own. So a fifth of its vehicles are expected to be as in the country, the others of any class
 # alike. That is judged, for no survey counts odd places. A class that is rare in the country may then be most of a
