@@ -61,8 +61,8 @@ LORRIES_VEHICLES = 100.0
 # Vehicles of which a part is not told: it lies under a tree or a roof or in black shade, or looks like the ground. What
 # is measured of them is too short, by little or by half, and hardly too narrow. Without a class of their own the
 # fleet's smallest vehicles would have to be as short, which is a larger scale: at 52 American places made of chips
-# (benchmarks/results/places.md) the error was 5.2 % (root mean square) without this class and is 3.8 % with it, for
-# figures half or twice as large, too.
+# (benchmarks/results/places.md) the error was 6.1 % (root mean square) without this class and is 4.3 % with it; other
+# sizes, spreads and twice the share give 4.1 to 4.9 %.
 HIDDEN_SIZE, HIDDEN_SD = (0.78, 0.94), (0.15, 0.1)  # mean and spread, as shares of the fleet's mean length and width
 HIDDEN_SHARE, HIDDEN_VEHICLES = 0.06, 100.0  # of the vehicles, as with lorries: where most would be, the scale is wrong
 BESIDE_FLEET = 3  # classes beside a fleet's own: LARGER, LORRIES, and the hidden
@@ -74,7 +74,7 @@ LEFT_OUT_AT_LEAST = 0.05
 LONG = 5.2  # [m] a third of LARGER is shorter than that
 # The tables' shapes (spreads, tails, shares of classes) are good to about 14 %, which is what 25 vehicles can tell of a
 # spread. More of them make neither a fleet nor a mix more likely than another: what they would tell apart is finer than
-# what is known. On those 52 places the densities of the truths are e^10 times higher with 25 than with 50, with 12 they
+# what is known. On those 52 places the densities of the truths are e^4 times higher with 25 than with 50, with 12 they
 # are lower again.
 SHAPE_VEHICLES = 25
 SOUGHT, COARSE, FINE = 1.0, 0.04, 0.015  # of the grid about the votes' median, and its two steps [log scale]
@@ -506,8 +506,8 @@ def _solved(problems: Sequence[_Problem], starts: Sequence[_Solved], steps: int)
         free = np.linalg.solve(inside[going], np.einsum("vu,vuw->vw", right, basis)[..., None])
         moved = (basis @ free)[..., 0]
         own, (larger, lorries, hidden), vehicles = found[:classes], found[classes:], found.sum(0)
-        whole = vehicles - hidden
-        after = [*own, own.sum(0), larger, whole - lorries, lorries, whole, hidden, vehicles, count - vehicles]
+        in_sight = vehicles - hidden
+        after = [*own, own.sum(0), larger, in_sight - lorries, lorries, in_sight, hidden, vehicles, count - vehicles]
         after = told * np.column_stack([*after, called])
         after += start.prior[going]
         change = np.maximum(np.abs(moved[:, :4]).max(1), np.abs(after - counts[going]).max(1) / count)
@@ -531,11 +531,11 @@ def _along(turn: np.ndarray, unknown: np.ndarray, counts: np.ndarray) -> tuple[n
     """(K + 3, V, 7 + J) coefficients of `_Problem.table` for hypotheses of `unknown` (V, UNKNOWNS) and `counts` (V, C),
     with `turn` (V, K + 3, 2, UNKNOWNS) of the fleet of each; and (V,) the density of outliers."""
     m0, m1 = np.einsum("vkiu,vu->ikv", turn, unknown)
-    classes, (own, larger), (car, lorry), (whole, hidden), (vehicle, none), *called = (
+    classes, (own, larger), (car, lorry), (in_sight, hidden), (vehicle, none), *called = (
         (digamma(level) - digamma(level.sum(1, keepdims=True))).T
         for level in _levels(counts, turn.shape[1] - BESIDE_FLEET)
     )
-    log_share = np.vstack([np.vstack([np.vstack([classes + own, larger]) + car, lorry]) + whole, hidden]) + vehicle
+    log_share = np.vstack([np.vstack([np.vstack([classes + own, larger]) + car, lorry]) + in_sight, hidden]) + vehicle
     along = [-0.5 * m0**2, -m0 * m1, -0.5 * m1**2, m0, m1, log_share, np.ones_like(m0)]
     if called:  # against what outliers are called
         along[6:6] = np.array(called).swapaxes(0, 1) - np.log(OUTLIER_CALLED)
