@@ -209,10 +209,9 @@ if __name__ == "__main__":
     options = parser.parse_args()
     networks = {"detector": options.detector, "measurer": options.measurer}
     names = set(filter(None, options.scenes.split(",")))
-    asked = [scene for scene in scenes() if not names or scene.name in names]
     with tempfile.TemporaryDirectory() as scratch:
+        every = of_chips(Path(scratch)) if options.chips else scenes()
+        asked = [scene for scene in every if not names or scene.name in names]
         if options.quarters:
             asked = quarters(asked, Path(scratch))
-        if options.chips:
-            asked = of_chips(Path(scratch))
         main(asked, options.boxes or Path(scratch), **networks)

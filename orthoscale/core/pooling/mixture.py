@@ -27,6 +27,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from scipy.special import digamma, gammaln, ndtr
@@ -351,14 +352,13 @@ class _Problem:
         likely = np.repeat([kind.probability for kind in self.place], len(grid))
         unknown = np.zeros((len(likely), UNKNOWNS))
         unknown[:, :2] = np.tile(grid, len(self.place))[:, None]
-        lorries = LORRIES_VEHICLES * np.array([1 - LORRIES_SHARE, LORRIES_SHARE])
-        hidden = HIDDEN_VEHICLES * np.array([1 - HIDDEN_SHARE, HIDDEN_SHARE])
-        outliers = OUTLIER_BOXES * np.array([1 - OUTLIER_SHARE, OUTLIER_SHARE])
+        lorries, hidden = (LORRIES_SHARE, LORRIES_VEHICLES), (HIDDEN_SHARE, HIDDEN_VEHICLES)
         every = []
         for kind in self.place:
-            larger = kind.left_out * np.array([1 - self.larger, self.larger])
             own = kind.vehicles * kind.shares(self.shares)
-            every.append([*own, *larger, *lorries, *hidden, *outliers, *self.class_called.ravel()])
+            beside = [(self.larger, kind.left_out), lorries, hidden, (OUTLIER_SHARE, OUTLIER_BOXES)]
+            levels = [[boxes * (1 - share), boxes * share] for share, boxes in beside]
+            every.append([*own, *np.ravel(levels), *self.class_called.ravel()])
         prior = np.repeat(every, len(grid), axis=0)
         return _Solved(prior, np.log(likely), prior, unknown, np.log(likely))
 
@@ -505,10 +505,9 @@ def _solved(problems: Sequence[_Problem], starts: Sequence[_Solved], steps: int)
         inside[going] = basis.transpose(0, 2, 1) @ whole @ basis
         free = np.linalg.solve(inside[going], np.einsum("vu,vuw->vw", right, basis)[..., None])
         moved = (basis @ free)[..., 0]
-        own, (larger, lorries, hidden), vehicles = found[:classes], found[classes:], found.sum(0)
-        in_sight = vehicles - hidden
-        after = [*own, own.sum(0), larger, in_sight - lorries, lorries, in_sight, hidden, vehicles, count - vehicles]
-        after = told * np.column_stack([*after, called])
+        within = found.cumsum(0)[classes - 1 :]  # of a level with all levels inside it, (BESIDE_FLEET + 1, V)
+        beside = [*found[classes:], count - within[-1]]
+        after = told * np.column_stack([*found[:classes], *chain(*zip(within, beside, strict=True)), called])
         after += start.prior[going]
         change = np.maximum(np.abs(moved[:, :4]).max(1), np.abs(after - counts[going]).max(1) / count)
         counts[going], unknown[going] = after, here + moved
@@ -531,11 +530,14 @@ def _along(turn: np.ndarray, unknown: np.ndarray, counts: np.ndarray) -> tuple[n
     """(K + 3, V, 7 + J) coefficients of `_Problem.table` for hypotheses of `unknown` (V, UNKNOWNS) and `counts` (V, C),
     with `turn` (V, K + 3, 2, UNKNOWNS) of the fleet of each; and (V,) the density of outliers."""
     m0, m1 = np.einsum("vkiu,vu->ikv", turn, unknown)
-    classes, (own, larger), (car, lorry), (in_sight, hidden), (vehicle, none), *called = (
+    log_share, *rest = (
         (digamma(level) - digamma(level.sum(1, keepdims=True))).T
         for level in _levels(counts, turn.shape[1] - BESIDE_FLEET)
     )
-    log_share = np.vstack([np.vstack([np.vstack([classes + own, larger]) + car, lorry]) + in_sight, hidden]) + vehicle
+    beside, called = rest[: BESIDE_FLEET + 1], rest[BESIDE_FLEET + 1 :]
+    for within, other in beside:
+        log_share = np.vstack([log_share + within, other])
+    log_share, none = log_share[:-1], log_share[-1]
     along = [-0.5 * m0**2, -m0 * m1, -0.5 * m1**2, m0, m1, log_share, np.ones_like(m0)]
     if called:  # against what outliers are called
         along[6:6] = np.array(called).swapaxes(0, 1) - np.log(OUTLIER_CALLED)
@@ -554,11 +556,10 @@ def _members(table: np.ndarray, along: np.ndarray, none: np.ndarray) -> tuple[np
 
 
 def _levels(counts: np.ndarray, many: int) -> tuple[np.ndarray, ...]:
-    """Of `counts` (V, C): (V, K) of the fleet's classes, which are so `many`; (V, 2) of them together, and of LARGER;
-    (V, 2) of all these, and of LORRIES; (V, 2) of all these, and of hidden ones; (V, 2) of vehicles, and of outliers;
-    and if kinds are seen (V, J) for each of the K + 3 classes, of what it is called. A place that is odd in one is not
-    therefore odd in another."""
-    ends = np.cumsum([many, 2, 2, 2, 2])
+    """Of `counts` (V, C): (V, K) of the fleet's classes, which are so `many`; for LARGER, LORRIES, hidden vehicles and
+    outliers in turn (V, 2) of all that is before it together, and of it; and if kinds are seen (V, J) for each of the
+    K + 3 classes, of what it is called. A place that is odd in one is not therefore odd in another."""
+    ends = np.cumsum([many, *[2] * (BESIDE_FLEET + 1)])
     *levels, called = np.split(counts, ends, axis=1)
     return *levels, *(np.split(called, many + BESIDE_FLEET, axis=1) if called.size else [])
 
@@ -566,7 +567,7 @@ def _levels(counts: np.ndarray, many: int) -> tuple[np.ndarray, ...]:
 def _hidden(classes: Sequence[Class]) -> Class:
     """What is seen of vehicles of `classes` that are partly hidden."""
     weight = np.array([c.weight for c in classes]) / sum(c.weight for c in classes)
-    mean, kinds = (weight @ [value(c) for c in classes] for value in (lambda c: c.mean, lambda c: c.kinds))
+    mean, kinds = weight @ [c.mean for c in classes], weight @ [c.kinds for c in classes]
     size, sd = (np.array([*share, 1.0]) * mean for share in (HIDDEN_SIZE, HIDDEN_SD))
     return Class("partly hidden", 1.0, size, sd, 0.0, np.zeros(3), kinds)
 
