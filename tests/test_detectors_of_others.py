@@ -2,6 +2,7 @@
 
 import json
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -382,7 +383,14 @@ def test_a_court_in_two_tiles_counts_once_and_becomes_evidence():
     source = type(
         "Ortho",
         (),
-        {"name": "court.png", "width": 2000, "height": 1000, "picture_names": ["court.png"], "unit": "m/px"},
+        {
+            "name": "court.png",
+            "width": 2000,
+            "height": 1000,
+            "picture_names": ["court.png"],
+            "unit": "m/px",
+            "claimed": SimpleNamespace(aspect=1.0),
+        },
     )()
     scale = measure(PlanGeometry.of(source, detections), load_fleet("DE"), Method(standards=standards())).scale
     (evidence,) = [e for e in scale.evidence if e.kind == "tennis court"]

@@ -60,7 +60,8 @@ class Pictures(Protocol):
 
 class Claim(Protocol):
     """The scale that a source claims for itself. gsd_m : metres per pixel, None without any. usable : whether to trust
-    it. why : the reason, for people. crs, transform : the georeferencing behind it, None without any."""
+    it. why : the reason, for people. crs, transform : the georeferencing behind it, None without any. aspect : how many
+    times as wide as high a pixel is on the ground, 1 where that is not known."""
 
     @property
     def gsd_m(self) -> float | None: ...
@@ -72,6 +73,8 @@ class Claim(Protocol):
     def crs(self) -> Any: ...
     @property
     def transform(self) -> Any: ...
+    @property
+    def aspect(self) -> float: ...
 
 
 class Source(Pictures, Protocol):

@@ -39,8 +39,8 @@ LONGEST_SIDE = 10_000_000
 """[px] A side longer than this no map has, 1,000 km at 0.1 m. A VRT promises it in a few words; copying never ends."""
 
 SQUEEZED = 0.05
-"""Width over height of a pixel, as a logarithm. Where all vehicles stand one way they err by half of it: as much as
-boxes and fleet leave open (2 to 3 %)."""
+"""Width over height of a pixel, as a logarithm, from which its user is cautioned: what it leaves open of the scale is
+more than a per cent then (`core.measuring.plan.SQUEEZED_SD`)."""
 
 MOST_BETWEEN = 0.5
 """Share of an alpha band's values that are neither nothing nor all, above which it masks nothing. Of masks it is the
@@ -88,8 +88,8 @@ class RasterSource:
         if (aspect := self.claimed.aspect) != 1:
             squeezed = abs(math.log(aspect)) > SQUEEZED
             text = (
-                f"pixels are {aspect:.3g} times as wide as high on the ground, and vehicles look it: the scale is the "
-                "geometric mean of both sides (warped to UTM, they are square)"
+                f"pixels are {aspect:.3g} times as wide as high on the ground, and vehicles look it: the scale, the "
+                "geometric mean of both sides, is less certain (warp it to UTM first)"
             )
             self.notes.append(Remark(CAUTION if squeezed else INFO, text))
 

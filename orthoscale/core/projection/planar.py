@@ -7,9 +7,15 @@ import numpy as np
 from ..boxes import Boxes
 
 
-def ground_size(boxes: Boxes) -> np.ndarray:
-    """(N, 2) length and width of each vehicle in pixels of the orthophoto."""
-    return boxes.xylwa[:, 2:4].copy()
+def ground_size(boxes: Boxes, aspect: float = 1.0) -> np.ndarray:
+    """(N, 2) length and width of each vehicle in pixels of the orthophoto.
+
+    aspect : how many times as wide as high a pixel is on the ground. What is told then is in square pixels of the same
+    area: lengths grow as their directions do, and widths shrink as much, for areas stay.
+    """
+    across, down = np.cos(boxes.angle) * np.sqrt(aspect), np.sin(boxes.angle) / np.sqrt(aspect)
+    longer = np.hypot(across, down)
+    return boxes.xylwa[:, 2:4] * np.stack([longer, 1 / longer], -1)
 
 
 def footprint(sides: np.ndarray, offset: np.ndarray, top: np.ndarray) -> np.ndarray:
