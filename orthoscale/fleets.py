@@ -18,11 +18,11 @@ from .system.paths import path_of
 FLEET_HINT = 'Expected {"name", "source", "length": [mean, sd], "width", "height", "mean_sd": [3]} in metres.'
 OF_ANY_COUNTRY = (WORLD, "AUTO")  # names of the fleet of a place whose country is not known
 # A place of which nothing is known has a country all the same: one of those that have fleets of their own, for the
-# world's average with its many sizes is no country. Which one is likely depends on why the picture was taken: vehicles
-# stand by their number, maps are made where people live, surveys of one country after the other. Each of the three has
-# a third: whichever is right, its countries are held at most three times too unlikely. The average has a share for
-# countries unlike all of those.
+# world's average with its many sizes is no country. All that is known is that vehicles stand there, so countries are
+# likely by their vehicles; the rest is for pictures that are taken where people live, or of one country after the
+# other (benchmarks/results/places.md has other shares). The average has a share for countries unlike all of those.
 AVERAGE_SHARE = 0.1
+BY_VEHICLES, BY_PEOPLE, EVENLY = 0.7, 0.15, 0.15
 REGION = "R_"  # codes of regions, which stand in for their countries that have no row
 
 
@@ -40,7 +40,7 @@ def load_fleet(name: str | Path) -> Fleet:
         average, vehicles = _row(WORLD), _document()["world"]
         people = [_document()["people"][code] for code in vehicles]
         reasons = np.array([list(vehicles.values()), people, np.ones(len(people))], float)
-        share = (reasons / reasons.sum(1, keepdims=True)).mean(0)
+        share = np.array([BY_VEHICLES, BY_PEOPLE, EVENLY]) @ (reasons / reasons.sum(1, keepdims=True))
         prior = (AVERAGE_SHARE, *((1 - AVERAGE_SHARE) * share).tolist())
         return replace(average, candidates=(average, *(_row(code) for code in vehicles)), prior=prior)
     known = {code.lower(): code for code in fleet_codes()}

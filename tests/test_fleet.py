@@ -176,14 +176,15 @@ def test_a_fleet_of_ones_own_may_be_given_by_the_shares_of_its_segments(tmp_path
         load_fleet(path)
 
 
-def test_a_place_of_which_nothing_is_known_is_in_a_country_of_many_vehicles_or_people():
+def test_a_place_of_which_nothing_is_known_is_in_a_country_of_many_vehicles():
     world = load_fleet("world")
     assert load_fleet("auto").prior == world.prior
     prior = {fleet.code: p for fleet, p in zip(world.candidates, world.prior, strict=True)}
     assert sum(prior.values()) == pytest.approx(1) and len(prior) == 84
     # USA: 20 % of the vehicles and 4 % of the people. India: 3 and 19 %. Rwanda: next to none of either.
-    assert prior["US"] == pytest.approx(0.08, abs=0.01) and prior["IN"] == pytest.approx(0.07, abs=0.01)
-    assert prior["RW"] == pytest.approx(0.9 / 83 / 3, rel=0.2)
+    assert prior["US"] == pytest.approx(0.9 * (0.7 * 0.2 + 0.15 * 0.04), abs=0.01)
+    assert prior["IN"] == pytest.approx(0.9 * (0.7 * 0.03 + 0.15 * 0.19), abs=0.01)
+    assert prior["RW"] == pytest.approx(0.9 / 83 * 0.15, rel=0.4)
 
 
 def test_what_is_unknown_does_not_depend_on_how_many_are_seen():
