@@ -21,6 +21,7 @@ from orthoscale.errors import InputError, OrthoscaleError, OutputError, UsageErr
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.colmap_check import open_model
 from orthoscale.sources.colmap_tables import CAMERA_MODELS
+from orthoscale.sources.opening import open_source
 from orthoscale.sources.picture_file import PictureFile, stored_size
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -289,6 +290,41 @@ def test_missing_frames(plain, model_bin, tmp_path):
     assert "1 of 12 frames" in source.notes[0].text and "03.png" in source.notes[0].text
 
 
+def test_frames_and_database_beside_a_link(plain, tmp_path):
+    folder = save(plain, tmp_path / "disk/of/many/projects/sparse/0", "bin")
+    put_frames(plain, tmp_path / "work/images")
+    (tmp_path / "work/sparse").symlink_to(folder.parent)
+    assert len(ColmapSource.open(tmp_path / "work").pictures) == 12
+    put_frames(plain, folder.parent.parent / "images")
+    shutil.rmtree(tmp_path / "work/images")
+    assert len(ColmapSource.open(tmp_path / "work").pictures) == 12
+
+
+def renamed(plain, folder, form, change):
+    """The model `plain` in `folder`, its images called `change` of their names."""
+    model = pycolmap.Reconstruction(plain)
+    for image in model.images.values():
+        image.name = change(image.name)
+    return save(model, folder, form)
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_names_of_windows(plain, tmp_path, form):
+    folder = renamed(plain, tmp_path / "m", form, lambda name: f"flight 1\\{name}".replace(" ", "_"))
+    put_frames(plain, tmp_path / "images/flight_1")
+    source = ColmapSource.open(folder)
+    assert [p.name for p in source.pictures] == source.picture_names and source.picture_names[0] == "flight_1\\00.png"
+    assert source.pictures[0].read(0, 0, 640, 480, 64, 48).any()
+
+
+@pytest.mark.parametrize("change", [str.upper, lambda n: f"a/{n}", lambda n: f"C:\\b\\{n}", lambda n: n[:-3] + "jpg"])
+def test_a_file_of_nearly_the_name_is_told(plain, tmp_path, change):
+    folder = renamed(plain, tmp_path / "m", "bin", change)
+    put_frames(plain, tmp_path / "images")
+    with pytest.raises(InputError, match=r"images/00.png is of another name"):
+        ColmapSource.open(folder)
+
+
 @pytest.mark.parametrize(
     ("size", "hint"), [((480, 640), "rotated"), ((320, 240), "resized"), ((500, 480), "that COLMAP read")]
 )
@@ -541,6 +577,31 @@ def test_random_damage_never_escapes(plain, tmp_path):
                 with contextlib.suppress(OrthoscaleError):
                     assert ColmapSource.open(folder, need_images=False).camera_height > 0
             path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_pointers_of_git_lfs(plain, tmp_path, form):
+    folder = save(plain, tmp_path / "m", form)
+    pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:12\nsize 12\n"
+    (folder / f"images.{form}").write_bytes(pointer)
+    assert f"images.{form}: only a pointer of Git LFS" in refused(folder).message
+    (tmp_path / "a.jpg").write_bytes(pointer)
+    with pytest.raises(InputError, match="Git LFS"):
+        PictureFile("a", tmp_path / "a.jpg", 8, 8).read(0, 0, 8, 8, 8, 8)
+    with pytest.raises(InputError, match="Git LFS"):
+        open_source(tmp_path / "a.jpg")
+
+
+def test_one_file_of_a_model_is_not_called_an_image(model_bin):
+    with pytest.raises(InputError, match="one file of a COLMAP model") as caught:
+        open_source(model_bin / "points3D.bin")
+    assert str(model_bin) in caught.value.hint
+
+
+def test_byte_order_mark(model_txt):
+    path = model_txt / "images.txt"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert "line 1: begins with a byte order mark" in refused(model_txt).message
 
 
 def test_poses_that_disagree(model_bin):

@@ -84,6 +84,15 @@ def test_a_model_without_evidence_does_not_stop_the_others(work, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.slow
+def test_a_scaled_copy_among_the_models_does_not_stop_them(work, tmp_path):
+    shutil.rmtree(work / "sparse/1")
+    fix(work / "sparse/0", work / "sparse/metric", **OPTIONS)
+    outcomes = fix_all(models_in(work), tmp_path / "out", FixRequest(**OPTIONS))
+    assert outcomes[0].error is None and "in metres already" in str(outcomes[1].error)
+    assert not (tmp_path / "out/metric").exists()
+
+
 def test_one_model_is_no_workspace(tmp_path):
     shutil.copytree(EXAMPLE / "sparse", tmp_path / "sparse" / "0")
     assert models_in(tmp_path) == models_in(tmp_path / "sparse/0/cameras.bin") == []

@@ -9,7 +9,7 @@ import contextlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -243,7 +243,7 @@ def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstructi
         matrix = np.array(frame["transform_matrix"], float).reshape(4, 4)
         world_from_camera = matrix[:3, :3] * (1.0, -1.0, -1.0)
         rotation = world_from_camera.T
-        file = Path(frame["file_path"]).as_posix()
+        file = PureWindowsPath(frame["file_path"]).as_posix()
         if file in poses:
             raise ValueError(f"{file} appears twice")
         poses[file] = (key, rotation, -rotation @ matrix[:3, 3])
