@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from support.models import make_model, patched, put_frames, save
 
+from orthoscale.core.remarks import CAUTION
 from orthoscale.errors import InputError, OrthoscaleError, OutputError, UsageError
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.colmap_check import open_model
@@ -332,6 +333,46 @@ def test_frames_of_another_size(plain, model_bin, tmp_path, size, hint):
     put_frames(plain, tmp_path / "images", size)
     with pytest.raises(InputError, match=hint):
         ColmapSource.open(model_bin)
+
+
+def test_frames_of_another_flight(plain, tmp_path):
+    """Of the same names and sizes: they do not show the points in their colours."""
+    folder = save(plain, tmp_path / "m", "bin")
+    images = sorted(plain.images.values(), key=lambda image: image.name)
+    for image, other in zip(images, images[1:] + images[:1], strict=True):
+        frame = np.full((480, 640, 3), 90, np.uint8)
+        for seen in image.points2D:
+            if seen.has_point3D():
+                colour = plain.points3D[seen.point3D_id].color[::-1].tolist()
+                cv2.circle(frame, seen.xy.astype(int).tolist(), 4, colour, -1)
+        for place, name in (("own", image.name), ("another", other.name)):
+            (tmp_path / place).mkdir(exist_ok=True)
+            cv2.imwrite(str(tmp_path / place / name), frame)
+    assert ColmapSource.open(folder, tmp_path / "own").notes == []
+    (note,) = ColmapSource.open(folder, tmp_path / "another").notes
+    assert note.severity == CAUTION and "may be of another flight" in note.text
+    assert ColmapSource.open(folder, tmp_path / "another", need_images=False).notes == []
+    black = pycolmap.Reconstruction(plain)
+    for point in black.points3D.values():
+        point.color = np.zeros(3, np.uint8)
+    assert ColmapSource.open(save(black, tmp_path / "black", "bin"), tmp_path / "another").notes == []
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_parts_that_share_no_point(plain, tmp_path, form):
+    two = pycolmap.Reconstruction(plain)
+    assert open_model(save(two, tmp_path / "one", form)).parts == (12,)
+    other = make_model()[0]
+    other.transform(pycolmap.Sim3d(3.0, pycolmap.Rotation3d(), np.array([500.0, 300, 0])))
+    for image in other.images.values():
+        new = pycolmap.Image(name=f"b{image.name}", camera_id=1, image_id=100 + image.image_id)
+        new.points2D = pycolmap.Point2DList([pycolmap.Point2D(seen.xy) for seen in image.points2D])
+        two.add_image_with_trivial_frame(new, image.cam_from_world())
+    for point in other.points3D.values():
+        track = [pycolmap.TrackElement(100 + e.image_id, e.point2D_idx) for e in point.track.elements]
+        two.add_point3D(point.xyz, pycolmap.Track(track), point.color)
+    notes = ColmapSource.open(save(two, tmp_path / "two", form), need_images=False).notes
+    assert [note.severity for note in notes if "share no point (12 and 12 images)" in note.text] == [CAUTION]
 
 
 # --- Pictures --------------------------------------------------------------------------------------------------------

@@ -32,6 +32,7 @@ from .dense_cloud import DenseCloud
 from .dense_ground import dense_ground
 from .fingerprint import content_hash
 from .focal import focal_doubt
+from .frame_check import check_frames
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
@@ -87,6 +88,12 @@ class ColmapSource:
         model = read_model(files.folder, files.format)
         notes = [*informing(files.notes), *check_consistency(files.folder, model, files.seen)]
         pictures = find_frames(model, files.folder, images, need_images, notes)
+        if len(files.parts) > 1:
+            sizes = f"{', '.join(map(str, files.parts[:-1]))} and {files.parts[-1]} images"
+            text = f"the model falls into parts that share no point ({sizes}): each may have a scale of its own"
+            notes.append(Remark(CAUTION, text))
+        if need_images:
+            notes += check_frames(model, pictures)
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
         return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
