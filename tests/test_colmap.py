@@ -322,8 +322,11 @@ def test_names_of_windows(plain, tmp_path, form):
 def test_a_file_of_nearly_the_name_is_told(plain, tmp_path, change):
     folder = renamed(plain, tmp_path / "m", "bin", change)
     put_frames(plain, tmp_path / "images")
+    (tmp_path / "images/00.json").write_text("{}")
     with pytest.raises(InputError, match=r"images/00.png is of another name"):
         ColmapSource.open(folder)
+    with pytest.raises(InputError, match=r"looked in .*cameras.bin"):
+        ColmapSource.open(folder, folder / "cameras.bin")
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,10 @@ import os
 import shutil
 import unicodedata
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from mimetypes import guess_type
 from pathlib import Path, PurePath, PureWindowsPath
 from typing import TYPE_CHECKING
 
@@ -418,10 +420,14 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
 
 
 def _of_nearly_that_name(places: Sequence[Path], name: str) -> Path | None:
-    """A file in one of `places` that is called as the image `name` but for its folder, ending, or upper case."""
+    """A picture in one of `places` that is called as the image `name` but for its folder, ending, or upper case."""
     wanted = _bare(PureWindowsPath(name))
-    there = (path for place in places if place.is_dir() for path in sorted(place.iterdir()))
-    return next((path for path in there if _bare(path) == wanted and path.is_file()), None)
+    for place in places:
+        with suppress(OSError):  # no folder, or not to be read
+            for path in sorted(place.iterdir()):
+                if _bare(path) == wanted and (guess_type(path.name)[0] or "").startswith("image/"):
+                    return path
+    return None
 
 
 def _bare(path: PurePath) -> str:
