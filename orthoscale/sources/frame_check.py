@@ -18,19 +18,20 @@ from .picture_file import PictureFile
 if TYPE_CHECKING:
     import pycolmap
 
-FRAMES = 5  # that are looked at, spread over all
+FRAMES_COMPARED = 5  # that are looked at, spread over all
 LEAST_POINTS = 50  # of a frame
-LEAST_SPREAD = 5.0  # [of 255] standard deviation: points without colours are black, and a blank frame shows nothing
-SAME = 0.5  # correlation, in the middle of the frames, from which they are the model's
+LEAST_CONTRAST = 5.0  # [of 255] standard deviation: points without colours are black, and a blank frame shows nothing
+OWN_FRAMES = 0.5  # correlation, in the middle of the frames, from which they are the model's
 
 
 def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[Remark]:
     """What to say of `pictures`, the frames of `model`, if they do not show what it saw."""
     images = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
-    chosen = [pictures[k] for k in np.unique(np.linspace(0, len(pictures) - 1, FRAMES).astype(int))] if pictures else []
+    count = min(FRAMES_COMPARED, len(pictures))
+    chosen = [pictures[int(k)] for k in np.linspace(0, len(pictures) - 1, count)]
     found = [_likeness(model, images[picture.name], picture) for picture in chosen]
     known = [likeness for likeness in found if likeness is not None]
-    if not known or np.median(known) >= SAME:
+    if not known or np.median(known) >= OWN_FRAMES:
         return []
     text = (
         f"the frames do not show the model's points in their colours (correlation {np.median(known):.2f}, usual is "
@@ -52,6 +53,6 @@ def _likeness(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: Pi
             shown = pixels[y, x].astype(float).mean(1)
     except InputError:  # said by whoever needs it
         return None
-    if min(colours.std(), shown.std()) < LEAST_SPREAD:
+    if min(colours.std(), shown.std()) < LEAST_CONTRAST:
         return None
     return float(np.corrcoef(colours, shown)[0, 1])
