@@ -41,6 +41,8 @@ NOT_UTF8_HINT = (
     "Names with letters beyond ASCII that an older Windows program wrote are so: give the images plain names and "
     "reconstruct again. Else the file is damaged: copy the model again."
 )
+SPHERICAL = ("EQUIRECTANGULAR", "equirectangular", "spherical")  # as COLMAP and nerfstudio, and OpenSfM call it
+CUT_VIEWS = "Cut perspective views out of the panoramas first."
 WRITE_ANEW = "The file is damaged: copy the model again, or write it anew with `colmap model_converter`."
 
 
@@ -124,9 +126,5 @@ def add(table: dict, key: int, value: object, where: str, kind: str) -> None:
 def unknown_camera(where: str, camera: int, model: object) -> InputError:
     """The error for a camera whose model, an id or a name, is none of `CAMERA_MODELS`."""
     if model in (17, "EQUIRECTANGULAR"):
-        return damaged(
-            where,
-            f"camera {camera} is spherical (EQUIRECTANGULAR)",
-            "Cut perspective views out of the panoramas first.",
-        )
+        return damaged(where, f"camera {camera} is spherical (EQUIRECTANGULAR)", CUT_VIEWS)
     return damaged(where, f"camera {camera} has the unknown model {model}")
