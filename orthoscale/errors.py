@@ -50,6 +50,10 @@ class UsageError(OrthoscaleError):
     exit_code = 2
 
 
+class MetricAlready(UsageError):
+    """The input is in metres, and nobody said that its scale is to be replaced."""
+
+
 class TooLittleEvidence(OrthoscaleError):
     """Fewer usable vehicles than a scale needs."""
 

@@ -17,10 +17,12 @@ import numpy as np
 import pytest
 from support.models import make_model, patched, put_frames, save
 
+from orthoscale.core.remarks import CAUTION
 from orthoscale.errors import InputError, OrthoscaleError, OutputError, UsageError
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.colmap_check import open_model
 from orthoscale.sources.colmap_tables import CAMERA_MODELS
+from orthoscale.sources.opening import open_source
 from orthoscale.sources.picture_file import PictureFile, stored_size
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -289,6 +291,44 @@ def test_missing_frames(plain, model_bin, tmp_path):
     assert "1 of 12 frames" in source.notes[0].text and "03.png" in source.notes[0].text
 
 
+def test_frames_and_database_beside_a_link(plain, tmp_path):
+    folder = save(plain, tmp_path / "disk/of/many/projects/sparse/0", "bin")
+    put_frames(plain, tmp_path / "work/images")
+    (tmp_path / "work/sparse").symlink_to(folder.parent)
+    assert len(ColmapSource.open(tmp_path / "work").pictures) == 12
+    put_frames(plain, folder.parent.parent / "images")
+    shutil.rmtree(tmp_path / "work/images")
+    assert len(ColmapSource.open(tmp_path / "work").pictures) == 12
+
+
+def renamed(plain, folder, form, change):
+    """The model `plain` in `folder`, its images called `change` of their names."""
+    model = pycolmap.Reconstruction(plain)
+    for image in model.images.values():
+        image.name = change(image.name)
+    return save(model, folder, form)
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_names_of_windows(plain, tmp_path, form):
+    folder = renamed(plain, tmp_path / "m", form, lambda name: f"flight 1\\{name}".replace(" ", "_"))
+    put_frames(plain, tmp_path / "images/flight_1")
+    source = ColmapSource.open(folder)
+    assert [p.name for p in source.pictures] == source.picture_names and source.picture_names[0] == "flight_1\\00.png"
+    assert source.pictures[0].read(0, 0, 640, 480, 64, 48).any()
+
+
+@pytest.mark.parametrize("change", [str.upper, lambda n: f"a/{n}", lambda n: f"C:\\b\\{n}", lambda n: n[:-3] + "jpg"])
+def test_a_file_of_nearly_the_name_is_told(plain, tmp_path, change):
+    folder = renamed(plain, tmp_path / "m", "bin", change)
+    put_frames(plain, tmp_path / "images")
+    (tmp_path / "images/00.json").write_text("{}")
+    with pytest.raises(InputError, match=r"images/00.png is of another name"):
+        ColmapSource.open(folder)
+    with pytest.raises(InputError, match=r"looked in .*cameras.bin"):
+        ColmapSource.open(folder, folder / "cameras.bin")
+
+
 @pytest.mark.parametrize(
     ("size", "hint"), [((480, 640), "rotated"), ((320, 240), "resized"), ((500, 480), "that COLMAP read")]
 )
@@ -296,6 +336,46 @@ def test_frames_of_another_size(plain, model_bin, tmp_path, size, hint):
     put_frames(plain, tmp_path / "images", size)
     with pytest.raises(InputError, match=hint):
         ColmapSource.open(model_bin)
+
+
+def test_frames_of_another_flight(plain, tmp_path):
+    """Of the same names and sizes: they do not show the points in their colours."""
+    folder = save(plain, tmp_path / "m", "bin")
+    images = sorted(plain.images.values(), key=lambda image: image.name)
+    for image, other in zip(images, images[1:] + images[:1], strict=True):
+        frame = np.full((480, 640, 3), 90, np.uint8)
+        for seen in image.points2D:
+            if seen.has_point3D():
+                colour = plain.points3D[seen.point3D_id].color[::-1].tolist()
+                cv2.circle(frame, seen.xy.astype(int).tolist(), 4, colour, -1)
+        for place, name in (("own", image.name), ("another", other.name)):
+            (tmp_path / place).mkdir(exist_ok=True)
+            cv2.imwrite(str(tmp_path / place / name), frame)
+    assert ColmapSource.open(folder, tmp_path / "own").notes == []
+    (note,) = ColmapSource.open(folder, tmp_path / "another").notes
+    assert note.severity == CAUTION and "may be of another flight" in note.text
+    assert ColmapSource.open(folder, tmp_path / "another", need_images=False).notes == []
+    black = pycolmap.Reconstruction(plain)
+    for point in black.points3D.values():
+        point.color = np.zeros(3, np.uint8)
+    assert ColmapSource.open(save(black, tmp_path / "black", "bin"), tmp_path / "another").notes == []
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_parts_that_share_no_point(plain, tmp_path, form):
+    two = pycolmap.Reconstruction(plain)
+    assert open_model(save(two, tmp_path / "one", form)).parts == (12,)
+    other = make_model()[0]
+    other.transform(pycolmap.Sim3d(3.0, pycolmap.Rotation3d(), np.array([500.0, 300, 0])))
+    for image in other.images.values():
+        new = pycolmap.Image(name=f"b{image.name}", camera_id=1, image_id=100 + image.image_id)
+        new.points2D = pycolmap.Point2DList([pycolmap.Point2D(seen.xy) for seen in image.points2D])
+        two.add_image_with_trivial_frame(new, image.cam_from_world())
+    for point in other.points3D.values():
+        track = [pycolmap.TrackElement(100 + e.image_id, e.point2D_idx) for e in point.track.elements]
+        two.add_point3D(point.xyz, pycolmap.Track(track), point.color)
+    notes = ColmapSource.open(save(two, tmp_path / "two", form), need_images=False).notes
+    assert [note.severity for note in notes if "share no point (12 and 12 images)" in note.text] == [CAUTION]
 
 
 # --- Pictures --------------------------------------------------------------------------------------------------------
@@ -541,6 +621,31 @@ def test_random_damage_never_escapes(plain, tmp_path):
                 with contextlib.suppress(OrthoscaleError):
                     assert ColmapSource.open(folder, need_images=False).camera_height > 0
             path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_pointers_of_git_lfs(plain, tmp_path, form):
+    folder = save(plain, tmp_path / "m", form)
+    pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:12\nsize 12\n"
+    (folder / f"images.{form}").write_bytes(pointer)
+    assert f"images.{form}: only a pointer of Git LFS" in refused(folder).message
+    (tmp_path / "a.jpg").write_bytes(pointer)
+    with pytest.raises(InputError, match="Git LFS"):
+        PictureFile("a", tmp_path / "a.jpg", 8, 8).read(0, 0, 8, 8, 8, 8)
+    with pytest.raises(InputError, match="Git LFS"):
+        open_source(tmp_path / "a.jpg")
+
+
+def test_one_file_of_a_model_is_not_called_an_image(model_bin):
+    with pytest.raises(InputError, match="one file of a COLMAP model") as caught:
+        open_source(model_bin / "points3D.bin")
+    assert str(model_bin) in caught.value.hint
+
+
+def test_byte_order_mark(model_txt):
+    path = model_txt / "images.txt"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert "line 1: begins with a byte order mark" in refused(model_txt).message
 
 
 def test_poses_that_disagree(model_bin):

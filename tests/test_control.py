@@ -1,6 +1,7 @@
 """Known distances and ground control, through the pipeline and the command."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from support.in_process import run
 
 import orthoscale
-from orthoscale.errors import EvidenceDisagrees, InputError, UsageError
+from orthoscale.errors import EvidenceDisagrees, InputError, OrthoscaleError, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
 
@@ -99,6 +100,16 @@ def test_points_of_a_model_by_coordinates_by_number_and_by_pixel():
     name = next(iter(by_place.detections.boxes))
     with pytest.raises(UsageError, match="no registered image is named nowhere"):
         orthoscale.estimate(MODEL, known_distance=[f"nowhere@10,10 {name}@400,300 5"], **options)
+
+
+def test_a_distance_in_feet_contradicts_the_vehicles(flight, found, tmp_path):
+    """At a third of the scale most boxes are of no vehicle; that is said, not stumbled over."""
+    save_detections(replace(found, planar=None), tmp_path / "boxes.json")
+    options = {"fleet": "DE", "detections": tmp_path / "boxes.json", "known_distance": ["0,0,0 10,0,0 15.2"]}
+    result = orthoscale.estimate(flight[0], **options)
+    assert result.scale.value == pytest.approx(1.52, rel=0.01) and result.scale.verdict == "unusable"
+    with pytest.raises(OrthoscaleError):
+        orthoscale.fix(flight[0], tmp_path / "out", **options)
 
 
 @pytest.mark.parametrize("text, why", [("1,2 3,4", "2 words"), ("1,2 3,4 five", "'five' is not a finite number"),

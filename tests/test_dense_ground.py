@@ -110,6 +110,14 @@ def test_where_clouds_lie(tmp_path, model, cloud):
     assert found is not None and found.path == path.resolve() and not found.named
 
 
+def test_a_cloud_lies_beside_a_link_to_the_model(tmp_path):
+    (tmp_path / "elsewhere/0").mkdir(parents=True)
+    path = write_cloud(tmp_path / "work/dense/0/fused.ply", np.zeros((3, 3)))
+    (tmp_path / "work/sparse").symlink_to(tmp_path / "elsewhere")
+    found, _ = find_cloud(tmp_path / "work/sparse/0")
+    assert found is not None and found.path == path
+
+
 def test_a_cloud_on_the_map_is_said_to_be_left_out(tmp_path):
     (tmp_path / "opensfm").mkdir()
     (tmp_path / "odm_georeferencing").mkdir()

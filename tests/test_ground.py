@@ -66,6 +66,18 @@ def test_height_of_the_ground(terrain, strays):
     assert np.percentile(np.abs(error), 95) < 0.005
 
 
+@pytest.mark.parametrize("farthest", [3e2, 1e4, 1e7])
+def test_the_horizon_does_not_move_the_ground(farthest):
+    """Oblique frames show it: a tenth of the points is up to 300, 10,000 or 1e7 camera heights away."""
+    scene, random = Scene(hilly), np.random.default_rng(0)
+    away = random.normal(size=(1000, 3))
+    away -= 0.95 * (away @ scene.up)[:, None] * scene.up
+    away *= farthest * CAMERA_HEIGHT * scene.unit * random.uniform(0.1, 1, (1000, 1))
+    ground = Ground.fit(np.concatenate([scene.points, scene.centres[:1] + away]), scene.centres)
+    error = ground.height_above(scene.truth) / scene.unit / CAMERA_HEIGHT
+    assert np.sqrt(np.mean(error**2)) < 0.003
+
+
 @pytest.mark.parametrize("count", [1000, 40000])
 def test_few_and_many_points(count):
     scene = Scene(flat, count=count)

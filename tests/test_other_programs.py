@@ -114,6 +114,19 @@ def test_a_colmap_model_comes_first(made, tmp_path):
     assert isinstance(open_source(tmp_path / "transforms.json", need_images=False), ExchangeSource)
 
 
+def test_panoramas_are_refused_unless_no_image_is_one(made, tmp_path):
+    path = opensfm(made[0], tmp_path / "a")
+    (part,) = json.loads(path.read_text())
+    sphere = {"projection_type": "spherical", "width": 640, "height": 320}
+    path.write_text(json.dumps([part | {"cameras": part["cameras"] | {"pano": sphere}}]))
+    assert len(open_source(path, need_images=False).picture_names) == 12
+    path.write_text(json.dumps([part | {"cameras": {"c": sphere}}]))
+    for other in (path, nerfstudio(made[0], tmp_path / "b", camera_model="EQUIRECTANGULAR")):
+        with pytest.raises(InputError) as caught:
+            open_source(other, need_images=False)
+        assert "Cut perspective views" in caught.value.hint
+
+
 def test_damage_is_refused(made, tmp_path):
     path = opensfm(made[0], tmp_path / "a")
     whole = path.read_text()

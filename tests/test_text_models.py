@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from support.models import make_model, put_frames, save
@@ -96,6 +98,25 @@ def test_only_the_first_of_several_models_is_taken(pinhole, tmp_path):
     assert len(read_text_model(path).focal) == 12
     assert (tmp_path / "new.nvm").read_text().endswith("\n0\n")
     assert len((tmp_path / "new.nvm").read_text()) < 1.2 * len(alone)
+
+
+def test_names_of_windows(made, pinhole, tmp_path):
+    put_frames(made[0], tmp_path / "pics")
+    for writer, (model, _) in ((bundler, made), (nvm, pinhole)):
+        path = writer(model, tmp_path)
+        for file in (path, tmp_path / "list.txt"):
+            text = re.sub(r"^(\./)?(\d\d\.png)", r".\\pics\\\2", file.read_text(), flags=re.MULTILINE)
+            file.write_text(text, newline="\r\n")
+        assert open_source(path).pictures[0].name == "pics/00.png"
+
+
+@pytest.mark.parametrize("focal", ["", " 0 401.25"])
+def test_spaces_in_bundlers_list(made, tmp_path, focal):
+    path = bundler(made[0], tmp_path, lost=0)
+    put_frames(made[0], tmp_path / "my pics 0 7")
+    names = sorted(f"my pics 0 7/{image.name}" for image in made[0].images.values())
+    (tmp_path / "list.txt").write_text("".join(f"{name}{focal}\n" for name in names))
+    assert open_source(path).picture_names == names
 
 
 def test_what_is_missing_is_said(made, tmp_path):

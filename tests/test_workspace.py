@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from support.geometry import dense_workspace
 
+from orthoscale.actions.apply import apply
 from orthoscale.actions.fix import fix
 from orthoscale.actions.requests import FixRequest
 from orthoscale.actions.workspace import fix_all, models_in
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
+from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.system.outputs import FOLDER_MARK
 
@@ -82,6 +84,36 @@ def test_a_model_without_evidence_does_not_stop_the_others(work, tmp_path):
     with pytest.raises((TooLittleEvidence, InputError)):
         fix_all(models_in(work), tmp_path / "none", FixRequest(fleet="US", detections=tmp_path / "few.json"))
     assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.slow
+def test_a_scaled_copy_among_the_models_does_not_stop_them(work, tmp_path):
+    shutil.rmtree(work / "sparse/1")
+    fix(work / "sparse/0", work / "sparse/metric", **OPTIONS)
+    outcomes = fix_all(models_in(work), tmp_path / "out", FixRequest(**OPTIONS))
+    assert outcomes[0].error is None and "in metres already" in str(outcomes[1].error)
+    assert not (tmp_path / "out/metric").exists()
+
+
+def test_a_dry_run_speaks_of_each_model(work, tmp_path):
+    from click.testing import CliRunner
+
+    words = ["--fleet", "US", "--detections", str(EXAMPLE / "detections.json"), "--dry-run"]
+    run = CliRunner().invoke(cli, ["fix", str(work), "--out", str(tmp_path / "out"), *words])
+    for name in ("0", "1"):
+        assert f"{work}/sparse/{name}: a model" in run.stdout and f"{tmp_path}/out/{name}\n" in run.stdout
+    assert run.exit_code == 0 and not (tmp_path / "out").exists()
+    assert f"{work}/sparse/1: a model" in CliRunner().invoke(cli, ["estimate", str(work), *words]).stdout
+    run = CliRunner().invoke(cli, ["fix", str(work), "--out", str(work / "out"), *words])
+    assert isinstance(run.exception, UsageError)
+
+
+def test_one_scale_is_not_applied_to_several_models(work, tmp_path):
+    Sim3(2.0).save(tmp_path)
+    with pytest.raises(UsageError, match="holds 2 models, each with a scale of its own: 0, 1"):
+        apply(tmp_path / "sim3.json", work, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    apply(tmp_path / "sim3.json", work / "sparse/1", tmp_path / "out")
 
 
 def test_one_model_is_no_workspace(tmp_path):

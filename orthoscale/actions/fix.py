@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.source import Plan, PosedSet, Source
-from ..errors import Incomplete, UsageError
+from ..errors import Incomplete, MetricAlready, UsageError
 from ..formats.detections import check_name, save
 from ..report.extras import WRITERS, chosen
 from ..report.files import write_report
@@ -126,7 +126,7 @@ def _begin(
     request.check_for(source)
     writer = _writer(source, out, request)
     if source.metric_already and not request.override:  # not behind its owner's back
-        raise UsageError(
+        raise MetricAlready(
             f"{path} is in metres already: {source.metric_already}",
             "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
         )

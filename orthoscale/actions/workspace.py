@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import EvidenceDisagrees, Incomplete, InputError, OrthoscaleError, TooLittleEvidence
+from ..errors import EvidenceDisagrees, Incomplete, InputError, MetricAlready, OrthoscaleError, TooLittleEvidence
 from ..sources.exchange_files import find_exchange
 from ..system.outputs import Outputs
 from .estimate import measured
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..core.progress import Progress
 
 # What may befall one model and leave the others what they are.
-OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError)
+OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError, MetricAlready)
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ def fix_all(
 ) -> list[Outcome]:
     """`fix` for each of `models`, into folders of their names in the folder `out`, with models.json beside them.
 
-    A model that has too little evidence, or is damaged, is left out and does not stop the others. workspace : what they
-    were found in, an input as they are.
+    A model that has too little evidence, is damaged, or in metres already is left out and does not stop the others.
+    workspace : what they were found in, an input as they are.
     Raises the first error if none has a scale; then nothing is written. Raises Incomplete, with the outcomes, if
     something beside a model could not be made.
     """

@@ -83,6 +83,14 @@ def rehearse(
     sys.exit(max(codes))
 
 
+def rehearse_in_new_folder(
+    paths: Sequence[Path], request: EstimateRequest, out: Path, places: Callable[[Path], list[Path]]
+) -> NoReturn:
+    """`rehearse`, of copies at `places` in the folder `out`, which would be made."""
+    with tempfile.TemporaryDirectory() as stand_in:
+        rehearse(paths, request, places(Path(stand_in)), lambda text: text.replace(stand_in, str(out)))
+
+
 def run(
     action: str,
     many: Many,
@@ -107,8 +115,7 @@ def run(
         places = None if out is None else outputs_of(found, out)
         if out is None or out.exists():
             rehearse(found, request, places)
-        with tempfile.TemporaryDirectory() as stand_in:  # for the folder that would be made
-            rehearse(found, request, outputs_of(found, Path(stand_in)), lambda text: text.replace(stand_in, str(out)))
+        rehearse_in_new_folder(found, request, out, lambda folder: outputs_of(found, folder))
     with Outputs(overwrite, (found, vars(request))) as outputs, progress_bars() as progress:
         if many.summary is not None:
             check_summary(many.summary)

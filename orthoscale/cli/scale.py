@@ -13,7 +13,7 @@ import click
 
 from ..actions.requests import EstimateRequest, FixRequest
 from ..errors import Incomplete, UsageError
-from .many import Many, inputs, rehearse, run
+from .many import Many, inputs, rehearse, rehearse_in_new_folder, run
 from .options import (
     EXIT_CODES,
     PATH,
@@ -72,10 +72,10 @@ def estimate(
     if many is not None:
         _refuse_boxes_of_many(save_detections)
         run("estimate", many, request, as_json, overwrite, dry_run=dry_run)
-    if dry_run:
-        rehearse([path], request)
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
+    if dry_run:
+        rehearse(models or [path], request)
     with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
         if models:
             outcomes = workspace.estimate_all(models, request, progress)
@@ -129,15 +129,20 @@ def fix(
     """
     from ..actions import fix as writing
     from ..actions import workspace
+    from ..system.outputs import Outputs
 
     request = FixRequest.of(options)
     if many is not None:
         _refuse_boxes_of_many(save_detections)
         run("fix", many, request, as_json, request.overwrite, out, dry_run)
-    if dry_run:
-        rehearse([path], request, [out])
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
+    if dry_run and models:
+        with Outputs(request.overwrite, (path, models, vars(request))) as outputs:
+            outputs.check(out)
+        rehearse_in_new_folder(models, request, out, lambda folder: [folder / model.name for model in models])
+    if dry_run:
+        rehearse([path], request, [out])
     missing = None
     with progress_bars() as progress:
         try:

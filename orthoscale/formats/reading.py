@@ -19,6 +19,7 @@ MIB = 1 << 20
 SMALL = 4 * MIB  # a file of settings: a fleet, a card, a lens
 LARGE = 256 * MIB  # a list of vehicles: two million boxes
 HUGE = 1024 * MIB  # a model with its points
+LFS_POINTER = b"version https://git-lfs"  # how it begins
 DEEPEST = 64  # levels of nesting; the formats read here have ten at most
 
 EXPORT_ANEW = "The file is damaged or was cut off: copy it again, or export it anew."
@@ -69,6 +70,17 @@ def check_regular(path: Path, hint: str = "") -> None:
     if not stat.S_ISREG(mode):
         kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
         raise InputError(f"{path}: cannot be read (it is {kind}, not a file)", hint)
+
+
+def refuse_pointer(path: Path) -> None:
+    """Raise InputError where Git LFS left a few lines instead of the file `path`; other files are for their readers."""
+    try:
+        with path.open("rb") as file:
+            pointer = file.read(len(LFS_POINTER)) == LFS_POINTER
+    except OSError:
+        return
+    if pointer:
+        raise InputError(f"{path}: only a pointer of Git LFS, not the file", "Fetch the file with `git lfs pull`.")
 
 
 def files_below(folder: Path, suffixes: Container[str] | None = None) -> list[Path]:

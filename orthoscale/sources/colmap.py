@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
+import unicodedata
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from mimetypes import guess_type
+from pathlib import Path, PurePath, PureWindowsPath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,8 +24,9 @@ from ..formats.geometry.files import reason_left
 from ..formats.geometry.sim3 import MATRIX, Sim3
 from ..formats.points import coordinates, number
 from ..system.outputs import FOLDER_MARK
+from ..system.paths import homes
 from .colmap_check import open_model
-from .colmap_tables import RIG_TABLES, TABLES
+from .colmap_tables import FILE_NAMES
 from .colmap_write import read_model, write_scaled
 from .consistency import check_consistency
 from .database import pose_priors
@@ -30,6 +34,7 @@ from .dense_cloud import DenseCloud
 from .dense_ground import dense_ground
 from .fingerprint import content_hash
 from .focal import focal_doubt
+from .frame_check import check_frames
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
@@ -85,6 +90,12 @@ class ColmapSource:
         model = read_model(files.folder, files.format)
         notes = [*informing(files.notes), *check_consistency(files.folder, model, files.seen)]
         pictures = find_frames(model, files.folder, images, need_images, notes)
+        if len(files.parts) > 1:
+            sizes = f"{', '.join(map(str, files.parts[:-1]))} and {files.parts[-1]} images"
+            text = f"the model falls into parts that share no point ({sizes}): each may have a scale of its own"
+            notes.append(Remark(CAUTION, text))
+        if need_images:
+            notes += check_frames(model, pictures)
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
         return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
@@ -309,14 +320,13 @@ class ColmapSource:
         self.notes.extend(informing(scale_workspace(self.dense, folder, metres_per_unit)))
 
     def _copy_rest(self, folder: Path) -> list[str]:
-        tables = {f"{table}.{form}" for table in (*TABLES, *RIG_TABLES) for form in ("bin", "txt")}
         copied, left, links = [], [], []
         for path in sorted(self.folder.iterdir()):
             if not path.is_file() or path.name in {p.name for p in self._paths} | OURS:
                 continue
             if path.is_symlink():  # what it leads to was not handed over with the model
                 links.append(path.name)
-            elif path.name in tables or path.suffix.lower() in UNSCALED or path.stat().st_size > LARGEST_COPY:
+            elif path.name in FILE_NAMES or path.suffix.lower() in UNSCALED or path.stat().st_size > LARGEST_COPY:
                 left.append(path.name)
             else:
                 shutil.copyfile(path, folder / path.name)
@@ -364,9 +374,16 @@ def find_frames(
     pictures = []
     for name in sorted(registered.keys() - set(missing)):
         camera = model.camera(registered[name].camera_id)
-        pictures.append(PictureFile(name, root / name, camera.width, camera.height))
+        pictures.append(PictureFile(name, frame_path(root, name), camera.width, camera.height))
         pictures[-1].check_size()
     return pictures
+
+
+def frame_path(root: Path, name: str) -> Path:
+    """The file of the image `name`, which starts from the folder `root`; it need not exist. Models that were made on
+    Windows may have backslashes between folders, which are letters of a name elsewhere."""
+    path = root / name
+    return path if os.path.isfile(path) else root / name.replace("\\", "/")  # noqa: PTH113  of any length
 
 
 def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tuple[Path, list[str]]:
@@ -377,20 +394,41 @@ def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tupl
     if given is not None:
         places = [given]
     else:
-        bases = [folder, *Path(os.path.realpath(folder)).parents[:IMAGES_ABOVE]]
+        bases = [folder, *(above for home in homes(folder) for above in home.parents[:IMAGES_ABOVE])]
         places = [base / sub for sub in IMAGE_FOLDERS for base in bases]
     best, missing = places[0], list(names)
     for place in places:
         if place.is_dir():
-            lacking = [name for name in names if not os.path.isfile(place / name)]  # noqa: PTH113  of any length
+            lacking = [name for name in names if not os.path.isfile(frame_path(place, name))]  # noqa: PTH113
             if len(lacking) < len(missing):
                 best, missing = place, lacking
             if not lacking:
                 break
     if len(missing) == len(names):
         above = f"{folder} and the {IMAGES_ABOVE} folders above it, and in {', '.join(IMAGE_FOLDERS[:-1])} of each"
+        what = f"no frame of the model {folder} was found; the first is {missing[0]}"
+        if (near := _of_nearly_that_name(places, missing[0])) is not None:
+            raise InputError(
+                f"{what}, and {near} is of another name",
+                "Name the frames as the model does: folders, endings, upper and lower case count.",
+            )
         raise InputError(
-            f"no frame of the model {folder} was found; the first is {missing[0]}; looked in {given or above}",
+            f"{what}; looked in {given or above}",
             "Give the folder that the image names start from with --images, or the vehicles' boxes with --detections.",
         )
     return best, missing
+
+
+def _of_nearly_that_name(places: Sequence[Path], name: str) -> Path | None:
+    """A picture in one of `places` that is called as the image `name` but for its folder, ending, or upper case."""
+    wanted = _bare(PureWindowsPath(name))
+    for place in places:
+        with suppress(OSError):  # no folder, or not to be read
+            for path in sorted(place.iterdir()):
+                if _bare(path) == wanted and (guess_type(path.name)[0] or "").startswith("image/"):
+                    return path
+    return None
+
+
+def _bare(path: PurePath) -> str:
+    return unicodedata.normalize("NFC", path.stem).casefold()  # macOS writes letters with marks as two

@@ -8,7 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from .colmap_tables import CAMERA_MODELS, Camera, Frame, Image, Points, Rig, Tables, add, damaged, unknown_camera
+from ..formats.reading import refuse_pointer
+from .colmap_tables import (
+    CAMERA_MODELS,
+    NOT_UTF8_HINT,
+    Camera,
+    Frame,
+    Image,
+    Points,
+    Rig,
+    Tables,
+    add,
+    damaged,
+    unknown_camera,
+)
 
 
 class _Bytes:
@@ -53,7 +66,7 @@ class _Bytes:
         try:
             text = self.data[self.at : end].decode()
         except UnicodeDecodeError:
-            raise damaged(self.where, f"{what} is not UTF-8 text") from None
+            raise damaged(self.where, f"{what} is not UTF-8 text", NOT_UTF8_HINT) from None
         self.at = end + 1
         return text
 
@@ -77,6 +90,7 @@ def read_binary(paths: dict[str, Path]) -> Tables:
         "frames": _binary_frames,
     }
     for table, path in paths.items():
+        refuse_pointer(path)
         file = _Bytes(path)
         readers[table](file, tables)
         file.done()

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError
@@ -41,13 +43,15 @@ class ModelFiles:
     """A COLMAP model on disk whose files have been walked and found whole.
 
     folder : where it lies. format : 'bin' or 'txt'. paths : the files that make it up.
-    seen : some of what its images saw. notes : what was chosen or left aside on the way, for the report.
+    seen : some of what its images saw. parts : numbers of images in parts that share no point, of two images or more.
+    notes : what was chosen or left aside on the way, for the report.
     """
 
     folder: Path
     format: str
     paths: tuple[Path, ...]
     seen: Observations
+    parts: tuple[int, ...]
     notes: tuple[str, ...] = ()
 
 
@@ -63,7 +67,7 @@ def open_model(path: Path) -> ModelFiles:
     paths = _paths(folder, form)
     tables = _READERS[form](paths)
     _check(tables)
-    return ModelFiles(folder, form, tuple(paths.values()), _seen(tables), (*notes, *more))
+    return ModelFiles(folder, form, tuple(paths.values()), _seen(tables), _parts(tables), (*notes, *more))
 
 
 def check_model(folder: Path, form: str) -> None:
@@ -300,6 +304,20 @@ def _seen(tables: Tables) -> Observations:
             yield image.xy[seen[some]], points.values[place, :3]
 
     return observations([image.name for image in tables.images], pairs())
+
+
+def _parts(tables: Tables) -> tuple[int, ...]:
+    """How many images are in each part of a model that shares no point with the others, the largest first; images that
+    share none with any other are left aside."""
+    count, points = len(tables.images), tables.points
+    ids = np.array([image.id for image in tables.images])
+    order = np.argsort(ids)
+    image = order[np.searchsorted(ids[order], points.tracks[:, 0])]
+    nodes = count + len(points.ids)
+    links = coo_array((np.ones(len(image), bool), (image, count + points.track_of)), shape=(nodes, nodes))
+    _, part = connected_components(links, directed=False)
+    sizes = np.sort(np.bincount(part[:count]))[::-1]
+    return tuple(sizes[sizes > 1].tolist())
 
 
 def _check_rigs(tables: Tables, rigs: dict[int, Rig], frames: dict[int, Frame]) -> None:

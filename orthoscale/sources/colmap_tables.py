@@ -14,6 +14,7 @@ CAMERA_SENSOR = 0  # a type of sensor
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # a pose, qw qx qy qz tx ty tz
 TABLES = ("cameras", "images", "points3D")
 RIG_TABLES = ("rigs", "frames")
+FILE_NAMES = {f"{table}.{form}" for table in (*TABLES, *RIG_TABLES) for form in ("bin", "txt")}
 # Model id: name, number of parameters, how many of them (the first ones) are focal lengths.
 CAMERA_MODELS = {
     0: ("SIMPLE_PINHOLE", 3, 1),
@@ -36,6 +37,12 @@ CAMERA_MODELS = {
 }
 MODEL_IDS = {name: model for model, (name, _, _) in CAMERA_MODELS.items()}
 SENSOR_TYPES = {"CAMERA": 0, "IMU": 1}
+NOT_UTF8_HINT = (
+    "Names with letters beyond ASCII that an older Windows program wrote are so: give the images plain names and "
+    "reconstruct again. Else the file is damaged: copy the model again."
+)
+SPHERICAL = ("EQUIRECTANGULAR", "equirectangular", "spherical")  # as COLMAP and nerfstudio, and OpenSfM call it
+CUT_VIEWS = "Cut perspective views out of the panoramas first."
 WRITE_ANEW = "The file is damaged: copy the model again, or write it anew with `colmap model_converter`."
 
 
@@ -119,9 +126,5 @@ def add(table: dict, key: int, value: object, where: str, kind: str) -> None:
 def unknown_camera(where: str, camera: int, model: object) -> InputError:
     """The error for a camera whose model, an id or a name, is none of `CAMERA_MODELS`."""
     if model in (17, "EQUIRECTANGULAR"):
-        return damaged(
-            where,
-            f"camera {camera} is spherical (EQUIRECTANGULAR)",
-            "Cut perspective views out of the panoramas first.",
-        )
+        return damaged(where, f"camera {camera} is spherical (EQUIRECTANGULAR)", CUT_VIEWS)
     return damaged(where, f"camera {camera} has the unknown model {model}")

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import shown
+from ..formats.reading import refuse_pointer
 from .colmap_tables import (
     CAMERA_MODELS,
     MODEL_IDS,
     NO_POINT,
+    NOT_UTF8_HINT,
     SENSOR_TYPES,
     Camera,
     Frame,
@@ -31,6 +33,8 @@ def _lines(path: Path) -> Iterator[tuple[str, str]]:
         with path.open(encoding="utf-8") as file:
             for number, line in enumerate(file, 1):
                 where = f"{path}, line {number}"
+                if number == 1 and line.startswith("\ufeff"):
+                    raise damaged(where, "begins with a byte order mark, which COLMAP cannot read", "Save it without.")
                 if not line.endswith("\n"):  # a number may have lost its last digits
                     raise damaged(
                         where, "the last line has no end", "Copy the file again; if it is whole, end the line."
@@ -39,7 +43,7 @@ def _lines(path: Path) -> Iterator[tuple[str, str]]:
     except OSError as error:
         raise damaged(str(path), f"cannot be read ({error.strerror})", "Check its permissions.") from error
     except UnicodeDecodeError:
-        raise damaged(str(path), "is not UTF-8 text") from None
+        raise damaged(str(path), "is not UTF-8 text", NOT_UTF8_HINT) from None
 
 
 def _records(path: Path) -> Iterator[tuple[str, list[str]]]:
@@ -71,6 +75,7 @@ def read_text(paths: dict[str, Path]) -> Tables:
         "frames": _text_frames,
     }
     for table, path in paths.items():
+        refuse_pointer(path)
         readers[table](path, tables)
     return tables
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+
+from ..system.paths import homes
 
 FOLDERS_ABOVE = 3  # folders above a model in which its database may lie
 
@@ -15,7 +16,7 @@ def pose_priors(folder: Path) -> str:
 
     Priors are positions that came with the images (GPS); they are in metres or degrees already, not in model units.
     """
-    for place in [folder, *Path(os.path.realpath(folder)).parents[:FOLDERS_ABOVE]]:
+    for place in [folder, *(above for home in homes(folder) for above in home.parents[:FOLDERS_ABOVE])]:
         path = place / "database.db"
         if not path.is_file():
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from ..core.remarks import INFO, Remark
 from ..errors import InputError
 from ..formats.geometry.dense import DEPTH_KINDS, find_dense, read_depth_map, sparse_folders
 from ..formats.geometry.ply import points_in
+from ..system.paths import homes
 from .colmap_check import open_model
 from .colmap_write import read_model
 
@@ -73,17 +75,18 @@ class DenseCloud:
 def find_cloud(folder: Path, progress: Progress | None = None) -> tuple[DenseCloud | None, list[Remark]]:
     """The dense cloud that belongs to the reconstruction in `folder`, if one lies where programs put it; else COLMAP's
     depth maps. Whether its points lie on the reconstruction's is not asked. And what there is to say of others."""
-    folder = folder.resolve()
     workspace = find_dense(folder)
-    above = [folder, folder.parent, folder.parent.parent] if folder.name.isdigit() else [folder, folder.parent]
-    files = [place / FUSED_CLOUD for place in ([workspace] if workspace else []) + above]
-    files += [(folder / name).resolve() for name in CLOUD_PLACES]
+    files = [workspace / FUSED_CLOUD] if workspace else []
+    for home in homes(folder):
+        above = [home, home.parent, home.parent.parent] if home.name.isdigit() else [home, home.parent]
+        files += [place / FUSED_CLOUD for place in above]
+        files += [Path(os.path.abspath(home / name)) for name in CLOUD_PLACES]
     found = next((path for path in files if path.is_file()), None)
     if found is None and workspace is not None and _depth_maps(workspace):
         found = workspace
     if found is not None:
         return DenseCloud(found, progress=progress), []
-    for place in (folder.parent / name for name in CLOUDS_ON_THE_MAP):
+    for place in (home.parent / name for home in homes(folder) for name in CLOUDS_ON_THE_MAP):
         if place.is_file():
             text = (
                 f"{place} is in the coordinates of a map, not in the reconstruction's, and is left out; the ground is "

@@ -40,6 +40,7 @@ STEEPEST = np.radians(25)  # vehicles neither park nor drive on steeper ground
 # to the next makes 0.07.
 WANDER = 0.07
 MOST_DOUBTED = 1500  # nodes of the coarse grid on which that is worked out
+GROUND_WITHIN = 10  # camera heights from the cameras: vehicles are measured nearer than 3 (view.LOWEST_ELEVATION)
 REACHES_BEYOND = 0.4  # camera heights that the sheet reaches beyond the points
 # Relative to the camera's height: from there a vehicle's size says less than what is known of it beforehand, for
 # vehicles differ by a tenth (the fleets' lengths).
@@ -193,6 +194,12 @@ class _Sheet:
     def fit(cls, points: np.ndarray, centres: np.ndarray, plane_from_world: np.ndarray) -> tuple[_Sheet, float]:
         """Fit the sheet to `points` in plane coordinates; returns it and the noise of the ground's points."""
         everything = len(points)
+        # What oblique frames see of the horizon, and stray points, would stretch the grid and lower the ground.
+        reach = GROUND_WITHIN * (np.median(centres[:, 2]) - np.median(points[:, 2]))
+        first, last = np.percentile(centres[:, :2], [1, 99], axis=0)
+        points = points[((points[:, :2] > first - reach) & (points[:, :2] < last + reach)).all(1)]
+        if len(points) < MIN_POINTS:
+            raise _no_ground()
         low, high = np.percentile(points[:, 2], [5, 60])
         height = np.median(centres[:, 2]) - low
         # Stray points far outside would stretch the grid for nothing.

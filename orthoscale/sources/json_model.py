@@ -9,7 +9,7 @@ import contextlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from ..formats.geometry.poses import read_poses
 from ..formats.reading import reason
 from .colmap import find_frames
 from .colmap_check import FARTHEST
+from .colmap_tables import CUT_VIEWS, SPHERICAL
 from .consistency import Observations, check_consistency, observations, some_of_each
 from .one_file import OneFileSource
 
@@ -187,10 +188,14 @@ def build_model(
 def _opensfm(path: Path, part: dict[str, Any]) -> pycolmap.Reconstruction:
     """OpenSfM's lengths in images are shares of the longer side, from the middle; its axes are COLMAP's."""
     cameras = {}
+    used = {shot["camera"] for shot in part["shots"].values()}
     for key, camera in part["cameras"].items():
+        if key not in used:  # those of all images are listed
+            continue
         kind = camera.get("projection_type", "perspective")
         if kind not in OPENSFM:
-            raise InputError(f"{path}: camera {key} is of the type {kind}", f"Known are: {', '.join(OPENSFM)}.")
+            hint = CUT_VIEWS if kind in SPHERICAL else f"Known are: {', '.join(OPENSFM)}."
+            raise InputError(f"{path}: camera {key} is of the type {kind}", hint)
         width, height = int(camera["width"]), int(camera["height"])
         side = max(width, height)
         focal = camera.get("focal_x", camera.get("focal"))
@@ -226,7 +231,8 @@ def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstructi
         own = {**text, **frame}
         kind = own.get("camera_model", "OPENCV")
         if kind not in NERFSTUDIO:
-            raise InputError(f"{path}: cameras of the model {kind}", f"Known are: {', '.join(NERFSTUDIO)}.")
+            hint = CUT_VIEWS if kind in SPHERICAL else f"Known are: {', '.join(NERFSTUDIO)}."
+            raise InputError(f"{path}: cameras of the model {kind}", hint)
         width, height = int(own["w"]), int(own["h"])
         fx = own["fl_x"] if "fl_x" in own else width / 2 / np.tan(own["camera_angle_x"] / 2)
         values = {
@@ -243,7 +249,7 @@ def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstructi
         matrix = np.array(frame["transform_matrix"], float).reshape(4, 4)
         world_from_camera = matrix[:3, :3] * (1.0, -1.0, -1.0)
         rotation = world_from_camera.T
-        file = Path(frame["file_path"]).as_posix()
+        file = PureWindowsPath(frame["file_path"]).as_posix()
         if file in poses:
             raise ValueError(f"{file} appears twice")
         poses[file] = (key, rotation, -rotation @ matrix[:3, 3])

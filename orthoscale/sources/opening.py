@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 from ..core.source import Source
 from ..errors import InputError, UsageError
 from ..formats.geometry.text_models import SUFFIXES
+from ..formats.reading import refuse_pointer
+from .colmap_tables import FILE_NAMES
 from .exchange_files import find_exchange
 
 if TYPE_CHECKING:
@@ -48,8 +50,11 @@ def open_source(
         from .colmap import ColmapSource
 
         return _on_cloud(ColmapSource.open(path, images, need_images), ground_cloud, progress)
+    if path.name in FILE_NAMES:
+        raise InputError(f"{path} is one file of a COLMAP model", f"Give the folder that holds them all: {path.parent}")
     if images is not None:
         raise UsageError("--images is for COLMAP models", f"{path} is a file: remove --images.")
+    refuse_pointer(path)
     from .raster import RasterSource
 
     return RasterSource.open(path)

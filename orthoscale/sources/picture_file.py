@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from ..errors import InputError
+from ..formats.reading import refuse_pointer
 from ..system import budget
 from .fingerprint import fingerprint
 
@@ -178,6 +179,7 @@ def _decode(path: Path, factor: int) -> np.ndarray:
     except (ValueError, cv2.error):  # an empty file cannot be mapped
         pixels = None
     if pixels is None:
+        refuse_pointer(path)
         raise InputError(f"{path}: image is truncated or cannot be decoded", "Copy it again from its original.")
     return pixels
 

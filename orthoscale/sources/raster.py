@@ -32,6 +32,8 @@ from .georeference import Place, claim_of, kept_place, local_place
 from .raster_copy import Original
 from .tiff_blocks import blocks_of
 
+USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
+
 SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
 
@@ -114,7 +116,7 @@ class RasterSource:
             raise InputError(f"{path} cannot be read ({error.strerror})", "Check its permissions.") from error
         if empty:
             raise InputError(f"{path} is empty", "Export or download it again.")
-        with reading(path, "is not an image that GDAL can open", "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file."):
+        with reading(path, "is not an image that GDAL can open", USE_ANOTHER):
             dataset = open_dataset(path)
         try:
             with reading(path, "is damaged", EXPORT_AGAIN):

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, UsageError
 from ..formats.geometry.dense import is_dense
 from ..formats.geometry.files import scale_file
 from .colmap import scale_model, scale_workspace
+from .colmap_check import model_folders
 
 
 def scale_path(source: Path, target: Path, scale: float) -> list[str]:
@@ -16,7 +17,8 @@ def scale_path(source: Path, target: Path, scale: float) -> list[str]:
 
     A folder is a sparse model or a dense workspace of COLMAP; `target` is then an empty folder. Files that a file
     refers to (materials, buffers, point clouds) come along beside `target`.
-    Raises InputError for a missing, damaged or unknown file, UsageError for one that is in metres already.
+    Raises InputError for a missing, damaged or unknown file, UsageError for one that is in metres already, and for
+    several models in one folder.
     """
     if not os.path.exists(source):  # noqa: PTH110  pathlib's raises for names that are too long
         raise InputError(f"{source} does not exist", "Give files in the units of the model.")
@@ -24,5 +26,10 @@ def scale_path(source: Path, target: Path, scale: float) -> list[str]:
         return scale_file(source, target, scale)
     if is_dense(source):
         return scale_workspace(source, target, scale)
+    if len(models := model_folders(source)) > 1:
+        raise UsageError(
+            f"{source} holds {len(models)} models, each with a scale of its own: {', '.join(m.name for m in models)}",
+            "Give the one that the sim3.json was found for.",
+        )
     scale_model(source, target, scale)
     return []

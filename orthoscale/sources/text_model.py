@@ -5,9 +5,10 @@ Their files do not state the sizes of the images, so the frames are needed.
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -63,7 +64,7 @@ class TextSource(OneFileSource):
 
 
 def _clean(name: str) -> str:
-    return Path(name).as_posix()
+    return PureWindowsPath(name).as_posix()  # VisualSFM is at home on Windows
 
 
 def _listed(path: Path, count: int) -> tuple[list[str], list[Path]]:
@@ -75,7 +76,8 @@ def _listed(path: Path, count: int) -> tuple[list[str], list[Path]]:
     if found is None:
         raise InputError(f"{path} has no list of its images ({places[0]})", "Put Bundler's list.txt beside it.")
     text = read_text(found, "It is Bundler's list of images.")
-    names = [line.split()[0] for line in text.splitlines() if line.strip()]
+    # Bundler writes "NAME 0 FOCAL", COLMAP only the name, in which there may be spaces.
+    names = [re.sub(r"\s+0\s+[-+.\deE]+$", "", line.strip()) for line in text.splitlines() if line.strip()]
     if len(names) != count:
         raise InputError(
             f"{found} names {len(names)} images, {path} has {count} cameras", "Give the list it came from."

@@ -1,4 +1,4 @@
-"""Paths as callers of the library give them: text or `Path`, and nothing that only happens to pass for one."""
+"""Paths as callers of the library give them: text or `Path`, nothing that only happens to pass for one; and links."""
 
 from __future__ import annotations
 
@@ -27,3 +27,9 @@ def paths_of(values: object, what: str) -> list[Path]:
     if isinstance(values, Iterable) and not isinstance(values, (str, bytes, os.PathLike)):
         return [path_of(each, what) for each in values]
     return [path_of(values, what)]
+
+
+def homes(folder: Path) -> list[Path]:
+    """Where `folder` lies, absolute: as it is named, and where that leads if there is a link in it. What belongs to it
+    may lie beside either."""
+    return [Path(path) for path in dict.fromkeys((os.path.abspath(folder), os.path.realpath(folder)))]

@@ -365,11 +365,12 @@ def trends(
 ) -> Trends | None:
     """How the scale of a vehicle changes from view to view, before and after calibration; None for too few views.
 
-    before, after : (N, 2) sizes. elevation : (N,) [deg]. pixel : (N,) what one covers of the ground [units]: the
-    length of a vehicle in pixels, without its box's own error.
+    before, after : (N, 2) sizes, NaN where a box is of no vehicle at this scale. elevation : (N,) [deg].
+    pixel : (N,) what one covers of the ground [units]: the length of a vehicle in pixels, without its box's own error.
     Slopes of the log scale in percent per 10 degrees and per doubling of the length in pixels, each [slope, one sigma].
     """
-    often = [m for m in members if len(m) >= MIN_VIEWS]
+    known = np.isfinite(before).all(1) & np.isfinite(after).all(1)
+    often = [m for m in (m[known[m]] for m in members) if len(m) >= MIN_VIEWS]
     if sum(map(len, often)) < MIN_RESIDUALS:
         return None
     index = np.concatenate(often)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
+from ...system.paths import homes
 from ..reading import HUGE, files_below, read_bytes
 
 # Files of COLMAP's dense workspace whose coordinates are in model units. Settings (stereo/*.cfg, *.sh), normal maps,
@@ -59,12 +59,14 @@ def find_dense(model: Path) -> Path | None:
 
     ``W/dense/sparse`` lies in its own; ``W/sparse`` has ``W/dense``; ``W/sparse/0`` has ``W/dense/0`` or ``W/dense``.
     """
-    model = Path(os.path.realpath(model))
-    places = [model.parent, model.parent / "dense", model / "dense"]
-    if model.name.isdigit():
-        above = model.parent.parent / "dense"
-        places = [above / model.name, above, *places]
-    return next((place for place in places if is_dense(place)), None)
+    for home in homes(model):
+        places = [home.parent, home.parent / "dense", home / "dense"]
+        if home.name.isdigit():
+            above = home.parent.parent / "dense"
+            places = [above / home.name, above, *places]
+        if (found := next((place for place in places if is_dense(place)), None)) is not None:
+            return found
+    return None
 
 
 def sparse_folders(dense: Path) -> list[Path]:
