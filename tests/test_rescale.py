@@ -16,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 from support.geometry import SPARSE, XYZ, dense_workspace, glb, gltf, ply
 
+from orthoscale.actions.apply import apply
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
 from orthoscale.formats.geometry.ply import read_points
@@ -386,6 +387,149 @@ def test_uris_are_percent_encoded(tmp_path):
 def test_the_matrix_of_a_similarity(tmp_path):
     Sim3(SCALE).save(tmp_path)
     assert (np.loadtxt(tmp_path / "sim3_4x4.txt") == np.diag([SCALE, SCALE, SCALE, 1])).all()
+
+
+# --- Files as other programs write them ------------------------------------------------------------------------------
+
+
+def written(folder: Path, **files: str | bytes) -> Path:
+    """The `folder` with these files in it, by path."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return folder
+
+
+def applied(tmp_path: Path, *files: Path, out: str = "metric") -> tuple[Path, list[str]]:
+    """The folder that `apply` wrote, and all notes."""
+    Sim3(SCALE).save(tmp_path)
+    notes = apply(tmp_path / "sim3.json", files, tmp_path / out)
+    return tmp_path / out, [note for of_one in notes.values() for note in of_one]
+
+
+def test_materials_as_exporters_name_them(tmp_path):
+    home = written(
+        tmp_path / "in",
+        **{
+            "a.mtl": "newmtl a\n\tmap_Kd -s 1 1 1 my tex.png\nrefl -type sphere r.png\n",
+            "b.mtl": "newmtl b\nmap_Kd tex\\b.png\ndisp d.png\nmap_Ks gone.png\nmap_Ka\n",
+            "one name.mtl": "newmtl c\n",
+            "m.obj": "mtllib a.mtl b.mtl\r\nmtllib .\\one name.mtl\r\nv 1 2 3\r\nf 1 1 1\r\n",
+            **dict.fromkeys(("my tex.png", "r.png", "tex/b.png", "d.png"), b"x"),
+        },
+    )
+    out, notes = applied(tmp_path, home / "m.obj")
+    there = {path.relative_to(home).as_posix() for path in home.rglob("*") if path.is_file()}
+    assert {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()} == {
+        *there, ".orthoscale.json"
+    }  # fmt: skip
+    assert [note for note in notes if "refers" in note] == ["refers to gone.png, which is not beside it"]
+
+
+def test_an_obj_with_a_byte_order_mark_or_the_line_ends_of_old_macs(tmp_path):
+    (tmp_path / "a.obj").write_bytes(b"\xef\xbb\xbfv 1 2 3\nf 1 1 1\n")
+    scale_path(tmp_path / "a.obj", tmp_path / "b.obj", 2)
+    assert (tmp_path / "b.obj").read_text().splitlines()[1] == "v 2 4 6"
+    (tmp_path / "a.obj").write_bytes(b"v 1 2 3\rv 4 5 6\rf 1 2 1\r")
+    with pytest.raises(InputError, match="line 1"):
+        scale_path(tmp_path / "a.obj", tmp_path / "b.obj", 2)
+
+
+@pytest.mark.parametrize(
+    ("extra", "values", "new"),
+    [
+        (["opacity", "scale_0", "rot_0", "filter_3D"], "0.5 -1 1 0.25", [0.5, -1 + np.log(SCALE), 1, 0.25 * SCALE]),
+        (["f_dc_0", "opacity", "scale_0"], "1 0.5 -1", [1, 0.5, -1 + np.log(SCALE)]),  # round: nothing to turn
+        (["scale_0"], "-1", [-1]),  # of no splat
+    ],
+)
+def test_splats_of_other_kinds(tmp_path, extra, values, new):
+    lines = ["ply", "format ascii 1.0", "element vertex 1", *(f"property float {n}" for n in ("x", "y", "z", *extra))]
+    (tmp_path / "a.ply").write_text("\n".join([*lines, "end_header", f"1 2 3 {values}"]) + "\n")
+    scale_path(tmp_path / "a.ply", tmp_path / "b.ply", SCALE)
+    row = read_ply(tmp_path / "b.ply", 0)[0][0]
+    assert row == pytest.approx([SCALE, 2 * SCALE, 3 * SCALE, *new], rel=1e-8)
+
+
+def test_a_ply_header_in_latin_1_with_a_texture_and_doubles(tmp_path):
+    head = b"ply \nformat ascii 1.0\ncomment by Stra\xdfe\ncomment TextureFile t 1.png\nelement vertex 1\n"
+    head += b"".join(b"property double %c\n" % axis for axis in b"xyz") + b"end_header\n"
+    home = written(tmp_path / "in", **{"a.ply": head + b"512345.123456789 2 3\n", "t 1.png": b"x"})
+    out, notes = applied(tmp_path, home / "a.ply")
+    assert notes == ["with t 1.png"] and (out / "t 1.png").read_bytes() == b"x"
+    text = (out / "a.ply").read_bytes()
+    assert b"comment by Stra\xdfe\n" in text
+    assert float(text.split(b"end_header\n")[1].split()[0]) == pytest.approx(512345.123456789 * SCALE, rel=1e-14)
+
+
+def test_what_a_scene_refers_to_and_has_not_is_said(tmp_path):
+    buffers = [{"uri": "gone.bin"}, {"uri": "https://example.org/a.bin"}, {"uri": "data:,x"}]
+    (tmp_path / "a.gltf").write_text(json.dumps(gltf(buffers=buffers)))
+    assert applied(tmp_path, tmp_path / "a.gltf")[1] == ["refers to gone.bin, which is not beside it"]
+
+
+def test_depth_maps_of_a_transforms_json(tmp_path):
+    frame = {"file_path": "a.jpg", "transform_matrix": np.eye(4).tolist(), "depth_file_path": "d.npy"}
+    (tmp_path / "a.json").write_text(json.dumps({"frames": [frame], "ply_file_path": "gone.ply"}))
+    (tmp_path / "b.json").write_text(json.dumps({"frames": [frame], "integer_depth_scale": 0.001}))
+    out, notes = applied(tmp_path, tmp_path / "a.json", tmp_path / "b.json")
+    assert notes == [
+        "refers to gone.ply, which is not beside it",
+        "the depth maps that it names stay in model units: read them times 14.157",
+    ]
+    assert json.loads((out / "b.json").read_text())["integer_depth_scale"] == pytest.approx(0.014157)
+
+
+@pytest.mark.parametrize("same", [True, False])
+@pytest.mark.parametrize("kind", ["gltf", "obj", "json", "cloud"])
+def test_files_of_one_name_do_not_take_each_others_place(tmp_path, kind, same):
+    for name in "ab":
+        home = tmp_path / name
+        home.mkdir()
+        varied = "a" if same else name
+        ply(home / "c.ply", "ascii", ["x", "y", "z"], XYZ * (1 + "ab".index(varied)))
+        frame = {"file_path": "a.jpg", "transform_matrix": np.eye(4).tolist()}
+        written(
+            home,
+            **{
+                "s.bin": varied * 4,
+                f"{name}.gltf": json.dumps(gltf(buffers=[{"uri": "s.bin"}])),
+                "m.mtl": f"newmtl {varied}\n",
+                f"{name}.obj": "mtllib m.mtl\nv 1 2 3\n",
+                f"{name}.json": json.dumps({"frames": [frame], "ply_file_path": "c.ply"}),
+            },
+        )
+    second = tmp_path / ("b/c.ply" if kind == "cloud" else f"b/b.{kind}")
+    first = tmp_path / ("a/a.json" if kind == "cloud" else f"a/a.{kind}")
+    if same:
+        assert len(list(applied(tmp_path, first, second)[0].iterdir())) == (3 if kind == "cloud" else 4)
+    else:
+        for k, files in enumerate(((first, second), (second, first))):
+            with pytest.raises(UsageError, match="would both become"):
+                applied(tmp_path, *files, out=f"none{k}")
+    assert not list(tmp_path.glob("none*"))
+
+
+def test_links_keep_their_own_names(tmp_path):
+    """As in the caches of DVC, git-annex and Hugging Face, whose files are links to blobs."""
+    home = written(
+        tmp_path / "blobs", **{"1": "mtllib a.mtl\nv 1 2 3\n", "2": "newmtl a\n"}
+    ).parent / "snapshot"  # fmt: skip
+    home.mkdir()
+    (home / "m.obj").symlink_to("../blobs/1")
+    (home / "a.mtl").symlink_to("../blobs/2")
+    out, notes = applied(tmp_path, home / "m.obj")
+    assert {path.name for path in out.iterdir()} == {"m.obj", "a.mtl", ".orthoscale.json"} and notes == ["with a.mtl"]
+
+
+def test_nothing_to_apply_to(tmp_path):
+    with pytest.raises(UsageError, match="an empty list"):
+        applied(tmp_path)
+    assert not (tmp_path / "metric").exists()
+    cloud = ply(tmp_path / "a.ply", "ascii", ["x", "y", "z"], XYZ)
+    with pytest.raises(UsageError, match=r"two FILEs are called a\.ply"):
+        applied(tmp_path, cloud, cloud)
 
 
 @pytest.mark.slow

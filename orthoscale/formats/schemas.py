@@ -689,6 +689,7 @@ class Transforms(Intrinsics, kw_only=True):
     frames: list[Frame]
     applied_transform: tuple[Row, Row, Row] | UnsetType = UNSET
     ply_file_path: Text | UnsetType = UNSET
+    integer_depth_scale: Finite | UnsetType = UNSET
 
 
 class OpensfmCamera(Struct):

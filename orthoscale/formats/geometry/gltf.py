@@ -14,11 +14,12 @@ from urllib.parse import unquote
 
 from ...errors import InputError
 from ..reading import EXPORT_ANEW, HUGE, MIB, checked, parsed, read_plain
-from .beside import beside
+from .beside import Referred, beside
 from .mark import MARK, mark, refuse_marked
 
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
 A_SCENE = "a glTF scene"
+NOT_BESIDE = ("data:", "http:", "https:")  # how addresses begin that are of no file beside it
 
 
 def scale_glb(source: Path, target: Path, scale: float) -> None:
@@ -43,14 +44,16 @@ def scale_glb(source: Path, target: Path, scale: float) -> None:
             shutil.copyfileobj(file, out, 1 << 20)
 
 
-def scale_gltf(source: Path, target: Path, scale: float) -> list[Path]:
+def scale_gltf(source: Path, target: Path, scale: float) -> Referred:
     """The same for a .gltf text file; returns the buffers and images beside it that it refers to."""
     text = read_plain(source, A_SCENE, EXPORT_ANEW, HUGE)
     target.write_text(json.dumps(_scaled(source, text, scale), indent=1), encoding="utf-8")
     told = [part.get("uri") or "" for part in (*text.get("buffers", []), *text.get("images", []))]
     # Names are percent-encoded (glTF 2.0, 2.8); not all exporters do so.
-    found = [beside(source, unquote(uri)) or beside(source, uri) for uri in told if uri and not uri.startswith("data:")]
-    return [path for path in found if path is not None]
+    names = [uri if beside(source, uri) else unquote(uri) for uri in told if not uri.startswith(NOT_BESIDE)]
+    files = Referred()
+    files.add(source, names)
+    return files
 
 
 def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
