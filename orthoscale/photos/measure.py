@@ -103,6 +103,8 @@ def open_photo(
 
     Raises InputError for what is no photo or has no focal length, UsageError for an impossible pitch or a roll alone.
     """
+    if roll is not None and not np.isfinite(roll):
+        raise UsageError(f"--roll must be a number of degrees, not {roll}")
     tags = read_tags(path)
     try:
         lens = lens_of(tags, lens_file, focal_px)
