@@ -20,7 +20,8 @@ def apply(
     """Write `files`, in the units of the model that `sim3` belongs to, again in metres into the folder `out`.
 
     sim3 : the sim3.json that `fix` wrote. files : PLY (cloud, mesh or splat), OBJ, GLB, glTF, transforms.json,
-    reconstruction.json, or folders of sparse models and dense workspaces, one or several; they are never touched.
+    reconstruction.json, LAS, LAZ, PCD, XYZ, PTS, STL, OFF, .splat, or folders of sparse models and dense workspaces,
+    one or several; they are never touched.
     Returns what was written, with notes on each; all of it, or none. Raises UsageError, InputError, OutputError.
     """
     sim3, out = path_of(sim3, "the path of a sim3.json"), path_of(out, "the path of the output folder")

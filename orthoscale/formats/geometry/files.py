@@ -5,22 +5,39 @@ from __future__ import annotations
 import filecmp
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 from ...errors import InputError, UsageError, shown
 from .beside import Referred
 from .dense import scale_depth_map
 from .gltf import scale_glb, scale_gltf
-from .mesh import CLOUDS, MESHES, scale_mesh
+from .las import scale_las
+from .lines import POINTS, scale_off, scale_points
 from .obj import scale_obj
+from .pcd import scale_pcd
 from .ply import scale_ply
 from .poses import read_poses, scale_reconstruction, scale_transforms
+from .records import scale_splat, scale_stl
 from .text_models import SUFFIXES, scale_text_model
 
 KNOWN = (
     "Convert it first. Known are PLY (splats too), OBJ, GLB, glTF, transforms.json, reconstruction.json, bundle.out, "
-    "NVM, depth maps, folders of COLMAP; with Open3D also STL, OFF, PCD, XYZ, PTS."
+    "NVM, depth maps, folders of COLMAP, LAS, LAZ, PCD, XYZ, PTS, STL, OFF, .splat."
 )
+# Formats of one file each.
+ALONE: dict[str, Callable[[Path, Path, float], None]] = {
+    ".glb": scale_glb,
+    ".las": scale_las,
+    ".laz": scale_las,
+    ".off": scale_off,
+    ".pcd": scale_pcd,
+    ".splat": scale_splat,
+    ".stl": scale_stl,
+    **dict.fromkeys(POINTS, scale_points),
+    **dict.fromkeys(SUFFIXES, scale_text_model),
+}
+WITH_OTHERS = {".ply": scale_ply, ".obj": scale_obj, ".gltf": scale_gltf}
 
 
 class Places:
@@ -52,26 +69,18 @@ def scale_file(source: Path, target: Path, scale: float, places: Places | None =
     suffix = source.suffix.lower()
     copied, scaled = Referred(), Referred()
     notes: list[str] = []
-    if suffix == ".ply":
-        copied = scale_ply(source, target, scale)
-    elif suffix == ".obj":
-        copied = scale_obj(source, target, scale)
-    elif suffix == ".glb":
-        scale_glb(source, target, scale)
-    elif suffix == ".gltf":
-        copied = scale_gltf(source, target, scale)
+    if suffix in WITH_OTHERS:
+        copied = WITH_OTHERS[suffix](source, target, scale)
+    elif suffix in ALONE:
+        ALONE[suffix](source, target, scale)
     elif suffix == ".json" and isinstance(read_poses(source), list):
         scale_reconstruction(source, target, scale)
     elif suffix == ".json":
         scaled, notes = scale_transforms(source, target, scale)
     elif suffix == ".bin" and source.parent.name == "depth_maps":
         scale_depth_map(source, target, scale)
-    elif suffix in SUFFIXES:
-        scale_text_model(source, target, scale)
-    elif suffix in MESHES | CLOUDS:
-        scale_mesh(source, target, scale)
     else:
-        raise InputError(f"{source}: {suffix or 'a file without suffix'} cannot be scaled", KNOWN)
+        raise InputError(_unknown(source), KNOWN)
     for path in copied.there:
         if places.take(place := _beside(path, source, target), path):
             shutil.copyfile(path, place)
@@ -94,13 +103,17 @@ def _beside(path: Path, source: Path, target: Path) -> Path:
 
 
 def reason_left(source: Path, target: Path, scale: float) -> str:
-    """Write one file of geometry in metres and return '', or return why it cannot be (no Open3D, unknown format)."""
+    """Write one file of geometry in metres and return '', or return why it cannot be (an unknown format, in metres
+    already). Raises InputError for one that is damaged."""
+    if source.suffix.lower() not in {*WITH_OTHERS, *ALONE}:
+        return _unknown(source)
     try:
         scale_file(source, target, scale)
     except UsageError as error:
-        return error.message
-    except InputError as error:
-        if source.suffix.lower() in {".ply", ".obj", ".glb", ".gltf"}:
-            raise  # damaged
+        target.unlink(missing_ok=True)
         return error.message
     return ""
+
+
+def _unknown(source: Path) -> str:
+    return f"{source}: {source.suffix or 'a file without suffix'} cannot be scaled"

@@ -216,6 +216,8 @@ def _ascii(
     for k in range(vertex.count):
         words = file.readline().split()
         try:
+            if len(words) < len(names):
+                raise ValueError("some are missing")
             for j in grow:
                 words[j] = f"{float(words[j]) * scale:.{digits}g}".encode()
             for j in add:
