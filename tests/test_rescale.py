@@ -322,7 +322,10 @@ def test_pcd(tmp_path, form, monkeypatch):
             assert (new[name] == rows[name] * (2 if name in "xyz" else 1)).all()
     with pytest.raises(UsageError, match="in metres already"):
         scale_path(tmp_path / "b.pcd", tmp_path / "c.pcd", 2)
-    for damaged in (pcd(form, body[:-9]), pcd(form, body, 10**7), pcd("zip", body), b"# .PCD\nFIELDS x\n"):
+    if form == "binary_compressed":
+        body = b"\xff" * 4 + body[4:]  # so many bytes
+    wide = pcd(form, body).replace(b"COUNT 1 4", b"COUNT 1 4000000000000")
+    for damaged in (pcd(form, body[:-9]), pcd(form, body, 10**7), pcd("zip", body), wide, b"# .PCD\nFIELDS x\n"):
         (tmp_path / "a.pcd").write_bytes(damaged)
         with pytest.raises(InputError, match=r"a\.pcd"):
             scale_path(tmp_path / "a.pcd", tmp_path / "d.pcd", 2)
@@ -366,6 +369,7 @@ def test_las_and_laz_are_scaled_in_their_headers(tmp_path):
         (las(b"copc", 1, bytes(160)), InputError, "COPC"),
         (las(form=4), InputError, "waveforms"),
         (las(b"x", 1, b"y")[:400], InputError, "400 bytes"),
+        (las()[:235] + b"\xff" * 12 + las()[247:], InputError, "records"),
         (las()[:200], InputError, "not a LAS file"),
         (b"LASX" + las()[4:], InputError, "not a LAS file"),
     ],

@@ -67,7 +67,7 @@ def _walk(
     path: Path, file: BinaryIO, size: int, start: int, count: int, form: str
 ) -> Iterator[tuple[bytes, int, bytes]]:
     for _ in range(count):
-        file.seek(start)
+        file.seek(min(start, size))
         record = file.read(struct.calcsize(form))
         if len(record) < struct.calcsize(form):
             raise InputError(f"{path}: {size} bytes, but records in its header lie behind them", EXPORT_ANEW)

@@ -46,6 +46,8 @@ def scale_pcd(source: Path, target: Path, scale: float) -> None:
             digits = 15 if any(f.kind == "f8" for f in lengths) else 9
             _ascii(source, file, out, fields, count, scale, digits)
         elif form == "binary":
+            if count * stride > source.stat().st_size:  # before memory is asked for
+                raise InputError(f"{source}: ends within its {count} points", EXPORT_ANEW)
             for start in range(0, count, ROWS):
                 many = min(ROWS, count - start)
                 points = np.frombuffer(file.read(many * stride), np.uint8).copy()
@@ -118,8 +120,8 @@ def _decompressed(path: Path, file: BinaryIO, fields: list[_Field], count: int, 
     if size > HUGE:
         raise InputError(f"{path}: larger than the {HUGE // MIB} MiB that may be compressed", "Save it as binary PCD.")
     try:
-        if size != count * stride:
-            raise ValueError("another number of points")
+        if size != count * stride or packed > path.stat().st_size:
+            raise ValueError("another number of points, or fewer bytes")
         data = _lzf(file.read(packed), size)
     except (ValueError, IndexError) as error:
         raise InputError(f"{path}: its compressed points are damaged", EXPORT_ANEW) from error
