@@ -227,6 +227,12 @@ def test_a_bad_option_is_refused_before_anything_is_read(options, says):
         orthoscale.fix("there/is/no/such.tif", "out.tif", **options)
 
 
+def test_a_value_of_any_length_is_named_in_short():
+    with pytest.raises(UsageError, match=r"--fleet takes a text, not Fleet\(code='US'") as caught:
+        EstimateRequest(fleet=orthoscale.load_fleet("US"))
+    assert len(caught.value.message) < 120
+
+
 def test_numbers_of_numpy_are_numbers():
     request = EstimateRequest(gsd_hint=np.float32(0.5), workers=np.int64(2))
     assert request == EstimateRequest(gsd_hint=0.5, workers=2)

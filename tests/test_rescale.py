@@ -176,10 +176,24 @@ def test_gltf_with_its_buffer(tmp_path):
     assert world_points(json.loads((tmp_path / "out/a.gltf").read_text()), 0) == [(3, 3)]
 
 
+def test_the_centre_of_3d_tiles_grows_as_well(tmp_path):
+    (tmp_path / "a.gltf").write_text(json.dumps(gltf(extensions={"CESIUM_RTC": {"center": [1, 2, 3]}, "other": 1})))
+    scale_path(tmp_path / "a.gltf", tmp_path / "b.gltf", 2)
+    assert json.loads((tmp_path / "b.gltf").read_text())["extensions"] == {
+        "CESIUM_RTC": {"center": [2, 4, 6]}, "other": 1
+    }  # fmt: skip
+
+
 def test_damaged_glb(tmp_path):
     whole = glb(tmp_path / "a.glb", gltf()).read_bytes()
     damaged = [whole[:k] for k in (0, 3, 15, 40, len(whole) - 1)] + [b"glXX" + whole[4:], whole + b"\0"]
-    for text in ({}, {"asset": {}, "nodes": [], "scenes": []}, gltf(scenes=[{"nodes": [9]}]), gltf(nodes=None)):
+    for text in (
+        {},
+        {"asset": {}, "nodes": [], "scenes": []},
+        gltf(scenes=[{"nodes": [9]}]),
+        gltf(nodes=None),
+        gltf(extensions={"CESIUM_RTC": {"center": [1]}}),
+    ):
         damaged.append(glb(tmp_path / "t.glb", text).read_bytes())
     for data in damaged:
         (tmp_path / "a.glb").write_bytes(data)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from ..anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
-from ..errors import UsageError
+from ..errors import UsageError, shown
 
 if TYPE_CHECKING:
     from typing import Self
@@ -497,7 +497,7 @@ def _checked(of: Field, about: Option, value: Any) -> Any:
 def listed(name: str, value: Any) -> Sequence[Any]:
     """`value` of the option `name`, which takes several. Raises UsageError for a text, which is one."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
-        raise UsageError(f"{name} takes a list of values, not {value!r}")
+        raise UsageError(f"{name} takes a list of values, not {shown(repr(value))}")
     return value
 
 
@@ -511,7 +511,7 @@ def number(name: str, value: Any, kind: type = float) -> Any:
             return int(value)
         if kind is float and isinstance(value, numbers.Real):
             return float(value)
-    raise UsageError(f"{name} takes {_KINDS[kind][1]}, not {value!r}")
+    raise UsageError(f"{name} takes {_KINDS[kind][1]}, not {shown(repr(value))}")
 
 
 def _check(name: str, about: Option, value: Any) -> Any:
@@ -519,7 +519,7 @@ def _check(name: str, about: Option, value: Any) -> Any:
     if about.kind in (float, int):
         value = number(name, value, about.kind)
     elif not isinstance(value, wanted):
-        raise UsageError(f"{name} takes {called}, not {value!r}")
+        raise UsageError(f"{name} takes {called}, not {shown(repr(value))}")
     if about.choices and value not in about.choices:
         raise UsageError(f"{name} {value} is none of {', '.join(about.choices)}", _nearest(value, about.choices))
     if about.positive and not (math.isfinite(value) and value > 0):

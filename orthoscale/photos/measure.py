@@ -164,7 +164,7 @@ class Measure:
     @classmethod
     def log_normal(cls, value: float, sd: float) -> Measure:
         """A value and its 90 % interval, for one sigma `sd` of its logarithm."""
-        return cls(value, value * np.exp(-Z90 * sd), value * np.exp(Z90 * sd))
+        return cls(float(value), float(value * np.exp(-Z90 * sd)), float(value * np.exp(Z90 * sd)))
 
     def __str__(self) -> str:
         places = decimals((self.high - self.low) / 2)

@@ -1,6 +1,7 @@
 """glTF 2.0, as .glb or .gltf: every scene gets a root node with the scale, so that no buffer is changed.
 
-The root node applies to all that is below it: meshes, skins, animations, quantised or compressed geometry.
+The root node applies to all that is below it: meshes, skins, animations, quantised or compressed geometry. Only the
+centre that 3D Tiles add (CESIUM_RTC) is not below it.
 """
 
 from __future__ import annotations
@@ -76,5 +77,7 @@ def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
     if not above:
         raise InputError(f"{path}: its scenes are empty", hint)
     nodes += [{"name": "metres", "scale": [scale] * 3, "children": [root]} for root in above]
+    if centre := (text.get("extensions") or {}).get("CESIUM_RTC"):  # outside of all nodes
+        centre["center"] = [value * scale for value in centre["center"]]
     asset["extras"] = {**(asset.get("extras") or {}), MARK: mark(scale)}
     return text
