@@ -56,6 +56,8 @@ POOLED = 0.006  # of a scale, relative: what the mixture of classes may be off w
             None, None, None,
         ),
         ('Camera:Pitch="steep"', None, None, None),
+        ('drone-dji:GimbalPitchDegree="-600/10" drone-dji:GimbalRollDegree="0/1"', -60, 0, None),
+        ('drone-dji:GimbalPitchDegree="-6/0"', None, None, None),
         ("", None, None, None),
     ],
 )  # fmt: skip
@@ -125,6 +127,11 @@ def test_place_altitude_and_camera(tmp_path, place):
     tags = read_tags(path)
     assert (tags.make, tags.model, tags.relative_altitude, tags.calibrated_px) == ("DJI", "FC6310", 40.1, 3666.67)
     assert tags.lon_lat == pytest.approx(place, abs=1e-9) and tags.dewarped
+
+
+@pytest.mark.parametrize("xmp", ['Camera:Pitch="-60,5"', 'drone-dji:GimbalPitchDegree="-60,5"'])
+def test_a_pitch_that_is_no_number_is_said(tmp_path, xmp):
+    assert read_tags(write_photo(tmp_path / "a.jpg", xmp)).notes == ("its pitch of '-60,5' is no number: passed over",)
 
 
 def test_damaged_xmp_is_passed_over_and_said(tmp_path):

@@ -20,11 +20,12 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from ..core.projection.level import up_from_survey
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..formats.reading import check_regular
 
 SIDES = {"N": 1, "S": -1, "E": 1, "W": -1}
@@ -192,8 +193,10 @@ def _local(name: str) -> str:
 def _angles(xmp: Mapping[str, str], notes: list[str]) -> tuple[float | None, float | None, float | None]:
     """Pitch, roll, yaw [deg] from whichever schema has a pitch."""
     for form in ("Gimbal{}Degree", "Camera{}Degree", "CameraOrientationNED.{}"):
-        pitch, roll, yaw = (_number(xmp.get(form.format(axis))) for axis in ("Pitch", "Roll", "Yaw"))
+        told = [xmp.get(form.format(axis)) for axis in ("Pitch", "Roll", "Yaw")]
+        pitch, roll, yaw = map(_number, told)
         if pitch is None:
+            notes += _no_pitch(told[0])
             continue
         if pitch == roll == yaw == 0:
             notes.append("its gimbal angles are all exactly zero, as by a camera that does not know them: passed over")
@@ -201,11 +204,16 @@ def _angles(xmp: Mapping[str, str], notes: list[str]) -> tuple[float | None, flo
         return pitch, roll, yaw
     pitch, roll, yaw = (_number(xmp.get(axis)) for axis in ("Pitch", "Roll", "Yaw"))
     if pitch is None:
+        notes += _no_pitch(xmp.get("Pitch"))
         return None, None, None
     if pitch < BACKWARDS:
         notes.append(f"its Camera:Pitch of {pitch:g} is taken for a gimbal angle, -90 straight down")
         return pitch, roll, yaw
     return _gimbal_angles(pitch, roll, yaw) if roll else (pitch - 90.0, roll, yaw)
+
+
+def _no_pitch(text: str | None) -> list[str]:
+    return [] if text is None else [f"its pitch of {shown(text)!r} is no number: passed over"]
 
 
 def _gimbal_angles(pitch: float, roll: float, yaw: float | None) -> tuple[float, float, float | None]:
@@ -248,9 +256,10 @@ def _letter(value: Any) -> str:
 
 
 def _number(value: Any) -> float | None:
+    """A finite number; in XMP it may be a fraction, too, as EXIF's are there."""
     try:
-        number = float(value)
-    except (TypeError, ValueError, ZeroDivisionError):
+        number = float(Fraction(value) if isinstance(value, str) and "/" in value else value)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return None
     return number if math.isfinite(number) else None
 
