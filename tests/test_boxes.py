@@ -164,3 +164,10 @@ def test_many_boxes_on_one_another_leave_one():
     giant = Boxes([[500.0, 500.0, 44_000.0, 20_000.0, 0.0]], [0.7])
     left = suppress(Boxes.concatenate([many, giant]))
     assert left.score == pytest.approx([0.9, 0.7])
+
+
+@pytest.mark.parametrize("shape", [(5, 4), (3, 4), (5,), (2, 5, 1)])
+def test_boxes_have_five_columns(shape):
+    """(5, 4) has as many numbers as four boxes."""
+    with pytest.raises(ValueError, match="boxes of shape"):
+        Boxes(np.ones(shape), np.ones(4))

@@ -10,6 +10,7 @@ from support import in_process
 
 from orthoscale.errors import InputError
 from orthoscale.evaluate.methods import METHODS
+from orthoscale.evaluate.places import places_of_csv
 from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, changed, read_samples
 from orthoscale.evaluate.score import score, summary
 from orthoscale.evaluate.surface import Surface
@@ -86,6 +87,23 @@ def test_a_table_with_pitch_and_focal_length(folders):
     samples, _ = read_samples(folders / "table" / "photos.csv")
     assert [round(np.degrees(s.photo.pitch)) for s in samples] == [-90, -70, -55]
     assert {s.photo.lens.focal_px for s in samples} == {900.0} and samples[0].region == "photos"
+
+
+@pytest.mark.parametrize(
+    ("head", "row"),
+    [
+        ("Image;Altitude_m;Focal_px;Longitude;Latitude", "photos/000.jpg;50;900;8.5;47.25"),  # as spreadsheets save it
+        ("image, altitude_m, focal_px, longitude, latitude", "photos/000.jpg, 50, 900, 8.5, 47.25"),
+        ("\ufeffimage\taltitude_m\tfocal_px\tlongitude\tlatitude", "photos/000.jpg\t50\t900\t8.5\t47.25"),
+    ],
+)
+def test_tables_as_other_programs_save_them(folders, tmp_path, head, row):
+    folder = tmp_path / "copy"
+    shutil.copytree(folders / "table", folder)
+    (folder / "photos.csv").write_text(f"{head}\n{row}\n")
+    ((sample,), _) = read_samples(folder / "photos.csv")
+    assert (sample.altitude, sample.photo.lens.focal_px) == (50, 900)
+    assert list(places_of_csv(folder / "photos.csv").values()) == [(8.5, 47.25)]
 
 
 def measured(folders, name):
@@ -180,6 +198,7 @@ def break_csv(text):
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,-5\n"), "positive"),
         ("table", break_csv("image,altitude_m,focal_px\nnowhere.jpg,50,900\n"), "nowhere.jpg"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,50\n"), "no focal length"),
+        ("table", break_csv("image,altitude_m,pitch_deg\nphotos/000.jpg,50,90\n"), "line 2: pitch_deg is 90"),
         ("visloc", lambda f: (f / "01" / "camera.xml").write_text("<calibration/>"), "camera.xml"),
         ("visloc", lambda f: (f / "01" / "camera.xml").unlink(), "no camera.xml"),
         ("visloc", lambda f: (f / "02" / "reference.txt").write_text("a b c\n"), "no pose"),

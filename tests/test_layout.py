@@ -355,6 +355,18 @@ def test_bad_input_ends_in_one_sentence_and_nothing_written(tmp_path, ring, opti
     assert word in done.stderr and "Traceback" not in done.stderr and not (tmp_path / "out").exists()
 
 
+def test_an_orthophoto_with_a_world_file_alone(tmp_path):
+    with rasterio.open(
+        tmp_path / "a.tif", "w", "GTiff", 700, 500, 3, None, Affine(0.1, 0, 5, 0, -0.1, 9), "uint8"
+    ) as out:
+        out.write(np.full((3, 500, 700), 128, np.uint8))
+    lot = lot_file(tmp_path / "lot.geojson", [(50, 50), (650, 40), (660, 450), (60, 440)])
+    done = run(tmp_path / "a.tif", "--lot", lot, "--lot-pixels", "--facility", "tennis", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    meta, _, (area,), _ = pyogrio.raw.read(tmp_path / "out" / "layout.gpkg", layer="facilities")
+    assert meta["crs"] is None and shapely.from_wkb(area).area == pytest.approx(23.77 * 10.97)
+
+
 def test_an_orthophoto_without_metres_is_refused(tmp_path):
     orthophoto(tmp_path)
     lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45)])

@@ -33,6 +33,7 @@ from orthoscale.locate.maps import MapFeatures, MapGrid
 from orthoscale.locate.opinions import opinions
 from orthoscale.locate.register import Known, heading_steps, register, scale_steps
 from orthoscale.locate.retrieval import Embedding
+from orthoscale.locate.terminal import summary
 from orthoscale.locate.verify import Similarity, agreeing, needed
 from orthoscale.photos.measure import Measure, open_photo
 from orthoscale.sources.raster import RasterSource
@@ -551,3 +552,12 @@ def test_success_is_told_by_scale_error(ground, sky, tmp_path):
     assert text["used_ratio"] == 0 and by_scale["estimated"]["searched"] == 0
     assert by_scale["true"]["near"] == by_scale["+0.05"]["near"] == 1.0
     assert by_scale["-0.7"]["answered"] == 0.0
+
+
+def test_a_heading_just_short_of_north_is_no_heading_of_360_degrees(tmp_path):
+    photo = {
+        "photo": "a.jpg", "located": True, "foot": [9.0, 49.6], "foot_crs": [500059.5, 5499949.0],
+        "heading_deg": 359.97, "altitude_m": None, "inliers": 665, "needed": 183, "score": 0.75,
+        "map_scale": {"value": 0.085, "low": 0.084, "high": 0.086}, "together": None, "agreement": {"said": ""},
+    }  # fmt: skip
+    assert "heading    0.0 degrees" in summary({"photos": [photo], "notes": []}, tmp_path)

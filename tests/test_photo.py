@@ -8,6 +8,7 @@ import numpy as np
 import pyogrio
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 from support import in_process
 from support.bodies import CAR, VAN, VAN_CORNER, block, body
 from support.camera import simple_views
@@ -22,8 +23,9 @@ from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.photos.lens import lens_of, read_calibration
 from orthoscale.photos.looking import Looking, boxes_of
-from orthoscale.photos.measure import measure, open_photo
+from orthoscale.photos.measure import find_photos, measure, open_photo
 from orthoscale.photos.survey import measure_together, open_photos
+from orthoscale.photos.survey import photo as survey_photos
 from orthoscale.photos.tags import Tags, read_tags
 from orthoscale.synthetic import Pose
 
@@ -47,19 +49,75 @@ POOLED = 0.006  # of a scale, relative: what the mixture of classes may be off w
             '|<sky:CameraOrientationNED rdf:parseType="Resource"><sky:Pitch>-84</sky:Pitch></sky:CameraOrientationNED>',
             -84, None, None,
         ),
-        ('Camera:Pitch="7.5" Camera:Roll="-1" Camera:Yaw="300"', -82.5, -1, 300),  # 0 is straight down here
+        ('Camera:Pitch="7.5" Camera:Roll="0" Camera:Yaw="300"', -82.5, 0, 300),  # 0 is straight down here
         ('Camera:Pitch="-85" Camera:Roll="0"', -85, 0, None),  # Autel's own reading of that schema
         (  # a camera that does not know its gimbal
             'drone-dji:GimbalPitchDegree="+0.00" drone-dji:GimbalRollDegree="+0.00" drone-dji:GimbalYawDegree="+0.00"',
             None, None, None,
         ),
         ('Camera:Pitch="steep"', None, None, None),
+        ('drone-dji:GimbalPitchDegree="-600/10" drone-dji:GimbalRollDegree="0/1"', -60, 0, None),
+        ('drone-dji:GimbalPitchDegree="-6/0"', None, None, None),
         ("", None, None, None),
     ],
 )  # fmt: skip
 def test_makers_angles_get_one_meaning(tmp_path, xmp, pitch, roll, yaw):
     tags = read_tags(write_photo(tmp_path / "a.jpg", xmp))
     assert (tags.pitch, tags.roll, tags.yaw) == (pitch, roll, yaw)
+
+
+@pytest.mark.parametrize(("pitch", "roll"), [(0, 10), (7.5, -1), (-4, 12), (30, 5)])
+def test_wings_that_roll_tilt_a_camera_that_looks_down(tmp_path, pitch, roll):
+    xmp = f'Camera:Pitch="{pitch}" Camera:Roll="{roll}" Camera:Yaw="30"'
+    tags = read_tags(write_photo(tmp_path / "a.jpg", xmp))
+    up = up_from_gimbal(*np.radians([tags.pitch, tags.roll]))
+    assert up == pytest.approx(up_from_survey(*np.radians([pitch, roll])), abs=1e-7)
+    # Axes right, forward, up: the picture's top and the optical axis, turned by roll, pitch and yaw.
+    east, north, _ = Rotation.from_euler("ZXY", [-30, pitch, roll], degrees=True).apply([0, 1, -1])
+    assert np.degrees(np.arctan2(east, north)) % 360 == pytest.approx(tags.yaw, abs=1e-5)
+
+
+def test_xmp_without_its_outer_element(tmp_path):
+    packet = (
+        '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
+        'xmlns:d="http://www.dji.com/drone-dji/1.0/" d:GimbalPitchDegree="-60.0"/></rdf:RDF>'
+    )
+    Image.new("RGB", (8, 6)).save(tmp_path / "a.jpg", xmp=packet.encode())
+    assert read_tags(tmp_path / "a.jpg").pitch == -60
+
+
+@pytest.mark.parametrize(
+    ("sides", "place"),
+    [
+        (("S", "W"), (-58.5, -34.5)),
+        (("s", "w"), (-58.5, -34.5)),
+        (("South", "West"), (-58.5, -34.5)),
+        ((b"S\0", b"W\0"), (-58.5, -34.5)),
+        (("N", "E"), (58.5, 34.5)),
+        (("", ""), None),  # somewhere in four places
+    ],
+)
+def test_sides_of_the_earth_in_any_spelling(tmp_path, sides, place):
+    exif = Image.Exif()
+    exif.get_ifd(0x8825).update({1: sides[0], 2: (34.0, 30.0, 0.0), 3: sides[1], 4: (58.0, 30.0, 0.0)})
+    Image.new("RGB", (8, 6)).save(tmp_path / "a.jpg", exif=exif)
+    assert read_tags(tmp_path / "a.jpg").lon_lat == place
+
+
+def test_raw_photos_and_hidden_files_are_no_photos(tmp_path):
+    exif = Image.Exif()
+    exif[0x00FE] = 1  # a reduced picture
+    Image.new("RGB", (256, 192)).save(tmp_path / "a.dng", format="TIFF", exif=exif)
+    (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(99))
+    for name in ("a.dng", "a.heic"):
+        with pytest.raises(InputError, match=name) as caught:
+            read_tags(tmp_path / name)
+        assert "convert HEIC and raw" in caught.value.hint
+    with pytest.raises(InputError, match="no photo in this folder"):
+        find_photos([tmp_path])
+    write_photo(tmp_path / "a.jpg")
+    (tmp_path / "._a.jpg").write_bytes(b"\0\5\x16\7")  # macOS leaves these on cards
+    assert list(find_photos([tmp_path])) == ["a.jpg"]
 
 
 @pytest.mark.parametrize("place", [(8.5, 47.25), (-58.4, -34.6), (-91.99, 46.84)])
@@ -69,6 +127,11 @@ def test_place_altitude_and_camera(tmp_path, place):
     tags = read_tags(path)
     assert (tags.make, tags.model, tags.relative_altitude, tags.calibrated_px) == ("DJI", "FC6310", 40.1, 3666.67)
     assert tags.lon_lat == pytest.approx(place, abs=1e-9) and tags.dewarped
+
+
+@pytest.mark.parametrize("xmp", ['Camera:Pitch="-60,5"', 'drone-dji:GimbalPitchDegree="-60,5"'])
+def test_a_pitch_that_is_no_number_is_said(tmp_path, xmp):
+    assert read_tags(write_photo(tmp_path / "a.jpg", xmp)).notes == ("its pitch of '-60,5' is no number: passed over",)
 
 
 def test_damaged_xmp_is_passed_over_and_said(tmp_path):
@@ -110,13 +173,42 @@ def tags(width=4000, height=3000, full_width=None, **values):
         (tags(2000, 1500, 4000, calibrated_px=2300.0), 1150.0),
         (tags(calibrated_px=3.61, focal_35mm=20), 20 / np.hypot(36, 24) * 5000),  # millimetres, not pixels
         (tags(2000, 1500, 4000, dewarp=(2310, 2310, -4, 6, -0.01, 0, 0, 0, 0), focal_35mm=24), 1155.0),
+        (tags(2000, 1500, 4000, full_height=3000, calibrated_px=2300.0), 1150.0),
+        (tags(3000, 4000, 4000, full_height=3000, calibrated_px=2300.0), 2300.0),  # turned since
+        (tags(1500, 2000, 4000, full_height=3000, focal_mm=8.8, plane_px_per_mm=4000 / 13.2), 2000 * 8.8 / 13.2),
+        (tags(3000, 4000, 4000, full_height=3000, dewarp=(2310, 2310, -4, 6, -0.01, 0, 0, 0, 0)), 2310.0),
+        (tags(4000, 2250, 4000, full_height=3000, focal_35mm=20), 20 / np.hypot(36, 24) * 5000),  # cropped to 16:9
+        (tags(4000, 2250, 4000, full_height=3000, dewarp=(2310, 2310, -4, 6, -0.01, 0, 0, 0, 0)), 2310.0),
+        (tags(4000, 3000, 160, full_height=110, calibrated_px=2300.0), 2300.0),  # EXIF tells a thumbnail's size
+        (
+            tags(4000, 3000, 160, full_height=120, focal_35mm=20, dewarp=(2310,) * 2 + (0,) * 7),
+            20 / np.hypot(36, 24) * 5000,
+        ),
+        (tags(focal_mm=8.8, plane_px_per_mm=4000 / 13.2 / 25.4, focal_35mm=24), 24 / np.hypot(36, 24) * 5000),
+        (tags(focal_mm=8.8, plane_px_per_mm=4000 / 13.2, digital_zoom=2.0), 2 * 4000 * 8.8 / 13.2),
     ],
 )
 def test_focal_length_from_tags(given, focal):
     lens = lens_of(given)
     assert lens.focal_px == pytest.approx(focal, rel=1e-9)
     assert (lens.camera.width, lens.camera.height) == (given.width, given.height)
-    assert 0 < lens.sd < 0.05
+    assert 0 < lens.sd < (0.05 if given.digital_zoom == 1 else 0.2)
+
+
+def test_what_was_cropped_and_may_be_smaller_is_refused(tmp_path):
+    with pytest.raises(InputError, match="1920 x 1080 px are a part of the 4000 x 3000 px"):
+        lens_of(tags(1920, 1080, 4000, full_height=3000, focal_35mm=20))
+    assert lens_of(tags(1920, 1080, 4000, full_height=3000), focal_px=1000.0).focal_px == 1000
+
+
+def test_a_photo_that_was_turned_has_another_pitch(tmp_path):
+    exif = {0xA405: 24, 0xA002: SIZE[1], 0xA003: SIZE[0]}
+    flat = write_photo(tmp_path / "a.jpg", 'drone-dji:GimbalPitchDegree="-60.0"', exif)
+    with pytest.raises(InputError, match="quarter turn"):
+        open_photo(flat)
+    assert np.degrees(open_photo(flat, pitch=-60, roll=90).pitch) == pytest.approx(-60)
+    down = write_photo(tmp_path / "b.jpg", 'drone-dji:GimbalPitchDegree="-89.9"', exif)
+    assert np.degrees(open_photo(down).pitch) == pytest.approx(-89.9)
 
 
 def test_dewarp_data_bends_the_lens_unless_the_camera_has_straightened_it():
@@ -359,6 +451,22 @@ def test_one_photo_is_answered_in_full(flight):
     assert told[:2] == ["drone", "59.0"] and float(told[2]) == pytest.approx(59 / ALTITUDE, rel=0.01)
     assumed = run(folder / "a.jpg", *rules, "--pitch", "-60", "--focal-px", FOCAL)
     assert ", given" in assumed.stdout
+
+
+@pytest.mark.parametrize(("xmp", "code", "said"), [
+    ('drone-dji:GimbalPitchDegree="-60" drone-dji:RelativeAltitude="-12.5"', 0, "drone          -12.5           the"),
+    ('drone-dji:GimbalPitchDegree="+60"', 3, "seen from more than 25 degrees (pitch 60, roll 0, from XMP)"),
+])  # fmt: skip
+def test_a_drone_below_its_start_and_a_camera_that_looks_up(flight, xmp, code, said):
+    folder, rules = flight
+    exif = {0xA405: round(FOCAL * np.hypot(36, 24) / np.hypot(*SIZE))}
+    done = run(write_photo(folder / "a.jpg", xmp, exif), *rules)
+    assert done.returncode == code and said in done.stdout + done.stderr
+
+
+def test_no_photo_is_told_from_none_that_can_be_read():
+    with pytest.raises(UsageError, match="an empty list"):
+        survey_photos([])
 
 
 def test_an_unknown_pitch_is_said(tmp_path, flight):

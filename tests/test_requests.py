@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import FrozenInstanceError, fields
+from pathlib import Path
 from types import SimpleNamespace
 from typing import get_type_hints
 
+import numpy as np
 import pytest
 from support.in_process import run
 from support.reports import EXAMPLE, car_park
@@ -20,6 +22,8 @@ from orthoscale.cli.photo_options import LENS_NAMES
 from orthoscale.core.measuring.method import VARIANTS_BY_NAME
 from orthoscale.errors import UsageError
 from orthoscale.report.extras import WRITERS
+
+TOWN = Path(__file__).parents[1] / "examples" / "town" / "ortho.jpg"
 
 
 @pytest.fixture(scope="module")
@@ -221,6 +225,37 @@ def test_a_bad_option_is_refused_before_anything_is_read(options, says):
         orthoscale.estimate("there/is/no/such.tif", **options)
     with pytest.raises(UsageError, match=f"(?s){says}"):
         orthoscale.fix("there/is/no/such.tif", "out.tif", **options)
+
+
+def test_a_value_of_any_length_is_named_in_short():
+    with pytest.raises(UsageError, match=r"--fleet takes a text, not Fleet\(code='US'") as caught:
+        EstimateRequest(fleet=orthoscale.load_fleet("US"))
+    assert len(caught.value.message) < 120
+
+
+def test_numbers_of_numpy_are_numbers():
+    request = EstimateRequest(gsd_hint=np.float32(0.5), workers=np.int64(2))
+    assert request == EstimateRequest(gsd_hint=0.5, workers=2)
+    assert json.dumps(request.settings()) == json.dumps({"gsd_hint": 0.5, "workers": 2})
+    for no_number in (np.array([0.1]), np.bool_(True), True):
+        with pytest.raises(UsageError, match="--gsd-hint takes a number"):
+            EstimateRequest(gsd_hint=no_number)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: orthoscale.photo("no.jpg", focal_px="900"), "--focal-px takes a number, not '900'"),
+        (lambda: orthoscale.photo("no.jpg", pitch="-90"), "--pitch takes a number"),
+        (lambda: orthoscale.photo("no.jpg", roll=True), "--roll takes a number"),
+        (lambda: orthoscale.photo(TOWN, pitch=-60, roll=float("nan")), "--roll must be a number of degrees"),
+        (lambda: orthoscale.calibrate("no.tif", gsd="0.1"), "--gsd takes a number"),
+        (lambda: orthoscale.calibrate(TOWN, gsd=0.085, vehicle_classes="car"), "--vehicle-class takes a list"),
+    ],
+)
+def test_other_functions_want_numbers_and_lists_as_well(call, said):
+    with pytest.raises(UsageError, match=said):
+        call()
 
 
 def test_a_request_is_a_value():

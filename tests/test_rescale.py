@@ -8,7 +8,6 @@ import re
 import shutil
 import struct
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 from support.geometry import SPARSE, XYZ, dense_workspace, glb, gltf, ply
 
+from orthoscale.actions.apply import apply
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
 from orthoscale.formats.geometry.ply import read_points
@@ -121,6 +121,13 @@ def test_strange_ply(tmp_path, header, said):
         scale_path(tmp_path / "a.ply", tmp_path / "b.ply", 2)
 
 
+def test_a_ply_whose_last_line_was_cut_off(tmp_path):
+    source = ply(tmp_path / "a.ply", "ascii", ["x", "y", "z", "nx"], np.full((2, 4), 0.123456789))
+    source.write_bytes(source.read_bytes()[:-13])
+    with pytest.raises(InputError, match="vertex 1 of 2 is missing or malformed"):
+        scale_path(source, tmp_path / "b.ply", 2)
+
+
 # --- Meshes ----------------------------------------------------------------------------------------------------------
 
 
@@ -169,10 +176,24 @@ def test_gltf_with_its_buffer(tmp_path):
     assert world_points(json.loads((tmp_path / "out/a.gltf").read_text()), 0) == [(3, 3)]
 
 
+def test_the_centre_of_3d_tiles_grows_as_well(tmp_path):
+    (tmp_path / "a.gltf").write_text(json.dumps(gltf(extensions={"CESIUM_RTC": {"center": [1, 2, 3]}, "other": 1})))
+    scale_path(tmp_path / "a.gltf", tmp_path / "b.gltf", 2)
+    assert json.loads((tmp_path / "b.gltf").read_text())["extensions"] == {
+        "CESIUM_RTC": {"center": [2, 4, 6]}, "other": 1
+    }  # fmt: skip
+
+
 def test_damaged_glb(tmp_path):
     whole = glb(tmp_path / "a.glb", gltf()).read_bytes()
     damaged = [whole[:k] for k in (0, 3, 15, 40, len(whole) - 1)] + [b"glXX" + whole[4:], whole + b"\0"]
-    for text in ({}, {"asset": {}, "nodes": [], "scenes": []}, gltf(scenes=[{"nodes": [9]}]), gltf(nodes=None)):
+    for text in (
+        {},
+        {"asset": {}, "nodes": [], "scenes": []},
+        gltf(scenes=[{"nodes": [9]}]),
+        gltf(nodes=None),
+        gltf(extensions={"CESIUM_RTC": {"center": [1]}}),
+    ):
         damaged.append(glb(tmp_path / "t.glb", text).read_bytes())
     for data in damaged:
         (tmp_path / "a.glb").write_bytes(data)
@@ -180,23 +201,214 @@ def test_damaged_glb(tmp_path):
             scale_path(tmp_path / "a.glb", tmp_path / "b.glb", 2)
 
 
-@pytest.mark.slow
-def test_other_meshes_need_open3d(tmp_path, monkeypatch):
-    stl = (
-        "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid"
+STL = (
+    "solid a vertex\n facet normal 0 0 1\n  outer loop\n   vertex 0 0 0\n   VERTEX 1 0 -2e-1\n   vertex 0 1 0\n"
+    "  endloop\n endfacet\nendsolid\n"
+)
+
+
+@pytest.mark.parametrize("head", [b"made by a program", b"solid, but binary"])
+def test_stl(tmp_path, head):
+    (tmp_path / "a.stl").write_text(STL)
+    scale_path(tmp_path / "a.stl", tmp_path / "b.stl", 2.5)
+    new = (tmp_path / "b.stl").read_text()
+    assert [line.split()[1:] for line in new.splitlines() if line.startswith("vertex")] == [
+        ["0", "0", "0"], ["2.5", "0", "-0.5"], ["0", "2.5", "0"]
+    ]  # fmt: skip
+    assert "facet normal 0 0 1" in new and new.startswith("solid a vertex\n")
+
+    triangle = struct.pack("<12fH", 0, 0, 1, *range(9), 0xABCD)
+    (tmp_path / "c.STL").write_bytes(head.ljust(80) + struct.pack("<I", 2) + 2 * triangle)
+    scale_path(tmp_path / "c.STL", tmp_path / "d.stl", 2.5)
+    data = (tmp_path / "d.stl").read_bytes()
+    assert struct.unpack_from("<12fH", data, 134) == (0, 0, 1, *(2.5 * k for k in range(9)), 0xABCD)
+    for damaged in (data[:-1], b"", b"solid\n", b"solid\nvertex 1 2\n"):
+        (tmp_path / "c.STL").write_bytes(damaged)
+        with pytest.raises(InputError, match=r"c\.STL"):
+            scale_path(tmp_path / "c.STL", tmp_path / "e.stl", 2)
+
+
+def test_off(tmp_path):
+    (tmp_path / "a.off").write_text(
+        "# by hand\nCOFF\n# counts\n3 1 0\n\n1 2 3 255 0 0 255\n# a comment\n4 5 6\n7 8 9\n3 0 1 2\n"
     )
-    (tmp_path / "a.stl").write_text(stl)
-    with monkeypatch.context() as without:
-        without.setitem(sys.modules, "open3d", None)
-        with pytest.raises(UsageError, match="needs Open3D") as caught:
-            scale_path(tmp_path / "a.stl", tmp_path / "b.stl", 2)
-        assert "orthoscale[mesh]" in caught.value.hint and "libusb" in caught.value.hint
-    open3d = pytest.importorskip("open3d", exc_type=ImportError)
-    scale_path(tmp_path / "a.stl", tmp_path / "b.stl", 2)
-    assert np.asarray(open3d.io.read_triangle_mesh(str(tmp_path / "b.stl")).vertices).max() == 2
-    (tmp_path / "a.stl").write_text("nothing")
-    with pytest.raises(InputError):
-        scale_path(tmp_path / "a.stl", tmp_path / "c.stl", 2)
+    scale_path(tmp_path / "a.off", tmp_path / "b.off", 2)
+    lines = (tmp_path / "b.off").read_text().splitlines()
+    assert [line for line in lines if line and line[0] != "#"] == [
+        "COFF", "3 1 0", "2 4 6 255 0 0 255", "8 10 12", "14 16 18", "3 0 1 2"
+    ]  # fmt: skip
+    (tmp_path / "a.off").write_text("OFF 1 0 0\n1 2 3\n")
+    scale_path(tmp_path / "a.off", tmp_path / "b.off", 2)
+    assert (tmp_path / "b.off").read_text() == "OFF 1 0 0\n2 4 6\n"
+    for damaged in (
+        "4OFF\n1 0 0\n1 2 3 1\n",
+        "OFF BINARY\n",
+        "OFF\n2 0 0\n1 2 3\n",
+        "OFF\n-1 0 0\n1 2 3\n",
+        "",
+        "1 2 3\n",
+    ):
+        (tmp_path / "a.off").write_text(damaged)
+        with pytest.raises(InputError, match=r"a\.off"):
+            scale_path(tmp_path / "a.off", tmp_path / "c.off", 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "new"),
+    [
+        ("a.xyz", "1 2 3 255 0 0\n4\t5 6\r\n", "2 4 6 255 0 0\n8 10 12\n"),
+        ("a.xyz", "// a, b, c\n1.5,-2,3e1,7\n", "// a, b, c\n3,-4,60,7\n"),
+        ("a.xyz", "//R,G,B,X,Y,Z\n9,8,7,1,2,3\n", "//R,G,B,X,Y,Z\n9,8,7,2,4,6\n"),  # CloudCompare's names
+        ("a.xyzrgb", '"ID" "X" "Y" "Z"\n5 1 2 3\n', '"ID" "X" "Y" "Z"\n5 2 4 6\n'),
+        ("a.xyzn", "# made by hand\n\n1; 2; 3; 0; 0; 1\n", "# made by hand\n\n2;4;6; 0; 0; 1\n"),
+        ("a.pts", "2\n1 2 3 -1200 9 9 9\n4 5 6 0 9 9 9\n", "2\n2 4 6 -1200 9 9 9\n8 10 12 0 9 9 9\n"),
+    ],
+)
+def test_points_in_lines(tmp_path, name, text, new):
+    (tmp_path / name).write_bytes(text.encode())
+    scale_path(tmp_path / name, tmp_path / f"b{name}", 2)
+    assert (tmp_path / f"b{name}").read_text() == new
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "1 2\n", "3\nwater\nO 0 0 0\n", "1,5 2,5 3,5\n", "E N H\n1 2 3\n"])
+def test_points_that_are_none(tmp_path, text):
+    (tmp_path / "a.xyz").write_text(text)
+    with pytest.raises(InputError, match=r"a\.xyz"):
+        scale_path(tmp_path / "a.xyz", tmp_path / "b.xyz", 2)
+
+
+def test_splats_of_32_bytes(tmp_path):
+    rows = [struct.pack("<6f8B", *(k + np.arange(6)), *range(8)) for k in range(3)]
+    (tmp_path / "a.splat").write_bytes(b"".join(rows))
+    scale_path(tmp_path / "a.splat", tmp_path / "b.splat", 2)
+    assert struct.unpack_from("<6f8B", (tmp_path / "b.splat").read_bytes(), 64) == (4, 6, 8, 10, 12, 14, *range(8))
+    for damaged in (b"", rows[0][:-1]):
+        (tmp_path / "a.splat").write_bytes(damaged)
+        with pytest.raises(InputError, match=r"a\.splat"):
+            scale_path(tmp_path / "a.splat", tmp_path / "b.splat", 2)
+
+
+PCD_ROW = np.dtype([("x", "<f4"), ("pad", "u1", 4), ("y", "<f8"), ("z", "<f4"), ("label", "<u2"), ("normal_x", "<f4")])
+
+
+def pcd(form: str, body: bytes, points: int = 3) -> bytes:
+    head = (
+        "# .PCD v0.7 - Point Cloud Data\nVERSION 0.7\nFIELDS x _ y z label normal_x\nSIZE 4 1 8 4 2 4\n"
+        "TYPE F U F F U F\n"
+        f"COUNT 1 4 1 1 1 1\nWIDTH {points}\nHEIGHT 1\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS {points}\nDATA {form}\n"
+    )
+    return head.encode() + body
+
+
+def lzf(data: bytes, repeat: int = 0) -> bytes:
+    """`data` as literals, its last `repeat` bytes (3 to 8) as a copy of the byte before them."""
+    plain = data[: len(data) - repeat]
+    out = b"".join(bytes([len(part) - 1]) + part for k in range(0, len(plain), 32) for part in [plain[k : k + 32]])
+    return out + (bytes([(repeat - 2) << 5, 0]) if repeat else b"")
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary", "binary_compressed"])
+def test_pcd(tmp_path, form, monkeypatch):
+    monkeypatch.setattr("orthoscale.formats.geometry.pcd.ROWS", 2)
+    rows = np.zeros(3, PCD_ROW)
+    rows["x"], rows["y"], rows["z"], rows["label"], rows["pad"] = [1, 2, 3], [4, 5, 6], [-7, 8, 9], [1, 65535, 2], 9
+    if form == "ascii":
+        body = b"".join(
+            b" ".join(str(v).encode() for v in (r["x"], *r["pad"], r["y"], r["z"], r["label"], r["normal_x"])) + b"\n"
+            for r in rows
+        )
+    elif form == "binary":
+        body = rows.tobytes()
+    else:
+        packed = lzf(whole := b"".join(rows[name].tobytes() for name in PCD_ROW.names), repeat=8)
+        body = struct.pack("<II", len(packed), len(whole)) + packed
+    (tmp_path / "a.pcd").write_bytes(pcd(form, body))
+    scale_path(tmp_path / "a.pcd", tmp_path / "b.pcd", 2)
+    head, _, data = (tmp_path / "b.pcd").read_bytes().partition(b"\nDATA ")
+    assert b"VIEWPOINT 2 4 6 1 0 0 0" in head
+    if form == "ascii":
+        numbers = [line.split() for line in data.splitlines()[1:]]
+        assert [[float(n[k]) for k in (0, 5, 6)] for n in numbers] == [[2, 8, -14], [4, 10, 16], [6, 12, 18]]
+        assert [n[7] for n in numbers] == [b"1", b"65535", b"2"] and numbers[0][1] == b"9"
+    else:
+        new = np.frombuffer(data.removeprefix(b"binary\n"), PCD_ROW)
+        for name in PCD_ROW.names:
+            assert (new[name] == rows[name] * (2 if name in "xyz" else 1)).all()
+    with pytest.raises(UsageError, match="in metres already"):
+        scale_path(tmp_path / "b.pcd", tmp_path / "c.pcd", 2)
+    if form == "binary_compressed":
+        body = b"\xff" * 4 + body[4:]  # so many bytes
+    wide = pcd(form, body).replace(b"COUNT 1 4", b"COUNT 1 4000000000000")
+    for damaged in (pcd(form, body[:-9]), pcd(form, body, 10**7), pcd("zip", body), wide, b"# .PCD\nFIELDS x\n"):
+        (tmp_path / "a.pcd").write_bytes(damaged)
+        with pytest.raises(InputError, match=r"a\.pcd"):
+            scale_path(tmp_path / "a.pcd", tmp_path / "d.pcd", 2)
+
+
+def las(user: bytes = b"", record: int = 0, content: bytes = b"", form: int = 3, extended: bool = False) -> bytes:
+    """A LAS 1.4 file of one point, with one variable length record."""
+    head = bytearray(375)
+    head[:4], head[24:26], head[104] = b"LASF", b"\1\4", form
+    struct.pack_into("<H", head, 94, 375)
+    struct.pack_into("<I", head, 96, 1000)
+    struct.pack_into("<12d", head, 131, 0.001, 0.001, 0.002, 10, 20, 30, *(11, 10, 21, 20, 31, 30))
+    if extended:
+        struct.pack_into("<QI", head, 235, 375, 1)
+        return bytes(head) + struct.pack("<H16sHQ32x", 0, user, record, len(content)) + content + b"points"
+    struct.pack_into("<I", head, 100, int(bool(user)))
+    return (
+        bytes(head) + (struct.pack("<H16sHH32x", 0, user, record, len(content)) + content if user else b"") + b"points"
+    )
+
+
+def test_las_and_laz_are_scaled_in_their_headers(tmp_path):
+    whole = las(b"laszip encoded", 22204, b"any", form=3 | 0x80)
+    (tmp_path / "a.laz").write_bytes(whole)
+    scale_path(tmp_path / "a.laz", tmp_path / "b.laz", 2)
+    new = (tmp_path / "b.laz").read_bytes()
+    assert struct.unpack_from("<12d", new, 131) == (0.002, 0.002, 0.004, 20, 40, 60, 22, 20, 42, 40, 62, 60)
+    assert new[:58] + new[90:131] + new[227:] == whole[:58] + whole[90:131] + whole[227:]
+    with pytest.raises(UsageError, match="in metres already"):
+        scale_path(tmp_path / "b.laz", tmp_path / "c.laz", 2)
+
+
+@pytest.mark.parametrize(
+    ("content", "error", "said"),
+    [
+        (las(b"LASF_Projection", 2112, b"PROJCS[...]"), UsageError, "georeferenced"),
+        (las(b"LASF_Projection", 2112, b"PROJCS[...]", extended=True), UsageError, "georeferenced"),
+        (las(b"LASF_Projection", 34735, struct.pack("<4H", 1, 1, 0, 1) + bytes(8)), UsageError, "georeferenced"),
+        (las(b"LASF_Projection", 34735, struct.pack("<4H", 1, 1, 0, 0)), None, ""),  # keys of nothing
+        (las(b"LASF_Projection", 2112, b"\0"), None, ""),
+        (las(b"copc", 1, bytes(160)), InputError, "COPC"),
+        (las(form=4), InputError, "waveforms"),
+        (las(b"x", 1, b"y")[:400], InputError, "400 bytes"),
+        (las()[:235] + b"\xff" * 12 + las()[247:], InputError, "records"),
+        (las()[:200], InputError, "not a LAS file"),
+        (b"LASX" + las()[4:], InputError, "not a LAS file"),
+    ],
+)
+def test_las_that_is_not_in_model_units_or_not_known(tmp_path, content, error, said):
+    (tmp_path / "a.las").write_bytes(content)
+    if error is None:
+        scale_path(tmp_path / "a.las", tmp_path / "b.las", 2)
+        return
+    with pytest.raises(error, match=said):
+        scale_path(tmp_path / "a.las", tmp_path / "b.las", 2)
+
+
+def test_a_dense_workspace_leaves_what_is_not_in_its_units(tmp_path):
+    source = dense_workspace(tmp_path / "dense")
+    (source / "geo.las").write_bytes(las(b"LASF_Projection", 2112, b"PROJCS[...]"))
+    (source / "a.spz").write_bytes(b"packed")
+    (source / "a.stl").write_text(STL)
+    (source / "done.obj").write_text("# orthoscale: metres\nv 1 2 3\n")
+    (tmp_path / "out").mkdir()
+    notes = scale_path(source, tmp_path / "out", SCALE)
+    assert all(name in notes[1] for name in ("geo.las", "a.spz", "done.obj")) and "a.stl" not in notes[1]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir() if p.is_file()) == [
+        "a.stl", "fused.ply", "fused.ply.vis", "meshed-poisson.ply"
+    ]  # fmt: skip
 
 
 # --- Camera files ----------------------------------------------------------------------------------------------------
@@ -386,6 +598,149 @@ def test_uris_are_percent_encoded(tmp_path):
 def test_the_matrix_of_a_similarity(tmp_path):
     Sim3(SCALE).save(tmp_path)
     assert (np.loadtxt(tmp_path / "sim3_4x4.txt") == np.diag([SCALE, SCALE, SCALE, 1])).all()
+
+
+# --- Files as other programs write them ------------------------------------------------------------------------------
+
+
+def written(folder: Path, **files: str | bytes) -> Path:
+    """The `folder` with these files in it, by path."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return folder
+
+
+def applied(tmp_path: Path, *files: Path, out: str = "metric") -> tuple[Path, list[str]]:
+    """The folder that `apply` wrote, and all notes."""
+    Sim3(SCALE).save(tmp_path)
+    notes = apply(tmp_path / "sim3.json", files, tmp_path / out)
+    return tmp_path / out, [note for of_one in notes.values() for note in of_one]
+
+
+def test_materials_as_exporters_name_them(tmp_path):
+    home = written(
+        tmp_path / "in",
+        **{
+            "a.mtl": "newmtl a\n\tmap_Kd -s 1 1 1 my tex.png\nrefl -type sphere r.png\n",
+            "b.mtl": "newmtl b\nmap_Kd tex\\b.png\ndisp d.png\nmap_Ks gone.png\nmap_Ka\n",
+            "one name.mtl": "newmtl c\n",
+            "m.obj": "mtllib a.mtl b.mtl\r\nmtllib .\\one name.mtl\r\nv 1 2 3\r\nf 1 1 1\r\n",
+            **dict.fromkeys(("my tex.png", "r.png", "tex/b.png", "d.png"), b"x"),
+        },
+    )
+    out, notes = applied(tmp_path, home / "m.obj")
+    there = {path.relative_to(home).as_posix() for path in home.rglob("*") if path.is_file()}
+    assert {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()} == {
+        *there, ".orthoscale.json"
+    }  # fmt: skip
+    assert [note for note in notes if "refers" in note] == ["refers to gone.png, which is not beside it"]
+
+
+def test_an_obj_with_a_byte_order_mark_or_the_line_ends_of_old_macs(tmp_path):
+    (tmp_path / "a.obj").write_bytes(b"\xef\xbb\xbfv 1 2 3\nf 1 1 1\n")
+    scale_path(tmp_path / "a.obj", tmp_path / "b.obj", 2)
+    assert (tmp_path / "b.obj").read_text().splitlines()[1] == "v 2 4 6"
+    (tmp_path / "a.obj").write_bytes(b"v 1 2 3\rv 4 5 6\rf 1 2 1\r")
+    with pytest.raises(InputError, match="line 1"):
+        scale_path(tmp_path / "a.obj", tmp_path / "b.obj", 2)
+
+
+@pytest.mark.parametrize(
+    ("extra", "values", "new"),
+    [
+        (["opacity", "scale_0", "rot_0", "filter_3D"], "0.5 -1 1 0.25", [0.5, -1 + np.log(SCALE), 1, 0.25 * SCALE]),
+        (["f_dc_0", "opacity", "scale_0"], "1 0.5 -1", [1, 0.5, -1 + np.log(SCALE)]),  # round: nothing to turn
+        (["scale_0"], "-1", [-1]),  # of no splat
+    ],
+)
+def test_splats_of_other_kinds(tmp_path, extra, values, new):
+    lines = ["ply", "format ascii 1.0", "element vertex 1", *(f"property float {n}" for n in ("x", "y", "z", *extra))]
+    (tmp_path / "a.ply").write_text("\n".join([*lines, "end_header", f"1 2 3 {values}"]) + "\n")
+    scale_path(tmp_path / "a.ply", tmp_path / "b.ply", SCALE)
+    row = read_ply(tmp_path / "b.ply", 0)[0][0]
+    assert row == pytest.approx([SCALE, 2 * SCALE, 3 * SCALE, *new], rel=1e-8)
+
+
+def test_a_ply_header_in_latin_1_with_a_texture_and_doubles(tmp_path):
+    head = b"ply \nformat ascii 1.0\ncomment by Stra\xdfe\ncomment TextureFile t 1.png\nelement vertex 1\n"
+    head += b"".join(b"property double %c\n" % axis for axis in b"xyz") + b"end_header\n"
+    home = written(tmp_path / "in", **{"a.ply": head + b"512345.123456789 2 3\n", "t 1.png": b"x"})
+    out, notes = applied(tmp_path, home / "a.ply")
+    assert notes == ["with t 1.png"] and (out / "t 1.png").read_bytes() == b"x"
+    text = (out / "a.ply").read_bytes()
+    assert b"comment by Stra\xdfe\n" in text
+    assert float(text.split(b"end_header\n")[1].split()[0]) == pytest.approx(512345.123456789 * SCALE, rel=1e-14)
+
+
+def test_what_a_scene_refers_to_and_has_not_is_said(tmp_path):
+    buffers = [{"uri": "gone.bin"}, {"uri": "https://example.org/a.bin"}, {"uri": "data:,x"}]
+    (tmp_path / "a.gltf").write_text(json.dumps(gltf(buffers=buffers)))
+    assert applied(tmp_path, tmp_path / "a.gltf")[1] == ["refers to gone.bin, which is not beside it"]
+
+
+def test_depth_maps_of_a_transforms_json(tmp_path):
+    frame = {"file_path": "a.jpg", "transform_matrix": np.eye(4).tolist(), "depth_file_path": "d.npy"}
+    (tmp_path / "a.json").write_text(json.dumps({"frames": [frame], "ply_file_path": "gone.ply"}))
+    (tmp_path / "b.json").write_text(json.dumps({"frames": [frame], "integer_depth_scale": 0.001}))
+    out, notes = applied(tmp_path, tmp_path / "a.json", tmp_path / "b.json")
+    assert notes == [
+        "refers to gone.ply, which is not beside it",
+        "the depth maps that it names stay in model units: read them times 14.157",
+    ]
+    assert json.loads((out / "b.json").read_text())["integer_depth_scale"] == pytest.approx(0.014157)
+
+
+@pytest.mark.parametrize("same", [True, False])
+@pytest.mark.parametrize("kind", ["gltf", "obj", "json", "cloud"])
+def test_files_of_one_name_do_not_take_each_others_place(tmp_path, kind, same):
+    for name in "ab":
+        home = tmp_path / name
+        home.mkdir()
+        varied = "a" if same else name
+        ply(home / "c.ply", "ascii", ["x", "y", "z"], XYZ * (1 + "ab".index(varied)))
+        frame = {"file_path": "a.jpg", "transform_matrix": np.eye(4).tolist()}
+        written(
+            home,
+            **{
+                "s.bin": varied * 4,
+                f"{name}.gltf": json.dumps(gltf(buffers=[{"uri": "s.bin"}])),
+                "m.mtl": f"newmtl {varied}\n",
+                f"{name}.obj": "mtllib m.mtl\nv 1 2 3\n",
+                f"{name}.json": json.dumps({"frames": [frame], "ply_file_path": "c.ply"}),
+            },
+        )
+    second = tmp_path / ("b/c.ply" if kind == "cloud" else f"b/b.{kind}")
+    first = tmp_path / ("a/a.json" if kind == "cloud" else f"a/a.{kind}")
+    if same:
+        assert len(list(applied(tmp_path, first, second)[0].iterdir())) == (3 if kind == "cloud" else 4)
+    else:
+        for k, files in enumerate(((first, second), (second, first))):
+            with pytest.raises(UsageError, match="would both become"):
+                applied(tmp_path, *files, out=f"none{k}")
+    assert not list(tmp_path.glob("none*"))
+
+
+def test_links_keep_their_own_names(tmp_path):
+    """As in the caches of DVC, git-annex and Hugging Face, whose files are links to blobs."""
+    home = written(
+        tmp_path / "blobs", **{"1": "mtllib a.mtl\nv 1 2 3\n", "2": "newmtl a\n"}
+    ).parent / "snapshot"  # fmt: skip
+    home.mkdir()
+    (home / "m.obj").symlink_to("../blobs/1")
+    (home / "a.mtl").symlink_to("../blobs/2")
+    out, notes = applied(tmp_path, home / "m.obj")
+    assert {path.name for path in out.iterdir()} == {"m.obj", "a.mtl", ".orthoscale.json"} and notes == ["with a.mtl"]
+
+
+def test_nothing_to_apply_to(tmp_path):
+    with pytest.raises(UsageError, match="an empty list"):
+        applied(tmp_path)
+    assert not (tmp_path / "metric").exists()
+    cloud = ply(tmp_path / "a.ply", "ascii", ["x", "y", "z"], XYZ)
+    with pytest.raises(UsageError, match=r"two FILEs are called a\.ply"):
+        applied(tmp_path, cloud, cloud)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import UsageError
+from ..formats.geometry.files import Places
 from ..formats.geometry.sim3 import Sim3
 from ..sources.scaling import scale_path
 from ..system.outputs import Outputs
@@ -19,15 +20,17 @@ def apply(
     """Write `files`, in the units of the model that `sim3` belongs to, again in metres into the folder `out`.
 
     sim3 : the sim3.json that `fix` wrote. files : PLY (cloud, mesh or splat), OBJ, GLB, glTF, transforms.json,
-    reconstruction.json, or folders of sparse models and dense workspaces, one or several; they are never touched.
+    reconstruction.json, LAS, LAZ, PCD, XYZ, PTS, STL, OFF, .splat, or folders of sparse models and dense workspaces,
+    one or several; they are never touched.
     Returns what was written, with notes on each; all of it, or none. Raises UsageError, InputError, OutputError.
     """
     sim3, out = path_of(sim3, "the path of a sim3.json"), path_of(out, "the path of the output folder")
     given = paths_of(files, "the path of a file in the model's units")
-    names = [Path(os.path.realpath(path)).name for path in given]
-    if len(set(names)) < len(names):
-        raise UsageError("two FILEs have the same name", "Write them to different folders, one after the other.")
+    names = [Path(os.path.abspath(path)).name for path in given]  # a link's own, as it is known by
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise UsageError(f"two FILEs are called {min(twice)}", "Write them to different folders, one after the other.")
     written = {}
+    places = Places()
     with Outputs(overwrite, (sim3, given)) as outputs:
         folder = outputs.folder(out)
         scale = Sim3.load(sim3).scale
@@ -35,5 +38,5 @@ def apply(
             target = folder / name
             if path.is_dir():
                 target.mkdir()
-            written[out / name] = list(scale_path(path, target, scale))
+            written[out / name] = list(scale_path(path, target, scale, places))
     return written

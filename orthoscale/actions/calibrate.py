@@ -26,6 +26,7 @@ from ..detect.zoom import check_zoom
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleets import load_fleet
 from ..system.paths import path_of
+from .requests import listed, number
 
 LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms, as shares of the detector's best; a vehicle must show in all
 FEWEST_VEHICLES = 20  # vehicles; a mean length is then known to 2 %
@@ -56,6 +57,7 @@ def calibrate(
 
     path = path_of(path, "the path of an orthophoto")
     detector = None if detector is None else path_of(detector, "the path of a network (.onnx)")
+    gsd = None if gsd is None else number("--gsd", gsd)
     if gsd is not None and not (np.isfinite(gsd) and gsd > 0):
         raise UsageError(f"--gsd must be a positive number of metres per pixel, not {gsd}")
     source = open_source(path, need_images=False)
@@ -66,7 +68,7 @@ def calibrate(
         )
     gsd, notes = _known_gsd(raster, gsd)
     prior = load_fleet(fleet)
-    network = Detector(detector, decoder, vehicle_classes)
+    network = Detector(detector, decoder, listed("--vehicle-class", vehicle_classes))
     zooms = LOOKS * network.card.best_length * gsd / float(prior.mean[0])
     check_zoom(float(zooms.max()), network.card)
     looks = _looks(raster, zooms, network, progress)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import numbers
 import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from ..anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
-from ..errors import UsageError
+from ..errors import UsageError, shown
 
 if TYPE_CHECKING:
     from typing import Self
@@ -489,24 +490,41 @@ def _checked(of: Field, about: Option, value: Any) -> Any:
     if value is None and of.default is None:
         return None
     if not isinstance(of.default, tuple):
-        _check(flag(of), about, value)
-        return value
+        return _check(flag(of), about, value)
+    return tuple(_check(flag(of), about, each) for each in listed(flag(of), value))
+
+
+def listed(name: str, value: Any) -> Sequence[Any]:
+    """`value` of the option `name`, which takes several. Raises UsageError for a text, which is one."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
-        raise UsageError(f"{flag(of)} takes a list of values, not {value!r}")
-    for each in value:
-        _check(flag(of), about, each)
-    return tuple(value)
+        raise UsageError(f"{name} takes a list of values, not {shown(repr(value))}")
+    return value
 
 
-def _check(name: str, about: Option, value: Any) -> None:
+def number(name: str, value: Any, kind: type = float) -> Any:
+    """`value` of the option `name` as one of Python's own numbers, for one of numpy's, too; whole ones stay whole.
+
+    kind : float, or int where it must be whole. Raises UsageError for what is none.
+    """
+    if not isinstance(value, bool):
+        if isinstance(value, numbers.Integral):
+            return int(value)
+        if kind is float and isinstance(value, numbers.Real):
+            return float(value)
+    raise UsageError(f"{name} takes {_KINDS[kind][1]}, not {shown(repr(value))}")
+
+
+def _check(name: str, about: Option, value: Any) -> Any:
     wanted, called = _KINDS[about.kind]
-    fits = isinstance(value, wanted) and (about.kind is bool or not isinstance(value, bool))
-    if not fits:
-        raise UsageError(f"{name} takes {called}, not {value!r}")
+    if about.kind in (float, int):
+        value = number(name, value, about.kind)
+    elif not isinstance(value, wanted):
+        raise UsageError(f"{name} takes {called}, not {shown(repr(value))}")
     if about.choices and value not in about.choices:
         raise UsageError(f"{name} {value} is none of {', '.join(about.choices)}", _nearest(value, about.choices))
     if about.positive and not (math.isfinite(value) and value > 0):
         raise UsageError(f"{name} must be a positive number, not {value}")
+    return value
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:

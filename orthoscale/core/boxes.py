@@ -33,7 +33,10 @@ class Boxes:
     kinds: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        xylwa = np.array(self.xylwa, np.float64).reshape(-1, 5)
+        xylwa = np.array(self.xylwa, np.float64)
+        if xylwa.size and (xylwa.ndim != 2 or xylwa.shape[1] != 5):
+            raise ValueError(f"boxes of shape {xylwa.shape}, not (N, 5): x, y, length, width, angle")
+        xylwa = xylwa.reshape(-1, 5)
         score = np.array(self.score, np.float64).reshape(-1)
         if len(xylwa) != len(score):
             raise ValueError(f"{len(xylwa)} boxes but {len(score)} scores")

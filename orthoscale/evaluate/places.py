@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from collections.abc import Sequence
@@ -11,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError
-from ..formats.reading import read_text
+from ..formats.reading import read_table, read_text
 from .readers import Sample
 
 GPS_FILES = "Dense_GPS_*.txt"
@@ -75,7 +73,7 @@ def _gps_lines(path: Path) -> dict[str, tuple[float, float]]:
 def places_of_csv(path: Path) -> dict[str, tuple[float, float]]:
     """Longitude and latitude by a photo's name, from the columns image, longitude and latitude; none where the table
     has no such columns. Raises InputError."""
-    table = csv.DictReader(io.StringIO(read_text(path, "Give the CSV file."), newline=""))
+    table = read_table(path, "Give the CSV file.")
     if not {"image", "longitude", "latitude"} <= set(table.fieldnames or ()):
         return {}
     places = {}

@@ -8,7 +8,6 @@ CSV: ``image,altitude_m`` and, where wanted, ``region,focal_px,pitch_deg,roll_de
 from __future__ import annotations
 
 import csv
-import io
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -19,7 +18,7 @@ import numpy as np
 
 from ..core.projection.level import up_from_survey
 from ..errors import InputError
-from ..formats.reading import files_below, read_text
+from ..formats.reading import files_below, read_table, read_text
 from ..photos.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
 from ..photos.tags import read_tags
 from .surface import Surface
@@ -178,8 +177,8 @@ def read_csv(path: Path, lens_file: Path | None, focal_px: float | None) -> tupl
     if path.is_dir():
         raise InputError(f"{path} is a folder", "Give the CSV file.")
     samples = []
-    table = csv.DictReader(io.StringIO(read_text(path, "Give the CSV file."), newline=""))
     try:
+        table = read_table(path, "Give the CSV file.")
         missing = {"image", "altitude_m"} - set(table.fieldnames or ())
         if missing:
             raise InputError(
@@ -209,6 +208,12 @@ def _row(row: dict[str, str], path: Path, line: int, lens_file: Path | None, foc
     altitude = number("altitude_m")
     if altitude is None or altitude <= 0:
         raise InputError(f"{path}, line {line}: altitude_m must be a positive number", "Correct or remove the line.")
+    pitch = number("pitch_deg")
+    if pitch is not None and not -90 <= pitch < 0:
+        raise InputError(
+            f"{path}, line {line}: pitch_deg is {pitch:g}, not between -90 (straight down) and 0 (the horizon)",
+            "Correct the column, or leave it out: then the photos' own tags count.",
+        )
     place = path.parent / (row["image"] or "").strip()
     if focal_px is None and lens_file is None:
         focal_px = number("focal_px")
@@ -217,7 +222,7 @@ def _row(row: dict[str, str], path: Path, line: int, lens_file: Path | None, foc
         (row["image"] or "").strip(),
         lens_file=lens_file,
         focal_px=focal_px,
-        pitch=number("pitch_deg"),
+        pitch=pitch,
         roll=number("roll_deg"),
     )
     return Sample(photo, altitude, (row.get("region") or "").strip() or path.stem)

@@ -6,6 +6,8 @@ or of the wrong form raises InputError with one line that names the file, the pl
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import re
 import stat
@@ -109,6 +111,16 @@ def read_text(path: Path, hint: str = "", most: int = LARGE) -> str:
         return read_bytes(path, hint, most).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not text (byte {error.start})", hint) from error
+
+
+def read_table(path: Path, hint: str = "") -> csv.DictReader:
+    """The lines of a CSV file, by the names of its columns in small letters. Columns end at commas, semicolons or tabs,
+    whichever the first line has most of. Raises InputError; going through it, csv.Error."""
+    text = read_text(path, hint)
+    head = text.partition("\n")[0]
+    table = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True, delimiter=max(",;\t", key=head.count))
+    table.fieldnames = [(name or "").strip().lower() for name in table.fieldnames or ()]
+    return table
 
 
 def read_plain(path: Path, what: str, hint: str = "", most: int = SMALL) -> Any:

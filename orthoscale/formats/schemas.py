@@ -689,6 +689,7 @@ class Transforms(Intrinsics, kw_only=True):
     frames: list[Frame]
     applied_transform: tuple[Row, Row, Row] | UnsetType = UNSET
     ply_file_path: Text | UnsetType = UNSET
+    integer_depth_scale: Finite | UnsetType = UNSET
 
 
 class OpensfmCamera(Struct):
@@ -759,6 +760,18 @@ class GltfPart(Struct):
     uri: str | None = None
 
 
+class GltfCentre(Struct):
+    """What is added to all positions, after the nodes' transforms: of 3D Tiles."""
+
+    center: tuple[Finite, Finite, Finite]
+
+
+class GltfExtensions(Struct):
+    """Those of a whole scene that have a length."""
+
+    CESIUM_RTC: GltfCentre | None = None
+
+
 class Gltf(Struct):
     """The JSON of a glTF 2.0 scene, as far as scaling it needs."""
 
@@ -767,3 +780,4 @@ class Gltf(Struct):
     scenes: list[GltfScene]
     buffers: list[GltfPart] = []
     images: list[GltfPart] = []
+    extensions: GltfExtensions | None = None

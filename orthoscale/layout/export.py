@@ -35,7 +35,7 @@ def write_vectors(layout: Layout, folder: Path, rows: Sequence[Mapping[str, Any]
     """layout.gpkg in the orthophoto's CRS, with layers facilities, run_off, lines and lot; and layout.geojson: the
     playing areas, in longitude and latitude where the orthophoto has a place on Earth, else in its own coordinates."""
     ground = layout.ground
-    crs = ground.crs.to_wkt()
+    crs = ground.crs.to_wkt() if ground.crs else None  # a world file alone has none
 
     def in_crs(shape: Any) -> Any:
         return ground.mapped(shape, ground.to_crs)

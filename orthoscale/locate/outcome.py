@@ -117,7 +117,7 @@ def entry(outcome: Outcome, satellite: Satellite) -> dict[str, Any]:
             "foot_crs": satellite.in_crs(below)[0].tolist(),
             "middle": best.middle.tolist(),
             "footprint": None if outline is None else outline.tolist(),
-            "heading_deg": round(float(np.degrees(best.heading)), 2),
+            "heading_deg": round(float(np.degrees(best.heading)), 2) % 360,
             "altitude_m": _measure(height) if claimed.focal_known else None,
             "inliers": best.inliers,
             "score": round(best.score, 4),
@@ -155,7 +155,7 @@ def candidate_rows(outcome: Outcome, satellite: Satellite) -> list[dict[str, Any
                 "y": round(float(y), 3 if abs(y) > 400 else 8),
                 "foot_longitude": round(float(below[0]), 8),
                 "foot_latitude": round(float(below[1]), 8),
-                "heading_deg": round(float(np.degrees(each.heading)), 2),
+                "heading_deg": round(float(np.degrees(each.heading)), 2) % 360,
                 "scale": round(each.scale, 5),
             }
         )

@@ -25,7 +25,7 @@ def _lines(photo: dict[str, Any]) -> list[str]:
     lon, lat = photo["foot"]
     x, y = photo["foot_crs"]
     place = f"place      {lon:.6f}, {lat:.6f} (below the camera; x {x:.2f}, y {y:.2f} on the map)"
-    heading = f"heading    {photo['heading_deg']:.1f} degrees"
+    heading = f"heading    {round(photo['heading_deg'], 1) % 360:.1f} degrees"
     if photo["altitude_m"] is not None:
         heading += f"; altitude {_metres(photo['altitude_m'])} m"
     matches = f"matches    {photo['inliers']}, {photo['needed']} needed; score {photo['score']:.2f}"

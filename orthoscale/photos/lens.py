@@ -27,7 +27,7 @@ CALIBRATED_SD, MAKERS_SD, FOCAL_TOLD_SD, NOMINAL_SD, CROP_SD, ZOOM_SD = 0.003, 0
 ROUNDING_MM = 0.29
 LENS_HINT = "Give Metashape's XML, COLMAP's cameras.txt, or JSON."
 LARGEST_VALUE = 1e7  # of a camera's size and parameters; pixels
-IMPLAUSIBLE = 0.25  # a maker's calibrated focal length further than this from the 35 mm equivalent has another unit
+IMPLAUSIBLE = 0.25  # log: a focal length further than this from the 35 mm equivalent has another unit, or another size
 
 
 @dataclass(frozen=True)
@@ -59,17 +59,18 @@ def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = 
         if not (math.isfinite(focal_px) and focal_px > 0):
             raise UsageError(f"--focal-px must be a positive number, not {focal_px}")
         return Lens(brown(size, focal_px, focal_px), FOCAL_TOLD_SD, "given")
-    share = tags.width / tags.full_width  # of the full image's pixels, where the photo was made smaller
-    nominal = _nominal(tags)
-    if tags.dewarp is not None:
+    share, whole = _share(tags)
+    nominal = _nominal(tags, share, whole)
+    if tags.dewarp is not None and _plausible(tags.dewarp[0] * share, nominal):
         fx, fy, cx, cy, k1, k2, p1, p2, k3 = tags.dewarp
+        if tags.turned or size != whole:  # which way, and what was cut off, is not known
+            focal = math.sqrt(fx * fy) * share
+            return Lens(brown(size, focal, focal), MAKERS_SD, "from the maker's DewarpData")
         middle = (size[0] / 2 + cx * share, size[1] / 2 + cy * share)
         bend = (0.0,) * 5 if tags.dewarped else (k1, k2, p1, p2, k3)
         return Lens(brown(size, fx * share, fy * share, middle, bend), CALIBRATED_SD, "from the maker's DewarpData")
-    if tags.calibrated_px is not None:
-        focal = tags.calibrated_px * share
-        if nominal is None or abs(math.log(focal / nominal.focal_px)) < IMPLAUSIBLE:
-            return Lens(brown(size, focal, focal), MAKERS_SD, "from the maker's CalibratedFocalLength")
+    if tags.calibrated_px is not None and _plausible(focal := tags.calibrated_px * share, nominal):
+        return Lens(brown(size, focal, focal), MAKERS_SD, "from the maker's CalibratedFocalLength")
     if nominal is None:
         raise InputError(
             f"no focal length in its EXIF or XMP ({tags.camera or 'unknown camera'})",
@@ -78,15 +79,52 @@ def lens_of(tags: Tags, lens_file: Path | None = None, focal_px: float | None = 
     return nominal
 
 
-def _nominal(tags: Tags) -> Lens | None:
-    """By the focal length that EXIF tells, in millimetres and as a 35 mm equivalent."""
-    size = tags.width, tags.height
+def _share(tags: Tags) -> tuple[float, tuple[int, int]]:
+    """How many pixels of the photo one of the picture that the camera wrote is, by the size that EXIF tells, and how
+    large that picture would be in the photo's pixels.
+
+    Raises InputError for a photo that was cropped and may have been made smaller as well.
+    """
+    size = width, height = tags.width, tags.height
+    if tags.full_height is None or tags.of_shape(tags.full_width, tags.full_height):
+        return width / tags.full_width, size
+    if tags.turned:
+        return width / tags.full_height, size
+    told = tags.full_width, tags.full_height
+    if width > told[0] and height > told[1]:  # of a thumbnail
+        return 1.0, size
+    if (width == told[0] and height < told[1]) or (height == told[1] and width < told[0]):  # as 16:9 of 4:3
+        return 1.0, told
+    raise InputError(
+        f"its {width} x {height} px are a part of the {told[0]} x {told[1]} px in its EXIF, made smaller or not",
+        "Give its focal length in pixels (--focal-px), or the photo as the camera wrote it.",
+    )
+
+
+def _plausible(focal_px: float, nominal: Lens | None) -> bool:
+    return nominal is None or abs(math.log(focal_px / nominal.focal_px)) < IMPLAUSIBLE
+
+
+def _nominal(tags: Tags, share: float, whole: tuple[int, int]) -> Lens | None:
+    """By the focal length that EXIF tells, in millimetres or as a 35 mm equivalent; `share` and `whole` by `_share`."""
+    equivalent = _equivalent(tags, whole)
     if tags.focal_mm and tags.plane_px_per_mm:
-        focal = tags.focal_mm * tags.plane_px_per_mm * tags.width / tags.full_width
-        return Lens(brown(size, focal, focal), NOMINAL_SD, f"{tags.focal_mm:g} mm and the sensor's resolution in EXIF")
+        focal = tags.focal_mm * tags.plane_px_per_mm * share * tags.digital_zoom
+        if _plausible(focal, equivalent):  # some programs write a resolution in another unit than they say
+            source = f"{tags.focal_mm:g} mm and the sensor's resolution in EXIF"
+            sd = [NOMINAL_SD]
+            if tags.digital_zoom > 1:
+                sd.append(ZOOM_SD)
+                source += f", times its digital zoom {tags.digital_zoom:g}"
+            return Lens(brown((tags.width, tags.height), focal, focal), math.hypot(*sd), source)
+    return equivalent
+
+
+def _equivalent(tags: Tags, whole: tuple[int, int]) -> Lens | None:
+    """By the 35 mm equivalent, of a picture of size `whole` [px of the photo]."""
     if not tags.focal_35mm:
         return None
-    wide, high = max(size), min(size)
+    wide, high = max(whole), min(whole)
     sd = [NOMINAL_SD, ROUNDING_MM / tags.focal_35mm]
     source = f"{tags.focal_35mm:g} mm equivalent in EXIF"
     diagonal = math.hypot(wide, high)
@@ -98,7 +136,7 @@ def _nominal(tags: Tags) -> Lens | None:
         sd.append(ZOOM_SD)
         source += f", digital zoom {tags.digital_zoom:g} assumed to be in it"
     focal = tags.focal_35mm / DIAGONAL_35MM * diagonal
-    return Lens(brown(size, focal, focal), math.hypot(*sd), source)
+    return Lens(brown((tags.width, tags.height), focal, focal), math.hypot(*sd), source)
 
 
 def brown(

@@ -36,11 +36,12 @@ from ..formats.reading import files_below
 from ..sources.picture_file import PictureFile
 from ..sources.undistort import undistort
 from .lens import Lens, brown, lens_of
-from .tags import Tags, read_tags
+from .tags import READABLE, Tags, read_tags
 
 # One sigma of pitch and roll [rad]: a gimbal's own word (it trembles by some tenths of a degree, and its zero is off by
 # as much), what a person tells, and a nadir that nobody told. Assumptions.
 GIMBAL_SD, TOLD_SD, ASSUMED_SD = np.radians([0.5, 1.0, 3.0])
+TURNED_PITCH = -85.0  # [deg] steeper than this, a photo that was turned looks down as it did
 RIGHT = np.array([1.0, 0.0, 0.0])  # the camera's own
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 
@@ -102,6 +103,8 @@ def open_photo(
 
     Raises InputError for what is no photo or has no focal length, UsageError for an impossible pitch or a roll alone.
     """
+    if roll is not None and not np.isfinite(roll):
+        raise UsageError(f"--roll must be a number of degrees, not {roll}")
     tags = read_tags(path)
     try:
         lens = lens_of(tags, lens_file, focal_px)
@@ -112,6 +115,12 @@ def open_photo(
             raise UsageError(f"--pitch must lie between -90 (straight down) and 0 (the horizon), not {pitch:g}")
         angles, sd, attitude = (pitch, roll or 0.0), TOLD_SD, f"pitch {pitch:g}, given"
     elif tags.pitch is not None:
+        if tags.turned and tags.pitch > TURNED_PITCH:
+            raise InputError(
+                f"{path}: its pixels were turned by a quarter turn since it was taken; its pitch of {tags.pitch:g} is "
+                "not theirs",
+                "Give its pitch and roll (--pitch, --roll), or the photo as the camera wrote it.",
+            )
         angles = (tags.pitch, tags.roll or 0.0 if roll is None else roll)
         sd, attitude = GIMBAL_SD, f"pitch {tags.pitch:g}, roll {angles[1]:g}, from XMP"
     elif roll:
@@ -130,9 +139,9 @@ def find_photos(paths: Sequence[Path]) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for path in paths:
         if path.is_dir():
-            inside = files_below(path, IMAGE_SUFFIXES)
+            inside = [p for p in files_below(path, IMAGE_SUFFIXES) if not p.name.startswith(".")]  # ._ of macOS
             if not inside:
-                raise InputError(f"{path}: no photo in this folder", "Photos are JPEG, PNG or TIFF files.")
+                raise InputError(f"{path}: no photo in this folder", READABLE)
             named = {p.relative_to(path).as_posix(): p for p in inside}
         elif path.exists():
             named = {path.name: path}
@@ -155,7 +164,7 @@ class Measure:
     @classmethod
     def log_normal(cls, value: float, sd: float) -> Measure:
         """A value and its 90 % interval, for one sigma `sd` of its logarithm."""
-        return cls(value, value * np.exp(-Z90 * sd), value * np.exp(Z90 * sd))
+        return cls(float(value), float(value * np.exp(-Z90 * sd)), float(value * np.exp(Z90 * sd)))
 
     def __str__(self) -> str:
         places = decimals((self.high - self.low) / 2)
@@ -220,7 +229,13 @@ class PhotoGeometry:
         seen = [(p, found.boxes.get(p.name, Boxes.empty())) for p in photos]
         usable = [(p, b[p.views(b.centre, 1.0)[1]]) for p, b in seen if len(b)]
         if not any(len(b) for _, b in usable):
-            raise TooLittleEvidence(f"0 usable vehicles, {MIN_VEHICLES} are needed")
+            steep = (
+                f"; none of {sum(len(b) for _, b in seen)} boxes is seen from more than {LOWEST_ELEVATION:g} degrees"
+            )
+            raise TooLittleEvidence(
+                f"0 usable vehicles, {MIN_VEHICLES} are needed"
+                + (f"{steep} ({usable[0][0].attitude})" if usable else "")
+            )
         return cls(
             found=found,
             boxes=Boxes.concatenate([b for _, b in usable]),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..actions.requests import number
 from ..core.boxes import Boxes
 from ..core.brief import Brief
 from ..core.detections import Detections
@@ -80,6 +81,8 @@ def photo(
     """
     given = paths_of(paths, "the path of a photo, or of a folder of them")
     lens = None if lens_file is None else path_of(lens_file, "the path of a calibration of the lens")
+    numbers = {"--focal-px": focal_px, "--pitch": pitch, "--roll": roll}
+    focal_px, pitch, roll = (None if v is None else number(name, v) for name, v in numbers.items())
     told = {"lens_file": lens, "focal_px": focal_px, "pitch": pitch, "roll": roll}
     return surveyed(given, Looking.of(options), together, progress, None, **told)
 

@@ -37,8 +37,8 @@ class Outcome:
     depth_problem: str = ""
 
     def ratio(self, altitude: float | None) -> float | None:
-        """Of another altitude [m] to the one by vehicles."""
-        return altitude / self.measured.altitude.value if altitude and self.measured else None
+        """Of another altitude [m] to the one by vehicles; None too for one that is not above the ground."""
+        return altitude / self.measured.altitude.value if altitude and altitude > 0 and self.measured else None
 
 
 def row(outcome: Outcome) -> dict[str, Any]:

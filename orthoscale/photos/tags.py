@@ -4,7 +4,8 @@ Makers disagree about angles. Here all are gimbal angles, as DJI writes them: pi
 horizon, roll positive with the right side down, yaw clockwise from north; degrees.
 
 - `GimbalPitchDegree` (DJI, Autel, Teal), `CameraPitchDegree` (Parrot) and `CameraOrientationNED` (Skydio) are such.
-- `Camera:Pitch` (Pix4D's and senseFly's schema) is 0 straight down and 90 at the horizon. Some Autel models write
+- `Camera:Pitch` (Pix4D's and senseFly's schema) is 0 straight down and 90 at the horizon, and `Camera:Roll` is the
+  wings', which tilts a camera that looks straight down. Some Autel models write
   gimbal angles there; those are negative, which the schema's are not for a camera that looks forward
   (github.com/Theta-Limited/OpenAthenaIOS/issues/62).
 - A DJI Mini 2 writes zeros for all three angles, whatever the gimbal does
@@ -19,14 +20,19 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
+from ..core.projection.level import up_from_survey
+from ..errors import InputError, shown
 from ..formats.reading import check_regular
 
+SIDES = {"N": 1, "S": -1, "E": 1, "W": -1}
 RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF FocalPlaneResolutionUnit: inch, cm, mm, micrometre
+SAME_SHAPE = 0.005  # relative: what a picture's aspect may change when it is made smaller
+READABLE = "Give photos as JPEG, TIFF or PNG; convert HEIC and raw photos with their tags, and take frames of videos."
 BACKWARDS = -30.0  # [deg] a `Camera:Pitch` below this is a gimbal angle: no survey camera looks that far backwards
 
 
@@ -34,7 +40,8 @@ BACKWARDS = -30.0  # [deg] a `Camera:Pitch` below this is a gimbal angle: no sur
 class Tags:
     """EXIF and XMP of one photo; None where they say nothing.
 
-    width, height : as stored, before any EXIF rotation [px]. full_width : as the camera wrote it [px].
+    width, height : as stored, before any EXIF rotation [px]. full_width, full_height : as the camera wrote it [px];
+    the latter None where EXIF does not tell.
     lon_lat : [deg]. relative_altitude : over the take-off point, as the drone has it [m].
     focal_mm : physical. focal_35mm : for the same field of view on 36 x 24 mm, by the diagonal (CIPA DCG-001).
     plane_px_per_mm : pixels of the full image per millimetre of the sensor.
@@ -63,6 +70,7 @@ class Tags:
     roll: float | None = None
     yaw: float | None = None
     notes: tuple[str, ...] = field(default=())
+    full_height: int | None = None
 
     @property
     def camera(self) -> str:
@@ -70,13 +78,24 @@ class Tags:
         named = self.model.lower().startswith(self.make.lower())
         return self.model if named else f"{self.make} {self.model}".strip()
 
+    @property
+    def turned(self) -> bool:
+        """Whether its pixels were turned by a quarter turn since it was taken, by its size in EXIF."""
+        return not self.of_shape(self.full_width, self.full_height) and self.of_shape(self.full_height, self.full_width)
+
+    def of_shape(self, width: int | None, height: int | None) -> bool:
+        """Whether it has the aspect of a picture of that size; False where that is not known."""
+        if not width or not height:
+            return False
+        return abs(self.width * height / (self.height * width) - 1) < SAME_SHAPE
+
 
 def read_tags(path: Path) -> Tags:
     """The tags of the photo at `path`; its pixels are not decoded. Raises InputError for what is no image."""
     from PIL import Image, UnidentifiedImageError
     from PIL.ExifTags import IFD
 
-    check_regular(path, "Give photos as JPEG, TIFF or PNG.")
+    check_regular(path, READABLE)
     try:
         with _of_any_size(), warnings.catch_warnings(record=True) as complaints, Image.open(path) as image:
             warnings.simplefilter("always")
@@ -84,12 +103,14 @@ def read_tags(path: Path) -> Tags:
             base = image.getexif()
             exif, gps = base.get_ifd(IFD.Exif), base.get_ifd(IFD.GPSInfo)
     except UnidentifiedImageError as error:
-        raise InputError(f"{path}: not an image", "Give photos as JPEG, TIFF or PNG.") from error
+        raise InputError(f"{path}: not an image that can be read", READABLE) from error
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"{path}: cannot be read ({reason})", "Check the path, or copy the file again.") from error
     except Exception as error:  # Pillow's readers raise whatever a damaged file makes of them
         raise InputError(f"{path}: is damaged ({error})", "Copy it again from its original.") from error
+    if _number(base.get(0x00FE)) == 1:  # NewSubfileType: what Pillow shows of DNG, NEF and ARW
+        raise InputError(f"{path}: holds a small preview, as raw photos do", READABLE)
     xmp, notes = _flat_xmp(packet)
     if complaints:
         notes.append(f"its EXIF is damaged and was read as far as it goes ({complaints[0].message})")
@@ -99,10 +120,12 @@ def read_tags(path: Path) -> Tags:
     unit = MM_PER_UNIT.get(int(_number(exif.get(0xA210)) or 2), 25.4)
     resolution = _positive(exif.get(0xA20E))
     dewarp = _dewarp(xmp.get("DewarpData", ""))
+    full_width, full_height = (_positive(exif.get(tag)) for tag in (0xA002, 0xA003))
     return Tags(
         width=width,
         height=height,
-        full_width=int(_positive(exif.get(0xA002)) or width),
+        full_width=int(full_width or width),
+        full_height=int(full_height) if full_width and full_height else None,
         make=str(base.get(0x010F, "")).strip("\0 "),
         model=str(base.get(0x0110, "")).strip("\0 "),
         taken=str(exif.get(0x9003, base.get(0x0132, ""))).strip("\0 "),
@@ -137,11 +160,14 @@ def _of_any_size() -> Iterator[None]:
 def _flat_xmp(packet: bytes | str) -> tuple[dict[str, str], list[str]]:
     """Properties by local name, those of a structure as ``Structure.Property``; and what could not be read."""
     text = packet.encode() if isinstance(packet, str) else bytes(packet)
-    start, end = text.find(b"<x:xmpmeta"), text.rfind(b"</x:xmpmeta>")
-    if start < 0 or end < 0:
+    for tag in (b"x:xmpmeta", b"rdf:RDF"):  # the outer one may be left out (XMP specification, part 1, 7.3.3)
+        start, end = text.find(b"<" + tag), text.rfind(closing := b"</" + tag + b">")
+        if 0 <= start < end:
+            break
+    else:
         return {}, []
     try:
-        root = ElementTree.fromstring(text[start : end + len(b"</x:xmpmeta>")])
+        root = ElementTree.fromstring(text[start : end + len(closing)])
     except ElementTree.ParseError as error:
         return {}, [f"its XMP is damaged ({error}) and was passed over"]
     found: dict[str, str] = {}
@@ -167,8 +193,10 @@ def _local(name: str) -> str:
 def _angles(xmp: Mapping[str, str], notes: list[str]) -> tuple[float | None, float | None, float | None]:
     """Pitch, roll, yaw [deg] from whichever schema has a pitch."""
     for form in ("Gimbal{}Degree", "Camera{}Degree", "CameraOrientationNED.{}"):
-        pitch, roll, yaw = (_number(xmp.get(form.format(axis))) for axis in ("Pitch", "Roll", "Yaw"))
+        told = [xmp.get(form.format(axis)) for axis in ("Pitch", "Roll", "Yaw")]
+        pitch, roll, yaw = map(_number, told)
         if pitch is None:
+            notes += _no_pitch(told[0])
             continue
         if pitch == roll == yaw == 0:
             notes.append("its gimbal angles are all exactly zero, as by a camera that does not know them: passed over")
@@ -176,11 +204,27 @@ def _angles(xmp: Mapping[str, str], notes: list[str]) -> tuple[float | None, flo
         return pitch, roll, yaw
     pitch, roll, yaw = (_number(xmp.get(axis)) for axis in ("Pitch", "Roll", "Yaw"))
     if pitch is None:
+        notes += _no_pitch(xmp.get("Pitch"))
         return None, None, None
     if pitch < BACKWARDS:
         notes.append(f"its Camera:Pitch of {pitch:g} is taken for a gimbal angle, -90 straight down")
         return pitch, roll, yaw
-    return pitch - 90.0, roll, yaw
+    return _gimbal_angles(pitch, roll, yaw) if roll else (pitch - 90.0, roll, yaw)
+
+
+def _no_pitch(text: str | None) -> list[str]:
+    return [] if text is None else [f"its pitch of {shown(text)!r} is no number: passed over"]
+
+
+def _gimbal_angles(pitch: float, roll: float, yaw: float | None) -> tuple[float, float, float | None]:
+    """Pitch, roll, yaw [deg] of the same view, from those of `up_from_survey`."""
+    p, r = math.radians(pitch), math.radians(roll)
+    x, y, z = map(float, up_from_survey(p, r))
+    # Yaw is where the sum of the picture's top and the optical axis points, as `level_axes` has it.
+    turn = math.atan2(-math.sin(r), math.cos(p) + math.sin(p) * math.cos(r))
+    angles = (math.asin(z), math.atan2(-x, -y))
+    down, about = (round(math.degrees(angle), 6) for angle in angles)
+    return down, about, None if yaw is None else round((yaw + math.degrees(turn)) % 360, 6)
 
 
 def _dewarp(text: str) -> tuple[float, ...] | None:
@@ -193,21 +237,29 @@ def _dewarp(text: str) -> tuple[float, ...] | None:
 
 
 def _lon_lat(gps: Mapping[int, Any]) -> tuple[float, float] | None:
+    """None too where EXIF does not tell north from south, or east from west."""
     try:
-        lat, lon = (sum(float(part) / 60**k for k, part in enumerate(gps[tag])) for tag in (2, 4))
+        lat, lon = (
+            SIDES[_letter(gps[tag - 1])] * sum(float(part) / 60**k for k, part in enumerate(gps[tag])) for tag in (2, 4)
+        )
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         return None
-    lat = -lat if gps.get(1) == "S" else lat
-    lon = -lon if gps.get(3) == "W" else lon
     if not (abs(lat) <= 90 and abs(lon) <= 180) or (lat, lon) == (0, 0):
         return None
     return lon, lat
 
 
+def _letter(value: Any) -> str:
+    """The first of a text, which some programs write as bytes, in small letters or as a whole word."""
+    text = value.decode("latin-1") if isinstance(value, bytes) else str(value)
+    return text.strip("\0 ")[:1].upper()
+
+
 def _number(value: Any) -> float | None:
+    """A finite number; in XMP it may be a fraction, too, as EXIF's are there."""
     try:
-        number = float(value)
-    except (TypeError, ValueError, ZeroDivisionError):
+        number = float(Fraction(value) if isinstance(value, str) and "/" in value else value)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return None
     return number if math.isfinite(number) else None
 

@@ -76,9 +76,13 @@ def _compared(outcome: Outcome) -> list[str]:
     if told:
         lines.append(("drone", told, "the drone reports it, above its take-off point"))
     return ["compared   altitude by   metres    ratio"] + [
-        f"           {name:12s} {value:7.1f}  {outcome.ratio(value):7.3f}  {note}".rstrip()
+        f"           {name:12s} {value:7.1f}  {_ratio(outcome.ratio(value)):7s}  {note}".rstrip()
         for name, value, note in lines
     ]
+
+
+def _ratio(ratio: float | None) -> str:
+    return "" if ratio is None else f"{ratio:7.3f}"
 
 
 def _depth(outcome: Outcome) -> str:

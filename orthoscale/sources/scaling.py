@@ -7,23 +7,23 @@ from pathlib import Path
 
 from ..errors import InputError, UsageError
 from ..formats.geometry.dense import is_dense
-from ..formats.geometry.files import scale_file
+from ..formats.geometry.files import Places, scale_file
 from .colmap import scale_model, scale_workspace
 from .colmap_check import model_folders
 
 
-def scale_path(source: Path, target: Path, scale: float) -> list[str]:
+def scale_path(source: Path, target: Path, scale: float, places: Places | None = None) -> list[str]:
     """Write `source`, in model units, to `target`, in metres: all lengths times `scale`; returns what there is to say.
 
     A folder is a sparse model or a dense workspace of COLMAP; `target` is then an empty folder. Files that a file
-    refers to (materials, buffers, point clouds) come along beside `target`.
+    refers to (materials, buffers, point clouds) come along beside `target`. places : of what was written before.
     Raises InputError for a missing, damaged or unknown file, UsageError for one that is in metres already, and for
     several models in one folder.
     """
     if not os.path.exists(source):  # noqa: PTH110  pathlib's raises for names that are too long
         raise InputError(f"{source} does not exist", "Give files in the units of the model.")
     if not source.is_dir():
-        return scale_file(source, target, scale)
+        return scale_file(source, target, scale, places)
     if is_dense(source):
         return scale_workspace(source, target, scale)
     if len(models := model_folders(source)) > 1:

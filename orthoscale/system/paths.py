@@ -23,9 +23,11 @@ def path_of(value: object, what: str) -> Path:
 
 
 def paths_of(values: object, what: str) -> list[Path]:
-    """One path or several as a list; see `path_of`."""
+    """One path or several as a list, at least one; see `path_of`."""
     if isinstance(values, Iterable) and not isinstance(values, (str, bytes, os.PathLike)):
-        return [path_of(each, what) for each in values]
+        if paths := [path_of(each, what) for each in values]:
+            return paths
+        raise UsageError(f"expected {what}, not an empty list", "Give one path or several.")
     return [path_of(values, what)]
 
 

@@ -7,7 +7,6 @@ picture and the class may come too, under the names that GeoJSON's properties ha
 from __future__ import annotations
 
 import csv
-import io
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 
 from ...core.boxes import Boxes
 from ...errors import InputError, shown
-from ..reading import read_text
+from ..reading import read_table
 from .items import CLASS, PICTURE, SCORE_NAMES, Item, first
 
 NUMBERS = ("cx", "cy", "length", "width")
@@ -25,25 +24,18 @@ TABLE_HINT = "Columns: cx, cy, length, width, angle (rad) or angle_deg; where wa
 
 def read(path: Path) -> list[Item]:
     """The boxes of a table. Raises InputError."""
-    text = read_text(path, "Give a detections file.")
-    table = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True, delimiter=_delimiter(text))
     try:
-        names = [(name or "").strip().lower() for name in table.fieldnames or ()]
-        table.fieldnames = names
+        table = read_table(path, "Give a detections file.")
+        names = table.fieldnames or ()
         missing = [name for name in NUMBERS if name not in names]
         missing += ["angle"] if not {"angle", "angle_deg"} & set(names) else []
         if missing:
             raise InputError(f"{path}: no column {' and '.join(missing)}", TABLE_HINT)
         rows = [_row(row, f"{path}, line {table.line_num}") for row in table]
     except csv.Error as error:
-        raise InputError(f"{path}: not a CSV table (line {table.line_num})", TABLE_HINT) from error
+        raise InputError(f"{path}: not a CSV table ({error})", TABLE_HINT) from error
     corners = Boxes(np.array([row[0] for row in rows], float).reshape(-1, 5), np.ones(len(rows))).corners
     return [Item(c, score, label, picture) for c, (_, score, label, picture) in zip(corners, rows, strict=True)]
-
-
-def _delimiter(text: str) -> str:
-    head = text.partition("\n")[0]
-    return max(",;\t", key=head.count)
 
 
 def _row(row: Mapping[str | None, str | None], origin: str) -> tuple[list[float], float, str | None, str | None]:

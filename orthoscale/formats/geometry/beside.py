@@ -3,10 +3,31 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
+
+
+@dataclass
+class Referred:
+    """Files that a file refers to: those that lie beside it, and the names of those that do not."""
+
+    there: list[Path] = field(default_factory=list)
+    absent: list[str] = field(default_factory=list)
+
+    def add(self, path: Path, names: Iterable[str]) -> list[Path]:
+        """Look for `names` as the file `path` refers to them; returns those that are there."""
+        found = {name: beside(path, name) for name in names if name}
+        there = [place for place in found.values() if place is not None and place not in self.there]
+        self.there += there
+        self.absent += [name for name, place in found.items() if place is None]
+        return there
 
 
 def beside(path: Path, name: str) -> Path | None:
     """The file `name` as the file `path` refers to it, from its own folder; None where there is none."""
-    place = path.parent / name
-    return place if name and os.path.isfile(place) else None  # noqa: PTH113  pathlib's raises for names that are too long
+    for spelled in (name, name.replace("\\", "/")):  # programs on Windows write backslashes
+        place = path.parent / spelled
+        if name and os.path.isfile(place):  # noqa: PTH113  pathlib's raises for names that are too long
+            return place
+    return None

@@ -2,68 +2,99 @@
 
 from __future__ import annotations
 
+import filecmp
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
-from ...errors import InputError, UsageError
+from ...errors import InputError, UsageError, shown
+from .beside import Referred
 from .dense import scale_depth_map
 from .gltf import scale_glb, scale_gltf
-from .mesh import CLOUDS, MESHES, scale_mesh
+from .las import scale_las
+from .lines import POINTS, scale_off, scale_points
 from .obj import scale_obj
+from .pcd import scale_pcd
 from .ply import scale_ply
 from .poses import read_poses, scale_reconstruction, scale_transforms
+from .records import scale_splat, scale_stl
 from .text_models import SUFFIXES, scale_text_model
 
 KNOWN = (
-    "PLY (splats too), OBJ, GLB, glTF, transforms.json, reconstruction.json, bundle.out, NVM, depth maps, folders of "
-    "COLMAP"
+    "Convert it first. Known are PLY (splats too), OBJ, GLB, glTF, transforms.json, reconstruction.json, bundle.out, "
+    "NVM, depth maps, folders of COLMAP, LAS, LAZ, PCD, XYZ, PTS, STL, OFF, .splat."
 )
+# Formats of one file each.
+ALONE: dict[str, Callable[[Path, Path, float], None]] = {
+    ".glb": scale_glb,
+    ".las": scale_las,
+    ".laz": scale_las,
+    ".off": scale_off,
+    ".pcd": scale_pcd,
+    ".splat": scale_splat,
+    ".stl": scale_stl,
+    **dict.fromkeys(POINTS, scale_points),
+    **dict.fromkeys(SUFFIXES, scale_text_model),
+}
+WITH_OTHERS = {".ply": scale_ply, ".obj": scale_obj, ".gltf": scale_gltf}
 
 
-def scale_file(source: Path, target: Path, scale: float) -> list[str]:
+class Places:
+    """Where the files of one run go, lest one takes the place of another that only has the same name."""
+
+    def __init__(self) -> None:
+        self._sources: dict[Path, Path] = {}
+
+    def take(self, place: Path, source: Path) -> bool:
+        """Whether `source` is still to be written to `place`. Raises UsageError if what differs from it went there."""
+        first = self._sources.setdefault(place, source)
+        if first is not source and not filecmp.cmp(first, source, shallow=False):
+            raise UsageError(
+                f"{first} and {source} would both become {place.name}, and differ",
+                "Write the files that refer to them to different folders, one after the other.",
+            )
+        return first is source
+
+
+def scale_file(source: Path, target: Path, scale: float, places: Places | None = None) -> list[str]:
     """Write the file `source`, in model units, to `target`, in metres: all lengths times `scale`; returns what there is
     to say.
 
-    Files that it refers to (materials, buffers, point clouds) come along beside `target`. Raises InputError for a
-    missing, damaged or unknown file, UsageError for one that is in metres already.
+    Files that it refers to (materials, buffers, point clouds) come along beside `target`. places : of what was written
+    before. Raises InputError for a missing, damaged or unknown file, UsageError for one that is in metres already.
     """
+    places = places or Places()
+    places.take(target, source)
     suffix = source.suffix.lower()
-    companions: list[Path] = []
-    clouds: list[Path] = []
-    if suffix == ".ply":
-        scale_ply(source, target, scale)
-    elif suffix == ".obj":
-        companions = scale_obj(source, target, scale)
-    elif suffix == ".glb":
-        scale_glb(source, target, scale)
-    elif suffix == ".gltf":
-        companions = scale_gltf(source, target, scale)
+    copied, scaled = Referred(), Referred()
+    notes: list[str] = []
+    if suffix in WITH_OTHERS:
+        copied = WITH_OTHERS[suffix](source, target, scale)
+    elif suffix in ALONE:
+        ALONE[suffix](source, target, scale)
     elif suffix == ".json" and isinstance(read_poses(source), list):
         scale_reconstruction(source, target, scale)
     elif suffix == ".json":
-        clouds = scale_transforms(source, target, scale)
+        scaled, notes = scale_transforms(source, target, scale)
     elif suffix == ".bin" and source.parent.name == "depth_maps":
         scale_depth_map(source, target, scale)
-    elif suffix in SUFFIXES:
-        scale_text_model(source, target, scale)
-    elif suffix in MESHES | CLOUDS:
-        scale_mesh(source, target, scale)
     else:
-        raise InputError(f"{source}: {suffix or 'a file without suffix'} cannot be scaled", f"Known are: {KNOWN}.")
-    for path in companions:
-        beside = _beside(path, source, target)
-        if not beside.exists():
-            shutil.copyfile(path, beside)
-    for path in clouds:
-        scale_ply(path, _beside(path, source, target), scale)
-    return [f"with {path.name}" for path in (*companions, *clouds)]
+        raise InputError(_unknown(source), KNOWN)
+    for path in copied.there:
+        if places.take(place := _beside(path, source, target), path):
+            shutil.copyfile(path, place)
+    for path in scaled.there:
+        if places.take(place := _beside(path, source, target), path):
+            scale_ply(path, place, scale)
+    absent = [f"refers to {shown(name)}, which is not beside it" for name in (*copied.absent, *scaled.absent)]
+    return [f"with {path.name}" for path in (*copied.there, *scaled.there)] + absent + notes
 
 
 def _beside(path: Path, source: Path, target: Path) -> Path:
-    """Where a file that `source` refers to goes; never out of the target's folder."""
-    place = Path(os.path.realpath(path))
-    home = os.path.realpath(source.parent)
+    """Where a file that `source` refers to goes; never out of the target's folder. Links count by their own place, not
+    by that of the files behind them."""
+    place, home = Path(os.path.abspath(path)), os.path.abspath(source.parent)
     if not place.is_relative_to(home):
         raise InputError(f"{source} refers to {path}, which lies outside its folder", "Move both into one folder.")
     out = target.parent / place.relative_to(home)
@@ -72,13 +103,17 @@ def _beside(path: Path, source: Path, target: Path) -> Path:
 
 
 def reason_left(source: Path, target: Path, scale: float) -> str:
-    """Write one file of geometry in metres and return '', or return why it cannot be (no Open3D, unknown format)."""
+    """Write one file of geometry in metres and return '', or return why it cannot be (an unknown format, in metres
+    already). Raises InputError for one that is damaged."""
+    if source.suffix.lower() not in {*WITH_OTHERS, *ALONE}:
+        return _unknown(source)
     try:
         scale_file(source, target, scale)
     except UsageError as error:
-        return error.message
-    except InputError as error:
-        if source.suffix.lower() in {".ply", ".obj", ".glb", ".gltf"}:
-            raise  # damaged
+        target.unlink(missing_ok=True)
         return error.message
     return ""
+
+
+def _unknown(source: Path) -> str:
+    return f"{source}: {source.suffix or 'a file without suffix'} cannot be scaled"

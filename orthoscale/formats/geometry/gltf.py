@@ -1,6 +1,7 @@
 """glTF 2.0, as .glb or .gltf: every scene gets a root node with the scale, so that no buffer is changed.
 
-The root node applies to all that is below it: meshes, skins, animations, quantised or compressed geometry.
+The root node applies to all that is below it: meshes, skins, animations, quantised or compressed geometry. Only the
+centre that 3D Tiles add (CESIUM_RTC) is not below it.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ from urllib.parse import unquote
 
 from ...errors import InputError
 from ..reading import EXPORT_ANEW, HUGE, MIB, checked, parsed, read_plain
-from .beside import beside
+from .beside import Referred, beside
 from .mark import MARK, mark, refuse_marked
 
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
 A_SCENE = "a glTF scene"
+NOT_BESIDE = ("data:", "http:", "https:")  # how addresses begin that are of no file beside it
 
 
 def scale_glb(source: Path, target: Path, scale: float) -> None:
@@ -43,14 +45,16 @@ def scale_glb(source: Path, target: Path, scale: float) -> None:
             shutil.copyfileobj(file, out, 1 << 20)
 
 
-def scale_gltf(source: Path, target: Path, scale: float) -> list[Path]:
+def scale_gltf(source: Path, target: Path, scale: float) -> Referred:
     """The same for a .gltf text file; returns the buffers and images beside it that it refers to."""
     text = read_plain(source, A_SCENE, EXPORT_ANEW, HUGE)
     target.write_text(json.dumps(_scaled(source, text, scale), indent=1), encoding="utf-8")
     told = [part.get("uri") or "" for part in (*text.get("buffers", []), *text.get("images", []))]
     # Names are percent-encoded (glTF 2.0, 2.8); not all exporters do so.
-    found = [beside(source, unquote(uri)) or beside(source, uri) for uri in told if uri and not uri.startswith("data:")]
-    return [path for path in found if path is not None]
+    names = [uri if beside(source, uri) else unquote(uri) for uri in told if not uri.startswith(NOT_BESIDE)]
+    files = Referred()
+    files.add(source, names)
+    return files
 
 
 def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
@@ -73,5 +77,7 @@ def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
     if not above:
         raise InputError(f"{path}: its scenes are empty", hint)
     nodes += [{"name": "metres", "scale": [scale] * 3, "children": [root]} for root in above]
+    if centre := (text.get("extensions") or {}).get("CESIUM_RTC"):  # outside of all nodes
+        centre["center"] = [value * scale for value in centre["center"]]
     asset["extras"] = {**(asset.get("extras") or {}), MARK: mark(scale)}
     return text

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 
 from ...errors import InputError
-from ..reading import read_bytes
-from .beside import beside
+from ..reading import EXPORT_ANEW, read_bytes
+from .beside import Referred, beside
 from .mark import MARK, mark, refuse_marked
 
+TEXTURES = ("map_", "bump", "norm", "disp", "decal", "refl")  # how lines of materials begin that name a picture
 
-def scale_obj(source: Path, target: Path, scale: float) -> list[Path]:
+
+def scale_obj(source: Path, target: Path, scale: float) -> Referred:
     """Write the OBJ file `source` to `target` in metres; returns the files that it refers to (materials, textures).
 
     Raises InputError for a malformed vertex or a file without any, UsageError for one in metres already.
@@ -22,29 +25,41 @@ def scale_obj(source: Path, target: Path, scale: float) -> list[Path]:
         for number, line in enumerate(file, 1):
             if line.startswith(b"# " + MARK.encode()):
                 refuse_marked(source)
+            if number == 1:
+                line = line.removeprefix(codecs.BOM_UTF8)
             words = line.split()
             if words[:1] == [b"v"]:
                 count += 1
                 try:
+                    if b"\r" in line.strip():
+                        raise ValueError("several lines, as old Macs end them")
                     xyz = [f"{float(words[k]) * scale:.10g}".encode() for k in (1, 2, 3)]
                 except (ValueError, IndexError) as error:
-                    raise InputError(
-                        f"{source}, line {number}: a vertex is malformed", "Copy the file again, or export it anew."
-                    ) from error
+                    raise InputError(f"{source}, line {number}: a vertex is malformed", EXPORT_ANEW) from error
                 line = b" ".join([b"v", *xyz, *words[4:]]) + b"\n"
             elif words[:1] == [b"mtllib"] and len(words) > 1:
-                materials.append(line.split(maxsplit=1)[1].decode("utf-8", "replace").strip())
+                materials += _libraries(source, line.split(maxsplit=1)[1].decode("utf-8", "replace").strip())
             out.write(line)
     if not count:
         raise InputError(f"{source}: no vertices (lines that start with v)", "Is this an OBJ file?")
-    found = [path for name in materials if (path := beside(source, name)) is not None]
-    return found + [texture for material in found for texture in _textures(material)]
+    files = Referred()
+    for material in files.add(source, materials):
+        files.add(material, _textures(material))
+    return files
 
 
-def _textures(material: Path) -> list[Path]:
-    lines = (
-        line.split()
-        for line in read_bytes(material, "It is a list of materials.").decode("utf-8", "replace").splitlines()
-    )
-    names = [words[-1] for words in lines if len(words) > 1 and words[0].lower().startswith(("map_", "bump", "norm"))]
-    return [path for name in dict.fromkeys(names) if (path := beside(material, name)) is not None]
+def _libraries(source: Path, names: str) -> list[str]:
+    """Names of materials' files: several in a line, or one with spaces in it."""
+    return [names] if beside(source, names) else names.split()
+
+
+def _textures(material: Path) -> list[str]:
+    """Names of the pictures in a file of materials."""
+    text = read_bytes(material, "It is a list of materials.").decode("utf-8", "replace")
+    return [_texture(material, line) for line in text.splitlines() if line.strip().lower().startswith(TEXTURES)]
+
+
+def _texture(material: Path, line: str) -> str:
+    """The name at the end of `line`, after options such as ``-s 1 1 1``; it may have spaces in it."""
+    ends = [line.split(maxsplit=k)[-1].strip() for k in range(1, len(line.split()))]
+    return next((name for name in ends if beside(material, name)), ends[-1] if ends else "")

@@ -17,6 +17,7 @@ import numpy as np
 
 from ...errors import InputError
 from ..reading import EXPORT_ANEW
+from .beside import Referred
 from .mark import MARK, mark, refuse_marked
 
 PLY_TYPES = {
@@ -28,7 +29,10 @@ ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 LONGEST_HEADER = 1 << 16  # [bytes]
 ROWS = 1 << 17  # vertices in memory at once
 MOST_POINTS = 500_000  # that a model is given; the ground is found from fewer
-LENGTHS = ("x", "y", "z", "radius")
+# `filter_3D` is the width of Mip-Splatting's filter (Yu et al. 2024), which it writes beside the splats' axes.
+LENGTHS = ("x", "y", "z", "radius", "filter_3D")
+SPLAT = {"rot_0", "f_dc_0", "opacity"}  # one of these is among the properties of a Gaussian
+TEXTURE = "comment TextureFile "  # MeshLab's and OpenMVS's
 
 
 @dataclass
@@ -51,8 +55,9 @@ class _Element:
         return self.count * sum(np.dtype(kind).itemsize if kind else 1 for _, kind in self.properties)
 
 
-def scale_ply(source: Path, target: Path, scale: float) -> None:
-    """Write the PLY file `source` to `target` with all lengths times `scale`. Raises InputError, UsageError."""
+def scale_ply(source: Path, target: Path, scale: float) -> Referred:
+    """Write the PLY file `source` to `target` with all lengths times `scale`; returns the textures that it refers to.
+    Raises InputError, UsageError."""
     with source.open("rb") as file:
         lines, form, elements = _header(source, file)
         _require(source, file, form, elements)
@@ -69,14 +74,14 @@ def scale_ply(source: Path, target: Path, scale: float) -> None:
         if not all(e.fixed for e in (*before, vertex)):
             raise InputError(f"{source}: lists before or among the vertices", "Export it with plain vertices first.")
         kinds = dict(vertex.properties)
-        logs = [n for n in names if re.fullmatch(r"scale_\d", n) and "rot_0" in names]
+        logs = [n for n in names if re.fullmatch(r"scale_\d", n) and SPLAT & set(names)]
         lengths = [n for n in LENGTHS if n in names]
         whole = [n for n in (*lengths, *logs) if kinds[n][0] != "f"]
         if whole:
             raise InputError(f"{source}: {whole[0]} is a whole number and cannot be scaled", "Export it as float.")
         with target.open("wb") as out:
             lines.insert(2, "comment " + mark(scale))
-            out.write(("\n".join(lines) + "\n").encode())
+            out.write(("\n".join(lines) + "\n").encode("utf-8", "surrogateescape"))
             if form == "ascii":
                 _ascii(source, file, out, sum(e.count for e in before), vertex, lengths, logs, scale)
             else:
@@ -84,6 +89,9 @@ def scale_ply(source: Path, target: Path, scale: float) -> None:
                     _copy(file, out, element.least(form))
                 _binary(source, file, out, vertex.row(ORDER[form]), vertex.count, lengths, logs, scale)
             shutil.copyfileobj(file, out, 1 << 20)
+    textures = Referred()
+    textures.add(source, [line.removeprefix(TEXTURE).strip() for line in lines if line.startswith(TEXTURE)])
+    return textures
 
 
 def _require(path: Path, file: BinaryIO, form: str, elements: list[_Element]) -> None:
@@ -145,7 +153,7 @@ def _header(path: Path, file: BinaryIO) -> tuple[list[str], str, list[_Element]]
     form = ""
     try:
         while not lines or lines[-1] != "end_header":
-            line = file.readline(LONGEST_HEADER).decode("utf-8").rstrip("\r\n")
+            line = file.readline(LONGEST_HEADER).decode("utf-8", "surrogateescape").rstrip()  # comments in any coding
             if file.tell() > LONGEST_HEADER or not (line or file.peek(1)):  # type: ignore[attr-defined]
                 raise ValueError("no end_header")
             lines.append(line)
@@ -202,15 +210,18 @@ def _ascii(
 ) -> None:
     names = [name for name, _ in vertex.properties]
     grow, add = [names.index(n) for n in lengths], [names.index(n) for n in logs]
+    digits = 15 if "f8" in dict(vertex.properties).values() else 9
     for _ in range(before):
         out.write(file.readline())
     for k in range(vertex.count):
         words = file.readline().split()
         try:
+            if len(words) < len(names):
+                raise ValueError("some are missing")
             for j in grow:
-                words[j] = f"{float(words[j]) * scale:.9g}".encode()
+                words[j] = f"{float(words[j]) * scale:.{digits}g}".encode()
             for j in add:
-                words[j] = f"{float(words[j]) + np.log(scale):.9g}".encode()
+                words[j] = f"{float(words[j]) + np.log(scale):.{digits}g}".encode()
         except (ValueError, IndexError) as error:
             raise InputError(f"{path}: vertex {k} of {vertex.count} is missing or malformed", EXPORT_ANEW) from error
         out.write(b" ".join(words) + b"\n")

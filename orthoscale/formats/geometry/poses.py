@@ -10,9 +10,10 @@ import numpy as np
 
 from ...errors import InputError
 from ..reading import HUGE, checked, read_plain
-from .beside import beside
+from .beside import Referred
 from .mark import MARK, mark, refuse_marked
 
+DEPTH_STEP = "integer_depth_scale"
 POSES_HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
 
 
@@ -30,11 +31,12 @@ def read_poses(path: Path) -> dict[str, Any] | list[dict[str, Any]]:
     return text
 
 
-def scale_transforms(source: Path, target: Path, scale: float) -> list[Path]:
-    """Write a transforms.json in metres; returns the point cloud beside it that must be scaled as well.
+def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred, list[str]]:
+    """Write a transforms.json in metres; returns the point cloud that must be scaled as well, and what there is to say.
 
     The cameras' positions grow, and the shift of ``applied_transform``, which leads back to the world before
-    nerfstudio turned it. ``applied_scale`` stays: its world is now the metric one. Raises InputError, UsageError.
+    nerfstudio turned it; so does instant-ngp's ``integer_depth_scale``, the lengths in a step of its depth maps.
+    ``applied_scale`` stays: its world is now the metric one. Raises InputError, UsageError.
     """
     text = cast("dict[str, Any]", read_poses(source))
     if MARK in text:
@@ -43,11 +45,16 @@ def scale_transforms(source: Path, target: Path, scale: float) -> list[Path]:
         frame["transform_matrix"] = _grown(frame["transform_matrix"], scale)
     if "applied_transform" in text:
         text["applied_transform"] = _grown(text["applied_transform"], scale)
-    cloud = text.get("ply_file_path")
+    notes = []
+    if DEPTH_STEP in text:
+        text[DEPTH_STEP] *= scale
+    elif any(frame.get("depth_file_path") for frame in text["frames"]):
+        notes.append(f"the depth maps that it names stay in model units: read them times {scale:.9g}")
     text[MARK] = mark(scale)
     target.write_text(json.dumps(text, indent=1), encoding="utf-8")
-    found = beside(source, cloud or "")
-    return [] if found is None else [found]
+    cloud = Referred()
+    cloud.add(source, [text.get("ply_file_path") or ""])
+    return cloud, notes
 
 
 def scale_reconstruction(source: Path, target: Path, scale: float) -> None:

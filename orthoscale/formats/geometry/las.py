@@ -1,0 +1,76 @@
+"""LAS and LAZ (ASPRS, LAS 1.4 R15): coordinates are whole numbers times a factor plus an offset, and the header has
+these. So only the header changes, whether points are compressed or not.
+"""
+
+from __future__ import annotations
+
+import shutil
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from ...errors import InputError, UsageError
+from ..reading import EXPORT_ANEW
+from .mark import MARK, refuse_marked
+
+# Offsets in the header.
+SOFTWARE, HEADER_SIZE, RECORDS, POINT_FORMAT, LENGTHS, EXTENDED = 58, 94, 100, 104, 131, 235
+LEAST = 227  # [bytes] of a header
+DOUBLES = 12  # of LENGTHS: factors and offsets by axis, then largest and smallest coordinates
+WAVES = (4, 5, 9, 10)  # point formats with waveforms, whose directions have a length
+PROJECTION, GEOKEYS, WKT = b"LASF_Projection", 34735, 2112
+
+
+def scale_las(source: Path, target: Path, scale: float) -> None:
+    """Write the LAS or LAZ file `source` to `target` in metres. Raises InputError; UsageError for one that is in metres
+    already, or has a place on Earth."""
+    with source.open("rb") as file:
+        head = bytearray(file.read(LEAST))
+        if len(head) < LEAST or head[:4] != b"LASF":
+            raise InputError(f"{source}: not a LAS file", EXPORT_ANEW)
+        if head[SOFTWARE:].startswith(MARK.encode()):
+            refuse_marked(source)
+        if head[POINT_FORMAT] & 0x3F in WAVES:  # LAZ has flags in the two other bits
+            raise InputError(f"{source}: points with waveforms cannot be scaled", "Write it without them first.")
+        for user, record, content in _records(source, file, bytes(head)):
+            if user == b"copc":
+                raise InputError(f"{source}: COPC cannot be scaled", "Convert it to plain LAZ first.")
+            keys = record == GEOKEYS and content[6:8].strip(b"\0")  # how many there are
+            if user == PROJECTION and (keys or (record == WKT and content.strip(b"\0 "))):
+                raise UsageError(
+                    f"{source} is georeferenced, and so not in the model's units",
+                    "Give the cloud as it was before; if its reference is wrong, remove that first.",
+                )
+        lengths = struct.unpack_from(f"<{DOUBLES}d", head, LENGTHS)
+        struct.pack_into(f"<{DOUBLES}d", head, LENGTHS, *(value * scale for value in lengths))
+        struct.pack_into("<32s", head, SOFTWARE, f"{MARK}: metres".encode())
+        file.seek(LEAST)
+        with target.open("wb") as out:
+            out.write(head)
+            shutil.copyfileobj(file, out, 1 << 20)
+
+
+def _records(path: Path, file: BinaryIO, head: bytes) -> Iterator[tuple[bytes, int, bytes]]:
+    """User, number and the first bytes of each variable length record, those behind the points included."""
+    size = path.stat().st_size
+    (start,), (count,) = struct.unpack_from("<H", head, HEADER_SIZE), struct.unpack_from("<I", head, RECORDS)
+    yield from _walk(path, file, size, start, count, "<H16sHH32x")
+    file.seek(EXTENDED)
+    extended = file.read(12)
+    if head[24:26] >= b"\1\4" and start >= EXTENDED + 12 and len(extended) == 12:
+        start, count = struct.unpack("<QI", extended)
+        yield from _walk(path, file, size, start, count, "<H16sHQ32x")
+
+
+def _walk(
+    path: Path, file: BinaryIO, size: int, start: int, count: int, form: str
+) -> Iterator[tuple[bytes, int, bytes]]:
+    for _ in range(count):
+        file.seek(min(start, size))
+        record = file.read(struct.calcsize(form))
+        if len(record) < struct.calcsize(form):
+            raise InputError(f"{path}: {size} bytes, but records in its header lie behind them", EXPORT_ANEW)
+        _, user, number, length = struct.unpack(form, record)
+        yield user.rstrip(b"\0"), number, file.read(min(length, 64))
+        start += len(record) + length

@@ -1,0 +1,114 @@
+"""Points and meshes in lines of text: XYZ, PTS, OFF and the ASCII form of STL. Only what has a length is changed.
+
+These formats have no room for a mark.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+from ...errors import InputError
+from ..reading import EXPORT_ANEW
+
+POINTS = (".xyz", ".xyzn", ".xyzrgb", ".pts")
+COMMENTS = (b"#", b"//")
+OFF_HEAD = re.compile(rb"(ST)?C?N?(4?n?)OFF(\s+BINARY)?\s*")
+
+
+def scale_points(source: Path, target: Path, scale: float) -> None:
+    """Write the points in `source`, a line each, to `target` in metres: the first three numbers of a line, or those
+    that a first line of names calls x, y and z. Raises InputError."""
+    columns, count = [0, 1, 2], 0
+    separator: bytes | None = None
+    with source.open("rb") as file, target.open("wb") as out:
+        for number, line in enumerate(file, 1):
+            words, between = _words(line, separator)
+            if count == 0 and words and (named := _named(words)):
+                columns, separator = named, between
+                out.write(line)
+            elif not words or words[0].startswith(COMMENTS) or (len(words) == 1 and words[0].isdigit()):
+                out.write(line)  # PTS counts its points
+            else:
+                separator = between
+                count += 1
+                out.write(_scaled(f"{source}, line {number}", words, columns, scale, separator))
+    if not count:
+        raise InputError(f"{source}: no points in it", EXPORT_ANEW)
+
+
+def scale_off(source: Path, target: Path, scale: float) -> None:
+    """Write the OFF mesh `source` to `target` in metres. Raises InputError."""
+    with source.open("rb") as file, target.open("wb") as out:
+        head = _kept(file, out)
+        form = OFF_HEAD.match(head)
+        if form is None or form[2] or form[3]:
+            raise InputError(f"{source}: no OFF file of text in three dimensions", "Export it as plain OFF, or as PLY.")
+        out.write(head)
+        counts = head[form.end() :].split(b"#")[0].split()
+        if not counts:
+            out.write(line := _kept(file, out))
+            counts = line.split()
+        if not counts or not counts[0].isdigit():
+            raise InputError(f"{source}: no number of vertices where one belongs", EXPORT_ANEW)
+        for k in range(vertices := int(counts[0])):
+            words = _kept(file, out).split()
+            out.write(_scaled(f"{source}, vertex {k} of {vertices}", words, (0, 1, 2), scale))
+        shutil.copyfileobj(file, out, 1 << 20)
+
+
+def scale_ascii_stl(source: Path, target: Path, scale: float) -> None:
+    """Write the STL file `source`, of text, to `target` in metres. Raises InputError."""
+    count = 0
+    with source.open("rb") as file, target.open("wb") as out:
+        for number, line in enumerate(file, 1):
+            words = line.split()
+            if words and words[0].lower() == b"vertex":
+                count += 1
+                line = b" ".join([b"vertex", _scaled(f"{source}, line {number}", words[1:], (0, 1, 2), scale)])
+            out.write(line)
+    if not count:
+        raise InputError(f"{source}: no triangles in it", EXPORT_ANEW)
+
+
+def _words(line: bytes, separator: bytes | None) -> tuple[list[bytes], bytes | None]:
+    """The words of a line, and what is between them: None for blanks; found where three words are."""
+    if separator is not None:
+        return line.strip().split(separator), separator
+    words = line.split()
+    for mark in (b";", b","):  # a comma within a word is a decimal one
+        if line.count(mark) >= 2 and (len(words) < 3 or words[0].endswith(mark)):
+            return line.strip().split(mark), mark
+    return words, None
+
+
+def _named(words: Sequence[bytes]) -> list[int]:
+    """Which columns are called x, y and z; none where the words are no names of these."""
+    names = [word.strip(b'"/# \t').lower() for word in words]
+    names = [name for name in names if name] if words[0].strip() in COMMENTS else names
+    return [names.index(axis) for axis in (b"x", b"y", b"z")] if {b"x", b"y", b"z"} <= set(names) else []
+
+
+def _kept(file: BinaryIO, out: BinaryIO) -> bytes:
+    """The next line that is neither empty nor a comment; those before it go to `out`."""
+    while line := file.readline():
+        if line.strip() and not line.lstrip().startswith(b"#"):
+            break
+        out.write(line)
+    return line
+
+
+def _scaled(
+    place: str, words: Sequence[bytes], columns: Sequence[int], scale: float, separator: bytes | None = None
+) -> bytes:
+    """A line of `words` with the lengths in `columns` times `scale`. Raises InputError."""
+    new = list(words)
+    try:
+        for k in columns:
+            new[k] = f"{float(words[k]) * scale:.10g}".encode()
+    except (ValueError, IndexError) as error:
+        raise InputError(f"{place}: no three coordinates where they belong", EXPORT_ANEW) from error
+    return (separator or b" ").join(new) + b"\n"

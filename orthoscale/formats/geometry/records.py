@@ -1,0 +1,50 @@
+"""Files of binary records of one size: STL's triangles, and the Gaussians of .splat. They have no room for a mark.
+
+.splat (antimatter15's): position and axes as float32, not as logarithms, then colours and a rotation in eight bytes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError
+from ..reading import EXPORT_ANEW
+from .lines import scale_ascii_stl
+
+TRIANGLE = np.dtype([("normal", "<3f4"), ("length", "<9f4"), ("attribute", "<u2")])
+GAUSSIAN = np.dtype([("length", "<6f4"), ("rest", "8u1")])
+STL_HEAD = 84  # [bytes] 80 of any text, then the number of triangles
+ROWS = 1 << 17  # records in memory at once
+
+
+def scale_stl(source: Path, target: Path, scale: float) -> None:
+    """Write the STL file `source`, binary or text, to `target` in metres. Raises InputError."""
+    size = source.stat().st_size
+    with source.open("rb") as file:
+        head = file.read(STL_HEAD)
+    count = int.from_bytes(head[80:84], "little")
+    if size >= STL_HEAD and size == STL_HEAD + count * TRIANGLE.itemsize:
+        _scale(source, target, scale, STL_HEAD, TRIANGLE)
+    elif head.lstrip()[:5].lower() == b"solid":  # which some binary files begin with as well
+        scale_ascii_stl(source, target, scale)
+    else:
+        raise InputError(f"{source}: {size} bytes are no STL file of {count} triangles", EXPORT_ANEW)
+
+
+def scale_splat(source: Path, target: Path, scale: float) -> None:
+    """Write the Gaussians in the .splat file `source` to `target` in metres. Raises InputError."""
+    size = source.stat().st_size
+    if size == 0 or size % GAUSSIAN.itemsize:
+        raise InputError(f"{source}: {size} bytes are no splats of {GAUSSIAN.itemsize} bytes each", EXPORT_ANEW)
+    _scale(source, target, scale, 0, GAUSSIAN)
+
+
+def _scale(source: Path, target: Path, scale: float, head: int, row: np.dtype) -> None:
+    with source.open("rb") as file, target.open("wb") as out:
+        out.write(file.read(head))
+        while block := file.read(ROWS * row.itemsize):
+            records = np.frombuffer(block, row).copy()
+            records["length"] = records["length"].astype(float) * scale
+            out.write(records.tobytes())
