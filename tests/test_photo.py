@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pyogrio
@@ -26,6 +27,7 @@ from orthoscale.photos.looking import Looking, boxes_of
 from orthoscale.photos.measure import find_photos, measure, open_photo
 from orthoscale.photos.survey import measure_together, open_photos
 from orthoscale.photos.survey import photo as survey_photos
+from orthoscale.photos.tables import footprint_on_earth
 from orthoscale.photos.tags import Tags, read_tags
 from orthoscale.synthetic import Pose
 
@@ -74,7 +76,7 @@ def test_wings_that_roll_tilt_a_camera_that_looks_down(tmp_path, pitch, roll):
     assert up == pytest.approx(up_from_survey(*np.radians([pitch, roll])), abs=1e-7)
     # Axes right, forward, up: the picture's top and the optical axis, turned by roll, pitch and yaw.
     east, north, _ = Rotation.from_euler("ZXY", [-30, pitch, roll], degrees=True).apply([0, 1, -1])
-    assert np.degrees(np.arctan2(east, north)) % 360 == pytest.approx(tags.yaw, abs=1e-5)
+    assert np.degrees(np.arctan2(east, north)) % 360 == pytest.approx(tags.heading, abs=1e-5)
 
 
 def test_xmp_without_its_outer_element(tmp_path):
@@ -281,6 +283,29 @@ def test_up_and_axes_are_those_of_a_posed_camera(pitch, roll, yaw):
         right, ahead = level_axes(up) @ pose.rotation
         assert ahead == pytest.approx([np.cos(heading), np.sin(heading), 0], abs=1e-9)
         assert right == pytest.approx([np.sin(heading), -np.cos(heading), 0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("pitch", "roll", "heading"), [(-90, 0, 30), (-90, 180, 210), (-89.9, 180, 210), (-90, -90, 300), (-40, 0, 30)]
+)
+def test_roll_turns_the_footprint_of_a_photo_taken_straight_down(pitch, roll, heading):
+    tags = Tags(8, 6, 8, lon_lat=(0.0, 0.0), pitch=pitch, roll=roll, yaw=30)
+    assert tags.heading == pytest.approx(heading)
+    ahead = SimpleNamespace(outline=lambda: np.array([(-1.0, 100.0), (0.0, 100.0), (1.0, 100.0)]))
+    outline = footprint_on_earth(SimpleNamespace(photo=SimpleNamespace(tags=tags), measured=ahead))
+    lon, lat = outline.exterior.coords[1]
+    assert np.degrees(np.arctan2(lon, lat)) % 360 == pytest.approx(heading, abs=0.5)  # 0.3 by the Earth's flattening
+
+
+@pytest.mark.parametrize(("pitch", "roll", "yaw"), [(-89, 178, 40), (-60, 8, 200), (-35, -12, 300), (-85, 100, 5)])
+def test_the_heading_is_the_forward_of_level_axes(pitch, roll, yaw):
+    angles = np.radians([90 - yaw, -pitch, roll])
+    _, (east, north, _) = (
+        level_axes(up_from_gimbal(*np.radians([pitch, roll]))) @ Pose.looking(np.zeros(3), *angles).rotation
+    )
+    assert Tags(8, 6, 8, pitch=pitch, roll=roll, yaw=yaw).heading == pytest.approx(
+        np.degrees(np.arctan2(east, north)) % 360
+    )
 
 
 def test_survey_angles_are_gimbal_angles_from_straight_down():

@@ -158,14 +158,14 @@ def footprint_on_earth(outcome: Outcome) -> Any:
     import shapely
 
     photo, got = outcome.photo, outcome.measured
-    if photo is None or got is None or photo.tags.lon_lat is None or photo.tags.yaw is None:
+    if photo is None or got is None or photo.tags.lon_lat is None or photo.tags.heading is None:
         return None
     outline = got.outline()
     if outline is None:
         return None
     right, ahead = outline.T
     lon, lat = photo.tags.lon_lat
-    bearing = photo.tags.yaw + np.degrees(np.arctan2(right, ahead))
+    bearing = photo.tags.heading + np.degrees(np.arctan2(right, ahead))
     ones = np.ones(len(outline))
     x, y, _ = pyproj.Geod(ellps="WGS84").fwd(lon * ones, lat * ones, bearing, np.hypot(right, ahead))
     return shapely.Polygon(np.column_stack([x, y]))

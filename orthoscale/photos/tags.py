@@ -5,8 +5,8 @@ horizon, roll positive with the right side down, yaw clockwise from north; degre
 
 - `GimbalPitchDegree` (DJI, Autel, Teal), `CameraPitchDegree` (Parrot) and `CameraOrientationNED` (Skydio) are such.
 - `Camera:Pitch` (Pix4D's and senseFly's schema) is 0 straight down and 90 at the horizon, and `Camera:Roll` is the
-  wings', which tilts a camera that looks straight down. Some Autel models write
-  gimbal angles there; those are negative, which the schema's are not for a camera that looks forward
+  wings', which tilts a camera that looks straight down. Some Autel models write gimbal angles there; those are
+  negative, which the schema's are not for a camera that looks forward
   (github.com/Theta-Limited/OpenAthenaIOS/issues/62).
 - A DJI Mini 2 writes zeros for all three angles, whatever the gimbal does
   (github.com/dji-sdk/Mobile-SDK-Android/issues/1233): they are passed over.
@@ -24,7 +24,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from ..core.projection.level import up_from_survey
+from scipy.spatial.transform import Rotation
+
 from ..errors import InputError, shown
 from ..formats.reading import check_regular
 
@@ -48,7 +49,7 @@ class Tags:
     calibrated_px : the maker's calibrated focal length [px of the full image].
     dewarp : the maker's fx, fy, cx, cy, k1, k2, p1, p2, k3 [px of the full image; cx and cy from its middle].
     dewarped : the camera has taken the distortion out already.
-    pitch, roll, yaw : see above [deg]. notes : what was passed over, and why.
+    pitch, roll, yaw : see above [deg], turned in the order yaw, pitch, roll. notes : what was passed over, and why.
     """
 
     width: int
@@ -77,6 +78,17 @@ class Tags:
         """Maker and model, the maker once; '' where the photo tells neither."""
         named = self.model.lower().startswith(self.make.lower())
         return self.model if named else f"{self.make} {self.model}".strip()
+
+    @property
+    def heading(self) -> float | None:
+        """Where `level_axes` has forward, clockwise from north [deg]: the picture's top of a photo taken straight down,
+        which roll turns as much as yaw (DJI writes a roll of 180 there: github.com/leftfield-geospatial/orthority,
+        issue 36)."""
+        if self.pitch is None or self.yaw is None:
+            return None
+        # Axes of the turned camera: the optical one, right, and what is down in the picture.
+        north, east, _ = _rotation(self.yaw, self.pitch, self.roll or 0.0).apply([1.0, 0.0, -1.0])
+        return math.degrees(math.atan2(east, north)) % 360
 
     @property
     def turned(self) -> bool:
@@ -216,15 +228,15 @@ def _no_pitch(text: str | None) -> list[str]:
     return [] if text is None else [f"its pitch of {shown(text)!r} is no number: passed over"]
 
 
+def _rotation(yaw: float, pitch: float, roll: float) -> Rotation:
+    """North, east, down from the axes of what was turned by these angles [deg]: forward, right and down."""
+    return Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True)
+
+
 def _gimbal_angles(pitch: float, roll: float, yaw: float | None) -> tuple[float, float, float | None]:
-    """Pitch, roll, yaw [deg] of the same view, from those of `up_from_survey`."""
-    p, r = math.radians(pitch), math.radians(roll)
-    x, y, z = map(float, up_from_survey(p, r))
-    # Yaw is where the sum of the picture's top and the optical axis points, as `level_axes` has it.
-    turn = math.atan2(-math.sin(r), math.cos(p) + math.sin(p) * math.cos(r))
-    angles = (math.asin(z), math.atan2(-x, -y))
-    down, about = (round(math.degrees(angle), 6) for angle in angles)
-    return down, about, None if yaw is None else round((yaw + math.degrees(turn)) % 360, 6)
+    """Pitch, roll, yaw [deg] of a camera that looks straight down from wings of these angles."""
+    turn, down, about = (_rotation(yaw or 0.0, pitch, roll) * _rotation(0, -90, 0)).as_euler("ZYX", degrees=True)
+    return float(down), float(about), None if yaw is None else float(turn) % 360
 
 
 def _dewarp(text: str) -> tuple[float, ...] | None:
