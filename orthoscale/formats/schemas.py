@@ -743,9 +743,15 @@ class OpensfmPart(Struct):
 
 
 class GltfAsset(Struct):
-    """Metadata, in whose ``extras`` a scene in metres is marked."""
+    """Metadata, in whose ``extras``, which may be anything, a scene in metres is marked."""
 
-    extras: dict[str, Any] | None = None
+    extras: Any = None
+
+
+class GltfNode(Struct):
+    """Indices of the nodes below it."""
+
+    children: list[Count] = []
 
 
 class GltfScene(Struct):
@@ -776,8 +782,8 @@ class Gltf(Struct):
     """The JSON of a glTF 2.0 scene, as far as scaling it needs."""
 
     asset: GltfAsset
-    nodes: list[dict[str, Any]]
-    scenes: list[GltfScene]
+    nodes: list[GltfNode] = []
+    scenes: list[GltfScene] = []
     buffers: list[GltfPart] = []
     images: list[GltfPart] = []
     extensions: GltfExtensions | None = None

@@ -1,6 +1,6 @@
-"""glTF 2.0, as .glb or .gltf: every scene gets a root node with the scale, so that no buffer is changed.
+"""glTF 2.0, as .glb or .gltf: every root gets a node with the scale above it, so that no buffer is changed.
 
-The root node applies to all that is below it: meshes, skins, animations, quantised or compressed geometry. Only the
+That node applies to all that is below it: meshes, skins, animations, quantised or compressed geometry. Only the
 centre that 3D Tiles add (CESIUM_RTC) is not below it.
 """
 
@@ -58,26 +58,31 @@ def scale_gltf(source: Path, target: Path, scale: float) -> Referred:
 
 
 def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
-    """`text` with one scaling node above each root node of its scenes."""
+    """`text` with one scaling node above each root: what scenes begin with, and what is below no other node, for a file
+    need not have scenes."""
     from ..schemas import Gltf
 
     hint = "Export the mesh as a glTF 2.0 scene."
     checked(text, Gltf, str(path), A_SCENE, hint)
-    asset, nodes, scenes = text["asset"], text["nodes"], text["scenes"]
-    if MARK in (asset.get("extras") or {}):
+    asset, nodes, scenes = text["asset"], text.get("nodes", []), text.get("scenes", [])
+    extras = asset.get("extras", {})
+    if not isinstance(extras, dict):  # any value may stand there
+        extras = {"extras": extras}
+    if MARK in extras:
         refuse_marked(path)
-    above: dict[int, int] = {}
+    begun = {root for scene in scenes for root in scene.get("nodes", [])}
+    if begun and max(begun) >= len(nodes):
+        raise InputError(f"{path}: a scene refers to node {max(begun)}, which does not exist", hint)
+    below = {child for node in nodes for child in node.get("children", [])}
+    roots = sorted(begun | (set(range(len(nodes))) - below))
+    if not roots:
+        raise InputError(f"{path}: it has no nodes to scale", hint)
+    above = {root: len(nodes) + k for k, root in enumerate(roots)}
     for scene in scenes:
-        for k, root in enumerate(scene.get("nodes", [])):
-            if root >= len(nodes):
-                raise InputError(f"{path}: a scene refers to node {root}, which does not exist", hint)
-            if root not in above:  # a root that two scenes share stays shared
-                above[root] = len(nodes) + len(above)
-            scene["nodes"][k] = above[root]
-    if not above:
-        raise InputError(f"{path}: its scenes are empty", hint)
-    nodes += [{"name": "metres", "scale": [scale] * 3, "children": [root]} for root in above]
+        if "nodes" in scene:  # an empty list is none
+            scene["nodes"] = [above[root] for root in scene["nodes"]]
+    nodes += [{"name": "metres", "scale": [scale] * 3, "children": [root]} for root in roots]
     if centre := (text.get("extensions") or {}).get("CESIUM_RTC"):  # outside of all nodes
         centre["center"] = [value * scale for value in centre["center"]]
-    asset["extras"] = {**(asset.get("extras") or {}), MARK: mark(scale)}
+    asset["extras"] = {**extras, MARK: mark(scale)}
     return text
