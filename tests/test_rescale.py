@@ -128,6 +128,26 @@ def test_a_ply_whose_last_line_was_cut_off(tmp_path):
         scale_path(source, tmp_path / "b.ply", 2)
 
 
+@pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
+@pytest.mark.parametrize("first", [True, False])  # as MeshLab and as PCL order them
+def test_the_camera_of_a_ply_moves_with_its_points(tmp_path, form, first):
+    names = ["view_px", "view_py", "view_pz", "x_axisx", "focal"]
+    parts = [("vertex", ["x", "y", "z"], XYZ), ("camera", names, np.array([[4, 5, 6, 1, 35.0]]))][:: -1 if first else 1]
+    head = ["ply", f"format {form} 1.0"]
+    for name, fields, rows in parts:
+        head += [f"element {name} {len(rows)}", *(f"property float {field}" for field in fields)]
+    rows = [row for _, _, rows in parts for row in rows]
+    body = b"".join(
+        " ".join(map(str, r)).encode() + b"\n" if form == "ascii" else r.astype(">f4").tobytes() for r in rows
+    )
+    (tmp_path / "a.ply").write_bytes("\n".join([*head, "end_header\n"]).encode() + body)
+    scale_path(tmp_path / "a.ply", tmp_path / "b.ply", 2)
+    body = (tmp_path / "b.ply").read_bytes().split(b"end_header\n")[1]
+    values = np.array(body.split(), float) if form == "ascii" else np.frombuffer(body, ">f4")
+    camera, points = (values[:5], values[5:]) if first else (values[9:], values[:9])
+    assert camera == pytest.approx([8, 10, 12, 1, 35]) and points == pytest.approx(2 * XYZ.ravel())
+
+
 # --- Meshes ----------------------------------------------------------------------------------------------------------
 
 
@@ -182,6 +202,18 @@ def test_the_centre_of_3d_tiles_grows_as_well(tmp_path):
     assert json.loads((tmp_path / "b.gltf").read_text())["extensions"] == {
         "CESIUM_RTC": {"center": [2, 4, 6]}, "other": 1
     }  # fmt: skip
+
+
+def test_gltf_without_scenes_and_with_a_note_of_its_author(tmp_path):
+    text = gltf(asset={"version": "2.0", "extras": "by hand"})
+    del text["scenes"]
+    (tmp_path / "a.gltf").write_text(json.dumps(text))
+    scale_path(tmp_path / "a.gltf", tmp_path / "b.gltf", 2)
+    new = json.loads((tmp_path / "b.gltf").read_text())
+    assert new["asset"]["extras"]["extras"] == "by hand" and "scenes" not in new
+    assert world_points({**new, "scenes": [{"nodes": [3, 4]}]}, 0) == [(2, 0), (2, 2)]
+    with pytest.raises(UsageError, match="in metres already"):
+        scale_path(tmp_path / "b.gltf", tmp_path / "c.gltf", 2)
 
 
 def test_damaged_glb(tmp_path):

@@ -32,6 +32,7 @@ MOST_POINTS = 500_000  # that a model is given; the ground is found from fewer
 # `filter_3D` is the width of Mip-Splatting's filter (Yu et al. 2024), which it writes beside the splats' axes.
 LENGTHS = ("x", "y", "z", "radius", "filter_3D")
 SPLAT = {"rot_0", "f_dc_0", "opacity"}  # one of these is among the properties of a Gaussian
+VIEWPOINT = ("view_px", "view_py", "view_pz")  # of the element `camera`, MeshLab's and PCL's, which has its axes too
 TEXTURE = "comment TextureFile "  # MeshLab's and OpenMVS's
 
 
@@ -47,6 +48,18 @@ class _Element:
 
     def row(self, order: str) -> np.dtype:
         return np.dtype([(name, order + kind) for name, kind in self.properties])
+
+    @property
+    def lengths(self) -> list[str]:
+        """Names of the properties that are lengths."""
+        of = {"vertex": LENGTHS, "camera": VIEWPOINT}.get(self.name, ())
+        return [name for name, _ in self.properties if name in of]
+
+    @property
+    def logs(self) -> list[str]:
+        """Names of the properties that are logarithms of lengths: a splat's axes."""
+        names = [name for name, _ in self.properties if self.name == "vertex"]
+        return [name for name in names if re.fullmatch(r"scale_\d", name) and SPLAT & set(names)]
 
     def least(self, form: str) -> int:
         """Bytes that the element takes at least: a list one for its count, a word of text two with what ends it."""
@@ -70,24 +83,23 @@ def scale_ply(source: Path, target: Path, scale: float) -> Referred:
                 f"{source}: no vertices with x, y and z among its elements ({', '.join(e.name for e in elements)})",
                 "Packed splats and other exotic layouts must be unpacked first.",
             )
-        before = elements[: elements.index(vertex)]
-        if not all(e.fixed for e in (*before, vertex)):
+        last = max(k for k, element in enumerate(elements) if element.lengths)
+        leading = elements[: last + 1]
+        if not all(element.fixed for element in leading):
             raise InputError(f"{source}: lists before or among the vertices", "Export it with plain vertices first.")
-        kinds = dict(vertex.properties)
-        logs = [n for n in names if re.fullmatch(r"scale_\d", n) and SPLAT & set(names)]
-        lengths = [n for n in LENGTHS if n in names]
-        whole = [n for n in (*lengths, *logs) if kinds[n][0] != "f"]
-        if whole:
-            raise InputError(f"{source}: {whole[0]} is a whole number and cannot be scaled", "Export it as float.")
+        for element in leading:
+            kinds = dict(element.properties)
+            for name in (*element.lengths, *element.logs):
+                if kinds[name][0] != "f":
+                    raise InputError(f"{source}: {name} is a whole number and cannot be scaled", "Export it as float.")
         with target.open("wb") as out:
             lines.insert(2, "comment " + mark(scale))
             out.write(("\n".join(lines) + "\n").encode("utf-8", "surrogateescape"))
-            if form == "ascii":
-                _ascii(source, file, out, sum(e.count for e in before), vertex, lengths, logs, scale)
-            else:
-                for element in before:
-                    _copy(file, out, element.least(form))
-                _binary(source, file, out, vertex.row(ORDER[form]), vertex.count, lengths, logs, scale)
+            for element in leading:
+                if form == "ascii":
+                    _ascii(source, file, out, element, scale)
+                else:
+                    _binary(source, file, out, element, ORDER[form], scale)
             shutil.copyfileobj(file, out, 1 << 20)
     textures = Referred()
     textures.add(source, [line.removeprefix(TEXTURE).strip() for line in lines if line.startswith(TEXTURE)])
@@ -99,13 +111,6 @@ def _require(path: Path, file: BinaryIO, form: str, elements: list[_Element]) ->
     missing = sum(element.least(form) for element in elements) - (path.stat().st_size - file.tell())
     if missing > (form == "ascii"):  # the last line of text may have no end
         raise InputError(f"{path}: {missing} bytes or more are missing at its end", EXPORT_ANEW)
-
-
-def _copy(file: BinaryIO, out: BinaryIO, size: int) -> None:
-    while size > 0:
-        block = file.read(min(size, 1 << 20))
-        out.write(block)
-        size -= max(len(block), 1)
 
 
 def read_points(path: Path) -> np.ndarray:
@@ -176,45 +181,30 @@ def _header(path: Path, file: BinaryIO) -> tuple[list[str], str, list[_Element]]
     return lines, form, elements
 
 
-def _binary(
-    path: Path,
-    file: BinaryIO,
-    out: BinaryIO,
-    row: np.dtype,
-    count: int,
-    lengths: list[str],
-    logs: list[str],
-    scale: float,
-) -> None:
-    for start in range(0, count, ROWS):
-        many = min(ROWS, count - start)
-        vertices = np.frombuffer(file.read(many * row.itemsize), row).copy()
-        if len(vertices) != many:
-            raise InputError(f"{path}: ends within vertex {start + len(vertices)} of {count}", EXPORT_ANEW)
-        for name in lengths:
-            vertices[name] = vertices[name].astype(float) * scale
-        for name in logs:
-            vertices[name] = vertices[name].astype(float) + np.log(scale)
-        out.write(vertices.tobytes())
+def _binary(path: Path, file: BinaryIO, out: BinaryIO, element: _Element, order: str, scale: float) -> None:
+    row = element.row(order)
+    for start in range(0, element.count if row.itemsize else 0, ROWS):
+        many = min(ROWS, element.count - start)
+        block = np.frombuffer(file.read(many * row.itemsize), row).copy()
+        if len(block) != many:
+            raise InputError(f"{path}: ends within {element.name} {start + len(block)} of {element.count}", EXPORT_ANEW)
+        for name in element.lengths:
+            block[name] = block[name].astype(float) * scale
+        for name in element.logs:
+            block[name] = block[name].astype(float) + np.log(scale)
+        out.write(block.tobytes())
 
 
-def _ascii(
-    path: Path,
-    file: BinaryIO,
-    out: BinaryIO,
-    before: int,
-    vertex: _Element,
-    lengths: list[str],
-    logs: list[str],
-    scale: float,
-) -> None:
-    names = [name for name, _ in vertex.properties]
-    grow, add = [names.index(n) for n in lengths], [names.index(n) for n in logs]
-    digits = 15 if "f8" in dict(vertex.properties).values() else 9
-    for _ in range(before):
-        out.write(file.readline())
-    for k in range(vertex.count):
-        words = file.readline().split()
+def _ascii(path: Path, file: BinaryIO, out: BinaryIO, element: _Element, scale: float) -> None:
+    names = [name for name, _ in element.properties]
+    grow, add = [names.index(n) for n in element.lengths], [names.index(n) for n in element.logs]
+    digits = 15 if "f8" in dict(element.properties).values() else 9
+    for k in range(element.count):
+        line = file.readline()
+        if not grow:
+            out.write(line)
+            continue
+        words = line.split()
         try:
             if len(words) < len(names):
                 raise ValueError("some are missing")
@@ -223,5 +213,6 @@ def _ascii(
             for j in add:
                 words[j] = f"{float(words[j]) + np.log(scale):.{digits}g}".encode()
         except (ValueError, IndexError) as error:
-            raise InputError(f"{path}: vertex {k} of {vertex.count} is missing or malformed", EXPORT_ANEW) from error
+            where = f"{path}: {element.name} {k} of {element.count}"
+            raise InputError(f"{where} is missing or malformed", EXPORT_ANEW) from error
         out.write(b" ".join(words) + b"\n")
