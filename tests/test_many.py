@@ -67,6 +67,13 @@ def test_a_folder_gives_a_row_each_and_the_exit_code_of_the_worst(parks, tmp_pat
     assert len(summary.read_text().splitlines()) == 2
 
 
+def test_several_summaries(parks, tmp_path):
+    places = [tmp_path / "out.csv", tmp_path / "out.json"]
+    words = [word for place in places for word in ("--summary", place)]
+    run("estimate", parks / "pictures/a.png", *options(parks, *words))
+    assert all(place.is_file() for place in places)
+
+
 @pytest.mark.parametrize("ending", ["json", pytest.param("gpkg", marks=SLOW), pytest.param("html", marks=SLOW)])
 def test_summaries_in_every_format(parks, tmp_path, ending):
     summary = tmp_path / f"out.{ending}"

@@ -76,7 +76,7 @@ def check(
     from ..formats.detections import check_name, save
     from ..system.outputs import Outputs
 
-    refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summary)
+    refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summaries)
     request = EstimateRequest.of(options)
     if many is not None:
         for name, value in (("--save-detections", save_detections), ("--model", model)):

@@ -25,10 +25,10 @@ inputs_argument = click.argument("paths", metavar="INPUT...", type=PATH, nargs=-
 
 @dataclass(frozen=True)
 class Many:
-    """What was asked of several inputs together: the words that name them, where the summary goes, how many at once."""
+    """What was asked of several inputs together: the words that name them, where summaries go, how many at once."""
 
     words: tuple[Path, ...]
-    summary: Path | None
+    summaries: tuple[Path, ...]
     jobs: int | None
 
 
@@ -40,15 +40,16 @@ def inputs(function: Callable) -> Callable:
     @option(
         "--summary",
         type=PATH,
+        multiple=True,
         group="Output",
-        help="Write one line for each INPUT: .csv, .json, .gpkg (points) or .html (page).",
+        help="Write one line for each INPUT: .csv, .json, .gpkg (points) or .html (page); repeatable.",
     )
     @option("--jobs", type=click.IntRange(min=1), group="Advanced", help="Number of inputs at once.  [default: 1]")
     @wraps(function)
-    def decorated(paths: tuple[Path, ...], summary: Path | None, jobs: int | None, **options: Any) -> Any:
+    def decorated(paths: tuple[Path, ...], summary: tuple[Path, ...], jobs: int | None, **options: Any) -> Any:
         from ..actions.inputs import is_many
 
-        if summary is None and not is_many(paths):
+        if not summary and not is_many(paths):
             if jobs is not None:
                 raise UsageError("--jobs does nothing here: there is one input", "Remove --jobs.")
             return function(path=paths[0], many=None, **options)
@@ -100,7 +101,7 @@ def run(
     out: Path | None = None,
     dry_run: bool = False,
 ) -> NoReturn:
-    """Do `action` for all inputs, print a line for each, write the summary and end with the exit code of the worst.
+    """Do `action` for all inputs, print a line for each, write the summaries and end with the exit code of the worst.
 
     Raises UsageError, InputError for what makes no sense for all of them, before anything is done.
     """
@@ -117,9 +118,9 @@ def run(
             rehearse(found, request, places)
         rehearse_in_new_folder(found, request, out, lambda folder: outputs_of(found, folder))
     with Outputs(overwrite, (found, vars(request))) as outputs, progress_bars() as progress:
-        if many.summary is not None:
-            check_summary(many.summary)
-            place = outputs.file(many.summary, is_summary if many.summary.suffix.lower() == ".csv" else None)
+        for summary in many.summaries:
+            check_summary(summary)
+        partials = [outputs.file(s, is_summary if s.suffix.lower() == ".csv" else None) for s in many.summaries]
         done: list[Row] = []
 
         def said(row: Row) -> None:
@@ -130,8 +131,8 @@ def run(
                 say(line(row))
 
         rows = run_many(action, found, request, out, many.jobs or 1, said)
-        if many.summary is not None:
-            write_summary(rows, place, many.summary)
+        for partial, summary in zip(partials, many.summaries, strict=True):
+            write_summary(rows, partial, summary)
     if as_json:
         click.echo(json.dumps({"format": SUMMARY_FORMAT, "inputs": rows}))
     failed = [row for row in rows if row["exit_code"]]

@@ -68,7 +68,7 @@ def estimate(
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
-    refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summary)
+    refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summaries)
     if many is not None:
         _refuse_boxes_of_many(save_detections)
         run("estimate", many, request, as_json, overwrite, dry_run=dry_run)
