@@ -6,10 +6,12 @@ import contextlib
 import hashlib
 import json
 import os
+import pickle
 import shutil
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -17,11 +19,12 @@ import numpy as np
 import pytest
 from support.models import make_model, patched, put_frames, save
 
-from orthoscale.core.remarks import CAUTION
+from orthoscale.core.remarks import CAUTION, Remark
 from orthoscale.errors import InputError, OrthoscaleError, OutputError, UsageError
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.colmap_check import open_model
 from orthoscale.sources.colmap_tables import CAMERA_MODELS
+from orthoscale.sources.dense_cloud import DenseCloud
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.picture_file import PictureFile, stored_size
 
@@ -359,6 +362,20 @@ def test_frames_of_another_flight(plain, tmp_path):
     for point in black.points3D.values():
         point.color = np.zeros(3, np.uint8)
     assert ColmapSource.open(save(black, tmp_path / "black", "bin"), tmp_path / "another").notes == []
+
+
+def test_pickled_as_its_path(plain, model_bin, tmp_path, monkeypatch):
+    put_frames(plain, tmp_path / "frames")
+    monkeypatch.chdir(tmp_path)
+    source = ColmapSource.open("model", "frames")
+    source.notes.append(Remark(CAUTION, "said"))
+    source = replace(source, cloud=DenseCloud(tmp_path / "a.ply", progress=lambda *_: None))
+    data = pickle.dumps(source)
+    monkeypatch.chdir("/")
+    again = pickle.loads(data)
+    assert again.notes == source.notes and again.cloud == replace(source.cloud, progress=None)
+    assert [picture.path for picture in again.pictures] == [tmp_path / picture.path for picture in source.pictures]
+    assert again.picture_names == source.picture_names
 
 
 @pytest.mark.parametrize("form", ["bin", "txt"])

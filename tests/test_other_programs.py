@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,8 @@ from support.models import make_model, put_frames, save
 from support.other_programs import LENS, nerfstudio, opensfm, rescaled, same_views
 
 from orthoscale.actions.estimate import estimate
-from orthoscale.actions.fix import fix
+from orthoscale.actions.fix import fix, rehearsed
+from orthoscale.actions.requests import FixRequest
 from orthoscale.actions.workspace import models_in
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.formats.detections.own import save_detections
@@ -125,6 +127,23 @@ def test_panoramas_are_refused_unless_no_image_is_one(made, tmp_path):
         with pytest.raises(InputError) as caught:
             open_source(other, need_images=False)
         assert "Cut perspective views" in caught.value.hint
+
+
+@pytest.mark.parametrize("program", WRITERS)
+def test_pickled_as_its_path(made, tmp_path, program):
+    source = open_source(WRITERS[program](made[0], tmp_path), need_images=False, ground_cloud="none")
+    again = pickle.loads(pickle.dumps(source))
+    assert type(again) is ExchangeSource and again.content_hash() == source.content_hash()
+
+
+def test_a_cloud_outside_of_the_folder_is_refused_before_measuring(made, tmp_path):
+    path = nerfstudio(made[0], tmp_path / "in")
+    text = json.loads(path.read_text())
+    (path.parent / text["ply_file_path"]).rename(tmp_path / "cloud.ply")
+    path.write_text(json.dumps({**text, "ply_file_path": "../cloud.ply"}))
+    put_frames(made[0], path.parent / "images")
+    with pytest.raises(InputError, match="outside its folder"):
+        rehearsed(path, tmp_path / "out", FixRequest.of({"fleet": "DE"}))
 
 
 def test_damage_is_refused(made, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 
 import numpy as np
@@ -27,6 +28,15 @@ def made():
 @pytest.fixture(scope="module")
 def pinhole():
     return make_model("SIMPLE_PINHOLE", (400.0, 320, 240))
+
+
+@pytest.mark.parametrize("writer", [bundler, nvm])
+def test_pickled_as_its_path(made, tmp_path, writer):
+    path = writer(made[0], tmp_path)
+    put_frames(made[0], path.parent / "images")
+    source = open_source(path)
+    again = pickle.loads(pickle.dumps(source))
+    assert type(again) is TextSource and again.picture_names == source.picture_names
 
 
 @pytest.mark.slow

@@ -134,6 +134,9 @@ def test_dense_comes_along(work, tmp_path):
     with pytest.raises(InputError, match="cameras stand elsewhere"):  # before anything is measured
         shutil.copytree(work / "dense/0", work / "dense/1")
         fix(work / "sparse/1", tmp_path / "other", dense=True, **OPTIONS)
+    shutil.rmtree(work / "dense/0/sparse")  # then nothing shows in which units the rest is
+    with pytest.raises(InputError, match="no undistorted model"):
+        fix(work / "sparse/0", tmp_path / "other", dense=True, **OPTIONS)
     shutil.rmtree(work / "dense")
     with pytest.raises(UsageError, match="no dense workspace"):
         fix(work / "sparse/0", tmp_path / "other", dense=True, **OPTIONS)

@@ -195,6 +195,7 @@ class _PosedWriter:
 
     def __init__(self, posed: PosedSet, out: Path, request: FixRequest):
         self.posed, self.out, self.request = posed, out, request
+        posed.check_writable()
         self.more_inputs = [self.posed.dense] if request.dense else []  # raises where there is none
 
     def places(self, outputs: Outputs) -> tuple[Path, dict[str, Path]]:

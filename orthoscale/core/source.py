@@ -261,6 +261,10 @@ class PosedSet(Source, Protocol):
         """The dense workspace that belongs to it. Raises UsageError where there is none."""
         ...
 
+    def check_writable(self) -> None:
+        """Raise InputError where `write` could not write all that belongs to it."""
+        ...
+
     def write(self, folder: Path, metres_per_unit: float) -> None:
         """Write it in metres into the empty `folder`; what is worth knowing of that goes to `notes`."""
         ...

@@ -7,7 +7,7 @@ import shutil
 import unicodedata
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from mimetypes import guess_type
 from pathlib import Path, PurePath, PureWindowsPath
@@ -62,6 +62,7 @@ class ColmapSource:
     pictures : the frames that are on disk, in the order of their names.
     notes : what was chosen or left aside while opening, for the report.
     unit : what `write` wants and what a scale of this source is measured in.
+    images, need_images : as given to `open`.
     cloud : on which the ground is found, beside the sparse points; `opening.open_source` looks for it.
     """
 
@@ -72,6 +73,8 @@ class ColmapSource:
     notes: list[Remark]
     _paths: tuple[Path, ...]
     _model: pycolmap.Reconstruction
+    images: Path | None = None
+    need_images: bool = True
     unit: str = "m/model-unit"
     cloud: DenseCloud | None = None
 
@@ -98,7 +101,14 @@ class ColmapSource:
             notes += check_frames(model, pictures)
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
-        return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model)
+        images = None if images is None else Path(images)
+        return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model, images, need_images)
+
+    def __reduce__(self) -> tuple:
+        """Pickled as its path: pycolmap's models cannot be, and are read again from their files."""
+        images = None if self.images is None else self.images.absolute()
+        cloud = None if self.cloud is None else replace(self.cloud, progress=None)
+        return _reopened, (type(self), self.path.absolute(), images, self.need_images, cloud, self.notes)
 
     @cached_property
     def ground(self) -> Ground:
@@ -269,6 +279,9 @@ class ColmapSource:
             pixels[ahead] = np.array(self._model.camera(image.camera_id).img_from_cam(seen[ahead]), float)
         return pixels
 
+    def check_writable(self) -> None:
+        """A model's files all lie in its folder."""
+
     def write(self, folder: Path, metres_per_unit: float) -> None:
         """Write the model in metres into the empty `folder`, in the format it came in, with sim3.json and sim3.txt.
 
@@ -292,8 +305,8 @@ class ColmapSource:
     def dense(self) -> Path:
         """The dense workspace that belongs to this model.
 
-        Raises UsageError where there is none, InputError for one whose cameras stand elsewhere: it was made from
-        another model.
+        Raises UsageError where there is none, InputError for one whose cameras stand elsewhere, since it was made from
+        another model, or that has none.
         """
         folder = find_dense(self.folder)
         if folder is None:
@@ -302,7 +315,14 @@ class ColmapSource:
                 "Remove --dense, or bring it to metres later with `orthoscale apply`.",
             )
         here = {name: image.projection_center() for name, image in self._images.items()}
-        for sparse in sparse_folders(folder):
+        undistorted = sparse_folders(folder)
+        if not undistorted:
+            raise InputError(
+                f"{folder} has no undistorted model in sparse/ that would show its depth maps and clouds to be in the "
+                f"units of {self.folder}",
+                "Run image_undistorter again; or, if you know that they are, use `orthoscale apply`.",
+            )
+        for sparse in undistorted:
             if os.path.realpath(sparse) == os.path.realpath(self.folder):
                 continue
             other = read_model(sparse, open_model(sparse).format)
@@ -338,6 +358,12 @@ class ColmapSource:
         if links:
             notes.append(f"left in {self.folder}, because they are symbolic links: {', '.join(links)}")
         return notes
+
+
+def _reopened(
+    kind: type[ColmapSource], path: Path, images: Path | None, need: bool, cloud: DenseCloud | None, notes: list[Remark]
+) -> ColmapSource:
+    return replace(kind.open(path, images, need), cloud=cloud, notes=notes)
 
 
 def scale_model(source: Path, target: Path, scale: float) -> None:

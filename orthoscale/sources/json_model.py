@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from ..core.remarks import informing
 from ..errors import InputError
 from ..formats.geometry.beside import beside
-from ..formats.geometry.files import scale_file
+from ..formats.geometry.files import place_beside, scale_file
 from ..formats.geometry.mark import MARK
 from ..formats.geometry.ply import read_points
 from ..formats.geometry.poses import read_poses
@@ -62,7 +62,8 @@ class ExchangeSource(OneFileSource):
         model, others, said, tracks = _read(path)
         notes = [*informing(said), *check_consistency(path, model, _seen(path, model, tracks))]
         pictures = find_frames(model, path.parent, images, need_images, notes)
-        return cls(path, path.parent, "json", pictures, notes, (path, *others), model)
+        images = None if images is None else Path(images)
+        return cls(path, path.parent, "json", pictures, notes, (path, *others), model, images, need_images)
 
     @property
     def metric_already(self) -> str:
@@ -76,6 +77,11 @@ class ExchangeSource(OneFileSource):
         placed = [s for s in part["shots"].values() if s.get("gps_dop", GPS_DOP) < GPS_DOP and "gps_position" in s]
         aligned = "reference_lla" in part and len(placed) >= 3
         return "OpenSfM aligned it with the GPS of its images" if aligned else ""
+
+    def check_writable(self) -> None:
+        """Raise InputError for a point cloud outside the file's folder: its copy would have no place in another."""
+        for path in self._paths[1:]:
+            place_beside(path, self.path)
 
     def _write_file(self, out: Path, scale: float) -> None:
         text = read_poses(self.path)

@@ -50,7 +50,7 @@ class TextSource(OneFileSource):
         model = _built(path, text, names, sizes)
         notes += check_consistency(path, model, _observations(text, names, model))
         pictures = find_frames(model, path.parent, root, need_images, notes)
-        return cls(path, path.parent, path.suffix, pictures, notes, (path, *lists), model)
+        return cls(path, path.parent, path.suffix, pictures, notes, (path, *lists), model, root, need_images)
 
     def _write_file(self, out: Path, scale: float) -> None:
         scale_file(self.path, out, scale)

@@ -91,13 +91,18 @@ def scale_file(source: Path, target: Path, scale: float, places: Places | None =
     return [f"with {path.name}" for path in (*copied.there, *scaled.there)] + absent + notes
 
 
-def _beside(path: Path, source: Path, target: Path) -> Path:
-    """Where a file that `source` refers to goes; never out of the target's folder. Links count by their own place, not
-    by that of the files behind them."""
+def place_beside(path: Path, source: Path) -> Path:
+    """Where a file that `source` refers to lies, from the folder of `source`. Links count by their own place, not by
+    that of the files behind them. Raises InputError for one outside of it: a copy would have to lie there as well."""
     place, home = Path(os.path.abspath(path)), os.path.abspath(source.parent)
     if not place.is_relative_to(home):
         raise InputError(f"{source} refers to {path}, which lies outside its folder", "Move both into one folder.")
-    out = target.parent / place.relative_to(home)
+    return place.relative_to(home)
+
+
+def _beside(path: Path, source: Path, target: Path) -> Path:
+    """Where a file that `source` refers to is written, beside `target`; its folder is made."""
+    out = target.parent / place_beside(path, source)
     out.parent.mkdir(parents=True, exist_ok=True)
     return out
 
