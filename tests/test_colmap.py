@@ -341,19 +341,37 @@ def test_frames_of_another_size(plain, model_bin, tmp_path, size, hint):
         ColmapSource.open(model_bin)
 
 
+def draw_points(model, image, place, k1=0.05):
+    """A frame with the points of `image` in their colours, as the lens of `make_model` with this k1 shows them."""
+    frame = np.full((480, 640, 3), 90, np.uint8)
+    camera = pycolmap.Camera(model.camera(image.camera_id).todict())
+    camera.params = [*camera.params[:4], k1, *camera.params[5:]]
+    for seen in image.points2D:
+        if seen.has_point3D():
+            point = model.points3D[seen.point3D_id]
+            x, y = camera.img_from_cam((image.cam_from_world() * point.xyz)[None])[0].astype(int).tolist()
+            cv2.circle(frame, (x, y), 4, point.color[::-1].tolist(), -1)
+    place.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(place), frame)
+
+
+@pytest.mark.parametrize(("k1", "said"), [(0.05, None), (-0.05, "smaller than the model's"), (0.2, "larger than")])
+def test_frames_of_another_lens(plain, model_bin, tmp_path, k1, said):
+    """Undistorted since, say: of the same size, but things are larger or smaller away from the middle."""
+    for image in plain.images.values():
+        draw_points(plain, image, tmp_path / "frames" / image.name, k1)
+    notes = ColmapSource.open(model_bin, tmp_path / "frames").notes
+    assert [note.severity for note in notes] == [CAUTION] * bool(said)
+    assert not said or said in notes[0].text and "undistorted" in notes[0].text
+
+
 def test_frames_of_another_flight(plain, tmp_path):
     """Of the same names and sizes: they do not show the points in their colours."""
     folder = save(plain, tmp_path / "m", "bin")
     images = sorted(plain.images.values(), key=lambda image: image.name)
     for image, other in zip(images, images[1:] + images[:1], strict=True):
-        frame = np.full((480, 640, 3), 90, np.uint8)
-        for seen in image.points2D:
-            if seen.has_point3D():
-                colour = plain.points3D[seen.point3D_id].color[::-1].tolist()
-                cv2.circle(frame, seen.xy.astype(int).tolist(), 4, colour, -1)
         for place, name in (("own", image.name), ("another", other.name)):
-            (tmp_path / place).mkdir(exist_ok=True)
-            cv2.imwrite(str(tmp_path / place / name), frame)
+            draw_points(plain, image, tmp_path / place / name)
     assert ColmapSource.open(folder, tmp_path / "own").notes == []
     (note,) = ColmapSource.open(folder, tmp_path / "another").notes
     assert note.severity == CAUTION and "may be of another flight" in note.text
