@@ -229,13 +229,12 @@ class PhotoGeometry:
         seen = [(p, found.boxes.get(p.name, Boxes.empty())) for p in photos]
         usable = [(p, b[p.views(b.centre, 1.0)[1]]) for p, b in seen if len(b)]
         if not any(len(b) for _, b in usable):
-            steep = (
-                f"; none of {sum(len(b) for _, b in seen)} boxes is seen from more than {LOWEST_ELEVATION:g} degrees"
-            )
-            raise TooLittleEvidence(
-                f"0 usable vehicles, {MIN_VEHICLES} are needed"
-                + (f"{steep} ({usable[0][0].attitude})" if usable else "")
-            )
+            text = f"0 usable vehicles, {MIN_VEHICLES} are needed"
+            if usable:
+                number = sum(len(b) for _, b in seen)
+                text += f"; none of {number} boxes is seen from more than {LOWEST_ELEVATION:g} degrees "
+                text += f"({usable[0][0].attitude})"
+            raise TooLittleEvidence(text)
         return cls(
             found=found,
             boxes=Boxes.concatenate([b for _, b in usable]),

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
-import unicodedata
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from mimetypes import guess_type
-from pathlib import Path, PurePath, PureWindowsPath
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +20,6 @@ from ..formats.geometry.files import reason_left
 from ..formats.geometry.sim3 import MATRIX, Sim3
 from ..formats.points import coordinates, number
 from ..system.outputs import FOLDER_MARK
-from ..system.paths import homes
 from .colmap_check import open_model
 from .colmap_tables import FILE_NAMES
 from .colmap_write import read_model, write_scaled
@@ -35,6 +30,7 @@ from .dense_ground import dense_ground
 from .fingerprint import content_hash
 from .focal import focal_doubt
 from .frame_check import check_frames
+from .frames import find_frames
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
@@ -43,8 +39,6 @@ from .undistort import undistort
 if TYPE_CHECKING:
     import pycolmap
 
-IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
-IMAGES_ABOVE = 3  # of a model that are searched for its images, as for workspace/sparse/0
 # Geometry beside a model is in the model's old units: a copy would pass for one in metres.
 UNSCALED = GEOMETRY | {".npz", ".npy", ".bin"}
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
@@ -380,81 +374,3 @@ def scale_workspace(source: Path, target: Path, scale: float) -> list[str]:
     return scale_dense(
         source, target, scale, lambda a, b: scale_model(a, b, scale), lambda a, b: reason_left(a, b, scale)
     )
-
-
-def find_frames(
-    model: pycolmap.Reconstruction, folder: Path, images: Path | str | None, need_images: bool, notes: list[Remark]
-) -> list[PictureFile]:
-    """The frames of `model`, which lies in `folder`, that are on disk; see `ColmapSource.open`, whose notes grow."""
-    registered = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
-    try:
-        root, missing = image_folder(folder, Path(images) if images is not None else None, sorted(registered))
-    except InputError as error:
-        if need_images or images is not None:
-            raise
-        notes.append(Remark(INFO, error.message))
-        return []
-    if missing:
-        text = f"{len(missing)} of {len(registered)} frames are not in {root}, the first is {missing[0]}"
-        notes.append(Remark(CAUTION, text))
-    pictures = []
-    for name in sorted(registered.keys() - set(missing)):
-        camera = model.camera(registered[name].camera_id)
-        pictures.append(PictureFile(name, frame_path(root, name), camera.width, camera.height))
-        pictures[-1].check_size()
-    return pictures
-
-
-def frame_path(root: Path, name: str) -> Path:
-    """The file of the image `name`, which starts from the folder `root`; it need not exist. Models that were made on
-    Windows may have backslashes between folders, which are letters of a name elsewhere."""
-    path = root / name
-    return path if os.path.isfile(path) else root / name.replace("\\", "/")  # noqa: PTH113  of any length
-
-
-def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tuple[Path, list[str]]:
-    """The folder that holds most of the image `names` of the model in `folder`, and the names it lacks.
-
-    given : where to look instead of beside and above the model. Raises InputError where it holds none of them.
-    """
-    if given is not None:
-        places = [given]
-    else:
-        bases = [folder, *(above for home in homes(folder) for above in home.parents[:IMAGES_ABOVE])]
-        places = [base / sub for sub in IMAGE_FOLDERS for base in bases]
-    best, missing = places[0], list(names)
-    for place in places:
-        if place.is_dir():
-            lacking = [name for name in names if not os.path.isfile(frame_path(place, name))]  # noqa: PTH113
-            if len(lacking) < len(missing):
-                best, missing = place, lacking
-            if not lacking:
-                break
-    if len(missing) == len(names):
-        above = f"{folder} and the {IMAGES_ABOVE} folders above it, and in {', '.join(IMAGE_FOLDERS[:-1])} of each"
-        what = f"no frame of the model {folder} was found; the first is {missing[0]}"
-        if (near := _of_nearly_that_name(places, missing[0])) is not None:
-            raise InputError(
-                f"{what}, and {near} is of another name",
-                "Name the frames as the model does: folders, endings, upper and lower case count.",
-            )
-        raise InputError(
-            f"{what}; looked in {given or above}",
-            "Give the folder that the image names start from with --images, or the vehicles' boxes with --detections.",
-        )
-    return best, missing
-
-
-def _of_nearly_that_name(places: Sequence[Path], name: str) -> Path | None:
-    """A picture in one of `places` that is called as the image `name` but for its folder, ending, or upper case."""
-    wanted = _bare(PureWindowsPath(name))
-    for place in places:
-        with suppress(OSError):  # no folder, or not to be read
-            for path in sorted(place.iterdir()):
-                if _bare(path) == wanted and (guess_type(path.name)[0] or "").startswith("image/"):
-                    return path
-    return None
-
-
-def _bare(path: PurePath) -> str:
-    return unicodedata.normalize("NFC", path.stem).casefold()  # macOS writes letters with marks as two

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any
@@ -23,10 +23,10 @@ from ..formats.geometry.mark import MARK
 from ..formats.geometry.ply import read_points
 from ..formats.geometry.poses import read_poses
 from ..formats.reading import reason
-from .colmap import find_frames
 from .colmap_check import FARTHEST
 from .colmap_tables import CUT_VIEWS, SPHERICAL
 from .consistency import Observations, check_consistency, observations, some_of_each
+from .frames import find_frames
 from .one_file import OneFileSource
 
 if TYPE_CHECKING:
@@ -191,6 +191,10 @@ def build_model(
     return model
 
 
+def _unknown_camera(text: str, kind: str, known: Iterable[str]) -> InputError:
+    return InputError(text, CUT_VIEWS if kind in SPHERICAL else f"Known are: {', '.join(known)}.")
+
+
 def _opensfm(path: Path, part: dict[str, Any]) -> pycolmap.Reconstruction:
     """OpenSfM's lengths in images are shares of the longer side, from the middle; its axes are COLMAP's."""
     cameras = {}
@@ -200,8 +204,7 @@ def _opensfm(path: Path, part: dict[str, Any]) -> pycolmap.Reconstruction:
             continue
         kind = camera.get("projection_type", "perspective")
         if kind not in OPENSFM:
-            hint = CUT_VIEWS if kind in SPHERICAL else f"Known are: {', '.join(OPENSFM)}."
-            raise InputError(f"{path}: camera {key} is of the type {kind}", hint)
+            raise _unknown_camera(f"{path}: camera {key} is of the type {kind}", kind, OPENSFM)
         width, height = int(camera["width"]), int(camera["height"])
         side = max(width, height)
         focal = camera.get("focal_x", camera.get("focal"))
@@ -237,8 +240,7 @@ def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstructi
         own = {**text, **frame}
         kind = own.get("camera_model", "OPENCV")
         if kind not in NERFSTUDIO:
-            hint = CUT_VIEWS if kind in SPHERICAL else f"Known are: {', '.join(NERFSTUDIO)}."
-            raise InputError(f"{path}: cameras of the model {kind}", hint)
+            raise _unknown_camera(f"{path}: cameras of the model {kind}", kind, NERFSTUDIO)
         width, height = int(own["w"]), int(own["h"])
         fx = own["fl_x"] if "fl_x" in own else width / 2 / np.tan(own["camera_angle_x"] / 2)
         values = {

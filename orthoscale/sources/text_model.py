@@ -18,8 +18,8 @@ from ..errors import InputError
 from ..formats.geometry.files import scale_file
 from ..formats.geometry.text_models import TextModel, read_text_model
 from ..formats.reading import read_text
-from .colmap import find_frames, image_folder
 from .consistency import Observations, check_consistency, observations, some_of_each
+from .frames import find_frames, image_folder
 from .json_model import build_model
 from .one_file import OneFileSource
 from .picture_file import stored_size

@@ -26,8 +26,11 @@ class Referred:
 
 def beside(path: Path, name: str) -> Path | None:
     """The file `name` as the file `path` refers to it, from its own folder; None where there is none."""
-    for spelled in (name, name.replace("\\", "/")):  # programs on Windows write backslashes
-        place = path.parent / spelled
-        if name and os.path.isfile(place):  # noqa: PTH113  pathlib's raises for names that are too long
-            return place
-    return None
+    return file_in(path.parent, name) if name else None
+
+
+def file_in(folder: Path, name: str) -> Path | None:
+    """The file `name`, with the folders before it, in `folder`; None where there is none. Programs on Windows write
+    backslashes between folders, which are letters of a name elsewhere."""
+    places = (folder / name, folder / name.replace("\\", "/"))
+    return next((place for place in places if os.path.isfile(place)), None)  # noqa: PTH113  pathlib's raises if too long

@@ -13,6 +13,7 @@ from typing import BinaryIO
 
 from ...errors import InputError
 from ..reading import EXPORT_ANEW
+from .words import grown
 
 POINTS = (".xyz", ".xyzn", ".xyzrgb", ".pts")
 COMMENTS = (b"#", b"//")
@@ -105,10 +106,7 @@ def _scaled(
     place: str, words: Sequence[bytes], columns: Sequence[int], scale: float, separator: bytes | None = None
 ) -> bytes:
     """A line of `words` with the lengths in `columns` times `scale`. Raises InputError."""
-    new = list(words)
     try:
-        for k in columns:
-            new[k] = f"{float(words[k]) * scale:.10g}".encode()
+        return (separator or b" ").join(grown(words, columns, scale)) + b"\n"
     except (ValueError, IndexError) as error:
         raise InputError(f"{place}: no three coordinates where they belong", EXPORT_ANEW) from error
-    return (separator or b" ").join(new) + b"\n"

@@ -9,6 +9,7 @@ from ...errors import InputError
 from ..reading import EXPORT_ANEW, read_bytes
 from .beside import Referred, beside
 from .mark import MARK, mark, refuse_marked
+from .words import grown
 
 TEXTURES = ("map_", "bump", "norm", "disp", "decal", "refl")  # how lines of materials begin that name a picture
 
@@ -33,10 +34,9 @@ def scale_obj(source: Path, target: Path, scale: float) -> Referred:
                 try:
                     if b"\r" in line.strip():
                         raise ValueError("several lines, as old Macs end them")
-                    xyz = [f"{float(words[k]) * scale:.10g}".encode() for k in (1, 2, 3)]
+                    line = b" ".join(grown(words, (1, 2, 3), scale)) + b"\n"
                 except (ValueError, IndexError) as error:
                     raise InputError(f"{source}, line {number}: a vertex is malformed", EXPORT_ANEW) from error
-                line = b" ".join([b"v", *xyz, *words[4:]]) + b"\n"
             elif words[:1] == [b"mtllib"] and len(words) > 1:
                 materials += _libraries(source, line.split(maxsplit=1)[1].decode("utf-8", "replace").strip())
             out.write(line)

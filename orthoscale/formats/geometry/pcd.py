@@ -4,62 +4,49 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 
 from ...errors import InputError
 from ..reading import EXPORT_ANEW, HUGE, MIB
 from .mark import MARK, mark, refuse_marked
+from .words import grown
 
 LONGEST_HEADER = 1 << 16  # [bytes]
 ROWS = 1 << 17  # points in memory at once
+FORMS = ("ascii", "binary", "binary_compressed")
 LENGTHS = ("x", "y", "z", "vp_x", "vp_y", "vp_z")  # where a point is, and from where it was seen
-
-
-class _Field(NamedTuple):
-    """at, width : where it is in a point's bytes. kind : numpy's type. column : its first word in a line."""
-
-    name: str
-    at: int
-    width: int
-    kind: str
-    column: int
 
 
 def scale_pcd(source: Path, target: Path, scale: float) -> None:
     """Write the PCD file `source` to `target` in metres. Raises InputError, UsageError."""
     with source.open("rb") as file, target.open("wb") as out:
-        lines, fields, count = _header(source, file)
-        lengths = [field for field in fields if field.name in LENGTHS]
-        if len({"x", "y", "z"} & {f.name for f in lengths}) < 3 or any(f.kind[0] != "f" for f in lengths):
+        lines, row, count = _header(source, file)
+        lengths = [name for name in row.names or () if name in LENGTHS]
+        if len({"x", "y", "z"} & set(lengths)) < 3 or any(row[name].base.kind != "f" for name in lengths):
             raise InputError(f"{source}: no x, y and z that are decimal numbers", "Export it with float coordinates.")
         form = lines[-1].split()[1]
-        for k, line in enumerate(lines):
-            words = line.split()
-            if words[:1] == ["VIEWPOINT"]:
-                lines[k] = " ".join(["VIEWPOINT", *(f"{float(w) * scale:.10g}" for w in words[1:4]), *words[4:]])
         lines[-1] = "DATA " + form.removesuffix("_compressed")
+        for k, line in enumerate(lines):
+            name, *words = line.split() or [""]
+            if name == "VIEWPOINT":  # where the sensor was, then how it was turned
+                lines[k] = " ".join([name, *(f"{float(word) * scale:.10g}" for word in words[:3]), *words[3:]])
         out.write("\n".join([f"# {mark(scale)}", *lines, ""]).encode("utf-8", "surrogateescape"))
-        stride = sum(field.width for field in fields)
         if form == "ascii":
-            digits = 15 if any(f.kind == "f8" for f in lengths) else 9
-            _ascii(source, file, out, fields, count, scale, digits)
+            _ascii(source, file, out, row, lengths, count, scale)
         elif form == "binary":
-            if count * stride > source.stat().st_size:  # before memory is asked for
+            if count * row.itemsize > source.stat().st_size - file.tell():  # before memory is asked for
                 raise InputError(f"{source}: ends within its {count} points", EXPORT_ANEW)
             for start in range(0, count, ROWS):
-                many = min(ROWS, count - start)
-                points = np.frombuffer(file.read(many * stride), np.uint8).copy()
-                if len(points) < many * stride:
-                    raise InputError(f"{source}: ends within its {count} points", EXPORT_ANEW)
-                out.write(_grown(points.reshape(many, stride), lengths, scale))
+                points = np.frombuffer(file.read(min(ROWS, count - start) * row.itemsize), row)
+                out.write(_bytes(points.copy(), lengths, scale))
             shutil.copyfileobj(file, out, 1 << 20)
         else:
-            out.write(_grown(_decompressed(source, file, fields, count, stride), lengths, scale))
+            out.write(_bytes(_decompressed(source, file, row, count), lengths, scale))
 
 
-def _header(path: Path, file: BinaryIO) -> tuple[list[str], list[_Field], int]:
+def _header(path: Path, file: BinaryIO) -> tuple[list[str], np.dtype, int]:
     """The header's lines, the fields of a point, and how many points there are. Raises InputError, UsageError."""
     lines: list[str] = []
     told: dict[str, list[str]] = {}
@@ -73,62 +60,58 @@ def _header(path: Path, file: BinaryIO) -> tuple[list[str], list[_Field], int]:
         if words := line.split():
             told[words[0]] = words[1:]
     try:
-        names = told["FIELDS"]
+        # Padding has the name _ wherever it is.
+        names = [name if name != "_" else f"_{k}" for k, name in enumerate(told["FIELDS"])]
         counts = [int(word) for word in told.get("COUNT", ["1"] * len(names))]
-        kinds = [k.lower() + s for k, s in zip(told["TYPE"], told["SIZE"], strict=True)]
-        sizes = [np.dtype(kind).itemsize * n for kind, n in zip(kinds, counts, strict=True)]
-        points = int(told["POINTS"][0]) if "POINTS" in told else int(told["WIDTH"][0]) * int(told["HEIGHT"][0])
-        if min(*counts, points) < 0 or told["DATA"][0] not in ("ascii", "binary", "binary_compressed"):
-            raise ValueError("no known form, or a negative count")
-        fields = [_Field(name, sum(sizes[:k]), sizes[k], kinds[k], sum(counts[:k])) for k, name in enumerate(names)]
-        if len(fields) != len(kinds):
-            raise ValueError("as many types as fields belong there")
-        [float(word) for word in told.get("VIEWPOINT", [])]
+        kinds = ["<" + kind.lower() + size for kind, size in zip(told["TYPE"], told["SIZE"], strict=True)]
+        row = np.dtype([(n, kind, (c,)) for n, kind, c in zip(names, kinds, counts, strict=True)])
+        count = int(told["POINTS"][0]) if "POINTS" in told else int(told["WIDTH"][0]) * int(told["HEIGHT"][0])
+        if min(*counts, count) < 0 or not row.itemsize or told["DATA"][0] not in FORMS:
+            raise ValueError("no known form, or an impossible count")
+        [float(word) for line in lines if line.split()[:1] == ["VIEWPOINT"] for word in line.split()[1:]]
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise InputError(f"{path}: not a PCD header", EXPORT_ANEW) from error
-    return lines, fields, points
+    return lines, row, count
 
 
 def _ascii(
-    path: Path, file: BinaryIO, out: BinaryIO, fields: list[_Field], count: int, scale: float, digits: int
+    path: Path, file: BinaryIO, out: BinaryIO, row: np.dtype, lengths: list[str], count: int, scale: float
 ) -> None:
-    columns = [field.column for field in fields if field.name in LENGTHS]
+    words_of = [name for name in row.names or () for _ in range(row[name].shape[0])]
+    columns = [words_of.index(name) for name in lengths]
+    digits = 15 if any(row[name].base == "f8" for name in lengths) else 9
     for k in range(count):
         words = file.readline().split()
         try:
-            if len(words) <= fields[-1].column:
+            if len(words) < len(words_of):
                 raise ValueError("some are missing")
-            for column in columns:
-                words[column] = f"{float(words[column]) * scale:.{digits}g}".encode()
+            out.write(b" ".join(grown(words, columns, scale, digits)) + b"\n")
         except (ValueError, IndexError) as error:
             raise InputError(f"{path}: point {k} of {count} is missing or malformed", EXPORT_ANEW) from error
-        out.write(b" ".join(words) + b"\n")
 
 
-def _grown(points: np.ndarray, lengths: list[_Field], scale: float) -> bytes:
-    """The bytes of `points`, uint8 (N, stride), with these fields times `scale`."""
-    for field in lengths:
-        part = slice(field.at, field.at + field.width)
-        values = points[:, part].copy().view("<" + field.kind).astype(float) * scale
-        points[:, part] = values.astype("<" + field.kind).view(np.uint8)
+def _bytes(points: np.ndarray, lengths: list[str], scale: float) -> bytes:
+    """What to write of `points` (N,), whose `lengths` are multiplied by `scale` in place."""
+    for name in lengths:
+        points[name] = points[name].astype(float) * scale
     return points.tobytes()
 
 
-def _decompressed(path: Path, file: BinaryIO, fields: list[_Field], count: int, stride: int) -> np.ndarray:
-    """Points, uint8 (N, stride), from the compressed form, which has each field of all points together."""
+def _decompressed(path: Path, file: BinaryIO, row: np.dtype, count: int) -> np.ndarray:
+    """(count,) points from the compressed form, which has each field of all points together."""
     packed, size = (int.from_bytes(file.read(4), "little") for _ in range(2))
     if size > HUGE:
         raise InputError(f"{path}: larger than the {HUGE // MIB} MiB that may be compressed", "Save it as binary PCD.")
     try:
-        if size != count * stride or packed > path.stat().st_size:
+        if size != count * row.itemsize or packed > path.stat().st_size:
             raise ValueError("another number of points, or fewer bytes")
         data = _lzf(file.read(packed), size)
     except (ValueError, IndexError) as error:
         raise InputError(f"{path}: its compressed points are damaged", EXPORT_ANEW) from error
-    points = np.empty((count, stride), np.uint8)
-    for field in fields:
-        block = np.frombuffer(data, np.uint8, count * field.width, field.at * count)
-        points[:, field.at : field.at + field.width] = block.reshape(count, field.width)
+    points, at = np.empty(count, row), 0
+    for name in row.names or ():
+        points[name] = np.frombuffer(data, row[name], count, at)
+        at += count * row[name].itemsize
     return points
 
 
@@ -151,8 +134,8 @@ def _lzf(data: bytes, size: int) -> bytes:
         at += 1
         if start < 0:
             raise ValueError("a copy from before the start")
-        for k in range(start, start + length + 2):  # which may reach into what it writes
-            out.append(out[k])
+        copied = out[start : start + length + 2]  # fewer where it reaches into what it writes: these again and again
+        out += (copied * (length + 2))[: length + 2]
     if len(out) != size:
         raise ValueError("another size than announced")
     return bytes(out)

@@ -19,6 +19,7 @@ from ...errors import InputError
 from ..reading import EXPORT_ANEW
 from .beside import Referred
 from .mark import MARK, mark, refuse_marked
+from .words import grown
 
 PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -208,8 +209,7 @@ def _ascii(path: Path, file: BinaryIO, out: BinaryIO, element: _Element, scale: 
         try:
             if len(words) < len(names):
                 raise ValueError("some are missing")
-            for j in grow:
-                words[j] = f"{float(words[j]) * scale:.{digits}g}".encode()
+            words = grown(words, grow, scale, digits)
             for j in add:
                 words[j] = f"{float(words[j]) + np.log(scale):.{digits}g}".encode()
         except (ValueError, IndexError) as error:

@@ -1,0 +1,93 @@
+"""The frames of a model on disk: which folder the names of its images start from."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Sequence
+from contextlib import suppress
+from mimetypes import guess_type
+from pathlib import Path, PurePath, PureWindowsPath
+from typing import TYPE_CHECKING
+
+from ..core.remarks import CAUTION, INFO, Remark
+from ..errors import InputError
+from ..formats.geometry.beside import file_in
+from ..system.paths import homes
+from .picture_file import PictureFile
+
+if TYPE_CHECKING:
+    import pycolmap
+
+IMAGE_FOLDERS = ("images", "input", "frames", "rgb", ".")
+IMAGES_ABOVE = 3  # of a model that are searched for its images, as for workspace/sparse/0
+
+
+def find_frames(
+    model: pycolmap.Reconstruction, folder: Path, images: Path | str | None, need_images: bool, notes: list[Remark]
+) -> list[PictureFile]:
+    """The frames of `model`, which lies in `folder`, that are on disk; see `ColmapSource.open`, whose notes grow."""
+    registered = {model.image(i).name: model.image(i) for i in model.reg_image_ids()}
+    try:
+        root, missing = image_folder(folder, Path(images) if images is not None else None, sorted(registered))
+    except InputError as error:
+        if need_images or images is not None:
+            raise
+        notes.append(Remark(INFO, error.message))
+        return []
+    if missing:
+        text = f"{len(missing)} of {len(registered)} frames are not in {root}, the first is {missing[0]}"
+        notes.append(Remark(CAUTION, text))
+    pictures = []
+    for name in sorted(registered.keys() - set(missing)):
+        camera = model.camera(registered[name].camera_id)
+        pictures.append(PictureFile(name, file_in(root, name) or root / name, camera.width, camera.height))
+        pictures[-1].check_size()
+    return pictures
+
+
+def image_folder(folder: Path, given: Path | None, names: Sequence[str]) -> tuple[Path, list[str]]:
+    """The folder that holds most of the image `names` of the model in `folder`, and the names it lacks.
+
+    given : where to look instead of beside and above the model. Raises InputError where it holds none of them.
+    """
+    if given is not None:
+        places = [given]
+    else:
+        bases = [folder, *(above for home in homes(folder) for above in home.parents[:IMAGES_ABOVE])]
+        places = [base / sub for sub in IMAGE_FOLDERS for base in bases]
+    best, missing = places[0], list(names)
+    for place in places:
+        if place.is_dir():
+            lacking = [name for name in names if file_in(place, name) is None]
+            if len(lacking) < len(missing):
+                best, missing = place, lacking
+            if not lacking:
+                break
+    if len(missing) == len(names):
+        above = f"{folder} and the {IMAGES_ABOVE} folders above it, and in {', '.join(IMAGE_FOLDERS[:-1])} of each"
+        what = f"no frame of the model {folder} was found; the first is {missing[0]}"
+        if (near := _of_nearly_that_name(places, missing[0])) is not None:
+            raise InputError(
+                f"{what}, and {near} is of another name",
+                "Name the frames as the model does: folders, endings, upper and lower case count.",
+            )
+        raise InputError(
+            f"{what}; looked in {given or above}",
+            "Give the folder that the image names start from with --images, or the vehicles' boxes with --detections.",
+        )
+    return best, missing
+
+
+def _of_nearly_that_name(places: Sequence[Path], name: str) -> Path | None:
+    """A picture in one of `places` that is called as the image `name` but for its folder, ending, or upper case."""
+    wanted = _bare(PureWindowsPath(name))
+    for place in places:
+        with suppress(OSError):  # no folder, or not to be read
+            for path in sorted(place.iterdir()):
+                if _bare(path) == wanted and (guess_type(path.name)[0] or "").startswith("image/"):
+                    return path
+    return None
+
+
+def _bare(path: PurePath) -> str:
+    return unicodedata.normalize("NFC", path.stem).casefold()  # macOS writes letters with marks as two
