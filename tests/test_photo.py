@@ -294,6 +294,7 @@ def test_roll_turns_the_footprint_of_a_photo_taken_straight_down(pitch, roll, he
     ahead = SimpleNamespace(outline=lambda: np.array([(-1.0, 100.0), (0.0, 100.0), (1.0, 100.0)]))
     outline = footprint_on_earth(SimpleNamespace(photo=SimpleNamespace(tags=tags), measured=ahead))
     lon, lat = outline.exterior.coords[1]
+    assert Tags(6, 8, 8, full_height=6, pitch=pitch, roll=roll, yaw=30).heading is None  # turned since
     assert np.degrees(np.arctan2(lon, lat)) % 360 == pytest.approx(heading, abs=0.5)  # 0.3 by the Earth's flattening
 
 

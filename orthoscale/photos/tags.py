@@ -83,8 +83,8 @@ class Tags:
     def heading(self) -> float | None:
         """Where `level_axes` has forward, clockwise from north [deg]: the picture's top of a photo taken straight down,
         which roll turns as much as yaw (DJI writes a roll of 180 there: github.com/leftfield-geospatial/orthority,
-        issue 36)."""
-        if self.pitch is None or self.yaw is None:
+        issue 36). None too for a photo that was turned since it was taken: which way is not known."""
+        if self.pitch is None or self.yaw is None or self.turned:
             return None
         # Axes of the turned camera: the optical one, right, and what is down in the picture.
         north, east, _ = _rotation(self.yaw, self.pitch, self.roll or 0.0).apply([1.0, 0.0, -1.0])
