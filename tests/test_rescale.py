@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from support.geometry import SPARSE, XYZ, dense_workspace, glb, gltf, ply
+from support.geometry import PCD_ROW, SPARSE, XYZ, dense_workspace, glb, gltf, las, pcd, pcd_body, ply
 
 from orthoscale.actions.apply import apply
 from orthoscale.cli.main import cli
@@ -320,40 +320,12 @@ def test_splats_of_32_bytes(tmp_path):
             scale_path(tmp_path / "a.splat", tmp_path / "b.splat", 2)
 
 
-PCD_ROW = np.dtype([("x", "<f4"), ("pad", "u1", 4), ("y", "<f8"), ("z", "<f4"), ("label", "<u2"), ("normal_x", "<f4")])
-
-
-def pcd(form: str, body: bytes, points: int = 3) -> bytes:
-    head = (
-        "# .PCD v0.7 - Point Cloud Data\nVERSION 0.7\nFIELDS x _ y z label normal_x\nSIZE 4 1 8 4 2 4\n"
-        "TYPE F U F F U F\n"
-        f"COUNT 1 4 1 1 1 1\nWIDTH {points}\nHEIGHT 1\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS {points}\nDATA {form}\n"
-    )
-    return head.encode() + body
-
-
-def lzf(data: bytes, repeat: int = 0) -> bytes:
-    """`data` as literals, its last `repeat` bytes (3 to 8) as a copy of the byte before them."""
-    plain = data[: len(data) - repeat]
-    out = b"".join(bytes([len(part) - 1]) + part for k in range(0, len(plain), 32) for part in [plain[k : k + 32]])
-    return out + (bytes([(repeat - 2) << 5, 0]) if repeat else b"")
-
-
 @pytest.mark.parametrize("form", ["ascii", "binary", "binary_compressed"])
 def test_pcd(tmp_path, form, monkeypatch):
     monkeypatch.setattr("orthoscale.formats.geometry.pcd.ROWS", 2)
     rows = np.zeros(3, PCD_ROW)
     rows["x"], rows["y"], rows["z"], rows["label"], rows["pad"] = [1, 2, 3], [4, 5, 6], [-7, 8, 9], [1, 65535, 2], 9
-    if form == "ascii":
-        body = b"".join(
-            b" ".join(str(v).encode() for v in (r["x"], *r["pad"], r["y"], r["z"], r["label"], r["normal_x"])) + b"\n"
-            for r in rows
-        )
-    elif form == "binary":
-        body = rows.tobytes()
-    else:
-        packed = lzf(whole := b"".join(rows[name].tobytes() for name in PCD_ROW.names), repeat=8)
-        body = struct.pack("<II", len(packed), len(whole)) + packed
+    body = pcd_body(form, rows)
     (tmp_path / "a.pcd").write_bytes(pcd(form, body))
     scale_path(tmp_path / "a.pcd", tmp_path / "b.pcd", 2)
     head, _, data = (tmp_path / "b.pcd").read_bytes().partition(b"\nDATA ")
@@ -371,26 +343,18 @@ def test_pcd(tmp_path, form, monkeypatch):
     if form == "binary_compressed":
         body = b"\xff" * 4 + body[4:]  # so many bytes
     wide = pcd(form, body).replace(b"COUNT 1 4", b"COUNT 1 4000000000000")
-    for damaged in (pcd(form, body[:-9]), pcd(form, body, 10**7), pcd("zip", body), wide, b"# .PCD\nFIELDS x\n"):
+    narrow = pcd(form, body).replace(b"COUNT 1 4 1", b"COUNT 1 4 0")
+    for damaged in (
+        pcd(form, body[:-9]),
+        pcd(form, body, 10**7),
+        pcd("zip", body),
+        wide,
+        narrow,
+        b"# .PCD\nFIELDS x\n",
+    ):
         (tmp_path / "a.pcd").write_bytes(damaged)
         with pytest.raises(InputError, match=r"a\.pcd"):
             scale_path(tmp_path / "a.pcd", tmp_path / "d.pcd", 2)
-
-
-def las(user: bytes = b"", record: int = 0, content: bytes = b"", form: int = 3, extended: bool = False) -> bytes:
-    """A LAS 1.4 file of one point, with one variable length record."""
-    head = bytearray(375)
-    head[:4], head[24:26], head[104] = b"LASF", b"\1\4", form
-    struct.pack_into("<H", head, 94, 375)
-    struct.pack_into("<I", head, 96, 1000)
-    struct.pack_into("<12d", head, 131, 0.001, 0.001, 0.002, 10, 20, 30, *(11, 10, 21, 20, 31, 30))
-    if extended:
-        struct.pack_into("<QI", head, 235, 375, 1)
-        return bytes(head) + struct.pack("<H16sHQ32x", 0, user, record, len(content)) + content + b"points"
-    struct.pack_into("<I", head, 100, int(bool(user)))
-    return (
-        bytes(head) + (struct.pack("<H16sHH32x", 0, user, record, len(content)) + content if user else b"") + b"points"
-    )
 
 
 def test_las_and_laz_are_scaled_in_their_headers(tmp_path):

@@ -314,6 +314,14 @@ def geometry(bench: Bench, rng: Rng) -> Attempt:
     return Attempt(("apply", "in/sim3.json", f"in/{name}", "--out", "out"))
 
 
+def other_geometry(bench: Bench, rng: Rng) -> Attempt:
+    clouds = ("ascii.pcd", "binary.pcd", "binary_compressed.pcd", "points.laz", "points.xyz", "points.splat")
+    name = rng.choice((*clouds, "mesh.off", "text.stl", "binary.stl"))
+    path = bench.take("geometry") / name
+    harm(path, rng, damage.text if name in ("ascii.pcd", "points.xyz", "mesh.off", "text.stl") else damage.binary)
+    return Attempt(("apply", "in/sim3.json", f"in/{name}", "--out", "out"))
+
+
 def _header(data: bytes, rng: Rng, donor: bytes) -> bytes:
     """Damage the words of a PLY's header."""
     head, mark, body = data.partition(b"end_header\n")
@@ -597,6 +605,7 @@ CLASSES: dict[str, tuple[Callable[[Bench, Rng], Attempt], int]] = {
     "photos": (photos, 300),
     "data sets": (datasets, 250),
     "clouds, meshes, depth": (geometry, 900),
+    "PCD, LAZ, XYZ, STL, OFF, splats": (other_geometry, 300),
     "ONNX": (onnx_files, 200),
     "deep, huge and odd values": (values, 200),
     "options": (options, 300),

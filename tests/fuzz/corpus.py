@@ -268,6 +268,16 @@ def _geometry(folder: Path) -> None:
     (folder / "part.bin").write_bytes(struct.pack("<12f", *range(12)))
     buffers = {"buffers": [{"uri": "part.bin", "byteLength": 48}], "images": [{"uri": "a.png"}]}
     (folder / "scene.gltf").write_text(json.dumps(geometry.gltf(**buffers)))
+    rows = np.zeros(3, geometry.PCD_ROW)
+    for form in ("ascii", "binary", "binary_compressed"):
+        (folder / f"{form}.pcd").write_bytes(geometry.pcd(form, geometry.pcd_body(form, rows)))
+    (folder / "points.laz").write_bytes(geometry.las(b"laszip encoded", 22204, b"any", form=0x83))
+    (folder / "points.xyz").write_text("x,y,z,class\n1,2,3,4\n-4,0.5,6e1,7\n")
+    (folder / "mesh.off").write_text("COFF\n# a comment\n3 1 0\n1 2 3 255 0 0\n-4 0.5 6 0 0 0\n0 0 1 0 0 0\n3 0 1 2\n")
+    triangle = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+    (folder / "text.stl").write_text(f"solid a\n{triangle}endsolid a\n")
+    (folder / "binary.stl").write_bytes(bytes(80) + struct.pack("<I12fH", 1, *range(12), 0))
+    (folder / "points.splat").write_bytes(struct.pack("<6f8B", *range(14)) * 3)
     geometry.dense_workspace(folder / "dense")
     shutil.rmtree(folder / "dense/sparse")
     save(make_model(*PINHOLE, points=POINTS)[0], folder / "dense/sparse", "bin")

@@ -55,3 +55,49 @@ def dense_workspace(folder: Path) -> Path:
     (folder / "fused.ply.vis").write_bytes(b"visibility")
     shutil.copytree(SPARSE, folder / "sparse")
     return folder
+
+
+PCD_ROW = np.dtype([("x", "<f4"), ("pad", "u1", 4), ("y", "<f8"), ("z", "<f4"), ("label", "<u2"), ("normal_x", "<f4")])
+
+
+def pcd(form: str, body: bytes, points: int = 3) -> bytes:
+    head = (
+        "# .PCD v0.7 - Point Cloud Data\nVERSION 0.7\nFIELDS x _ y z label normal_x\nSIZE 4 1 8 4 2 4\n"
+        "TYPE F U F F U F\n"
+        f"COUNT 1 4 1 1 1 1\nWIDTH {points}\nHEIGHT 1\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS {points}\nDATA {form}\n"
+    )
+    return head.encode() + body
+
+
+def lzf(data: bytes, repeat: int = 0) -> bytes:
+    """`data` as literals, its last `repeat` bytes (3 to 8) as a copy of the byte before them."""
+    plain = data[: len(data) - repeat]
+    out = b"".join(bytes([len(part) - 1]) + part for k in range(0, len(plain), 32) for part in [plain[k : k + 32]])
+    return out + (bytes([(repeat - 2) << 5, 0]) if repeat else b"")
+
+
+def pcd_body(form: str, rows: np.ndarray) -> bytes:
+    """What follows the header of `pcd` for `rows` of PCD_ROW; in the compressed form the last 8 bytes are alike."""
+    if form == "ascii":
+        lines = [(r["x"], *r["pad"], r["y"], r["z"], r["label"], r["normal_x"]) for r in rows]
+        return b"".join(b" ".join(str(v).encode() for v in line) + b"\n" for line in lines)
+    if form == "binary":
+        return rows.tobytes()
+    packed = lzf(whole := b"".join(rows[name].tobytes() for name in PCD_ROW.names), repeat=8)
+    return struct.pack("<II", len(packed), len(whole)) + packed
+
+
+def las(user: bytes = b"", record: int = 0, content: bytes = b"", form: int = 3, extended: bool = False) -> bytes:
+    """A LAS 1.4 file of one point, with one variable length record."""
+    head = bytearray(375)
+    head[:4], head[24:26], head[104] = b"LASF", b"\1\4", form
+    struct.pack_into("<H", head, 94, 375)
+    struct.pack_into("<I", head, 96, 1000)
+    struct.pack_into("<12d", head, 131, 0.001, 0.001, 0.002, 10, 20, 30, *(11, 10, 21, 20, 31, 30))
+    if extended:
+        struct.pack_into("<QI", head, 235, 375, 1)
+        return bytes(head) + struct.pack("<H16sHQ32x", 0, user, record, len(content)) + content + b"points"
+    struct.pack_into("<I", head, 100, int(bool(user)))
+    return (
+        bytes(head) + (struct.pack("<H16sHH32x", 0, user, record, len(content)) + content if user else b"") + b"points"
+    )

@@ -66,7 +66,7 @@ def _header(path: Path, file: BinaryIO) -> tuple[list[str], np.dtype, int]:
         kinds = ["<" + kind.lower() + size for kind, size in zip(told["TYPE"], told["SIZE"], strict=True)]
         row = np.dtype([(n, kind, (c,)) for n, kind, c in zip(names, kinds, counts, strict=True)])
         count = int(told["POINTS"][0]) if "POINTS" in told else int(told["WIDTH"][0]) * int(told["HEIGHT"][0])
-        if min(*counts, count) < 0 or not row.itemsize or told["DATA"][0] not in FORMS:
+        if min(counts) < 1 or count < 0 or told["DATA"][0] not in FORMS:
             raise ValueError("no known form, or an impossible count")
         [float(word) for line in lines if line.split()[:1] == ["VIEWPOINT"] for word in line.split()[1:]]
     except (KeyError, ValueError, IndexError, TypeError) as error:
