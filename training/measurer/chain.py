@@ -7,6 +7,7 @@ each by chance. Steps work on the picture's own grid, which lies anyhow to the v
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -30,7 +31,12 @@ DARKEST = (0.01, 0.2)
 # One sigma of how much the ratio of length to width is changed (log) before a camera sees the vehicle. Of blurred
 # vehicles of 12 to 18 px a network tells the usual shape, more or less; the wider the shapes that it saw, the less.
 SHAPES_SD = 0.14
-CUT = 0.06  # share of the windows that end within the vehicle's surroundings: the picture's edge
+COVERED = 0.3  # share of the vehicles whose edge, corner or more something opaque may hide
+CROWNS = 0.6  # share of these covers that show other ground, as trees do; the others are black shade
+REACHES = (0.2, 1.45)  # from a vehicle's middle to where a cover begins, 1 at the edge and 1.41 at the corner
+RAGGED = (0.05, 0.4)  # one sigma of how far a cover's outline strays from a line, in the same measure
+STRIP = 0.1  # of a vehicle's length and width inside an edge that tell whether the edge is hidden
+HIDDEN = 0.4  # share of that strip under the cover from which it is
 
 
 def pyramid(picture: np.ndarray, levels: int = 5) -> list[np.ndarray]:
@@ -65,6 +71,58 @@ def window(
 
 def _rotation(angle: float) -> np.ndarray:
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A vehicle as one camera took it.
+
+    pixels : (n, n, 3), light 0..1, or uint8 when it is finished. box : (5,) of the vehicle in them. shown : (5,) of
+    what is in sight of it. hidden : (4,) bool, which of its edges are not: rear, front, left, right.
+    """
+
+    pixels: np.ndarray
+    box: np.ndarray
+    shown: np.ndarray
+    hidden: np.ndarray
+
+
+def covered(x: np.ndarray, box: np.ndarray, others: np.ndarray, rng: np.random.Generator) -> Shot:
+    """The window `x` (n, n, 3) 0..1 with part of the vehicle in `box` (5,) under a tree or in black shade.
+
+    others : (m, m, 3) uint8, ground without vehicles."""
+    n = x.shape[0]
+    way = rng.uniform(0, 2 * np.pi)
+    stray = rng.normal(0, 1, (n, n)).astype(np.float32)
+    stray = cv2.GaussianBlur(stray, (0, 0), box[2] * rng.uniform(0.05, 0.25), borderType=cv2.BORDER_REFLECT)
+    rows, columns = np.mgrid[:n, :n].astype(np.float32) + np.float32(0.5)
+    cos, sin = np.cos(box[4]), np.sin(box[4])
+    along = ((columns - box[0]) * cos + (rows - box[1]) * sin) / (box[2] / 2)
+    across = ((rows - box[1]) * cos - (columns - box[0]) * sin) / (box[3] / 2)
+    beyond = along * np.cos(way) + across * np.sin(way) - rng.uniform(*REACHES)
+    beyond += rng.uniform(*RAGGED) * stray / max(float(stray.std()), 1e-6)
+    mask = np.clip(0.5 + beyond * box[3] / 2 / rng.uniform(0.5, 2.0), 0, 1).astype(np.float32)
+    if rng.random() < CROWNS:
+        light = np.float32(rng.uniform(0.4, 1.1) / 255)
+        cover = light * cv2.resize(others, (n, n), interpolation=cv2.INTER_AREA).astype(np.float32)
+    else:
+        cover = np.float32(rng.uniform(0.0, 0.2)) * x + np.float32(rng.uniform(0, 0.1))
+    inside = [np.abs(across) < 0.7, np.abs(across) < 0.7, np.abs(along) < 0.7, np.abs(along) < 0.7]
+    depth = [1 + along, 1 - along, 1 + across, 1 - across]
+    strips = [
+        i & (d > 0) & (d < max(2 * STRIP, 3 / w)) for i, d, w in zip(inside, depth, box[[2, 2, 3, 3]], strict=True)
+    ]
+    hidden = np.array([strip.any() and mask[strip].mean() > HIDDEN for strip in strips])
+    clear = (np.maximum(np.abs(along), np.abs(across)) < 1) & (mask < 0.5)
+    shown = box
+    if clear.any():
+        # Edges that are seen stay where they are; corners under a cover do not move them.
+        ends = np.stack([np.quantile(u[clear], (0.02, 0.98)) for u in (along, across)])
+        ends = np.where(hidden.reshape(2, 2), ends, [-1, 1])
+        middle, half = ends.mean(1) * box[2:4] / 2, np.diff(ends)[:, 0] / 2
+        at = box[:2] + [cos * middle[0] - sin * middle[1], sin * middle[0] + cos * middle[1]]
+        shown = np.array([*at, *np.maximum(half * box[2:4], 2), box[4]])
+    return Shot(x + mask[..., None] * (cover - x), box, shown, hidden)
 
 
 def optics(x: np.ndarray, fine: int, rng: np.random.Generator, sharp: float = 0.25) -> np.ndarray:
@@ -172,12 +230,17 @@ def finish(x: np.ndarray, rng: np.random.Generator, strength: float) -> np.ndarr
 
 
 def photograph(
-    levels: Sequence[np.ndarray], box: np.ndarray, rng: np.random.Generator, linear: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """A finished window (n, n, 3) uint8 RGB around `box` (5,), and the box in it.
+    levels: Sequence[np.ndarray],
+    box: np.ndarray,
+    rng: np.random.Generator,
+    linear: bool,
+    others: np.ndarray | None = None,
+    cover: float = COVERED,
+) -> Shot:
+    """A finished window around `box` (5,), RGB.
 
     levels : `pyramid` of a rendered picture (`linear`), or of a real one, which was taken once already and is only
-    changed a little more.
+    changed a little more. others : (m, m, 3) uint8, what a share of `cover` of the vehicles is partly covered with.
     """
     length = np.exp(rng.uniform(*np.log(LENGTHS)))
     factor = np.exp(rng.uniform(*np.log(RESAMPLED))) if rng.random() < (0.45 if linear else 0.3) else 1.0
@@ -186,10 +249,14 @@ def photograph(
     on_sensor = np.clip(length / factor, LENGTHS[0] * 0.75, SHARPEST if linear else 1.2 * box[2])
     fine = 2 if on_sensor < (0.5 if linear else 0.7) * box[2] else 1
     x, box = window(levels, box, on_sensor / box[2], rng, fine)
-    x = x.astype(np.float32) / 255
+    x, shown, hidden = x.astype(np.float32) / 255, box, np.zeros(4, bool)
+    if others is not None and rng.random() < cover:
+        samples = np.array([fine, fine, fine, fine, 1])
+        part = covered(x, box * samples, others, rng)
+        x, shown, hidden = part.pixels, part.shown / samples, part.hidden
     if rng.random() < (0.15 if linear else 0.1):
-        cover = cv2.resize(_leaves()[rng.integers(100)], x.shape[:2], interpolation=cv2.INTER_LINEAR)
-        x = x * (1 + (np.float32(rng.uniform(0.4, 0.85)) - 1) * cover[..., None])
+        shade = cv2.resize(_leaves()[rng.integers(100)], x.shape[:2], interpolation=cv2.INTER_LINEAR)
+        x = x * (1 + (np.float32(rng.uniform(0.4, 0.85)) - 1) * shade[..., None])
     if linear:
         x = optics(np.float32(BRIGHTEST) * x * x, fine, rng)
         if rng.random() < GLARE:
@@ -209,8 +276,8 @@ def photograph(
             x = jpeg(x, int(rng.integers(60, 96)))
     if factor != 1:
         x, factor = resample(x, factor, rng)
-        box = box * [factor, factor, factor, factor, 1]
-    return _bytes(finish(x, rng, 1.0 if linear else 0.6)), box
+        box, shown = (b * [factor, factor, factor, factor, 1] for b in (box, shown))
+    return Shot(_bytes(finish(x, rng, 1.0 if linear else 0.6)), box, shown, hidden)
 
 
 def _bytes(x: np.ndarray) -> np.ndarray:

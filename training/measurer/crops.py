@@ -50,10 +50,10 @@ class Example:
     step: float
 
 
-def proposal(box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def proposal(box: np.ndarray, rng: np.random.Generator, good: bool = False) -> np.ndarray:
     """(5,) a box as a detector might propose it for the vehicle in `box`: off its place, turn and size; either way
-    round. A third of them are as good as a first look makes them."""
-    fair = 1.0 if rng.random() < 0.65 else 0.2
+    round. A third of them are as `good` as a first look makes them."""
+    fair = 1.0 if rng.random() < 0.65 and not good else 0.2
     size = np.exp(fair * rng.uniform(np.log(0.75), np.log(1.35)) + fair * rng.normal(0, [0.03, 0.07])) * box[2:4]
     along, across = fair * rng.uniform(-0.1, 0.1) * box[2], fair * rng.uniform(-0.2, 0.2) * box[3]
     cos, sin = np.cos(box[4]), np.sin(box[4])
@@ -73,19 +73,28 @@ def edges_in_crop(box: np.ndarray, proposed: np.ndarray) -> tuple[np.ndarray, fl
 
 
 CROPS = 3  # cut from each window
+BOXED_AS_SHOWN = 0.7  # share of the crops of partly hidden vehicles that are cut about what is in sight
 
 
 def examples(
-    levels: list[np.ndarray], box: np.ndarray, seen: np.ndarray, kind: int, scene: int, rng: np.random.Generator
+    levels: list[np.ndarray],
+    box: np.ndarray,
+    seen: np.ndarray,
+    kind: int,
+    scene: int,
+    rng: np.random.Generator,
+    others: np.ndarray | None = None,
 ) -> Iterator[Example]:
     """Random crops of one vehicle as one camera took it. levels : `pyramid` of the picture; box : (5,) in it, its
-    direction the front's. seen : (4,) rear, front, left, right."""
+    direction the front's. seen : (4,) rear, front, left, right. others : see `photograph`."""
     length = box[2]
-    pixels, box = photograph(levels, box, rng, scene == RENDERED)
+    shot = photograph(levels, box, rng, scene == RENDERED, others)
+    pixels, box, seen = shot.pixels, shot.box, seen & ~shot.hidden
     if rng.random() < 0.06:  # the picture ends here
         pixels, seen = _cut(pixels, box, seen, rng)
     for _ in range(CROPS):
-        proposed = proposal(box, rng)
+        # Detectors box what they see of a vehicle; the last look is about what the looks before it told.
+        proposed = proposal(shot.shown if rng.random() < BOXED_AS_SHOWN else box, rng)
         edges, turn = edges_in_crop(box, proposed)
         backwards = np.cos(proposed[4] - box[4]) < 0
         order = seen[[1, 0, 3, 2]] if backwards else seen
@@ -165,7 +174,13 @@ class Examples:
                 scene, patches = NO_EDGES, self._ground
             patch = patches[rng.integers(len(patches))]
             whole = np.full(4, patch.whole and patch.kind != NONE)
-            yield from examples(pyramid(patch.pixels), patch.box, whole, patch.kind, scene, rng)
+            yield from examples(
+                pyramid(patch.pixels), patch.box, whole, patch.kind, scene, rng, self._cover(scene, rng)
+            )
+
+    def _cover(self, scene: int, rng: np.random.Generator) -> np.ndarray | None:
+        """Ground to cover part of a vehicle with, where anything is learnt of its edges."""
+        return self._ground[rng.integers(len(self._ground))].pixels if self._ground and scene != NO_EDGES else None
 
     def _of_rendered(self, rng: np.random.Generator) -> Iterator[Example]:
         levels, picture = self._rendered[rng.integers(len(self._rendered))]
@@ -173,7 +188,7 @@ class Examples:
         box, seen, kind = picture.boxes[k], picture.seen[k], int(picture.kind[k])
         if rng.random() < GROUND:
             box, seen, kind = _elsewhere(levels, picture.boxes, box[2], rng), np.zeros(4, bool), NONE
-        return examples(levels, box, seen, kind, RENDERED, rng)
+        return examples(levels, box, seen, kind, RENDERED, rng, self._cover(RENDERED, rng) if kind != NONE else None)
 
 
 def _often(groups: Sequence[Sequence[real.Patch]]) -> np.ndarray:

@@ -1,6 +1,7 @@
 r"""How good the measurer is, beside the detector's own boxes.
 
     python -m training.measurer.evaluate --measurer M.onnx rendered runs/bank
+    python -m training.measurer.evaluate --measurer M.onnx hidden runs/bank --data ../shared/data
     python -m training.measurer.evaluate --measurer M.onnx changes --found NAME=PICTURES:BOXES.json [--found ...]
     python -m training.measurer.evaluate --measurer M.onnx paint --found NAME=PICTURES:BOXES.json [--found ...]
     python -m training.measurer.evaluate --measurer M.onnx hand --data ../shared/data
@@ -8,6 +9,7 @@ r"""How good the measurer is, beside the detector's own boxes.
     python -m training.measurer.evaluate --measurer M.onnx kinds --data ../shared/data
 
 `rendered`: vehicles with exact edges that were not learnt from, as many cameras took them, proposed badly; by size.
+`hidden`: rendered and real vehicles, part of which was covered: which edges it tells hidden, and what it makes of them.
 `changes`: the same real vehicles in a picture that was resampled, blurred, sharpened, ...: by how much their sizes
 move. `paint`: by how much a scene's dark vehicles measure larger than its light ones, which is their shadows'. `hand`:
 against the edges that were read by eye (labels/by_hand.json). `places`: vehicles of known scale in
@@ -40,7 +42,7 @@ from .chain import photograph, pyramid, sharpen, stretch
 from .confusion import card_entries
 from .crops import HELD_OUT, proposal
 from .real import READ as LEARNT
-from .real import SLANTED, TOLD, WIDTH_HABIT, by_name, told_patches
+from .real import SLANTED, TOLD, WIDTH_HABIT, by_name, load, read_patches, told_patches
 from .rendered import Rendered
 from .rendered import rendered as rendering
 
@@ -49,6 +51,7 @@ KIND_SIZES = (12, 25, 50, 200)  # the same for kinds [px]
 SIZES = (8, 15, 25, 40, 60, 90, 121)  # vehicle lengths between which results are told apart [px]
 AROUND = 1.6  # of a window from a vehicle's centre, either way, in its lengths
 NONE = ANSWERS.index("none")
+HIDDEN_BELOW = 0.5  # how surely an edge must be seen to be taken for seen
 FEWEST = 3  # vehicles of a place from which it says something of the ruler
 LEAST_SCATTER = (0.02, 0.05)  # (one sigma) of a vehicle's length and width about its reading, at least
 
@@ -79,9 +82,9 @@ def rendered(measurer: Measurer, bank: Path, count: int, seed: int) -> str:
         k = rng.integers(len(pictures[n].boxes))
         if not pictures[n].seen[k].all() or pictures[n].kind[k] == ANSWERS.index("larger"):
             continue
-        pixels, box = photograph(levels[n], pictures[n].boxes[k], rng, True)
-        proposed = proposal(box, rng)
-        told = measurer.in_pixels(pixels, Boxes(proposed[None], np.ones(1)))
+        shot = photograph(levels[n], pictures[n].boxes[k], rng, True)
+        box, proposed = shot.box, proposal(shot.box, rng)
+        told = measurer.in_pixels(shot.pixels, Boxes(proposed[None], np.ones(1)))
         error = np.log(told.boxes.xylwa[0, 2:4] / box[2:4])
         first = np.log(proposed[2:4] / box[2:4])
         sigma = told.size_sigma[0] / told.boxes.xylwa[0, 2:4]
@@ -117,9 +120,9 @@ def shadows(measurer: Measurer, scenes: int, seed: int) -> str:
             sizes = []
             for n in (0, 1):
                 rng = np.random.default_rng([seed, number, k])
-                pixels, box = photograph(levels[n], pair[n].boxes[k], rng, True)
-                told = measurer.in_pixels(pixels, Boxes(proposal(box, rng)[None], np.ones(1)))
-                sizes.append(np.append(np.log(told.boxes.xylwa[0, 2:4] / box[2:4]), trusted(told)[0]))
+                shot = photograph(levels[n], pair[n].boxes[k], rng, True)
+                told = measurer.in_pixels(shot.pixels, Boxes(proposal(shot.box, rng)[None], np.ones(1)))
+                sizes.append(np.append(np.log(told.boxes.xylwa[0, 2:4] / shot.box[2:4]), trusted(told)[0]))
             if sizes[0][2] and sizes[1][2]:
                 moved.append([*(sizes[1][:2] - sizes[0][:2]), *sizes[1][:2]])
     m, s = middle(np.array(moved))
@@ -128,6 +131,43 @@ def shadows(measurer: Measurer, scenes: int, seed: int) -> str:
         f"{100 * s[0]:.2f}), the width by {100 * m[1]:+.2f} % ({100 * s[1]:.2f}); bias with shadows "
         f"{100 * m[2]:+.2f} and {100 * m[3]:+.2f} %"
     )
+
+
+def hidden(measurer: Measurer, bank: Path, data: Path, count: int, seed: int) -> str:
+    """Vehicles that were not learnt from, rendered ones and those read by eye at test places, a tree or black shade
+    over or beside each: how well hidden edges are told from others, and the error of lengths that follows."""
+    rng = np.random.default_rng(seed)
+    ground = [p.pixels for file in sorted(bank.glob("real_*.npz")) for p in load(file) if p.kind == NONE]
+    pictures = [Rendered.load(file) for file in sorted(bank.glob("scene_*.npz"))[:HELD_OUT]]
+    drawn = [
+        (p.light, box) for p in pictures for box, seen, kind in zip(p.boxes, p.seen, p.kind, strict=True)
+        if seen.all() and kind != ANSWERS.index("larger")
+    ]  # fmt: skip
+    read = [
+        (patch.pixels, patch.box) for scene in measured_scenes(data) if scene.name not in (*LEARNT, *SLANTED)
+        for p in scene.pictures for patch in read_patches(p.picture.path, p.vehicles) if patch.whole
+    ]  # fmt: skip
+    lines = [
+        "           n  hidden edges told | others told seen | whole vehicles kept | length of all, of those kept [%]"
+    ]
+    for name, vehicles, linear in (("rendered", drawn, True), ("read", read, False)):
+        rows = []
+        for k in rng.choice(len(vehicles), count):
+            pixels, box = vehicles[k]
+            shot = photograph(pyramid(pixels), box, rng, linear, ground[rng.integers(len(ground))], cover=1.0)
+            told = measurer.in_pixels(shot.pixels, Boxes(proposal(shot.shown, rng, good=True)[None], np.ones(1)))
+            backwards = np.cos(told.boxes.xylwa[0, 4] - shot.box[4]) < 0
+            seen = told.seen[0][[1, 0, 3, 2]] if backwards else told.seen[0]
+            rows.append((shot.hidden, seen, np.log(told.boxes.xylwa[0, 2] / shot.box[2]), told.kind[0, NONE] < 0.5))
+        truth, seen, error, vehicle = (np.array(column) for column in zip(*rows, strict=True))
+        whole, kept = ~truth.any(1), (seen > HIDDEN_BELOW).all(1) & vehicle
+        quartiles = [np.quantile(100 * error[some], (0.1, 0.25, 0.5, 0.75)).round(1) for some in (vehicle, kept)]
+        told_hidden, told_seen = (seen[truth] < HIDDEN_BELOW).mean(), (seen[~truth] > HIDDEN_BELOW).mean()
+        lines.append(
+            f"{name:9s} {count:4d} {told_hidden:17.2f} | {told_seen:16.2f} | {kept[whole].mean():19.2f} | "
+            f"{quartiles[0]} {quartiles[1]}"
+        )
+    return "\n".join(lines)
 
 
 # Real vehicles.
@@ -421,6 +461,11 @@ def main() -> None:
     a.add_argument("bank", type=Path)
     a.add_argument("--count", type=int, default=600)
     a.add_argument("--seed", type=int, default=0)
+    h = commands.add_parser("hidden")
+    h.add_argument("bank", type=Path)
+    h.add_argument("--data", type=Path, required=True)
+    h.add_argument("--count", type=int, default=400)
+    h.add_argument("--seed", type=int, default=0)
     s = commands.add_parser("shadows")
     s.add_argument("--scenes", type=int, default=5)
     s.add_argument("--seed", type=int, default=0)
@@ -446,6 +491,9 @@ def main() -> None:
     measurer = Measurer(options.measurer)
     if options.command == "rendered":
         print(rendered(measurer, options.bank, options.count, options.seed))
+        return
+    if options.command == "hidden":
+        print(hidden(measurer, options.bank, options.data, options.count, options.seed))
         return
     if options.command == "shadows":
         print(shadows(measurer, options.scenes, options.seed))

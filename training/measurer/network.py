@@ -69,7 +69,7 @@ class MeasureNet(nn.Module):
         self.rest = nn.Linear(64 + 4, 4 + 1 + 1 + 4 + len(ANSWERS))
         self.details = nn.Sequential(
             conv(40, 64, 2), Residual(64, 64), conv(64, 96, 2), nn.Flatten(), nn.Linear(96 * cells, 64),
-            nn.ReLU(True), nn.Dropout(0.2), nn.Linear(64, len(ANSWERS)),
+            nn.ReLU(True), nn.Dropout(0.2), nn.Linear(64, 4 + len(ANSWERS)),
         )  # fmt: skip
         for name, size in (("x", CROP_WIDTH), ("y", CROP_HEIGHT)):
             places = torch.arange(size // 2) * 2.0 + 1.0 - size / 2
@@ -85,7 +85,7 @@ class MeasureNet(nn.Module):
         s16 = self.stage16(s8)
         f = self.merge8(self.lateral8(s8) + enlarge(self.lateral16(s16)))
         f = self.merge4(self.lateral4(s4) + enlarge(self.reduce8(f)))
-        details = self.details(f).float()
+        seen_there, kind_there = self.details(f).float().split([4, len(ANSWERS)], 1)
         f = self.merge2(self.lateral2(s2) + enlarge(self.reduce4(f)))
         ends, end_widths = _mean_and_width(self.along(f.transpose(2, 3)).float(), self.x)
         sides, side_widths = _mean_and_width(self.across(f).float(), self.y)
@@ -93,7 +93,8 @@ class MeasureNet(nn.Module):
         widths = torch.cat([end_widths, side_widths], 1).log()
         rest = self.rest(torch.cat([whole, widths], 1))
         scale, turn, turn_scale, seen, kind = rest.split([4, 1, 1, 4, len(ANSWERS)], 1)
-        return torch.cat([ends, sides], 1), scale + widths, TURN_SCALE * turn, turn_scale - 2.5, seen, kind + details
+        edges = torch.cat([ends, sides], 1)
+        return edges, scale + widths, TURN_SCALE * turn, turn_scale - 2.5, seen + seen_there, kind + kind_there
 
 
 def _mean_and_width(logits: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
@@ -171,7 +172,7 @@ def loss(outputs: tuple[Tensor, ...], habits: Habits, batch: dict[str, Tensor]) 
     return {
         "edges": (weight * _student(error, scale)).sum() / weight.sum().clamp(min=1),
         "turn": 0.3 * (vehicle * _student(turn[:, 0] - batch["turn"], turn_scale)).sum() / vehicles,
-        "seen": 0.2 * (vehicle[:, None] * in_sight).mean(),
+        "seen": 0.6 * (vehicle[:, None] * in_sight).mean(),
         "kind": KIND * (told + some) / len(kind),
     }
 

@@ -65,7 +65,7 @@ LORRIES_VEHICLES = 100.0
 # (benchmarks/results/places.md) the error was 6.1 % (root mean square) without this class and is 4.3 % with it; other
 # sizes, spreads and twice the share give 4.1 to 4.9 %.
 HIDDEN_SIZE, HIDDEN_SD = (0.78, 0.94), (0.15, 0.1)  # mean and spread, as shares of the fleet's mean length and width
-HIDDEN_SHARE, HIDDEN_VEHICLES = 0.06, 100.0  # of the vehicles, as with lorries: where most would be, the scale is wrong
+HIDDEN_SHARE, HIDDEN_VEHICLES = 0.03, 100.0  # of the vehicles, as with lorries: where most would be, the scale is wrong
 BESIDE_FLEET = 3  # classes beside a fleet's own: LARGER, LORRIES, and the hidden
 # The share of LARGER at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe
 # (ACEA: 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long vehicles already; some
