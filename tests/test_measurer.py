@@ -251,3 +251,29 @@ def test_a_kind_is_shown_from_fine_pictures_though_most_of_it_is_in_coarse_ones(
     monkeypatch.setitem(crops.SHARES, "rendered", 0.0)
     shown = [one.pixels.mean() > 128 for one in islice(crops.Examples(tmp_path, seed=1), 900)]
     assert 0.05 < np.mean(shown) < 0.15  # one in eleven, where one of a hundred is
+
+
+def test_what_a_cover_hides_is_told_and_nothing_else():
+    chain = pytest.importorskip("training.measurer.chain")
+    rng = np.random.default_rng(4)
+    ground = np.full((64, 64, 3), 90, np.uint8)
+    box = np.array([100.0, 100.0, 60.0, 26.0, 0.4])
+    picture = np.full((200, 200, 3), 0.3, np.float32)
+    cv2.fillPoly(picture, [np.round(Boxes(box[None], np.ones(1)).corners[0]).astype(np.int32)], (0.9, 0.2, 0.2))
+    out = np.array([[-np.cos(0.4), -np.sin(0.4)], [np.cos(0.4), np.sin(0.4)]])  # of the rear, of the front
+    told = []
+    for _ in range(200):
+        shot = chain.covered(picture, box, ground, rng)
+        for edge in (0, 1):
+            x, y = np.round(box[:2] + 27 * out[edge] - 0.5).astype(int)
+            gone = np.abs(shot.pixels[y - 1 : y + 2, x - 1 : x + 2] - picture[y, x]).max() > 0.05
+            told.append((shot.hidden[edge], gone))
+        assert (shot.shown[2:4] <= box[2:4] + 1e-9).all()
+        if not shot.hidden[:2].any():
+            assert shot.shown[2] == pytest.approx(box[2])
+        elif shot.hidden[:2].sum() == 1:  # what is in sight lies at the other end
+            ahead = (shot.shown[:2] - box[:2]) @ out[1]
+            assert ahead * (1 if shot.hidden[0] else -1) > 0
+    hidden, gone = np.array(told).T
+    assert 30 < hidden.sum() < 370
+    assert gone[hidden].mean() > 0.9 and gone[~hidden].mean() < 0.25

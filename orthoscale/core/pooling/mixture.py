@@ -62,8 +62,9 @@ LORRIES_VEHICLES = 100.0
 # Vehicles of which a part is not told: it lies under a tree or a roof or in black shade, or looks like the ground. What
 # is measured of them is too short, by little or by half, and hardly too narrow. Without a class of their own the
 # fleet's smallest vehicles would have to be as short, which is a larger scale: at 52 American places made of chips
-# (benchmarks/results/places.md) the error was 6.1 % (root mean square) without this class and is 4.3 % with it; other
-# sizes, spreads and twice the share give 4.1 to 4.9 %.
+# (benchmarks/results/places.md) the error was 6.1 % (root mean square) without this class and 4.3 % with it; other
+# sizes, spreads and twice the share gave 4.1 to 4.9 %. Since then the measurer tells fewer vehicles too short, so half
+# as many are expected.
 HIDDEN_SIZE, HIDDEN_SD = (0.78, 0.94), (0.15, 0.1)  # mean and spread, as shares of the fleet's mean length and width
 HIDDEN_SHARE, HIDDEN_VEHICLES = 0.03, 100.0  # of the vehicles, as with lorries: where most would be, the scale is wrong
 BESIDE_FLEET = 3  # classes beside a fleet's own: LARGER, LORRIES, and the hidden
