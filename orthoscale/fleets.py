@@ -22,7 +22,7 @@ OF_ANY_COUNTRY = (WORLD, "AUTO")  # names of the fleet of a place whose country 
 # likely by their vehicles; the rest is for pictures that are taken where people live, or of one country after the
 # other (benchmarks/results/places.md has other shares). The average has a share for countries unlike all of those.
 AVERAGE_SHARE = 0.1
-BY_VEHICLES, BY_PEOPLE, EVENLY = 0.7, 0.15, 0.15
+REASONS = 0.7, 0.15, 0.15  # by vehicles, by people, evenly
 REGION = "R_"  # codes of regions, which stand in for their countries that have no row
 
 
@@ -40,7 +40,7 @@ def load_fleet(name: str | Path) -> Fleet:
         average, vehicles = _row(WORLD), _document()["world"]
         people = [_document()["people"][code] for code in vehicles]
         reasons = np.array([list(vehicles.values()), people, np.ones(len(people))], float)
-        share = np.array([BY_VEHICLES, BY_PEOPLE, EVENLY]) @ (reasons / reasons.sum(1, keepdims=True))
+        share = np.array(REASONS) @ (reasons / reasons.sum(1, keepdims=True))
         prior = (AVERAGE_SHARE, *((1 - AVERAGE_SHARE) * share).tolist())
         return replace(average, candidates=(average, *(_row(code) for code in vehicles)), prior=prior)
     known = {code.lower(): code for code in fleet_codes()}

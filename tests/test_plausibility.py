@@ -64,7 +64,7 @@ def test_a_scale_of_boxes_of_one_size_is_refused(count, scatter, refused):
     x, y = np.meshgrid(np.arange(100, 1900, 280), np.arange(100, 1900, 280))
     sides = 45 * np.exp(rng.normal(0, scatter, (count, 1))) * [1, 0.42]
     rows = np.column_stack([x.ravel()[:count], y.ravel()[:count], sides, np.zeros(count)])
-    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px")
+    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px", claimed=SimpleNamespace(aspect=1.0))
     plan.plan, plan.posed = plan, None
     found = Detections({"plan": Boxes(rows, np.full(count, 0.9))}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file")
     measured = measure_source(plan, found, DE)
@@ -76,7 +76,7 @@ def test_a_scale_of_boxes_of_one_size_is_refused(count, scatter, refused):
 @pytest.mark.parametrize("boxes", [random_boxes(2000, 1500), car_park(45, 2000, 2000, 150)], ids=["random", "apart"])
 def test_a_scale_of_such_boxes_is_refused(boxes):
     """Both are of the sizes of vehicles, and would give a scale."""
-    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px")
+    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px", claimed=SimpleNamespace(aspect=1.0))
     plan.plan, plan.posed = plan, None
     found = Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file")
     measured = measure_source(plan, found, DE)
@@ -112,7 +112,7 @@ def test_neighbours_are_parallel_or_across():
                          ids=["anywhere", "far apart", "few", "in order"])  # fmt: skip
 def test_boxes_in_no_order_are_poor_at_best(boxes, doubted):
     """5,000 random boxes of the size of cars were fair once. Where few have a neighbour, nothing can be said."""
-    plan = SimpleNamespace(name="plan", width=20_000, height=20_000, unit="m/px")
+    plan = SimpleNamespace(name="plan", width=20_000, height=20_000, unit="m/px", claimed=SimpleNamespace(aspect=1.0))
     plan.plan, plan.posed = plan, None
     measured = measure_source(plan, Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a file"), DE)
     said = [remark.severity for remark in measured.remarks if "pairs of neighbours" in remark.text]
@@ -125,7 +125,7 @@ def test_boxes_in_no_order_are_poor_at_best(boxes, doubted):
 )
 def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, lowered):
     """38 of 165: a rendered roof of panels, without any vehicle."""
-    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px")
+    plan = SimpleNamespace(name="plan", width=2000, height=2000, unit="m/px", claimed=SimpleNamespace(aspect=1.0))
     plan.plan, plan.posed = plan, None
     boxes = car_park(45, 2000, 2000, max(believed, 5))
     given = {"plan": random_boxes(doubtful, 1900)}

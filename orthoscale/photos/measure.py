@@ -36,7 +36,7 @@ from ..formats.reading import files_below
 from ..sources.picture_file import PictureFile
 from ..sources.undistort import undistort
 from .lens import Lens, brown, lens_of
-from .tags import READABLE, Tags, read_tags
+from .tags import READABLE_PHOTOS, Tags, read_tags
 
 # One sigma of pitch and roll [rad]: a gimbal's own word (it trembles by some tenths of a degree, and its zero is off by
 # as much), what a person tells, and a nadir that nobody told. Assumptions.
@@ -141,7 +141,7 @@ def find_photos(paths: Sequence[Path]) -> dict[str, Path]:
         if path.is_dir():
             inside = [p for p in files_below(path, IMAGE_SUFFIXES) if not p.name.startswith(".")]  # ._ of macOS
             if not inside:
-                raise InputError(f"{path}: no photo in this folder", READABLE)
+                raise InputError(f"{path}: no photo in this folder", READABLE_PHOTOS)
             named = {p.relative_to(path).as_posix(): p for p in inside}
         elif path.exists():
             named = {path.name: path}

@@ -29,11 +29,13 @@ from scipy.spatial.transform import Rotation
 from ..errors import InputError, shown
 from ..formats.reading import check_regular
 
-SIDES = {"N": 1, "S": -1, "E": 1, "W": -1}
+SIDES_OF_EARTH = {"N": 1, "S": -1, "E": 1, "W": -1}
 RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF FocalPlaneResolutionUnit: inch, cm, mm, micrometre
 SAME_SHAPE = 0.005  # relative: what a picture's aspect may change when it is made smaller
-READABLE = "Give photos as JPEG, TIFF or PNG; convert HEIC and raw photos with their tags, and take frames of videos."
+READABLE_PHOTOS = (
+    "Give photos as JPEG, TIFF or PNG; convert HEIC and raw photos with their tags, and take frames of videos."
+)
 BACKWARDS = -30.0  # [deg] a `Camera:Pitch` below this is a gimbal angle: no survey camera looks that far backwards
 
 
@@ -107,7 +109,7 @@ def read_tags(path: Path) -> Tags:
     from PIL import Image, UnidentifiedImageError
     from PIL.ExifTags import IFD
 
-    check_regular(path, READABLE)
+    check_regular(path, READABLE_PHOTOS)
     try:
         with _of_any_size(), warnings.catch_warnings(record=True) as complaints, Image.open(path) as image:
             warnings.simplefilter("always")
@@ -115,14 +117,14 @@ def read_tags(path: Path) -> Tags:
             base = image.getexif()
             exif, gps = base.get_ifd(IFD.Exif), base.get_ifd(IFD.GPSInfo)
     except UnidentifiedImageError as error:
-        raise InputError(f"{path}: not an image that can be read", READABLE) from error
+        raise InputError(f"{path}: not an image that can be read", READABLE_PHOTOS) from error
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"{path}: cannot be read ({reason})", "Check the path, or copy the file again.") from error
     except Exception as error:  # Pillow's readers raise whatever a damaged file makes of them
         raise InputError(f"{path}: is damaged ({error})", "Copy it again from its original.") from error
     if _number(base.get(0x00FE)) == 1:  # NewSubfileType: what Pillow shows of DNG, NEF and ARW
-        raise InputError(f"{path}: holds a small preview, as raw photos do", READABLE)
+        raise InputError(f"{path}: holds a small preview, as raw photos do", READABLE_PHOTOS)
     xmp, notes = _flat_xmp(packet)
     if complaints:
         notes.append(f"its EXIF is damaged and was read as far as it goes ({complaints[0].message})")
@@ -252,7 +254,8 @@ def _lon_lat(gps: Mapping[int, Any]) -> tuple[float, float] | None:
     """None too where EXIF does not tell north from south, or east from west."""
     try:
         lat, lon = (
-            SIDES[_letter(gps[tag - 1])] * sum(float(part) / 60**k for k, part in enumerate(gps[tag])) for tag in (2, 4)
+            SIDES_OF_EARTH[_letter(gps[tag - 1])] * sum(float(part) / 60**k for k, part in enumerate(gps[tag]))
+            for tag in (2, 4)
         )
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         return None

@@ -29,10 +29,10 @@ LEAST_CONTRAST = 5.0  # [of 255] standard deviation: points without colours are 
 OWN_FRAMES = 0.5  # correlation, in the middle of the frames, from which they are the model's
 # Correlation elsewhere from which the points are sure to be there, and how much higher than in their places it is: an
 # error of 1 % costs the four models 0.03 to 0.2, and their own frames fit within 0.3 %.
-SURE, GAIN, LEAST_ERROR = 0.7, 0.03, 0.01
-ZOOM, BEND = 0.12, 0.4  # how far is looked for other places; `_Fit`
-STEPS = np.linspace(-1, 1, 7)
-ROUNDS = 6  # of grids, each half as wide as the one before: errors of 0.2 % show in the end
+SURE_PLACE, GAIN, LEAST_ERROR = 0.7, 0.03, 0.01
+MOST_ZOOM, MOST_BEND = 0.12, 0.4  # how far is looked for other places; `_Fit`
+SHARES_TRIED = np.linspace(-1, 1, 7)
+GRIDS = 6  # of grids, each half as wide as the one before: errors of 0.2 % show in the end
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]
     if not fits:
         return []
     own, best, error = (float(np.median([getattr(fit, name) for fit in fits])) for name in ("own", "best", "error"))
-    if best >= max(SURE, own + GAIN) and abs(error) >= LEAST_ERROR:
+    if best >= max(SURE_PLACE, own + GAIN) and abs(error) >= LEAST_ERROR:
         size = "larger" if error > 0 else "smaller"
         text = (
             f"the frames show things {abs(error):.1%} {size} than the model's lens does ({chosen[0].path} ...): "
@@ -106,7 +106,7 @@ def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: Pict
 def _highest(likeness: Callable[[float, float], float]) -> tuple[float, float]:
     """The zoom and bend of the highest likeness, which falls off on all sides: by grids, each half as wide."""
     zoom, bend = 1.0, 0.0
-    for part in 0.5 ** np.arange(ROUNDS):
-        tries = [(zoom + part * ZOOM * a, bend + part * BEND * b) for a in STEPS for b in STEPS]
+    for part in 0.5 ** np.arange(GRIDS):
+        tries = [(zoom + part * MOST_ZOOM * a, bend + part * MOST_BEND * b) for a in SHARES_TRIED for b in SHARES_TRIED]
         zoom, bend = max(tries, key=lambda each: likeness(*each))
     return zoom, bend

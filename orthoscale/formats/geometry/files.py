@@ -26,7 +26,7 @@ KNOWN = (
     "NVM, depth maps, folders of COLMAP, LAS, LAZ, PCD, XYZ, PTS, STL, OFF, .splat."
 )
 # Formats of one file each.
-ALONE: dict[str, Callable[[Path, Path, float], None]] = {
+ONE_FILE: dict[str, Callable[[Path, Path, float], None]] = {
     ".glb": scale_glb,
     ".las": scale_las,
     ".laz": scale_las,
@@ -71,8 +71,8 @@ def scale_file(source: Path, target: Path, scale: float, places: Places | None =
     notes: list[str] = []
     if suffix in WITH_OTHERS:
         copied = WITH_OTHERS[suffix](source, target, scale)
-    elif suffix in ALONE:
-        ALONE[suffix](source, target, scale)
+    elif suffix in ONE_FILE:
+        ONE_FILE[suffix](source, target, scale)
     elif suffix == ".json" and isinstance(read_poses(source), list):
         scale_reconstruction(source, target, scale)
     elif suffix == ".json":
@@ -110,7 +110,7 @@ def _beside(path: Path, source: Path, target: Path) -> Path:
 def reason_left(source: Path, target: Path, scale: float) -> str:
     """Write one file of geometry in metres and return '', or return why it cannot be (an unknown format, in metres
     already). Raises InputError for one that is damaged."""
-    if source.suffix.lower() not in {*WITH_OTHERS, *ALONE}:
+    if source.suffix.lower() not in {*WITH_OTHERS, *ONE_FILE}:
         return _unknown(source)
     try:
         scale_file(source, target, scale)

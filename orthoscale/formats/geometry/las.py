@@ -15,9 +15,9 @@ from ..reading import EXPORT_ANEW
 from .mark import MARK, refuse_marked
 
 # Offsets in the header.
-SOFTWARE, HEADER_SIZE, RECORDS, POINT_FORMAT, LENGTHS, EXTENDED = 58, 94, 100, 104, 131, 235
-LEAST = 227  # [bytes] of a header
-DOUBLES = 12  # of LENGTHS: factors and offsets by axis, then largest and smallest coordinates
+SOFTWARE, HEADER_SIZE, RECORDS, POINT_FORMAT, HEADER_LENGTHS, EXTENDED = 58, 94, 100, 104, 131, 235
+LEAST_HEADER = 227  # [bytes] of a header
+DOUBLES = 12  # of HEADER_LENGTHS: factors and offsets by axis, then largest and smallest coordinates
 WAVES = (4, 5, 9, 10)  # point formats with waveforms, whose directions have a length
 PROJECTION, GEOKEYS, WKT = b"LASF_Projection", 34735, 2112
 
@@ -26,8 +26,8 @@ def scale_las(source: Path, target: Path, scale: float) -> None:
     """Write the LAS or LAZ file `source` to `target` in metres. Raises InputError; UsageError for one that is in metres
     already, or has a place on Earth."""
     with source.open("rb") as file:
-        head = bytearray(file.read(LEAST))
-        if len(head) < LEAST or head[:4] != b"LASF":
+        head = bytearray(file.read(LEAST_HEADER))
+        if len(head) < LEAST_HEADER or head[:4] != b"LASF":
             raise InputError(f"{source}: not a LAS file", EXPORT_ANEW)
         if head[SOFTWARE:].startswith(MARK.encode()):
             refuse_marked(source)
@@ -42,10 +42,10 @@ def scale_las(source: Path, target: Path, scale: float) -> None:
                     f"{source} is georeferenced, and so not in the model's units",
                     "Give the cloud as it was before; if its reference is wrong, remove that first.",
                 )
-        lengths = struct.unpack_from(f"<{DOUBLES}d", head, LENGTHS)
-        struct.pack_into(f"<{DOUBLES}d", head, LENGTHS, *(value * scale for value in lengths))
+        lengths = struct.unpack_from(f"<{DOUBLES}d", head, HEADER_LENGTHS)
+        struct.pack_into(f"<{DOUBLES}d", head, HEADER_LENGTHS, *(value * scale for value in lengths))
         struct.pack_into("<32s", head, SOFTWARE, f"{MARK}: metres".encode())
-        file.seek(LEAST)
+        file.seek(LEAST_HEADER)
         with target.open("wb") as out:
             out.write(head)
             shutil.copyfileobj(file, out, 1 << 20)

@@ -11,10 +11,9 @@ import numpy as np
 from ...errors import InputError
 from ..reading import EXPORT_ANEW, HUGE, MIB
 from .mark import MARK, mark, refuse_marked
+from .ply import LONGEST_HEADER, ROWS
 from .words import grown
 
-LONGEST_HEADER = 1 << 16  # [bytes]
-ROWS = 1 << 17  # points in memory at once
 FORMS = ("ascii", "binary", "binary_compressed")
 LENGTHS = ("x", "y", "z", "vp_x", "vp_y", "vp_z")  # where a point is, and from where it was seen
 

@@ -31,7 +31,7 @@ LONGEST_HEADER = 1 << 16  # [bytes]
 ROWS = 1 << 17  # vertices in memory at once
 MOST_POINTS = 500_000  # that a model is given; the ground is found from fewer
 # `filter_3D` is the width of Mip-Splatting's filter (Yu et al. 2024), which it writes beside the splats' axes.
-LENGTHS = ("x", "y", "z", "radius", "filter_3D")
+OF_VERTICES = ("x", "y", "z", "radius", "filter_3D")
 SPLAT = {"rot_0", "f_dc_0", "opacity"}  # one of these is among the properties of a Gaussian
 VIEWPOINT = ("view_px", "view_py", "view_pz")  # of the element `camera`, MeshLab's and PCL's, which has its axes too
 TEXTURE = "comment TextureFile "  # MeshLab's and OpenMVS's
@@ -53,7 +53,7 @@ class _Element:
     @property
     def lengths(self) -> list[str]:
         """Names of the properties that are lengths."""
-        of = {"vertex": LENGTHS, "camera": VIEWPOINT}.get(self.name, ())
+        of = {"vertex": OF_VERTICES, "camera": VIEWPOINT}.get(self.name, ())
         return [name for name, _ in self.properties if name in of]
 
     @property

@@ -13,7 +13,7 @@ from ..reading import HUGE, checked, read_plain
 from .beside import Referred
 from .mark import MARK, mark, refuse_marked
 
-DEPTH_STEP = "integer_depth_scale"
+INTEGER_DEPTH = "integer_depth_scale"
 POSES_HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
 
 
@@ -46,8 +46,8 @@ def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred
     if "applied_transform" in text:
         text["applied_transform"] = _grown(text["applied_transform"], scale)
     notes = []
-    if DEPTH_STEP in text:
-        text[DEPTH_STEP] *= scale
+    if INTEGER_DEPTH in text:
+        text[INTEGER_DEPTH] *= scale
     elif any(frame.get("depth_file_path") for frame in text["frames"]):
         notes.append(f"the depth maps that it names stay in model units: read them times {scale:.9g}")
     text[MARK] = mark(scale)

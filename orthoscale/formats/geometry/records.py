@@ -12,11 +12,11 @@ import numpy as np
 from ...errors import InputError
 from ..reading import EXPORT_ANEW
 from .lines import scale_ascii_stl
+from .ply import ROWS
 
-TRIANGLE = np.dtype([("normal", "<3f4"), ("length", "<9f4"), ("attribute", "<u2")])
+STL_TRIANGLE = np.dtype([("normal", "<3f4"), ("length", "<9f4"), ("attribute", "<u2")])
 GAUSSIAN = np.dtype([("length", "<6f4"), ("rest", "8u1")])
 STL_HEAD = 84  # [bytes] 80 of any text, then the number of triangles
-ROWS = 1 << 17  # records in memory at once
 
 
 def scale_stl(source: Path, target: Path, scale: float) -> None:
@@ -25,8 +25,8 @@ def scale_stl(source: Path, target: Path, scale: float) -> None:
     with source.open("rb") as file:
         head = file.read(STL_HEAD)
     count = int.from_bytes(head[80:84], "little")
-    if size >= STL_HEAD and size == STL_HEAD + count * TRIANGLE.itemsize:
-        _scale(source, target, scale, STL_HEAD, TRIANGLE)
+    if size >= STL_HEAD and size == STL_HEAD + count * STL_TRIANGLE.itemsize:
+        _scale(source, target, scale, STL_HEAD, STL_TRIANGLE)
     elif head.lstrip()[:5].lower() == b"solid":  # which some binary files begin with as well
         scale_ascii_stl(source, target, scale)
     else:
