@@ -12,7 +12,7 @@ from support.other_programs import K1, K2, bundler, nvm, rescaled, same_views
 
 from orthoscale.actions.fix import fix
 from orthoscale.errors import InputError, OutputError, UsageError
-from orthoscale.formats.geometry.files import ALONE
+from orthoscale.formats.geometry.files import ONE_FILE
 from orthoscale.formats.geometry.text_models import read_text_model
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.opening import open_source
@@ -179,6 +179,6 @@ def test_a_write_that_fails_is_noticed(pinhole, tmp_path, monkeypatch):
     put_frames(pinhole[0], tmp_path / "in/images")
     source = open_source(path)
     (tmp_path / "out").mkdir()
-    monkeypatch.setitem(ALONE, ".nvm", lambda a, b, s: b.write_text(a.read_text()))
+    monkeypatch.setitem(ONE_FILE, ".nvm", lambda a, b, s: b.write_text(a.read_text()))
     with pytest.raises(OutputError, match="differs"):
         source.write(tmp_path / "out", 2.0)
