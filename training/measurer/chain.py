@@ -92,37 +92,56 @@ def covered(x: np.ndarray, box: np.ndarray, others: np.ndarray, rng: np.random.G
 
     others : (m, m, 3) uint8, ground without vehicles."""
     n = x.shape[0]
-    way = rng.uniform(0, 2 * np.pi)
-    stray = rng.normal(0, 1, (n, n)).astype(np.float32)
-    stray = cv2.GaussianBlur(stray, (0, 0), box[2] * rng.uniform(0.05, 0.25), borderType=cv2.BORDER_REFLECT)
     rows, columns = np.mgrid[:n, :n].astype(np.float32) + np.float32(0.5)
     cos, sin = np.cos(box[4]), np.sin(box[4])
     along = ((columns - box[0]) * cos + (rows - box[1]) * sin) / (box[2] / 2)
     across = ((rows - box[1]) * cos - (columns - box[0]) * sin) / (box[3] / 2)
-    beyond = along * np.cos(way) + across * np.sin(way) - rng.uniform(*REACHES)
-    beyond += rng.uniform(*RAGGED) * stray / max(float(stray.std()), 1e-6)
-    mask = np.clip(0.5 + beyond * box[3] / 2 / rng.uniform(0.5, 2.0), 0, 1).astype(np.float32)
+    mask = _cover(along, across, box, rng)
     if rng.random() < CROWNS:
         light = np.float32(rng.uniform(0.4, 1.1) / 255)
         cover = light * cv2.resize(others, (n, n), interpolation=cv2.INTER_AREA).astype(np.float32)
     else:
         cover = np.float32(rng.uniform(0.0, 0.2)) * x + np.float32(rng.uniform(0, 0.1))
-    inside = [np.abs(across) < 0.7, np.abs(across) < 0.7, np.abs(along) < 0.7, np.abs(along) < 0.7]
-    depth = [1 + along, 1 - along, 1 + across, 1 - across]
-    strips = [
-        i & (d > 0) & (d < max(2 * STRIP, 3 / w)) for i, d, w in zip(inside, depth, box[[2, 2, 3, 3]], strict=True)
-    ]
-    hidden = np.array([strip.any() and mask[strip].mean() > HIDDEN for strip in strips])
+    hidden = _hidden(along, across, box, mask)
+    return Shot(x + mask[..., None] * (cover - x), box, _shown(along, across, box, mask, hidden), hidden)
+
+
+def _cover(along: np.ndarray, across: np.ndarray, box: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(n, n) 0..1, how much something with a ragged edge hides that begins somewhere over the vehicle in `box` (5,).
+
+    along, across : (n, n) places in half lengths and half widths from its middle.
+    """
+    way = rng.uniform(0, 2 * np.pi)
+    stray = rng.normal(0, 1, along.shape).astype(np.float32)
+    stray = cv2.GaussianBlur(stray, (0, 0), box[2] * rng.uniform(0.05, 0.25), borderType=cv2.BORDER_REFLECT)
+    beyond = along * np.cos(way) + across * np.sin(way) - rng.uniform(*REACHES)
+    beyond += rng.uniform(*RAGGED) * stray / max(float(stray.std()), 1e-6)
+    return np.clip(0.5 + beyond * box[3] / 2 / rng.uniform(0.5, 2.0), 0, 1).astype(np.float32)
+
+
+def _hidden(along: np.ndarray, across: np.ndarray, box: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """(4,) bool, see `Shot`: edges inside which most of a strip lies under the `mask`."""
+    ends, sides = np.abs(across) < 0.7, np.abs(along) < 0.7  # corners are round
+    hidden = []
+    for middle, depth, size in (
+        (ends, 1 + along, box[2]), (ends, 1 - along, box[2]), (sides, 1 + across, box[3]), (sides, 1 - across, box[3])
+    ):  # fmt: skip
+        strip = middle & (depth > 0) & (depth < max(2 * STRIP, 3 / size))
+        hidden.append(strip.any() and mask[strip].mean() > HIDDEN)
+    return np.array(hidden)
+
+
+def _shown(along: np.ndarray, across: np.ndarray, box: np.ndarray, mask: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """(5,) the box of what the `mask` leaves in sight. Edges that are seen stay; covered corners do not move them."""
     clear = (np.maximum(np.abs(along), np.abs(across)) < 1) & (mask < 0.5)
-    shown = box
-    if clear.any():
-        # Edges that are seen stay where they are; corners under a cover do not move them.
-        ends = np.stack([np.quantile(u[clear], (0.02, 0.98)) for u in (along, across)])
-        ends = np.where(hidden.reshape(2, 2), ends, [-1, 1])
-        middle, half = ends.mean(1) * box[2:4] / 2, np.diff(ends)[:, 0] / 2
-        at = box[:2] + [cos * middle[0] - sin * middle[1], sin * middle[0] + cos * middle[1]]
-        shown = np.array([*at, *np.maximum(half * box[2:4], 2), box[4]])
-    return Shot(x + mask[..., None] * (cover - x), box, shown, hidden)
+    if not clear.any():
+        return box
+    ends = np.stack([np.quantile(u[clear], (0.02, 0.98)) for u in (along, across)])
+    ends = np.where(hidden.reshape(2, 2), ends, [-1, 1])
+    x, y = ends.mean(1) * box[2:4] / 2
+    cos, sin = np.cos(box[4]), np.sin(box[4])
+    size = np.maximum(np.diff(ends)[:, 0] / 2 * box[2:4], 2)
+    return np.array([box[0] + cos * x - sin * y, box[1] + sin * x + cos * y, *size, box[4]])
 
 
 def optics(x: np.ndarray, fine: int, rng: np.random.Generator, sharp: float = 0.25) -> np.ndarray:
