@@ -5,7 +5,11 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+import rasterio
+from rasterio.transform import Affine
 
+from orthoscale.actions.anchors import Wanted, anchors_at
+from orthoscale.actions.calibrate import calibrate
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
 from orthoscale.core.measuring.measure import measure
@@ -13,7 +17,9 @@ from orthoscale.core.measuring.method import Method
 from orthoscale.core.measuring.plan import PlanGeometry
 from orthoscale.core.projection.planar import ground_size
 from orthoscale.core.ruler import Ruler
+from orthoscale.errors import UsageError
 from orthoscale.fleets import load_fleet
+from orthoscale.sources.raster import RasterSource
 
 GSD = 0.1  # geometric mean of a pixel's sides [m]
 
@@ -65,3 +71,31 @@ def test_vehicles_at_any_angle_in_squeezed_pixels_keep_the_truth_in_the_interval
     scale = scale_of(0.7, np.random.default_rng(5).uniform(0, np.pi, 80), 0.7)
     low, high = scale.interval90
     assert low < GSD < high
+
+
+@pytest.fixture
+def degrees(tmp_path):
+    """An orthophoto at 60 degrees north, with pixels half as wide as high."""
+    path = tmp_path / "degrees.tif"
+    transform = Affine(2e-6, 0, 25.0, 0, -2e-6, 60.0)
+    with rasterio.open(
+        path, "w", driver="GTiff", width=300, height=200, count=3, dtype="uint8", crs="EPSG:4326", transform=transform
+    ) as out:
+        out.write(np.random.default_rng(0).integers(60, 200, (3, 200, 300), np.uint8))
+    return path
+
+
+def test_a_known_distance_in_degrees_is_as_long_as_it_is_on_the_ground(degrees):
+    with RasterSource.open(degrees) as source:
+        a, across, down = (source.locate(text) for text in ("100,100", "200,100", "100,200"))
+        gsd = source.claimed.gsd_m
+    metres = [np.linalg.norm(b - a) * gsd for b in (across, down)]
+    assert metres == pytest.approx([11.16, 22.28], rel=0.002)  # 0.0002 degrees of longitude and latitude there
+
+
+def test_what_needs_square_pixels_is_left_out_or_refused_in_degrees(degrees):
+    with RasterSource.open(degrees) as source:
+        searched = anchors_at(source, 0.16, 0.05, Wanted(("tennis-court",)))
+    assert not searched.votes and "pixels are not square" in searched.notes[0]
+    with pytest.raises(UsageError, match="times as wide as high"):
+        calibrate(degrees)

@@ -112,6 +112,8 @@ def anchors_at(
     views = _views(source) if wanted.kinds else {}
     if not views:
         return Searched()
+    if source.plan is not None and source.plan.claimed.aspect != 1:
+        return Searched(notes=("no anchors were looked for: pixels are not square",))
     pictures = [(picture, metres_per_unit * unit) for picture, unit in views.values()]
     finest, effort = min(gsd for _, gsd in pictures), wanted.effort
     sought, notes = [], []

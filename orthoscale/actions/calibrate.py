@@ -66,6 +66,11 @@ def calibrate(
         raise UsageError(
             f"{path} is a reconstruction", "Calibrate on an orthophoto; models calibrate themselves on their own views."
         )
+    if raster.claimed.aspect != 1:
+        raise UsageError(
+            f"{path}: pixels are {raster.claimed.aspect:.3g} times as wide as high on the ground",
+            "Warp it first: gdalwarp -t_srs EPSG:CODE, the code of its UTM zone.",
+        )
     gsd, notes = _known_gsd(raster, gsd)
     prior = load_fleet(fleet)
     network = Detector(detector, decoder, listed("--vehicle-class", vehicle_classes))

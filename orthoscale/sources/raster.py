@@ -165,8 +165,9 @@ class RasterSource:
         return np.stack([place[:, 0], self.height - place[:, 1]], -1)
 
     def locate(self, point: str) -> np.ndarray:
-        """(2,) the pixel that ``X,Y`` means. Raises ValueError."""
-        return coordinates(point, 2, "a point of an orthophoto")
+        """(2,) where the pixel that ``X,Y`` means would be if pixels were square. Raises ValueError."""
+        wide = math.sqrt(self.claimed.aspect)
+        return coordinates(point, 2, "a point of an orthophoto") * (wide, 1 / wide)
 
     @property
     def metric_already(self) -> str:

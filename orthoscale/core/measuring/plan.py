@@ -96,7 +96,9 @@ class PlanGeometry:
     def surroundings(
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
     ) -> Sequence[AnchorVote]:
-        """Rows of parked vehicles, and objects of standard size."""
+        """Rows of parked vehicles, and objects of standard size; none where pixels are not square."""
+        if self.aspect != 1:
+            return []
         along = np.stack([np.cos(self.boxes.angle), np.sin(self.boxes.angle)], -1)
         return [
             *rows_in_plan(vehicles, along, standards, country),
