@@ -42,7 +42,7 @@ LONGEST_SIDE = 10_000_000
 
 SQUEEZED = 0.05
 """Width over height of a pixel, as a logarithm, from which its user is cautioned: what it leaves open of the scale is
-more than a per cent then (`core.measuring.plan.SQUEEZED_SD`)."""
+about a per cent then (`core.measuring.plan.SQUEEZED_SD`)."""
 
 MOST_BETWEEN = 0.5
 """Share of an alpha band's values that are neither nothing nor all, above which it masks nothing. Of masks it is the

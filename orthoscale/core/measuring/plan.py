@@ -26,8 +26,8 @@ from .vehicles import vehicle_table
 
 # Relative one-sigma of sizes, for each unit of log aspect of the plan's pixels, beyond what `ground_size` puts right: a
 # vehicle at an angle is no rectangle there, and the networks have not seen any like that. Four orthophotos warped to
-# degrees (aspects of 0.53 to 0.87) then err by 0.1, 0.0, 0.3 and 0.1 of it.
-SQUEEZED_SD = 0.25
+# degrees (aspects of 0.53 to 0.87) then err by 0.1 of it.
+SQUEEZED_SD = 0.15
 
 
 @dataclass(frozen=True)
