@@ -125,6 +125,6 @@ def add(table: dict, key: int, value: object, where: str, kind: str) -> None:
 
 def unknown_camera(where: str, camera: int, model: object) -> InputError:
     """The error for a camera whose model, an id or a name, is none of `CAMERA_MODELS`."""
-    if model in (17, "EQUIRECTANGULAR"):
+    if model == 17 or model in SPHERICAL:
         return damaged(where, f"camera {camera} is spherical (EQUIRECTANGULAR)", CUT_VIEWS)
     return damaged(where, f"camera {camera} has the unknown model {model}")

@@ -72,6 +72,7 @@ def edges_in_crop(box: np.ndarray, proposed: np.ndarray) -> tuple[np.ndarray, fl
     return np.array([x - length, x + length, y - width, y + width]), turn
 
 
+BACKWARDS = [1, 0, 3, 2]  # edges (rear, front, left, right) of a vehicle that is looked at the other way round
 CROPS = 3  # cut from each window
 BOXED_AS_SHOWN = 0.7  # share of the crops of partly hidden vehicles that are cut about what is in sight
 
@@ -97,7 +98,7 @@ def examples(
         proposed = proposal(shot.shown if rng.random() < BOXED_AS_SHOWN else box, rng)
         edges, turn = edges_in_crop(box, proposed)
         backwards = np.cos(proposed[4] - box[4]) < 0
-        order = seen[[1, 0, 3, 2]] if backwards else seen
+        order = seen[BACKWARDS] if backwards else seen
         cut = crop(pixels, proposed)
         if rng.random() < 0.5:
             cut, edges, turn = cut[::-1], np.array([*edges[:2], -edges[3], -edges[2]]), -turn

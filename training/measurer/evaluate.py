@@ -40,7 +40,7 @@ from training.kinds import LABELS as KINDS_BY_EYE
 
 from .chain import photograph, pyramid, sharpen, stretch
 from .confusion import card_entries
-from .crops import HELD_OUT, proposal
+from .crops import BACKWARDS, HELD_OUT, proposal
 from .real import READ as LEARNT
 from .real import SLANTED, TOLD, WIDTH_HABIT, by_name, load, read_patches, told_patches
 from .rendered import Rendered
@@ -157,7 +157,7 @@ def hidden(measurer: Measurer, bank: Path, data: Path, count: int, seed: int) ->
             shot = photograph(pyramid(pixels), box, rng, linear, ground[rng.integers(len(ground))], cover=1.0)
             told = measurer.in_pixels(shot.pixels, Boxes(proposal(shot.shown, rng, good=True)[None], np.ones(1)))
             backwards = np.cos(told.boxes.xylwa[0, 4] - shot.box[4]) < 0
-            seen = told.seen[0][[1, 0, 3, 2]] if backwards else told.seen[0]
+            seen = told.seen[0][BACKWARDS] if backwards else told.seen[0]
             rows.append((shot.hidden, seen, np.log(told.boxes.xylwa[0, 2] / shot.box[2]), told.kind[0, NONE] < 0.5))
         truth, seen, error, vehicle = (np.array(column) for column in zip(*rows, strict=True))
         whole, kept = ~truth.any(1), (seen > HIDDEN_BELOW).all(1) & vehicle

@@ -32,10 +32,9 @@ SQUEEZED_SD = 0.15
 
 @dataclass(frozen=True)
 class PlanGeometry:
-    """A `Geometry` whose units are the plan's pixels, if these were square. size : width and height of the plan [px].
+    """A `Geometry` whose units are the plan's pixels, if these were square.
 
-    aspect : how many times as wide as high a pixel is on the ground.
-
+    size : width and height of the plan [px]. aspect : how many times as wide as high a pixel is on the ground.
     objects : boxes of other classes than vehicles, by class. zoom : detector pixels per pixel.
     """
 

@@ -11,8 +11,8 @@ import numpy as np
 from ...errors import InputError
 from ..reading import EXPORT_ANEW, HUGE, MIB
 from .mark import MARK, mark, refuse_marked
-from .ply import LONGEST_HEADER, ROWS
-from .words import grown
+from .ply import ROWS
+from .words import grown, header_line
 
 FORMS = ("ascii", "binary", "binary_compressed")
 LENGTHS = ("x", "y", "z", "vp_x", "vp_y", "vp_z")  # where a point is, and from where it was seen
@@ -50,8 +50,7 @@ def _header(path: Path, file: BinaryIO) -> tuple[list[str], np.dtype, int]:
     lines: list[str] = []
     told: dict[str, list[str]] = {}
     while "DATA" not in told:
-        line = file.readline(LONGEST_HEADER).decode("utf-8", "surrogateescape").rstrip()
-        if file.tell() > LONGEST_HEADER or not (line or file.peek(1)):  # type: ignore[attr-defined]
+        if (line := header_line(file)) is None:
             raise InputError(f"{path}: no header of a PCD file", EXPORT_ANEW)
         if line.startswith("# " + MARK):
             refuse_marked(path)

@@ -19,7 +19,7 @@ from ...errors import InputError
 from ..reading import EXPORT_ANEW
 from .beside import Referred
 from .mark import MARK, mark, refuse_marked
-from .words import grown
+from .words import grown, header_line
 
 PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -27,7 +27,6 @@ PLY_TYPES = {
     **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
 }
 ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-LONGEST_HEADER = 1 << 16  # [bytes]
 ROWS = 1 << 17  # vertices in memory at once
 MOST_POINTS = 500_000  # that a model is given; the ground is found from fewer
 # `filter_3D` is the width of Mip-Splatting's filter (Yu et al. 2024), which it writes beside the splats' axes.
@@ -159,8 +158,7 @@ def _header(path: Path, file: BinaryIO) -> tuple[list[str], str, list[_Element]]
     form = ""
     try:
         while not lines or lines[-1] != "end_header":
-            line = file.readline(LONGEST_HEADER).decode("utf-8", "surrogateescape").rstrip()  # comments in any coding
-            if file.tell() > LONGEST_HEADER or not (line or file.peek(1)):  # type: ignore[attr-defined]
+            if (line := header_line(file)) is None:
                 raise ValueError("no end_header")
             lines.append(line)
             words = line.split()
