@@ -9,6 +9,7 @@ from support.simulate import Vans, car_park
 
 from orthoscale.core.boxes import KINDS
 from orthoscale.core.detections import Detections
+from orthoscale.core.pooling.by_kind import country_likelihoods
 from orthoscale.core.pooling.mixture import Confusion
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
@@ -115,6 +116,38 @@ def test_mistakes_that_all_vehicles_of_a_place_share_do_not_carry_the_scale_away
         moved.append((abs(misled - plain), abs(sure - plain)))
     misled, sure = np.mean(moved, axis=0)
     assert misled < 0.02 and misled < 0.7 * sure
+
+
+@pytest.mark.parametrize(("code", "more"), [("US", 1.5), ("DE", 0.7)])
+def test_pickups_tell_the_country(code, more):
+    """A fifth of America's vehicles are pickups, of Germany's none. `more` : times as probable, that it is America."""
+    some = tuple(load_fleet(each) for each in ("US", "CN", "DE", "JP"))
+    unknown = replace(load_fleet("world"), candidates=some, prior=(0.25,) * 4)
+    votes = [car_park(np.random.default_rng([9, k]), load_fleet(code), 60, GSD, RULER) for k in range(4)]
+    with_kinds, without = (
+        np.mean([pool(v, unknown, RULER, "m/px").fleets.get("US", 0.0) for v in seen])
+        for seen in (votes, [replace(v, kinds=None) for v in votes])
+    )
+    assert (with_kinds / without > more) == (more > 1) and without > 0.1
+
+
+def test_how_far_kinds_tell_the_country():
+    """One place strays from its country, and the measurer there: many vehicles say little more than some do."""
+    fleets = [load_fleet(code) for code in ("US", "CN", "TH", "world")]
+    prior = np.array([0.4, 0.4, 0.1, 0.1])
+    confusion = Confusion(np.array(TABLE), 12.0)
+
+    def of(n, pickups):
+        called = np.tile([0.84 - pickups, pickups, 0.13, 0.03], (n, 1))
+        return country_likelihoods(called, fleets, prior, confusion)
+
+    for pickups in (0.03, 0.2, 0.45):
+        each = of(60, pickups)
+        assert prior @ each == pytest.approx(1) and each[3] == 1  # of the average's mix nothing is known
+        assert int(np.argmax(each)) == {0.03: 1, 0.2: 0, 0.45: 2}[pickups]
+    ratio = [of(n, 0.2)[0] / of(n, 0.2)[1] for n in (10, 100, 1000)]
+    assert ratio[0] < ratio[1] < ratio[2] < 1.5 * ratio[1] < 30
+    assert np.allclose(country_likelihoods(np.zeros((5, 4)), fleets, prior, confusion), 1)
 
 
 def test_what_a_class_is_called_follows_its_kinds():

@@ -143,10 +143,14 @@ class Confusion:
     table: np.ndarray
     vehicles: float
 
+    @property
+    def shares(self) -> np.ndarray:
+        """(4, 4) `table` as it is believed; its rows sum to one."""
+        return (1 - CALLED_ANYTHING) * self.table / self.table.sum(1, keepdims=True) + CALLED_ANYTHING / len(KINDS)
+
     def called(self, classes: Sequence[Class]) -> np.ndarray:
         """(K, 4) what the vehicles of each class are called, as parameters of Dirichlet distributions."""
-        shares = np.array([c.kinds for c in classes]) @ (self.table / self.table.sum(1, keepdims=True))
-        return self.vehicles * ((1 - CALLED_ANYTHING) * shares + CALLED_ANYTHING / len(KINDS))
+        return self.vehicles * np.array([c.kinds for c in classes]) @ self.shares
 
 
 @dataclass(frozen=True)
@@ -328,7 +332,7 @@ class _Problem:
             turn=turn,
             prior=prior,
             shares=np.array([c.weight for c in classes]) / sum(c.weight for c in classes),
-            larger=_left_out(classes),
+            larger=left_out(classes),
             place=mix.place,
             weights=weights,
             basis=basis,
@@ -579,8 +583,8 @@ def _normalised(log_weight: np.ndarray) -> np.ndarray:
     return weight / weight.sum(1, keepdims=True)
 
 
-def _left_out(classes: Sequence[Class]) -> float:
-    """Share of larger vehicles beyond those of `classes`."""
+def left_out(classes: Sequence[Class]) -> float:
+    """Share of LARGER beside a fleet of `classes`, beyond its own."""
     own = sum(c.weight * ndtr((c.mean[0] - LONG) / c.sd[0]) for c in classes) / sum(c.weight for c in classes)
     return float(max(LEFT_OUT - own, LEFT_OUT_AT_LEAST))
 

@@ -25,6 +25,7 @@ from ..ruler import Ruler
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
 from ..votes import Votes
+from .by_kind import country_likelihoods
 from .mixture import FINE, Confusion, Drawing, Fits, Mix, Seen, fit
 from .posterior import Posterior
 
@@ -40,7 +41,8 @@ FEW = 60  # votes by which candidate fleets are compared; their shapes count for
 # How much of what shapes seem to say of the country is believed. In simulation they tell Japan from Germany; on 12
 # orthophotos of six countries the boxes of version 5 made the true one the less likely the more they were believed
 # (mean log probability -7.0 where all of it is, -4.3 at a tenth, -4.2 at nothing: benchmarks/country_from_shapes.py),
-# for boxes are too wide or too long together, as vehicles of another country are.
+# for boxes are too wide or too long together, as vehicles of another country are. What they are called is believed
+# (`by_kind`).
 SHAPES_TOLD = 0.1
 
 
@@ -178,6 +180,8 @@ def _of_candidates(
 
     if len(candidates) == 1:
         return tried([0], count)[0], {candidates[0].code: 1.0}
+    if ruler.confusion and seen.called.size:
+        prior = prior * country_likelihoods(seen.called, candidates, prior, ruler.confusion)
     each = tried(range(len(candidates)), FEW)
     probability = _probabilities(each, prior)
     several = sorted(probability, key=probability.__getitem__, reverse=True)[:MOVED_BY]
