@@ -216,23 +216,24 @@ def without_country(scenes: int) -> str:
     # The average stands for countries unlike all that have fleets of their own.
     unlike = [code for code in codes if code not in {c.code for c in fleet.candidates}]
     likely = [rng.choice(unlike) if code == WORLD else str(code) for code in likely]
-    for drawn, here in (("evenly", codes * scenes), ("as likely", likely)):
-        error, sd, hit = np.array([_without_country(k, code, fleet) for k, code in enumerate(here)]).T
+    boxes = {"bare boxes": RULER, "measured, with kinds": MEASURED}
+    for (kind, ruler), (drawn, here) in product(boxes.items(), (("evenly", codes * scenes), ("as likely", likely))):
+        error, sd, hit = np.array([_without_country(k, code, fleet, ruler) for k, code in enumerate(here)]).T
         mean = {code: error[[k for k, other in enumerate(here) if other == code]].mean() for code in set(here)}
         worst = sorted(mean, key=lambda code: -abs(mean[code]))[:5]
         figures = [f"{100 * hit.mean():.0f} %", f"{100 * error.mean():+.1f}", rms(error), rms(sd)]
-        rows.append([drawn, *figures, ", ".join(f"{code} {100 * mean[code]:+.0f}" for code in worst)])
-    head = ["countries drawn", "coverage", "bias", "RMS error", "claimed one-sigma"]
+        rows.append([kind, drawn, *figures, ", ".join(f"{code} {100 * mean[code]:+.0f}" for code in worst)])
+    head = ["boxes", "countries drawn", "coverage", "bias", "RMS error", "claimed one-sigma"]
     return table([*head, "worst fleets, mean error [%]"], rows)
 
 
-def _without_country(k: int, code: str, fleet: Fleet) -> tuple[float, float, bool]:
+def _without_country(k: int, code: str, fleet: Fleet, ruler: Ruler) -> tuple[float, float, bool]:
     """Log error, claimed one-sigma and whether the interval holds, of the `k`-th place, in the country of that code."""
     rng = np.random.default_rng([3, k])
     gsd, (vans, false) = GSDS[rng.integers(len(GSDS))], list(CONDITIONS.values())[rng.integers(len(CONDITIONS))]
     here = load_fleet(code)
-    votes = car_park(rng, here, VEHICLES, gsd, RULER, vans or Vans.of_place(rng, here), false)
-    scale = pool(votes, fleet, RULER, "m/px")
+    votes = car_park(rng, here, VEHICLES, gsd, ruler, vans or Vans.of_place(rng, here), false)
+    scale = pool(votes, fleet, ruler, "m/px")
     low, high = scale.interval90
     return float(np.log(scale.value / gsd)), scale.relative_sd, low <= gsd <= high
 

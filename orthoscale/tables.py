@@ -10,8 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from .core.anchors import BAYS
 from .core.measuring.objects import in_words
-from .core.measuring.parking import ROWS_KIND
 from .core.measuring.surroundings import Standards
 from .formats.reading import read_plain
 
@@ -21,7 +21,7 @@ def standards(kinds: Collection[str] | None = None) -> Standards:
     stalls, objects = _table("stalls"), _table("objects")
     if kinds is None:
         return Standards(stalls, objects)
-    return Standards(stalls if ROWS_KIND in kinds else {}, {k: v for k, v in objects.items() if in_words(k) in kinds})
+    return Standards(stalls if BAYS in kinds else {}, {k: v for k, v in objects.items() if in_words(k) in kinds})
 
 
 def known_objects() -> dict[str, list[dict[str, Any]]]:

@@ -5,14 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.anchors import vote
+from support.simulate import car_park
 
 from orthoscale.core.anchors import Standard
 from orthoscale.core.evidence import Evidence, combined
-from orthoscale.core.pooling.anchors import SHARED, evidence_of
+from orthoscale.core.pooling.anchors import SHARED, country_agreement, evidence_of, tells_country
 from orthoscale.core.pooling.posterior import Posterior
-from orthoscale.core.remarks import REFUSAL
+from orthoscale.core.pooling.robust import pool
+from orthoscale.core.remarks import INFO, REFUSAL
+from orthoscale.core.ruler import Ruler
+from orthoscale.fleets import load_fleet
 
 SD = 0.05  # of the vehicles
+RULER = Ruler(margin=(1.0, 1.5), margin_sd=(0.5, 0.5), bias_sd=(0.015, 0.02), common_sd=0.02, noise=(1.5, 1.0))
 COURT = (Standard("court", 23.77, 0.003, "written here"),)
 BAYS = tuple(Standard(f"bays of {m} m", m, 0.01, "written here", p) for m, p in ((2.3, 0.2), (2.5, 0.5), (2.7, 0.3)))
 REACH = 3.0
@@ -178,3 +183,53 @@ def test_a_known_distance_that_agrees_with_a_far_court_makes_it_count():
     tape = Evidence("known distance", np.exp(0.135), 0.01, "a tape")
     got = together([vote("tennis court", 0.14, 0.004, COURT)], tape=tape)
     assert np.log(got.summary[0]) == pytest.approx(0.14, abs=0.006) and not got.remarks
+
+
+CARS = {"US": 4.87, "JP": 4.00, "CN": 4.53}  # [m] mean lengths
+WIDE = {"US": 2.74, "JP": 2.50, "CN": 2.40}  # [m] bays
+NATIONAL = tuple(Standard(f"bays of {m} m", m, 0.04, "written here", 1.0, (c,)) for c, m in WIDE.items())
+
+
+def by_cars(truly):
+    """The scale by American, Japanese and Chinese cars where those of `truly` stand; the true one is 0."""
+    return {code: Posterior.normal(np.log(length / CARS[truly]), 0.03) for code, length in CARS.items()}
+
+
+@pytest.mark.parametrize("truly", ["US", "JP"])
+def test_bays_suit_the_cars_of_their_country(truly):
+    """American bays are 1.77 m wide for each metre of a car's width where Japanese ones are 1.6 m."""
+    bays = [vote("parking bays", 0.0, 0.005, NATIONAL, list(WIDE).index(truly))]
+    assert all(tells_country(each) for each in bays)
+    likely = country_agreement(bays, by_cars(truly))
+    assert likely[truly] == max(likely.values())
+    assert likely["US"] / likely["JP"] > 5 if truly == "US" else likely["JP"] / likely["US"] > 5
+
+
+def test_what_is_alike_everywhere_tells_no_country():
+    court = vote("tennis court", 0.0, 0.004, COURT)
+    rails = vote("rails", 0.0, 0.004, NATIONAL)  # a gauge measures, whichever it is
+    assert not tells_country(court) and not tells_country(rails)
+    assert not tells_country(vote("parking bays", 0.0, 0.004, NATIONAL[:1]))
+    assert set(country_agreement([], by_cars("US")).values()) == {1.0}
+
+
+def test_where_the_country_is_not_known_bays_tell_it_and_do_not_measure():
+    """They are wide where cars are long: beside cars of an unknown country they are no second measure."""
+    some = tuple(load_fleet(code) for code in WIDE)
+    unknown = replace(load_fleet("world"), candidates=some, prior=(1 / 3,) * 3)
+    bays = [vote("parking bays", np.log(0.12), 0.005, NATIONAL, 0, at=100 * k) for k in range(3)]
+    court = [vote("tennis court", np.log(0.12), 0.01, COURT)]
+    errors = []
+    for k in range(6):
+        votes = car_park(np.random.default_rng([7, k]), load_fleet("US"), 60, 0.12, RULER)
+        plain, told, known = (
+            pool(votes, fleet, RULER, "m/px", anchors=anchors, country=country)
+            for fleet, anchors, country in ((unknown, [], ""), (unknown, bays, ""), (some[0], bays, "US"))
+        )
+        assert told.fleets["US"] > plain.fleets["US"]
+        assert not told.evidence and [r.severity for r in told.remarks].count(INFO) == 1
+        assert [e.kind for e in known.evidence] == ["parking bays"]
+        errors.append([abs(np.log(scale.value / 0.12)) for scale in (plain, told)])
+    assert np.mean(errors, axis=0)[1] < 0.9 * np.mean(errors, axis=0)[0]
+    measured = pool(votes, unknown, RULER, "m/px", anchors=[*bays, *court])
+    assert [e.kind for e in measured.evidence] == ["tennis court"]

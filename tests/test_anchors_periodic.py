@@ -10,10 +10,9 @@ from orthoscale.anchors.bays import ParkingBays, bay_standards
 from orthoscale.anchors.crossings import ZEBRA_FALSE, ZebraCrossings
 from orthoscale.anchors.dashes import LANE_LINES, LaneDashes
 from orthoscale.anchors.periods import find_row
-from orthoscale.anchors.rules import holding
 from orthoscale.anchors.zebra_rules import ZEBRA_FREE, ZEBRA_RULES, elsewhere
 from orthoscale.anchors.zebra_rules import ZEBRA_STANDARDS as CROSSINGS
-from orthoscale.core.anchors import Standard
+from orthoscale.core.anchors import Standard, holding
 
 FINDERS = (ZebraCrossings(), ParkingBays(), LaneDashes())
 

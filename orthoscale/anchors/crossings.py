@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.anchors import Anchor, Standard
+from ..core.anchors import Anchor, Standard, holding
 from .ladders import Ladder, crowded, find_ladders, levels, refined
 from .repeated import anchor_of
-from .rules import holding, ruled, sizes, within_reach
+from .rules import ruled, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 from .zebra_rules import ZEBRA_FREE, ZEBRA_LEFT_FREE, ZEBRA_STANDARDS
 

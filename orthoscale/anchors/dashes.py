@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.anchors import Anchor, Standard
+from ..core.anchors import Anchor, Standard, holding
 from .chains import Chain, find_chains, levels
 from .repeated import anchor_of
-from .rules import holding, ruled, sizes, within_reach
+from .rules import ruled, sizes, within_reach
 from .strokes import find_strokes, paint_light, painted
 
 LANE_PAINTED = 0.01  # one sigma of a line's mean period about its rule: 68 of 81 American lines are within 1.2 %

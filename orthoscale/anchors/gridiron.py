@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.anchors import Anchor, Standard
+from ..core.anchors import Anchor, Standard, holding
 from .combs import Block, Comb, comb_anchor, find_combs, pitch
 from .ridges import SEED_PX, lightness
-from .rules import holding, sizes, within_reach
+from .rules import sizes, within_reach
 
 YARD = 0.9144  # [m]
 YARD_LINES = Standard(

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..core.anchors import Anchor, Standard
+from ..core.anchors import Anchor, Standard, holding
 from ..core.pooling.posterior import ROBUST_SD
 from .combs import ridge_across
 from .repeated import LOCAL_STRETCH
 from .ridges import SEED_PX, Segments, lightness, segments, steered
-from .rules import holding, sizes, within_reach
+from .rules import sizes, within_reach
 from .strokes import values
 
 HEAD = 0.072  # [m] width of a rail's head: 60E1 of EN 13674-1; R65 of GOST 51685 has 0.075, 136RE of AREMA 0.0746

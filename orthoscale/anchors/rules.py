@@ -11,12 +11,6 @@ from ..core.anchors import Standard
 SIGMAS_SEARCHED = 2.0  # sigmas of the scale within which sizes are searched
 
 
-def holding(standards: Sequence[Standard], country: str) -> list[Standard]:
-    """Those that name `country`; where none does those of everywhere, and where there are none of these all."""
-    own = [standard for standard in standards if country in standard.countries]
-    return own or [standard for standard in standards if not standard.countries] or list(standards)
-
-
 def ruled(standards: Sequence[Standard], country: str) -> bool:
     """Whether any of `standards` names `country`, or is the user's own."""
     return any(country in standard.countries for standard in standards) or not any(s.countries for s in standards)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.anchors import Anchor, Standard
+from ..core.anchors import Anchor, Standard, holding
 from .combs import Block, Comb, comb_anchor, find_combs, pitch
 from .ridges import SEED_PX, lightness
-from .rules import holding, sizes, within_reach
+from .rules import sizes, within_reach
 
 LANE_BUILT = 0.008  # one sigma of a track's mean lane about its rule: World Athletics allows 0.01 m in 1.22
 

@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 SAMPLED = 0.05  # [anchors' reference lengths] between the points of lines that are compared
+BAYS = "parking bays"  # kind of rows of them, whether their lines or the vehicles in them show it
 NEAR_LINES = 0.1  # [anchors' reference lengths] within which two lines are the same; neighbours are farther apart
 SHARED_LINES = 0.5  # of either's lines, from which two anchors are one thing
 
@@ -28,6 +29,12 @@ class Standard:
     source: str
     prior: float = 1.0
     countries: tuple[str, ...] = ()
+
+
+def holding(standards: Sequence[Standard], country: str) -> list[Standard]:
+    """Those that name `country`; where none does those of everywhere, and where there are none of these all."""
+    own = [standard for standard in standards if country in standard.countries]
+    return own or [standard for standard in standards if not standard.countries] or list(standards)
 
 
 @dataclass(frozen=True)

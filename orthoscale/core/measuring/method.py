@@ -11,7 +11,6 @@ from ..anchors import AnchorVote, Standard
 from ..boxes import Boxes
 from ..evidence import Evidence
 from ..fleet import Fleet
-from ..pooling.anchors import evidence_of
 from ..pooling.paper import pool_paper
 from ..pooling.robust import pool
 from ..projection import decoupled
@@ -80,5 +79,4 @@ class Method:
         if self.estimator == "iqr":
             return pool_paper(votes, fleet, unit)
         seen = [vote.of(self.own.get(vote.anchor.kind)) for vote in (*self.anchors, *more)]
-        evidence = (*self.evidence, *evidence_of(seen, self.country))
-        return pool(votes, fleet, ruler, unit, geometry, evidence)
+        return pool(votes, fleet, ruler, unit, geometry, self.evidence, seen, self.country)

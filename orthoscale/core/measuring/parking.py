@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ..anchors import Anchor, AnchorVote, Standard
+from ..anchors import BAYS, Anchor, AnchorVote, Standard
+from ..fleet import WORLD
 
-ROWS_KIND = "parking bays"
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
 ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another
 PITCHES = (1.15, 1.75)  # of a vehicle's width: 2.2 m for the widest cars to 2.8 m for the narrowest
@@ -46,10 +46,9 @@ def parking_pitch(
 
     place : (N, D) where vehicles stand [units], D 2 or 3. along : (N, D) unit vectors of their long sides.
     size : (N, 2) length and width [units]. stalls : widths and their one sigma by country, as in ``data/stalls.json``
-    [m]. country : code of a fleet; ``WORLD`` means any country.
+    [m]. country : code of a fleet; ``WORLD`` means any country, and the pitch may then be that of each.
     """
-    stall = stalls.get(country)
-    if stall is None or len(place) < min_vehicles:
+    if country not in stalls or len(place) < min_vehicles:
         return None
     length, width = np.median(size, axis=0)
     row, distance = _rows(place, along, float(length), float(width))
@@ -70,14 +69,20 @@ def parking_pitch(
     left_out = candidates[np.argmax(together - rhythm, axis=1)]
     spread = np.std(np.log(left_out)) * np.sqrt(len(rhythm) - 1) if len(rhythm) > 1 else 0.0
     step = np.log(candidates[1] / candidates[0])
-    sourced = stall is not stalls["WORLD"] and not stall["source"].startswith("recalled")
-    own = np.hypot(stall["width_sd"], PLACE_SD if sourced else RECALLED_SD)
     sd, middle = float(np.hypot(spread, step)), np.median(place, axis=0)
-    width = stall["width"]
-    standard = Standard("stalls, by the vehicles in them", width, float(own / width), stall["source"])
+    meant = tuple(_standard(code, stalls[code]) for code in (stalls if country == WORLD else (country,)))
     lines, residual = np.empty((0, 2, 2)), np.empty(0)
-    anchor = Anchor(ROWS_KIND, middle, lines, pitch, sd, residual, (standard,), 0.0, count=vehicles)
+    anchor = Anchor(BAYS, middle, lines, pitch, sd, residual, meant, 0.0, count=vehicles)
     return AnchorVote(anchor, middle, pitch, sd)
+
+
+def _standard(code: str, stall: Mapping[str, Any]) -> Standard:
+    sourced = code != WORLD and not stall["source"].startswith("recalled")
+    own = np.hypot(stall["width_sd"], PLACE_SD if sourced else RECALLED_SD)
+    where = () if code == WORLD else (code,)
+    return Standard(
+        "stalls, by the vehicles in them", stall["width"], float(own / stall["width"]), stall["source"], countries=where
+    )
 
 
 def _rhythm_of_rows(row: np.ndarray, distance: np.ndarray, candidates: np.ndarray) -> np.ndarray:

@@ -10,12 +10,12 @@ agree.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..anchors import AnchorVote, Standard
+from ..anchors import BAYS, AnchorVote, Standard, holding
 from ..evidence import Evidence
 from .posterior import Posterior
 
@@ -82,6 +82,26 @@ def evidence_of(votes: Sequence[AnchorVote], country: str = "") -> list[Evidence
         drawn = [vote for vote in these if len(vote.anchor.lines)]
         found.append(_of_kind(kind, drawn or these, country))
     return found
+
+
+def tells_country(vote: AnchorVote) -> bool:
+    """Whether it may be of several countries' bays. These are made for a country's cars, so that what both err by,
+    where the country is not known, is one error: such bays are no measure beside the cars, but they suit some
+    countries' cars and not others'."""
+    return vote.anchor.kind == BAYS and len({standard.countries for standard in vote.anchor.standards}) > 1
+
+
+def country_agreement(votes: Sequence[AnchorVote], vehicles: Mapping[str, Posterior]) -> dict[str, float]:
+    """How likely it is, in each country, that `votes` and the vehicles are of one scale, but for a common factor.
+
+    votes : those that tell the country. vehicles : the scale by them, were they of that country, by code.
+    """
+    out = {}
+    for country, scale in vehicles.items():
+        own = [vote.of(tuple(holding(vote.anchor.standards, country))) for vote in votes]
+        pieces = evidence_of(own, country)
+        out[country] = float(np.prod([scale.agreement(e.posterior, e.doubt, e.window) for e in pieces]))
+    return out
 
 
 def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:

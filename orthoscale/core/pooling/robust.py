@@ -19,12 +19,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...errors import TooLittleEvidence
+from ..anchors import AnchorVote
 from ..evidence import Evidence, combined
 from ..fleet import Fleet
+from ..remarks import INFO, Remark
 from ..ruler import Ruler
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
 from ..votes import Votes
+from .anchors import country_agreement, evidence_of, tells_country
 from .by_kind import country_likelihoods
 from .mixture import FINE, Confusion, Drawing, Fits, Mix, Seen, fit
 from .posterior import Posterior
@@ -44,6 +47,9 @@ FEW = 60  # votes by which candidate fleets are compared; their shapes count for
 # for boxes are too wide or too long together, as vehicles of another country are. What they are called is believed
 # (`by_kind`).
 SHAPES_TOLD = 0.1
+BAYS_TELL = (
+    "parking bays tell the country, not the scale: where it is not known, they may be as wide or narrow as its cars"
+)
 
 
 @dataclass(frozen=True)
@@ -67,11 +73,15 @@ def pool(
     unit: str,
     geometry: np.ndarray | None = None,
     evidence: Sequence[Evidence] = (),
+    anchors: Sequence[AnchorVote] = (),
+    country: str = "",
 ) -> Scale:
     """The scale that `votes` give, for vehicles of `fleet`, measured with `ruler`.
 
     `geometry` (2, 2) is the relative covariance of lengths and widths that comes from the source's geometry (ground
-    height, effective height), shared by all votes. `evidence` is what else is known of the scale.
+    height, effective height), shared by all votes. `evidence` is what else is known of the scale, `anchors` what
+    was found of standard size; `country` tells their standards apart (`evidence_of`); where it is
+    not known, some tell the candidates of `fleet` apart (`tells_country`).
     Where `fleet` has candidates, each is tried, and counts as much as the shape of the vehicles makes it likely.
     Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes, or boxes shaped like no vehicles.
     """
@@ -86,7 +96,9 @@ def pool(
     share_px = np.median(votes.pixel[measurable, None] / size, axis=0)  # one pixel as a share of length and width
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
-    best, fleets = _of_candidates(seen, fleet, known, ruler)
+    unknown = bool(fleet.candidates) and not country
+    telling = [vote for vote in anchors if unknown and tells_country(vote)]
+    best, fleets = _of_candidates(seen, fleet, known, ruler, telling)
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
             f"{len(votes)} boxes, but only {int(best.inlier.sum())} have the sizes of vehicles of one scale; "
@@ -107,7 +119,10 @@ def pool(
     mean = np.log(size[best.inlier]).mean(0)
     alike = np.exp(best.estimates + mean)  # [m] the fleet's vehicles that stand here, by lengths and by widths
     from_difference = (alike[0] - alike[1]) / np.subtract(*np.exp(mean))
-    together = combined(vehicles, parts, evidence)
+    measuring = [vote for vote in anchors if not (unknown and tells_country(vote))]
+    together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)))
+    if telling:
+        remarks.append(Remark(INFO, BAYS_TELL))
     value, low, high = together.summary
     return Scale(
         value=value,
@@ -159,12 +174,13 @@ def left_by_views(views: np.ndarray) -> np.ndarray:
 
 
 def _of_candidates(
-    seen: Seen, fleet: Fleet, known: Mapping[str, np.ndarray], ruler: Ruler
+    seen: Seen, fleet: Fleet, known: Mapping[str, np.ndarray], ruler: Ruler, telling: Sequence[AnchorVote]
 ) -> tuple[_Vehicles, dict[str, float]]:
     """What the votes say if they are of one of the candidates of `fleet`, and the probability of each, by code.
 
-    Arguments as of `_of_fleets`. Everything is the likeliest's, but for the posterior, which is that of them all: what
-    it is wider by is a part of not knowing the fleet.
+    Arguments as of `_of_fleets`; `telling` are anchors that suit some candidates and not others. Everything is the
+    likeliest's, but for the posterior, which is that of them all: what it is wider by is a part of not knowing the
+    fleet.
     """
     candidates, count = fleet.candidates or (fleet,), len(seen)
     prior = np.array(fleet.prior or (1.0,))
@@ -187,14 +203,17 @@ def _of_candidates(
     several = sorted(probability, key=probability.__getitem__, reverse=True)[:MOVED_BY]
     full = tried(several, count) if count > FEW else {k: each[k] for k in several}
     best = next(iter(full.values()))  # the likeliest may be none that all votes can be of
-    posterior = Posterior.mixed([v.posterior for v in each.values()], np.array(list(probability.values())))
     # What all votes move the likeliest fleets' scales by, they move every other's. By one alone it would be known too
     # badly: its scales may have two humps, and all votes then choose another.
     moved = np.median([full[k].posterior.centre - each[k].posterior.centre for k in full])
-    posterior = replace(posterior, mean=posterior.mean + moved)
+    scales = {candidates[k].code: replace(v.posterior, mean=v.posterior.mean + moved) for k, v in each.items()}
+    suits = country_agreement(telling, scales)
+    share = np.array([p * suits[candidates[k].code] for k, p in probability.items()])
+    share = share / share.sum()
+    posterior = Posterior.mixed(list(scales.values()), share)
     others = sum(v**2 for name, v in best.parts.items() if name != "fleet")
     wider = float(np.sqrt(max(posterior.spread**2 - others, best.parts["fleet"] ** 2)))
-    fleets = {candidates[k].code: p for k, p in probability.items() if p > LIKELY}
+    fleets = {code: p for code, p in zip(scales, share.tolist(), strict=True) if p > LIKELY}
     return replace(best, posterior=posterior, parts={**best.parts, "fleet": wider}), fleets
 
 
