@@ -205,6 +205,17 @@ def test_bays_suit_the_cars_of_their_country(truly):
     assert likely["US"] / likely["JP"] > 5 if truly == "US" else likely["JP"] / likely["US"] > 5
 
 
+def test_lines_are_of_a_country_that_has_such_a_rule():
+    """America has it, Japan's lines look otherwise, and of China's nothing is known here: one of four may be alike."""
+    rule = (Standard("ten feet of forty", 12.192, 0.01, "written here", 1.0, ("US",)),)
+    plain = vote("lane dashes", 0.0, 0.005, rule, false=0.07)
+    line = replace(plain, anchor=replace(plain.anchor, unlike=("JP", "DE", "KR")))
+    assert tells_country(line) and not tells_country(plain) and not evidence_of([line])
+    likely = country_agreement([line], dict.fromkeys(CARS, Posterior.normal(0.0, 0.03)))
+    assert likely["US"] > 2 * likely["CN"] and likely["CN"] > 1.5 * likely["JP"]
+    assert likely["JP"] == pytest.approx(1 / line.window)  # a mistake, anywhere in what was searched
+
+
 def test_what_is_alike_everywhere_tells_no_country():
     court = vote("tennis court", 0.0, 0.004, COURT)
     rails = vote("rails", 0.0, 0.004, NATIONAL)  # a gauge measures, whichever it is

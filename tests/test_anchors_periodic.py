@@ -8,7 +8,7 @@ from support.markings import PAINT, picture, stroke
 
 from orthoscale.anchors.bays import ParkingBays, bay_standards
 from orthoscale.anchors.crossings import ZEBRA_FALSE, ZebraCrossings
-from orthoscale.anchors.dashes import LANE_LINES, LaneDashes
+from orthoscale.anchors.dashes import LANE_LINES, LaneDashes, by_country
 from orthoscale.anchors.periods import find_row
 from orthoscale.anchors.zebra_rules import ZEBRA_FREE, ZEBRA_RULES, elsewhere
 from orthoscale.anchors.zebra_rules import ZEBRA_STANDARDS as CROSSINGS
@@ -105,6 +105,23 @@ def test_a_lane_line_is_known_by_its_share_of_paint():
     assert one(LaneDashes().find(picture(drawn, 0.15, (80, 45)), 0.15, 0.08, "IT"), 12.0)
     half = [(stroke(4 + 12 * k, 22, 6.0, 0.15), PAINT) for k in range(6)]
     assert not LaneDashes().find(picture(half, 0.15, (80, 45)), 0.15, 0.08, "IT")
+
+
+def test_a_lane_line_of_an_unknown_country_tells_where_it_may_lie():
+    """Ten feet of forty are a quarter of paint, as in Russia; China paints two fifths, Germany at least a third."""
+    drawn = [(stroke(4 + 12.192 * k, 22, 3.048, 0.15), PAINT) for k in range(6)]
+    (line,) = LaneDashes().find(picture(drawn, 0.15, (80, 45)), 0.15, 0.06, "")
+    named = {code for standard in line.standards for code in standard.countries}
+    assert {"US", "RU", "AU"} <= named and {"CN", "DE", "JP"} <= set(line.unlike)
+    assert not named & set(line.unlike) and "NP" not in named | set(line.unlike), "of Nepal's lines nothing is known"
+    assert LaneDashes().find(picture(drawn, 0.15, (80, 45)), 0.15, 0.06, "NP") == []
+    assert LaneDashes().find(picture(drawn, 0.15, (80, 45)), 0.15, 0.06, "US")[0].unlike == ()
+
+
+def test_rules_of_a_country_share_its_lines():
+    each = by_country([standard for _, standard in LANE_LINES])
+    for country in {code for standard in each for code in standard.countries}:
+        assert sum(standard.prior for standard in each if country in standard.countries) == pytest.approx(1)
 
 
 def test_a_bend_is_measured_along_the_lane():

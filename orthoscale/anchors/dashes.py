@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,7 +69,7 @@ LANE_LINES = (
 )
 """Length of the dash [m] and standard."""
 
-PAINTED_SHARE = {standard: dash / standard.metres for dash, standard in LANE_LINES}
+PAINTED_SHARE = {standard.name: dash / standard.metres for dash, standard in LANE_LINES}  # by names of standards
 ANY_SHARE = 0.12, 0.7  # of paint, where a standard does not say
 
 LANE_LINE_SIGMA = 0.09  # of the ridges' smoothing [m]: lines are 0.10 to 0.15 m wide
@@ -88,7 +88,7 @@ LANE_ASIDE = 0.5  # of the dashes, where that ground is seen [m]
 class LaneDashes:
     """Finds broken lane lines (an `AnchorFinder`) of any of the `standards`."""
 
-    standards: tuple[Standard, ...] = tuple(PAINTED_SHARE)
+    standards: tuple[Standard, ...] = tuple(standard for _, standard in LANE_LINES)
     kind = "lane dashes"
     extent = 90.0
     finest = 0.10
@@ -96,9 +96,10 @@ class LaneDashes:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
-        if not ruled(self.standards, country):  # lines of other countries fit some rule or other: Banepa's, by 8 %
+        known = ruled(self.standards, country)
+        if country and not known:  # lines of other countries fit some rule or other: Banepa's, by 8 %
             return []
-        standards = holding(self.standards, country)
+        standards = holding(self.standards, country) if known else by_country(self.standards)
         low, high = sizes(standards, gsd, gsd_sd)
         slack = low * gsd / min(standard.metres for standard in standards)
         dashes = [each.metres * share for each in standards for share in _shares(each)]
@@ -110,13 +111,30 @@ class LaneDashes:
         for chain in find_chains(strokes[strokes.length < longest], low, high, LANE_FEWEST):
             meant = within_reach(_like(standards, chain), chain.row.period, gsd, gsd_sd)
             if meant and _is_line(image, chain, gsd):
-                found.append(anchor_of(chain, self.kind, meant, LANE_FALSE))
+                line = anchor_of(chain, self.kind, meant, LANE_FALSE)
+                found.append(line if known else replace(line, unlike=_unlike(standards, meant)))
         return found
+
+
+def by_country(standards: Sequence[Standard]) -> list[Standard]:
+    """Each of `standards` once for each country that it names, with its share of that country's rules for a prior."""
+    out = []
+    for country in dict.fromkeys(code for standard in standards for code in standard.countries):
+        own = holding(standards, country)
+        total = sum(standard.prior for standard in own)
+        out += [replace(standard, countries=(country,), prior=standard.prior / total) for standard in own]
+    return out
+
+
+def _unlike(standards: Sequence[Standard], meant: Sequence[Standard]) -> tuple[str, ...]:
+    """The countries that `standards` name and none of those that are `meant`."""
+    like = {code for standard in meant for code in standard.countries}
+    return tuple(sorted({code for standard in standards for code in standard.countries} - like))
 
 
 def _shares(standard: Standard) -> tuple[float, float]:
     """The least and the greatest share of paint that a line built to `standard` has."""
-    share = PAINTED_SHARE.get(standard)
+    share = PAINTED_SHARE.get(standard.name)
     return ANY_SHARE if share is None else (share, share)
 
 

@@ -243,4 +243,4 @@ def _anchor(values: Mapping[str, Any]) -> Anchor:
     lines = np.array(values["lines"], float).reshape(-1, 2, 2)
     standards = tuple(Standard(**{**s, "countries": tuple(s["countries"])}) for s in values["standards"])
     arrays = {name: np.array(values[name], float) for name in ("place", "residual")}
-    return Anchor(**{**values, **arrays, "lines": lines, "standards": standards})
+    return Anchor(**{**values, **arrays, "lines": lines, "standards": standards, "unlike": tuple(values["unlike"])})

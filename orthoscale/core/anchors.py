@@ -48,6 +48,8 @@ class Anchor:
     residual : (M,) how far the measured line points lie from the model, across the lines [px].
     standards : those that it can be. false : probability that it is none of them at all.
     count : how many repetitions it rests on (dashes of a lane, bays of a row); 1 for a single thing.
+    unlike : where the country is not known, codes of those whose standards it is known not to follow. Then it tells the
+        country, and is no measure.
     Pixel coordinates: x right, y down, (0, 0) is the upper left corner of the upper left pixel.
     """
 
@@ -60,6 +62,7 @@ class Anchor:
     standards: tuple[Standard, ...]
     false: float
     count: int = 1
+    unlike: tuple[str, ...] = ()
     picture: str = field(default="", kw_only=True)
 
     def metres_per_pixel(self) -> np.ndarray:

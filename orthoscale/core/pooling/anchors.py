@@ -11,7 +11,7 @@ agree.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -75,6 +75,7 @@ def evidence_of(votes: Sequence[AnchorVote], country: str = "") -> list[Evidence
 
     country : ISO code of two letters, empty where it is not known; standards of other countries are less likely there.
     """
+    votes = [vote for vote in votes if not vote.anchor.unlike]
     kinds = dict.fromkeys(vote.anchor.kind for vote in votes)
     found = []
     for kind in kinds:
@@ -85,23 +86,44 @@ def evidence_of(votes: Sequence[AnchorVote], country: str = "") -> list[Evidence
 
 
 def tells_country(vote: AnchorVote) -> bool:
-    """Whether it may be of several countries' bays. These are made for a country's cars, so that what both err by,
-    where the country is not known, is one error: such bays are no measure beside the cars, but they suit some
-    countries' cars and not others'."""
-    return vote.anchor.kind == BAYS and len({standard.countries for standard in vote.anchor.standards}) > 1
+    """Whether it tells the country, where that is not known, and is no measure of the scale: the bays of any country,
+    which are made for its cars, so that what both err by is one error; and lines of one of many rules. Their size in
+    cars suits some countries and not others."""
+    national = vote.anchor.kind == BAYS and len({standard.countries for standard in vote.anchor.standards}) > 1
+    return national or bool(vote.anchor.unlike)
 
 
 def country_agreement(votes: Sequence[AnchorVote], vehicles: Mapping[str, Posterior]) -> dict[str, float]:
     """How likely it is, in each country, that `votes` and the vehicles are of one scale, but for a common factor.
 
-    votes : those that tell the country. vehicles : the scale by them, were they of that country, by code.
+    votes : those that tell the country; the priors of their standards are shares of those of a country. vehicles : the
+    scale by them, were they of that country, by code. A country of which no standard is known may have any other's.
     """
-    out = {}
-    for country, scale in vehicles.items():
-        own = [vote.of(tuple(holding(vote.anchor.standards, country))) for vote in votes]
-        pieces = evidence_of(own, country)
-        out[country] = float(np.prod([scale.agreement(e.posterior, e.doubt, e.window) for e in pieces]))
-    return out
+    kinds = dict.fromkeys(vote.anchor.kind for vote in votes)
+    each = [[vote for vote in votes if vote.anchor.kind == kind] for kind in kinds]
+    return {code: float(np.prod([_agreement(v, code, scale) for v in each])) for code, scale in vehicles.items()}
+
+
+def _agreement(votes: Sequence[AnchorVote], country: str, vehicles: Posterior) -> float:
+    """The same of `votes` of one kind, in one country."""
+    own = [holding(vote.anchor.standards, country) for vote in votes]
+    like = float(np.mean([_likeness(vote, these, country) for vote, these in zip(votes, own, strict=True)]))
+    there = [
+        replace(vote, anchor=replace(vote.anchor, standards=tuple(these), unlike=()))
+        for vote, these in zip(votes, own, strict=True)
+    ]
+    (found,) = evidence_of(there, country)
+    return vehicles.agreement(found.posterior, 1 - (1 - found.doubt) * like, found.window)
+
+
+def _likeness(vote: AnchorVote, own: Sequence[Standard], country: str) -> float:
+    """Probability that what follows a standard of `country` follows one of those, `own`, that `vote` may be of."""
+    if country in vote.anchor.unlike:
+        return 0.0
+    likely = sum(standard.prior for standard in own)
+    if any(country in standard.countries or not standard.countries for standard in own):
+        return min(likely, 1.0)
+    return likely / len({code for standard in own for code in standard.countries} | set(vote.anchor.unlike))
 
 
 def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:

@@ -47,9 +47,6 @@ FEW = 60  # votes by which candidate fleets are compared; their shapes count for
 # for boxes are too wide or too long together, as vehicles of another country are. What they are called is believed
 # (`by_kind`).
 SHAPES_TOLD = 0.1
-BAYS_TELL = (
-    "parking bays tell the country, not the scale: where it is not known, they may be as wide or narrow as its cars"
-)
 
 
 @dataclass(frozen=True)
@@ -122,7 +119,8 @@ def pool(
     measuring = [vote for vote in anchors if not (unknown and tells_country(vote))]
     together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)))
     if telling:
-        remarks.append(Remark(INFO, BAYS_TELL))
+        kinds = " and ".join(dict.fromkeys(vote.anchor.kind for vote in telling))
+        remarks.append(Remark(INFO, f"{kinds} tell the country, not the scale: it is not known, and each has its own"))
     value, low, high = together.summary
     return Scale(
         value=value,
