@@ -9,7 +9,7 @@ from support.simulate import car_park
 
 from orthoscale.core.anchors import Standard
 from orthoscale.core.evidence import Evidence, combined
-from orthoscale.core.pooling.anchors import SHARED, country_agreement, evidence_of, tells_country
+from orthoscale.core.pooling.anchors import NO_RULE, SHARED, country_agreement, evidence_of, tells_country
 from orthoscale.core.pooling.posterior import Posterior
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.remarks import INFO, REFUSAL
@@ -197,12 +197,13 @@ def by_cars(truly):
 
 @pytest.mark.parametrize("truly", ["US", "JP"])
 def test_bays_suit_the_cars_of_their_country(truly):
-    """American bays are 1.77 m wide for each metre of a car's width where Japanese ones are 1.6 m."""
+    """American cars are 1.78 m long for each metre of their bays' width, Japanese ones 1.6 m."""
     bays = [vote("parking bays", 0.0, 0.005, NATIONAL, list(WIDE).index(truly))]
     assert all(tells_country(each) for each in bays)
     likely = country_agreement(bays, by_cars(truly))
     assert likely[truly] == max(likely.values())
-    assert likely["US"] / likely["JP"] > 5 if truly == "US" else likely["JP"] / likely["US"] > 5
+    other = "JP" if truly == "US" else "US"
+    assert likely[truly] > 2.5 * likely[other]
 
 
 def test_lines_are_of_a_country_that_has_such_a_rule():
@@ -213,14 +214,54 @@ def test_lines_are_of_a_country_that_has_such_a_rule():
     assert tells_country(line) and not tells_country(plain) and not evidence_of([line])
     likely = country_agreement([line], dict.fromkeys(CARS, Posterior.normal(0.0, 0.03)))
     assert likely["US"] > 2 * likely["CN"] and likely["CN"] > 1.5 * likely["JP"]
-    assert likely["JP"] == pytest.approx(1 / line.window)  # a mistake, anywhere in what was searched
+    assert likely["JP"] == pytest.approx((1 - 0.93 * (1 - NO_RULE)) / line.window)  # a mistake, or by no rule
+
+
+def line_of(countries, unlike, log_scale=0.0, at=0.0):
+    rule = tuple(Standard(f"of {code}", 12.0, 0.01, "written here", 1.0, (code,)) for code in countries)
+    plain = vote("lane dashes", log_scale, 0.005, rule, false=0.07, at=at)
+    return replace(plain, anchor=replace(plain.anchor, unlike=unlike))
+
+
+def test_bays_and_lines_share_the_vehicles_error():
+    """Both 10 % off by Japanese cars: once the bays have shown the cars to be off, lines that agree add hardly more."""
+    vehicles = {"US": Posterior.normal(0.0, 0.05), "JP": Posterior.normal(-0.1, 0.05)}
+    same = tuple(replace(standard, metres=2.5) for standard in NATIONAL)
+    bays, line = vote("parking bays", 0.0, 0.005, same), line_of(("US", "JP"), ())
+    line = replace(line, anchor=replace(line.anchor, unlike=("DE",)))
+    likely = [country_agreement(votes, vehicles) for votes in ([bays], [line], [bays, line], [line, bays])]
+    alone, lines, both, turned = (each["US"] / each["JP"] for each in likely)
+    assert max(alone, lines) < both < 0.8 * alone * lines
+    assert turned == pytest.approx(both, rel=0.1)
+
+
+def test_lines_that_a_country_cannot_have_do_not_speak_for_it():
+    vehicles = {code: Posterior.normal(0.0, 0.03) for code in ("US", "JP")}
+    own = country_agreement([line_of(("JP",), ("US",), 0.15)], vehicles)["JP"]
+    others = [line_of(("US",), ("JP",), at=100.0 * k) for k in range(1, 6)]
+    assert country_agreement([line_of(("JP",), ("US",), 0.15), *others], vehicles)["JP"] <= own
+
+
+def test_boxed_bays_beside_drawn_ones_tell_no_country_either():
+    drawn = vote("parking bays", 0.0, 0.005, NATIONAL)
+    boxed = replace(drawn, anchor=replace(drawn.anchor, lines=np.empty((0, 2, 2))))
+    assert country_agreement([drawn, boxed], by_cars("US")) == country_agreement([drawn], by_cars("US"))
+
+
+def test_bays_of_a_known_country_are_its_own():
+    """The fleet may be the world's where the place is known."""
+    (there,) = evidence_of([vote("parking bays", 0.0, 0.005, NATIONAL)], "US")
+    assert len(there.posterior.mean) == 1 and there.value == pytest.approx(1.0)
+    everywhere = Standard("bays of 2.48 m", 2.48, 0.06, "written here")
+    (unknown,) = evidence_of([vote("parking bays", 0.0, 0.005, (*NATIONAL, everywhere))])
+    assert len(unknown.posterior.mean) == 1 and unknown.value == pytest.approx(2.48 / 2.74)
 
 
 def test_what_is_alike_everywhere_tells_no_country():
     court = vote("tennis court", 0.0, 0.004, COURT)
     rails = vote("rails", 0.0, 0.004, NATIONAL)  # a gauge measures, whichever it is
     assert not tells_country(court) and not tells_country(rails)
-    assert not tells_country(vote("parking bays", 0.0, 0.004, NATIONAL[:1]))
+    assert not tells_country(vote("parking bays", 0.0, 0.004, BAYS))
     assert set(country_agreement([], by_cars("US")).values()) == {1.0}
 
 

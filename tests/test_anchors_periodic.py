@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.markings import PAINT, picture, stroke
 
-from orthoscale.anchors.bays import ParkingBays, bay_standards
+from orthoscale.anchors.bays import BAY_FALSE, ParkingBays, bay_standards
 from orthoscale.anchors.crossings import ZEBRA_FALSE, ZebraCrossings
 from orthoscale.anchors.dashes import LANE_LINES, LaneDashes, by_country
 from orthoscale.anchors.periods import find_row
@@ -118,6 +118,12 @@ def test_a_lane_line_of_an_unknown_country_tells_where_it_may_lie():
     assert LaneDashes().find(picture(drawn, 0.15, (80, 45)), 0.15, 0.06, "US")[0].unlike == ()
 
 
+def test_bays_of_an_unknown_country_may_be_of_any():
+    """Also of one whose own are out of reach: else it would be held for one of which nothing is known."""
+    (row,) = ParkingBays().find(picture(bays(pitch=2.9), 0.1), 0.1, 0.04, "")
+    assert row.standards == bay_standards() and row.false > BAY_FALSE
+
+
 def test_rules_of_a_country_share_its_lines():
     each = by_country([standard for _, standard in LANE_LINES])
     for country in {code for standard in each for code in standard.countries}:
@@ -225,6 +231,7 @@ def test_an_own_standard_takes_the_place_of_the_rules():
     own = (Standard("ours", 2.2, 0.005, "plan"),)
     image = picture(bays(pitch=2.2), 0.1)
     assert one(ParkingBays(own).find(image, 0.1, 0.08, "US"), 2.2).standards == own
+    assert one(ParkingBays(own).find(image, 0.1, 0.08, ""), 2.2).false == BAY_FALSE, "wherever that is"
     assert one(
         ZebraCrossings((Standard("ours", 1.3, 0.005, "plan"),)).find(picture(zebra(1.3), 0.1), 0.1, 0.05, "US"), 1.3
     )

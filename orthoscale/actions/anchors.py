@@ -184,7 +184,8 @@ def _one_thing_once(votes: Sequence[AnchorVote], window: float) -> list[AnchorVo
             near = float(np.linalg.norm(vote.place - other.place)) < other.units / 2
             if near and abs(np.log(vote.units / other.units)) < SAME_ON_RUNGS:
                 both = tuple(dict.fromkeys([*other.anchor.standards, *vote.anchor.standards]))
-                kept[k] = replace(other, anchor=replace(other.anchor, standards=both))
+                unlike = set(other.anchor.unlike) & set(vote.anchor.unlike)
+                kept[k] = replace(other, anchor=replace(other.anchor, standards=both, unlike=tuple(sorted(unlike))))
                 break
         else:
             kept.append(replace(vote, window=window))

@@ -12,7 +12,7 @@ from ..core.anchors import BAYS, Anchor, Standard, holding
 from ..tables import standards as tables
 from .ladders import Ladder, crowded, doubled, find_ladders, levels, refined
 from .repeated import anchor_of
-from .rules import sizes, within_reach
+from .rules import ruled, sizes, within_reach
 from .strokes import Strokes, find_strokes, paint_light, painted
 
 FOOT = 0.3048  # [m]
@@ -37,9 +37,9 @@ IN_FEET = tuple(
 )
 
 BAY_FALSE = 0.03  # none of 37 rows on 62 Mpx of American chips was something else; one more is reckoned
-# The same where the country is not known, and so the rough scale not well: told 0.8 of it, 2 of 29 rows on chips, eight
-# orthophotos and training frames were no bays of cars (boats, bays of coaches).
-BAY_FALSE_ROUGH = 0.08
+# The same where the country is not known, and so the scale only roughly: where finders were told 0.8 of the true scale,
+# 2 of 29 rows on chips, eight orthophotos and training frames were no bays of cars (boats, bays of coaches).
+BAY_FALSE_ROUGH = 0.1
 
 BAY_LINE_SIGMA = 0.09  # of the ridges' smoothing [m]: lines are 0.10 to 0.15 m wide
 BAY_THINNEST = 0.8  # of that smoothing [px]
@@ -93,8 +93,9 @@ class ParkingBays:
 
     def find(self, image: np.ndarray, gsd: float, gsd_sd: float, country: str) -> Sequence[Anchor]:
         """See `AnchorFinder.find`."""
-        standards = holding(self.standards, country) if country else self.standards
-        false = BAY_FALSE if country else BAY_FALSE_ROUGH
+        # Where the country is not known, all countries' bays are kept, so that it can be told whose they suit.
+        rough = not country and not ruled(self.standards, country)
+        standards = self.standards if rough else holding(self.standards, country)
         if min(image.shape[:2]) < BAY_SHORTEST / gsd:
             return []
         low, high = sizes(standards, gsd, gsd_sd)
@@ -103,9 +104,11 @@ class ParkingBays:
         strokes = strokes[strokes.length < BAY_LONGEST / gsd]
         found = []
         for ladder in _rows(strokes, low, high, gsd):
-            meant = within_reach(standards, ladder.row.period, gsd, gsd_sd)
-            if meant and crowded(ladder, strokes) <= BAY_CROWDED and _are_bays(image, ladder, gsd):
-                found.append(anchor_of(refined(light, ladder, max(BAY_ASIDE / gsd, 2.0)), self.kind, meant, false))
+            reached = within_reach(standards, ladder.row.period, gsd, gsd_sd)
+            if reached and crowded(ladder, strokes) <= BAY_CROWDED and _are_bays(image, ladder, gsd):
+                meant, false = (standards, BAY_FALSE_ROUGH) if rough else (reached, BAY_FALSE)
+                row = refined(light, ladder, max(BAY_ASIDE / gsd, 2.0))
+                found.append(anchor_of(row, self.kind, tuple(meant), false))
         return found
 
 

@@ -90,8 +90,8 @@ class AnchorVote:
     views: int = 1
 
     def of(self, standards: tuple[Standard, ...] | None) -> AnchorVote:
-        """The same with only these `standards`; itself for None."""
-        return self if standards is None else replace(self, anchor=replace(self.anchor, standards=standards))
+        """The same, of one of these `standards`; itself for None."""
+        return self if standards is None else replace(self, anchor=replace(self.anchor, standards=standards, unlike=()))
 
 
 class AnchorFinder(Protocol):

@@ -11,7 +11,7 @@ agree.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from .posterior import Posterior
 # 0.40 % each (one sigma) and by 0.29 % together (90 % within 0.47 %), half of the variance: `docs/anchors.md`.
 SHARED = 0.5
 FOREIGN = 0.05  # of a standard's prior that is left where it is another country's: what is built abroad is copied
+NO_RULE = 0.2  # share of bays and lane lines that follow no rule of the tables, or of rules that these lack; judged
 OF_NO_STANDARD = 0.02  # probability that an anchor, however sure that it is one, is of no standard of its kind
 LEAST_FIT = 2e-4  # of any anchor's fit
 MEAN_STEPS = 30  # of a mean of the anchors that mean one scale; it settles in about five
@@ -70,27 +71,27 @@ class _Reading:
 
 
 def evidence_of(votes: Sequence[AnchorVote], country: str = "") -> list[Evidence]:
-    """What `votes` say, a piece of evidence for each kind, in the order in which the kinds come. Of a kind of which
-    some were found by their lines, what was only seen as boxes does not count: it measures the same things worse.
+    """What `votes` say, a piece of evidence for each kind, in the order in which the kinds come. Those that only tell
+    the country (`Anchor.unlike`) are left out.
 
     country : ISO code of two letters, empty where it is not known; standards of other countries are less likely there.
+    Bays are the country's alone, or those of everywhere.
     """
-    votes = [vote for vote in votes if not vote.anchor.unlike]
+    votes = [
+        vote.of(tuple(holding(vote.anchor.standards, country))) if vote.anchor.kind == BAYS else vote
+        for vote in votes
+        if not vote.anchor.unlike
+    ]
     kinds = dict.fromkeys(vote.anchor.kind for vote in votes)
-    found = []
-    for kind in kinds:
-        these = [vote for vote in votes if vote.anchor.kind == kind]
-        drawn = [vote for vote in these if len(vote.anchor.lines)]
-        found.append(_of_kind(kind, drawn or these, country))
-    return found
+    return [_of_kind(kind, _measuring([v for v in votes if v.anchor.kind == kind]), country) for kind in kinds]
 
 
 def tells_country(vote: AnchorVote) -> bool:
-    """Whether it tells the country, where that is not known, and is no measure of the scale: the bays of any country,
-    which are made for its cars, so that what both err by is one error; and lines of one of many rules. Their size in
-    cars suits some countries and not others."""
-    national = vote.anchor.kind == BAYS and len({standard.countries for standard in vote.anchor.standards}) > 1
-    return national or bool(vote.anchor.unlike)
+    """Whether it tells the country, where that is not known, and is no measure of the scale then. Bays are made for a
+    country's cars, so a wrong guess of the country makes bays and vehicles wrong together; of lane lines each country
+    has rules of its own. How large they are in cars suits some countries and not others."""
+    bays = vote.anchor.kind == BAYS and any(standard.countries for standard in vote.anchor.standards)
+    return bays or bool(vote.anchor.unlike)
 
 
 def country_agreement(votes: Sequence[AnchorVote], vehicles: Mapping[str, Posterior]) -> dict[str, float]:
@@ -100,20 +101,27 @@ def country_agreement(votes: Sequence[AnchorVote], vehicles: Mapping[str, Poster
     scale by them, were they of that country, by code. A country of which no standard is known may have any other's.
     """
     kinds = dict.fromkeys(vote.anchor.kind for vote in votes)
-    each = [[vote for vote in votes if vote.anchor.kind == kind] for kind in kinds]
-    return {code: float(np.prod([_agreement(v, code, scale) for v in each])) for code, scale in vehicles.items()}
+    each = [_measuring([vote for vote in votes if vote.anchor.kind == kind]) for kind in kinds]
+    out = {}
+    for country, scale in vehicles.items():
+        out[country] = 1.0
+        for these in each:  # each with what the vehicles and the kinds before it say together
+            factor, scale = _agreement(these, country, scale)
+            out[country] *= factor
+    return out
 
 
-def _agreement(votes: Sequence[AnchorVote], country: str, vehicles: Posterior) -> float:
-    """The same of `votes` of one kind, in one country."""
+def _agreement(votes: Sequence[AnchorVote], country: str, scale: Posterior) -> tuple[float, Posterior]:
+    """The same of `votes` of one kind, in one country; and the `scale` there when they are known, too."""
     own = [holding(vote.anchor.standards, country) for vote in votes]
-    like = float(np.mean([_likeness(vote, these, country) for vote, these in zip(votes, own, strict=True)]))
-    there = [
-        replace(vote, anchor=replace(vote.anchor, standards=tuple(these), unlike=()))
-        for vote, these in zip(votes, own, strict=True)
-    ]
+    like = np.array([_likeness(vote, these, country) for vote, these in zip(votes, own, strict=True)])
+    # Where none can be of that country its standards do not matter, for `like` is 0.
+    some = like > 0 if like.any() else np.ones(len(like), bool)
+    there = [vote.of(tuple(these)) for vote, these, keep in zip(votes, own, some, strict=True) if keep]
     (found,) = evidence_of(there, country)
-    return vehicles.agreement(found.posterior, 1 - (1 - found.doubt) * like, found.window)
+    doubt = 1 - (1 - found.doubt) * (1 - NO_RULE)
+    known = found.posterior, doubt, found.window, float(like.mean())
+    return scale.agreement(*known), scale.times_doubted(*known)
 
 
 def _likeness(vote: AnchorVote, own: Sequence[Standard], country: str) -> float:
@@ -124,6 +132,12 @@ def _likeness(vote: AnchorVote, own: Sequence[Standard], country: str) -> float:
     if any(country in standard.countries or not standard.countries for standard in own):
         return min(likely, 1.0)
     return likely / len({code for standard in own for code in standard.countries} | set(vote.anchor.unlike))
+
+
+def _measuring(votes: Sequence[AnchorVote]) -> list[AnchorVote]:
+    """Of `votes` of one kind those that were found by their lines, if any were: what was only seen as boxes measures
+    the same things worse."""
+    return [vote for vote in votes if len(vote.anchor.lines)] or list(votes)
 
 
 def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:

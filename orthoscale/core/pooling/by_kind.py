@@ -1,7 +1,7 @@
-"""What a place's vehicles are called tells its country: a fifth of America's are pickups, of China's and Europe's none.
+"""What a place's vehicles are called tells its country: a fifth of America's are pickups, in China hardly any.
 
 It needs no size, so it holds where shapes mislead, because boxes are too wide or too long together. What stands at one
-place and what one measurer calls it there both stray, so it is little, however many vehicles there are.
+place and what the measurer calls it there both stray, so a thousand vehicles tell little more than a hundred.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from scipy.special import gammaln
 from ..fleet import Fleet
 from ..market_segments import Places
 from .mixture import LARGER, LORRIES, LORRIES_SHARE, OUTLIER_CALLED, OUTLIER_SHARE, Confusion, left_out
+
+ANY_PLACE = 0.1  # of the places tell nothing of their country: a depot of vans, a dealer's yard; judged
 
 
 def country_likelihoods(
@@ -31,7 +33,7 @@ def country_likelihoods(
     log = np.array([_of_fleet(counts, fleet, confusion) for fleet, has in zip(fleets, known, strict=True) if has])
     relative = np.exp(log - log.max())
     out = np.ones(len(fleets))
-    out[known] = relative * prior[known].sum() / (relative @ prior[known])
+    out[known] = ANY_PLACE + (1 - ANY_PLACE) * relative * prior[known].sum() / (relative @ prior[known])
     return out
 
 
@@ -54,7 +56,7 @@ def _at(counts: np.ndarray, fleet: Fleet, place: Places, confusion: Confusion) -
     kinds = np.array([c.kinds for c in (*classes, LARGER, LORRIES)])
     names = kinds @ confusion.shares  # (K + 2, 4) what those of each class are called
     mean = shares @ names + OUTLIER_SHARE * OUTLIER_CALLED
-    of_mix = (shares @ names**2 - (shares @ names) ** 2 / vehicles) / (place.vehicles + 1)
+    of_mix = (vehicles * (shares @ names**2) - (shares @ names) ** 2) / (place.vehicles + 1)
     of_names = (shares @ kinds) ** 2 @ (confusion.shares * (1 - confusion.shares)) / (confusion.vehicles + 1)
     strayed = (of_mix + of_names).sum() / (mean * (1 - mean)).sum()
     before = mean * (1 / strayed - 1)

@@ -69,14 +69,15 @@ class Posterior:
         mean = (self.mean[:, None] * more + other.mean * variance) / total
         return Posterior(weight / weight.sum(), mean.ravel(), np.sqrt(variance * more / total).ravel())
 
-    def agreement(self, other: Posterior, doubt: float, window: float) -> float:
+    def agreement(self, other: Posterior, doubt: float, window: float, like: float = 1.0) -> float:
         """How likely it is to find `other` where it is, as `times_doubted` has it [per unit of the logarithm]."""
-        return sum(self._true_and_false(other, doubt, window))
+        return sum(self._true_and_false(other, doubt, window, like))
 
-    def times_doubted(self, other: Posterior, doubt: float, window: float) -> Posterior:
+    def times_doubted(self, other: Posterior, doubt: float, window: float, like: float = 1.0) -> Posterior:
         """The same where `other` is a mistake with probability `doubt`, and then says nothing: mistakes lie anywhere in
-        a range as wide as `window` (in logarithms). Parts that have become impossible are left out."""
-        true, false = self._true_and_false(other, doubt, window)
+        a range as wide as `window` (in logarithms). Of what is no mistake a share of `like` may be such as `other`, the
+        rest would be found elsewhere. Parts that have become impossible are left out."""
+        true, false = self._true_and_false(other, doubt, window, like)
         found = Posterior.mixed([self.times(other), self], np.array([true, false]) / (true + false))
         kept = found.weight > NEGLIGIBLE * found.weight.max()
         return Posterior(found.weight[kept] / found.weight[kept].sum(), found.mean[kept], found.sd[kept])
@@ -90,10 +91,10 @@ class Posterior:
         weight = self.weight[which]
         return Posterior(weight / weight.sum(), self.mean[which], self.sd[which])
 
-    def _true_and_false(self, other: Posterior, doubt: float, window: float) -> tuple[float, float]:
+    def _true_and_false(self, other: Posterior, doubt: float, window: float, like: float) -> tuple[float, float]:
         """Density of `other` where it measures the same, and where it is a mistake."""
         overlap = self._overlap(other) - 0.5 * np.log(2 * np.pi)
-        return (1 - doubt) * float(np.exp(overlap).sum()), doubt / window
+        return (1 - doubt) * like * float(np.exp(overlap).sum()), doubt / window
 
     def _overlap(self, other: Posterior) -> np.ndarray:
         """(K, L) log of the integral of each part with each of `other`, but for a factor of sqrt(2 pi)."""

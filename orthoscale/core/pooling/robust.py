@@ -45,7 +45,7 @@ FEW = 60  # votes by which candidate fleets are compared; their shapes count for
 # orthophotos of six countries the boxes of version 5 made the true one the less likely the more they were believed
 # (mean log probability -7.0 where all of it is, -4.3 at a tenth, -4.2 at nothing: benchmarks/country_from_shapes.py),
 # for boxes are too wide or too long together, as vehicles of another country are. What they are called is believed
-# (`by_kind`).
+# (`by_kind`); the little that it adds to the shapes' tenth is counted twice.
 SHAPES_TOLD = 0.1
 
 
@@ -79,7 +79,7 @@ def pool(
     height, effective height), shared by all votes. `evidence` is what else is known of the scale, `anchors` what
     was found of standard size; `country` tells their standards apart (`evidence_of`); where it is
     not known, some tell the candidates of `fleet` apart (`tells_country`).
-    Where `fleet` has candidates, each is tried, and counts as much as the shape of the vehicles makes it likely.
+    Where `fleet` has candidates, each is tried, and counts as much as vehicles and anchors make it likely.
     Raises TooLittleEvidence for fewer than MIN_VEHICLES usable votes, or boxes shaped like no vehicles.
     """
     size = votes.size - np.asarray(ruler.margin) * votes.pixel[:, None]
@@ -120,7 +120,9 @@ def pool(
     together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)))
     if telling:
         kinds = " and ".join(dict.fromkeys(vote.anchor.kind for vote in telling))
-        remarks.append(Remark(INFO, f"{kinds} tell the country, not the scale: it is not known, and each has its own"))
+        remarks.append(Remark(INFO, f"{kinds} tell the country, not the scale: each country has sizes of its own"))
+    elif any(vote.anchor.unlike for vote in anchors):
+        remarks.append(Remark(INFO, "lane dashes do not count: the country is not known, and each has its own rules"))
     value, low, high = together.summary
     return Scale(
         value=value,
@@ -200,7 +202,6 @@ def _of_candidates(
     probability = _probabilities(each, prior)
     several = sorted(probability, key=probability.__getitem__, reverse=True)[:MOVED_BY]
     full = tried(several, count) if count > FEW else {k: each[k] for k in several}
-    best = next(iter(full.values()))  # the likeliest may be none that all votes can be of
     # What all votes move the likeliest fleets' scales by, they move every other's. By one alone it would be known too
     # badly: its scales may have two humps, and all votes then choose another.
     moved = np.median([full[k].posterior.centre - each[k].posterior.centre for k in full])
@@ -208,6 +209,8 @@ def _of_candidates(
     suits = country_agreement(telling, scales)
     share = np.array([p * suits[candidates[k].code] for k, p in probability.items()])
     share = share / share.sum()
+    told = dict(zip(probability, share.tolist(), strict=True))
+    best = full[max(full, key=told.__getitem__)]  # the likeliest may be none that all votes can be of
     posterior = Posterior.mixed(list(scales.values()), share)
     others = sum(v**2 for name, v in best.parts.items() if name != "fleet")
     wider = float(np.sqrt(max(posterior.spread**2 - others, best.parts["fleet"] ** 2)))
