@@ -94,7 +94,7 @@ def pool(
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
     unknown = bool(fleet.candidates) and not country
-    telling = [vote for vote in anchors if unknown and tells_country(vote)]
+    telling = [vote for vote in anchors if tells_country(vote)] if unknown else []
     best, fleets = _of_candidates(seen, fleet, known, ruler, telling)
     if best.inlier.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(
@@ -116,7 +116,7 @@ def pool(
     mean = np.log(size[best.inlier]).mean(0)
     alike = np.exp(best.estimates + mean)  # [m] the fleet's vehicles that stand here, by lengths and by widths
     from_difference = (alike[0] - alike[1]) / np.subtract(*np.exp(mean))
-    measuring = [vote for vote in anchors if not (unknown and tells_country(vote))]
+    measuring = [vote for vote in anchors if not tells_country(vote)] if unknown else anchors
     together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)))
     if telling:
         kinds = " and ".join(dict.fromkeys(vote.anchor.kind for vote in telling))
@@ -207,14 +207,13 @@ def _of_candidates(
     moved = np.median([full[k].posterior.centre - each[k].posterior.centre for k in full])
     scales = {candidates[k].code: replace(v.posterior, mean=v.posterior.mean + moved) for k, v in each.items()}
     suits = country_agreement(telling, scales)
-    share = np.array([p * suits[candidates[k].code] for k, p in probability.items()])
-    share = share / share.sum()
-    told = dict(zip(probability, share.tolist(), strict=True))
-    best = full[max(full, key=told.__getitem__)]  # the likeliest may be none that all votes can be of
-    posterior = Posterior.mixed(list(scales.values()), share)
+    total = sum(p * suits[candidates[k].code] for k, p in probability.items())
+    probability = {k: p * suits[candidates[k].code] / total for k, p in probability.items()}
+    best = full[max(full, key=probability.__getitem__)]  # the likeliest may be none that all votes can be of
+    posterior = Posterior.mixed(list(scales.values()), np.array(list(probability.values())))
     others = sum(v**2 for name, v in best.parts.items() if name != "fleet")
     wider = float(np.sqrt(max(posterior.spread**2 - others, best.parts["fleet"] ** 2)))
-    fleets = {code: p for code, p in zip(scales, share.tolist(), strict=True) if p > LIKELY}
+    fleets = {candidates[k].code: p for k, p in probability.items() if p > LIKELY}
     return replace(best, posterior=posterior, parts={**best.parts, "fleet": wider}), fleets
 
 
