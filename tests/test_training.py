@@ -29,6 +29,7 @@ from training.evaluate import (
     labelled_scenes,
     measured_scenes,
     picture_files,
+    place_scenes,
     reference_scene,
     rendered_scene,
     table,
@@ -346,6 +347,17 @@ def test_checked_pictures_are_those_of_the_shared_data():
         for p in scene.pictures:
             assert p.picture.path.parts[0] == "data"
             assert Boxes(p.vehicles, np.ones(len(p.vehicles))).inside(p.picture.width, p.picture.height, 0).all()
+
+
+def test_places_are_those_whose_pictures_are_there(tmp_path):
+    assert place_scenes(tmp_path) == []
+    (tmp_path / "places").mkdir()
+    cv2.imwrite(str(tmp_path / "places" / "tianjin.jpg"), np.zeros((8, 12, 3), np.uint8))
+    (scene,) = place_scenes(tmp_path)
+    (picture,) = scene.pictures
+    assert (scene.name, scene.complete) == ("tianjin", True)
+    assert (picture.picture.width, picture.picture.height) == (12, 8)
+    assert (picture.vehicles.shape, picture.ignored.shape) == ((10, 5), (3, 5))
 
 
 def test_a_scene_without_vehicles_has_false_boxes_only(tmp_path):

@@ -17,8 +17,8 @@ a vehicle.
 
 Only scenes that the detector has not seen say how it does; in `warsaw` and `bogota` not every vehicle is labelled, so
 that precision is too low there. `--checked` are pictures never trained on in which a person has looked for every
-vehicle (`labels/checked.json`); their boxes were proposed by detector version 2, so their sizes are no measure of
-it. `--by-hand` compares sizes with vehicles measured by hand (`labels/by_hand.json`), in scenes trained on and not.
+vehicle (`labels/checked.json`, and `labels/places.json` where the data have that folder); boxes of the former were
+proposed by detector version 2, so their sizes are no measure of it. `--by-hand` compares sizes with vehicles measured by hand (`labels/by_hand.json`), in scenes trained on and not.
 References are boxes of another detector on scenes never trained on: precise where they are, but incomplete, so they
 give recall and sizes only, and the sizes carry that detector's margin.
 
@@ -49,6 +49,7 @@ from orthoscale.sources.picture_file import PictureFile, stored_size
 from .data import NOMINAL_LENGTH, read_labels
 
 CHECKED = Path(__file__).parent / "labels" / "checked.json"
+PLACES = Path(__file__).parent / "labels" / "places.json"
 BY_HAND = Path(__file__).parent / "labels" / "by_hand.json"
 IOU = 0.5
 LOWEST_SCORE = 0.05  # boxes below are not asked for; the precision-recall curve ends there
@@ -221,6 +222,24 @@ def checked_scenes(data: Path) -> list[Scene]:
             ],
         )
         for name in dict.fromkeys(entry["scene"] for entry in entries.values())
+    ]
+
+
+def place_scenes(data: Path) -> list[Scene]:
+    """The pictures of labels/places.json that lie in the folder ``places`` of `data`, each a scene of its own."""
+    entries = json.loads(PLACES.read_text())["images"]
+    return [
+        Scene(
+            (data / "places" / file).stem,
+            [
+                Labelled(
+                    picture_files(data / "places" / file)[0],
+                    *(np.array(entry[kind], float).reshape(-1, 5) for kind in ("vehicle", "ignore")),
+                )
+            ],
+        )
+        for file, entry in entries.items()
+        if (data / "places" / file).exists()
     ]
 
 
@@ -456,7 +475,7 @@ def main() -> None:
     parser.add_argument("--confirming", type=Path, help="detector that takes the second look")
     parser.add_argument("--labels", type=Path, help="label file")
     parser.add_argument("--scenes", default="", help="scenes of the label file, comma separated; all by default")
-    parser.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json")
+    parser.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json and places.json")
     parser.add_argument("--by-hand", type=Path, metavar="DATA", help="folder of the pictures of labels/by_hand.json")
     parser.add_argument(
         "--looks", type=int, choices=(1, 2), default=2, help="that a vehicle must show in (%(default)s)"
@@ -485,7 +504,7 @@ def main() -> None:
     detect = partial(detector, threshold=LOWEST_SCORE)
     confirm = confirming and partial(confirming, threshold=LOWEST_SCORE)
     scenes = labelled_scenes(options.labels, list(filter(None, options.scenes.split(",")))) if options.labels else []
-    scenes += checked_scenes(options.checked) if options.checked else []
+    scenes += [*place_scenes(options.checked), *checked_scenes(options.checked)] if options.checked else []
     scenes += measured_scenes(options.by_hand) if options.by_hand else []
     scenes += [rendered_scene(options.rendered)] if options.rendered else []
     scenes += [reference_scene(text) for text in options.reference]
