@@ -19,11 +19,11 @@ from pycolmap_hook import write_metric
 
 
 def main(
-    sfm_dir: Path, image_dir: Path, *args: Any, fleet: str = "world", detections: Path | None = None, **options: Any
+    sfm_dir: Path, image_dir: Path, *args: Any, fleet: str | None = None, detections: Path | None = None, **options: Any
 ) -> pycolmap.Reconstruction:
     """`hloc.reconstruction.main` with the same arguments; returns the metric model. Raises OrthoscaleError.
 
-    fleet, detections : of `orthoscale.fix`.
+    fleet, detections : of `orthoscale.fix`, which takes the country from the images' GPS tags where none is named.
     """
     sfm_dir = Path(sfm_dir)
     metric = sfm_dir.with_name(sfm_dir.name + "_metric")

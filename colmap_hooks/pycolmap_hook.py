@@ -61,7 +61,7 @@ def main() -> int:
     parser.add_argument("sparse", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--images", type=Path)
-    parser.add_argument("--fleet", default="world")
+    parser.add_argument("--fleet", help="by default the country of the images' GPS tags, else world")
     parser.add_argument("--detections", type=Path)
     given = parser.parse_args()
     try:

@@ -9,6 +9,7 @@ import pyproj
 import pytest
 import rasterio
 from PIL import Image
+from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
 from support import in_process
 from support.photos import ALTITUDE, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
@@ -155,3 +156,19 @@ def test_bad_input_ends_in_one_sentence_and_nothing_written(tmp_path, monkeypatc
     done = run(photo, "--satellite", sky, *options, "--out", "out")
     assert done.returncode == code, done.stderr
     assert word in done.stderr and "Traceback" not in done.stderr and not (tmp_path / "out").exists()
+
+
+def test_a_picture_that_ground_control_points_place(tmp_path):
+    """Such files have no geotransform, and GDAL says the identity."""
+    sky = Satellite.open(satellite(tmp_path / "sat.tif"))
+    corners = [(0, 0), (1600, 0), (0, 1600), (1600, 1600)]
+    points = [GroundControlPoint(y, x, *map(float, sky.coordinates(np.array([[x, y]]))[0])) for x, y in corners]
+    with rasterio.open(tmp_path / "sat.tif") as given:
+        pixels = given.read()
+    with rasterio.open(tmp_path / "gcp.tif", "w", "GTiff", 1600, 1600, 3, dtype="uint8", photometric="RGB") as out:
+        out.gcps = points, rasterio.CRS.from_string("EPSG:32632")
+        out.write(pixels)
+    placed = Satellite.open(tmp_path / "gcp.tif")
+    middle = np.array([[800.0, 800.0]])
+    assert placed.lon_lat(middle)[0] == pytest.approx(sky.lon_lat(middle)[0], abs=1e-7)
+    assert plan_crops(placed, 0.08, (1000, 750), (LON, LAT)).pixel == pytest.approx([0.5] * 2, rel=0.005)

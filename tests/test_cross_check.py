@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from dataclasses import replace
 
 import cv2
@@ -120,3 +121,30 @@ def test_the_command(pair):
     (pair / "large.json").write_text(json.dumps(found))
     command[command.index(pair / "ortho.json")] = pair / "large.json"
     assert CliRunner().invoke(cli, list(map(str, command))).exit_code == 4
+
+
+@pytest.mark.parametrize("vehicles", [200, 800, 4000])
+def test_many_vehicles_are_matched_and_take_little_memory(vehicles):
+    """Of 800 vehicles 41 were laid on others at 0.86 times the size, and that was believed."""
+    rng = np.random.default_rng(0)
+    a = rng.uniform(0, np.sqrt(200 * vehicles), (vehicles, 2))
+    b = turned(a, 1.08, 2.0, [300, -40]) + rng.normal(0, 0.3, a.shape)
+    b = b[rng.permutation(vehicles)[: 3 * vehicles // 4]]
+    tracemalloc.start()
+    factor, common = match(a, b, 1.6)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert factor == pytest.approx(1.08, rel=0.003) and common > 0.7 * vehicles and peak < 100e6
+    assert match(rng.uniform(0, np.ptp(a), a.shape), b, 1.6) is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_in_a_car_park_the_place_with_most_in_common_is_the_one(seed):
+    """Laid a bay further, nearly as many fall on others."""
+    rng = np.random.default_rng(seed)
+    row, column = np.nonzero(rng.random((12, 40)) < 0.8)
+    a = np.stack([2.5 * column, 5.2 * row + 6.0 * (row // 2)], -1) + rng.normal(0, 0.15, (len(row), 2))
+    b = turned(a, 1.08, 1.0, [300, -40]) + rng.normal(0, 0.4, a.shape)
+    b = b[rng.permutation(len(b))[: 7 * len(b) // 10]]
+    factor, _ = match(a[rng.random(len(a)) < 0.8], b, 1.6)
+    assert factor == pytest.approx(1.08, rel=0.005)

@@ -217,3 +217,19 @@ def test_an_empty_folder_that_was_there_stays(parks, tmp_path):
             out.mkdir()
         assert run("fix", parks / "pictures/broken.tif", parks / "pictures/readme.txt", "--out", out).returncode
         assert out.exists() == there
+
+
+def test_only_files_that_options_name_become_absolute(tmp_path, monkeypatch):
+    """A file that happens to be called as a country is stays a country."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("DE", "html", "mine.json"):
+        Path(name).touch()
+    Path("boxes").mkdir()
+    request = FixRequest(fleet="DE", detections="boxes", anchor=("bay=2.5", "mine.json"), report="json")
+    (job,) = many.jobs_of("fix", [Path("a.tif")], request, tmp_path / "out")
+    assert job["settings"] == {
+        "fleet": "DE",
+        "detections": str(tmp_path / "boxes"),
+        "anchor": ["bay=2.5", str(tmp_path / "mine.json")],
+        "report": "json",
+    }

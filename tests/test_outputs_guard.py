@@ -24,7 +24,7 @@ from orthoscale.actions.fix import fix
 from orthoscale.errors import Incomplete, InputError, OrthoscaleError, OutputError, UsageError
 from orthoscale.system import outputs as guard
 from orthoscale.system import stopping
-from orthoscale.system.outputs import FOLDER_MARK, Outputs, named, ours, signature
+from orthoscale.system.outputs import FOLDER_MARK, Outputs, existing, ours, signature
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 MODEL, BOXES = EXAMPLES / "sheffield" / "sparse", EXAMPLES / "sheffield" / "detections.json"
@@ -370,7 +370,7 @@ def inputs(tmp_path):
 def test_an_output_never_touches_an_input(inputs, given, out, overwrite):
     before = state(inputs)
     for kind in ("file", "folder"):
-        with pytest.raises(UsageError) as caught, Outputs(overwrite, {"x": [str(inputs / given)]}) as outputs:
+        with pytest.raises(UsageError) as caught, Outputs(overwrite, (None, [str(inputs / given)])) as outputs:
             getattr(outputs, kind)(inputs / out)
         assert caught.value.exit_code == 2 and "Inputs are never touched" in caught.value.hint
         with pytest.raises(UsageError), Outputs(overwrite) as outputs:  # one that is found later
@@ -387,8 +387,8 @@ def test_neighbours_of_an_input_are_free(inputs):
 def test_inputs_are_all_that_exists_among_what_was_given(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("a").touch()
-    given = ("a", Path("a"), "none", "", None, 3, {"k": ["a", "US"]}, (("a",),))
-    assert named(*given) == [Path("a")] * 4
+    assert existing((Path("a"), Path("b"), None, ([Path("a")],))) == [Path("a")] * 2
+    assert existing(None) == []
 
 
 @pytest.mark.parametrize("first, second", [("a.json", "a.json"), ("a.json", "x/../a.json"), ("d", "d/a"), ("d/a", "d")])

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
+from orthoscale.core.measuring import parallax
 from orthoscale.core.measuring.parallax import MIDDLE, MIDDLE_SD, standing
 from orthoscale.core.measuring.surroundings import GROUND_SD
 
@@ -76,3 +79,23 @@ def test_what_all_vehicles_err_by_alike_counts_apart_and_once():
         assert stands.each**2 + stands.shared**2 == pytest.approx(np.maximum(stands.sd, stands.shared) ** 2)
     assert max(claimed) < GROUND_SD, "what the sheet alone leaves open is claimed besides"
     assert 0.5 < np.sqrt(np.mean(np.square(error) / np.square(claimed))) < 1.2
+
+
+def test_many_vehicles_take_little_memory(monkeypatch):
+    """A thousand of them in 24 views each were matrices of their product."""
+    rng = np.random.default_rng(0)
+    vehicles, boxes = 1000, 24_000
+    seen = parallax._Seen(rng.uniform(0, 900, (vehicles, 2)), rng.normal(0.5, 0.2, vehicles), np.full(vehicles, 0.01))
+    place, sd = rng.uniform(0, 900, (boxes, 2)), rng.uniform(0.1, 0.3, boxes)
+    tracemalloc.start()
+    stands = parallax._combined(seen, place, sd, np.full(boxes, HEIGHT), HEIGHT, 0.1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert stands.vehicles > 900 and peak < 100e6
+    some = slice(0, 1500)
+    given = (seen, place[some], sd[some], np.full(1500, HEIGHT), HEIGHT, 0.1)
+    by_parts = parallax._combined(*given)
+    monkeypatch.setattr(parallax, "AT_ONCE", boxes)
+    at_once = parallax._combined(*given)
+    assert (by_parts.lower == pytest.approx(at_once.lower)) and by_parts.sd == pytest.approx(at_once.sd)
+    assert by_parts.shared == pytest.approx(at_once.shared)

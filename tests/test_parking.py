@@ -2,12 +2,18 @@
 
 import tracemalloc
 
+import cv2
 import numpy as np
 import pytest
 
+import orthoscale
+from orthoscale.core.anchors import BAYS
+from orthoscale.core.boxes import Boxes
+from orthoscale.core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from orthoscale.core.measuring import parking
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.fleets import load_fleet
+from orthoscale.formats.detections.own import save_detections
 from orthoscale.tables import standards
 
 GSD = 0.1
@@ -93,3 +99,26 @@ def test_fifty_thousand_vehicles_take_little_memory():
     tracemalloc.stop()
     assert len(place) > 50_000 and found.value == pytest.approx(GSD, rel=0.02)
     assert peak < 200e6
+
+
+@pytest.mark.parametrize("country, width", [("AE", 2.5), ("GCC", 2.5), ("US", 2.74), ("WORLD", None)])
+def test_rows_of_the_table_hold_where_they_say(country, width):
+    found = parking.parking_pitch(*car_park(np.random.default_rng(0), 2.5), STALLS, country)
+    if width is None:
+        assert len(found.anchor.standards) == len(STALLS)
+    else:
+        (standard,) = found.anchor.standards
+        assert standard.metres == width and "GCC" not in standard.countries
+
+
+@pytest.mark.parametrize("fleet", ["US", "Texas"])
+def test_rows_count_where_a_part_of_the_country_is_named(fleet, tmp_path):
+    place, along, size = car_park(np.random.default_rng(4), 2.74, rows=6)
+    place = place - place.min(0) + 60
+    cv2.imwrite(str(tmp_path / "park.png"), np.full(np.ceil(place.max(0) + 60).astype(int)[::-1], 90, np.uint8))
+    boxes = Boxes(np.c_[place, size, np.arctan2(along[:, 1], along[:, 0])], np.ones(len(size)))
+    found = Detections({"park.png": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "drawn")
+    save_detections(found, tmp_path / "boxes.json")
+    result = orthoscale.estimate(tmp_path / "park.png", fleet=fleet, detections=tmp_path / "boxes.json")
+    assert [each.kind for each in result.scale.evidence] == [BAYS]
+    assert result.scale.value == pytest.approx(GSD, rel=0.08), "the cars are German ones"

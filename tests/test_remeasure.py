@@ -144,6 +144,8 @@ def test_in_a_model_only_what_is_seen_from_above_is_measured(monkeypatch):
     assert (got.boxes["drawing"].xylwa == seen.boxes["drawing"].xylwa).all() and got.ruler == UNKNOWN_RULER
     assert got.planar.boxes["drawing"].xylwa == pytest.approx(truth.xylwa)
     assert find.measured_anew(model, seen, EstimateRequest(), QUIET) is seen, "nothing is seen from above"
+    with pytest.raises(UsageError, match="boxes in frames only"):
+        find.measured_anew(model, seen, EstimateRequest(detections="b.json", measurer="built-in"), QUIET)
 
     ortho = SimpleNamespace(pictures=[picture], posed=None)
     for options, measures in (

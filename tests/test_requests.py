@@ -346,3 +346,14 @@ def test_the_finder_confirms_what_is_found_here_and_measured_once_more(said, con
 def test_fast_is_refused_where_nobody_confirms(said):
     with pytest.raises(UsageError, match="--fast does nothing here"):
         EstimateRequest(fast=True, **said)
+
+
+def test_inputs_are_the_files_that_options_name_and_no_words():
+    """A folder that happens to be called as a choice is, such as DE or html, is no input."""
+    words = FixRequest(fleet="DE", ground_cloud="none", measurer="built-in", anchor=("bay=2.5",), report="html")
+    assert words.inputs == []
+    files = FixRequest(
+        fleet="DE.json", detections="boxes.txt", ground_cloud="dense", measurer=Path("none"), anchor=("mine.JSON",)
+    )
+    assert files.inputs == [Path(name) for name in ("DE.json", "boxes.txt", "dense", "mine.JSON")]
+    assert FixRequest(images="frames", against=Path("map")).inputs == [Path("frames"), Path("map")]

@@ -331,6 +331,14 @@ def test_the_files_that_decide_over_what_is_kept_are_there(code):
     assert not [pattern for pattern in code if not list(package.glob(pattern))]
 
 
+def test_code_of_every_kind_of_picture_is_part_of_the_key():
+    package = Path(orthoscale.__file__).parent
+    pictures = {path for path in package.rglob("*.py") if "def fingerprint(self)" in path.read_text()}
+    assert len(pictures) >= 3
+    for code in (CODE, CODE_OF_FINDERS):
+        assert pictures <= {path for pattern in code for path in package.glob(pattern)}
+
+
 def test_the_key_holds_the_input_and_the_settings(picture_file):
     class Other(RectangleDetector):
         sha256 = "b" * 64

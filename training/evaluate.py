@@ -18,7 +18,8 @@ a vehicle.
 Only scenes that the detector has not seen say how it does; in `warsaw` and `bogota` not every vehicle is labelled, so
 that precision is too low there. `--checked` are pictures never trained on in which a person has looked for every
 vehicle (`labels/checked.json`, and `labels/places.json` where the data have that folder); boxes of the former were
-proposed by detector version 2, so their sizes are no measure of it. `--by-hand` compares sizes with vehicles measured by hand (`labels/by_hand.json`), in scenes trained on and not.
+proposed by detector version 2, so their sizes are no measure of it. `--by-hand` compares sizes with vehicles measured
+by hand (`labels/by_hand.json`), in scenes trained on and not.
 References are boxes of another detector on scenes never trained on: precise where they are, but incomplete, so they
 give recall and sizes only, and the sizes carry that detector's margin.
 
@@ -475,7 +476,9 @@ def main() -> None:
     parser.add_argument("--confirming", type=Path, help="detector that takes the second look")
     parser.add_argument("--labels", type=Path, help="label file")
     parser.add_argument("--scenes", default="", help="scenes of the label file, comma separated; all by default")
-    parser.add_argument("--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json and places.json")
+    parser.add_argument(
+        "--checked", type=Path, metavar="DATA", help="folder of the pictures of labels/checked.json and places.json"
+    )
     parser.add_argument("--by-hand", type=Path, metavar="DATA", help="folder of the pictures of labels/by_hand.json")
     parser.add_argument(
         "--looks", type=int, choices=(1, 2), default=2, help="that a vehicle must show in (%(default)s)"

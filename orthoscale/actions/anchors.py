@@ -165,11 +165,12 @@ def at_any_scale(
     count = max(1, math.ceil((high - low) / (4 * RUNG_SD)))
     edges = np.linspace(low, high, count + 1)
     found: dict[str, list[AnchorVote]] = {}
-    notes: list[str] = []
+    notes: dict[str, None] = {}  # each once, in their order
     every: list[Anchor] = []
     for middle in (edges[:-1] + edges[1:]) / 2:
         rung = anchors_at(source, float(np.exp(middle)), RUNG_SD, wanted, 1 / count)
         every += rung.anchors
+        notes.update(dict.fromkeys(rung.notes))
         for vote in rung.votes:
             found.setdefault(vote.anchor.kind, []).append(vote)
     votes = [vote for these in found.values() for vote in _one_thing_once(these, high - low)]

@@ -64,7 +64,7 @@ def check(
 
 def checked(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Checked:
     """What `request` asks of the input at `path`; see `check`."""
-    source = source_of(path, request, request.detections is None, progress)
+    source = source_of(path, request, request.needs_pictures, progress)
     claimed = source.claimed
     if claimed is None or claimed.gsd_m is None:
         why = "" if claimed is None else f": {claimed.why}"

@@ -23,9 +23,16 @@ if TYPE_CHECKING:
 
 SAME_POSITION = 0.35  # of a vehicle's length: how far apart one may stand in the two
 LIKELY_RATIO = 0.25  # the two scales differ by less, so that chance alignments need not be tried
-PAIRS_TRIED = 20_000  # pairs of vehicles that are tried
 MIN_MATCHED = 6
-BY_CHANCE = 1e-3  # of so many tries, how many may reach as many common vehicles where there are none
+NEIGHBOURS = 24  # vehicles about one that must fall on others too, before more are asked
+STEP = 8  # of these neighbours each so many-th makes a pair with it, the farthest first: it turns least
+MOST_STARTS = 40  # vehicles that are begun with
+MOST_TRIED = 20_000  # pairs that one pair is laid on
+MOST_GROWN = 6  # of these, those that are looked at further
+ENOUGH = 0.9  # of the vehicles in common, from which no other place is looked for
+LEAST_SHARE = 0.2  # of the vehicles in common, below which the places are not the same
+ELSEWHERE = 100  # places that tell how many are common by chance
+BY_CHANCE = 1e-3  # of all tries, how many may reach as many common vehicles where there are none
 
 
 @dataclass(frozen=True)
@@ -93,45 +100,77 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
 def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | None:
     """The scale of the similarity from `a` (N, 2) to `b` (M, 2) that most points follow, and how many; None if few do.
 
-    Both in about the same unit (to LIKELY); `reach` is how far apart a pair may be. Pairs of points in `a` are laid on
-    pairs of like distance in `b`; the best of those is refined by least squares (Umeyama 1991). Seeded.
+    Both in about the same unit (to LIKELY_RATIO); `reach` is how far apart a pair may be. A point of `a` and one near
+    it are laid on all such pairs of `b`. Where their neighbours fall on points of `b` too, the similarity is fitted to
+    more and more of them by least squares (Umeyama 1991). Seeded.
     """
     if min(len(a), len(b)) < MIN_MATCHED:
         return None
-    i, j = np.triu_indices(len(a), 1)
-    k, m = np.where(~np.eye(len(b), dtype=bool))  # either way round
     za, zb = a @ (1, 1j), b @ (1, 1j)  # a similarity of the plane is a complex factor and a shift
-    da, db = np.abs(za[i] - za[j]), np.abs(zb[k] - zb[m])
-    far = np.flatnonzero(da > np.percentile(da, 30))  # near pairs turn too freely
-    random = np.random.default_rng(0)
-    order = np.argsort(db)
-    low, high = (np.searchsorted(db[order], da[far] * f) for f in (1 - LIKELY_RATIO, 1 + LIKELY_RATIO))
-    room = np.maximum(high - low, 0)
-    if not room.sum():
-        return None
-    pick = random.choice(len(far), PAIRS_TRIED, p=room / room.sum())
-    partner = order[low[pick] + (random.random(PAIRS_TRIED) * room[pick]).astype(int)]
-    p = far[pick]
-    factor = (zb[m[partner]] - zb[k[partner]]) / (za[j[p]] - za[i[p]])
-    shift = zb[k[partner]] - factor * za[i[p]]
     tree = cKDTree(b)
-    counts = []
-    for part in np.array_split(np.arange(PAIRS_TRIED), PAIRS_TRIED // 1000):
-        z = factor[part, None] * za + shift[part, None]
-        distance = tree.query(np.stack([z.real, z.imag], -1), distance_upper_bound=reach)[0]
-        counts.append((distance < np.inf).sum(1))
-    best = int(np.argmax(np.concatenate(counts)))
-    f, s = factor[best], shift[best]
-    for _ in range(5):
-        z = f * za + s
+    from_b, to_b = _near_pairs(zb, tree)
+    apart = np.abs(zb[to_b] - zb[from_b])
+    order = np.argsort(apart)
+    apart, from_b, to_b = apart[order], from_b[order], to_b[order]
+    random = np.random.default_rng(0)
+    best, factor, shift, tried = 0, 0j, 0j, 0
+    for start in random.permutation(len(a))[:MOST_STARTS]:
+        outwards = np.argsort(np.abs(za - za[start]))
+        for other in outwards[1:NEIGHBOURS][::-STEP]:
+            step = za[other] - za[start]
+            low, high = np.searchsorted(apart, np.abs(step) * np.array([1 - LIKELY_RATIO, 1 + LIKELY_RATIO]))
+            pick = np.arange(low, high)
+            if len(pick) > MOST_TRIED:
+                pick = random.choice(pick, MOST_TRIED, replace=False)
+            if not len(pick) or not step:
+                continue
+            factors = (zb[to_b[pick]] - zb[from_b[pick]]) / step
+            shifts = zb[from_b[pick]] - factors * za[start]
+            tried += len(pick)
+            hits = _hits(factors[:, None] * za[outwards[:NEIGHBOURS]] + shifts[:, None], tree, reach).sum(1)
+            for k in np.argsort(-hits, kind="stable")[:MOST_GROWN]:
+                found = _grown(za[outwards], zb, tree, factors[k], shifts[k], reach)
+                if found is not None and found[0] > best:
+                    best, factor, shift = found
+        if best > ENOUGH * min(len(a), len(b)):
+            break
+    if best < max(MIN_MATCHED, LEAST_SHARE * min(len(a), len(b))):
+        return None
+    # By chance: the same laid elsewhere, not far, so that vehicles stand as densely there. Two are common because they
+    # were laid on each other.
+    away = reach * random.uniform(4, 12, ELSEWHERE) * np.exp(2j * np.pi * random.random(ELSEWHERE))
+    chance = _hits(factor * za + shift + away[:, None], tree, reach).sum(1).mean()
+    return None if tried * pdtrc(best - 3, max(chance, 1e-300)) > BY_CHANCE else (float(abs(factor)), best)
+
+
+def _near_pairs(z: np.ndarray, tree: cKDTree) -> tuple[np.ndarray, np.ndarray]:
+    """Ordered pairs (P,), (P,) of points that are near each other: each with its nearest 2 NEIGHBOURS."""
+    near = tree.query(np.stack([z.real, z.imag], -1), min(2 * NEIGHBOURS, len(z)))[1]
+    first = np.repeat(np.arange(len(z)), near.shape[1])
+    other = first != near.ravel()
+    return first[other], near.ravel()[other]
+
+
+def _hits(z: np.ndarray, tree: cKDTree, reach: float) -> np.ndarray:
+    """Which of the points `z`, complex, of any shape, have one of the `tree` within `reach`."""
+    return tree.query(np.stack([z.real, z.imag], -1), distance_upper_bound=reach)[0] < np.inf
+
+
+def _grown(
+    za: np.ndarray, zb: np.ndarray, tree: cKDTree, factor: complex, shift: complex, reach: float
+) -> tuple[int, complex, complex] | None:
+    """How many of `za`, sorted from where the similarity is known outwards, it lays on points of `zb` when it is fitted
+    to more and more of them; and what it is then. None where it is lost."""
+    sizes = NEIGHBOURS * 2 ** np.arange(int(np.ceil(np.log2(max(len(za) / NEIGHBOURS, 1)))) + 1)
+    for n in [*np.repeat(sizes, 2), len(za)]:
+        z = factor * za[:n] + shift
         distance, index = tree.query(np.stack([z.real, z.imag], -1), distance_upper_bound=reach)
         near = distance < np.inf
-        if near.sum() < MIN_MATCHED:
+        x, y = za[:n][near], zb[index[near]]
+        if near.sum() < MIN_MATCHED or not np.ptp(np.abs(x - x[0])):
             return None
-        x, y = za[near], zb[index[near]]
-        f = np.vdot(x - x.mean(), y - y.mean()) / np.vdot(x - x.mean(), x - x.mean())
-        s = y.mean() - f * x.mean()
-    chance = len(a) * min(len(b) * np.pi * reach**2 / max(float(np.prod(np.ptp(b, axis=0))), 1e-300), 1.0)
-    if PAIRS_TRIED * pdtrc(int(near.sum()) - 1, chance) > BY_CHANCE:
-        return None
-    return float(abs(f)), int(near.sum())
+        factor = np.vdot(x - x.mean(), y - y.mean()) / np.vdot(x - x.mean(), x - x.mean())
+        shift = y.mean() - factor * x.mean()
+        if abs(np.log(abs(factor))) > 2 * LIKELY_RATIO:
+            return None
+    return int(near.sum()), factor, shift

@@ -130,9 +130,7 @@ def opened(path: str | Path | Source, request: EstimateRequest, progress: Progre
     """
     known = None if request.calibration is None else load_calibration(Path(request.calibration))
     named = named_fleet(request.fleet, known)
-    from_file = request.detections is not None
-    needs_pictures = not from_file or request.measures is not None
-    source = source_of(path, request, needs_pictures, progress)
+    source = source_of(path, request, request.needs_pictures, progress)
     fleet, why = (named, ()) if named is not None else fleet_at(location_of(source))
     request.check_for(source)
     given = _given(source, request.known_distance, request.ground_control)

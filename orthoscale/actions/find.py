@@ -19,7 +19,7 @@ from ..detect.detector import Detector
 from ..detect.find import ZOOM_FRAMES, Effort, find_vehicles, find_zoom
 from ..detect.measurer import Measurer
 from ..detect.remeasure import remeasured
-from ..errors import EvidenceDisagrees, TooLittleEvidence
+from ..errors import EvidenceDisagrees, TooLittleEvidence, UsageError
 from .requests import BUILT_IN, EstimateRequest
 
 if TYPE_CHECKING:
@@ -161,7 +161,8 @@ def measured_anew(
     none.
 
     In frames the detector's boxes are kept: in oblique views the measurer's edges follow the bright parts, not the
-    outline of the body that the projection assumes. Raises InputError.
+    outline of the body that the projection assumes. Raises InputError, and UsageError for a file of boxes in frames
+    only.
     """
     if request.measures is None:
         return found
@@ -169,6 +170,12 @@ def measured_anew(
     if source.posed is None:
         return remeasured(source.pictures, found, measurer, effort, progress)
     if found.planar is None:
+        if request.detections is not None:
+            raise UsageError(
+                f"--measurer does nothing here: it measures what is seen from above, and {request.detections} has "
+                "boxes in frames only",
+                "Remove --measurer, or --detections.",
+            )
         return found
     plans = _plans(source.posed, False)
     return replace(found, planar=remeasured(plans, found.planar, measurer, effort, _named(progress, "from above")))

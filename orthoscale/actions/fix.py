@@ -64,7 +64,7 @@ def written(
     path: Path, out: Path, request: FixRequest, progress: Progress | None = None, save_detections: Path | None = None
 ) -> Result:
     """What `request` asks of the input at `path`, written at `out`; see `fix`."""
-    with Outputs(request.overwrite, (path, vars(request))) as outputs:
+    with Outputs(request.overwrite, (path, request.inputs)) as outputs:
         begun = _begin(path, out, request, outputs, save_detections, progress)
         source, writer, save_detections = begun.source, begun.writer, begun.save_detections
         result = measured(source, request.estimating(), progress)
@@ -88,7 +88,7 @@ def written(
 
 def rehearsed(path: Path, out: Path, request: FixRequest, save_detections: Path | None = None) -> list[Path]:
     """What `written` would write, the copy first; nothing is. Raises what that raises before it measures."""
-    with suppress(_Rehearsed), Outputs(request.overwrite, (path, vars(request))) as outputs:
+    with suppress(_Rehearsed), Outputs(request.overwrite, (path, request.inputs)) as outputs:
         _begin(path, out, request, outputs, save_detections)
         raise _Rehearsed  # so that the outputs are given up
     return outputs.places
@@ -122,7 +122,7 @@ def _begin(
     if save_detections is not None:
         check_name(save_detections)
         outputs.check(save_detections)
-    source = source_of(path, request, request.detections is None, progress)
+    source = source_of(path, request, request.needs_pictures, progress)
     request.check_for(source)
     writer = _writer(source, out, request)
     if source.metric_already and not request.override:  # not behind its owner's back

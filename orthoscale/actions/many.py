@@ -104,10 +104,14 @@ def jobs_of(
     settings = request.without(("scheduler", "workers")).settings()
     if request.detections is None:
         settings["workers"] = request.workers or max(1, cores() // jobs)
-    settings = {
-        name: os.path.abspath(value) if isinstance(value, str) and os.path.isfile(value) else value
-        for name, value in settings.items()
-    }
+    given = {str(path) for path in request.inputs}
+
+    def absolute(value: Any) -> Any:
+        if isinstance(value, (list, tuple)):
+            return [absolute(one) for one in value]
+        return os.path.abspath(value) if str(value) in given else value
+
+    settings = {name: absolute(value) for name, value in settings.items()}
     return [
         {"action": action, "input": str(path), "out": place, "settings": settings}
         for path, place in zip(inputs, places, strict=True)

@@ -10,7 +10,7 @@ import difflib
 import math
 import numbers
 import shlex
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -30,7 +30,7 @@ GROUPS = ("Input", "Detector", "Evidence", "Output", "Advanced")  # of options i
 EXTRAS = ("tfw", "scale", "gpkg", "geojson", "tiles")
 REPORTS = ("none", "json", "html")
 KINDS_OF_DEPTH = ("z", "range")
-BUILT_IN = "built-in"
+BUILT_IN, NOTHING = "built-in", "none"  # what options that take a file take instead
 BOXED = ("parking-bays", "tennis-court", "basketball-court", "container", "bus")  # anchors that boxes alone may show
 ANCHORS = (ALL, NO_KIND, PROVEN, *dict.fromkeys([*map(slug, ANCHOR_KINDS), *BOXED]))
 
@@ -41,6 +41,7 @@ class Option:
 
     choices : the allowed values; empty if any. flag : its name on the command line, if not the field's.
     metavar : how its help calls a value. positive : whether a number must be above 0.
+    is_file : whether a text names a file; a Path always does.
     """
 
     kind: type
@@ -50,11 +51,20 @@ class Option:
     flag: str = ""
     metavar: str | None = None
     positive: bool = False
+    is_file: Callable[[str], bool] = lambda text: False
 
 
 def option(default: Any, kind: type, group: str, help: str, **more: Any) -> Any:
     """A field of a request."""
     return field(default=default, metadata={"option": Option(kind, help, group, **more)})
+
+
+def _is_json(text: str) -> bool:
+    return text.lower().endswith(".json")
+
+
+def _is_no_word(text: str) -> bool:
+    return text not in (BUILT_IN, NOTHING)
 
 
 def flag(of: Field) -> str:
@@ -90,6 +100,7 @@ class VehicleRequest:
         "Input",
         "Country of the vehicles, by code or name (US, DE, Japan ...); 'world' where it is not known; "
         "or a fleet.json. Default: the calibration's own, else the country where the input lies, else world.",
+        is_file=_is_json,
     )
     detections: str | Path | None = option(
         None,
@@ -134,6 +145,18 @@ class VehicleRequest:
             raise UsageError("--zoom and --gsd-hint set the same thing twice", "Give one of them.")
         if self.detections is not None:
             self._refuse(self.of_detector, "--detections takes the boxes from a file: no detector runs")
+
+    @property
+    def inputs(self) -> list[Path]:
+        """The files and folders that the options name, whether or not they exist."""
+        found = []
+        for each in fields(self):
+            about: Option = each.metadata["option"]
+            value = getattr(self, each.name)
+            for one in value if isinstance(value, tuple) else (value,):
+                if one is not None and (about.kind is Path or (about.kind is str and about.is_file(str(one)))):
+                    found.append(Path(one))
+        return found
 
     @property
     def of_detector(self) -> Iterable[str]:
@@ -214,6 +237,7 @@ class EstimateRequest(VehicleRequest):
         "Input",
         "Dense cloud (.ply) or dense workspace of COLMAP that a model's ground is found on, or 'none' for its sparse "
         "points alone. Default: one that lies beside the model.",
+        is_file=_is_no_word,
         metavar="PLY|FOLDER",
     )
     refine: bool = option(
@@ -228,6 +252,7 @@ class EstimateRequest(VehicleRequest):
         "Detector",
         "Network that measures vehicles seen from above once more: 'built-in', 'none' or an .onnx file. Default: "
         "built-in where the built-in detector finds them and there is no --calibration, else none.",
+        is_file=_is_no_word,
         metavar="NAME",
     )
     fast: bool = option(
@@ -308,6 +333,7 @@ class EstimateRequest(VehicleRequest):
         str,
         "Evidence",
         "Your own standard for a kind of anchor: bay=2.5, in metres, or a JSON file of such. Repeatable.",
+        is_file=_is_json,
         metavar="KIND=M",
     )
 
@@ -343,7 +369,12 @@ class EstimateRequest(VehicleRequest):
         if self.measurer is None:
             own = self.detections is None and self.detector is None and self.calibration is None
             return BUILT_IN if own else None
-        return None if self.measurer == "none" else str(self.measurer)
+        return None if self.measurer == NOTHING else str(self.measurer)
+
+    @property
+    def needs_pictures(self) -> bool:
+        """Whether pixels are looked at: for the boxes, or to measure them once more."""
+        return self.detections is None or self.measures is not None
 
     @property
     def confirms(self) -> bool:

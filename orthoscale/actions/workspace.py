@@ -79,7 +79,7 @@ def fix_all(
     Raises the first error if none has a scale; then nothing is written. Raises Incomplete, with the outcomes, if
     something beside a model could not be made.
     """
-    with Outputs(request.overwrite, (workspace, models, vars(request))) as outputs:
+    with Outputs(request.overwrite, (workspace, models, request.inputs)) as outputs:
         folder = outputs.folder(out)
         fresh = replace(request, overwrite=False)  # nothing can be in a new folder
         outcomes = _checked(

@@ -60,10 +60,6 @@ BAY_CONTRAST = 8.0  # grey levels between lines and the ground beside them
 BAY_ASIDE, BAY_PAST = 0.45, 1.2  # of the lines and of their ends, where that ground is seen [m]
 
 
-BAY_REGIONS: dict[str, tuple[str, ...]] = {"WORLD": (), "GCC": ("AE", "BH", "KW", "OM", "QA", "SA")}
-"""Rows of the table that are not countries."""
-
-
 @cache
 def bay_standards() -> tuple[Standard, ...]:
     """Those in feet, and the table's of the other countries; the world's is everywhere's."""
@@ -73,7 +69,7 @@ def bay_standards() -> tuple[Standard, ...]:
             row["width"],
             float(np.hypot(row["width_sd"], BAY_PLACE_SD) / row["width"]),
             row["source"],
-            countries=BAY_REGIONS.get(code, (code,)),
+            countries=tuple(row.get("countries", (code,))),
         )
         for code, row in tables().stalls.items()
         if code != "US"

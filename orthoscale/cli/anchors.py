@@ -58,7 +58,7 @@ def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, 
 
     request = EstimateRequest.of(options)
     refuse_idle_overwrite(overwrite, out)
-    with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
+    with Outputs(overwrite, (path, request.inputs)) as outputs, progress_bars() as progress:
         single = out is not None and one_file(out)
         place = None if out is None else outputs.file(out) if single else outputs.folder(out)
         found = list_anchors(path, request, scale, progress)

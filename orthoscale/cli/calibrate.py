@@ -59,7 +59,8 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, **op
     from ..system.outputs import Outputs
 
     refuse_idle_overwrite(overwrite, out)
-    with Outputs(overwrite, (path, options)) as outputs:
+    given = VehicleRequest(fleet=options["fleet"], detector=options["detector"]).inputs
+    with Outputs(overwrite, (path, given)) as outputs:
         partial = None if out is None else outputs.file(out)
         with progress_bars() as progress:
             calibration = measure(path, progress=progress, **options)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     "  orthoscale check archive/ --summary claims.csv --jobs 2\n"
     "  orthoscale check ortho.tif --model sparse/0 --images frames/ --fleet US\n\n"
     "\b\nExit codes: 0 agrees, or too close to call; 2 usage, or INPUT claims no scale;\n"
-    "3 too little evidence; 4 disagrees by more than three sigma;\n5 input unreadable or damaged."
+    "3 too little evidence; 4 disagrees by more than three sigma\n(with --model 2.6); 5 input unreadable or damaged."
 )
 @inputs
 @options_of(EstimateRequest)
@@ -92,11 +92,11 @@ def check(
         return
     if model_detections is not None:
         raise UsageError("--model-detections are boxes of a --model, and none is named", "Name it: --model FOLDER.")
-    with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
+    with Outputs(overwrite, (path, request.inputs)) as outputs, progress_bars() as progress:
         if save_detections is not None:
             check_name(save_detections)
             saved = outputs.file(save_detections)
-        source = source_of(path, request, request.detections is None, progress)
+        source = source_of(path, request, request.needs_pictures, progress)
         outputs.protect(*source.files)
         outcome = checked(source, request, progress)
         if save_detections is not None:

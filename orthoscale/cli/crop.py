@@ -82,7 +82,7 @@ def crop(
     if gsd is not None and (how.settings() or any(value is not None for value in lens.values())):
         raise UsageError("--gsd says how large a pixel is: nothing is measured", "Remove the other options.")
     place = _place(at)
-    with Outputs(overwrite, (path, satellite, lens["lens_file"], looking)) as outputs, progress_bars() as progress:
+    with Outputs(overwrite, (path, satellite, lens["lens_file"], how.inputs)) as outputs, progress_bars() as progress:
         folder = outputs.folder(out)
         sky = cropping.Satellite.open(satellite)
         outputs.protect(*sky.source.files)

@@ -121,7 +121,7 @@ def evaluate(
     of_altitudes = ablations or sensitivity or looking["depth"] is not None
     _check_locate(locate, satellite, of_altitudes, method=method, scale_errors=scale_errors)
     how = boxes.Looking.of(looking)
-    with Outputs(overwrite, (path, satellite, lens_file, looking)) as files, progress_bars() as progress:
+    with Outputs(overwrite, (path, satellite, lens_file, how.inputs)) as files, progress_bars() as progress:
         for output in outputs:
             check_ending(output, (".json", ".csv"))
         partials = [files.file(output, report.known(output, locate)) for output in outputs]

@@ -102,7 +102,7 @@ def locate(
         lens=lens,
         looking=Looking.of(looking),
     )
-    inputs = (paths, satellite, embedding, embedding_map, lens["lens_file"], looking)
+    inputs = (paths, satellite, embedding, embedding_map, lens["lens_file"], request.looking.inputs)
     with Outputs(overwrite, inputs) as outputs, progress_bars() as progress:
         folder = outputs.folder(out)
         sky = Satellite.open(satellite)

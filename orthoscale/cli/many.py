@@ -117,7 +117,7 @@ def run(
         if out is None or out.exists():
             rehearse(found, request, places)
         rehearse_in_new_folder(found, request, out, lambda folder: outputs_of(found, folder))
-    with Outputs(overwrite, (found, vars(request))) as outputs, progress_bars() as progress:
+    with Outputs(overwrite, (found, request.inputs)) as outputs, progress_bars() as progress:
         for summary in many.summaries:
             check_summary(summary)
         partials = [outputs.file(s, is_summary if s.suffix.lower() == ".csv" else None) for s in many.summaries]

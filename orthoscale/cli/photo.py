@@ -78,7 +78,7 @@ def photo(
 
     refuse_idle_overwrite(overwrite, outputs, save_detections)
     how = Looking.of(looking)
-    with Outputs(overwrite, (paths, lens["lens_file"], looking)) as files, progress_bars() as progress:
+    with Outputs(overwrite, (paths, lens["lens_file"], how.inputs)) as files, progress_bars() as progress:
         for path in outputs:
             tables.check_ending(path)
         partials = [files.file(path, tables.known(path)) for path in outputs]

@@ -76,7 +76,7 @@ def estimate(
     _refuse_one_file_for_many(models, save_detections)
     if dry_run:
         rehearse(models or [path], request)
-    with Outputs(overwrite, (path, options)) as outputs, progress_bars() as progress:
+    with Outputs(overwrite, (path, request.inputs)) as outputs, progress_bars() as progress:
         if models:
             outcomes = workspace.estimate_all(models, request, progress)
         else:
@@ -138,7 +138,7 @@ def fix(
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
     if dry_run and models:
-        with Outputs(request.overwrite, (path, models, vars(request))) as outputs:
+        with Outputs(request.overwrite, (path, models, request.inputs)) as outputs:
             outputs.check(out)
         rehearse_in_new_folder(models, request, out, lambda folder: [folder / model.name for model in models])
     if dry_run:

@@ -50,7 +50,7 @@ class Detections:
 
     zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
     effective_height : up to where the boxes enclose a vehicle seen obliquely, along its length and its width [m].
-    objects : boxes of other classes than vehicles, by picture name and class, for `evidence.objects.standard_object`.
+    objects : boxes of other classes than vehicles, by picture name and class, for `measuring.objects.standard_objects`.
     doubtful : boxes that were seen but not believed, by picture name, with the reason.
     planar : those of a reconstruction's frames warped onto the ground, by the frame's name, in the plans' pixels.
     body : what the vehicles are shaped like, one of `core.projection.exact.BODIES`; the card's.

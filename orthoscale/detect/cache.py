@@ -25,7 +25,7 @@ BROKEN = (sqlite3.Error, UnicodeDecodeError)  # what a damaged file raises; SQLi
 KEPT_SECONDS = 90 * 86_400.0  # [s] caches that nobody used for so long are deleted
 RASTER_CODE = ("sources/gdal.py", "sources/raster*.py")  # that decides over the pixels of a raster
 # What decides over the looks.
-CODE = ("core/boxes.py", "detect/*.py", *RASTER_CODE, "sources/picture_file.py")
+CODE = ("core/boxes.py", "detect/*.py", *RASTER_CODE, "sources/picture_file.py", "sources/ground_picture.py")
 # What does not.
 NO_MATTER = {
     "cache.py",

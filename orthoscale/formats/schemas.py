@@ -409,10 +409,12 @@ class ObjectTable(Struct):
 
 
 class Stall(Struct):
-    """The width of a country's parking stalls and what it strays by, one sigma [m]."""
+    """The width of a country's parking stalls and what it strays by, one sigma [m]. countries : whose they are, of a
+    row whose key is no country."""
 
     width: Metres
     width_sd: Sigma
+    countries: list[str] = []
 
 
 class StallTable(Struct):

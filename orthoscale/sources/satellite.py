@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pyproj
-import rasterio
 
 from ..core.affine import transformed
 from ..errors import UsageError
@@ -32,8 +31,7 @@ class Satellite:
             raise UsageError(
                 f"{path} has no place on Earth: {source.claimed.why}", "Give a georeferenced satellite picture."
             )
-        with rasterio.open(path) as dataset:
-            return cls(source, dataset.transform, pyproj.CRS.from_user_input(dataset.crs))
+        return cls(source, source.claimed.transform, pyproj.CRS.from_user_input(source.claimed.crs))
 
     @cached_property
     def _to_degrees(self) -> pyproj.Transformer:

@@ -66,7 +66,7 @@ def main(arguments: list[str] | None = None) -> None:
 def _write(a: argparse.Namespace, folder_writers: Mapping[str, Callable[..., None]]) -> None:
     fleet = load_fleet(a.fleet) if a.fleet else None
     a.out.absolute().parent.mkdir(parents=True, exist_ok=True)
-    with Outputs(a.overwrite, a.fleet) as outputs:
+    with Outputs(a.overwrite, Path(a.fleet) if str(a.fleet).endswith(".json") else None) as outputs:
         if a.command == "ortho":
             beside = a.out.with_suffix(".truth.json")
             # Not every picture has room for a signature; the truth beside it has.

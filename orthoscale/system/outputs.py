@@ -19,7 +19,7 @@ import os
 import shutil
 import sqlite3
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -70,18 +70,12 @@ def ours_in_a_folder(path: Path) -> bool:
     return ours(path) or (path.is_file() and path.name in (_listed(path.absolute().parent) or ()))
 
 
-def named(*values: object) -> list[Path]:
-    """The existing files and folders that `values` name, and those inside of them that are collections: all that a
-    command was given is an input, unless it is an output."""
-    found: list[Path] = []
-    for value in values:
-        if isinstance(value, (str, Path)):
-            found += [Path(value)] if str(value) and os.path.lexists(value) else []
-        elif isinstance(value, Mapping):
-            found += named(*value.values())
-        elif isinstance(value, (list, tuple)):
-            found += named(*value)
-    return found
+def existing(given: str | Path | None | Sequence) -> list[Path]:
+    """The files and folders among `given`, a path, None or a list of such, that exist: a command's inputs."""
+    if isinstance(given, (str, Path)):
+        return [Path(given)] if os.path.lexists(given) else []
+    assert given is None or isinstance(given, (list, tuple)), "an input that is overlooked is not protected"
+    return [path for one in given or () for path in existing(one)]
 
 
 def has_header(path: Path, columns: Iterable[str]) -> bool:
@@ -93,16 +87,16 @@ def has_header(path: Path, columns: Iterable[str]) -> bool:
 class Outputs:
     """The outputs of one command, as a context: in their places at its end, or on an error as if it had not run.
 
-    overwrite : replace what orthoscale wrote before. inputs : anything that `named` takes.
+    overwrite : replace what orthoscale wrote before. inputs : what `existing` takes.
     problems : what `attempt` could not write, by the reason.
     Raises UsageError for an output that is refused, OutputError for one that cannot be written. An OSError from the
     block becomes an InputError if it names a file that is none of the outputs, else an OutputError.
     """
 
-    def __init__(self, overwrite: bool = False, inputs: object = ()) -> None:
+    def __init__(self, overwrite: bool = False, inputs: str | Path | None | Sequence = ()) -> None:
         self.overwrite = overwrite
         self.problems: dict[str, list[str]] = {}
-        self._inputs = named(inputs)
+        self._inputs = existing(inputs)
         self._claims: list[_Claim] = []
 
     def file(self, path: Path, mine: Callable[[Path], bool] | None = None) -> Path:

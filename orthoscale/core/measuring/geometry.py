@@ -50,7 +50,7 @@ def larger_by(other: np.ndarray, size: np.ndarray) -> np.ndarray:
 class Geometry(Protocol):
     """M boxes of one source, and their projection onto the ground.
 
-    unit : of its lengths, as of a scale. projection : its name, one of `method.PROJECTIONS`. boxes : all M that can be
+    unit : of its lengths, as of a scale. projection : its name, of `method.VARIANTS_BY_NAME`. boxes : all M that can be
     measured. called : what they are called in messages. picture : (M,) name of the picture of each. pixel : (M,) ground
     size of one detector pixel [source units]. place : (M, D) positions [source units]. lost : number of boxes that
     cannot be measured, by reason. repeated : whether several pictures show the same vehicles, so that boxes in one

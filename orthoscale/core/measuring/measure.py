@@ -52,7 +52,8 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
         vehicles = replace(votes, size=tight(votes, seen.ruler.margin))
         more: Sequence[AnchorVote] = ()
         if method.standards is not None:
-            more = geometry.surroundings(seen, vehicles, metres_per_unit, method.standards, fleet.code)
+            country = method.country or fleet.code
+            more = geometry.surroundings(seen, vehicles, metres_per_unit, method.standards, country)
         scale = method.pool(votes, fleet, seen.ruler, geometry.unit, seen.systematic.covariance, more)
         change = abs(np.log(scale.value / metres_per_unit))
         metres_per_unit = scale.value

@@ -22,7 +22,7 @@ from ..scale import Scale
 from ..votes import Votes
 from .surroundings import Standards
 
-# How `requests.PROJECTIONS` are done, which the paper names so. For frames; an orthophoto's is always planar.
+# How each projection is done, by the names that the paper gives. For frames; an orthophoto's is always planar.
 VARIANTS_BY_NAME = {
     "exact": None,
     "planar": None,  # on the true ground, but without a height
@@ -34,7 +34,7 @@ VARIANTS_BY_NAME = {
 
 @dataclass(frozen=True)
 class Method:
-    """projection : one of PROJECTIONS; None is what fits the source. estimator : one of `requests.ESTIMATORS`.
+    """projection : of VARIANTS_BY_NAME; None is what fits the source. estimator : ``robust``, or the paper's ``iqr``.
 
     evidence : what is known of the scale besides the vehicles. anchors : what was found in the pictures.
     standards : by which parking rows and objects of standard size count, where the boxes show them;

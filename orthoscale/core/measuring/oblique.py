@@ -194,8 +194,8 @@ class ExactGeometry(FramesGeometry):
 
 @dataclass(frozen=True)
 class OtherGeometry(FramesGeometry):
-    """By another projection of `method.PROJECTIONS`, without an effective height or with one of its own, and by the
-    detector's card."""
+    """By another projection of `method.VARIANTS_BY_NAME`, without an effective height or with one of its own, and by
+    the detector's card."""
 
     method: Method = Method()
 

@@ -46,9 +46,10 @@ def parking_pitch(
 
     place : (N, D) where vehicles stand [units], D 2 or 3. along : (N, D) unit vectors of their long sides.
     size : (N, 2) length and width [units]. stalls : widths and their one sigma by country, as in ``data/stalls.json``
-    [m]. country : code of a fleet; ``WORLD`` means any country, and the pitch may then be that of each.
+    [m]. country : ISO code, or the key of a row; ``WORLD`` means any country, and the pitch may then be that of each.
     """
-    if country not in stalls or len(place) < min_vehicles:
+    rules = [key for key, stall in stalls.items() if country in (WORLD, key, *stall.get("countries", ()))]
+    if not rules or len(place) < min_vehicles:
         return None
     length, width = np.median(size, axis=0)
     row, distance = _rows(place, along, float(length), float(width))
@@ -70,16 +71,16 @@ def parking_pitch(
     spread = np.std(np.log(left_out)) * np.sqrt(len(rhythm) - 1) if len(rhythm) > 1 else 0.0
     step = np.log(candidates[1] / candidates[0])
     sd, middle = float(np.hypot(spread, step)), np.median(place, axis=0)
-    meant = tuple(_standard(code, stalls[code]) for code in (stalls if country == WORLD else (country,)))
+    meant = tuple(_standard(key, stalls[key]) for key in rules)
     lines, residual = np.empty((0, 2, 2)), np.empty(0)
     anchor = Anchor(BAYS, middle, lines, pitch, sd, residual, meant, 0.0, count=vehicles)
     return AnchorVote(anchor, middle, pitch, sd)
 
 
-def _standard(code: str, stall: Mapping[str, Any]) -> Standard:
-    sourced = code != WORLD and not stall["source"].startswith("recalled")
+def _standard(key: str, stall: Mapping[str, Any]) -> Standard:
+    sourced = key != WORLD and not stall["source"].startswith("recalled")
     own = np.hypot(stall["width_sd"], PLACE_SD if sourced else RECALLED_SD)
-    where = () if code == WORLD else (code,)
+    where = tuple(stall.get("countries", (key,)))
     return Standard(
         "stalls, by the vehicles in them", stall["width"], float(own / stall["width"]), stall["source"], countries=where
     )

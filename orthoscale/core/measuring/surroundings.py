@@ -37,8 +37,8 @@ class Standards:
 def rows_in_plan(votes: Votes, along: np.ndarray, standards: Standards, country: str) -> list[AnchorVote]:
     """The pitch of parking rows in an orthophoto, if there are any.
 
-    votes : of single boxes, `size` without the margin. along : (N, 2) unit vectors of their long sides. country : the
-    fleet's code.
+    votes : of single boxes, `size` without the margin. along : (N, 2) unit vectors of their long sides. country : as
+    for `parking_pitch`.
     """
     found = parking_pitch(votes.place, along, votes.size, standards.stalls, country)
     return [] if found is None else [found]
