@@ -7,6 +7,7 @@ OpenStreetMap's borders), of which the IANA table (package tzdata) says the coun
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Mapping
 from difflib import get_close_matches
@@ -37,6 +38,14 @@ OTHER_NAMES = {
     "drc": "CD",
     "congo kinshasa": "CD",
     "congo brazzaville": "CG",
+    "dr congo": "CD",
+    "democratic republic of congo": "CD",
+    "democratic republic of the congo": "CD",
+    "republic of congo": "CG",
+    "republic of the congo": "CG",
+    "northern ireland": "GB",
+    "palestine": "PS",
+    "state of palestine": "PS",
     # Parts of Mexico whose vehicles differ; the north has many from the USA.
     "mexico city": "MX_center",
     "ciudad de mexico": "MX_center",
@@ -64,11 +73,18 @@ def country_code(text: str) -> str | None:
 
     Codes of two and three letters, names in English and in the country's languages, US states by name or as ``US-TX``,
     a few cities; case, accents and punctuation do not matter. A name's beginning is enough where only one has it
-    ("hong kong").
+    ("hong kong"). Several countries are none (``US,CA``); "Georgia, USA" is the state.
     """
-    wanted = _plain(text)
+    wanted = _plain(text).removeprefix("the ")
     if not wanted:
         return None
+    if len(parts := re.split(r"[,;/]", text)) > 1:
+        first, *others = (country_code(part) for part in parts)
+        state = _states().get(_plain(parts[0]))
+        if state is not None and others == ["US"]:
+            return state
+        if first is not None and any(others):
+            return None
     if len(wanted) == 2 and wanted.upper() in _in_english():  # a code: the names of all countries take half a second
         return wanted.upper()
     names = _names()
@@ -79,9 +95,17 @@ def country_code(text: str) -> str | None:
 
 
 def nearest_names(text: str) -> list[str]:
-    """Up to five names that are spelled like `text`, with their codes, such as ``germany (DE)``."""
-    names = _names()
-    return [f"{name} ({names[name]})" for name in get_close_matches(_plain(text), names, n=5, cutoff=0.7)]
+    """Up to five names that begin with `text` or are spelled like it, with their codes, such as ``germany (DE)``."""
+    names, wanted = _names(), _plain(text)
+    words = [name for name in names if len(name) > 3]  # codes that differ in a letter are other countries'
+    begun = [name for name in words if name.startswith(wanted + " ")]
+    near = dict.fromkeys([*begun, *get_close_matches(wanted, words, n=5, cutoff=0.7)])
+    return [f"{name} ({names[name]})" for name in near if name != wanted][:5]
+
+
+def namesake(code: str) -> str | None:
+    """The code of the US state that is called as the country `code` is: ``US_GA`` for Georgia."""
+    return _states().get(_plain(country_name(code)))
 
 
 def country_name(code: str) -> str:
@@ -114,6 +138,13 @@ def _in_english() -> Mapping[str, str]:
 
 
 @cache
+def _states() -> dict[str, str]:
+    """Code of a US state by its plain name."""
+    words = US_STATES.split()
+    return {_plain(name): f"US_{code}" for code, name in zip(words[::2], words[1::2], strict=True)}
+
+
+@cache
 def _names() -> dict[str, str]:
     """Code by plain name or code."""
     from babel import Locale, UnknownLocaleError
@@ -122,10 +153,7 @@ def _names() -> dict[str, str]:
 
     english = _in_english()
     codes = [code for code in english if len(code) == 2 and code.isalpha()]
-    states = US_STATES.split()
-    found = {_plain(name): f"US_{code}" for code, name in zip(states[::2], states[1::2], strict=True)}
-    found |= {f"us {code.lower()}": f"US_{code}" for code in states[::2]}
-    found |= OTHER_NAMES
+    found = _states() | {code.replace("_", " ").lower(): code for code in _states().values()} | OTHER_NAMES
     for code in codes:
         for language in get_official_languages(code, regional=True, de_facto=True):
             try:

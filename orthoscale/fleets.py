@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -79,7 +80,7 @@ def fleet_codes() -> list[str]:
 
 def _of_country(text: str) -> Fleet:
     """The fleet of a country by any of its names; raises UsageError with the nearest ones for no country's."""
-    from .countries import country_code, country_name
+    from .countries import country_code, country_name, namesake
 
     code = country_code(text)
     if code is None:
@@ -95,6 +96,8 @@ def _of_country(text: str) -> Fleet:
     # A neighbour's fleet is another country's; a region's spread between its countries is in its figures already.
     more = np.zeros(3) if stand_in.startswith(REGION) else np.array(_document()["fallback_add_sd"])
     name = f"{country_name(code)}: no fleet of its own, taken from {fleet.name}"
+    if state := namesake(code):
+        name += f"; the state of the USA is {state}"
     return _with_three_wheelers(replace(fleet, code=code, name=name, mean_sd=np.hypot(fleet.mean_sd, more)))
 
 
@@ -103,6 +106,10 @@ def _unknown(text: str) -> UsageError:
 
     near = nearest_names(text)
     hint = f"Did you mean {', '.join(near)}? " if near else ""
+    if text.lower().endswith(".csv"):
+        hint = "`orthoscale fleets --registrations` makes a fleet of a register. "
+    if re.search(r"[,;/]", text):
+        hint = "All vehicles are measured by one fleet, of one country. "
     return UsageError(
         f"no fleet is called {text!r}",
         f"{hint}Give a country's name or ISO 3166 code, world, or a .json file; `orthoscale fleets` lists them.",

@@ -27,6 +27,8 @@ HEADINGS = {  # names of columns, in plain letters
     "count": ("count", "number", "anzahl", "nombre", "cantidad", "numero", "aantal", "vehicles", "units", "total", "n"),
 }
 HINT = "Expected a table with a header and the columns model and count (and make), separated by commas, ; or tabs."
+# Thousands may be set apart by a point, a comma, an apostrophe or a space, and a table program may add ",0".
+WHOLE_COUNT = re.compile(r"(?P<figures>\d{1,3}(?:[.,' _\u00a0\u202f]\d{3})+|\d+)(?:[.,]0{1,2})?")
 CLASS_WORDS = {"klasse": "class", "classe": "class", "clase": "class"}  # Mercedes' C-Klasse
 LEAST_KNOWN = 0.6  # share of the vehicles whose model must be in the table
 # Within one model, between its versions [m]; and errors that all published sizes share [m]: as in the fleet table.
@@ -128,13 +130,13 @@ def _counted(path: Path) -> dict[str, float]:
         if not any(cell.strip() for cell in row):
             continue
         try:
-            vehicles = float(re.sub(r"[ '_\u00a0\u202f]", "", row[count]))
+            said = row[count].strip()
             name = " ".join(row[k].strip() for k in (make, model) if k is not None)
-        except (ValueError, IndexError) as error:
+        except IndexError as error:
             raise InputError(f"{path}, line {number}: no number of vehicles", HINT) from error
-        if not (np.isfinite(vehicles) and vehicles >= 0):
-            raise InputError(f"{path}, line {number}: {shown(row[count])} is no number of vehicles", HINT)
-        counted[name] = counted.get(name, 0.0) + vehicles
+        if not (whole := WHOLE_COUNT.fullmatch(said)):
+            raise InputError(f"{path}, line {number}: {shown(said) or 'nothing'} is no whole number of vehicles", HINT)
+        counted[name] = counted.get(name, 0.0) + float(re.sub(r"\D", "", whole["figures"]))
     if not sum(counted.values()) > 0:
         raise InputError(f"{path}: counts no vehicle", HINT)
     return counted

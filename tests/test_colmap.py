@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from support.models import make_model, patched, put_frames, save
 
-from orthoscale.core.remarks import CAUTION, Remark
+from orthoscale.core.remarks import CAUTION, REFUSAL, Remark
 from orthoscale.errors import InputError, OrthoscaleError, OutputError, UsageError
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.colmap_check import open_model
@@ -374,12 +374,24 @@ def test_frames_of_another_flight(plain, tmp_path):
             draw_points(plain, image, tmp_path / place / name)
     assert ColmapSource.open(folder, tmp_path / "own").notes == []
     (note,) = ColmapSource.open(folder, tmp_path / "another").notes
-    assert note.severity == CAUTION and "may be of another flight" in note.text
+    assert note.severity == REFUSAL and "may be of another flight" in note.text and "--images" in note.hint
     assert ColmapSource.open(folder, tmp_path / "another", need_images=False).notes == []
     black = pycolmap.Reconstruction(plain)
     for point in black.points3D.values():
         point.color = np.zeros(3, np.uint8)
     assert ColmapSource.open(save(black, tmp_path / "black", "bin"), tmp_path / "another").notes == []
+
+
+def test_a_point_of_a_frame_is_read_to_a_pixel_and_lies_in_it(plain, model_bin, tmp_path):
+    put_frames(plain, tmp_path / "frames")
+    source = ColmapSource.open(model_bin, tmp_path / "frames")
+    name = source.picture_names[0]
+    a, b = (source.locate(f"{name}@{x},240") for x in (320, 321))
+    assert source.reading_sd(f"{name}@320,240") == pytest.approx(0.5 * np.linalg.norm(a - b), rel=0.1)
+    assert source.reading_sd("1,2,3") == 0
+    for beyond in ("641,240", "-1,240", "320,480.5"):
+        with pytest.raises(ValueError, match="outside of the picture, which is 640 x 480"):
+            source.locate(f"{name}@{beyond}")
 
 
 def test_pickled_as_its_path(plain, model_bin, tmp_path, monkeypatch):

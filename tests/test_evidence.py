@@ -49,6 +49,8 @@ def test_a_known_distance():
     found = known_distance(np.array([[0, 0], [300, 400.0]]), 50.0, 0.25)
     assert (found.value, found.relative_sd) == pytest.approx((0.1, 0.005))
     assert known_distance(np.array([[0, 0, 0], [0, 0, 2.0]]), 30.0).relative_sd == pytest.approx(0.01)
+    short = known_distance(np.array([[0, 0], [3, 0]]), 0.27, 0.001, read_sd=0.7)
+    assert short.relative_sd == pytest.approx(0.7 / 3, rel=0.01), "three pixels are no ruler"
 
 
 @pytest.mark.parametrize("points, metres, sd", [([[1, 1], [1, 1]], 5, 1), ([[0, 0], [1, 1]], -5, 1),

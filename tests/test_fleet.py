@@ -87,7 +87,9 @@ def test_names_are_case_blind_and_unknown_ones_are_refused_with_the_list():
     ("text", "code"),
     [("usa", "US"), ("CHE", "CH"), ("Schweiz", "CH"), ("suisse", "CH"), ("日本", "JP"), ("Côte d'Ivoire", "CI"),
      ("UK", "GB"), ("Texas", "US_TX"), ("US-ca", "US_CA"), ("tokyo", "JP_Tokyo"), ("Georgia", "GE"),
-     ("hong kong", "HK"), ("Mexico City", "MX_center"), ("turkey", "TR"), ("276", "DE"), ("deutschland", "DE")],
+     ("hong kong", "HK"), ("Georgia, USA", "US_GA"), ("US,TX", "US_TX"), ("The Netherlands", "NL"), ("Palestine", "PS"),
+     ("DR Congo", "CD"), ("Republic of Congo", "CG"), ("Northern Ireland", "GB"), ("Mexico City", "MX_center"),
+     ("turkey", "TR"), ("276", "DE"), ("deutschland", "DE")],
 )  # fmt: skip
 def test_a_country_resolves_by_any_of_its_names(text, code):
     assert load_fleet(text).code == code
@@ -139,6 +141,24 @@ def test_a_country_without_a_fleet_takes_a_neighbours_or_its_regions_less_certai
 def test_a_misspelt_country_is_refused_with_the_nearest_names():
     with pytest.raises(UsageError, match=r"germany \(DE\)"):
         load_fleet("Germny")
+    with pytest.raises(UsageError, match=r"\(CD\).*\(CG\)"):
+        load_fleet("Congo")
+    with pytest.raises(UsageError, match="--registrations"):
+        load_fleet("register.csv")
+    with pytest.raises(UsageError) as caught:
+        load_fleet("AQ")
+    assert "Did you mean" not in caught.value.hint, "it is what was asked for"
+
+
+@pytest.mark.parametrize("several", ["US,CA", "US; DE", "DE/FR", "CA,US", "US,DE"])
+def test_several_countries_are_none(several):
+    """``US,CA`` was taken for California."""
+    with pytest.raises(UsageError, match="of one country"):
+        load_fleet(several)
+
+
+def test_a_country_that_is_called_as_a_state_says_so():
+    assert "US_GA" in load_fleet("Georgia").name and "US_" not in load_fleet("Armenia").name
 
 
 @pytest.mark.parametrize(

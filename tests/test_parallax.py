@@ -95,7 +95,7 @@ def test_many_vehicles_take_little_memory(monkeypatch):
     some = slice(0, 1500)
     given = (seen, place[some], sd[some], np.full(1500, HEIGHT), HEIGHT, 0.1)
     by_parts = parallax._combined(*given)
-    monkeypatch.setattr(parallax, "AT_ONCE", boxes)
+    monkeypatch.setattr(parallax, "BOXES_AT_ONCE", boxes)
     at_once = parallax._combined(*given)
     assert (by_parts.lower == pytest.approx(at_once.lower)) and by_parts.sd == pytest.approx(at_once.sd)
     assert by_parts.shared == pytest.approx(at_once.shared)

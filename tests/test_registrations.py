@@ -71,3 +71,20 @@ def test_too_little_known_is_refused_with_what_is_not(tmp_path):
 def test_what_is_no_register(tmp_path, text, said):
     with pytest.raises(InputError, match=said):
         fleet_of_register(written(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    "said, vehicles",
+    [("1.234", 1234), ("1,234", 1234), ("12 345", 12345), ("1'234'567", 1234567), ("250", 250), ("250.0", 250),
+     ("1.234,0", 1234)],
+)  # fmt: skip
+def test_thousands_may_be_set_apart(tmp_path, said, vehicles):
+    """A point sets them apart where a comma marks decimals: 1.234 is not 1.234 cars."""
+    path = written(tmp_path, f'model;count\nGolf;"{said}"\n')
+    assert fleet_of_register(path).vehicles == vehicles
+
+
+@pytest.mark.parametrize("said", ["12.5", "1.23", "-3", "nan", "", "1.2345", "1e3", "many"])
+def test_what_is_no_whole_number_is_refused(tmp_path, said):
+    with pytest.raises(InputError, match="line 2: .* no whole number of vehicles"):
+        fleet_of_register(written(tmp_path, f"model;count\nGolf;{said}\n"))

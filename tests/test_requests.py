@@ -215,6 +215,7 @@ def test_check_keeps_boxes_in_the_format_of_their_name(tmp_path):
         ({"zoom": -1.0}, "--zoom must be a positive number"),
         ({"target": float("nan")}, "--target must be a positive number"),
         ({"workers": 1.5}, "--workers takes a whole number"),
+        ({"seed": -1}, "--seed must be 0 or more"),
         ({"exhaustive": 1}, "--exhaustive takes True or False"),
         ({"known_distance": "0,0 9,9 1"}, "--known-distance takes a list"),
         ({"detector": 5}, "--detector takes a path"),

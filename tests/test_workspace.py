@@ -116,6 +116,19 @@ def test_one_scale_is_not_applied_to_several_models(work, tmp_path):
     apply(tmp_path / "sim3.json", work / "sparse/1", tmp_path / "out")
 
 
+@pytest.mark.slow
+def test_a_scale_is_not_applied_to_another_model(work, tmp_path):
+    """Cameras of the same names stand elsewhere in a model of another run."""
+    fix(work / "sparse/0", tmp_path / "scaled", **OPTIONS)
+    apply(tmp_path / "scaled/sim3.json", work / "sparse/0", tmp_path / "same")
+    other = pycolmap.Reconstruction(work / "sparse/1")
+    other.transform(pycolmap.Sim3d(1.3, pycolmap.Rotation3d(), np.array([5.0, 0, 0])))
+    other.write(work / "sparse/1")
+    with pytest.raises(UsageError, match="another model than the one that was scaled"):
+        apply(tmp_path / "scaled/sim3.json", work / "sparse/1", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_one_model_is_no_workspace(tmp_path):
     shutil.copytree(EXAMPLE / "sparse", tmp_path / "sparse" / "0")
     assert models_in(tmp_path) == models_in(tmp_path / "sparse/0/cameras.bin") == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from pathlib import Path
 
@@ -33,7 +34,8 @@ def read_distance(text: str, source: Source) -> Evidence:
         first, second, metres, *sd = words
         points = [source.locate(word) for word in (first, second)]
         between = f" between {first} and {second}"
-        return known_distance(np.array(points), number(metres), number(sd[0]) if sd else None, between)
+        read_sd = math.hypot(*(source.reading_sd(word) for word in (first, second)))
+        return known_distance(np.array(points), number(metres), number(sd[0]) if sd else None, between, read_sd)
     except (ValueError, OverflowError) as error:
         raise UsageError(f"--known-distance {shown(text)!r}: {reason(error)}", DISTANCE_HINT) from error
 

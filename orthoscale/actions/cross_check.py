@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 SAME_POSITION = 0.35  # of a vehicle's length: how far apart one may stand in the two
 LIKELY_RATIO = 0.25  # the two scales differ by less, so that chance alignments need not be tried
 MIN_MATCHED = 6
-NEIGHBOURS = 24  # vehicles about one that must fall on others too, before more are asked
-STEP = 8  # of these neighbours each so many-th makes a pair with it, the farthest first: it turns least
-MOST_STARTS = 40  # vehicles that are begun with
-MOST_TRIED = 20_000  # pairs that one pair is laid on
-MOST_GROWN = 6  # of these, those that are looked at further
-ENOUGH = 0.9  # of the vehicles in common, from which no other place is looked for
-LEAST_SHARE = 0.2  # of the vehicles in common, below which the places are not the same
-ELSEWHERE = 100  # places that tell how many are common by chance
+NEIGHBOURS_ASKED = 24  # vehicles about one that must fall on others too, before more are asked
+PAIR_STEP = 8  # of these neighbours each so many-th makes a pair with it, the farthest first: it turns least
+MOST_VEHICLES_BEGUN = 40  # vehicles that are begun with
+MOST_PAIRS_TRIED = 20_000  # pairs that one pair is laid on
+MOST_PAIRS_GROWN = 6  # of these, those that are looked at further
+ENOUGH_COMMON = 0.9  # of the vehicles in common, from which no other place is looked for
+LEAST_COMMON = 0.2  # of the vehicles in common, below which the places are not the same
+PLACES_ELSEWHERE = 100  # places that tell how many are common by chance
 BY_CHANCE = 1e-3  # of all tries, how many may reach as many common vehicles where there are none
 
 
@@ -114,38 +114,38 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
     apart, from_b, to_b = apart[order], from_b[order], to_b[order]
     random = np.random.default_rng(0)
     best, factor, shift, tried = 0, 0j, 0j, 0
-    for start in random.permutation(len(a))[:MOST_STARTS]:
+    for start in random.permutation(len(a))[:MOST_VEHICLES_BEGUN]:
         outwards = np.argsort(np.abs(za - za[start]))
-        for other in outwards[1:NEIGHBOURS][::-STEP]:
+        for other in outwards[1:NEIGHBOURS_ASKED][::-PAIR_STEP]:
             step = za[other] - za[start]
             low, high = np.searchsorted(apart, np.abs(step) * np.array([1 - LIKELY_RATIO, 1 + LIKELY_RATIO]))
             pick = np.arange(low, high)
-            if len(pick) > MOST_TRIED:
-                pick = random.choice(pick, MOST_TRIED, replace=False)
+            if len(pick) > MOST_PAIRS_TRIED:
+                pick = random.choice(pick, MOST_PAIRS_TRIED, replace=False)
             if not len(pick) or not step:
                 continue
             factors = (zb[to_b[pick]] - zb[from_b[pick]]) / step
             shifts = zb[from_b[pick]] - factors * za[start]
             tried += len(pick)
-            hits = _hits(factors[:, None] * za[outwards[:NEIGHBOURS]] + shifts[:, None], tree, reach).sum(1)
-            for k in np.argsort(-hits, kind="stable")[:MOST_GROWN]:
+            hits = _hits(factors[:, None] * za[outwards[:NEIGHBOURS_ASKED]] + shifts[:, None], tree, reach).sum(1)
+            for k in np.argsort(-hits, kind="stable")[:MOST_PAIRS_GROWN]:
                 found = _grown(za[outwards], zb, tree, factors[k], shifts[k], reach)
                 if found is not None and found[0] > best:
                     best, factor, shift = found
-        if best > ENOUGH * min(len(a), len(b)):
+        if best > ENOUGH_COMMON * min(len(a), len(b)):
             break
-    if best < max(MIN_MATCHED, LEAST_SHARE * min(len(a), len(b))):
+    if best < max(MIN_MATCHED, LEAST_COMMON * min(len(a), len(b))):
         return None
     # By chance: the same laid elsewhere, not far, so that vehicles stand as densely there. Two are common because they
     # were laid on each other.
-    away = reach * random.uniform(4, 12, ELSEWHERE) * np.exp(2j * np.pi * random.random(ELSEWHERE))
+    away = reach * random.uniform(4, 12, PLACES_ELSEWHERE) * np.exp(2j * np.pi * random.random(PLACES_ELSEWHERE))
     chance = _hits(factor * za + shift + away[:, None], tree, reach).sum(1).mean()
     return None if tried * pdtrc(best - 3, max(chance, 1e-300)) > BY_CHANCE else (float(abs(factor)), best)
 
 
 def _near_pairs(z: np.ndarray, tree: cKDTree) -> tuple[np.ndarray, np.ndarray]:
-    """Ordered pairs (P,), (P,) of points that are near each other: each with its nearest 2 NEIGHBOURS."""
-    near = tree.query(np.stack([z.real, z.imag], -1), min(2 * NEIGHBOURS, len(z)))[1]
+    """Ordered pairs (P,), (P,) of points that are near each other: each with its nearest 2 NEIGHBOURS_ASKED."""
+    near = tree.query(np.stack([z.real, z.imag], -1), min(2 * NEIGHBOURS_ASKED, len(z)))[1]
     first = np.repeat(np.arange(len(z)), near.shape[1])
     other = first != near.ravel()
     return first[other], near.ravel()[other]
@@ -161,7 +161,7 @@ def _grown(
 ) -> tuple[int, complex, complex] | None:
     """How many of `za`, sorted from where the similarity is known outwards, it lays on points of `zb` when it is fitted
     to more and more of them; and what it is then. None where it is lost."""
-    sizes = NEIGHBOURS * 2 ** np.arange(int(np.ceil(np.log2(max(len(za) / NEIGHBOURS, 1)))) + 1)
+    sizes = NEIGHBOURS_ASKED * 2 ** np.arange(int(np.ceil(np.log2(max(len(za) / NEIGHBOURS_ASKED, 1)))) + 1)
     for n in [*np.repeat(sizes, 2), len(za)]:
         z = factor * za[:n] + shift
         distance, index = tree.query(np.stack([z.real, z.imag], -1), distance_upper_bound=reach)

@@ -27,7 +27,9 @@ from ..core.measuring.ways import measure_source
 from ..core.measuring.without_vehicles import measured_without_vehicles
 from ..core.pooling.anchors import evidence_of
 from ..core.progress import Progress
+from ..core.remarks import REFUSAL
 from ..core.source import Source
+from ..core.verdicts import UNUSABLE
 from ..detect.detector import Detector
 from ..detect.find import Effort
 from ..detect.refine import refined
@@ -172,14 +174,15 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         answer = _of_vehicles(asked, found, method, request, wanted)
     except TooLittleEvidence as error:
         answer = _of_anchors(asked, doubts(found), method, request, wanted, error)
-    searched, lies, scale = answer.searched, answer.lies, answer.measurement.scale
+    measurement, searched, lies = answer.measurement, answer.searched, answer.lies
+    if any(note.severity == REFUSAL for note in source.notes):
+        measurement = replace(measurement, scale=replace(measurement.scale, verdict=UNUSABLE))
+    scale = measurement.scale
     log.info("%d anchors, seen %d times", len(searched.votes), len(searched.anchors))
     found = replace(found, notes=(*asked.why, *found.notes, *searched.notes, *lies.notes))
     seconds = time.perf_counter() - started
     log.info("%.6g %s by %d vehicles in %.1f s", scale.value, source.unit, scale.vehicles_used, seconds)
-    return Result(
-        source, fleet, found, choice, seconds, answer.measurement, answer.method, request.settings(), searched, lies
-    )
+    return Result(source, fleet, found, choice, seconds, measurement, answer.method, request.settings(), searched, lies)
 
 
 def _found(asked: Opened, request: EstimateRequest, progress: Progress | None) -> tuple[Detections, ZoomChoice | None]:

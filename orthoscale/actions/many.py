@@ -152,8 +152,7 @@ def _do(job: dict[str, Any], path: Path, row: Row) -> None:
     if job["action"] == "estimate":
         result = measured(path, request)
         _fill(row, result)
-        if (disagreement := result.disagreement) is not None:
-            raise disagreement
+        result.require_useful()
         return
     outcome = checked(path, request)
     _fill(row, outcome.result)

@@ -40,7 +40,8 @@ class Option:
     """kind : of a value: Path, str, float, int or bool. help : for people. group : its heading in --help, of GROUPS.
 
     choices : the allowed values; empty if any. flag : its name on the command line, if not the field's.
-    metavar : how its help calls a value. positive : whether a number must be above 0.
+    metavar : how its help calls a value. positive : whether a number must be above 0, or not_negative: at
+    least 0.
     is_file : whether a text names a file; a Path always does.
     """
 
@@ -51,6 +52,7 @@ class Option:
     flag: str = ""
     metavar: str | None = None
     positive: bool = False
+    not_negative: bool = False
     is_file: Callable[[str], bool] = lambda text: False
 
 
@@ -278,7 +280,7 @@ class EstimateRequest(VehicleRequest):
         positive=True,
     )
     exhaustive: bool = option(False, bool, "Advanced", "Sweep all of an orthophoto, or all frames of a model.")
-    seed: int = option(0, int, "Advanced", "Seed of the order in which tiles are visited.")
+    seed: int = option(0, int, "Advanced", "Seed of the order in which tiles are visited.", not_negative=True)
     workers: int | None = option(
         None, int, "Advanced", "Number of threads; by default one per core, at most 8.", positive=True
     )
@@ -555,6 +557,8 @@ def _check(name: str, about: Option, value: Any) -> Any:
         raise UsageError(f"{name} {value} is none of {', '.join(about.choices)}", _nearest(value, about.choices))
     if about.positive and not (math.isfinite(value) and value > 0):
         raise UsageError(f"{name} must be a positive number, not {value}")
+    if about.not_negative and value < 0:
+        raise UsageError(f"{name} must be 0 or more, not {value}")
     return value
 
 

@@ -135,7 +135,8 @@ class Result(Brief):
     @property
     def disagreement(self) -> EvidenceDisagrees | None:
         """What contradicts what, where something does; raised by `require_useful` and by the command line."""
-        refusal = next((remark for remark in self.scale.remarks if remark.severity == REFUSAL), None)
+        said = (*self.scale.remarks, *self.source.notes)
+        refusal = next((remark for remark in said if remark.severity == REFUSAL), None)
         if refusal is None:
             return None
         return EvidenceDisagrees(f"{self.source.path}: {refusal.text}", f"{refusal.hint}, or {FORCED}")

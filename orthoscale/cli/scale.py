@@ -91,8 +91,7 @@ def estimate(
         _finish_all(outcomes, as_json)
         return
     _finish(result, as_json)
-    if (disagreement := result.disagreement) is not None:  # said after the figures: a script must not take them
-        raise disagreement
+    result.require_useful()  # said after the figures: a script must not take them
 
 
 @command(

@@ -32,6 +32,7 @@ ANYTHING = 3.0  # one sigma of the logarithm of a scale of which nothing is know
 SUPPORTS = 2.0  # sigmas within which two measurements support each other
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
+READING_SD = 0.5  # [px] one sigma of a point that a person reads in a picture, along a line
 SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
 BY_MAP = "map"  # kind of the evidence that a match with a georeferenced map gives
 CONTROL_SD = 0.05  # of a ground control point's position, where its residuals do not say [m]
@@ -251,8 +252,11 @@ def _shares(
     return out | {"geometry": float(np.hypot(out.get("geometry", 0.0), np.sqrt(common)))} if common else out
 
 
-def known_distance(points: np.ndarray, metres: float, sd: float | None = None, where: str = "") -> Evidence:
-    """Two points (2, D) [units], `metres` apart, good to `sd` [m] (1 % where it is not given).
+def known_distance(
+    points: np.ndarray, metres: float, sd: float | None = None, where: str = "", read_sd: float = 0.0
+) -> Evidence:
+    """Two points (2, D) [units], `metres` apart, good to `sd` [m] (1 % where it is not given). read_sd : one sigma of
+    their distance, from how well the two can be read [units].
 
     Raises ValueError where the points coincide or a number is not positive.
     """
@@ -264,7 +268,8 @@ def known_distance(points: np.ndarray, metres: float, sd: float | None = None, w
         raise ValueError(f"the distance must be a number of metres from {SHORTEST:g} to {LONGEST:g}")
     if not SUREST * metres <= sd <= metres:
         raise ValueError("the sigma must be positive metres, from a millionth of the distance to all of it")
-    return Evidence("known distance", metres / units, sd / metres, f"the known distance of {metres:g} m{where}")
+    relative_sd = float(np.hypot(sd / metres, read_sd / units))
+    return Evidence("known distance", metres / units, relative_sd, f"the known distance of {metres:g} m{where}")
 
 
 def ground_control(units: np.ndarray, metres: np.ndarray) -> Evidence:

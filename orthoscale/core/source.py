@@ -112,6 +112,10 @@ class Source(Pictures, Protocol):
         """(2,) or (3,) the position of a point that a user named in text [source units]. Raises ValueError."""
         ...
 
+    def reading_sd(self, point: str) -> float:
+        """One sigma of how well that point can be read, along a line [source units]. Raises ValueError."""
+        ...
+
 
 class Placement(Protocol):
     """Georeferencing of a plan. crs : its coordinate reference system. transform : the affine transform of its pixels

@@ -15,6 +15,14 @@ def coordinates(text: str, count: int, what: str) -> np.ndarray:
     return found
 
 
+def pixel(text: str, width: int, height: int, what: str) -> np.ndarray:
+    """(2,) column and row in a picture of that size. Raises ValueError, also for what lies outside of it."""
+    found = coordinates(text, 2, what)
+    if not ((found >= 0) & (found <= (width, height))).all():
+        raise ValueError(f"{text} lies outside of the picture, which is {width} x {height} px")
+    return found
+
+
 def number(text: str) -> float:
     """Raises ValueError for what is no finite number."""
     try:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.evidence import READING_SD
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.source import FocalDoubt
@@ -18,7 +21,7 @@ from ..errors import InputError, OrthoscaleError, OutputError, UsageError
 from ..formats.geometry.dense import GEOMETRY, find_dense, scale_dense, sparse_folders
 from ..formats.geometry.files import reason_left
 from ..formats.geometry.sim3 import MATRIX, Sim3
-from ..formats.points import coordinates, number
+from ..formats.points import coordinates, number, pixel
 from ..system.outputs import FOLDER_MARK
 from .colmap_check import open_model
 from .colmap_tables import FILE_NAMES
@@ -42,6 +45,9 @@ if TYPE_CHECKING:
 # Geometry beside a model is in the model's old units: a copy would pass for one in metres.
 UNSCALED = GEOMETRY | {".npz", ".npy", ".bin"}
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
+# Of how far a model's cameras and its origin lie apart: one that was adjusted once more stays within it, another one
+# does not.
+ANOTHER_MODEL = 0.02
 SAME_CAMERA = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
 FEW_POINTS = 500  # of three views or more, below which those of two are taken as well; chosen by eye, not tuned
 SCALED_MARK = "sim3.txt"  # by which a model is known to be in metres
@@ -179,11 +185,25 @@ class ColmapSource:
             return self.point(int(number(point[3:])))
         if "@" not in point:
             return coordinates(point, 3, "a point of a model")
-        name, _, pixel = point.rpartition("@")
-        _, place, ok = self.views(name, coordinates(pixel, 2, "a pixel")[None])
+        return self._on_ground(point)
+
+    def reading_sd(self, point: str) -> float:
+        """One sigma of how well `point` can be read along a line [model units]; 0 for what is no pixel. Raises
+        ValueError."""
+        if "@" not in point:
+            return 0.0
+        return READING_SD * max(
+            float(np.linalg.norm(self._on_ground(point, step) - self._on_ground(point)))
+            for step in ((1.0, 0.0), (0.0, 1.0))
+        )
+
+    def _on_ground(self, point: str, step: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+        """(3,) what ``NAME@X,Y`` shows of the ground, `step` pixels aside."""
+        name, _, place = point.rpartition("@")
+        _, on_ground, ok = self.views(name, (pixel(place, *self.image_size(name), "a pixel") + np.asarray(step))[None])
         if not ok[0]:
             raise ValueError(f"{point!r} does not see the model's ground")
-        return place[0]
+        return on_ground[0]
 
     @property
     def metric_already(self) -> str:
@@ -360,17 +380,40 @@ def _reopened(
     return replace(kind.open(path, images, need), cloud=cloud, notes=notes)
 
 
-def scale_model(source: Path, target: Path, scale: float) -> None:
-    """Write the sparse model in the folder `source` into the empty folder `target` in metres. Raises InputError,
-    UsageError for one that is in metres already."""
+def cameras_of(folder: Path) -> dict[str, np.ndarray]:
+    """(3,) where each camera of the COLMAP model in `folder` stands, by its image's name; none where there is none."""
+    if not any((folder / f"images.{form}").is_file() for form in ("bin", "txt")):
+        return {}
+    model = read_model(folder, open_model(folder).format)
+    return {model.image(i).name: model.image(i).projection_center() for i in model.reg_image_ids()}
+
+
+def scale_model(
+    source: Path, target: Path, scale: float, metric: Mapping[str, np.ndarray] = MappingProxyType({})
+) -> None:
+    """Write the sparse model in the folder `source` into the empty folder `target` in metres.
+
+    metric : cameras [m] of the model that the scale is of. Raises InputError, UsageError for a model that is in metres
+    already, and for another one: its cameras of the same names stand elsewhere.
+    """
     model = ColmapSource.open(source, need_images=False)
     if model.metric_already:
         raise UsageError(f"{source} is in metres already: {model.metric_already}", "Apply it to the original model.")
+    common = [name for name in model.picture_names if name in metric]
+    apart = [float(np.linalg.norm(scale * model.centre(name) - metric[name])) for name in common]
+    if apart and max(apart) > ANOTHER_MODEL * float(np.linalg.norm(np.ptp([*metric.values(), np.zeros(3)], axis=0))):
+        raise UsageError(
+            f"{source} is another model than the one that was scaled: {common[int(np.argmax(apart))]} stands elsewhere",
+            "Give the sim3.json that `orthoscale fix` wrote for this model; each has a scale of its own.",
+        )
     model.write(target, scale)
 
 
-def scale_workspace(source: Path, target: Path, scale: float) -> list[str]:
-    """Write the dense workspace `source` into the empty folder `target` in metres; returns what there is to say."""
+def scale_workspace(
+    source: Path, target: Path, scale: float, metric: Mapping[str, np.ndarray] = MappingProxyType({})
+) -> list[str]:
+    """Write the dense workspace `source` into the empty folder `target` in metres; returns what there is to say.
+    metric : as for `scale_model`."""
     return scale_dense(
-        source, target, scale, lambda a, b: scale_model(a, b, scale), lambda a, b: reason_left(a, b, scale)
+        source, target, scale, lambda a, b: scale_model(a, b, scale, metric), lambda a, b: reason_left(a, b, scale)
     )

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.remarks import CAUTION, Remark
+from ..core.remarks import CAUTION, REFUSAL, Remark
 from ..errors import InputError
 from .picture_file import PictureFile
 
@@ -63,14 +63,14 @@ def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]
             "they were undistorted or cropped since it was made, or it was made from undistorted ones; the scale is "
             "off by as much or more (give the model's own frames with --images)"
         )
-    elif own < OWN_FRAMES:
+        return [Remark(CAUTION, text)]
+    if own < OWN_FRAMES:
         text = (
             f"the frames do not show the model's points in their colours (correlation {own:.2f}, usual is 0.9; "
             f"{chosen[0].path} ...): they may be of another flight, turned, or changed since"
         )
-    else:
-        return []
-    return [Remark(CAUTION, text)]
+        return [Remark(REFUSAL, text, "Name the folder of the frames that the model was made from (--images)")]
+    return []
 
 
 def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: PictureFile) -> _Fit | None:

@@ -19,11 +19,12 @@ from rasterio.io import DatasetReader
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from ..core.evidence import READING_SD
 from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.scale import PER_PIXEL
 from ..core.source import NO_DATA_GREY, Picture, Placement
 from ..errors import InputError, UsageError
-from ..formats.points import coordinates
+from ..formats.points import pixel
 from ..system.budget import in_words, require
 from ..system.scratch import Scratch
 from .fingerprint import fingerprint
@@ -167,7 +168,11 @@ class RasterSource:
     def locate(self, point: str) -> np.ndarray:
         """(2,) where the pixel that ``X,Y`` means would be if pixels were square. Raises ValueError."""
         wide = math.sqrt(self.claimed.aspect)
-        return coordinates(point, 2, "a point of an orthophoto") * (wide, 1 / wide)
+        return pixel(point, self.width, self.height, "a point of an orthophoto") * (wide, 1 / wide)
+
+    def reading_sd(self, point: str) -> float:
+        """One sigma of how well `point` can be read along a line [px]."""
+        return READING_SD
 
     @property
     def metric_already(self) -> str:

@@ -37,7 +37,7 @@ OUTLYING = 9.0  # times the median square of a residual, from which it says noth
 TOO_HIGH, UNEVEN, ON_GROUND, ON_TREES = 0.08, 0.02, 0.003, 0.1
 ALIKE_WITHIN = 0.5  # heights of the cameras over which a sheet's errors are alike
 MOST_COMPARED = 200  # boxes from which is taken how far all err alike
-AT_ONCE = 1000  # boxes that are worked on at a time: 8 MB per thousand vehicles
+BOXES_AT_ONCE = 1000  # boxes that are worked on at a time: 8 MB per thousand vehicles
 STRAY_VEHICLE = 4.0  # sigmas from which a vehicle is left out: its boxes are not of one
 
 
@@ -200,8 +200,8 @@ def _combined(
 
         whole = lu_factor(between(at, at, own, own) + noise)
         mean, told = np.empty(len(place)), np.empty(len(place))
-        for begin in range(0, len(place), AT_ONCE):
-            part = slice(begin, begin + AT_ONCE)
+        for begin in range(0, len(place), BOXES_AT_ONCE):
+            part = slice(begin, begin + BOXES_AT_ONCE)
             shared = between(at, place[part], own, sd[part])
             gain = lu_solve(whole, shared)
             mean[part], told[part] = lower @ gain, (gain * shared).sum(0)
