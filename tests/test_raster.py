@@ -239,8 +239,18 @@ def test_vrt(tmp_path):
     assert source.claimed.usable
     source.write(tmp_path / "out.tif", 0.07)
     tif.unlink()
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="cannot be read") as caught:
         RasterSource.open(tmp_path / "a.vrt")
+    assert "file that it refers to is missing" in caught.value.hint
+
+
+@pytest.mark.parametrize("turned", [1, 6])
+def test_a_picture_that_a_viewer_turns_says_whose_pixels_count(tmp_path, turned):
+    exif = Image.Exif()
+    exif[0x0112] = turned
+    Image.fromarray(np.moveaxis(scene(), 0, -1)).save(tmp_path / "a.jpg", exif=exif)
+    notes = [str(note) for note in RasterSource.open(tmp_path / "a.jpg").notes if "EXIF orientation" in str(note)]
+    assert len(notes) == (turned == 6)
 
 
 def test_another_thread_may_read(tmp_path):

@@ -15,7 +15,9 @@ from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed
 
 import orthoscale
 from orthoscale.actions.requests import command_line
-from orthoscale.errors import Incomplete, InputError, UsageError
+from orthoscale.core.remarks import REFUSAL, Remark
+from orthoscale.core.verdicts import UNUSABLE
+from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, UsageError
 from orthoscale.report import files, places, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, read_json
@@ -518,3 +520,17 @@ def test_a_word_on_a_picture_is_what_pillow_draws_on_all_of_it(place, anchor, ha
     )
     assert (image == np.asarray(whole)).all()
     assert (image != ground).any() == (place[0] < 160)
+
+
+def test_a_source_that_refuses_its_pictures_makes_the_scale_unusable(tmp_path):
+    """Such as the frames of another flight: nothing is written, and a script must not take the figure."""
+    car_park(tmp_path)
+    source = open_source(tmp_path / "park.png")
+    options = {"fleet": "DE", "detections": tmp_path / "detections.json"}
+    assert orthoscale.estimate(source, **options).disagreement is None
+    source.notes.append(Remark(REFUSAL, "these are of another flight", "Name the right ones"))
+    result = orthoscale.estimate(source, **options)
+    assert result.scale.verdict == UNUSABLE
+    with pytest.raises(EvidenceDisagrees, match="of another flight") as caught:
+        result.require_useful()
+    assert "Name the right ones, or write anyway" in caught.value.hint

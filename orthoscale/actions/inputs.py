@@ -13,7 +13,7 @@ from ..sources.exchange_files import find_exchange
 from ..system.outputs import ours
 from .workspace import models_in
 
-PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".vrt", ".webp", ".img", ".ecw", ".sid")
+PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".bmp", ".gif", ".vrt", ".webp", ".img", ".ecw", ".sid")
 """Endings by which a picture in a folder is known for one. One that is named itself may have any."""
 
 
@@ -46,8 +46,11 @@ def outputs_of(inputs: Sequence[Path], folder: Path) -> list[Path]:
     """Where in `folder` the scaled copy of each of `inputs` goes: a GeoTIFF of a picture's name, a folder of a model's.
 
     Inputs of one name take those of the folders above them along: ``flight1_odm_orthophoto.tif``.
-    Raises UsageError where `folder` and an input lie in each other: an output could take an input's place.
+    Raises UsageError where `folder` and an input lie in each other: an output could take an input's place; and for a
+    folder that is called as a GeoTIFF.
     """
+    if folder.suffix.lower() in (".tif", ".tiff") and not folder.is_dir():
+        raise UsageError(f"{folder} would be the folder of several copies", "Choose a name that is no picture's.")
     there = Path(os.path.realpath(folder))
     for path in inputs:
         given = Path(os.path.realpath(path))

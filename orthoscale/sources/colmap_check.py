@@ -104,7 +104,8 @@ def model_folders(path: Path) -> list[Path]:
         raise InputError(f"{path}: cannot be read ({error.strerror})", "Check its permissions.") from error
     raise InputError(
         f"{path} holds no COLMAP model (no cameras.bin or cameras.txt in it, in sparse/ or in sparse/0)",
-        "Give the folder that holds cameras.bin, images.bin and points3D.bin, or the .txt files of the same names.",
+        "Give the folder that holds cameras.bin, images.bin and points3D.bin, or the .txt files of the same names. "
+        f"Orthophotos in folders below it: '{path}/*/*.tif', in quotes.",
     )
 
 

@@ -34,6 +34,7 @@ from .raster_copy import Original
 from .tiff_blocks import blocks_of
 
 USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
+OF_OTHERS = "A file that it refers to is missing or damaged: copy all of them along, or write the VRT anew."
 
 SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
@@ -88,6 +89,12 @@ class RasterSource:
         self._scratch: Scratch | None = None
         self._blocks = dataset  # or, from the first look on, a copy of it in blocks
         self.claimed = claim_of(dataset)
+        if (turned := dataset.tags().get("EXIF_Orientation", "1")) not in ("0", "1"):
+            text = (
+                f"the camera noted how the picture is to be turned (EXIF orientation {turned}): coordinates and boxes "
+                "are those of the pixels as they are stored"
+            )
+            self.notes.append(Remark(INFO, text))
         if (aspect := self.claimed.aspect) != 1:
             squeezed = abs(math.log(aspect)) > SQUEEZED
             text = (
@@ -463,6 +470,8 @@ class RasterSource:
         return low, high
 
     def _damage(self, where: str) -> AbstractContextManager[None]:
+        if self._dataset.driver == "VRT":  # it has no pixels of its own
+            return reading(self.path, f"cannot be read {where}", OF_OTHERS)
         return reading(self.path, f"is damaged {where}", EXPORT_AGAIN)
 
     # Writing
