@@ -63,6 +63,12 @@ def test_a_distance_that_makes_no_sense(points, metres, sd):
         known_distance(np.array(points, float), metres, sd)
 
 
+def test_points_that_lie_close_in_the_picture_are_no_ruler():
+    units, metres = np.array([[0, 0], [3.0, 0]]), np.array([[0, 0], [0.27, 0]])
+    assert ground_control(units, 100 * metres, 0.5).relative_sd == pytest.approx(0.5 / (3 / np.sqrt(2)), rel=0.01)
+    assert ground_control(1000 * units, 1000 * metres, 0.5).relative_sd < 0.001
+
+
 def test_ground_control_is_a_similarity_wherever_its_axes_point():
     rng = np.random.default_rng(0)
     units = rng.uniform(0, 10, (6, 3))

@@ -12,6 +12,7 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.detect.decoders import decode_maps
 from orthoscale.detect.measurer import ANSWERS
 from orthoscale.fleets import load_fleet
+from orthoscale.synthetic import make_scene
 from training import augment, by_hand, data, kinds, missing, propose
 from training.data import MARGINS, read_labels, split
 from training.evaluate import (
@@ -35,6 +36,7 @@ from training.evaluate import (
     table,
 )
 from training.measurer import real
+from training.measurer import rendered as measurer_rendered
 from training.paste import paste
 from training.targets import CROP, encode
 
@@ -888,3 +890,14 @@ def test_pictures_of_a_folder_are_listed_with_their_sizes(tmp_path):
     found = [(p.name, p.width, p.height) for p in picture_files(tmp_path)]
     assert found == [("a.jpg", 50, 40), ("b.png", 30, 20), ("c.tif", 70, 60)]
     assert Scene("s", [Labelled(picture_files(tmp_path)[0], NOTHING, NOTHING)]).length == data.NOMINAL_LENGTH
+
+
+def test_pale_ground_changes_nothing_but_the_ground():
+    scene = make_scene(3, extent_m=40.0, n_vehicles=10, style="carpark")
+    pale = measurer_rendered.bleached(scene, np.random.default_rng(0))
+    assert pale.vehicles is scene.vehicles
+    changed = (pale.scenery.colour != scene.scenery.colour).any(1)
+    assert changed.any() and (scene.scenery.corners[changed][..., 2] < measurer_rendered.FLAT).all()
+    least, most = measurer_rendered.PALE_ALBEDO
+    albedo = pale.scenery.colour[changed].mean(1)
+    assert least <= albedo.min() and albedo.max() <= most and np.mean(pale.ground[1]) > np.mean(scene.ground[1])

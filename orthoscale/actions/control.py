@@ -44,6 +44,7 @@ def read_control(path: Path, source: Source) -> Evidence:
     """Ground control from the file at `path`, its points in `source`. Raises InputError, UsageError."""
     lines = read_text(path, CONTROL_HINT).splitlines()
     units: list[np.ndarray] = []
+    read_sd: list[float] = []
     metres: list[list[float]] = []
     for row, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -53,10 +54,11 @@ def read_control(path: Path, source: Source) -> Evidence:
             if len(place) not in (2, 3) or (metres and len(place) != len(metres[0])):
                 raise ValueError(f"{len(place)} coordinates in metres")
             units.append(source.locate(point))
+            read_sd.append(source.reading_sd(point))
             metres.append([number(word) for word in place])
         except (ValueError, OverflowError) as error:
             raise InputError(f"{path}, line {row}: {reason(error)}", CONTROL_HINT) from error
     try:
-        return ground_control(np.array(units), np.array(metres))
+        return ground_control(np.array(units), np.array(metres), float(np.median(read_sd or [0.0])))
     except ValueError as error:
         raise InputError(f"{path}: {error}", CONTROL_HINT) from error

@@ -272,10 +272,11 @@ def known_distance(
     return Evidence("known distance", metres / units, relative_sd, f"the known distance of {metres:g} m{where}")
 
 
-def ground_control(units: np.ndarray, metres: np.ndarray) -> Evidence:
+def ground_control(units: np.ndarray, metres: np.ndarray, read_sd: float = 0.0) -> Evidence:
     """Points (N, D) [units] and the same points (N, D') [m], N >= 2: the scale of the similarity transform between them
     (ratio of their spreads about the centroid, Horn 1987), with an uncertainty from the residuals. Distances between
-    the points are compared, not positions, so the axes may have any direction. Raises ValueError."""
+    the points are compared, not positions, so the axes may have any direction. read_sd : one sigma of how well a point
+    can be read along a line [units]. Raises ValueError."""
     if len(units) < 2 or len(units) != len(metres):
         raise ValueError("at least two points are needed, each in both systems")
     spread = [np.sqrt(((p - p.mean(0)) ** 2).sum()) for p in (units, metres)]
@@ -285,4 +286,5 @@ def ground_control(units: np.ndarray, metres: np.ndarray) -> Evidence:
     i, j = np.triu_indices(len(units), 1)
     misfit = np.linalg.norm(metres[i] - metres[j], axis=1) - value * np.linalg.norm(units[i] - units[j], axis=1)
     sd = max(CONTROL_SD, float(np.sqrt((misfit**2).mean() / 2)))
-    return Evidence("ground control", float(value), float(sd / spread[1]), f"ground control ({len(units)} points)")
+    relative_sd = float(np.hypot(sd / spread[1], read_sd / spread[0]))
+    return Evidence("ground control", float(value), relative_sd, f"ground control ({len(units)} points)")

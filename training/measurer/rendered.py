@@ -37,6 +37,9 @@ OPEN, LID = 0.65, 0.2  # shares of the beds; the others have a cap
 LOADED = 0.4  # share of the open ones
 CLEAR = (0.4, 1.0)  # of the sky's light that a clear sky gives: shadows are black there
 OVERCAST = 0.12  # share of the scenes without cast shadows
+PALE = 0.3  # share of the scenes whose ground is as light as sunlit concrete or white paint
+PALE_ALBEDO = 0.35, 0.7
+FLAT = 0.02  # [m], up to here faces are ground
 BRIGHT_GLASS = 0.5  # share of the vehicles whose windows are not nearly black
 FOCAL = 6.0  # of leaning views, in picture widths: nearly parallel rays
 FLEET = NormalFleet((4.45, 1.79, 1.58), (0.52, 0.10, 0.18))
@@ -115,6 +118,23 @@ def glaze(mesh: Mesh, rng: np.random.Generator) -> None:
             mesh.colour[glass & (mesh.owner == vehicle)] = np.exp(rng.uniform(np.log(0.02), np.log(0.3))) * tint
 
 
+def bleached(scene: Scene, rng: np.random.Generator) -> Scene:
+    """The scene on ground that is nearly as light as white vehicles, whose edges then hardly show."""
+    scenery = scene.scenery
+    flat = (scenery.corners[..., 2] < FLAT).all(1) & (scenery.colour.mean(1) < PALE_ALBEDO[0])
+    ground, grey = np.array(scene.ground[1], float), rng.uniform(0, 0.7)
+
+    def pale(colour: np.ndarray, level: float) -> np.ndarray:
+        hue = colour / colour.mean(-1, keepdims=True)
+        return level * (grey + (1 - grey) * hue)
+
+    level = rng.uniform(*PALE_ALBEDO)
+    colour = scenery.colour.copy()
+    colour[flat] = pale(colour[flat], level)
+    scene = replace(scene, scenery=replace(scenery, colour=colour))
+    return replace(scene, ground=(scene.ground[0], pale(ground, level * rng.uniform(0.6, 1.0))))
+
+
 def random_view(scene: Scene, rng: np.random.Generator) -> View:
     """Straight down, or leaning, at GSD metres per pixel."""
     if rng.random() > LEANING:
@@ -159,6 +179,9 @@ def rendered(seed: int, overcast: bool | None = None) -> Rendered:
     style = str(rng.choice(["carpark", "city", "suburb", "village", "industrial"], p=[0.35, 0.2, 0.2, 0.1, 0.15]))
     scene = make_scene(int(rng.integers(1 << 40)), FLEET, EXTENT, int(rng.integers(25, 70)), style)
     scene = replace(scene, vehicles=tuple(varied(v, rng) for v in scene.vehicles))
+    pale = np.random.default_rng([seed, 17])  # of its own: other scenes stay what they were
+    if pale.random() < PALE:
+        scene = bleached(scene, pale)
     if rng.random() < LOW_SUN:
         azimuth, height = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(10, 30))
         sun = np.array([np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)])

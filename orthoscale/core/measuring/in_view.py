@@ -11,10 +11,8 @@ from ..source import PosedSet
 
 
 def looked_at(found: Detections) -> list[str]:
-    """Names of the pictures that were processed; of boxes from a file, which does not tell, those with any boxes,
-    accepted or doubtful."""
-    if found.swept is not None:
-        return list(dict.fromkeys(name for name, _ in found.swept.tiles))
+    """Names of the pictures with any boxes, accepted or doubtful: those that were certainly processed.
+    Counting all that were swept loses cars that drove between the frames."""
     return [name for name in {**found.boxes, **found.doubtful} if _count(found, name)]
 
 

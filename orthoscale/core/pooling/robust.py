@@ -13,7 +13,7 @@ widths where they are fine, without a rule for it. Only the first term shrinks w
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,39 +101,19 @@ def pool(
             f"{len(votes)} boxes, but only {int(best.inlier.sum())} have the sizes of vehicles of one scale; "
             f"{MIN_VEHICLES} are needed"
         )
-    posterior, parts = best.posterior, dict(best.parts)
-    remarks = []
-    difference = float(best.estimates[0] - best.estimates[1])
-    if best.tension > CHECK_LIMIT:
-        # Two measurements that contradict each other know less than either claims (Birge 1932): widen what they share.
-        widened = posterior.widened(best.tension / CHECK_LIMIT)
-        parts["margin"] = float(np.sqrt(parts["margin"] ** 2 + widened.spread**2 - posterior.spread**2))
-        posterior = widened
-        remarks.append(remark_on_shape(difference, best.tension))
-    vehicles = posterior
+    vehicles, parts = _widened(best)
     used = np.zeros(len(votes), bool)
     used[measurable] = best.inlier
     mean = np.log(size[best.inlier]).mean(0)
-    alike = np.exp(best.estimates + mean)  # [m] the fleet's vehicles that stand here, by lengths and by widths
-    from_difference = (alike[0] - alike[1]) / np.subtract(*np.exp(mean))
     measuring = [vote for vote in anchors if not tells_country(vote)] if unknown else anchors
     together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)))
-    if telling:
-        kinds = " and ".join(dict.fromkeys(vote.anchor.kind for vote in telling))
-        remarks.append(Remark(INFO, f"{kinds} tell the country, not the scale: each country has sizes of its own"))
-    elif any(vote.anchor.unlike for vote in anchors):
-        remarks.append(Remark(INFO, "lane dashes do not count: the country is not known, and each has its own rules"))
     value, low, high = together.summary
     return Scale(
         value=value,
         unit=unit,
         interval90=(low, high),
         parts=together.parts,
-        checks={
-            "length": float(np.exp(best.estimates[0])),
-            "width": float(np.exp(best.estimates[1])),
-            "length_minus_width": float(from_difference),
-        },
+        checks=_checks(best, mean),
         weights=(float(best.weights[0]), float(best.weights[1])),
         tension=best.tension,
         conflict=together.conflict,
@@ -141,11 +121,40 @@ def pool(
         verdict=verdict(together.posterior.spread, best.tension > CHECK_LIMIT, together.conflict > 0),
         used=used,
         reasons=reasons(used, measurable, fleeting, np.log(size), mean),
-        remarks=(*together.remarks, *remarks),
+        remarks=(*together.remarks, *_remarks(best, telling, anchors)),
         larger_share=best.larger_share,
         fleets=fleets,
         evidence=together.evidence,
     )
+
+
+def _widened(best: _Vehicles) -> tuple[Posterior, dict[str, float]]:
+    """What vehicles say of the scale, and the parts of its uncertainty. Lengths and widths that contradict each other
+    know less than either claims (Birge 1932): what they share is widened."""
+    posterior, parts = best.posterior, dict(best.parts)
+    if best.tension > CHECK_LIMIT:
+        widened = posterior.widened(best.tension / CHECK_LIMIT)
+        parts["margin"] = float(np.sqrt(parts["margin"] ** 2 + widened.spread**2 - posterior.spread**2))
+        posterior = widened
+    return posterior, parts
+
+
+def _checks(best: _Vehicles, mean: np.ndarray) -> dict[str, float]:
+    """The scale by lengths, by widths and by their difference alone. mean : (2,) log of the vehicles' sizes [units]."""
+    alike = np.exp(best.estimates + mean)  # [m] the fleet's vehicles that stand here, by lengths and by widths
+    by_size = dict(zip(("length", "width"), np.exp(best.estimates).tolist(), strict=True))
+    return {**by_size, "length_minus_width": float((alike[0] - alike[1]) / np.subtract(*np.exp(mean)))}
+
+
+def _remarks(best: _Vehicles, telling: Sequence[AnchorVote], anchors: Sequence[AnchorVote]) -> Iterator[Remark]:
+    """On the vehicles' shapes, and on anchors that do not measure; `telling` : those that tell the country."""
+    if best.tension > CHECK_LIMIT:
+        yield remark_on_shape(float(best.estimates[0] - best.estimates[1]), best.tension)
+    if telling:
+        kinds = " and ".join(dict.fromkeys(vote.anchor.kind for vote in telling))
+        yield Remark(INFO, f"{kinds} tell the country, not the scale: each country has sizes of its own")
+    elif any(vote.anchor.unlike for vote in anchors):
+        yield Remark(INFO, "lane dashes do not count: the country is not known, and each has its own rules")
 
 
 def vote_noise(votes: Votes, ruler: Ruler) -> np.ndarray:
