@@ -44,6 +44,8 @@ OTHER_NAMES = {
     "republic of congo": "CG",
     "republic of the congo": "CG",
     "northern ireland": "GB",
+    "united states of america": "US",
+    "washington d c": "US_DC",
     "palestine": "PS",
     "state of palestine": "PS",
     # Parts of Mexico whose vehicles differ; the north has many from the USA.
@@ -78,13 +80,11 @@ def country_code(text: str) -> str | None:
     wanted = _plain(text).removeprefix("the ")
     if not wanted:
         return None
-    if len(parts := re.split(r"[,;/]", text)) > 1:
-        first, *others = (country_code(part) for part in parts)
-        state = _states().get(_plain(parts[0]))
-        if state is not None and others == ["US"]:
-            return state
-        if first is not None and any(others):
-            return None
+    parts = _parts(text)
+    if len(parts) == 2 and (code := _of_two(*parts)) is not None:
+        return code
+    if are_several(text):
+        return None
     if len(wanted) == 2 and wanted.upper() in _in_english():  # a code: the names of all countries take half a second
         return wanted.upper()
     names = _names()
@@ -92,6 +92,30 @@ def country_code(text: str) -> str | None:
         return names[wanted]
     begun = {code for name, code in names.items() if name.startswith(wanted + " ")}
     return begun.pop() if len(begun) == 1 else None
+
+
+def are_several(text: str) -> bool:
+    """Whether `text` lists countries: two parts or more, of which each is one."""
+    parts = _parts(text)
+    return len(parts) > 1 and sum(country_code(part) is not None for part in parts) > 1
+
+
+def _parts(text: str) -> list[str]:
+    return [part for part in re.split(r"[,;/]", text) if _plain(part)]
+
+
+def _of_two(first: str, second: str) -> str | None:
+    """The code of "STATE, USA", "STATE, its code", or of a name as lists have it: "Korea, Republic of"."""
+    state, more = _states().get(_plain(first)), _plain(second)
+    code = f"US_{_plain(first).upper()}"
+    if country_code(second) == "US":
+        foreign = _plain(first).upper() in _in_english()  # CA, US may be two countries
+        return state or (code if code in _states().values() and not foreign else None)
+    if state is not None and state == f"US_{more.upper()}":
+        return state
+    if (whole := _names().get(f"{more} {_plain(first)}".removeprefix("the "))) is not None:
+        return whole
+    return country_code(first) if re.search(r"\bof( the)?$", more) else None
 
 
 def nearest_names(text: str) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -102,13 +101,13 @@ def _of_country(text: str) -> Fleet:
 
 
 def _unknown(text: str) -> UsageError:
-    from .countries import nearest_names
+    from .countries import are_several, nearest_names
 
     near = nearest_names(text)
     hint = f"Did you mean {', '.join(near)}? " if near else ""
     if text.lower().endswith(".csv"):
         hint = "`orthoscale fleets --registrations` makes a fleet of a register. "
-    if re.search(r"[,;/]", text):
+    elif are_several(text):
         hint = "All vehicles are measured by one fleet, of one country. "
     return UsageError(
         f"no fleet is called {text!r}",

@@ -280,7 +280,7 @@ def test_one_kind_gives_none_without_vehicles_but_one_and_a_known_distance_do(sq
     image = np.zeros((300, 400, 3), np.uint8)
     cv2.imwrite(str(path), image)
     with pytest.raises(TooLittleEvidence, match="0 usable vehicles"):
-        orthoscale.estimate(path, known_distance=["10,20 310,420 50.2 0.4"], **options)
+        orthoscale.estimate(path, known_distance=["10,20 310,220 36.2 0.4"], **options)
 
 
 def test_the_command_lists_and_draws_them(two_kinds, tmp_path):

@@ -46,6 +46,31 @@ def test_strangers_do_not_match(seed):
     assert match(rng.uniform(0, 120, (4, 2)), rng.uniform(0, 120, (45, 2)), 1.6) is None
 
 
+@pytest.mark.parametrize("rows", [1, 2])
+def test_rows_of_other_places_do_not_match(rows):
+    """Bays are alike everywhere: a row falls on any other."""
+    found = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+
+        def row(rng=rng):
+            line, bay = np.nonzero(rng.random((rows, 20)) < 0.6)
+            return np.stack([2.5 * bay, 5.2 * line], -1) + rng.normal(0, 0.15, (len(bay), 2))
+
+        found.append(match(row(), 1.15 * row(), 1.6))
+    assert found == [None] * 6
+
+
+def test_a_vehicle_far_from_few_others_is_no_harm():
+    found = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        a = rng.uniform(0, 60, (8, 2))
+        b = turned(a, 1.08, 2.0, [300, -40]) + rng.normal(0, 0.2, a.shape)
+        found.append(match(np.r_[a, [[400.0, 300.0]]], b, 1.6))
+    assert sum(each is not None and abs(each[0] / 1.08 - 1) < 0.02 for each in found) >= 5
+
+
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory):
     """The folder of a model with boxes of its vehicles, and an orthophoto with boxes of the same ones."""

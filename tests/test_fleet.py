@@ -88,6 +88,10 @@ def test_names_are_case_blind_and_unknown_ones_are_refused_with_the_list():
     [("usa", "US"), ("CHE", "CH"), ("Schweiz", "CH"), ("suisse", "CH"), ("日本", "JP"), ("Côte d'Ivoire", "CI"),
      ("UK", "GB"), ("Texas", "US_TX"), ("US-ca", "US_CA"), ("tokyo", "JP_Tokyo"), ("Georgia", "GE"),
      ("hong kong", "HK"), ("Georgia, USA", "US_GA"), ("US,TX", "US_TX"), ("The Netherlands", "NL"), ("Palestine", "PS"),
+     ("Korea, Republic of", "KR"), ("Congo, Democratic Republic of the", "CD"),
+     ("Bolivia, Plurinational State of", "BO"),
+     ("Gambia, The", "GM"), ("New York, NY", "US_NY"), ("Washington, D.C.", "US_DC"), ("TX, USA", "US_TX"),
+     ("Texas, United States of America", "US_TX"),
      ("DR Congo", "CD"), ("Republic of Congo", "CG"), ("Northern Ireland", "GB"), ("Mexico City", "MX_center"),
      ("turkey", "TR"), ("276", "DE"), ("deutschland", "DE")],
 )  # fmt: skip
@@ -144,7 +148,9 @@ def test_a_misspelt_country_is_refused_with_the_nearest_names():
     with pytest.raises(UsageError, match=r"\(CD\).*\(CG\)"):
         load_fleet("Congo")
     with pytest.raises(UsageError, match="--registrations"):
-        load_fleet("register.csv")
+        load_fleet("data/register.csv")
+    with pytest.raises(UsageError, match=r"germany \(DE\)"):
+        load_fleet("Germny/")
     with pytest.raises(UsageError) as caught:
         load_fleet("AQ")
     assert "Did you mean" not in caught.value.hint, "it is what was asked for"

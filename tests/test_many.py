@@ -227,11 +227,11 @@ def test_only_files_that_options_name_become_absolute(tmp_path, monkeypatch):
     for name in ("DE", "html", "mine.json"):
         Path(name).touch()
     Path("boxes").mkdir()
-    request = FixRequest(fleet="DE", detections="boxes", anchor=("bay=2.5", "mine.json"), report="json")
+    request = FixRequest(fleet="DE", detections="./boxes/", anchor=("bay=2.5", "./mine.json"), report="json")
     (job,) = many.jobs_of("fix", [Path("a.tif")], request, tmp_path / "out")
     assert job["settings"] == {
         "fleet": "DE",
         "detections": str(tmp_path / "boxes"),
-        "anchor": ["bay=2.5", str(tmp_path / "mine.json")],
+        "anchor": ("bay=2.5", str(tmp_path / "mine.json")),
         "report": "json",
     }

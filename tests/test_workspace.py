@@ -174,3 +174,12 @@ def test_pose_priors_are_left_alone_and_said(work):
     assert not any(
         "pose priors are" in note for note in map(str, ColmapSource.open(work / "sparse/0", need_images=False).notes)
     )
+
+
+def test_a_sim3_beside_the_original_model_is_of_it(tmp_path):
+    """It was taken for one beside the scaled model, which stands elsewhere."""
+    shutil.copytree(EXAMPLE / "sparse", tmp_path / "sparse")
+    Sim3(2.0).save(tmp_path)
+    shutil.copy(tmp_path / "sim3.json", tmp_path / "sparse")
+    apply(tmp_path / "sparse/sim3.json", tmp_path / "sparse", tmp_path / "out")
+    assert (tmp_path / "out/sparse/sim3.txt").is_file()

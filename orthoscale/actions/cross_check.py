@@ -116,7 +116,8 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
     best, factor, shift, tried = 0, 0j, 0j, 0
     for start in random.permutation(len(a))[:MOST_VEHICLES_BEGUN]:
         outwards = np.argsort(np.abs(za - za[start]))
-        for other in outwards[1:NEIGHBOURS_ASKED][::-PAIR_STEP]:
+        asked = outwards[1:NEIGHBOURS_ASKED]
+        for other in asked[:: -max(1, min(PAIR_STEP, len(asked) // 3))]:
             step = za[other] - za[start]
             low, high = np.searchsorted(apart, np.abs(step) * np.array([1 - LIKELY_RATIO, 1 + LIKELY_RATIO]))
             pick = np.arange(low, high)
@@ -136,10 +137,12 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
             break
     if best < max(MIN_MATCHED, LEAST_COMMON * min(len(a), len(b))):
         return None
-    # By chance: the same laid elsewhere, not far, so that vehicles stand as densely there. Two are common because they
-    # were laid on each other.
-    away = reach * random.uniform(4, 12, PLACES_ELSEWHERE) * np.exp(2j * np.pi * random.random(PLACES_ELSEWHERE))
-    chance = _hits(factor * za + shift + away[:, None], tree, reach).sum(1).mean()
+    # By chance: the same laid elsewhere, not far, so that vehicles stand as densely there; in all directions, and along
+    # a row. Two are common because they were laid on each other.
+    far = reach * random.uniform(4, 12, PLACES_ELSEWHERE)
+    row = np.linalg.eigh(np.cov((a - a.mean(0)).T))[1][:, 1] @ (1, 1j) * factor / abs(factor)
+    directions = np.exp(2j * np.pi * random.random(PLACES_ELSEWHERE)), row * random.choice([-1, 1], PLACES_ELSEWHERE)
+    chance = max(_hits(factor * za + shift + (far * way)[:, None], tree, reach).sum(1).mean() for way in directions)
     return None if tried * pdtrc(best - 3, max(chance, 1e-300)) > BY_CHANCE else (float(abs(factor)), best)
 
 

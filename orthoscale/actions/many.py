@@ -101,17 +101,9 @@ def jobs_of(
 ) -> list[Job]:
     """A job for each of `inputs`, as `run_many` takes these; all paths but those of the inputs are absolute."""
     places = [None] * len(inputs) if out is None else [os.path.abspath(each) for each in outputs_of(inputs, out)]
-    settings = request.without(("scheduler", "workers")).settings()
+    settings = request.without(("scheduler", "workers")).with_absolute_paths().settings()
     if request.detections is None:
         settings["workers"] = request.workers or max(1, cores() // jobs)
-    given = {str(path) for path in request.inputs}
-
-    def absolute(value: Any) -> Any:
-        if isinstance(value, (list, tuple)):
-            return [absolute(one) for one in value]
-        return os.path.abspath(value) if str(value) in given else value
-
-    settings = {name: absolute(value) for name, value in settings.items()}
     return [
         {"action": action, "input": str(path), "out": place, "settings": settings}
         for path, place in zip(inputs, places, strict=True)

@@ -153,12 +153,21 @@ class VehicleRequest:
         """The files and folders that the options name, whether or not they exist."""
         found = []
         for each in fields(self):
-            about: Option = each.metadata["option"]
             value = getattr(self, each.name)
             for one in value if isinstance(value, tuple) else (value,):
-                if one is not None and (about.kind is Path or (about.kind is str and about.is_file(str(one)))):
+                if _names_file(each, one):
                     found.append(Path(one))
         return found
+
+    def with_absolute_paths(self) -> Self:
+        """The same, for a process in another folder."""
+
+        def absolute(of: Field, value: Any) -> Any:
+            if isinstance(value, tuple):
+                return tuple(absolute(of, one) for one in value)
+            return str(Path(value).absolute()) if _names_file(of, value) else value
+
+        return replace(self, **{each.name: absolute(each, getattr(self, each.name)) for each in fields(self)})
 
     @property
     def of_detector(self) -> Iterable[str]:
@@ -507,6 +516,11 @@ class FixOptions(EstimateOptions, total=False):
     force: bool
     dense: bool
     report: str
+
+
+def _names_file(of: Field, value: Any) -> bool:
+    about: Option = of.metadata["option"]
+    return value is not None and (about.kind is Path or (about.kind is str and about.is_file(str(value))))
 
 
 _KINDS: dict[type, tuple[tuple[type, ...], str]] = {  # what each kind of option takes, and what it is called

@@ -141,6 +141,11 @@ class Result(Brief):
             return None
         return EvidenceDisagrees(f"{self.source.path}: {refusal.text}", f"{refusal.hint}, or {FORCED}")
 
+    @property
+    def useful(self) -> bool:
+        """Whether `require_useful` raises nothing."""
+        return self.disagreement is None and self.scale.verdict != UNUSABLE
+
     def require_useful(self) -> None:
         """Raise TooLittleEvidence for a scale too uncertain to be written, EvidenceDisagrees for a contradiction."""
         if (disagreement := self.disagreement) is not None:

@@ -136,7 +136,7 @@ def _against_model(
     from ..actions import estimate as pipeline
     from ..actions.cross_check import check_against_model
 
-    not_of_model = (*OF_ORTHOPHOTO, *(request.of_detector if model_detections is not None else ()))
+    not_of_model = (*OF_ORTHOPHOTO, *((*request.of_detector, "measurer") if model_detections is not None else ()))
     with progress_bars() as progress:
         ortho = pipeline.measured(path, request.without(OF_MODEL), progress)
         frames = pipeline.measured(model, request.without(not_of_model, detections=model_detections), progress)
@@ -149,5 +149,8 @@ def _against_model(
         say(f"model      {checked.by_model:.5g} m/px, 90 % {low:.5g} to {high:.5g}")
         say(f"tied by    {checked.common} vehicles seen in both")
         say(f"           {checked.agreement.sentence()}")
+    for result in (ortho, frames):
+        if (disagreement := result.disagreement) is not None:
+            raise disagreement
     if checked.agreement.contradicts:
         sys.exit(EvidenceDisagrees.exit_code)

@@ -89,6 +89,9 @@ def estimate(
                 save(result.detections, saved, result.source)
     if models:
         _finish_all(outcomes, as_json)
+        results = [outcome.result for outcome in outcomes if outcome.result is not None]
+        if not any(each.useful for each in results):
+            results[0].require_useful()
         return
     _finish(result, as_json)
     result.require_useful()  # said after the figures: a script must not take them

@@ -227,6 +227,13 @@ class ColmapSource:
         """Names of all registered images, also of those whose frames are missing."""
         return sorted(self._images)
 
+    def _image(self, name: str) -> pycolmap.Image:
+        if name not in self._images:
+            raise UsageError(
+                f"{self.folder}: no registered image is named {name}", "Names are those in the model, with its folders."
+            )
+        return self._images[name]
+
     @cached_property
     def _images(self) -> dict[str, pycolmap.Image]:
         return {self._model.image(i).name: self._model.image(i) for i in self._model.reg_image_ids()}
@@ -250,11 +257,7 @@ class ColmapSource:
         the ray meets known ground at `lowest_elevation` degrees or steeper. Where it is False, the values are finite
         placeholders. Raises UsageError for an image the model does not have.
         """
-        if name not in self._images:
-            raise UsageError(
-                f"{self.folder}: no registered image is named {name}", "Names are those in the model, with its folders."
-            )
-        image = self._images[name]
+        image = self._image(name)
         points = np.asarray(points, float).reshape(-1, 2)
         plane, lens, ok = undistort(self._model.camera(image.camera_id), points)
 
@@ -278,8 +281,8 @@ class ColmapSource:
         return self._images[name].cam_from_world().rotation.matrix()
 
     def image_size(self, name: str) -> tuple[int, int]:
-        """Width and height of the image `name` [px]."""
-        camera = self._model.camera(self._images[name].camera_id)
+        """Width and height of the image `name` [px]. Raises UsageError for one that the model does not have."""
+        camera = self._model.camera(self._image(name).camera_id)
         return camera.width, camera.height
 
     def project(self, name: str, world: np.ndarray) -> np.ndarray:
@@ -381,8 +384,10 @@ def _reopened(
 
 
 def cameras_of(folder: Path) -> dict[str, np.ndarray]:
-    """(3,) where each camera of the COLMAP model in `folder` stands, by its image's name; none where there is none."""
-    if not any((folder / f"images.{form}").is_file() for form in ("bin", "txt")):
+    """(3,) where each camera of the scaled COLMAP model in `folder` stands [m], by its image's name; none where there
+    is none."""
+    images = [folder / f"images.{form}" for form in ("bin", "txt")]
+    if not (folder / SCALED_MARK).is_file() or not any(path.is_file() for path in images):
         return {}
     model = read_model(folder, open_model(folder).format)
     return {model.image(i).name: model.image(i).projection_center() for i in model.reg_image_ids()}
