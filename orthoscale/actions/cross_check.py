@@ -29,8 +29,8 @@ PAIR_STEP = 8  # of these neighbours each so many-th makes a pair with it, the f
 MOST_VEHICLES_BEGUN = 40  # vehicles that are begun with
 MOST_PAIRS_TRIED = 20_000  # pairs that one pair is laid on
 MOST_PAIRS_GROWN = 6  # of these, those that are looked at further
-ENOUGH_COMMON = 0.9  # of the vehicles in common, from which no other place is looked for
-LEAST_COMMON = 0.2  # of the vehicles in common, below which the places are not the same
+ENOUGH_COMMON = 0.9  # share of the vehicles of the smaller set that are common, from which no other place is looked for
+LEAST_COMMON = 0.2  # the same share, below which the places are not the same
 PLACES_ELSEWHERE = 100  # places that tell how many are common by chance
 BY_CHANCE = 1e-3  # of all tries, how many may reach as many common vehicles where there are none
 
@@ -115,10 +115,10 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
     random = np.random.default_rng(0)
     best, factor, shift, tried = 0, 0j, 0j, 0
     for start in random.permutation(len(a))[:MOST_VEHICLES_BEGUN]:
-        outwards = np.argsort(np.abs(za - za[start]))
+        outwards = za[np.argsort(np.abs(za - za[start]))]
         asked = outwards[1:NEIGHBOURS_ASKED]
         for other in asked[:: -max(1, min(PAIR_STEP, len(asked) // 3))]:
-            step = za[other] - za[start]
+            step = other - za[start]
             low, high = np.searchsorted(apart, np.abs(step) * np.array([1 - LIKELY_RATIO, 1 + LIKELY_RATIO]))
             pick = np.arange(low, high)
             if len(pick) > MOST_PAIRS_TRIED:
@@ -128,9 +128,9 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
             factors = (zb[to_b[pick]] - zb[from_b[pick]]) / step
             shifts = zb[from_b[pick]] - factors * za[start]
             tried += len(pick)
-            hits = _hits(factors[:, None] * za[outwards[:NEIGHBOURS_ASKED]] + shifts[:, None], tree, reach).sum(1)
+            hits = _hits(factors[:, None] * outwards[:NEIGHBOURS_ASKED] + shifts[:, None], tree, reach).sum(1)
             for k in np.argsort(-hits, kind="stable")[:MOST_PAIRS_GROWN]:
-                found = _grown(za[outwards], zb, tree, factors[k], shifts[k], reach)
+                found = _grown(outwards, zb, tree, factors[k], shifts[k], reach)
                 if found is not None and found[0] > best:
                     best, factor, shift = found
         if best > ENOUGH_COMMON * min(len(a), len(b)):
@@ -148,15 +148,20 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
 
 def _near_pairs(z: np.ndarray, tree: cKDTree) -> tuple[np.ndarray, np.ndarray]:
     """Ordered pairs (P,), (P,) of points that are near each other: each with its nearest 2 NEIGHBOURS_ASKED."""
-    near = tree.query(np.stack([z.real, z.imag], -1), min(2 * NEIGHBOURS_ASKED, len(z)))[1]
+    near = tree.query(_plane(z), min(2 * NEIGHBOURS_ASKED, len(z)))[1]
     first = np.repeat(np.arange(len(z)), near.shape[1])
     other = first != near.ravel()
     return first[other], near.ravel()[other]
 
 
+def _plane(z: np.ndarray) -> np.ndarray:
+    """(..., 2) coordinates of the complex points `z` (...)."""
+    return np.stack([z.real, z.imag], -1)
+
+
 def _hits(z: np.ndarray, tree: cKDTree, reach: float) -> np.ndarray:
     """Which of the points `z`, complex, of any shape, have one of the `tree` within `reach`."""
-    return tree.query(np.stack([z.real, z.imag], -1), distance_upper_bound=reach)[0] < np.inf
+    return tree.query(_plane(z), distance_upper_bound=reach)[0] < np.inf
 
 
 def _grown(
@@ -166,8 +171,7 @@ def _grown(
     to more and more of them; and what it is then. None where it is lost."""
     sizes = NEIGHBOURS_ASKED * 2 ** np.arange(int(np.ceil(np.log2(max(len(za) / NEIGHBOURS_ASKED, 1)))) + 1)
     for n in [*np.repeat(sizes, 2), len(za)]:
-        z = factor * za[:n] + shift
-        distance, index = tree.query(np.stack([z.real, z.imag], -1), distance_upper_bound=reach)
+        distance, index = tree.query(_plane(factor * za[:n] + shift), distance_upper_bound=reach)
         near = distance < np.inf
         x, y = za[:n][near], zb[index[near]]
         if near.sum() < MIN_MATCHED or not np.ptp(np.abs(x - x[0])):

@@ -331,7 +331,6 @@ class ColmapSource:
                 f"{self.folder} has no dense workspace (dense/ with stereo/ or fused.ply in it, beside the model)",
                 "Remove --dense, or bring it to metres later with `orthoscale apply`.",
             )
-        here = {name: image.projection_center() for name, image in self._images.items()}
         undistorted = sparse_folders(folder)
         if not undistorted:
             raise InputError(
@@ -342,15 +341,18 @@ class ColmapSource:
         for sparse in undistorted:
             if os.path.realpath(sparse) == os.path.realpath(self.folder):
                 continue
-            other = read_model(sparse, open_model(sparse).format)
-            images = [other.image(i) for i in other.reg_image_ids()]
-            apart = [np.linalg.norm(i.projection_center() - here[i.name]) for i in images if i.name in here]
-            if not apart or max(apart) > SAME_CAMERA * self.camera_height:
+            apart = self._apart(cameras_of(sparse))
+            if not apart or max(apart.values()) > SAME_CAMERA * self.camera_height:
                 raise InputError(
                     f"{sparse} is not the undistorted model of {self.folder}: its cameras stand elsewhere",
                     "It may be from another run or in metres already: run image_undistorter again.",
                 )
         return folder
+
+    def _apart(self, cameras: Mapping[str, np.ndarray], scale: float = 1.0) -> dict[str, float]:
+        """How far the cameras of this model, `scale` times as large, stand from those of the same names."""
+        common = [name for name in self._images if name in cameras]
+        return {name: float(np.linalg.norm(scale * self.centre(name) - cameras[name])) for name in common}
 
     def write_dense(self, folder: Path, metres_per_unit: float) -> None:
         """Write the dense workspace in metres into the empty `folder`; raises as `dense` does."""
@@ -384,13 +386,16 @@ def _reopened(
 
 
 def cameras_of(folder: Path) -> dict[str, np.ndarray]:
-    """(3,) where each camera of the scaled COLMAP model in `folder` stands [m], by its image's name; none where there
-    is none."""
-    images = [folder / f"images.{form}" for form in ("bin", "txt")]
-    if not (folder / SCALED_MARK).is_file() or not any(path.is_file() for path in images):
-        return {}
+    """(3,) where each camera of the COLMAP model in `folder` stands, by its image's name. Raises InputError."""
     model = read_model(folder, open_model(folder).format)
     return {model.image(i).name: model.image(i).projection_center() for i in model.reg_image_ids()}
+
+
+def metric_cameras_of(folder: Path) -> dict[str, np.ndarray]:
+    """`cameras_of` the scaled model in `folder` [m]; none where there is none."""
+    images = [folder / f"images.{form}" for form in ("bin", "txt")]
+    there = (folder / SCALED_MARK).is_file() and any(path.is_file() for path in images)
+    return cameras_of(folder) if there else {}
 
 
 def scale_model(
@@ -404,11 +409,12 @@ def scale_model(
     model = ColmapSource.open(source, need_images=False)
     if model.metric_already:
         raise UsageError(f"{source} is in metres already: {model.metric_already}", "Apply it to the original model.")
-    common = [name for name in model.picture_names if name in metric]
-    apart = [float(np.linalg.norm(scale * model.centre(name) - metric[name])) for name in common]
-    if apart and max(apart) > ANOTHER_MODEL * float(np.linalg.norm(np.ptp([*metric.values(), np.zeros(3)], axis=0))):
+    apart = model._apart(metric, scale)
+    extent = float(np.linalg.norm(np.ptp([*metric.values(), np.zeros(3)], axis=0)))
+    if apart and max(apart.values()) > ANOTHER_MODEL * extent:
+        farthest = max(apart, key=apart.__getitem__)
         raise UsageError(
-            f"{source} is another model than the one that was scaled: {common[int(np.argmax(apart))]} stands elsewhere",
+            f"{source} is another model than the one that was scaled: {farthest} stands elsewhere",
             "Give the sim3.json that `orthoscale fix` wrote for this model; each has a scale of its own.",
         )
     model.write(target, scale)

@@ -131,8 +131,8 @@ def bleached(scene: Scene, rng: np.random.Generator) -> Scene:
     level = rng.uniform(*PALE_ALBEDO)
     colour = scenery.colour.copy()
     colour[flat] = pale(colour[flat], level)
-    scene = replace(scene, scenery=replace(scenery, colour=colour))
-    return replace(scene, ground=(scene.ground[0], pale(ground, level * rng.uniform(0.6, 1.0))))
+    ground = pale(ground, level * rng.uniform(0.6, 1.0))
+    return replace(scene, scenery=replace(scenery, colour=colour), ground=(scene.ground[0], ground))
 
 
 def random_view(scene: Scene, rng: np.random.Generator) -> View:
