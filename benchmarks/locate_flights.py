@@ -29,11 +29,11 @@ from orthoscale.core.source import PosedSet
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.locate.level import LevelledPhoto
 from orthoscale.locate.register import Known
-from orthoscale.photos.lens import Lens
 from orthoscale.photos.measure import Photo
-from orthoscale.photos.tags import read_tags
+from orthoscale.sources.lens import Lens
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.satellite import Satellite
+from orthoscale.sources.tags import read_tags
 
 MAP_ACROSS = 1600  # [px] the longer side of the map
 CHOSEN_EVERY = 16  # [px] of the map over which one frame is chosen

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import orthoscale
-from orthoscale.actions.requests import ESTIMATORS, PROJECTIONS
+from orthoscale.requests import ESTIMATORS, PROJECTIONS
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the boxes of known truth are those of the tests
 

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from orthoscale.actions.estimate import estimate
-from orthoscale.actions.result import Result
 from orthoscale.core.pooling.paper import pool_iqr
 from orthoscale.core.projection.decoupled import PRIORS, VARIANTS, paper_scale
 from orthoscale.core.projection.view import Views
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import load_fleet
+from orthoscale.report.result import Result
 
 SCENES = {"sheffield": "US", "brighton": "US"}
 # Outer corners of the northern tennis court in one frame, picked by hand [px], and its size [m].

@@ -20,9 +20,9 @@ import numpy as np
 import pycolmap
 
 import orthoscale
-from orthoscale.actions.requests import FixRequest
 from orthoscale.actions.workspace import fix_all, models_in
 from orthoscale.errors import OrthoscaleError
+from orthoscale.requests import FixRequest
 
 
 def write_metric(sparse: str | Path, out: str | Path, images: str | Path | None = None, **options: Any) -> bool:

@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from .actions.check import check
     from .actions.estimate import estimate
     from .actions.fix import fix
-    from .actions.result import Result
     from .core.boxes import Boxes
     from .core.calibration import Calibration
     from .core.detections import Detections
@@ -60,6 +59,7 @@ if TYPE_CHECKING:
     from .formats.calibration import load_calibration, save_calibration
     from .formats.detections.own import load_detections, save_detections
     from .photos.survey import photo
+    from .report.result import Result
 
 _HOME = {
     "Boxes": "core.boxes",
@@ -67,7 +67,7 @@ _HOME = {
     "Detections": "core.detections",
     "Fleet": "core.fleet",
     "OrthoscaleError": "errors",
-    "Result": "actions.result",
+    "Result": "report.result",
     "Scale": "core.scale",
     "apply": "actions.apply",
     "calibrate": "actions.calibrate",

@@ -17,8 +17,9 @@ from support import in_process
 from support.aerial import other_date
 
 import orthoscale
-from orthoscale.actions.against import OnMap, on_map
+from orthoscale.actions.against import on_map
 from orthoscale.core.evidence import BY_MAP, Evidence
+from orthoscale.sources.on_map import OnMap
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.satellite import Satellite

@@ -33,7 +33,7 @@ def test_no_finder_is_imported_before_it_is_needed():
     import subprocess
 
     code = (
-        "import sys, orthoscale.actions.requests, orthoscale.anchors.kinds as k; "
+        "import sys, orthoscale.requests, orthoscale.anchors.kinds as k; "
         "names = {kind.finder.partition(':')[0] for kind in k.ANCHOR_KINDS.values()}; "
         "sys.exit(any(f'orthoscale.anchors.{name}' in sys.modules for name in names) or 'scipy' in sys.modules)"
     )

@@ -17,8 +17,6 @@ from support.reports import GSD, car_park
 
 import orthoscale
 from orthoscale.actions.anchors import own_standards
-from orthoscale.actions.requests import EstimateRequest
-from orthoscale.actions.whose import country_of
 from orthoscale.anchors import kinds
 from orthoscale.anchors.kinds import Kind
 from orthoscale.anchors.search import ENOUGH_ANCHORS, Sought, look, search, windows_of
@@ -26,6 +24,8 @@ from orthoscale.core.anchors import Anchor, alike
 from orthoscale.core.measuring.anchors import votes_in_model
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
+from orthoscale.requests import EstimateRequest
+from orthoscale.sources.country import country_of
 from orthoscale.sources.opening import open_source
 
 MIDDLES = np.array([[1120.3, 150.7], [1300.8, 320.2], [1150.1, 520.6]])

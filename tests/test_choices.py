@@ -23,8 +23,8 @@ from orthoscale.detect.tiles import Looks
 from orthoscale.detect.workers import worker_count
 from orthoscale.fleets import load_fleet
 from orthoscale.photos.measure import Photo
-from orthoscale.photos.tags import Tags
 from orthoscale.sources.colmap import ColmapSource
+from orthoscale.sources.tags import Tags
 
 
 def side_by_side(overlap_share):
@@ -103,7 +103,7 @@ def test_vehicles_of_one_place_stray_from_their_countrys_mean():
 
 
 def test_a_photo_counts_vehicles_down_to_an_elevation_of_25_degrees(tmp_path):
-    from orthoscale.photos.lens import Lens, brown
+    from orthoscale.sources.lens import Lens, brown
 
     camera = brown((1000, 4000), 1000.0, 1000.0, (500, 500))
     tags = Tags(1000, 4000, 1000)

@@ -8,7 +8,7 @@ import pytest
 import orthoscale
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.confirmed import seldom_confirmed, share_confirmed
-from orthoscale.detect import contested
+from orthoscale.detect import tie_break as contested
 from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.fleets import load_fleet
 from orthoscale.synthetic import make_scene, write_ortho

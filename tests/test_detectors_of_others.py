@@ -18,13 +18,13 @@ from orthoscale.core.measuring.plan import PlanGeometry
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect import foreign
 from orthoscale.detect.cache import TileCache
-from orthoscale.detect.classes import is_vehicle, vehicle_numbers
 from orthoscale.detect.detector import MOST_BOXES, Detector
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks, look_twice
 from orthoscale.errors import InputError, OrthoscaleError, UsageError
 from orthoscale.fleets import load_fleet
-from orthoscale.tables import standards
+from orthoscale.formats.detections.classes import is_vehicle, vehicle_numbers
+from orthoscale.formats.tables import standards
 
 onnx = pytest.importorskip("onnx")
 helper, numpy_helper = onnx.helper, onnx.numpy_helper

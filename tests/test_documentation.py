@@ -16,9 +16,9 @@ from click.testing import CliRunner
 from support.reports import car_park
 
 import orthoscale
-from orthoscale.actions.requests import GROUPS
 from orthoscale.cli.main import COMMANDS, cli
 from orthoscale.report.schema import report_schema
+from orthoscale.requests import GROUPS
 
 ROOT = Path(__file__).parent.parent
 PAGES = [

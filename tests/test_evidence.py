@@ -7,7 +7,7 @@ from orthoscale.core.evidence import Evidence, combined, ground_control, known_d
 from orthoscale.core.measuring.objects import standard_objects
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.pooling.posterior import Posterior
-from orthoscale.tables import known_objects
+from orthoscale.formats.tables import known_objects
 
 VEHICLES = Posterior.normal(np.log(0.10), 0.05)
 PARTS = {"sampling": 0.03, "fleet": 0.04}

@@ -18,9 +18,9 @@ from orthoscale.formats.detections.own import load_detections
 from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.layout import catalogue
 from orthoscale.layout.ground import _polygons
-from orthoscale.photos.lens import read_calibration
 from orthoscale.report.document import read_json
 from orthoscale.sources.json_model import ExchangeSource
+from orthoscale.sources.lens import read_calibration
 from orthoscale.sources.scaling import scale_path
 
 RULER = {"margin": [0, 0], "margin_sd": [1, 1], "bias_sd": [0.01, 0.01], "noise": [1, 1]}

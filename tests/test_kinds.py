@@ -10,7 +10,7 @@ from support.simulate import Vans, car_park
 from orthoscale.core.boxes import KINDS
 from orthoscale.core.detections import Detections
 from orthoscale.core.pooling.by_kind import country_likelihoods
-from orthoscale.core.pooling.mixture import Confusion
+from orthoscale.core.pooling.observed import Confusion
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect.measurer import MeasurerCard

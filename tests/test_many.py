@@ -19,8 +19,8 @@ from support.reports import EXAMPLE, car_park
 import orthoscale
 from orthoscale.actions import many
 from orthoscale.actions.inputs import inputs_of, outputs_of
-from orthoscale.actions.requests import EstimateRequest, FixRequest
 from orthoscale.errors import InputError, UsageError
+from orthoscale.requests import EstimateRequest, FixRequest
 
 SLOW = pytest.mark.slow
 

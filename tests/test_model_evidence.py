@@ -19,8 +19,8 @@ from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.ruler import Ruler
 from orthoscale.fleets import load_fleet
+from orthoscale.formats.tables import standards
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.tables import standards
 
 UNIT, STALL = 5.0, 2.5  # [m]
 FLEET = load_fleet("DE")

@@ -14,10 +14,10 @@ from support.other_programs import LENS, nerfstudio, opensfm, rescaled, same_vie
 
 from orthoscale.actions.estimate import estimate
 from orthoscale.actions.fix import fix, rehearsed
-from orthoscale.actions.requests import FixRequest
 from orthoscale.actions.workspace import models_in
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.formats.detections.own import save_detections
+from orthoscale.requests import FixRequest
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.ground import Ground
 from orthoscale.sources.json_model import ExchangeSource

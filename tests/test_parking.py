@@ -14,7 +14,7 @@ from orthoscale.core.measuring import parking
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
-from orthoscale.tables import standards
+from orthoscale.formats.tables import standards
 
 GSD = 0.1
 

@@ -22,13 +22,13 @@ from orthoscale.detect.workers import cores, worker_count
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
-from orthoscale.photos.lens import lens_of, read_calibration
 from orthoscale.photos.looking import Looking, boxes_of
 from orthoscale.photos.measure import find_photos, measure, open_photo
 from orthoscale.photos.survey import measure_together, open_photos
 from orthoscale.photos.survey import photo as survey_photos
 from orthoscale.photos.tables import footprint_on_earth
-from orthoscale.photos.tags import Tags, read_tags
+from orthoscale.sources.lens import lens_of, read_calibration
+from orthoscale.sources.tags import Tags, read_tags
 from orthoscale.synthetic import Pose
 
 POOLED = 0.006  # of a scale, relative: what the mixture of classes may be off where all vehicles are as the fleet says

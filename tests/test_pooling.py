@@ -10,7 +10,9 @@ from support.simulate import place_of, with_most
 from orthoscale.core.fleet import Fleet
 from orthoscale.core.market_segments import Places
 from orthoscale.core.pooling import robust
-from orthoscale.core.pooling.mixture import Mix, Seen, fit
+from orthoscale.core.pooling.mixture import fit
+from orthoscale.core.pooling.observed import Seen
+from orthoscale.core.pooling.problem import Mix
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather

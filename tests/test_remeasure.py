@@ -13,7 +13,6 @@ from support.drawings import Drawing, car_park
 
 import orthoscale
 from orthoscale.actions import find
-from orthoscale.actions.requests import EstimateRequest
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.detections import UNKNOWN_RULER, Detections
 from orthoscale.core.measuring.ways import measure_source
@@ -25,6 +24,7 @@ from orthoscale.detect.remeasure import MOST, remeasured
 from orthoscale.errors import InputError, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections, save_detections
+from orthoscale.requests import EstimateRequest
 from orthoscale.sources.opening import open_source
 from orthoscale.synthetic import make_scene, write_ortho
 

@@ -14,7 +14,6 @@ from support.in_process import run
 from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
 
 import orthoscale
-from orthoscale.actions.requests import command_line
 from orthoscale.core.remarks import REFUSAL, Remark
 from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, UsageError
@@ -26,6 +25,7 @@ from orthoscale.report.lettering import HALO, write_on
 from orthoscale.report.page import page
 from orthoscale.report.scene import Scene
 from orthoscale.report.terminal import show
+from orthoscale.requests import command_line
 from orthoscale.sources.opening import open_source
 
 

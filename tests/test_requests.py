@@ -14,14 +14,14 @@ from support.in_process import run
 from support.reports import EXAMPLE, car_park
 
 import orthoscale
-from orthoscale.actions import requests
+from orthoscale import requests
 from orthoscale.actions.fix import REPORT_FILES
-from orthoscale.actions.requests import EstimateRequest, FixRequest, PhotoRequest, VehicleRequest, flag
 from orthoscale.cli.main import COMMANDS, cli
 from orthoscale.cli.photo_options import LENS_NAMES
 from orthoscale.core.measuring.method import VARIANTS_BY_NAME
 from orthoscale.errors import UsageError
 from orthoscale.report.extras import WRITERS
+from orthoscale.requests import EstimateRequest, FixRequest, PhotoRequest, VehicleRequest, flag
 
 TOWN = Path(__file__).parents[1] / "examples" / "town" / "ortho.jpg"
 

@@ -20,8 +20,8 @@ from orthoscale.anchors.search import CODE_OF_FINDERS
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.detections import Tile
 from orthoscale.detect.cache import CODE, TileCache, cache_key
+from orthoscale.detect.far_look import UNPROMISING, promise
 from orthoscale.detect.order import visiting_order
-from orthoscale.detect.promise import UNPROMISING, promise
 from orthoscale.detect.sweep import Stop, sweep_twice
 from orthoscale.detect.tiles import Looks, look_twice, tiles
 from orthoscale.detect.workers import on_threads, worker_count

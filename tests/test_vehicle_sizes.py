@@ -11,9 +11,9 @@ import pytest
 from support.flights import FLEET, UNIT, vehicles
 from support.reports import GSD, car_park, fixed
 
-from orthoscale.actions.result import Result
 from orthoscale.report.document import read_json
 from orthoscale.report.page import page
+from orthoscale.report.result import Result
 from orthoscale.report.scene import Scene
 from orthoscale.sources.colmap import ColmapSource
 

@@ -13,11 +13,11 @@ from support.geometry import dense_workspace
 
 from orthoscale.actions.apply import apply
 from orthoscale.actions.fix import fix
-from orthoscale.actions.requests import FixRequest
 from orthoscale.actions.workspace import fix_all, models_in
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.formats.geometry.sim3 import Sim3
+from orthoscale.requests import FixRequest
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.system.outputs import FOLDER_MARK
 

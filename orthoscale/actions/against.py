@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..core.evidence import BY_MAP, Evidence
 from ..core.progress import Progress
-from ..core.source import Picture, Placement, PosedSet, Source
+from ..core.source import Picture, PosedSet, Source
 from ..errors import TooLittleEvidence
+from ..sources.on_map import OnMap
 
 if TYPE_CHECKING:
     from ..locate.ground import SeenPlan
@@ -26,39 +26,6 @@ if TYPE_CHECKING:
 SCALES_AROUND = 4.0  # sigmas of the vehicles' scale within which the map's is searched ...
 LEAST_AROUND, MOST_AROUND = math.log(1.3), math.log(1.6)  # ... but so far at least, to contradict, and at most
 VIEWS_TRIED = 3  # pictures of the ground of a reconstruction, the largest
-
-
-@dataclass(frozen=True)
-class OnMap:
-    """What a map says.
-
-    evidence : one piece, or none where the input was not found on it. notes : what a user should know.
-    crs, affine : the map's coordinates, and (2, 3) into them from an orthophoto's pixels, to which it gives `gsd_m`
-    [m/px]; None for a reconstruction, and where nothing was found. size : of the orthophoto [px]. name : of the map.
-    """
-
-    evidence: tuple[Evidence, ...] = ()
-    notes: tuple[str, ...] = ()
-    crs: Any = None
-    affine: np.ndarray | None = None
-    gsd_m: float = 0.0
-    size: tuple[int, int] = (0, 0)
-    name: str = ""
-
-    def place(self, metres_per_pixel: float) -> Placement | None:
-        """The georeferencing of a copy of this scale: the map's direction, and its place for the orthophoto's middle;
-        None without one."""
-        if self.affine is None:
-            return None
-        from rasterio.transform import Affine
-
-        from ..sources.georeference import Place
-
-        linear, shift = self.affine[:, :2], self.affine[:, 2]
-        middle = np.array(self.size) / 2
-        grown = linear * (metres_per_pixel / self.gsd_m)
-        matrix = np.column_stack([grown, linear @ middle + shift - grown @ middle])
-        return Place(self.crs, Affine(*matrix.ravel()), f"place and direction by its match with {self.name}")
 
 
 def on_map(

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..anchors import kinds
 from ..core.anchors import Anchor, AnchorVote, Standard
-from ..core.measuring.anchors import votes_in_model, votes_in_plan
+from ..core.measuring.anchors import FoundAnchors, votes_in_model, votes_in_plan
 from ..core.measuring.without_vehicles import FEWEST_KINDS
 from ..core.pooling.posterior import Z90
 from ..core.progress import Progress
@@ -23,7 +23,7 @@ from ..detect.workers import worker_count
 from ..errors import UsageError, shown
 from ..formats.points import number
 from ..formats.reading import reason
-from .requests import BOXED
+from ..requests import BOXED
 
 BEYOND_SIGMAS = 2.0  # sigmas beyond the ends of the vehicles' 90 % interval to which sizes are searched
 LEAST_SOUGHT, MOST_SOUGHT = 0.02, 0.2  # of the scale that finders are told, one sigma: what they are made for
@@ -36,17 +36,6 @@ STANDARD_HINT = (
     "Expected a kind and its size in metres: bay=2.5, or with its sigma bay=2.5,0.02; or a JSON file of standards, "
     "see docs/anchors.md."
 )
-
-
-@dataclass(frozen=True)
-class Searched:
-    """What was found: anchors in their pictures, and the votes that they make on the ground. without : the scale
-    before any of that was known."""
-
-    anchors: tuple[Anchor, ...] = ()
-    votes: tuple[AnchorVote, ...] = ()
-    without: Scale | None = None
-    notes: tuple[str, ...] = ()
 
 
 def kinds_of_boxes(choices: Sequence[str]) -> set[str]:
@@ -89,7 +78,7 @@ def look_for_anchors(
     source: Source,
     scale: Scale,
     wanted: Wanted,
-) -> Searched:
+) -> FoundAnchors:
     """The anchors in `source`, whose vehicles give `scale`; see `anchors_at`."""
     low, high = scale.interval90
     sd = float(np.log(high / low)) / (2 * Z90)
@@ -104,16 +93,16 @@ def anchors_at(
     sd: float,
     wanted: Wanted,
     share: float = 1.0,
-) -> Searched:
+) -> FoundAnchors:
     """The anchors in `source`, of roughly `metres_per_unit`, within twice its relative one-sigma `sd`. An orthophoto is
     searched as it is, a reconstruction in its ground pictures. share : of the usual effort."""
     from ..anchors.search import ENOUGH_ANCHORS, MOST_PIXELS, Sought, search
 
     views = _views(source) if wanted.kinds else {}
     if not views:
-        return Searched()
+        return FoundAnchors()
     if source.plan is not None and source.plan.claimed.aspect != 1:
-        return Searched(notes=("no anchors were looked for: pixels are not square",))
+        return FoundAnchors(notes=("no anchors were looked for: pixels are not square",))
     pictures = [(picture, metres_per_unit * unit) for picture, unit in views.values()]
     finest, effort = min(gsd for _, gsd in pictures), wanted.effort
     sought, notes = [], []
@@ -141,7 +130,7 @@ def anchors_at(
     else:
         votes = votes_in_plan(found, 4 * sd)
     votes = [vote.of(wanted.own.get(vote.anchor.kind)) for vote in votes]
-    return Searched(tuple(found), tuple(votes), notes=tuple(notes))
+    return FoundAnchors(tuple(found), tuple(votes), notes=tuple(notes))
 
 
 def at_any_scale(
@@ -149,7 +138,7 @@ def at_any_scale(
     rough: tuple[float, float] | None,
     wanted: Wanted,
     known: int = 0,
-) -> Searched:
+) -> FoundAnchors:
     """The anchors in `source`, whose scale is unknown: searched for at each of a ladder of scales.
 
     rough : metres per unit and its relative one-sigma, if there is an estimate; else all of LADDER is tried. known :
@@ -157,7 +146,7 @@ def at_any_scale(
     """
     units = [unit for _, unit in _views(source).values()]
     if not units or not wanted.kinds or len(wanted.kinds) + known < FEWEST_KINDS:
-        return Searched()
+        return FoundAnchors()
     if rough is None:
         low, high = (math.log(gsd / float(np.median(units))) for gsd in LADDER)
     else:
@@ -174,7 +163,7 @@ def at_any_scale(
         for vote in rung.votes:
             found.setdefault(vote.anchor.kind, []).append(vote)
     votes = [vote for these in found.values() for vote in _one_thing_once(these, high - low)]
-    return Searched(tuple(every), tuple(votes), notes=tuple(notes))
+    return FoundAnchors(tuple(every), tuple(votes), notes=tuple(notes))
 
 
 def _one_thing_once(votes: Sequence[AnchorVote], window: float) -> list[AnchorVote]:

@@ -25,8 +25,8 @@ from ..detect.tiles import sweep
 from ..detect.zoom import check_zoom
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..fleets import load_fleet
+from ..requests import listed, number
 from ..system.paths import path_of
-from .requests import listed, number
 
 LOOKS = np.sqrt(2.0) ** np.array([-1, 0, 1])  # zooms, as shares of the detector's best; a vehicle must show in all
 FEWEST_VEHICLES = 20  # vehicles; a mean length is then known to 2 %

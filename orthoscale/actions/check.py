@@ -10,15 +10,15 @@ from ..core.brief import Brief
 from ..core.claims import Comparison, own_claim
 from ..core.source import Source
 from ..errors import UsageError
+from ..report.result import Result
+from ..requests import EstimateRequest
 from .estimate import measured, source_of
-from .requests import EstimateRequest
-from .result import Result
 
 if TYPE_CHECKING:
     from typing import Unpack
 
     from ..core.progress import Progress
-    from .requests import EstimateOptions
+    from ..requests import EstimateOptions
 
 
 @dataclass(frozen=True, repr=False)

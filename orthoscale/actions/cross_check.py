@@ -19,7 +19,7 @@ from ..core.pooling.posterior import Z90
 from ..errors import TooLittleEvidence, UsageError
 
 if TYPE_CHECKING:
-    from .result import Result
+    from ..report.result import Result
 
 SAME_POSITION = 0.35  # of a vehicle's length: how far apart one may stand in the two
 LIKELY_RATIO = 0.25  # the two scales differ by less, so that chance alignments need not be tried

@@ -16,6 +16,7 @@ from ..core.calibration import Calibration
 from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ..core.evidence import Evidence
 from ..core.fleet import Fleet
+from ..core.measuring.anchors import FoundAnchors
 from ..core.measuring.geometry import Geometry
 from ..core.measuring.measure import doubts, measure
 from ..core.measuring.measurement import Measurement
@@ -38,24 +39,25 @@ from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, InputError, TooLittleEvidence
 from ..formats.calibration import load_calibration
 from ..formats.detections import load as load_detections
+from ..formats.tables import standards
+from ..report.result import Result
+from ..requests import EstimateRequest
+from ..sources.country import country_of, fleet_at, named_fleet
 from ..sources.location import location_of
+from ..sources.on_map import OnMap
 from ..sources.opening import AN_INPUT, open_source
 from ..system.paths import path_of
-from ..tables import standards
-from .against import OnMap, on_map
-from .anchors import Searched, Wanted, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
+from .against import on_map
+from .anchors import Wanted, at_any_scale, kinds_of_boxes, look_for_anchors, own_standards
 from .control import read_control, read_distance
 from .find import Sampling, VehicleSearch, find_in, measured_anew
-from .requests import EstimateRequest
-from .result import Result
-from .whose import country_of, fleet_at, named_fleet
 
 if TYPE_CHECKING:
     from typing import Unpack
 
     from ..detect.zoom import ZoomChoice
+    from ..requests import EstimateOptions
     from ..sources.satellite import Satellite
-    from .requests import EstimateOptions
 
 HINT_SD, CLAIM_SD = 0.15, 0.1  # of --gsd-hint, and of georeferencing, relative one-sigma, where anchors must do alone
 
@@ -144,13 +146,14 @@ def opened(path: str | Path | Source, request: EstimateRequest, progress: Progre
 class _Answer:
     """A scale, and what entered it besides the boxes.
 
-    method : with all evidence. searched : the anchors in the pictures. lies : the place of the source on the map.
+    method : with all evidence. anchors : those in the pictures. on_map : where the source lies on the map of
+    `--against`.
     """
 
     measurement: Measurement
     method: Method
-    searched: Searched
-    lies: OnMap
+    anchors: FoundAnchors
+    on_map: OnMap
 
 
 def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
@@ -174,15 +177,15 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         answer = _of_vehicles(asked, found, method, request, wanted)
     except TooLittleEvidence as error:
         answer = _of_anchors(asked, doubts(found), method, request, wanted, error)
-    measurement, searched, lies = answer.measurement, answer.searched, answer.lies
+    measurement, anchors, match = answer.measurement, answer.anchors, answer.on_map
     if any(note.severity == REFUSAL for note in source.notes):
         measurement = replace(measurement, scale=replace(measurement.scale, verdict=UNUSABLE))
     scale = measurement.scale
-    log.info("%d anchors, seen %d times", len(searched.votes), len(searched.anchors))
-    found = replace(found, notes=(*asked.why, *found.notes, *searched.notes, *lies.notes))
+    log.info("%d anchors, seen %d times", len(anchors.votes), len(anchors.anchors))
+    found = replace(found, notes=(*asked.why, *found.notes, *anchors.notes, *match.notes))
     seconds = time.perf_counter() - started
     log.info("%.6g %s by %d vehicles in %.1f s", scale.value, source.unit, scale.vehicles_used, seconds)
-    return Result(source, fleet, found, choice, seconds, measurement, answer.method, request.settings(), searched, lies)
+    return Result(source, fleet, found, choice, seconds, measurement, answer.method, request.settings(), anchors, match)
 
 
 def _found(asked: Opened, request: EstimateRequest, progress: Progress | None) -> tuple[Detections, ZoomChoice | None]:
@@ -201,23 +204,23 @@ def _found(asked: Opened, request: EstimateRequest, progress: Progress | None) -
 
 def _of_vehicles(asked: Opened, found: Detections, method: Method, request: EstimateRequest, wanted: Wanted) -> _Answer:
     """The scale by vehicles; then with what the map says, and the anchors that are looked for, at that scale."""
-    source, fleet, lies, searched = asked.source, asked.fleet, OnMap(), Searched()
+    source, fleet, match, anchors = asked.source, asked.fleet, OnMap(), FoundAnchors()
     answer = _by_vehicles(source, found, fleet, method, request)
     if asked.satellite is not None:
         rough = answer.scale.value, answer.scale.relative_sd
-        lies = on_map(source, asked.satellite, rough, request.cache, wanted.progress)
-    if lies.evidence:
-        method = replace(method, evidence=(*method.evidence, *lies.evidence))
+        match = on_map(source, asked.satellite, rough, request.cache, wanted.progress)
+    if match.evidence:
+        method = replace(method, evidence=(*method.evidence, *match.evidence))
         answer = measure_source(source, found, fleet, method, request.mode)
     if request.estimator == "robust" and not answer.scale.conflict:
         try:
-            searched = look_for_anchors(source, answer.scale, wanted)
+            anchors = look_for_anchors(source, answer.scale, wanted)
         except InputError as error:  # the vehicles' boxes may come from a file, and the pictures be damaged
-            searched = Searched(notes=(f"no anchors were looked for: {error.message}",))
-    if searched.votes:
-        method = replace(method, anchors=searched.votes)
+            anchors = FoundAnchors(notes=(f"no anchors were looked for: {error.message}",))
+    if anchors.votes:
+        method = replace(method, anchors=anchors.votes)
         answer = measure_source(source, found, fleet, method, request.mode)
-    return _Answer(answer, method, searched, lies)
+    return _Answer(answer, method, anchors, match)
 
 
 def _of_anchors(
@@ -232,13 +235,13 @@ def _of_anchors(
 
     lost : boxes that are no vehicles, by reason.
     """
-    rough, lies = _rough(asked.source, request), OnMap()
+    rough, match = _rough(asked.source, request), OnMap()
     if asked.satellite is not None and rough is not None:
-        lies = on_map(asked.source, asked.satellite, rough, request.cache, wanted.progress)
-        method = replace(method, evidence=(*method.evidence, *lies.evidence))
-    searched = at_any_scale(asked.source, rough, wanted, known=len({e.kind for e in method.evidence}))
-    method = replace(method, anchors=searched.votes)
-    return _Answer(_by_anchors(asked.source, asked.fleet, method, lost, error), method, searched, lies)
+        match = on_map(asked.source, asked.satellite, rough, request.cache, wanted.progress)
+        method = replace(method, evidence=(*method.evidence, *match.evidence))
+    anchors = at_any_scale(asked.source, rough, wanted, known=len({e.kind for e in method.evidence}))
+    method = replace(method, anchors=anchors.votes)
+    return _Answer(_by_anchors(asked.source, asked.fleet, method, lost, error), method, anchors, match)
 
 
 def _by_vehicles(

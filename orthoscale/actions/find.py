@@ -20,7 +20,7 @@ from ..detect.find import ZOOM_FRAMES, Effort, find_vehicles, find_zoom
 from ..detect.measurer import Measurer
 from ..detect.remeasure import remeasured
 from ..errors import EvidenceDisagrees, TooLittleEvidence, UsageError
-from .requests import BUILT_IN, EstimateRequest
+from ..requests import BUILT_IN, EstimateRequest
 
 if TYPE_CHECKING:
     from ..detect.zoom import ZoomChoice

@@ -14,18 +14,18 @@ from ..errors import Incomplete, MetricAlready, UsageError
 from ..formats.detections import check_name, save
 from ..report.extras import WRITERS, chosen
 from ..report.files import write_report
+from ..report.result import Result
+from ..requests import FixRequest
 from ..sources.opening import AN_INPUT
 from ..system.outputs import Outputs
 from ..system.paths import path_of
 from .estimate import measured, source_of
-from .requests import FixRequest
-from .result import Result
 
 if TYPE_CHECKING:
     from typing import Unpack
 
     from ..core.progress import Progress
-    from .requests import FixOptions
+    from ..requests import FixOptions
 
 GDAL_SIDECARS = (".aux.xml", ".ovr", ".msk")
 REPORT_FILES = {"none": (), "json": ("json", "png"), "html": ("json", "png", "html")}  # parts of a report, by its level

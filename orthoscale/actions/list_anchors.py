@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ..core.measuring.anchors import FoundAnchors
 from ..core.progress import Progress
 from ..core.scale import Scale
 from ..core.source import Source
@@ -14,10 +15,10 @@ from ..errors import TooLittleEvidence, UsageError
 from ..report.anchor_sheet import draw_anchors
 from ..report.anchors import entries, write_anchor_layer
 from ..report.document import write_json
-from .anchors import MOST_SOUGHT, Searched, Wanted, anchors_at, look_for_anchors, own_standards
+from ..requests import EstimateRequest
+from ..sources.country import country_of, named_fleet
+from .anchors import MOST_SOUGHT, Wanted, anchors_at, look_for_anchors, own_standards
 from .estimate import effort_of, measured, source_of
-from .requests import EstimateRequest
-from .whose import country_of, named_fleet
 
 # Options that matter where the scale is told.
 WITH_A_SCALE = ("fleet", "images", "ground_cloud", "anchors", "anchor", "workers", "cache")
@@ -33,7 +34,7 @@ class AnchorList:
     """What was found in a source, and at what scale [m per unit]; `scale` is None where that was told."""
 
     source: Source
-    searched: Searched
+    searched: FoundAnchors
     metres_per_unit: float
     scale: Scale | None
 

@@ -21,6 +21,9 @@ from ..core.claims import own_claim
 from ..detect.foreign_worker import receive, send
 from ..detect.workers import cluster, cores
 from ..errors import EvidenceDisagrees, Incomplete, OrthoscaleError, UsageError, shown
+from ..report.result import Result
+from ..report.summary import COLUMNS, Row
+from ..requests import EstimateRequest, FixRequest
 from ..sources.location import location_of
 from ..system import stopping
 from ..system.budget import allow, memory
@@ -28,34 +31,10 @@ from .check import checked
 from .estimate import measured
 from .fix import written
 from .inputs import outputs_of
-from .requests import EstimateRequest, FixRequest
-from .result import Result
 
 BUG = 1
 """Exit code of an input that met a bug of orthoscale, or whose process died."""
 
-# The columns of a summary; None where there is nothing to say. Intervals are 90 %.
-COLUMNS = {
-    "input": "its path",
-    "exit_code": "what the command would have returned for it alone",
-    "scale": "metres per pixel, or per unit of a model",
-    "unit": "m/px or m/model-unit",
-    "low90": "lower end of the interval",
-    "high90": "upper end of it",
-    "verdict": "good, fair, poor or unusable",
-    "vehicles_used": "the scale rests on these",
-    "fleet": "code of the fleet",
-    "claimed": "scale that the input claims [m/px]",
-    "claim": "agrees, doubtful or disagrees",
-    "output": "where the scaled copy is",
-    "longitude": "of its middle [degrees, WGS 84]",
-    "latitude": "of its middle [degrees, WGS 84]",
-    "seconds": "wall time",
-    "error": "why there is no scale, or no copy",
-    "hint": "what to do about it",
-}
-
-Row = dict[str, Any]
 Job = dict[str, Any]
 """action, input, out (None unless it is `fix`), settings: those of the request."""
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from ..core.source import Source
 from ..formats.detections import load as load_detections
+from ..requests import EstimateRequest, FixRequest
 from .estimate import detector_of, opened
 from .fix import rehearsed
-from .requests import EstimateRequest, FixRequest
 
 
 def rehearsal(

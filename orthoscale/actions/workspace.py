@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import EvidenceDisagrees, Incomplete, InputError, MetricAlready, OrthoscaleError, TooLittleEvidence
+from ..report.result import Result
+from ..requests import EstimateRequest, FixRequest
 from ..sources.exchange_files import find_exchange
 from ..system.outputs import Outputs
 from .estimate import measured
 from .fix import written
-from .requests import EstimateRequest, FixRequest
-from .result import Result
 
 if TYPE_CHECKING:
     from ..core.progress import Progress

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from ..core.anchors import BAYS, Anchor, Standard, holding
-from ..tables import standards as tables
+from ..formats.tables import standards as tables
 from .ladders import Ladder, crowded, doubled, find_ladders, levels, refined
 from .repeated import anchor_of
 from .rules import ruled, sizes, within_reach

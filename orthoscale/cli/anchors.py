@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ..actions.requests import EstimateRequest
+from ..requests import EstimateRequest
 from .options import (
     EXIT_CODES,
     PATH,

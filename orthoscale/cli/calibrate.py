@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ..actions.requests import VehicleRequest
+from ..requests import VehicleRequest
 from .options import (
     EXIT_CODES,
     PATH,

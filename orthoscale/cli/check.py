@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..actions.requests import EstimateRequest
 from ..errors import EvidenceDisagrees, UsageError
+from ..requests import EstimateRequest
 from .many import Many, inputs, rehearse, run
 from .options import (
     PATH,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..actions.requests import PhotoRequest
 from ..errors import UsageError
+from ..requests import PhotoRequest
 from .options import (
     EXIT_CODES,
     PATH,

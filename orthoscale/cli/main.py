@@ -13,7 +13,7 @@ from importlib import import_module
 import click
 
 from ..errors import LONGEST_MESSAGE, InputError, OrthoscaleError, OutputError, shown
-from ..system import chatter, stopping
+from ..system import quiet, stopping
 from ..version import __version__
 from .options import EXIT_CODES, say, set_verbosity
 
@@ -72,7 +72,7 @@ def main() -> None:
     logging.captureWarnings(True)
     logging.getLogger().addHandler(logging.StreamHandler() if debug else logging.NullHandler())
     try:
-        with stopping.listening(), nullcontext() if debug else chatter.unheard():
+        with stopping.listening(), nullcontext() if debug else quiet.unheard():
             result = cli.main(standalone_mode=False) or 0
             stopping.check()
         sys.exit(result)

@@ -17,8 +17,8 @@ from ..errors import OrthoscaleError, UsageError
 from .options import PATH, option, progress_bars, say
 
 if TYPE_CHECKING:
-    from ..actions.many import Row
-    from ..actions.requests import EstimateRequest
+    from ..report.summary import Row
+    from ..requests import EstimateRequest
 
 inputs_argument = click.argument("paths", metavar="INPUT...", type=PATH, nargs=-1, required=True)
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import click
 
-from ..actions.requests import GROUPS, Option, flag
 from ..errors import UsageError, shown
+from ..requests import GROUPS, Option, flag
 
 EXIT_CODES = """\b
 Exit codes: 0 done; 2 usage; 3 too little evidence (nothing written);

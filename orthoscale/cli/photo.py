@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..actions.requests import PhotoRequest
+from ..requests import PhotoRequest
 from .options import (
     EXIT_CODES,
     PATH,

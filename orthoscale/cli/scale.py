@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..actions.requests import EstimateRequest, FixRequest
 from ..errors import Incomplete, UsageError
+from ..requests import EstimateRequest, FixRequest
 from .many import Many, inputs, rehearse, rehearse_in_new_folder, run
 from .options import (
     EXIT_CODES,

@@ -28,7 +28,8 @@ class Places(NamedTuple):
     vehicles : its mix is as if so many had been drawn and all others there were like them (a Dirichlet process).
     probability : of a place of this kind.
     even : share of those that are drawn from all classes alike, not by their shares in the country.
-    left_out : the share of larger vehicles beside the fleet (`mixture.LARGER`) is known as if counted on so many.
+    left_out : the share of larger vehicles beside the fleet (`pooling.beside_fleet.LARGER`) is known as if counted on
+        so many.
     """
 
     vehicles: float

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .pooling.mixture import Confusion, Drawing
+from .pooling.observed import Confusion, Drawing
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Ruler:
     usual : (2,) length and width that boxes are drawn to [m].
     kinds : (4, 4) shares: what vehicles of each of `boxes.KINDS` (rows) are called (columns), on average over places;
         none where that was not measured: what they are called then tells nothing. kinds_vehicles : how much places
-        differ in it: as if each had its shares from so many vehicles of a kind (`mixture.Confusion`).
+        differ in it: as if each had its shares from so many vehicles of a kind (`pooling.observed.Confusion`).
     """
 
     margin: tuple[float, float] = (0.0, 0.0)

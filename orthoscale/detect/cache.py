@@ -32,7 +32,7 @@ NO_MATTER = {
     "cover.py",
     "find.py",
     "order.py",
-    "promise.py",
+    "far_look.py",
     "remeasure.py",
     "sweep.py",
     "workers.py",

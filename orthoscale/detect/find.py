@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import Boxes
 from ..core.confirmed import seldom_confirmed
 from ..core.detections import Detections, Tile
+from ..core.equal_sizes import all_alike, more_of_the_same
 from ..core.source import Picture
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from .cache import TileCache, cache_key
-from .contested import settled
 from .cover import Cover
 from .detector import Detector
+from .far_look import promise
 from .order import visiting_order
-from .promise import promise
 from .sweep import Found, Stop, sweep_twice
+from .tie_break import settled
 from .tiles import check_number, tiles
 from .workers import cores, visitor, worker_count
 from .zoom import ZoomChoice, search_zoom

@@ -21,8 +21,8 @@ import numpy as np
 
 from ..core.boxes import Boxes
 from ..errors import InputError, UsageError, shown
+from ..formats.detections.classes import DOTA, object_numbers, vehicle_numbers
 from ..formats.reading import checked, read
-from .classes import DOTA, object_numbers, vehicle_numbers
 from .decoders import decode_maps, decode_mmrotate, decode_ultralytics, decode_ultralytics_nms_free
 
 LARGEST_STRIDE = 1024  # [px] networks' are powers of two from 8 to 128

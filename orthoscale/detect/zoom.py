@@ -21,10 +21,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..core.alike import all_alike, more_of_the_same
 from ..core.boxes import SAME_VEHICLE, Boxes, matched, suppress
 from ..core.confirmed import AS_LIKELY, OF_MISTAKES, share_confirmed
 from ..core.detections import Tile
+from ..core.equal_sizes import all_alike, more_of_the_same
 from ..core.source import Picture
 from ..errors import UsageError
 from .detector import Card

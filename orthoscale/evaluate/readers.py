@@ -20,7 +20,7 @@ from ..core.projection.level import up_from_survey
 from ..errors import InputError
 from ..formats.reading import files_below, read_table, read_text
 from ..photos.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
-from ..photos.tags import read_tags
+from ..sources.tags import read_tags
 from .surface import Surface
 
 NAMED_ALTITUDE = re.compile(r"(?:^|[_/ -])H_?(\d+(?:\.\d+)?)(?=\.|_|/|$)", re.IGNORECASE)

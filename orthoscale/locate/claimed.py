@@ -12,10 +12,10 @@ import numpy as np
 from ..core.pooling.posterior import Z90
 from ..core.progress import Progress
 from ..errors import InputError, OrthoscaleError, TooLittleEvidence, UsageError
-from ..photos.lens import lens_of
 from ..photos.looking import Looking, boxes_of
 from ..photos.measure import Measure, Photo, PhotoScale, measure, open_photo
-from ..photos.tags import read_tags
+from ..sources.lens import lens_of
+from ..sources.tags import read_tags
 from .level import LevelledPhoto
 
 GSD_TOLD_SD = 0.03  # relative one-sigma of a GSD that is told: maps and terrain are not better. An assumption.

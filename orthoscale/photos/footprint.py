@@ -9,9 +9,9 @@ from typing import Any
 from ..core.progress import Progress
 from ..errors import TooLittleEvidence
 from ..sources.picture_file import PictureFile
+from ..sources.tags import read_tags
 from .looking import Looking, boxes_of
 from .measure import measure, open_photo
-from .tags import read_tags
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..actions.requests import PhotoRequest
-from ..actions.whose import fleet_at, named_fleet
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..core.progress import Progress
@@ -15,6 +13,8 @@ from ..core.remarks import Remark
 from ..detect.zoom import told_zoom
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from ..formats.calibration import load_calibration
+from ..requests import PhotoRequest
+from ..sources.country import fleet_at, named_fleet
 from ..sources.location import location_in
 from ..sources.picture_file import PictureFile
 from .measure import Photo
@@ -25,7 +25,7 @@ class Looking(PhotoRequest):
     """How to look for vehicles in photos, and what to compare them with."""
 
     def ruler_fleet(self, photos: Sequence[Path]) -> tuple[Fleet, tuple[str, ...]]:
-        """The fleet that `photos` are measured by, and what to say of it; see `actions.whose`."""
+        """The fleet that `photos` are measured by, and what to say of it; see `sources.country`."""
         known = None if self.calibration is None else load_calibration(Path(self.calibration))
         fleet = named_fleet(self.fleet, known)
         return fleet_at(location_in(photos)) if fleet is None else (fleet, ())

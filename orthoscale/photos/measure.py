@@ -33,10 +33,10 @@ from ..core.scale import PER_PIXEL, Scale, decimals
 from ..core.votes import Votes
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..formats.reading import files_below
+from ..sources.lens import Lens, brown, lens_of
 from ..sources.picture_file import PictureFile
+from ..sources.tags import READABLE_PHOTOS, Tags, read_tags
 from ..sources.undistort import undistort
-from .lens import Lens, brown, lens_of
-from .tags import READABLE_PHOTOS, Tags, read_tags
 
 # One sigma of pitch and roll [rad]: a gimbal's own word (it trembles by some tenths of a degree, and its zero is off by
 # as much), what a person tells, and a nadir that nobody told. Assumptions.

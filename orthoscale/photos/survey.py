@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..actions.requests import number
 from ..core.boxes import Boxes
 from ..core.brief import Brief
 from ..core.detections import Detections
 from ..core.fleet import Fleet
 from ..errors import InputError, TooLittleEvidence, UsageError
+from ..requests import number
 from ..system.paths import path_of, paths_of
 from .depth.maps import Depths
 from .looking import Looking, boxes_of
@@ -24,8 +24,8 @@ from .tables import Outcome, document
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from ..actions.requests import PhotoOptions
     from ..core.progress import Progress
+    from ..requests import PhotoOptions
 
 LINES_SHOWN = 6  # photos that printing a survey lists
 SAME_FOCAL = 0.001  # relative difference of focal lengths up to which photos are of one lens

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from ..actions.anchors import Searched
 from ..core.claims import own_claim
 from ..core.detections import Detections
 from ..core.fleet import Fleet
+from ..core.measuring.anchors import FoundAnchors
 from ..core.measuring.drift import Drift
 from ..core.measuring.judgement import judgements
 from ..core.measuring.measurement import Measurement
@@ -87,7 +87,7 @@ def document(
     settings: Mapping[str, Any],
     seconds: float,
     remarks: Sequence[Remark],
-    searched: Searched,
+    searched: FoundAnchors,
 ) -> dict[str, Any]:
     """The parts of a `Result` as plain values. Lengths in metres unless a name says px or unit; intervals are 90 %.
 
@@ -170,7 +170,7 @@ def _versions() -> dict[str, str]:
     return {"orthoscale": __version__, "python": platform.python_version(), **packages}
 
 
-def _anchors(searched: Searched, scale: Scale) -> dict[str, Any]:
+def _anchors(searched: FoundAnchors, scale: Scale) -> dict[str, Any]:
     """The anchors that were looked for in the pictures, and the scale before they were."""
     values: dict[str, Any] = {"anchors": entries(searched.votes, scale.value, scale.parts)}
     if searched.votes and (before := searched.without) is not None:

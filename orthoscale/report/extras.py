@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from rasterio.transform import Affine
 
-from ..actions.result import Result
 from ..core.source import Placement, Plan
 from ..system.outputs import has_header, ours, signature
 from .geo import check_on_earth, write_geojson, write_geopackage
+from .result import Result
 
 TILE_COLUMNS = ("x_px", "y_px", "width_px", "height_px", "vehicles", "used", "m_per_px", "relative_spread")
 

@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ..actions.result import Result
 from ..core.source import Source
 from ..errors import InputError, OrthoscaleError, UsageError
 from ..formats.reading import is_there, reason
@@ -17,6 +16,7 @@ from ..system.outputs import Outputs, ours_in_a_folder
 from .document import of_plan, read_json, write_json
 from .page import page
 from .pictures import draw
+from .result import Result
 from .scene import Scene
 
 DRAWN_AS = (".html", ".htm", ".png")

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from rasterio.warp import transform_geom
 
-from ..actions.result import Result
 from ..core.source import Placement, Plan
 from ..errors import OutputError, UsageError
 from ..formats.detections.geo import LAYER
 from ..formats.vector import write_layer
 from .anchors import entries, write_anchor_layer
+from .result import Result
 
 # Used green, others red, as in the picture; what a QGIS layer loads as its default style from the table layer_styles.
 STYLE = """<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>

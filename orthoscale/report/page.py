@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..actions.requests import command_line
 from ..core.pooling.posterior import Z90
 from ..core.remarks import INFO, percent, signed
 from ..formats.pictures import jpeg
+from ..requests import command_line
 from . import charts, places, wording
 from .document import completed
 from .explanation import explain

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from ..actions.many import COLUMNS, Row
 from ..core.scale import decimals
 from ..errors import UsageError
 from ..formats.vector import write_layer
@@ -19,6 +18,30 @@ from .page import template
 
 SUMMARY_FORMAT = "orthoscale summary 1"
 SUMMARY_LAYER = "orthoscale"
+
+# The columns of a summary; None where there is nothing to say. Intervals are 90 %.
+COLUMNS = {
+    "input": "its path",
+    "exit_code": "what the command would have returned for it alone",
+    "scale": "metres per pixel, or per unit of a model",
+    "unit": "m/px or m/model-unit",
+    "low90": "lower end of the interval",
+    "high90": "upper end of it",
+    "verdict": "good, fair, poor or unusable",
+    "vehicles_used": "the scale rests on these",
+    "fleet": "code of the fleet",
+    "claimed": "scale that the input claims [m/px]",
+    "claim": "agrees, doubtful or disagrees",
+    "output": "where the scaled copy is",
+    "longitude": "of its middle [degrees, WGS 84]",
+    "latitude": "of its middle [degrees, WGS 84]",
+    "seconds": "wall time",
+    "error": "why there is no scale, or no copy",
+    "hint": "what to do about it",
+}
+
+Row = dict[str, Any]
+"""An input, by COLUMNS."""
 
 
 def check_summary(path: Path) -> None:
@@ -33,7 +56,7 @@ def is_summary(path: Path) -> bool:
 
 
 def write_summary(rows: Sequence[Row], path: Path, place: Path) -> None:
-    """Write `rows` (`actions.many.COLUMNS`) to `path`, in the format of its ending; links lead from `place`, where the
+    """Write `rows` to `path`, in the format of its ending; links lead from `place`, where the
     file is to be. Raises OSError."""
     SUMMARY_WRITERS[path.suffix.lower()](rows, path, place)
 

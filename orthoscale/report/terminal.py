@@ -10,11 +10,11 @@ from types import MappingProxyType
 
 import click
 
-from ..actions.result import Result
 from ..core.claims import own_claim
 from ..core.pooling.posterior import Z90
 from ..core.remarks import percent
 from ..errors import LONGEST_MESSAGE, shown
+from .result import Result
 from .wording import counted, counted_kinds
 
 VERDICT_STYLES = {"good": "bold green", "fair": "bold yellow", "poor": "bold red", "unusable": "bold reverse red"}

@@ -19,7 +19,7 @@ from ..errors import InputError
 if TYPE_CHECKING:
     import pycolmap
 
-    from ..photos.lens import Lens
+    from .lens import Lens
     from .picture_file import PictureFile
 
 MOST_TRACKS = 1500  # whose tracks are used, the longest ones: a second's work
@@ -70,8 +70,8 @@ def focal_doubt(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile])
 
 def _told(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]) -> list[tuple[str, Lens, float]] | None:
     """Of some frames whose tags tell their lens: name, lens, and the model's focal length [px]; None without any."""
-    from ..photos.lens import lens_of
-    from ..photos.tags import read_tags
+    from .lens import lens_of
+    from .tags import read_tags
 
     cameras = {model.image(i).name: model.camera(model.image(i).camera_id) for i in model.reg_image_ids()}
     found = []

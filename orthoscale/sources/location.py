@@ -40,7 +40,7 @@ def location_of(source: Source) -> Location | None:
 
 def location_in(pictures: Iterable[Path]) -> Location | None:
     """The GPS position in the EXIF of the first of `pictures` that has one."""
-    from ..photos.tags import read_tags
+    from .tags import read_tags
 
     for path in pictures:
         try:

@@ -12,7 +12,7 @@ import numpy as np
 class Shot:
     """A photo over level ground. foot : (2,) below the camera, x and y of the orthophoto [m right and down].
 
-    heading : of the picture's top, clockwise from the orthophoto's up [deg]. pitch, roll : as `photos.tags` [deg].
+    heading : of the picture's top, clockwise from the orthophoto's up [deg]. pitch, roll : as `sources.tags` [deg].
     altitude [m], focal [px], size [px].
     """
 

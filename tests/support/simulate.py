@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoscale.core.boxes import KINDS, Boxes
 from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
-from orthoscale.core.pooling.mixture import CALLED_ANYTHING
+from orthoscale.core.pooling.observed import CALLED_ANYTHING
 from orthoscale.core.projection.exact import BODIES, Hull
 from orthoscale.core.projection.self_calibration import OwnRuler, own_ruler
 from orthoscale.core.projection.view import Views

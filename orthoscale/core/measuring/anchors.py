@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..anchors import Anchor, AnchorVote, alike
 from ..pooling.anchors import SHARED
+from ..scale import Scale
 from ..source import GroundView
 from .surroundings import GROUND_SD
 
@@ -16,6 +18,17 @@ FRAMES_APART = 2.0  # how far frames may place one line, or one middle, apart, i
 # had been seen PLACED_LIKE times; what more is seen decides more.
 PLACED_SD, PLACED_LIKE = 0.003, 4
 LEAST_HEIGHT_SD = 0.003  # of what many frames see, as a share of the camera's height: poses bend, grounds tilt
+
+
+@dataclass(frozen=True)
+class FoundAnchors:
+    """What a search found: anchors in their pictures, and the votes that they make on the ground. without : the scale
+    before any of that was known. notes : what a user should know of the search."""
+
+    anchors: tuple[Anchor, ...] = ()
+    votes: tuple[AnchorVote, ...] = ()
+    without: Scale | None = None
+    notes: tuple[str, ...] = ()
 
 
 def votes_in_plan(anchors: Sequence[Anchor], window: float) -> list[AnchorVote]:

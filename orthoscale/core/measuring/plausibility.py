@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..alike import of_one_size
 from ..boxes import Boxes
 from ..confirmed import OF_MISTAKES
+from ..equal_sizes import of_one_size
 from ..remarks import CAUTION, REFUSAL, Remark, percent
 from ..scale import Scale
 from ..verdicts import UNUSABLE, one_step_below, worst

@@ -13,7 +13,8 @@ from scipy.special import gammaln
 
 from ..fleet import Fleet
 from ..market_segments import Places
-from .mixture import LARGER, LORRIES, LORRIES_SHARE, OUTLIER_CALLED, OUTLIER_SHARE, Confusion, left_out
+from .beside_fleet import LARGER, LORRIES, LORRIES_SHARE, OUTLIER_CALLED, OUTLIER_SHARE, left_out
+from .observed import Confusion
 
 ANY_PLACE = 0.1  # of the places tell nothing of their country: a depot of vans, a dealer's yard; judged
 

@@ -29,8 +29,10 @@ from ..verdicts import CHECK_LIMIT, reasons, remark_on_shape, verdict
 from ..votes import Votes
 from .anchors import country_agreement, evidence_of, tells_country
 from .by_kind import country_likelihoods
-from .mixture import FINE, Confusion, Drawing, Fits, Mix, Seen, fit
+from .mixture import FINE, Fits, fit
+from .observed import Confusion, Drawing, Seen
 from .posterior import Posterior
+from .problem import Mix
 
 MIN_VEHICLES = 5  # arXiv 2603.07535 asks for the same
 SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
@@ -40,7 +42,7 @@ SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
 OF_THE_VEHICLE = 0.5
 LIKELY = 0.01  # probability below which a fleet is not reported
 MOVED_BY = 7  # of the likeliest fleets are asked what all votes change
-FEW = 60  # votes by which candidate fleets are compared; their shapes count for 25 at most (`mixture`)
+FEW = 60  # votes by which candidate fleets are compared; their shapes count for 25 at most (`solver`)
 # How much of what shapes seem to say of the country is believed. In simulation they tell Japan from Germany; on 12
 # orthophotos of six countries the boxes of version 5 made the true one the less likely the more they were believed
 # (mean log probability -7.0 where all of it is, -4.3 at a tenth, -4.2 at nothing: benchmarks/country_from_shapes.py),

@@ -14,11 +14,11 @@ from ...core.boxes import Boxes, distinct
 from ...core.detections import Detections
 from ...core.remarks import CAUTION, INFO, Remark
 from ...core.source import Pictures
-from ...detect.classes import plain
 from ...errors import InputError, UsageError, shown
-from ...tables import known_objects
 from ..reading import LARGE, read_plain
+from ..tables import known_objects
 from . import coco, dota, geo, table
+from .classes import plain
 from .items import Item, boxes_by_picture
 from .own import WHAT, note, noted, of_document, save_detections
 

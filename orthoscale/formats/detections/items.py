@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from ...core.boxes import KINDS, Boxes
-from ...detect.classes import is_vehicle
 from ...errors import InputError, shown
+from .classes import is_vehicle
 
 FARTHEST_PX = 1e7  # [px]
 # What programs call these properties of a box; the first that is there counts.

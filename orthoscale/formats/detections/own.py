@@ -13,8 +13,8 @@ import numpy as np
 from ...core.boxes import KINDS, Boxes
 from ...core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ...system.paths import path_of
-from ...tables import known_objects
 from ..reading import LARGE, checked, read_plain
+from ..tables import known_objects
 
 if TYPE_CHECKING:
     from ..schemas import BoxEntry, DetectionsEntry, NoteEntry

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...actions.requests import PhotoRequest
 from ...core.boxes import Boxes
 from ...errors import InputError, UsageError
+from ...requests import PhotoRequest
 from ..measure import Measure, Photo
 from .files import MAP_ENDINGS, read_depth
 from .ground import DepthAltitude, DepthMap, Kind, depth_altitude

@@ -8,9 +8,9 @@ import pytest
 
 SAID = """
 import logging, os, sys
-from orthoscale.system import chatter
+from orthoscale.system import quiet
 print("before", file=sys.stderr)
-with chatter.unheard():
+with quiet.unheard():
     os.write(2, b"libpng warning: iCCP: known incorrect sRGB profile\\n")
     print("within", file=sys.stderr)
     log = logging.StreamHandler()
@@ -27,7 +27,7 @@ def test_only_python_is_heard():
 
 @pytest.mark.slow
 def test_without_a_standard_error_nothing_breaks():
-    line = "import os; os.close(2); from orthoscale.system import chatter\nwith chatter.unheard(): print('fine')"
+    line = "import os; os.close(2); from orthoscale.system import quiet\nwith quiet.unheard(): print('fine')"
     done = subprocess.run([sys.executable, "-c", line], stdout=subprocess.PIPE, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (0, "fine\n")
 

@@ -9,7 +9,7 @@ from PIL import Image
 from rasterio.transform import from_origin
 from support.photos import write_photo
 
-from orthoscale.actions.whose import fleet_at, named_fleet
+from orthoscale.sources.country import fleet_at, named_fleet
 from orthoscale.sources.georeference import LOCAL_CRS
 from orthoscale.sources.location import Location, location_in, location_of
 from orthoscale.sources.opening import open_source

@@ -11,6 +11,7 @@ from ..core.boxes import Boxes
 from ..core.brief import Brief
 from ..core.detections import Detections
 from ..core.fleet import Fleet
+from ..core.measuring.anchors import FoundAnchors
 from ..core.measuring.measurement import Measurement
 from ..core.measuring.method import Method
 from ..core.remarks import REFUSAL, Remark, informing
@@ -19,8 +20,7 @@ from ..core.source import Placement, Source
 from ..core.verdicts import UNUSABLE
 from ..core.votes import Votes
 from ..errors import EvidenceDisagrees, TooLittleEvidence
-from .against import OnMap
-from .anchors import Searched
+from ..sources.on_map import OnMap
 
 if TYPE_CHECKING:
     from ..detect.zoom import ZoomChoice
@@ -44,8 +44,8 @@ class Result(Brief):
     measured: Measurement = field(repr=False)
     method: Method = field(default_factory=Method)
     settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
-    anchors: Searched = field(default_factory=Searched, repr=False)
-    lies: OnMap = field(default_factory=OnMap, repr=False)  # where, on the map of --against
+    anchors: FoundAnchors = field(default_factory=FoundAnchors, repr=False)
+    on_map: OnMap = field(default_factory=OnMap, repr=False)  # where the source lies on the map of --against
 
     @property
     def projection(self) -> str:
@@ -74,7 +74,7 @@ class Result(Brief):
 
     def to_dict(self) -> dict[str, Any]:
         """The report (what `fix` writes as JSON) as plain values; see `report.document.document`."""
-        from ..report.document import document
+        from .document import document
 
         return document(
             self.measured,
@@ -100,7 +100,7 @@ class Result(Brief):
         `keep_origin` the input's own place."""
         assert self.source.plan is not None, "reconstructions have none"
         metres_per_pixel = self.scale.value
-        return self.lies.place(metres_per_pixel) or self.source.plan.place(metres_per_pixel, keep_origin)
+        return self.on_map.place(metres_per_pixel) or self.source.plan.place(metres_per_pixel, keep_origin)
 
     @property
     def scale(self) -> Scale:

@@ -147,7 +147,7 @@ def brown(
     bend: tuple[float, ...] = (0.0,) * 5,
 ) -> pycolmap.Camera:
     """A camera of `size` px with Brown distortion k1, k2, p1, p2, k3 as in OpenCV; `middle` by default the image's."""
-    from ..sources.colmap_library import pycolmap
+    from .colmap_library import pycolmap
 
     cx, cy = middle or (size[0] / 2, size[1] / 2)
     if not any(bend):
@@ -210,7 +210,7 @@ def _from_json(path: Path) -> pycolmap.Camera:
 
 
 def _from_colmap(text: str) -> pycolmap.Camera:
-    from ..sources.colmap_library import pycolmap
+    from .colmap_library import pycolmap
 
     lines = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if len(lines) != 1:

@@ -10,10 +10,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from .core.anchors import BAYS
-from .core.measuring.objects import in_words
-from .core.measuring.surroundings import Standards
-from .formats.reading import read_plain
+from ..core.anchors import BAYS
+from ..core.measuring.objects import in_words
+from ..core.measuring.surroundings import Standards
+from .reading import read_plain
 
 
 def standards(kinds: Collection[str] | None = None) -> Standards:
@@ -31,4 +31,4 @@ def known_objects() -> dict[str, list[dict[str, Any]]]:
 
 @cache
 def _table(name: str) -> dict[str, Any]:
-    return read_plain(Path(__file__).parent / "data" / f"{name}.json", f"the table of {name}")[name]
+    return read_plain(Path(__file__).parents[1] / "data" / f"{name}.json", f"the table of {name}")[name]

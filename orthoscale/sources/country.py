@@ -12,7 +12,7 @@ from ..fleets import load_fleet, local_fleet
 
 if TYPE_CHECKING:
     from ..core.calibration import Calibration
-    from ..sources.location import Location
+    from .location import Location
 
 UNIONS = {"EU"}  # codes of fleets that are no country's
 
@@ -36,7 +36,7 @@ def fleet_at(location: Location | None) -> tuple[Fleet, tuple[str, ...]]:
 def country_of(source: Source, fleet: Fleet | None) -> str:
     """ISO code of the country whose standards hold in `source`: where it lies, else that of its `fleet`; empty where
     neither says."""
-    from ..sources.location import location_of
+    from .location import location_of
 
     location = location_of(source)
     if location is not None and (code := country_at(location.longitude, location.latitude)) is not None:

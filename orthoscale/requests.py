@@ -15,13 +15,13 @@ from dataclasses import Field, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
-from ..anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
-from ..errors import UsageError, shown
+from .anchors.kinds import ALL, ANCHOR_KINDS, NO_KIND, PROVEN, slug
+from .errors import UsageError, shown
 
 if TYPE_CHECKING:
     from typing import Self
 
-    from ..core.source import Source
+    from .core.source import Source
 
 MODES = ("both", "oblique", "planar")
 PROJECTIONS = ("exact", "planar", "decoupled", "program", "naive")

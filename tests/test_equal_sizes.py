@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from orthoscale.core.alike import all_alike, more_of_the_same
 from orthoscale.core.boxes import Boxes
+from orthoscale.core.equal_sizes import all_alike, more_of_the_same
 from orthoscale.detect import zoom
 from orthoscale.detect.zoom import ZoomChoice
 
