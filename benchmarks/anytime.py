@@ -20,8 +20,8 @@ from orthoscale.actions.estimate import estimate
 from orthoscale.core.detections import Detections
 from orthoscale.core.measuring.measure import measure
 from orthoscale.detect.cache import TileCache, cache_key
+from orthoscale.detect.coarse_pass import FAR, FAR_TILES, UNPROMISING, hint
 from orthoscale.detect.detector import Detector
-from orthoscale.detect.far_look import FAR, FAR_TILES, UNPROMISING, hint
 from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.sweep import Stop, sweep_twice

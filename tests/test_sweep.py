@@ -20,7 +20,7 @@ from orthoscale.anchors.search import CODE_OF_FINDERS
 from orthoscale.core.boxes import Boxes, matched
 from orthoscale.core.detections import Tile
 from orthoscale.detect.cache import CODE, TileCache, cache_key
-from orthoscale.detect.far_look import UNPROMISING, promise
+from orthoscale.detect.coarse_pass import UNPROMISING, coarse_pass
 from orthoscale.detect.order import visiting_order
 from orthoscale.detect.sweep import Stop, sweep_twice
 from orthoscale.detect.tiles import Looks, look_twice, tiles
@@ -192,7 +192,7 @@ def test_promising_tiles_are_those_that_show_something_from_afar():
     picture = Drawing(7000, 7000, truth)
     picture.FINER = 1
     jobs = jobs_of(picture)
-    weight = promise(jobs, np.arange(len(jobs)), Far(), 2)
+    weight = coarse_pass(jobs, np.arange(len(jobs)), Far(), 2)
     hit = [t.x <= 500 < t.x + t.width and t.y <= 500 < t.y + t.height or t.x + t.width > 6500 and t.y + t.height > 6500
            for _, t in jobs]  # fmt: skip
     assert (weight == np.where(hit, 1.0, UNPROMISING)).all() and 0 < sum(hit) < len(jobs)
@@ -200,7 +200,7 @@ def test_promising_tiles_are_those_that_show_something_from_afar():
 
 def test_few_tiles_need_no_promise(town):
     jobs = jobs_of(town[0])
-    assert (promise(jobs, np.arange(len(jobs)), None, 1) == 1).all()
+    assert (coarse_pass(jobs, np.arange(len(jobs)), None, 1) == 1).all()
 
 
 @pytest.mark.slow

@@ -32,7 +32,7 @@ NO_MATTER = {
     "cover.py",
     "find.py",
     "order.py",
-    "far_look.py",
+    "coarse_pass.py",
     "remeasure.py",
     "sweep.py",
     "workers.py",

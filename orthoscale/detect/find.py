@@ -17,9 +17,9 @@ from ..core.equal_sizes import all_alike, more_of_the_same
 from ..core.source import Picture
 from ..errors import EvidenceDisagrees, TooLittleEvidence
 from .cache import TileCache, cache_key
+from .coarse_pass import coarse_pass
 from .cover import Cover
 from .detector import Detector
-from .far_look import promise
 from .order import visiting_order
 from .sweep import Found, Stop, sweep_twice
 from .tie_break import settled
@@ -147,7 +147,7 @@ def _promising_first(
     """Numbers of an orthophoto's tiles, spread evenly at every stop; those with something to see from afar sooner."""
     places = [tile for _, tile in jobs]
     evenly = visiting_order(places, np.ones(len(jobs)), seed)
-    return visiting_order(places, promise(jobs, evenly, detector, count, progress), seed)
+    return visiting_order(places, coarse_pass(jobs, evenly, detector, count, progress), seed)
 
 
 def _without(found: Detections, why: str, doubted: Callable[[Boxes, Boxes], np.ndarray]) -> Detections:

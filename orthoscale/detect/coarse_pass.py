@@ -13,23 +13,24 @@ from ..core.source import Picture
 from .detector import Detector
 from .tiles import look
 
-FAR = 0.25  # zoom of the far look as a share of the sweep's: a sixteenth of its pixels
+FAR = 0.25  # resampling factor as a share of the sweep's: a sixteenth of its pixels
 FAR_SCORE = 0.5  # what the detector must be sure of there; empty ground seldom looks so much like a vehicle from afar
-MANY_TILES = 64  # tiles from which a far look pays
-FAR_TILES = 64  # tiles that are looked at from far away; half a second on two cores
-UNPROMISING = 0.125  # how early tiles without a promise come, against those with one; never 0, for promises err
+MANY_TILES = 64  # tiles from which a coarse pass pays
+FAR_TILES = 64  # tiles in its sample; half a second on two cores
+UNPROMISING = 0.125  # weight of tiles that showed nothing, against those that did; never 0, for the pass errs
 
 
-def promise(
+def coarse_pass(
     jobs: Sequence[tuple[Picture, Tile]],
     order: np.ndarray,
     detect: Detector,
     workers: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> np.ndarray:
-    """(N,) weights for the order in which to visit the tiles `jobs`, from far looks at the first ones in `order`.
+    """(N,) weights for the order in which to visit the tiles `jobs`, from a look at a quarter of the
+    resampling factor at the first ones in `order`.
 
-    All promising tiles weigh the same, however many vehicles they promise: every vehicle in them has the same chance to
+    All tiles that show vehicles weigh the same, however many: every vehicle in them has the same chance to
     be seen, be it in a car park or in front of a lonely house.
     """
     if len(jobs) < MANY_TILES:
@@ -46,7 +47,7 @@ def promise(
 
 
 def hint(job: tuple[Picture, Tile], detect: Detector) -> bool:
-    """Whether a far look at one tile shows anything like a vehicle."""
+    """Whether one tile, looked at coarsely, shows anything like a vehicle."""
     picture, tile = job
     size = {"out_width": max(1, round(tile.out_width * FAR)), "out_height": max(1, round(tile.out_height * FAR))}
     return len(look(picture, replace(tile, **size), lambda image: detect(image, threshold=FAR_SCORE))) > 0
