@@ -27,31 +27,19 @@ from orthoscale.fleets import load_fleet
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from support.simulate import place_of, table  # noqa: E402
+from support.simulate import not_quite, place_of, table  # noqa: E402
 
 FLEETS = ("US", "DE", "NL", "JP", "PH", "CN", "NP", "UG")
 VEHICLES = (12, 40, 100, 300)
 GSDS = (0.06, 0.12, 0.30)  # [m/px]
 RULER = Ruler(margin=(0.43, -0.12), margin_sd=(0.15, 0.15), bias_sd=(0.018, 0.044), common_sd=0.01, noise=(1.0, 0.7))
-CLASS_MEAN, CLASS_SPREAD = 0.02, 0.15  # by which the tables are off, one sigma
 VANS, FALSE = (0.0, 0.03, 0.08, 0.2), (0.0, 0.02, 0.08)  # shares, one of each at a place
 REDRAWN = 2  # times each
 
 
-def place(rng: np.random.Generator, fleet: Fleet) -> Fleet:
-    """A place of `fleet` whose classes are not quite the table's."""
-    here, classes = place_of(rng, fleet), []
-    for c in here.classes:
-        off = rng.standard_normal(3)
-        off[1] = 0.6 * off[0] + 0.8 * off[1]
-        spread = np.exp(CLASS_SPREAD * rng.standard_normal())
-        classes.append(replace(c, mean=c.mean * np.exp(CLASS_MEAN * off), sd=c.sd * spread))
-    return replace(here, classes=tuple(classes))
-
-
 def scene(rng: np.random.Generator, fleet: Fleet, n: int, gsd: float) -> Votes:
     """Votes of `n` boxes at one place, in an orthophoto of `gsd` [m/px]."""
-    here, unknown = place(rng, fleet), fleet.mean_sd[:2] / fleet.mean[:2]
+    here, unknown = not_quite(rng, place_of(rng, fleet)), fleet.mean_sd[:2] / fleet.mean[:2]
     stray = np.sqrt(MEAN_CORRELATION) * rng.standard_normal() + np.sqrt(1 - MEAN_CORRELATION) * rng.standard_normal(2)
     size = here.sample(rng, n)[:, :2] * np.exp(unknown * stray)
     van = rng.random(n) < rng.choice(VANS)

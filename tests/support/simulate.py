@@ -29,6 +29,7 @@ VAN_SHARE = 0.11
 # Of what kinds the vehicles of a class are (people carriers with a bonnet, vans without) is a place's own: as if it had
 # that from so many.
 KINDS_LIKE = 5.0
+CLASS_MEAN, CLASS_SPREAD = 0.02, 0.15  # by which the tables are off in each class, one sigma of the logarithm
 LEFT_OF_HIDDEN = (0.5, 0.95)  # share of its length that is seen of a vehicle which stands partly under a tree
 VANS = np.array([[[5.00, 1.96], [0.13, 0.04]], [[5.75, 2.03], [0.35, 0.04]]])
 
@@ -204,6 +205,17 @@ def place_of(rng: np.random.Generator, fleet: Fleet) -> Fleet:
     return replace(fleet, classes=tuple(classes), three_wheelers=None)
 
 
+def not_quite(rng: np.random.Generator, place: Fleet) -> Fleet:
+    """`place` whose classes are not quite the table's: as far off as the pooling takes tables to be."""
+    classes = []
+    for c in place.classes:
+        off = rng.standard_normal(3)
+        off[1] = 0.6 * off[0] + 0.8 * off[1]
+        spread = np.exp(CLASS_SPREAD * rng.standard_normal())
+        classes.append(replace(c, mean=c.mean * np.exp(CLASS_MEAN * off), sd=c.sd * spread))
+    return replace(place, classes=tuple(classes))
+
+
 @dataclass(frozen=True)
 class Vans:
     """Vans at a place, which are not of its fleet: their share of the vehicles, and that of the large ones of them."""
@@ -244,6 +256,7 @@ def car_park(
     false: float = 0.0,
     most: tuple[str, float] | None = None,
     hidden: float = 0.0,
+    exact: bool = True,
 ) -> Votes:
     """Votes of `n` boxes in an orthophoto of `gsd` [m/px]; with kinds if `ruler` has a table of them.
 
@@ -251,14 +264,16 @@ def car_park(
     margin, the labels' bias, how strongly sizes are drawn to the usual. `vans` stand among the fleet's vehicles;
     `false`, a share of the boxes, are not vehicles. Scores are high for vehicles and low for false boxes, with much
     overlap. most : a class and the share that it has at this place, whatever the country's. hidden : the share of the
-    vehicles of which only a part of the length is seen.
+    vehicles of which only a part of the length is seen. exact : whether the tables of the fleet's classes are.
     """
-    of_kinds, of_hidden = rng.spawn(2)  # so that boxes are the same with and without
+    of_kinds, of_hidden, of_tables = rng.spawn(3)  # so that boxes are the same with and without
     unknown = fleet.mean_sd[:2] / fleet.mean[:2]
     stray = np.sqrt(MEAN_CORRELATION) * rng.standard_normal() + np.sqrt(1 - MEAN_CORRELATION) * rng.standard_normal(2)
     place = place_of(rng, fleet)
     if most is not None:
         place = with_most(place, *most)
+    if not exact:
+        place = not_quite(of_tables, place)
     size, pick = place.sample_of_classes(rng, n)
     size = size[:, :2] * np.exp(unknown * stray)
     van = rng.random(n) < vans.share
