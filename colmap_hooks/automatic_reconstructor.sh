@@ -28,8 +28,7 @@ for folder in "$workspace" "$images"; do # COLMAP itself would end in a stack tr
 done
 here=$(dirname "$0")
 if [ -d "$workspace/sparse_metric" ] && { [ -d "$workspace/dense_metric" ] || [ ! -d "$workspace/dense/0" ]; }; then
-    echo "$workspace/sparse_metric is there already; nothing to do"
-    exit 0
+    exec "$here/post_sparse.sh" "$workspace" # which finds that
 fi
 if [ ! -d "$workspace/sparse_metric" ]; then
     for program in colmap orthoscale; do # before the hours that COLMAP takes

@@ -5,7 +5,8 @@
 #
 # Reads PROJECT/opensfm/reconstruction.json and PROJECT/images; writes PROJECT/opensfm_metric, and PROJECT/odm_metric
 # with the meshes and clouds there are. ODM without GPS writes a made-up UTM zone into its orthophoto: give that its
-# own scale with `orthoscale fix PROJECT/odm_orthophoto/odm_orthophoto.tif --out ...`. A second run does nothing.
+# own scale with `orthoscale fix PROJECT/odm_orthophoto/odm_orthophoto.tif --out ...`. A second run does nothing; where
+# the reconstruction was changed since, it stops with 2.
 set -eu
 case ${1:-} in -h | --help) sed -n '2,/^set /s/^# \{0,1\}//p' "$0"; exit 0 ;; esac
 [ $# -ge 1 ] || { echo "usage: $0 PROJECT [orthoscale options]" >&2; exit 2; }
@@ -13,6 +14,10 @@ project=$1
 shift
 command -v orthoscale >/dev/null || { echo "error: orthoscale is not there: pip install orthoscale, or put it on PATH" >&2; exit 127; }
 if [ -f "$project/opensfm_metric/sim3.json" ]; then
+    if [ "$project/opensfm/reconstruction.json" -nt "$project/opensfm_metric/sim3.json" ]; then
+        echo "error: $project/opensfm/reconstruction.json was changed after $project/opensfm_metric was made of it: remove $project/opensfm_metric and $project/odm_metric" >&2
+        exit 2
+    fi
     echo "$project/opensfm_metric is there already"
 else
     [ -f "$project/opensfm/reconstruction.json" ] || {

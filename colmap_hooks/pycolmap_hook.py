@@ -21,18 +21,24 @@ import pycolmap
 
 import orthoscale
 from orthoscale.actions.workspace import fix_all, models_in
-from orthoscale.errors import OrthoscaleError
+from orthoscale.errors import OrthoscaleError, UsageError
 from orthoscale.requests import FixRequest
 
 
 def write_metric(sparse: str | Path, out: str | Path, images: str | Path | None = None, **options: Any) -> bool:
     """Write the model in the folder `sparse`, or all of them (``0/``, ``1/`` ...), in metres to the folder `out`.
 
-    options : of `orthoscale.fix`. Returns False, and does nothing, where `out` holds a metric model already.
-    Raises OrthoscaleError.
+    options : of `orthoscale.fix`. Returns False, and does nothing, where `out` holds a metric model already, unless
+    `overwrite` is one of them. Raises UsageError where `sparse` was changed since, OrthoscaleError.
     """
     sparse, out = Path(sparse), Path(out)
-    if (out / "sim3.json").is_file() or (out / "models.json").is_file():
+    made = [out / name for name in ("sim3.json", "models.json") if (out / name).is_file()]
+    if made and not options.get("overwrite"):
+        when = made[0].stat().st_mtime_ns
+        if any(path.stat().st_mtime_ns > when for path in sparse.rglob("*") if path.is_file()):
+            raise UsageError(
+                f"{sparse} was changed after {out} was made of it", f"Measure it anew with overwrite, or remove {out}."
+            )
         return False
     models = models_in(sparse)
     if models:
@@ -63,9 +69,11 @@ def main() -> int:
     parser.add_argument("--images", type=Path)
     parser.add_argument("--fleet", help="by default the country of the images' GPS tags, else world")
     parser.add_argument("--detections", type=Path)
+    parser.add_argument("--overwrite", action="store_true", help="measure anew where OUT is there already")
     given = parser.parse_args()
     try:
-        new = write_metric(given.sparse, given.out, given.images, fleet=given.fleet, detections=given.detections)
+        more = {"fleet": given.fleet, "detections": given.detections, "overwrite": given.overwrite}
+        new = write_metric(given.sparse, given.out, given.images, **more)
     except OrthoscaleError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code

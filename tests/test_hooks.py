@@ -87,6 +87,42 @@ def test_post_sparse_writes_a_metric_model_once(bench):
     assert bench.stamps() == before
 
 
+def later(path: Path) -> None:
+    """Make `path` newer than all that was written."""
+    then = time.time() + 5
+    os.utime(path, (then, then))
+
+
+def test_a_model_that_was_changed_is_not_taken_for_done(bench):
+    """Its gauge is another: what was made of the old one must not stand for it."""
+    bench.sparse()
+    bench.run("post_sparse.sh", bench.work, *OPTIONS)
+    bench.run("post_sparse.sh", bench.work, *OPTIONS)
+    later(bench.work / "sparse/0/images.bin")
+    before = bench.stamps()
+    for command in (
+        [HOOKS / "post_sparse.sh", bench.work, *OPTIONS],
+        [HOOKS / "post_dense.sh", bench.work, *OPTIONS],
+        [HOOKS / "automatic_reconstructor.sh", "--workspace_path", bench.work, "--image_path", bench.work],
+        [sys.executable, HOOKS / "pycolmap_hook.py", bench.work / "sparse", bench.work / "sparse_metric"],
+    ):
+        done = subprocess.run(command, env=bench.environment, capture_output=True, text=True)
+        assert done.returncode == 2 and "was changed after" in done.stderr, command
+        assert bench.stamps() == before
+    bench.run("post_sparse.sh", bench.work, *OPTIONS, "--overwrite")
+    assert bench.stamps() != before
+
+
+def test_a_dense_workspace_that_was_changed_is_not_taken_for_done(bench):
+    bench.sparse()
+    dense_workspace(bench.work / "dense")
+    bench.run("post_dense.sh", bench.work, *OPTIONS)
+    later(bench.work / "dense/fused.ply")
+    command = [HOOKS / "post_dense.sh", bench.work, *OPTIONS]
+    done = subprocess.run(command, env=bench.environment, capture_output=True, text=True)
+    assert done.returncode == 2 and "was changed after" in done.stderr
+
+
 def test_post_dense_follows_the_layout(bench):
     for name in ("0", "1"):
         bench.sparse(name)
@@ -380,3 +416,7 @@ def test_odm(bench):
     before = bench.stamps()
     assert "nothing to do" in bench.run("odm.sh", bench.work, *OPTIONS)
     assert bench.stamps() == before
+    later(bench.work / "opensfm/reconstruction.json")
+    command = [HOOKS / "odm.sh", bench.work, *OPTIONS]
+    done = subprocess.run(command, env=bench.environment, capture_output=True, text=True)
+    assert done.returncode == 2 and "was changed after" in done.stderr
