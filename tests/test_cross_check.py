@@ -113,6 +113,19 @@ def test_an_orthophoto_and_its_model_agree(results):
 
 
 @pytest.mark.slow
+def test_pixels_that_are_not_square_are_laid_on_the_ground_first(results, monkeypatch):
+    """As in pictures in degrees: the places of the vehicles are squeezed, their sizes are told in square pixels."""
+    ortho, model = results
+    square = check_against_model(ortho, model)
+    aspect = 0.85
+    squeezed = replace(ortho.votes, place=ortho.votes.place / (np.sqrt(aspect), 1 / np.sqrt(aspect)))
+    monkeypatch.setattr(ortho.source, "claimed", replace(ortho.source.claimed, aspect=aspect))
+    checked = check_against_model(replace(ortho, measured=replace(ortho.measured, votes=squeezed)), model)
+    assert checked.common == square.common
+    assert checked.units_per_pixel == pytest.approx(square.units_per_pixel, rel=1e-6)
+
+
+@pytest.mark.slow
 def test_an_orthophoto_that_contradicts_its_model(results):
     ortho, model = results
     stretched = replace(ortho.measured.scale, value=1.2 * ortho.scale.value)

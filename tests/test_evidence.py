@@ -32,6 +32,27 @@ def test_two_that_contradict_each_other_are_reported_and_not_averaged():
     assert remark.text == "conflict: vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart" and remark.severity == "refusal"
 
 
+def test_many_that_err_as_they_say_are_seldom_taken_for_contradictions():
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(200):
+        vehicles = Posterior.normal(rng.normal(0, 0.05), 0.05)
+        tapes = [Evidence("tape", float(np.exp(rng.normal(0, 0.01))), 0.01, f"tape {k}") for k in range(20)]
+        refused += combined(vehicles, PARTS, tapes).conflict > 0
+    assert refused < 5, "one in a hundred; 45 where each pair is judged as if it were the only one"
+    tapes[3] = Evidence("tape", 1.08, 0.01, "a wrong tape")
+    assert combined(vehicles, PARTS, tapes).conflict > 5, "and one that is wrong is still found"
+
+
+def test_an_error_that_two_share_hides_no_contradiction_between_them():
+    one, other = (Evidence(kind, value, 0.003, kind, common=0.01) for kind, value in (("court", 1.0), ("lane", 1.04)))
+    vehicles = Posterior.normal(0.0, 0.05)
+    together = combined(vehicles, PARTS, [one, other])
+    assert together.conflict == pytest.approx(np.log(1.04) / (0.003 * np.sqrt(2)), rel=0.01)
+    surer = Evidence("tape", 1.02, 0.003, "tape")  # shares nothing: what the court may be off counts
+    assert combined(vehicles, PARTS, [one, surer]).conflict == 0
+
+
 def test_evidence_chooses_between_two_possibilities():
     either = Posterior(np.array([0.5, 0.5]), np.log([0.08, 0.12]), np.array([0.02, 0.02]))
     together = combined(either, {"fleet": either.spread}, [Evidence("tape", 0.12, 0.03, "a tape")])

@@ -7,17 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.bodies import body
-from support.flights import enclosing
+from support.flights import enclosing, found_by
 from support.models import make_model, put_frames, save
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
+from orthoscale.core.evidence import Evidence
 from orthoscale.core.measuring.method import Method
 from orthoscale.core.measuring.surroundings import objects_in_model
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.ruler import Ruler
+from orthoscale.core.scale import Scale
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.tables import standards
 from orthoscale.sources.colmap import ColmapSource
@@ -136,6 +138,46 @@ def test_a_court_that_contradicts_the_vehicles_is_a_conflict(model, scales):
     for pair in ((scale, scales[0]), (scales[0], scale)):
         both = together(compare(dict(zip(("oblique", "planar"), pair, strict=True))))
         assert both.interval90 == scale.interval90 and both.verdict == "unusable", "a conflict is never averaged away"
+
+
+def test_a_distance_that_contradicts_one_mode_stands_with_the_vehicles_of_that_mode(tmp_path):
+    """The one is less sure, since it has boxes of two frames only: it allows what the other does not."""
+    built, turn = make_model()
+    save(built, tmp_path / "sparse" / "0", "bin")
+    put_frames(built, tmp_path / "images")
+    source, found = ColmapSource.open(tmp_path), found_by(tmp_path, turn)
+    found = replace(found, boxes=dict(list(found.boxes.items())[:2]))
+    planar = measure_source(source, found, FLEET).modes["planar"].scale
+    one_sided = 0
+    for sigmas in (-4.0, -3.5, 3.5, 4.0):
+        value = float(planar.value * np.exp(sigmas * planar.relative_sd))
+        method = Method(evidence=(Evidence("known distance", value, 0.002, "a distance"),))
+        measured = measure_source(source, found, FLEET, method)
+        contradicted = [name for name, mode in measured.modes.items() if mode.scale.conflict]
+        if contradicted == ["planar"]:
+            one_sided += 1
+            assert measured.scale.conflict > 3 and measured.scale.verdict == "unusable"
+            assert len(measured.scale.used) == len(measured.votes) == len(measured.modes["planar"].votes)
+            assert len(measured.vehicles) == len(measured.votes)
+    assert one_sided
+
+
+def test_a_distance_that_only_one_of_two_has_is_no_contradiction():
+    """One scale rests on a distance and the other on the fleet: they differ by the fleet's error."""
+    rng, contradicting = np.random.default_rng(0), 0
+    parts = {"sampling": 0.01, "fleet": 0.035, "margin": 0.03}
+    told = {"sampling": 0.0003, "fleet": 0.0005, "margin": 0.0005, "known distance": 0.003}
+
+    def scale(value, parts):
+        every = np.ones(50, bool)
+        return Scale(value, "m/px", (0.9, 1.1), parts, {}, (0.6, 0.4), 0.0, "DE", "fair", every, [""] * 50)
+
+    for _ in range(400):
+        by_vehicles = np.exp(rng.normal(0, np.sqrt(sum(sd**2 for sd in parts.values()))))
+        by_distance = np.exp(rng.normal(0, 0.003))
+        contradicting += compare({"a": scale(by_distance, told), "b": scale(by_vehicles, parts)}).contradicts
+    assert contradicting < 12, "chance makes 4; 75 where the fleet is taken to cancel"
+    assert compare({"a": scale(1.0, told), "b": scale(1.2, parts)}).contradicts
 
 
 def test_looks_of_which_one_sees_rows_are_pooled(scales):

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import sqlite3
+from types import SimpleNamespace
 
 import numpy as np
 import pyproj
@@ -16,7 +17,9 @@ from support.pictures import squares
 
 import orthoscale
 from orthoscale.actions.check import Comparison, comparisons
-from orthoscale.errors import UsageError
+from orthoscale.core.claims import own_claim
+from orthoscale.core.scale import Scale
+from orthoscale.errors import EvidenceDisagrees, UsageError
 from orthoscale.report.geo import outlines
 from orthoscale.sources.raster import RasterSource
 
@@ -42,11 +45,10 @@ def boxes(tmp_path_factory):
     """Detections that give GSD: 80 vehicles of the German fleet, 4.37 x 1.79 m with its spread."""
     rng = np.random.default_rng(1)
     size = np.exp(rng.multivariate_normal(np.log([4.37, 1.79]), [[0.008, 0.003], [0.003, 0.002]], 80)) / GSD
+    apart = np.stack(np.meshgrid(np.linspace(60, W - 60, 10), np.linspace(60, H - 60, 8)), -1).reshape(-1, 2)
     rows = [
         {"cx": x, "cy": y, "length": length, "width": width, "angle": a, "score": 0.8}
-        for (x, y), (length, width), a in zip(
-            rng.uniform(60, [W - 60, H - 60], (80, 2)), size, rng.uniform(-1.5, 1.5, 80), strict=True
-        )
+        for (x, y), (length, width), a in zip(apart, size, rng.uniform(-1.5, 1.5, 80), strict=True)
     ]
     path = tmp_path_factory.mktemp("boxes") / "boxes.json"
     path.write_text(json.dumps({"a.tif": rows}))
@@ -289,6 +291,22 @@ def test_check_agrees_disagrees_and_says_so(tmp_path, boxes):
     (found,) = json.loads(done.stdout)["comparisons"]
     assert done.exit_code == 4 and found["verdict"] == "disagrees" and "feet" in found["guesses"][0]
     assert found["claimed"] == pytest.approx(GSD / 0.3048, rel=1e-3)
+
+
+def test_check_of_a_scale_that_contradicts_itself_is_no_agreement(tmp_path, boxes):
+    """A known distance half as long again as the vehicles say: neither agrees with a claim between the two."""
+    path = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM * Affine.scale(1.36))
+    told = ("--known-distance", f"0,0 200,0 {200 * 1.5 * GSD} 0.1")
+    done = check(path, "--detections", boxes, "--fleet", "DE", *told)
+    assert isinstance(done.exception, EvidenceDisagrees) and "conflict" in str(done.exception)
+    assert "agrees" not in done.stdout
+
+
+def test_a_claim_is_compared_on_its_side_of_a_lopsided_interval():
+    scale = Scale(0.10, "m/px", (0.09, 0.15), {"sampling": 0.12}, {}, (1, 0), 0.0, "DE", "fair", np.ones(9, bool), [])
+    claims = [SimpleNamespace(gsd_m=gsd, usable=True, why="") for gsd in (0.088, 0.092, 0.145, 0.155)]
+    found = [own_claim(SimpleNamespace(claimed=claim), scale).verdict for claim in claims]
+    assert found == ["doubtful", "agrees", "agrees", "doubtful"]
 
 
 def test_check_compares_what_nothing_ties_to_the_ground_and_says_so(tmp_path, boxes):

@@ -15,6 +15,7 @@ from orthoscale.core.pooling.observed import Seen
 from orthoscale.core.pooling.problem import Mix
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
+from orthoscale.core.verdicts import CHECK_LIMIT
 from orthoscale.core.votes import gather
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import load_fleet
@@ -297,6 +298,30 @@ def test_the_order_of_the_vehicles_does_not_matter():
     one, other = (pool(some_of(votes, k), fleet, RULER, "") for k in (np.arange(60), rng.permutation(60)))
     assert other.value == pytest.approx(one.value, rel=1e-6)
     assert other.interval90 == pytest.approx(one.interval90, rel=1e-5)
+
+
+def test_nor_where_some_of_many_vehicles_tell_the_country():
+    rng = np.random.default_rng(3)
+    votes = scene(rng, load_fleet("DE"), 300)
+    world = load_fleet("world")
+    order = rng.permutation(300)
+    one, other = (pool(some_of(votes, k), world, RULER, "") for k in (np.arange(300), order))
+    assert other.value == pytest.approx(one.value, rel=1e-6)
+    assert other.interval90 == pytest.approx(one.interval90, rel=1e-5)
+    assert (other.used == one.used[order]).all()
+
+
+@pytest.mark.parametrize("n", [8, 25, 80])
+def test_lengths_against_widths_are_told_in_sigmas(n):
+    """However few they are: as far apart as the sigmas say where nothing is wrong, and found where lengths are."""
+    fleet, right, wrong = load_fleet("DE"), [], []
+    for seed in range(20):
+        votes = scene(np.random.default_rng([17, seed]), fleet, n)
+        right.append(pool(votes, fleet, RULER, "").tension)
+        votes.size[:, 0] *= 1.4
+        wrong.append(pool(votes, fleet, RULER, "").tension)
+    assert 0.5 < np.sqrt(np.mean(np.square(right))) < 1.3
+    assert np.mean(np.array(wrong) > CHECK_LIMIT) > 0.7
 
 
 def test_the_sampling_part_is_what_drawing_the_votes_again_moves():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.brief import Brief
 from ..core.claims import Comparison, own_claim
 from ..core.source import Source
-from ..errors import UsageError
+from ..errors import EvidenceDisagrees, UsageError
 from ..report.result import Result
 from ..requests import EstimateRequest
 from .estimate import measured, source_of
@@ -32,6 +32,16 @@ class Checked(Brief):
     def disagrees(self) -> bool:
         """Whether a claim is off by more than CLEAR sigmas."""
         return any(comparison.verdict == "disagrees" for comparison in self.comparisons)
+
+    def require_agreement(self) -> None:
+        """Raise EvidenceDisagrees where what is known of the scale contradicts itself, or a claim; TooLittleEvidence
+        where the scale is too uncertain to be compared with one."""
+        if (disagreement := self.result.disagreement) is not None:
+            raise disagreement
+        for comparison in self.comparisons:
+            if comparison.verdict == "disagrees":
+                raise EvidenceDisagrees(comparison.sentence())
+        self.result.require_useful()
 
     def brief(self) -> list[tuple[str, str]]:
         """The claims, then the result in brief."""

@@ -74,7 +74,8 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     if ortho.source.plan is None or posed is None:
         raise UsageError("a cross-check needs an orthophoto and a model", "Give ORTHO.tif and --model FOLDER.")
     places = posed.from_above(model.votes.place[model.scale.used])
-    pixels = ortho.votes.place[ortho.scale.used] * (1.0, -1.0)  # y up, as in the plan
+    wide = np.sqrt(ortho.source.plan.claimed.aspect)  # to square pixels, of which the scale is told
+    pixels = ortho.votes.place[ortho.scale.used] * (wide, -1 / wide)  # y up, as in the plan
     found = match(
         pixels * ortho.scale.value,
         places * model.scale.value,

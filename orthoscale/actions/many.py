@@ -20,7 +20,7 @@ from typing import Any
 from ..core.claims import own_claim
 from ..detect.foreign_worker import receive, send
 from ..detect.workers import cluster, cores
-from ..errors import EvidenceDisagrees, Incomplete, OrthoscaleError, UsageError, shown
+from ..errors import Incomplete, OrthoscaleError, UsageError, shown
 from ..report.result import Result
 from ..report.summary import COLUMNS, Row
 from ..requests import EstimateRequest, FixRequest
@@ -127,9 +127,7 @@ def _do(job: dict[str, Any], path: Path, row: Row) -> None:
         return
     outcome = checked(path, request)
     _fill(row, outcome.result)
-    if outcome.disagrees:
-        (sentence,) = (c.sentence() for c in outcome.comparisons if c.verdict == "disagrees")
-        raise EvidenceDisagrees(sentence)
+    outcome.require_agreement()
 
 
 def _fill(row: Row, result: Result) -> None:

@@ -105,8 +105,9 @@ def check(
         click.echo(json.dumps(outcome.to_dict()))
     else:
         _show(outcome)
-    if outcome.disagrees:
+    if outcome.disagrees:  # which was said
         sys.exit(EvidenceDisagrees.exit_code)
+    outcome.require_agreement()
 
 
 def _show(outcome: Checked) -> None:

@@ -28,8 +28,8 @@ class Comparison:
     """A claimed scale against a recovered one, in the same unit.
 
     claimed_by : what claims it, for people. claimed, recovered : metres per unit. sd : relative one sigma of the
-    recovered scale (and of the claim, where it has one). by : what recovered it. believed : False if by the claim
-    itself nothing ties it to the ground. why : where the claim comes from.
+    recovered scale (and of the claim, where it has one), on the claim's side of it. by : what recovered it. believed :
+    False if by the claim itself nothing ties it to the ground. why : where the claim comes from.
     """
 
     claimed_by: str
@@ -89,16 +89,20 @@ class Comparison:
 
 
 def own_claim(source: Source, scale: Scale) -> Comparison | None:
-    """The scale that the source claims, compared with `scale`; None where it claims none."""
+    """The scale that the source claims, compared with `scale`; None where it claims none, and where
+    `scale` contradicts itself."""
     claimed = source.claimed
-    if claimed is None or claimed.gsd_m is None:
+    if claimed is None or claimed.gsd_m is None or scale.conflict:
         return None
+    end = scale.interval90[claimed.gsd_m > scale.value]  # intervals need not be symmetric
+    by = ["vehicles"] if scale.vehicles_used else []
+    by += dict.fromkeys(e.kind for e in scale.evidence if e.kind in scale.parts)
     return Comparison(
         "its georeferencing claims",
         claimed.gsd_m,
         scale.value,
-        scale.relative_sd,
+        abs(math.log(end / scale.value)) / Z90,
         claimed.usable,
         claimed.why,
-        "vehicles" if scale.vehicles_used else "anchors",
+        " and ".join(by),
     )

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from .pooling.posterior import Z90, Posterior
 from .remarks import CAUTION, REFUSAL, Remark
@@ -90,9 +90,19 @@ class Evidence:
         return replace(self, value=value, relative_sd=sd, says=self.words[best])
 
     @property
+    def own_sd(self) -> float:
+        """One sigma of its `value` without the error that it shares with others."""
+        return self.relative_sd if self.modes is None else float(np.sqrt(self.relative_sd**2 - self.common**2))
+
+    @property
     def posterior(self) -> Posterior:
         """The distribution of the scale's logarithm, given that the evidence is not false."""
         return self.own.blurred(self.common**2)
+
+    def unlike(self, other: Evidence) -> tuple[Posterior, Posterior]:
+        """The two distributions without the error that both share."""
+        shared = min(self.common, other.common) ** 2
+        return self.own.blurred(self.common**2 - shared), other.own.blurred(other.common**2 - shared)
 
     @property
     def own(self) -> Posterior:
@@ -128,10 +138,7 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
     before = _anything(evidence) if vehicles is None else vehicles
     heard, remarks = _within_reach(before, evidence)
     strong = [e.meant(before) for e in evidence if e.doubt <= STRONG]
-    sources = [(e.says, e.posterior) for e in strong]
-    if vehicles is not None:  # of a mixture, each what is nearest to the other counts
-        sources.insert(0, ("vehicles", Posterior.normal(vehicles.centre, vehicles.spread)))
-    conflict, conflicts = _conflicts(sources)
+    conflict, conflicts = _conflicts(vehicles, strong)
     if not conflict:
         return _weighed(before, parts, evidence, heard, remarks)
     seen = [] if vehicles is None else [vehicles]
@@ -148,13 +155,21 @@ def _anything(evidence: Sequence[Evidence]) -> Posterior:
     return Posterior.normal(float(np.log(surest.value)), ANYTHING)
 
 
-def _conflicts(sources: Sequence[tuple[str, Posterior]]) -> tuple[float, list[Remark]]:
-    """Sigmas between the two named `sources` that contradict each other most, 0 where none do; and a remark on each
-    pair that does."""
+def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tuple[float, list[Remark]]:
+    """Sigmas between the two measurements that contradict each other most, 0 where none do; and a remark on each pair
+    that does. Two pieces of evidence are compared by the errors that they do not share.
+
+    Among many pairs some are far apart by chance: the limit is that of a single pair's probability, shared among them
+    (Bonferroni).
+    """
+    pairs = [(one.says, *_nearest(*one.unlike(other)), other.says) for one, other in combinations(evidence, 2)]
+    if vehicles is not None:  # of a mixture, each what is nearest to the other counts
+        found = Posterior.normal(vehicles.centre, vehicles.spread)
+        pairs += [("vehicles", *_nearest(found, e.posterior), e.says) for e in evidence]
+    limit = float(-ndtri(ndtr(-CONFLICT_LIMIT) / max(len(pairs), 1)))
     worst, remarks = 0.0, list[Remark]()
-    for (name, one), (other_name, other) in combinations(sources, 2):
-        sigmas, here, there = _nearest(one, other)
-        if sigmas > CONFLICT_LIMIT:
+    for name, sigmas, here, there, other_name in pairs:
+        if sigmas > limit:
             worst = max(worst, sigmas)
             these = f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}"
             remarks.append(Remark(REFUSAL, f"conflict: {these}, {sigmas:.1f} sigmas apart", CONFLICT_HINT))
@@ -207,8 +222,8 @@ def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[li
         counts = (modes.mean >= interval[0]) & (modes.mean <= interval[1])
         for other in evidence:
             if other.kind != e.kind and other.doubt <= STRONG:
-                there = other.posterior
-                apart = np.abs(modes.mean[:, None] - there.mean) / np.hypot(modes.sd[:, None], there.sd)
+                mine, there = e.unlike(other)
+                apart = np.abs(mine.mean[:, None] - there.mean) / np.hypot(mine.sd[:, None], there.sd)
                 counts |= (apart < SUPPORTS).any(1)
         if counts.any():
             heard.append(e.only(counts))
@@ -240,7 +255,7 @@ def _shares(
     in common (a variance) is the geometry's."""
     if not evidence:
         return dict(parts)
-    spreads = [vehicles.blurred(-common).spread, *(np.sqrt(e.relative_sd**2 - e.common**2) for e in evidence)]
+    spreads = [vehicles.blurred(-common).spread, *(e.own_sd for e in evidence)]
     precision = np.array(spreads) ** -2.0
     weight = precision / precision.sum()
     out = {name: float(sd * weight[0]) for name, sd in parts.items()}

@@ -55,10 +55,11 @@ def reasons(
 ) -> list[str]:
     """Why each vote does not count, '' where it does.
 
-    used, measurable, fleeting : (N,) bool. log_size : (M, 2) of the measurable ones, whose mean where used is `mean`.
+    used, fleeting : (N,) bool. measurable : (M,) indices of votes. log_size : (M, 2) of these; its mean is `mean` where
+    they are used.
     """
     out = ["seen in one frame only" if f else "smaller than the detector's margin" for f in fleeting]
-    for index, (d_length, d_width) in zip(np.flatnonzero(measurable), log_size - mean, strict=True):
+    for index, (d_length, d_width) in zip(measurable, log_size - mean, strict=True):
         if used[index]:
             out[index] = ""
         elif abs(d_length - d_width) > max(abs(d_length), abs(d_width)):

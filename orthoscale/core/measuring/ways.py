@@ -18,7 +18,7 @@ from ...errors import TooLittleEvidence, UsageError
 from ..boxes import KINDS
 from ..detections import Detections
 from ..fleet import Fleet
-from ..pooling.agreement import compare, of_scales, together
+from ..pooling.agreement import alone, compare, of_scales, together
 from ..pooling.robust import left_by_views
 from ..ruler import Ruler
 from ..scale import Scale
@@ -110,9 +110,9 @@ def _answer(
             agreement, of_scales(scales, ratio), source.ground.plane(place), modes[OBLIQUE].found.calibration
         )
         agreement = replace(agreement, cause=said, spared=PLANAR if why is Cause.LENS else "")
-    answer = modes[agreement.surer] if agreement.contradicts else first
+    answer = modes[name] if (name := alone(agreement)) is not None else first
     scale = together(agreement)
-    if not agreement.contradicts and all(m.pooled is not None and not m.scale.conflict for m in modes.values()):
+    if name is None and all(m.pooled is not None for m in modes.values()):
         with suppress(TooLittleEvidence):  # of other vehicles besides, these may be too few of one scale
             scale = _by_vehicles(source, found, modes, fleet, method)
     return replace(answer, scale=replace(scale, remarks=(*scale.remarks, agreement.remark)), agreement=agreement)

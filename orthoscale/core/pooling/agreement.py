@@ -89,12 +89,15 @@ def compare(scales: dict[str, Scale], ratio: np.ndarray | None = None) -> Agreem
     modes measure alike, and a remaining difference of the scales comes from the other vehicles, whose mix each mode
     estimates by itself (`mixes_sd`, the fleet's part of both). Without vehicles in common, sampling is taken as
     independent, which tolerates a larger difference than the same vehicles should have. Most of the detector's error is
-    common to both; geometry is taken as independent.
+    common to both; geometry is taken as independent. Fleet, margin and other evidence cancel as far as both scales rest
+    on them: a scale that rests on a known distance as well differs from one by vehicles alone by the fleet's error.
     """
     a, b = scales.values()
     own = sum(scale.parts.get("geometry", 0.0) ** 2 for scale in (a, b)) + 2 * OWN_MARGIN**2
     sampling = sum(scale.parts.get("sampling", 0.0) ** 2 for scale in (a, b))
-    apart = float(np.log(b.value / a.value)), float(np.sqrt(own + sampling))
+    shared = (a.parts.keys() | b.parts.keys()) - {"geometry", "sampling"}
+    left = sum((a.parts.get(name, 0.0) - b.parts.get(name, 0.0)) ** 2 for name in shared)
+    apart = float(np.log(b.value / a.value)), float(np.sqrt(own + sampling + left))
     if ratio is None or len(ratio) < MIN_COMMON:
         return Agreement(scales, *apart, *apart)
     each = of_scales(scales, ratio)
@@ -112,8 +115,15 @@ def of_scales(scales: dict[str, Scale], ratio: np.ndarray) -> np.ndarray:
     return ratio @ (np.add(a.weights, b.weights) / 2)
 
 
+def alone(agreement: Agreement) -> str | None:
+    """The name of the scale that stands alone: one that other evidence contradicts, or the surer one of two that
+    contradict each other. None where both are pooled."""
+    contradicted = (name for name, scale in agreement.scales.items() if scale.conflict)
+    return next(contradicted, agreement.surer if agreement.contradicts else None)
+
+
 def together(agreement: Agreement) -> Scale:
-    """The pooled scale: the first, shifted towards the second by its weight.
+    """The pooled scale: the first, shifted towards the second by its weight; or the one that stands `alone`.
 
     Weights are the inverse variances of the errors that are not shared. Vehicles, detector and ground are largely the
     same, so no part of the uncertainty becomes smaller than its weighted mean. A difference that exceeds their own
@@ -123,17 +133,15 @@ def together(agreement: Agreement) -> Scale:
     as with other evidence (`core.evidence`).
     """
     a, b = agreement.scales.values()
-    for scale in (a, b):
-        if scale.conflict:  # what else is known contradicts the vehicles: that stands, and nothing is averaged
-            return replace(scale, checks={**scale.checks, **{name: s.value for name, s in agreement.scales.items()}})
-    checks = {**a.checks, **{name: scale.value for name, scale in agreement.scales.items()}}
-    if agreement.contradicts:
-        surer = agreement.scales[agreement.surer]
+    both = {name: scale.value for name, scale in agreement.scales.items()}
+    if (name := alone(agreement)) is not None:
+        stands = agreement.scales[name]
+        checks = stands.checks | both
+        if stands.conflict:
+            return replace(stands, checks=checks)
         low, high = min(s.interval90[0] for s in (a, b)), max(s.interval90[1] for s in (a, b))
-        spread = max(float(np.log(high / low)) / (2 * Z90), surer.relative_sd)
-        return replace(
-            surer, interval90=(low, high), parts={"conflict": spread}, verdict=UNUSABLE, checks=surer.checks | checks
-        )
+        spread = max(float(np.log(high / low)) / (2 * Z90), stands.relative_sd)
+        return replace(stands, interval90=(low, high), parts={"conflict": spread}, verdict=UNUSABLE, checks=checks)
     own = np.array([sum(v**2 for k, v in s.parts.items() if k in OWN) for s in (a, b)])
     weight = (1 / own) / (1 / own).sum()
     log_value = float(weight @ np.log([a.value, b.value]))
@@ -148,6 +156,6 @@ def together(agreement: Agreement) -> Scale:
         interval90=(float(np.exp(log_value - Z90 * sd)), float(np.exp(log_value + Z90 * sd))),
         parts=parts,
         verdict=verdict(float(sd), a.tension > CHECK_LIMIT, a.verdict == UNUSABLE),
-        checks=checks,
+        checks=a.checks | both,
         evidence=a.evidence or b.evidence,
     )

@@ -47,6 +47,7 @@ class Fits:
     log_evidence : of the fleet as a whole, comparable between fleets for the same votes, SHAPE_VEHICLES at most.
     log_scale : (V, 2) by lengths and by widths.
     covariance : (2, 2) of these at the likeliest, from the votes' number, noise and unknown classes.
+    of_known : (2, 2) the same, were the class of each vote known.
     drawing : (2, 2) the more of it that comes from not knowing how strongly the detector draws to the usual.
     chance : variance of the answer between draws of as many vehicles [log scale]: more of them would lessen it.
     member : (K + 1, N) probability of each class over all scales, LARGER last; what is missing from one is to be a
@@ -57,6 +58,7 @@ class Fits:
     log_evidence: float
     log_scale: np.ndarray
     covariance: np.ndarray
+    of_known: np.ndarray
     drawing: np.ndarray
     chance: float
     member: np.ndarray
@@ -112,12 +114,13 @@ def _fits(problem: Problem, solved: Hypotheses) -> Fits:
     weight = each.mean(0)
     means = each @ (solved.unknown[:, :2] @ problem.weights)
     likeliest = int(np.argmax(solved.log_probability))
-    covariance, known = _covariances(most, solved, likeliest)
+    covariance, known, of_known = _covariances(most, solved, likeliest)
     return Fits(
         weight=weight,
         log_evidence=evidence,
         log_scale=solved.unknown[:, :2],
         covariance=known,
+        of_known=of_known,
         drawing=covariance - known,
         chance=BAG * float(means.var()),
         member=_classes_of(problem, solved, weight),
@@ -151,9 +154,9 @@ def _bags(problem: Problem, solved: Hypotheses) -> np.ndarray:
     return np.vstack([moved, -moved])
 
 
-def _covariances(problem: Problem, solved: Hypotheses, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Two (2, 2) of the scales by length and width at the `k`-th: with every unknown, and with the drawing's share
-    known.
+def _covariances(problem: Problem, solved: Hypotheses, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Three (2, 2) of the scales by length and width at the `k`-th: with every unknown, with the drawing's share known,
+    and with the votes' classes known besides.
 
     The information of votes that wore their classes, with the unknowns' priors, less what the guessing loses: the
     covariance of each vote's score over the classes that it may be of (Louis 1982); the shares are unknown, too.
@@ -174,7 +177,8 @@ def _covariances(problem: Problem, solved: Hypotheses, k: int) -> tuple[np.ndarr
     whole[:UNKNOWNS, :UNKNOWNS] = np.einsum("kiu,kij,kjw->uw", problem.turn, information, problem.turn) + problem.prior
     whole[UNKNOWNS:, UNKNOWNS:] = counts.sum() * (np.diag(share) - np.outer(share, share)) + 1e-6 * np.eye(many)
     without = np.delete(np.arange(len(whole)), UNKNOWNS - 1)
-    return _of_scales(whole, lost), _of_scales(whole[np.ix_(without, without)], lost[np.ix_(without, without)])
+    less, less_lost = whole[np.ix_(without, without)], lost[np.ix_(without, without)]
+    return _of_scales(whole, lost), _of_scales(less, less_lost), _of_scales(less, np.zeros_like(less))
 
 
 def _normalised(log_weight: np.ndarray) -> np.ndarray:

@@ -42,6 +42,7 @@ SMALLEST_SHARE = 0.3  # of a box that must be left once the margin is taken off
 OF_THE_VEHICLE = 0.5
 LIKELY = 0.01  # probability below which a fleet is not reported
 MOVED_BY = 7  # of the likeliest fleets are asked what all votes change
+LEAST_LEARNT = 0.05  # share of what is not known beforehand of lengths against widths that vehicles tell, at least
 FEW = 60  # votes by which candidate fleets are compared; their shapes count for 25 at most (`solver`)
 # How much of what shapes seem to say of the country is believed. In simulation they tell Japan from Germany; on 12
 # orthophotos of six countries the boxes of version 5 made the true one the less likely the more they were believed
@@ -57,7 +58,7 @@ class _Vehicles:
 
     posterior: Posterior
     parts: dict[str, float]
-    estimates: np.ndarray  # (2,) log scale by lengths and by widths
+    estimates: np.ndarray  # (2,) log scale by lengths and by widths, each by itself
     weights: np.ndarray  # (2,) of these
     tension: float
     larger_share: float
@@ -89,10 +90,12 @@ def pool(
     measurable = (size > SMALLEST_SHARE * votes.size).all(1) & ~fleeting
     if measurable.sum() < MIN_VEHICLES:
         raise TooLittleEvidence(f"{int(measurable.sum())} usable vehicles, {MIN_VEHICLES} are needed")
-    size = size[measurable]
+    index = np.flatnonzero(measurable)
+    index = index[np.lexsort(size[index].T[::-1])]  # some stages take each so many-th: by size, whatever the order
+    size = size[index]
     geometry = np.zeros((2, 2)) if geometry is None else geometry
-    seen = Seen(np.log(size), vote_noise(votes, ruler)[measurable], _called(votes, ruler)[measurable])
-    share_px = np.median(votes.pixel[measurable, None] / size, axis=0)  # one pixel as a share of length and width
+    seen = Seen(np.log(size), vote_noise(votes, ruler)[index], _called(votes, ruler)[index])
+    share_px = np.median(votes.pixel[index, None] / size, axis=0)  # one pixel as a share of length and width
     known = {"margin": _margin_covariance(ruler, share_px), "geometry": geometry}
 
     unknown = bool(fleet.candidates) and not country
@@ -105,7 +108,7 @@ def pool(
         )
     vehicles, parts = _widened(best)
     used = np.zeros(len(votes), bool)
-    used[measurable] = best.inlier
+    used[index] = best.inlier
     mean = np.log(size[best.inlier]).mean(0)
     measuring = [vote for vote in anchors if not tells_country(vote)] if unknown else anchors
     together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)))
@@ -122,7 +125,7 @@ def pool(
         fleet=fleet.code,
         verdict=verdict(together.posterior.spread, best.tension > CHECK_LIMIT, together.conflict > 0),
         used=used,
-        reasons=reasons(used, measurable, fleeting, np.log(size), mean),
+        reasons=reasons(used, index, fleeting, np.log(size), mean),
         remarks=(*together.remarks, *_remarks(best, telling, anchors)),
         larger_share=best.larger_share,
         fleets=fleets,
@@ -271,14 +274,19 @@ def _vehicles(fits: Fits, mix: Mix, shared: Mapping[str, np.ndarray]) -> _Vehicl
     drawn = float(np.clip(weights @ fits.drawing @ weights, 0, rest - sampling))
     parts["margin"] = float(np.hypot(parts["margin"], np.sqrt(drawn)))
     parts["fleet"] = float(np.hypot(parts["fleet"], np.sqrt(rest - sampling - drawn)))
+    # Lengths and widths are tied beforehand by what both should say. So they have come nearer to each other: the
+    # difference of the two in the posterior has a variance of what it was beforehand less what is left of that.
     apart = np.array([1.0, -1.0])
-    between = apart @ (systematic + fits.covariance + fits.drawing) @ apart
+    before = apart @ systematic @ apart
+    learnt = max(before - apart @ fits.of_known @ apart, LEAST_LEARNT * before)
+    tension = abs(estimates[0] - estimates[1]) / np.sqrt(learnt)
+    estimates = estimates + weights[::-1] * apart * (estimates[0] - estimates[1]) * (before / learnt - 1)
     return _Vehicles(
         posterior=posterior,
         parts={"sampling": float(np.sqrt(sampling)), **parts},
         estimates=estimates,
         weights=weights,
-        tension=float(abs(estimates[0] - estimates[1]) / np.sqrt(between)),
+        tension=float(tension),
         larger_share=float(fits.member[-1].sum() / fits.member.sum()),
         inlier=fits.member.sum(0) > 0.5,
         log_evidence=fits.log_evidence,
