@@ -30,6 +30,7 @@ MOST_VEHICLES_BEGUN = 40  # vehicles that are begun with
 MOST_PAIRS_TRIED = 20_000  # pairs that one pair is laid on
 MOST_PAIRS_GROWN = 6  # of these, those that are looked at further
 ENOUGH_COMMON = 0.9  # share of the vehicles of the smaller set that are common, from which no other place is looked for
+MOST_WITHOUT_BETTER = 12  # vehicles begun with since the best place was found, after which no other is looked for
 LEAST_COMMON = 0.2  # the same share, below which the places are not the same
 PLACES_ELSEWHERE = 100  # places that tell how many are common by chance
 BY_CHANCE = 1e-3  # of all tries, how many may reach as many common vehicles where there are none
@@ -114,8 +115,9 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
     order = np.argsort(apart)
     apart, from_b, to_b = apart[order], from_b[order], to_b[order]
     random = np.random.default_rng(0)
-    best, factor, shift, tried = 0, 0j, 0j, 0
+    best, factor, shift, tried, since = 0, 0j, 0j, 0, 0
     for start in random.permutation(len(a))[:MOST_VEHICLES_BEGUN]:
+        since += 1
         outwards = za[np.argsort(np.abs(za - za[start]))]
         asked = outwards[1:NEIGHBOURS_ASKED]
         for other in asked[:: -max(1, min(PAIR_STEP, len(asked) // 3))]:
@@ -134,7 +136,9 @@ def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | Non
                 found = _grown(outwards, zb, tree, factors[k], shifts[k], reach)
                 if found is not None and found[0] > best:
                     best, factor, shift = found
-        if best > ENOUGH_COMMON * min(len(a), len(b)):
+                    since = 0
+        share = best / min(len(a), len(b))
+        if share > ENOUGH_COMMON or (share > LEAST_COMMON and since >= MOST_WITHOUT_BETTER):
             break
     if best < max(MIN_MATCHED, LEAST_COMMON * min(len(a), len(b))):
         return None
