@@ -15,7 +15,6 @@ from scipy.spatial import cKDTree
 from scipy.special import pdtrc
 
 from ..core.pooling.agreement import Agreement, compare
-from ..core.pooling.posterior import Z90
 from ..errors import TooLittleEvidence, UsageError
 
 if TYPE_CHECKING:
@@ -91,12 +90,11 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     factor, common = found
     units_per_pixel = factor * ortho.scale.value / model.scale.value
     by_model = model.scale.value * units_per_pixel
-    half = Z90 * model.scale.relative_sd
     agreement = compare(
         {"orthophoto": ortho.scale, "model": replace(model.scale, value=by_model, unit=ortho.scale.unit)}
     )
-    interval = (float(by_model * np.exp(-half)), float(by_model * np.exp(half)))
-    return CrossCheck(units_per_pixel, common, ortho.scale.value, by_model, interval, agreement)
+    low, high = (end * units_per_pixel for end in model.scale.interval90)
+    return CrossCheck(units_per_pixel, common, ortho.scale.value, by_model, (low, high), agreement)
 
 
 def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | None:

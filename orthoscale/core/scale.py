@@ -28,7 +28,8 @@ class Scale:
     interval90 : (low, high), contains the truth nine times in ten; not always symmetric.
     parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence,
         drift.
-    checks : the scale from lengths alone, from widths alone and from length minus width (free of a symmetric margin).
+    checks : the scale from lengths alone, from widths alone and, where vehicles are longer than wide, from length minus width
+        (free of a symmetric margin).
     weights : share of lengths and widths in what the vehicles say.
     tension : sigmas between the scale from lengths and that from widths.
     conflict : sigmas between the two measurements (vehicles, evidence) that contradict each other most, 0 if none do.

@@ -145,10 +145,12 @@ def _widened(best: _Vehicles) -> tuple[Posterior, dict[str, float]]:
 
 
 def _checks(best: _Vehicles, mean: np.ndarray) -> dict[str, float]:
-    """The scale by lengths, by widths and by their difference alone. mean : (2,) log of the vehicles' sizes [units]."""
+    """The scale by lengths, by widths and by their difference alone, where there is one. mean : (2,) log of the
+    vehicles' sizes [units]."""
     alike = np.exp(best.estimates + mean)  # [m] the fleet's vehicles that stand here, by lengths and by widths
     by_size = dict(zip(("length", "width"), np.exp(best.estimates).tolist(), strict=True))
-    return {**by_size, "length_minus_width": float((alike[0] - alike[1]) / np.subtract(*np.exp(mean)))}
+    longer, units = alike[0] - alike[1], float(np.subtract(*np.exp(mean)))
+    return {**by_size, "length_minus_width": float(longer / units)} if units > 0 else by_size
 
 
 def _remarks(best: _Vehicles, telling: Sequence[AnchorVote], anchors: Sequence[AnchorVote]) -> Iterator[Remark]:
