@@ -28,7 +28,7 @@ class Scale:
     interval90 : (low, high), contains the truth nine times in ten; not always symmetric.
     parts : relative one-sigma of each source of uncertainty: sampling, fleet, margin, geometry, other evidence,
         drift.
-    checks : the scale from lengths alone, from widths alone and, where vehicles are longer than wide, from length minus width
+    checks : the scale from lengths alone, from widths alone and, where these differ, from length minus width
         (free of a symmetric margin).
     weights : share of lengths and widths in what the vehicles say.
     tension : sigmas between the scale from lengths and that from widths.
