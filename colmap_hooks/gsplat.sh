@@ -20,12 +20,14 @@ fi
 "$(dirname "$0")/post_sparse.sh" "$workspace" "$@"
 model="$workspace/sparse_metric"
 if [ -f "$model/models.json" ]; then # several: the trainer takes one, the first
-    model=$(find "$model" -name sim3.json | sort | head -n 1 | xargs dirname)
+    model=$(dirname "$(find "$model" -name sim3.json | sort | head -n 1)")
     echo "several models; going on with $model"
 fi
+images=$(cd "$workspace/images" && pwd)
+model=$(cd "$model" && pwd)
 mkdir -p "$result/data/sparse"
-ln -sfn "$(cd "$workspace/images" && pwd)" "$result/data/images"
-ln -sfn "$(cd "$model" && pwd)" "$result/data/sparse/0"
+ln -sfn "$images" "$result/data/images"
+ln -sfn "$model" "$result/data/sparse/0"
 set -- default --data_dir "$result/data" --data_factor 1 --result_dir "$result" --no-normalize-world-space
 if [ -n "${GSPLAT:-}" ]; then exec "${PYTHON:-python3}" "$GSPLAT/examples/simple_trainer.py" "$@"; fi
 echo "train with: python GSPLAT/examples/simple_trainer.py $*"

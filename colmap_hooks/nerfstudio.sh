@@ -21,12 +21,13 @@ done
 "$(dirname "$0")/post_sparse.sh" "$workspace" "$@"
 model="$workspace/sparse_metric"
 if [ -f "$model/models.json" ]; then # several: nerfstudio takes one, the first
-    model=$(find "$model" -name sim3.json | sort | head -n 1 | xargs dirname)
+    model=$(dirname "$(find "$model" -name sim3.json | sort | head -n 1)")
     echo "several models; going on with $model"
 fi
+model=$(cd "$model" && pwd)
 if [ ! -f "$output/transforms.json" ]; then
     ns-process-data images --data "$workspace/images" --output-dir "$output" --skip-colmap \
-        --colmap-model-path "$(cd "$model" && pwd)"
+        --colmap-model-path "$model"
 fi
 set -- ns-train "${method:-splatfacto}" --data "$output" nerfstudio-data \
     --auto-scale-poses False --orientation-method none --center-method none

@@ -52,6 +52,15 @@ def test_crops_are_as_large_on_the_ground_as_the_footprint(tmp_path, crs, step, 
     assert crops.out == (1000, 750) and crops.query == (0, 0, 1000, 750)
 
 
+@pytest.mark.parametrize("way", [(1, -1), (-1, 1)])
+def test_a_map_that_shows_the_ground_mirrored_is_refused(tmp_path, way):
+    path = satellite(tmp_path / "sat.tif")
+    with rasterio.open(path, "r+") as out:
+        out.transform = out.transform @ Affine.scale(*way)
+    with pytest.raises(UsageError, match="mirrored"):
+        Satellite.open(path)
+
+
 def test_squares_are_those_of_the_shorter_side(tmp_path):
     sky = Satellite.open(satellite(tmp_path / "sat.tif"))
     crops = plan_crops(sky, 0.08, (1000, 750), (LON, LAT), square=True, out_px=384)

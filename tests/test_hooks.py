@@ -297,6 +297,18 @@ def test_nerfstudio_keeps_metres(bench):
     )
 
 
+def test_the_first_of_several_models_in_a_folder_with_spaces(bench):
+    bench.work = bench.work.rename(bench.work.parent / "my own work")
+    bench.sparse("0")
+    bench.sparse("1")
+    bench.program("ns-process-data", "")
+    bench.run("nerfstudio.sh", bench.work, bench.work / "ns", "--", *OPTIONS)
+    (processed,) = bench.calls("ns-process-data")
+    assert processed.endswith(f"--colmap-model-path {bench.work}/sparse_metric/0")
+    bench.run("gsplat.sh", bench.work, bench.work / "gs", "--", *OPTIONS)
+    assert (bench.work / "gs/data/sparse/0/sim3.json").is_file() and (bench.work / "gs/data/images").is_dir()
+
+
 def test_gsplat_keeps_metres(bench):
     bench.sparse()
     assert "--no-normalize-world-space" in bench.run("gsplat.sh", bench.work, bench.work / "gs", "--", *OPTIONS)

@@ -73,6 +73,7 @@ CASES = {
     "UTM": ({"crs": "EPSG:32632", "transform": UTM}, "WGS 84 / UTM zone 32N"),
     "rotated": ({"crs": "EPSG:32632", "transform": UTM * Affine.rotation(25)}, "rotated by"),
     "south-up": ({"crs": "EPSG:32632", "transform": UTM * Affine.scale(1, -1)}, "rows go north"),
+    "mirrored": ({"crs": "EPSG:32632", "transform": UTM * Affine.scale(-1, 1)}, "its first column is the easternmost"),
     "degrees": ({"crs": "EPSG:4326", "transform": Affine(1e-6, 0, 10, 0, -7e-7, 50)}, "degrees per pixel"),
     "feet": ({"crs": "EPSG:3734", "transform": Affine(0.26, 0, 2e6, 0, -0.26, 6e5)}, "US survey foot per pixel"),
     "Web Mercator": ({"crs": "EPSG:3857", "transform": Affine(0.16, 0, 1e6, 0, -0.16, 8_399_738)}, "metre per pixel"),
@@ -94,7 +95,7 @@ def test_each_case_is_handled_and_said(tmp_path, boxes, profile, says):
     with rasterio.open(path) as a, rasterio.open(out) as b:
         assert np.array_equal(a.read(), b.read()) and not b.gcps[0]
         assert b.crs.units_factor[1] == 1.0 and not b.crs.is_projected
-        up = "south-up" in " ".join(map(str, result.source.notes))
+        up = "rows go north" in " ".join(map(str, result.source.notes))
         assert np.allclose(b.transform[:6], (w, 0, 0, 0, h, 0) if up else (w, 0, 0, 0, -h, h * H))
         assert (b.bounds.left, min(b.bounds.bottom, b.bounds.top)) == (0, 0), "origin at the lower left"
 

@@ -441,6 +441,10 @@ def test_reconstruction(tmp_path):
     assert new["rig_instances"]["a"]["translation"] == [8, 0, 0]
     with pytest.raises(UsageError):
         scale_path(tmp_path / "new.json", tmp_path / "b.json", 2)
+    (tmp_path / "reconstruction.json").write_text(json.dumps([part, part]))
+    with pytest.raises(UsageError, match="2 reconstructions, each with a scale of its own"):
+        scale_path(tmp_path / "reconstruction.json", tmp_path / "c.json", 2)
+    assert not (tmp_path / "c.json").exists()
 
 
 @pytest.mark.parametrize(

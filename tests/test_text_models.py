@@ -13,7 +13,7 @@ from support.other_programs import K1, K2, bundler, nvm, rescaled, same_views
 from orthoscale.actions.fix import fix
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.formats.geometry.files import ONE_FILE
-from orthoscale.formats.geometry.text_models import read_text_model
+from orthoscale.formats.geometry.text_models import FIRST_OF_MANY, read_text_model
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.opening import open_source
 from orthoscale.sources.scaling import scale_path
@@ -102,11 +102,21 @@ def test_only_lengths_change(pinhole, tmp_path, writer):
     assert 0.3 < np.mean(kept) < 0.9 if writer is bundler else not any(kept[3:15])
 
 
+def test_rotations_as_matrices_are_not_taken_for_lengths(pinhole, tmp_path):
+    """VisualSFM's other form has nine numbers of a matrix and a translation where this has a quaternion and a place."""
+    path = nvm(pinhole[0], tmp_path, head="NVM_V3_R9T")
+    for reads in (read_text_model, lambda p: scale_path(p, tmp_path / "new.nvm", 3.0)):
+        with pytest.raises(InputError, match="NVM_V3_R9T"):
+            reads(path)
+
+
 def test_only_the_first_of_several_models_is_taken(pinhole, tmp_path):
     alone = nvm(pinhole[0], tmp_path / "a").read_text()
     path = nvm(pinhole[0], tmp_path / "b", more=alone.split("\n", 1)[1])
-    scale_path(path, tmp_path / "new.nvm", 3.0)
-    assert len(read_text_model(path).focal) == 12
+    assert scale_path(path, tmp_path / "new.nvm", 3.0) == [FIRST_OF_MANY]
+    assert scale_path(tmp_path / "new.nvm", tmp_path / "again.nvm", 3.0) == []
+    text = read_text_model(path)
+    assert len(text.focal) == 12 and text.others and not read_text_model(tmp_path / "new.nvm").others
     assert (tmp_path / "new.nvm").read_text().endswith("\n0\n")
     assert len((tmp_path / "new.nvm").read_text()) < 1.2 * len(alone)
 
@@ -179,6 +189,6 @@ def test_a_write_that_fails_is_noticed(pinhole, tmp_path, monkeypatch):
     put_frames(pinhole[0], tmp_path / "in/images")
     source = open_source(path)
     (tmp_path / "out").mkdir()
-    monkeypatch.setitem(ONE_FILE, ".nvm", lambda a, b, s: b.write_text(a.read_text()))
+    monkeypatch.setitem(ONE_FILE, ".nvm", lambda a, b, s: b.write_text(a.read_text()) and None)
     with pytest.raises(OutputError, match="differs"):
         source.write(tmp_path / "out", 2.0)

@@ -38,7 +38,7 @@ def on_map(
     """Where `source` lies on the map `satellite`.
 
     scale : metres per unit and its relative one-sigma, as far as it is known. cache : keep the map's features.
-    Raises InputError where map or source turn out to be damaged, UsageError for a map that is mirrored.
+    Raises InputError where map or source turn out to be damaged.
     """
     around = float(np.clip(SCALES_AROUND * scale[1], LEAST_AROUND, MOST_AROUND))
     problems = []

@@ -181,9 +181,8 @@ def read_area(path: Path, ground: Ground, pixels: bool = False) -> tuple[BaseGeo
     picture = ground.mapped(shapely.box(0, 0, ground.source.width, ground.source.height), ground.to_metres)
     inside = area.intersection(picture)
     if inside.area < 1e-3 * area.area or not area.area > 0:
-        (x0, y0), (x1, y1) = ground.to_crs(
-            ground.to_metres(np.array([[0, ground.source.height], [ground.source.width, 0]]))
-        )
+        corners = ground.to_crs(shapely.get_coordinates(picture))
+        (x0, y0), (x1, y1) = corners.min(0), corners.max(0)
         raise InputError(
             f"{path}: lies outside of {ground.source.name}",
             f"The picture goes from ({x0:.10g}, {y0:.10g}) to ({x1:.10g}, {y1:.10g}) in its own coordinates; "

@@ -11,7 +11,6 @@ import numpy as np
 
 from ..core.source import NO_DATA_GREY
 from ..detect.cache import RASTER_CODE, Kept, content_key
-from ..errors import UsageError
 from ..sources.satellite import Satellite
 from .features import Features
 from .ground import has_data
@@ -37,15 +36,7 @@ class MapGrid:
 
     @classmethod
     def of(cls, satellite: Satellite, coarsest: float) -> MapGrid:
-        """That of the finest gsd of a fixed series which is not finer than `coarsest` [m/px], nor than the map.
-
-        Raises UsageError for a map that shows the ground mirrored.
-        """
-        if satellite.transform.determinant > 0:
-            raise UsageError(
-                f"{satellite.source.name}: its first row is the southernmost, the ground is mirrored in it",
-                "Turn it with gdalwarp.",
-            )
+        """That of the finest gsd of a fixed series which is not finer than `coarsest` [m/px], nor than the map."""
         pixel = satellite.pixel_size(np.array([satellite.source.width, satellite.source.height]) / 2)
         own = float(np.sqrt(pixel.prod()))
         steps = max(0, int(np.ceil(np.log(coarsest / own) / np.log(GRID_STEP) - 1e-9)))

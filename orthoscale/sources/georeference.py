@@ -132,9 +132,12 @@ def _claim_on_earth(dataset: DatasetReader, crs: CRS, t: Affine, why: str) -> Cl
 def _attitude(t: Affine) -> str:
     """What is unusual about how the image lies."""
     words = []
-    if t.determinant > 0:
-        words.append("south-up (its first row is the southernmost)")
     turned = math.degrees(math.atan2(t.d, t.a))
+    if t.determinant > 0 and abs(turned) > 90:
+        words.append("mirrored (its first column is the easternmost)")
+        turned += 180
+    elif t.determinant > 0:
+        words.append("south-up (its first row is the southernmost)")
     turned = (turned + 180) % 360 - 180
     if abs(turned) > 0.01:
         words.append(f"rotated by {turned:.4g} degrees")
@@ -144,7 +147,8 @@ def _attitude(t: Affine) -> str:
 def local_place(claim: Claim, height: int, gsd_m: float) -> Place:
     """Local metres, north up, origin at the lower left corner of the image of `height` px.
 
-    An image whose first row is its southernmost keeps that order, or the copy would be a mirror image of the ground.
+    An image that shows the ground mirrored (its first row is its southernmost, or its first column its easternmost) is
+    placed with rows that go north, or the copy would show another ground.
     Pixels that are not square on the ground stay so: `gsd_m` is the geometric mean of their sides.
     """
     wide, high = gsd_m * math.sqrt(claim.aspect), gsd_m / math.sqrt(claim.aspect)
@@ -155,7 +159,7 @@ def local_place(claim: Claim, height: int, gsd_m: float) -> Place:
     elif t is not None or "not georeferenced" not in claim.why:
         said += f"; not believed and not in it: {claim.why}"
     if t is not None and t.determinant > 0:
-        return Place(LOCAL_CRS, Affine(wide, 0, 0, 0, high, 0), said + "; rows go north, as in the input")
+        return Place(LOCAL_CRS, Affine(wide, 0, 0, 0, high, 0), said + "; rows go north: it is mirrored like the input")
     return Place(LOCAL_CRS, Affine(wide, 0, 0, 0, -high, high * height), said)
 
 

@@ -25,13 +25,14 @@ class Satellite:
 
     @classmethod
     def open(cls, path: Path) -> Satellite:
-        """Raises InputError for what is no picture, UsageError for one without a place on Earth."""
+        """Raises InputError for what is no picture, UsageError for one without a place on Earth, or mirrored."""
         source = RasterSource.open(path)
-        if not source.claimed.usable:
-            raise UsageError(
-                f"{path} has no place on Earth: {source.claimed.why}", "Give a georeferenced satellite picture."
-            )
-        return cls(source, source.claimed.transform, pyproj.CRS.from_user_input(source.claimed.crs))
+        claim = source.claimed
+        if not claim.usable or claim.transform is None:
+            raise UsageError(f"{path} has no place on Earth: {claim.why}", "Give a georeferenced satellite picture.")
+        if claim.transform.determinant > 0:
+            raise UsageError(f"{path}: the ground is mirrored in it ({claim.why})", "Turn it north-up with gdalwarp.")
+        return cls(source, claim.transform, pyproj.CRS.from_user_input(claim.crs))
 
     @cached_property
     def _to_degrees(self) -> pyproj.Transformer:

@@ -16,7 +16,7 @@ import numpy as np
 from ..core.remarks import CAUTION, Remark
 from ..errors import InputError
 from ..formats.geometry.files import scale_file
-from ..formats.geometry.text_models import TextModel, read_text_model
+from ..formats.geometry.text_models import FIRST_OF_MANY, TextModel, read_text_model
 from ..formats.reading import read_text
 from .consistency import Observations, check_consistency, observations, some_of_each
 from .frames import find_frames, image_folder
@@ -42,7 +42,7 @@ class TextSource(OneFileSource):
         if not wanted:
             raise InputError(f"{path}: no image is registered", "Reconstruct again, or give another model.")
         root, missing = image_folder(path.parent, Path(images) if images is not None else None, wanted)
-        notes: list[Remark] = []
+        notes = [Remark(CAUTION, FIRST_OF_MANY)] if text.others else []
         if missing:
             left = f"{len(missing)} of {len(wanted)} frames are not in {root} and left out: {missing[0]} ..."
             notes.append(Remark(CAUTION, left))

@@ -26,7 +26,7 @@ KNOWN = (
     "NVM, depth maps, folders of COLMAP, LAS, LAZ, PCD, XYZ, PTS, STL, OFF, .splat."
 )
 # Formats of one file each.
-ONE_FILE: dict[str, Callable[[Path, Path, float], None]] = {
+ONE_FILE: dict[str, Callable[[Path, Path, float], list[str] | None]] = {
     ".glb": scale_glb,
     ".las": scale_las,
     ".laz": scale_las,
@@ -72,7 +72,7 @@ def scale_file(source: Path, target: Path, scale: float, places: Places | None =
     if suffix in WITH_OTHERS:
         copied = WITH_OTHERS[suffix](source, target, scale)
     elif suffix in ONE_FILE:
-        ONE_FILE[suffix](source, target, scale)
+        notes = ONE_FILE[suffix](source, target, scale) or []
     elif suffix == ".json" and isinstance(read_poses(source), list):
         scale_reconstruction(source, target, scale)
     elif suffix == ".json":

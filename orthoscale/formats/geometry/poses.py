@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from ...errors import InputError
+from ...errors import InputError, UsageError
 from ..reading import HUGE, checked, read_plain
 from .beside import Referred
 from .mark import MARK, mark, refuse_marked
@@ -58,8 +58,14 @@ def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred
 
 
 def scale_reconstruction(source: Path, target: Path, scale: float) -> None:
-    """Write an OpenSfM reconstruction.json in metres: shots, rigs and points. Raises InputError, UsageError."""
+    """Write an OpenSfM reconstruction.json in metres: shots, rigs and points. Raises InputError; UsageError for one
+    that is in metres already, and for several reconstructions, each of which has a scale of its own."""
     text = read_poses(source)
+    if len(text) > 1:
+        raise UsageError(
+            f"{source} holds {len(text)} reconstructions, each with a scale of its own",
+            "`orthoscale fix` of that file measures and writes the largest one.",
+        )
     for part in cast("list[dict[str, Any]]", text):
         if MARK in part:
             refuse_marked(source)

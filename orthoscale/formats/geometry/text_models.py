@@ -7,6 +7,7 @@ parser marks which words of a line are lengths: reading and scaling share it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +18,7 @@ from ...errors import InputError
 
 BUNDLER, NVM = ".out", ".nvm"
 SUFFIXES = (BUNDLER, NVM)
+FIRST_OF_MANY = "it holds several models, each with a scale of its own: only the first is written"
 TRACKS = 20_000  # points, about, whose images are read
 UPRIGHT = np.diag([1.0, -1.0, -1.0])  # Bundler's cameras have y up and look along -z; COLMAP's y down, along z
 
@@ -29,7 +31,7 @@ class TextModel:
     distortion : (C, 3) of FULL_OPENCV's k1, k2, k3. centre : (C, 2) principal points [px], NaN: the image's middle.
     rotation, translation : (C, 3, 3), (C, 3) camera_from_world. points, colours : (M, 3).
     seen : (K, 4) camera, point, and where it saw that: x, y [px], y down, from the principal point or, where
-    `from_corner`, from the image's corner; for some of the points.
+    `from_corner`, from the image's corner; for some of the points. others : whether other models follow in the file.
     """
 
     names: list[str] | None
@@ -42,6 +44,7 @@ class TextModel:
     colours: np.ndarray
     seen: np.ndarray
     from_corner: bool
+    others: bool = False
 
 
 class Line(NamedTuple):
@@ -60,7 +63,7 @@ def read_text_model(path: Path) -> TextModel:
     parts: dict[str, list[list[Any]]] = {}
     try:
         for line in _lines(path):
-            if line.kind in ("head", "camera"):
+            if line.kind in ("head", "camera", "others"):
                 parts.setdefault(line.kind, []).append(line.words)
             elif line.kind:
                 parts.setdefault(line.kind, []).append([float(word) for word in line.words[:6]])
@@ -74,10 +77,14 @@ def read_text_model(path: Path) -> TextModel:
         raise _damaged(path, str(error)) from error
 
 
-def scale_text_model(source: Path, target: Path, scale: float) -> None:
-    """Write the first model of `source` with all lengths times `scale`; all else stays as it was. Raises InputError."""
+def scale_text_model(source: Path, target: Path, scale: float) -> list[str]:
+    """Write the first model of `source` with all lengths times `scale`; all else stays as it was. Returns what there is
+    to say. Raises InputError."""
+    notes = []
     with target.open("w", encoding="utf-8") as out:
         for line in _lines(source):
+            if line.kind == "others":
+                notes.append(FIRST_OF_MANY)
             words = line.words[line.lengths]
             if words:
                 line.words[line.lengths] = [repr(float(word) * scale) for word in words]
@@ -86,6 +93,7 @@ def scale_text_model(source: Path, target: Path, scale: float) -> None:
                 out.write(line.text)
         if source.suffix.lower() == NVM:
             out.write("\n0\n")  # no more models
+    return notes
 
 
 def _lines(path: Path) -> Iterator[Line]:
@@ -150,8 +158,9 @@ def _walk_bundler(following: Callable[[], str]) -> Iterator[Line]:
 
 def _walk_nvm(following: Callable[[], str]) -> Iterator[Line]:
     head = following()
-    if not head.startswith("NVM_V3"):
-        raise ValueError("it does not begin with NVM_V3")
+    if (form := head.split()[:1]) != ["NVM_V3"]:
+        other = "its form NVM_V3_R9T, with matrices for rotations, is not read" if form == ["NVM_V3_R9T"] else ""
+        raise ValueError(other or "it does not begin with NVM_V3")
     yield Line(head, "head", head.split())
     for kind, least, lengths in (("camera", 10, slice(6, 9)), ("point", 6, slice(0, 3))):
         text = following()
@@ -166,6 +175,11 @@ def _walk_nvm(following: Callable[[], str]) -> Iterator[Line]:
             if len(words) < least:
                 raise ValueError(f"{len(words)} words where {least} belong")
             yield Line(text, kind, words, lengths, _every(k, count, words[6]) if kind == "point" and words[6:] else "")
+    with suppress(ValueError):  # the end of the file
+        while not (text := following()).split():
+            pass
+        if text.split() != ["0"]:
+            yield Line("", "others", [])
 
 
 def _every(number: int, count: int, text: str) -> str:
@@ -232,4 +246,5 @@ def _nvm(parts: dict[str, list[list[Any]]]) -> TextModel:
         seen=seen,
         # VisualSFM's manual counts from the image's middle, COLMAP writes what it counts from the corner.
         from_corner=bool((seen[:, 2:] >= 0).mean() > 0.95) if len(seen) else False,
+        others="others" in parts,
     )
