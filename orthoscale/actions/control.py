@@ -59,6 +59,6 @@ def read_control(path: Path, source: Source) -> Evidence:
         except (ValueError, OverflowError) as error:
             raise InputError(f"{path}, line {row}: {reason(error)}", CONTROL_HINT) from error
     try:
-        return ground_control(np.array(units), np.array(metres), float(np.median(read_sd or [0.0])))
+        return ground_control(np.array(units), np.array(metres), np.array(read_sd))
     except ValueError as error:
         raise InputError(f"{path}: {error}", CONTROL_HINT) from error
