@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.evidence import Evidence, ground_control, known_distance
+from ..core.evidence import LEVEL_SD, Evidence, ground_control, known_distance
 from ..core.source import Source
 from ..errors import InputError, UsageError, shown
 from ..formats.points import number
@@ -21,7 +21,8 @@ DISTANCE_HINT = (
 )
 CONTROL_HINT = (
     "Expected one point a line, and where it is in metres: POINT EAST NORTH [UP], separated by spaces. "
-    "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model). Lines from # on do not count."
+    "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model, which wants UP where the ground "
+    "is not level). Lines from # on do not count."
 )
 
 
@@ -41,24 +42,35 @@ def read_distance(text: str, source: Source) -> Evidence:
 
 
 def read_control(path: Path, source: Source) -> Evidence:
-    """Ground control from the file at `path`, its points in `source`. Raises InputError, UsageError."""
-    lines = read_text(path, CONTROL_HINT).splitlines()
+    """Ground control from the file at `path`, its points in `source`. Raises InputError, UsageError.
+
+    Distances are compared that both sides have: in an orthophoto they are horizontal, whatever UP says; in a model they
+    are those in space, or without UP horizontal ones. What is level there is not known: the ground's plane stands for
+    it.
+    """
     units: list[np.ndarray] = []
     read_sd: list[float] = []
     metres: list[list[float]] = []
-    for row, line in enumerate(lines, 1):
+    level_sd, dims = 0.0, 3 if source.plan is None else 2
+    for row, line in enumerate(read_text(path, CONTROL_HINT).splitlines(), 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:
-            point, *place = shlex.split(line)
-            if len(place) not in (2, 3) or (metres and len(place) != len(metres[0])):
-                raise ValueError(f"{len(place)} coordinates in metres")
-            units.append(source.locate(point))
+            point, *words = shlex.split(line)
+            if len(words) not in (2, 3):
+                raise ValueError(f"{len(words)} coordinates in metres")
+            place, known = source.locate(point), [number(word) for word in words][:dims]
+            if metres and len(known) != len(metres[0]):
+                raise ValueError(f"{len(words)} coordinates in metres, but {len(metres[0])} above")
+            if len(known) == 2:
+                place = source.from_above(place[None])[0]
+                level_sd = LEVEL_SD if source.plan is None else 0.0
+            units.append(place)
             read_sd.append(source.reading_sd(point))
-            metres.append([number(word) for word in place])
+            metres.append(known)
         except (ValueError, OverflowError) as error:
             raise InputError(f"{path}, line {row}: {reason(error)}", CONTROL_HINT) from error
     try:
-        return ground_control(np.array(units), np.array(metres), np.array(read_sd))
+        return ground_control(np.array(units), np.array(metres), np.array(read_sd), level_sd)
     except ValueError as error:
         raise InputError(f"{path}: {error}", CONTROL_HINT) from error

@@ -36,6 +36,9 @@ READING_SD = 0.5  # [px] one sigma of a point that a person reads in a picture, 
 SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
 BY_MAP = "map"  # kind of the evidence that a match with a georeferenced map gives
 CONTROL_SD = 0.05  # of a ground control point's position at best, and where no residuals say [m]
+# Of horizontal distances in a ground that is taken for level, a share of them: down streets of 8 %, the steepest usual
+# ones (`sources.ground.WANDER`), distances along the ground are longer by so much.
+LEVEL_SD = 0.003
 
 
 @dataclass(frozen=True)
@@ -272,10 +275,13 @@ def known_distance(
     return Evidence("known distance", metres / units, relative_sd, f"the known distance of {metres:g} m{where}")
 
 
-def ground_control(units: np.ndarray, metres: np.ndarray, read_sd: float | np.ndarray = 0.0) -> Evidence:
+def ground_control(
+    units: np.ndarray, metres: np.ndarray, read_sd: float | np.ndarray = 0.0, level_sd: float = 0.0
+) -> Evidence:
     """Points (N, D) [units] and the same points (N, D) [m], N >= 2: the scale of the similarity transform between them
     (ratio of their spreads about the centroid, Horn 1987). Their axes may have any direction, and be mirrored. read_sd
-    : one sigma of how well each point can be read along a line [units], one number or (N,). Raises ValueError.
+    : one sigma of how well each point can be read along a line [units], one number or (N,). level_sd : where `units`
+    lie in a ground that is taken for level, relative one sigma of all their distances. Raises ValueError.
 
     What the points leave of the transform holds all their errors, those of reading too. Few points tell its size badly:
     the sigma is that whose 90 % interval is the one of Student's t. But a small rest may be luck, and two points leave
@@ -289,7 +295,7 @@ def ground_control(units: np.ndarray, metres: np.ndarray, read_sd: float | np.nd
         raise ValueError("the points must differ from one another")
     reading = float(np.linalg.norm(np.linalg.norm(first, axis=1) * read_sd)) / spread[0] ** 2
     sd = float(np.hypot(CONTROL_SD / spread[1], reading))
-    says = f"ground control ({len(units)} points"
+    says = [f"{len(units)} points"]
     dims = units.shape[1]
     freedom = dims * len(units) - dims - dims * (dims - 1) // 2 - 1  # what shift, rotation and scale leave
     if freedom > 0:
@@ -297,5 +303,8 @@ def ground_control(units: np.ndarray, metres: np.ndarray, read_sd: float | np.nd
         rest = 1 - (np.linalg.norm(first.T @ second, "nuc") / spread[0] / spread[1]) ** 2
         sd = max(sd, float(np.sqrt(max(rest, 0.0) / freedom) * stdtrit(freedom, 0.95)) / Z90)
     else:
-        says += f", taken to be good to {CONTROL_SD:g} m"
-    return Evidence("ground control", spread[1] / spread[0], sd, f"{says})")
+        says.append(f"taken to be good to {CONTROL_SD:g} m")
+    if level_sd:
+        says.append("the ground taken for level")
+    sd = float(np.hypot(sd, level_sd))
+    return Evidence("ground control", spread[1] / spread[0], sd, f"ground control ({', '.join(says)})")
