@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from orthoscale.core.measuring import parallax
+from orthoscale.core.measuring.footing import GROUND_SD
 from orthoscale.core.measuring.parallax import MIDDLE, MIDDLE_SD, standing
-from orthoscale.core.measuring.surroundings import GROUND_SD
 
 SIZE = (4.5, 1.8)
 HEIGHT = 60.0

@@ -308,3 +308,24 @@ def ground_control(
         says.append("the ground taken for level")
     sd = float(np.hypot(sd, level_sd))
     return Evidence("ground control", spread[1] / spread[0], sd, f"ground control ({', '.join(says)})")
+
+
+def ground_shares(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """(N,) by what share all distances between `points` (N, D) grow, for each share of the cameras' height by which the
+    ground under one of them lies lower: together 1 for points of one picture. rays : (N, D) from the cameras to the
+    points, 0 for one that was not seen on the ground; in the same units."""
+    off = points - points.mean(0)
+    return np.asarray((off * rays).sum(1) / (off**2).sum())
+
+
+def on_ground(found: Evidence, shares: np.ndarray, each: np.ndarray, shared: float) -> Evidence:
+    """What was `found` from places on a reconstruction's ground, with the error of that ground's height.
+
+    shares : (N,) how much of it they have (`ground_shares`). each, shared : one sigmas of it, as shares of the cameras'
+    height: (N,) of the places, and of all that was seen on that ground alike. What has more than all of the latter, or
+    has it reversed, does not err as the vehicles do by so much more.
+    """
+    whole = float(shares.sum())
+    common = float(np.clip(whole, 0, 1)) * shared
+    own = float(np.linalg.norm(np.r_[found.relative_sd, shares * each, whole * shared - common]))
+    return Evidence.mixed(found.kind, Posterior.normal(float(np.log(found.value)), own), [found.says], common=common)

@@ -11,7 +11,7 @@ from ..anchors import Anchor, AnchorVote, alike
 from ..pooling.anchors import SHARED
 from ..scale import Scale
 from ..source import GroundView
-from .surroundings import GROUND_SD
+from .footing import GROUND_SD
 
 FRAMES_APART = 2.0  # how far frames may place one line, or one middle, apart, in GROUND_SD of the camera's height
 # One sigma by which frames place one thing apart that lies on the ground, as a share of the camera's height, as if that

@@ -18,7 +18,7 @@ from scipy.spatial.distance import cdist
 from ..pooling.posterior import ROBUST_SD
 from ..source import PosedSet
 from ..votes import SAME_PLACE, same_place
-from .surroundings import GROUND_SD
+from .footing import GROUND_SD
 
 # How far below the sheet the ground is looked for, in heights of the cameras: trees and roofs of 15 m under a flight at
 # 60 m; and above it, where strays below the ground have drawn the sheet down.

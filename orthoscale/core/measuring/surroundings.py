@@ -15,13 +15,10 @@ from ..projection.exact import FLAT, Hull, ground_axes, ground_size
 from ..projection.view import Views
 from ..source import PosedSet
 from ..votes import Votes, gather
+from .footing import GROUND_SD
 from .objects import standard_objects
 from .parking import parking_pitch
 
-# Relative uncertainty of a reconstruction's ground (one sigma), as a share of the camera's height, where its sparse
-# points alone tell (else `parallax`): on bare ground these scatter by about this much on the two real scenes. Whatever
-# is measured on the ground errs with it.
-GROUND_SD = 0.01
 CLEAR_OF_BORDER = 3.0  # [px] from a frame's border: nearer, a box may be cut
 
 
