@@ -19,20 +19,24 @@ class Footing:
 
     place : (M, 3) of the boxes [units, world]. lower : (M,) how far the ground lies below that of the sparse points
     there, as a share of the cameras' height. each : (M,) one sigma of that for one place. shared : and for all alike.
+    uneven : one sigma by which that differs from place to place, and reach : from what distance on [units].
     """
 
     place: np.ndarray
     lower: np.ndarray
     each: np.ndarray
     shared: float = GROUND_SD
+    uneven: float = 0.0
+    reach: float = 1.0
 
     def at(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N,) how much lower the ground is at `place` (N, 3), and (N,) one sigma of that beside `shared`: as it is
         under the nearest vehicle."""
         if not len(self.place):
             return np.zeros(len(place)), np.zeros(len(place))
-        nearest = cKDTree(self.place).query(place)[1]
-        return self.lower[nearest], self.each[nearest]
+        away, nearest = cKDTree(self.place).query(place)
+        apart = self.uneven * np.sqrt(-2 * np.expm1(-0.5 * (away / self.reach) ** 2))
+        return self.lower[nearest], np.hypot(self.each[nearest], apart)
 
 
 BY_POINTS = Footing(np.empty((0, 3)), np.empty(0), np.empty(0))  # the ground below the sparse points, as it is
