@@ -9,13 +9,14 @@ import pytest
 from support.flights import FLEET, UNIT, enclosing, found_by
 from support.models import make_model, put_frames, save
 
+from orthoscale.actions import estimate
 from orthoscale.actions.against import _with_ground
 from orthoscale.actions.control import read_control, read_distance
 from orthoscale.actions.estimate import footing_of, measured
 from orthoscale.core.anchors import Anchor, Standard
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.evidence import BY_MAP, Evidence, ground_shares, on_ground
-from orthoscale.core.measuring.anchors import votes_in_model
+from orthoscale.core.measuring.anchors import FoundAnchors, votes_in_model
 from orthoscale.core.measuring.footing import BY_POINTS, GROUND_SD, Footing
 from orthoscale.core.measuring.surroundings import objects_in_model
 from orthoscale.core.pooling.anchors import evidence_of
@@ -23,6 +24,7 @@ from orthoscale.core.pooling.posterior import Z90
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.formats.tables import standards
 from orthoscale.requests import EstimateRequest
+from orthoscale.sources.on_map import OnMap
 from orthoscale.sources.opening import open_source
 
 ENDS = np.array([[-1.5, -1.2, 0], [1.8, 1.0, 0.0]])  # on the true ground [units]
@@ -179,3 +181,15 @@ def test_the_whole_way_takes_the_vehicles_ground(under_crowns, tmp_path):
     assert holds(scale.evidence[0]) and not scale.conflict
     low, high = scale.interval90
     assert low < UNIT < high and np.log(high / low) < 2 * Z90 * 0.015
+
+
+def test_anchors_and_the_map_are_told_of_it(under_crowns, tmp_path, monkeypatch):
+    save_detections(under_crowns.found, tmp_path / "boxes.json")
+    told = []
+    monkeypatch.setattr(estimate, "_satellite", lambda path: path)
+    monkeypatch.setattr(estimate, "on_map", lambda *args: told.append(args[-1]) or OnMap())
+    monkeypatch.setattr(estimate, "look_for_anchors", lambda *args: told.append(args[-1].footing) or FoundAnchors())
+    measured(under_crowns.folder, EstimateRequest(fleet="DE", detections=tmp_path / "boxes.json", against="map.tif"))
+    assert len(told) == 2
+    for footing in told:
+        assert footing.lower == pytest.approx(under_crowns.footing.lower, abs=1e-3)
