@@ -319,7 +319,8 @@ class EstimateRequest(VehicleRequest):
         None,
         Path,
         "Evidence",
-        "Text file with lines POINT EAST NORTH [UP] in metres; points as for --known-distance.",
+        "Text file with lines POINT EAST NORTH [UP] in metres; points as for --known-distance. A model wants UP where "
+        "the ground is not level; an orthophoto's distances are horizontal.",
         metavar="FILE",
     )
     against: str | Path | None = option(

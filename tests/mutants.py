@@ -65,7 +65,7 @@ MUTANTS = (
         f"{CHOICES}test_a_photo_counts_vehicles_down_to_an_elevation_of_25_degrees",
     ),
     Mutant(
-        "core/measuring/surroundings.py",
+        "core/measuring/footing.py",
         "GROUND_SD = 0.01",
         "GROUND_SD = 0.0",
         f"{CHOICES}test_the_ground_of_a_model_is_known_to_a_hundredth_however_many_vehicles_stand_on_it",

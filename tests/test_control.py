@@ -6,12 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.flights import UNIT
 from support.in_process import run
 
 import orthoscale
+from orthoscale.actions.control import read_control
+from orthoscale.core.evidence import LEVEL_SD
 from orthoscale.errors import EvidenceDisagrees, InputError, OrthoscaleError, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
+from orthoscale.sources.opening import open_source
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 TOWN = EXAMPLES / "town" / "ortho.jpg"
@@ -80,6 +84,39 @@ def test_ground_control_gives_an_orthophoto_its_scale(boxes, tmp_path):
         orthoscale.estimate(TOWN, fleet="DE", detections=boxes, ground_control=control)
     with pytest.raises(InputError, match="cannot be read"):
         orthoscale.estimate(TOWN, fleet="DE", detections=boxes, ground_control=tmp_path / "none.txt")
+
+
+SLOPE = np.array([[0, 0, 0], [300, 0, 60], [600, 0, 120], [900, 100, 180.0]]) * GSD  # [m] down a slope of 20 %
+
+
+def written(path, points, metres):
+    path.write_text("\n".join(f"{point} {' '.join(map(str, row))}" for point, row in zip(points, metres, strict=True)))
+    return path
+
+
+def test_an_orthophotos_distances_are_horizontal(tmp_path):
+    points = [f"{x / GSD},{y / GSD}" for x, y, _ in SLOPE]
+    plain, with_up = (
+        read_control(written(tmp_path / "c.txt", points, rows), open_source(TOWN)) for rows in (SLOPE[:, :2], SLOPE)
+    )
+    assert plain == with_up and plain.value == pytest.approx(GSD, rel=1e-6)
+    assert plain.says == "ground control (4 points)"
+
+
+def test_a_models_are_those_in_space_or_without_up_in_the_grounds_plane(flight, tmp_path):
+    """Four points of buildings of several heights, whose metres are known."""
+    places = np.array([[-6, -5, 0], [5, -4, 2.5], [6, 6, 0.5], [-4, 5, 1.5]])
+    source = open_source(flight[0])
+    points = [",".join(map(str, place)) for place in places @ flight[1].T]
+    rows = UNIT * places + [400_000, 5_800_000, 90]
+    in_space, level = (read_control(written(tmp_path / "c.txt", points, r), source) for r in (rows, rows[:, :2]))
+    assert in_space.value == pytest.approx(UNIT, rel=1e-6) and in_space.says == "ground control (4 points)"
+    assert level.value == pytest.approx(UNIT, rel=1e-4)
+    assert level.says == "ground control (4 points, the ground taken for level)"
+    assert in_space.relative_sd < 0.001 and LEVEL_SD < level.relative_sd < 1.2 * LEVEL_SD
+    mixed = written(tmp_path / "c.txt", points, [*rows[:2], *rows[2:, :2]])
+    with pytest.raises(InputError, match="line 3: 2 coordinates in metres, but 3 above"):
+        read_control(mixed, source)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import pytest
 from orthoscale.core.evidence import Evidence, combined, ground_control, known_distance
 from orthoscale.core.measuring.objects import standard_objects
 from orthoscale.core.pooling.anchors import evidence_of
-from orthoscale.core.pooling.posterior import Posterior
+from orthoscale.core.pooling.posterior import Z90, Posterior
 from orthoscale.formats.tables import known_objects
 
 VEHICLES = Posterior.normal(np.log(0.10), 0.05)
@@ -101,6 +101,43 @@ def test_ground_control_is_a_similarity_wherever_its_axes_point():
     assert abs(np.log(noisy.value / 7.3)) < 3 * noisy.relative_sd and noisy.relative_sd > 2 * exact.relative_sd
     with pytest.raises(ValueError, match="two points"):
         ground_control(units[:1], metres[:1])
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+@pytest.mark.parametrize("count", [3, 4, 5, 8])
+def test_the_interval_by_few_points_holds(count, dims):
+    """Points good to 1 m over 200 m: nothing but their residuals tells that they are no better."""
+    rng, hits = np.random.default_rng(0), 0
+    for _ in range(2000):
+        metres = rng.uniform(0, 200, (count, dims))
+        units = metres @ np.linalg.qr(rng.normal(size=(dims, dims)))[0] / 14
+        found = ground_control(units, metres + rng.normal(0, 1, metres.shape))
+        hits += abs(np.log(found.value / 14)) < Z90 * found.relative_sd
+    assert hits / 2000 == pytest.approx(0.9, abs=0.02)
+
+
+def test_what_residuals_show_of_the_reading_does_not_count_twice():
+    rng, sigmas = np.random.default_rng(0), []
+    for _ in range(1000):
+        metres = rng.uniform(0, 2000, (20, 2))
+        found = ground_control(metres + rng.normal(0, 0.5, metres.shape), metres, 0.5)
+        sigmas.append(np.log(found.value) / found.relative_sd)
+    assert 0.88 < np.sqrt(np.mean(np.square(sigmas))) < 1.05
+
+
+def test_each_point_is_read_as_well_as_it_can_be():
+    ends = np.array([[0, 0], [100.0, 0]])
+    one, both = (ground_control(ends, 1000 * ends, np.array(sd)).relative_sd for sd in ([0.5, 0], [0.5, 0.5]))
+    assert (one, both) == pytest.approx((0.005, 0.005 * np.sqrt(2)), rel=1e-3)
+    square = 100 * np.array([[0, 0], [1.0, 0], [1, 1], [0, 1]])
+    some = ground_control(square, 1000 * square, np.array([0.5, 0, 0, 0])).relative_sd
+    assert some == pytest.approx(ground_control(square, 1000 * square, 0.5).relative_sd / 2, rel=1e-3)
+
+
+def test_two_points_have_no_residuals_and_that_is_said():
+    ends = np.array([[0, 0], [100.0, 0], [0, 70]])
+    assert ground_control(ends[:2], ends[:2]).says == "ground control (2 points, taken to be good to 0.05 m)"
+    assert ground_control(ends, ends).says == "ground control (3 points)"
 
 
 def scale_by(kind, size, pixel):

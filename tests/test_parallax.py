@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from orthoscale.core.measuring import parallax
+from orthoscale.core.measuring.footing import GROUND_SD
 from orthoscale.core.measuring.parallax import MIDDLE, MIDDLE_SD, standing
-from orthoscale.core.measuring.surroundings import GROUND_SD
 
 SIZE = (4.5, 1.8)
 HEIGHT = 60.0
@@ -38,6 +38,14 @@ def test_the_ground_is_found_where_the_sheet_is_not(lower):
     assert np.median(stands.lower) == pytest.approx(true, abs=2.5 * np.median(stands.sd))
     assert np.median(stands.sd) < 0.01
     assert (stands.trees > 0.9) == (lower[0] != 0)
+
+
+@pytest.mark.parametrize("lower", [1.0, 2.0, 3.0])
+def test_a_sheet_that_is_too_high_by_the_same_everywhere(lower):
+    """A crop, or a low canopy: nothing but its height tells it from the ground, over however many places."""
+    place, foot, above, picture, _ = boxes(np.full(80, lower), vehicles=80)
+    stands = standing(place, foot, above, picture, SIZE, np.full(len(place), 0.1))
+    assert np.median(stands.lower) == pytest.approx(lower / (HEIGHT - lower), abs=2 * np.median(stands.sd))
 
 
 def test_where_it_differs_from_place_to_place():

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.evidence import BY_MAP, Evidence
+from ..core.evidence import BY_MAP, Evidence, on_ground
+from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.progress import Progress
 from ..core.source import Picture, PosedSet, Source
 from ..errors import TooLittleEvidence
@@ -34,10 +36,12 @@ def on_map(
     scale: tuple[float, float],
     cache: bool = True,
     progress: Progress | None = None,
+    footing: Footing = BY_POINTS,
 ) -> OnMap:
     """Where `source` lies on the map `satellite`.
 
     scale : metres per unit and its relative one-sigma, as far as it is known. cache : keep the map's features.
+    footing : the ground of a reconstruction.
     Raises InputError where map or source turn out to be damaged.
     """
     around = float(np.clip(SCALES_AROUND * scale[1], LEAST_AROUND, MOST_AROUND))
@@ -61,13 +65,22 @@ def on_map(
     candidate = found.candidates[0]
     metres = scale[0] * candidate.scale
     says = f"its place on {name} ({candidate.inliers} matches, {found.needed} needed)"
-    evidence = (Evidence(BY_MAP, metres, found.scale_sd, says),)
+    evidence = Evidence(BY_MAP, metres, found.scale_sd, says)
     lon, lat = candidate.middle
     note = f"found on {name} around {lon:.6f}, {lat:.6f}, its top to {np.degrees(candidate.heading):.0f} degrees"
     if source.plan is None:
-        return OnMap(evidence, (note,), name=name)
+        posed = source.posed
+        assert posed is not None, "it is one of the two"
+        return OnMap((_with_ground(evidence, posed, seen.picture.name, footing),), (note,), name=name)
     size = source.plan.width, source.plan.height
-    return OnMap(evidence, (note,), satellite.crs, _affine(seen, found, satellite), metres, size, name)
+    return OnMap((evidence,), (note,), satellite.crs, _affine(seen, found, satellite), metres, size, name)
+
+
+def _with_ground(found: Evidence, source: PosedSet, picture: str, footing: Footing) -> Evidence:
+    """What the map says by that `picture` of the ground of `source`, with the error of that ground, `footing`."""
+    view = next(view for view in source.ground_pictures if view.name == picture)
+    lower, each = footing.at(view.ground(np.array([[view.width / 2, view.height / 2]])))
+    return on_ground(replace(found, value=found.value / (1 + float(lower[0]))), np.ones(1), each, footing.shared)
 
 
 def _registered(

@@ -13,6 +13,7 @@ import numpy as np
 from ..anchors import kinds
 from ..core.anchors import Anchor, AnchorVote, Standard
 from ..core.measuring.anchors import FoundAnchors, votes_in_model, votes_in_plan
+from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.measuring.without_vehicles import FEWEST_KINDS
 from ..core.pooling.posterior import Z90
 from ..core.progress import Progress
@@ -60,13 +61,15 @@ def own_standards(told: Sequence[str]) -> dict[str, tuple[Standard, ...]]:
 @dataclass(frozen=True)
 class Wanted:
     """What is searched for, and how. choices : of `--anchors`. own : a user's standards by kind, which replace those of
-    the finders. country : ISO code, empty if unknown. effort, progress : as in `detect.find`."""
+    the finders. country : ISO code, empty if unknown. effort, progress : as in `detect.find`. footing : the ground of a
+    reconstruction."""
 
     choices: Sequence[str]
     own: Mapping[str, tuple[Standard, ...]] = field(default_factory=dict)
     country: str = ""
     effort: Effort = Effort()
     progress: Progress | None = None
+    footing: Footing = BY_POINTS
 
     @property
     def kinds(self) -> list[str]:
@@ -126,7 +129,7 @@ def anchors_at(
     )
     if source.posed is not None:
         ground: dict[str, GroundView] = {view.name: view for view in source.posed.ground_pictures}
-        votes = votes_in_model(found, ground, source.posed.centre, 4 * sd)
+        votes = votes_in_model(found, ground, source.posed.centre, 4 * sd, wanted.footing)
     else:
         votes = votes_in_plan(found, 4 * sd)
     votes = [vote.of(wanted.own.get(vote.anchor.kind)) for vote in votes]

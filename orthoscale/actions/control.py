@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import shlex
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ..core.evidence import Evidence, ground_control, known_distance
+from ..core.evidence import LEVEL_SD, Evidence, ground_control, ground_shares, known_distance, on_ground
+from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.source import Source
 from ..errors import InputError, UsageError, shown
 from ..formats.points import number
@@ -21,44 +23,93 @@ DISTANCE_HINT = (
 )
 CONTROL_HINT = (
     "Expected one point a line, and where it is in metres: POINT EAST NORTH [UP], separated by spaces. "
-    "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model). Lines from # on do not count."
+    "POINT is X,Y (pixels of an orthophoto), X,Y,Z, id:123 or NAME@X,Y (of a model, which wants UP where the ground "
+    "is not level). Lines from # on do not count."
 )
 
 
-def read_distance(text: str, source: Source) -> Evidence:
-    """The known distance described by `text`, between two points of `source`. Raises UsageError."""
+def read_distance(text: str, source: Source, footing: Footing = BY_POINTS) -> Evidence:
+    """The known distance described by `text`, between two points of `source`, whose ground is that of `footing`. Raises
+    UsageError."""
     try:
         words = shlex.split(text)
         if len(words) not in (3, 4):
             raise ValueError(f"{len(words)} words")
-        first, second, metres, *sd = words
-        points = [source.locate(word) for word in (first, second)]
-        between = f" between {first} and {second}"
-        read_sd = math.hypot(*(source.reading_sd(word) for word in (first, second)))
-        return known_distance(np.array(points), number(metres), number(sd[0]) if sd else None, between, read_sd)
+        *ends, metres = words[:3]
+        points = [_located(word, source, footing) for word in ends]
+        place = np.array([point.place for point in points])
+        read_sd = math.hypot(*(point.read_sd for point in points))
+        sd = number(words[3]) if len(words) == 4 else None
+        found = known_distance(place, number(metres), sd, f" between {ends[0]} and {ends[1]}", read_sd)
+        return _with_ground(found, points, footing)
     except (ValueError, OverflowError) as error:
         raise UsageError(f"--known-distance {shown(text)!r}: {reason(error)}", DISTANCE_HINT) from error
 
 
-def read_control(path: Path, source: Source) -> Evidence:
-    """Ground control from the file at `path`, its points in `source`. Raises InputError, UsageError."""
-    lines = read_text(path, CONTROL_HINT).splitlines()
-    units: list[np.ndarray] = []
-    read_sd: list[float] = []
+def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Evidence:
+    """Ground control from the file at `path`, its points in `source`, whose ground is that of `footing`. Raises
+    InputError, UsageError.
+
+    Distances are compared that both sides have: in an orthophoto they are horizontal, whatever UP says; in a model they
+    are those in space, or without UP horizontal ones. What is level there is not known: the ground's plane stands for
+    it.
+    """
+    points: list[_Point] = []
     metres: list[list[float]] = []
-    for row, line in enumerate(lines, 1):
+    level_sd, dims = 0.0, 3 if source.plan is None else 2
+    for row, line in enumerate(read_text(path, CONTROL_HINT).splitlines(), 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:
-            point, *place = shlex.split(line)
-            if len(place) not in (2, 3) or (metres and len(place) != len(metres[0])):
-                raise ValueError(f"{len(place)} coordinates in metres")
-            units.append(source.locate(point))
-            read_sd.append(source.reading_sd(point))
-            metres.append([number(word) for word in place])
+            name, *words = shlex.split(line)
+            if len(words) not in (2, 3):
+                raise ValueError(f"{len(words)} coordinates in metres")
+            point, known = _located(name, source, footing), [number(word) for word in words][:dims]
+            if metres and len(known) != len(metres[0]):
+                raise ValueError(f"{len(words)} coordinates in metres, but {len(metres[0])} above")
+            if len(known) == 2:
+                point = point.from_above(source)
+                level_sd = LEVEL_SD if source.plan is None else 0.0
+            points.append(point)
+            metres.append(known)
         except (ValueError, OverflowError) as error:
             raise InputError(f"{path}, line {row}: {reason(error)}", CONTROL_HINT) from error
     try:
-        return ground_control(np.array(units), np.array(metres), float(np.median(read_sd or [0.0])))
+        place, read_sd = np.array([point.place for point in points]), np.array([point.read_sd for point in points])
+        return _with_ground(ground_control(place, np.array(metres), read_sd, level_sd), points, footing)
     except ValueError as error:
         raise InputError(f"{path}: {error}", CONTROL_HINT) from error
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A point of a source. place, ray : (D,) where it lies, and `core.source.Source.ray` to it [units]. read_sd : one
+    sigma of how well it is read [units]. ground_sd : one sigma of the ground there, as `Footing.at` has it."""
+
+    place: np.ndarray
+    ray: np.ndarray
+    read_sd: float
+    ground_sd: float
+
+    def from_above(self, source: Source) -> _Point:
+        """The same on the plan of `source`."""
+        near, far = source.from_above(np.array([self.place - self.ray, self.place]))
+        return replace(self, place=far, ray=far - near)
+
+
+def _located(word: str, source: Source, footing: Footing) -> _Point:
+    """The point of `source` that a user calls `word`, on the ground of `footing` if it was seen on a ground."""
+    place, ray, ground_sd = source.locate(word), source.ray(word), 0.0
+    if ray.any():
+        lower, each = (float(v[0]) for v in footing.at(place[None]))
+        place, ray, ground_sd = place + lower * ray, (1 + lower) * ray, each
+    return _Point(place, ray, source.reading_sd(word), ground_sd)
+
+
+def _with_ground(found: Evidence, points: list[_Point], footing: Footing) -> Evidence:
+    """What `points` gave, with the error of the ground on which they were seen."""
+    rays = np.array([point.ray for point in points])
+    if not rays.any():
+        return found
+    shares = ground_shares(np.array([point.place for point in points]), rays)
+    return on_ground(found, shares, np.array([point.ground_sd for point in points]), footing.shared)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from ..core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ..core.evidence import Evidence
 from ..core.fleet import Fleet
 from ..core.measuring.anchors import FoundAnchors
+from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.measuring.geometry import Geometry
 from ..core.measuring.measure import doubts, measure
 from ..core.measuring.measurement import Measurement
@@ -205,10 +207,13 @@ def _found(asked: Opened, request: EstimateRequest, progress: Progress | None) -
 def _of_vehicles(asked: Opened, found: Detections, method: Method, request: EstimateRequest, wanted: Wanted) -> _Answer:
     """The scale by vehicles; then with what the map says, and the anchors that are looked for, at that scale."""
     source, fleet, match, anchors = asked.source, asked.fleet, OnMap(), FoundAnchors()
+    footing = footing_of(source, found, fleet)
+    given = _given(source, request.known_distance, request.ground_control, footing)
+    method, wanted = replace(method, evidence=tuple(given)), replace(wanted, footing=footing)
     answer = _by_vehicles(source, found, fleet, method, request)
     if asked.satellite is not None:
         rough = answer.scale.value, answer.scale.relative_sd
-        match = on_map(source, asked.satellite, rough, request.cache, wanted.progress)
+        match = on_map(source, asked.satellite, rough, request.cache, wanted.progress, footing)
     if match.evidence:
         method = replace(method, evidence=(*method.evidence, *match.evidence))
         answer = measure_source(source, found, fleet, method, request.mode)
@@ -313,12 +318,26 @@ def detector_of(source: Source, request: EstimateRequest) -> Detector:
     return Detector(path, request.decoder, request.vehicle_classes, threads, confirmed)
 
 
-def _given(source: Source, known_distance: Sequence[str], ground_control: str | Path | None) -> list[Evidence]:
-    """What the user knows of the scale. Raises UsageError, InputError."""
-    given = [read_distance(text, source) for text in known_distance]
+def _given(
+    source: Source, known_distance: Sequence[str], ground_control: str | Path | None, footing: Footing = BY_POINTS
+) -> list[Evidence]:
+    """What the user knows of the scale, on the ground of `footing`. Raises UsageError, InputError."""
+    given = [read_distance(text, source, footing) for text in known_distance]
     if ground_control is not None:
-        given.append(read_control(Path(ground_control), source))
+        given.append(read_control(Path(ground_control), source, footing))
     return given
+
+
+def footing_of(source: Source, found: Detections, fleet: Fleet) -> Footing:
+    """The ground of a reconstruction by the vehicles `found`, in its frames or else in its ground pictures; by its
+    sparse points alone where these are too few."""
+    if source.posed is not None:
+        with suppress(TooLittleEvidence):
+            return FramesGeometry.of(source.posed, found, fleet, Method()).footing
+        with suppress(TooLittleEvidence):
+            if found.planar is not None:
+                return SweepGeometry.of(source.posed, found.planar).footing
+    return BY_POINTS
 
 
 def _satellite(path: str | Path | None) -> Satellite | None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr, ndtri, stdtrit
 
 from .pooling.posterior import Z90, Posterior
 from .remarks import CAUTION, REFUSAL, Remark
@@ -35,7 +35,10 @@ SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a pictur
 READING_SD = 0.5  # [px] one sigma of a point that a person reads in a picture, along a line
 SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
 BY_MAP = "map"  # kind of the evidence that a match with a georeferenced map gives
-CONTROL_SD = 0.05  # of a ground control point's position, where its residuals do not say [m]
+CONTROL_SD = 0.05  # of a ground control point's position at best, and where no residuals say [m]
+# Of horizontal distances in a ground that is taken for level, a share of them: down streets of 8 %, the steepest usual
+# ones (`sources.ground.WANDER`), distances along the ground are longer by so much.
+LEVEL_SD = 0.003
 
 
 @dataclass(frozen=True)
@@ -287,19 +290,57 @@ def known_distance(
     return Evidence("known distance", metres / units, relative_sd, f"the known distance of {metres:g} m{where}")
 
 
-def ground_control(units: np.ndarray, metres: np.ndarray, read_sd: float = 0.0) -> Evidence:
-    """Points (N, D) [units] and the same points (N, D') [m], N >= 2: the scale of the similarity transform between them
-    (ratio of their spreads about the centroid, Horn 1987), with an uncertainty from the residuals. Distances between
-    the points are compared, not positions, so the axes may have any direction. read_sd : one sigma of how well a point
-    can be read along a line [units]. Raises ValueError."""
+def ground_control(
+    units: np.ndarray, metres: np.ndarray, read_sd: float | np.ndarray = 0.0, level_sd: float = 0.0
+) -> Evidence:
+    """Points (N, D) [units] and the same points (N, D) [m], N >= 2: the scale of the similarity transform between them
+    (ratio of their spreads about the centroid, Horn 1987). Their axes may have any direction, and be mirrored. read_sd
+    : one sigma of how well each point can be read along a line [units], one number or (N,). level_sd : where `units`
+    lie in a ground that is taken for level, relative one sigma of all their distances. Raises ValueError.
+
+    What the points leave of the transform holds all their errors, those of reading too. Few points tell its size badly:
+    the sigma is that whose 90 % interval is the one of Student's t. But a small rest may be luck, and two points leave
+    none: the errors are no smaller than is assumed of them, CONTROL_SD and `read_sd`.
+    """
     if len(units) < 2 or len(units) != len(metres):
         raise ValueError("at least two points are needed, each in both systems")
-    spread = [np.sqrt(((p - p.mean(0)) ** 2).sum()) for p in (units, metres)]
+    first, second = (p - p.mean(0) for p in (units, metres))
+    spread = [float(np.linalg.norm(p)) for p in (first, second)]
     if not np.isfinite(spread).all() or min(spread) <= 0:
         raise ValueError("the points must differ from one another")
-    value = spread[1] / spread[0]
-    i, j = np.triu_indices(len(units), 1)
-    misfit = np.linalg.norm(metres[i] - metres[j], axis=1) - value * np.linalg.norm(units[i] - units[j], axis=1)
-    sd = max(CONTROL_SD, float(np.sqrt((misfit**2).mean() / 2)))
-    relative_sd = float(np.hypot(sd / spread[1], read_sd / spread[0]))
-    return Evidence("ground control", float(value), relative_sd, f"ground control ({len(units)} points)")
+    reading = float(np.linalg.norm(np.linalg.norm(first, axis=1) * read_sd)) / spread[0] ** 2
+    sd = float(np.hypot(CONTROL_SD / spread[1], reading))
+    says = [f"{len(units)} points"]
+    dims = units.shape[1]
+    freedom = dims * len(units) - dims - dims * (dims - 1) // 2 - 1  # what shift, rotation and scale leave
+    if freedom > 0:
+        # The best rotation, or mirrored one, leaves that of the sum of squares (Kabsch 1976).
+        rest = 1 - (np.linalg.norm(first.T @ second, "nuc") / spread[0] / spread[1]) ** 2
+        sd = max(sd, float(np.sqrt(max(rest, 0.0) / freedom) * stdtrit(freedom, 0.95)) / Z90)
+    else:
+        says.append(f"taken to be good to {CONTROL_SD:g} m")
+    if level_sd:
+        says.append("the ground taken for level")
+    sd = float(np.hypot(sd, level_sd))
+    return Evidence("ground control", spread[1] / spread[0], sd, f"ground control ({', '.join(says)})")
+
+
+def ground_shares(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """(N,) by what share all distances between `points` (N, D) grow, for each share of the cameras' height by which the
+    ground under one of them lies lower: together 1 for points of one picture. rays : (N, D) from the cameras to the
+    points, 0 for one that was not seen on the ground; in the same units."""
+    off = points - points.mean(0)
+    return np.asarray((off * rays).sum(1) / (off**2).sum())
+
+
+def on_ground(found: Evidence, shares: np.ndarray, each: np.ndarray, shared: float) -> Evidence:
+    """What was `found` from places on a reconstruction's ground, with the error of that ground's height.
+
+    shares : (N,) how much of it they have (`ground_shares`). each, shared : one sigmas of it, as shares of the cameras'
+    height: (N,) of the places, and of all that was seen on that ground alike. What has more than all of the latter, or
+    has it reversed, does not err as the vehicles do by so much more.
+    """
+    whole = float(shares.sum())
+    common = float(np.clip(whole, 0, 1)) * shared
+    own = float(np.linalg.norm(np.r_[found.relative_sd, shares * each, whole * shared - common]))
+    return Evidence.mixed(found.kind, Posterior.normal(float(np.log(found.value)), own), [found.says], common=common)

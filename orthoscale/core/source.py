@@ -116,6 +116,11 @@ class Source(Pictures, Protocol):
         """One sigma of how well that point can be read, along a line [source units]. Raises ValueError."""
         ...
 
+    def ray(self, point: str) -> np.ndarray:
+        """(2,) or (3,) from the camera that shows that point to its place on the ground [source units]; 0 for what is
+        not seen on a ground. Raises ValueError."""
+        ...
+
 
 class Placement(Protocol):
     """Georeferencing of a plan. crs : its coordinate reference system. transform : the affine transform of its pixels

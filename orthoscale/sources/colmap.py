@@ -197,6 +197,11 @@ class ColmapSource:
             for step in ((1.0, 0.0), (0.0, 1.0))
         )
 
+    def ray(self, point: str) -> np.ndarray:
+        """(3,) from the camera of ``NAME@X,Y`` to what it shows of the ground there [model units]; 0 for any other
+        point. Raises ValueError."""
+        return self._on_ground(point) - self.centre(point.rpartition("@")[0]) if "@" in point else np.zeros(3)
+
     def _on_ground(self, point: str, step: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
         """(3,) what ``NAME@X,Y`` shows of the ground, `step` pixels aside."""
         name, _, place = point.rpartition("@")

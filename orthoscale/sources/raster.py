@@ -181,6 +181,10 @@ class RasterSource:
         """One sigma of how well `point` can be read along a line [px]."""
         return READING_SD
 
+    def ray(self, point: str) -> np.ndarray:
+        """(2,) 0: an orthophoto has no ground beside itself."""
+        return np.zeros(2)
+
     @property
     def metric_already(self) -> str:
         """Why this image counts as metric, empty if it does not: georeferencing that may be believed."""

@@ -12,8 +12,11 @@ import pytest
 pycolmap = pytest.importorskip("pycolmap")
 
 
-def make_model(camera_model="OPENCV", params=(400, 410, 320, 240, 0.05, -0.02, 0.001, -0.001), rig=False, points=1500):
-    """A flight over flat ground: 640 x 480 px, 12 units up, pitched by 25 degrees; in a turned frame."""
+def make_model(
+    camera_model="OPENCV", params=(400, 410, 320, 240, 0.05, -0.02, 0.001, -0.001), rig=False, points=1500, lift=0.0
+):
+    """A flight over flat ground: 640 x 480 px, 12 units up, pitched by 25 degrees; in a turned frame. lift : how far
+    its sparse points lie above the ground."""
     random = np.random.default_rng(0)
     model = pycolmap.Reconstruction()
     for number in (1, 2) if rig else (1,):
@@ -30,7 +33,7 @@ def make_model(camera_model="OPENCV", params=(400, 410, 320, 240, 0.05, -0.02, 0
         model.add_rig(pair)
 
     turn = pycolmap.Rotation3d(np.array([0.4, -0.3, 0.9])).matrix()
-    points = np.column_stack([random.uniform(-12, 12, (points, 2)), random.normal(0, 0.02, points)])
+    points = np.column_stack([random.uniform(-12, 12, (points, 2)), random.normal(lift, 0.02, points)])
     colours = random.integers(0, 255, (len(points), 3), dtype=np.uint8)
     down = np.diag([1.0, -1, -1])
     image_id = 0

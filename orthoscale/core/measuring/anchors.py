@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from ..anchors import Anchor, AnchorVote, alike
 from ..pooling.anchors import SHARED
 from ..scale import Scale
 from ..source import GroundView
-from .surroundings import GROUND_SD
+from .footing import BY_POINTS, GROUND_SD, Footing
 
 FRAMES_APART = 2.0  # how far frames may place one line, or one middle, apart, in GROUND_SD of the camera's height
 # One sigma by which frames place one thing apart that lies on the ground, as a share of the camera's height, as if that
@@ -37,74 +38,105 @@ def votes_in_plan(anchors: Sequence[Anchor], window: float) -> list[AnchorVote]:
 
 
 def votes_in_model(
-    anchors: Sequence[Anchor], views: Mapping[str, GroundView], centre: Callable[[str], np.ndarray], window: float
+    anchors: Sequence[Anchor],
+    views: Mapping[str, GroundView],
+    centre: Callable[[str], np.ndarray],
+    window: float,
+    footing: Footing = BY_POINTS,
 ) -> list[AnchorVote]:
     """Those in the pictures of the ground `views`, by their names: what lies in one place is one anchor.
 
     Its size is the mean of what the pictures give, each by its variance; half of that they share (`SHARED`).
-    centre : (3,) of the camera of the frame of a name [model units]. Where frames see a single thing from different
-    places, they tell how high it lies, which the ground does to 1 % of the camera's height only; and those that place
-    it elsewhere than most took something else for a part of it.
+    centre : (3,) of the camera of the frame of a name [model units]. footing : the ground on which they lie. Where
+    frames see a single thing from different places, they tell how high it lies, which the ground does to 1 % of the
+    camera's height only; and those that place it elsewhere than most took something else for a part of it.
     """
     votes = []
     for kind in dict.fromkeys(anchor.kind for anchor in anchors):
-        these = [anchor for anchor in anchors if anchor.kind == kind]
-        lines = [_on_ground(views[a.picture], a) for a in these]
-        units = np.array([a.pixels * _unit(a, ground) for a, ground in zip(these, lines, strict=True)])
-        height = np.array([views[a.picture].camera_height for a in these])
-        number = alike(lines, units.tolist(), FRAMES_APART * GROUND_SD * float(np.median(height)))
-        for k in np.unique(number):
-            members = np.flatnonzero(number == k)
-            height_sd, ground_sd = 0.0, GROUND_SD
-            if all(these[m].count == 1 for m in members):  # of a row, each frame may show another part
-                places = np.array([views[these[m].picture].ground(these[m].place[None])[0] for m in members])
-                away = np.linalg.norm(places - np.median(places, axis=0), axis=1) / height[members]
-                near = away <= max(FRAMES_APART * GROUND_SD, float(np.median(away)))
-                members, places = members[near], places[near]
-                cameras = np.array([centre(views[these[m].picture].image) for m in members])
-                above, height_sd, ground_sd = _height_above(places, cameras, height[members])
-                units[members] *= 1 - above / height[members]
-            variance = np.array([these[m].relative_sd for m in members]) ** 2
-            weight = 1 / variance / (1 / variance).sum()
-            fit = SHARED * weight @ variance + (1 - SHARED) * weight**2 @ variance
-            best = min(members.tolist(), key=lambda m: (these[m].false, these[m].relative_sd))
-            votes.append(
-                AnchorVote(
-                    anchor=these[best],
-                    place=views[these[best].picture].ground(these[best].place[None])[0],
-                    units=float(np.exp(weight @ np.log(units[members]))),
-                    relative_sd=float(np.sqrt(fit + height_sd**2)),
-                    shared_sd=ground_sd,
-                    window=window,
-                    views=len(members),
-                )
-            )
+        these = [_OnGround.of(a, views[a.picture], centre, footing) for a in anchors if a.kind == kind]
+        blur = FRAMES_APART * GROUND_SD * float(np.median([one.height for one in these]))
+        number = alike([one.lines for one in these], [one.units for one in these], blur)
+        votes += [_vote([these[m] for m in np.flatnonzero(number == k)], footing, window) for k in np.unique(number)]
     return votes
 
 
-def _height_above(places: np.ndarray, cameras: np.ndarray, height: np.ndarray) -> tuple[float, float, float]:
+@dataclass(frozen=True)
+class _OnGround:
+    """An anchor on the ground as one frame shows it. lines : (L, 2, 3), place : (3,) its middle, units : its reference
+    length, camera : (3,) where the frame was taken, height : of that over the ground [model units]. ground_sd : one
+    sigma of the ground there, as `Footing.at` has it."""
+
+    anchor: Anchor
+    lines: np.ndarray
+    place: np.ndarray
+    units: float
+    camera: np.ndarray
+    height: float
+    ground_sd: float
+
+    @classmethod
+    def of(cls, anchor: Anchor, view: GroundView, centre: Callable[[str], np.ndarray], footing: Footing) -> _OnGround:
+        """`anchor` in the picture `view`, where the ground is that of `footing`."""
+        camera, place = centre(view.image), view.ground(anchor.place[None])
+        lower, each = (float(v[0]) for v in footing.at(place))
+        lines, place = (camera + (p - camera) * (1 + lower) for p in (_lines(view, anchor), place[0]))
+        units = anchor.pixels * _unit(anchor, lines)
+        return cls(anchor, lines, place, units, camera, view.camera_height * (1 + lower), each)
+
+
+def _vote(seen: Sequence[_OnGround], footing: Footing, window: float) -> AnchorVote:
+    """The vote of one anchor, as it was `seen` in one frame or several."""
+    height_sd, ground_sd = float(np.median([one.ground_sd for one in seen])), footing.shared
+    larger = np.ones(len(seen))
+    if all(one.anchor.count == 1 for one in seen):  # of a row, each frame may show another part
+        places, height = np.array([one.place for one in seen]), np.array([one.height for one in seen])
+        away = np.linalg.norm(places - np.median(places, axis=0), axis=1) / height
+        near = away <= max(FRAMES_APART * GROUND_SD, float(np.median(away)))
+        seen, places, height = list(compress(seen, near)), places[near], height[near]
+        cameras = np.array([one.camera for one in seen])
+        above, seen_sd, by_ground = _height_above(places, cameras, height, float(np.hypot(height_sd, ground_sd)))
+        height_sd, ground_sd = float(np.hypot(seen_sd, by_ground * height_sd)), by_ground * ground_sd
+        larger = 1 - above / height
+    variance = np.array([one.anchor.relative_sd for one in seen]) ** 2
+    weight = 1 / variance / (1 / variance).sum()
+    fit = SHARED * weight @ variance + (1 - SHARED) * weight**2 @ variance
+    best = min(seen, key=lambda one: (one.anchor.false, one.anchor.relative_sd))
+    return AnchorVote(
+        anchor=best.anchor,
+        place=best.place,
+        units=float(np.exp(weight @ np.log([one.units for one in seen] * larger))),
+        relative_sd=float(np.sqrt(fit + height_sd**2)),
+        shared_sd=ground_sd,
+        window=window,
+        views=len(seen),
+    )
+
+
+def _height_above(
+    places: np.ndarray, cameras: np.ndarray, height: np.ndarray, ground_sd: float
+) -> tuple[float, float, float]:
     """How high above the ground something lies that frames place at `places` (N, 3) on the ground, from `cameras`
-    (N, 3) at `height` (N,) above it [all in model units]; and two one-sigmas of that, as shares of the mean height:
-    by the frames, and by the ground, with which all else errs that lies there.
+    (N, 3) at `height` (N,) above it [all in model units]; one sigma of that by the frames, as a share of the mean
+    height; and the share of the ground's error that is left.
 
     What lies `h` above the ground is where the rays are at that height, at places + h * ray, and there frames agree:
-    least squares, with the ground's own uncertainty as a prior.
+    least squares, with the ground's own uncertainty `ground_sd`, as a share of the height, as a prior.
     """
     ray = (cameras - places) / height[:, None]
     mean = float(height.mean())
     ray, place = ray - ray.mean(0), (places - places.mean(0)) / mean
     spread, parallax, placed = float((ray**2).sum()), -float((ray * place).sum()), PLACED_SD**2
     for _ in range(2):
-        above = parallax / (spread + placed / GROUND_SD**2)
+        above = parallax / (spread + placed / ground_sd**2)
         left = float(((place + above * ray) ** 2).sum())
         placed = (PLACED_LIKE * PLACED_SD**2 + left) / (PLACED_LIKE + 2 * (len(places) - 1))
-    by_frames = spread / (spread + placed / GROUND_SD**2)
+    by_frames = spread / (spread + placed / ground_sd**2)
     seen_sd = float(np.hypot(np.sqrt(placed / max(spread, placed)), LEAST_HEIGHT_SD))
-    return above * mean, by_frames * seen_sd, (1 - by_frames) * GROUND_SD
+    return above * mean, by_frames * seen_sd, 1 - by_frames
 
 
-def _on_ground(view: GroundView, anchor: Anchor) -> np.ndarray:
-    """(L, 2, 3) the anchor's lines on the ground [model units]."""
+def _lines(view: GroundView, anchor: Anchor) -> np.ndarray:
+    """(L, 2, 3) the anchor's lines on the ground below the sparse points [model units]."""
     return view.ground(anchor.lines.reshape(-1, 2)).reshape(-1, 2, 3)
 
 

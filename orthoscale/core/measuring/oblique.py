@@ -25,6 +25,7 @@ from ..projection.view import LOWEST_ELEVATION, Views
 from ..scale import Scale
 from ..source import PosedSet
 from ..votes import Votes
+from .footing import Footing
 from .geometry import Geometry, Observation, larger_by
 from .in_view import frames_in_view, looked_at
 from .measure import doubts
@@ -46,8 +47,8 @@ CALLED_IN_FRAMES = "boxes on the ground"
 class FramesGeometry:
     """The common part of a `Geometry` of boxes in `views`, each with its own camera, for any projection.
 
-    source : of the frames. found : all detections in them. place, views : on the ground on which the vehicles stand;
-    `stands` is how far below the ground by the sparse points it lies.
+    source : of the frames. found : all detections in them. views : of the ground on which the vehicles stand; `stands`
+    is how far below the ground by the sparse points it lies, `footing` what that is for all else.
     """
 
     source: PosedSet
@@ -56,9 +57,9 @@ class FramesGeometry:
     boxes: Boxes
     picture: np.ndarray
     views: Views
-    place: np.ndarray
     lost: Mapping[str, int]
     stands: Standing
+    footing: Footing
     projection: str = "exact"
     called: str = CALLED_IN_FRAMES
     repeated: bool = True
@@ -66,7 +67,7 @@ class FramesGeometry:
     settled: float = SETTLED
 
     @classmethod
-    def of(cls, source: PosedSet, found: Detections, fleet: Fleet, method: Method) -> Geometry:
+    def of(cls, source: PosedSet, found: Detections, fleet: Fleet, method: Method) -> ExactGeometry | OtherGeometry:
         """That of the boxes `found` in the frames of a reconstruction, projected as `method` wants it.
 
         Raises TooLittleEvidence.
@@ -86,9 +87,9 @@ class FramesGeometry:
             raise TooLittleEvidence(f"{len(names)} {CALLED_IN_FRAMES}, {MIN_VEHICLES} are needed")
         boxes, place, view = Boxes.concatenate(parts), np.concatenate(places), Views.concatenate(views)
         sides = np.median(boxes.xylwa[:, 2:4] * view.unit_per_pixel[:, None], axis=0)
-        stands, place = standing_in_model(source, np.array(names), place, sides)
+        stands, footing = standing_in_model(source, np.array(names), place, sides)
         view = replace(view, ground=view.ground * (1 + stands.lower)[:, None]).with_focal(source.focal.ratio)
-        seen = (source, found, fleet, boxes, np.array(names), view, place, lost, stands)
+        seen = (source, found, fleet, boxes, np.array(names), view, lost, stands, footing)
         if method.projection in (None, "exact"):
             return ExactGeometry(*seen)
         return OtherGeometry(*seen, projection=method.projection, method=method)
@@ -97,6 +98,11 @@ class FramesGeometry:
     def unit(self) -> str:
         """The source's own."""
         return self.source.unit
+
+    @property
+    def place(self) -> np.ndarray:
+        """(M, 3) of the boxes on the ground on which they stand [source units]."""
+        return self.footing.place
 
     @cached_property
     def pixel(self) -> np.ndarray:
@@ -133,7 +139,9 @@ class FramesGeometry:
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
     ) -> Sequence[AnchorVote]:
         """Objects of standard size, and rows of parked vehicles."""
-        objects = objects_in_model(self.source, self.found.objects, self.found.zoom, metres_per_unit, standards)
+        objects = objects_in_model(
+            self.source, self.found.objects, self.found.zoom, metres_per_unit, standards, self.footing
+        )
         return [*objects, *rows_in_model(vehicles, self.along[seen.solved], standards, country)]
 
     def _findings(

@@ -18,7 +18,7 @@ from scipy.spatial.distance import cdist
 from ..pooling.posterior import ROBUST_SD
 from ..source import PosedSet
 from ..votes import SAME_PLACE, same_place
-from .surroundings import GROUND_SD
+from .footing import GROUND_SD, Footing
 
 # How far below the sheet the ground is looked for, in heights of the cameras: trees and roofs of 15 m under a flight at
 # 60 m; and above it, where strays below the ground have drawn the sheet down.
@@ -32,8 +32,9 @@ BOX_SD = 0.05  # of a vehicle's width, at least, by which the middles of its box
 # where they follow the waist all around or the roof in part, 0.8 m and more, of 4.5 m.
 MIDDLE, MIDDLE_SD, MIDDLE_EACH = 0.13, 0.06, 0.04
 OUTLYING = 9.0  # times the median square of a residual, from which it says nothing of the noise
-# What a sheet on crowns and roofs is off by, one sigma, everywhere alike and from place to place, in heights of the
-# cameras; what one on the ground is off by everywhere alike, and how likely the first is beforehand.
+# What a sheet on crowns and roofs is off by, one sigma, everywhere alike and from place to place (one on crops is not),
+# in heights of the cameras; what one on the ground is off by everywhere alike, and how likely the first two are
+# together, beforehand.
 TOO_HIGH, UNEVEN, ON_GROUND, ON_TREES = 0.08, 0.02, 0.003, 0.1
 ALIKE_WITHIN = 0.5  # heights of the cameras over which a sheet's errors are alike
 MOST_COMPARED = 200  # boxes from which is taken how far all err alike
@@ -71,8 +72,8 @@ class Standing:
 
 def standing_in_model(
     source: PosedSet, picture: np.ndarray, place: np.ndarray, size: np.ndarray
-) -> tuple[Standing, np.ndarray]:
-    """The ground under M boxes, and their places (M, 3) on it [units, world].
+) -> tuple[Standing, Footing]:
+    """The ground under M boxes, and what it is for all else; `Footing.place` are the boxes' places on it.
 
     picture : (M,) name of the frame of each. place : (M, 3) where the ray through its centre meets the ground of
     `source`. size : (2,) typical length and width of a vehicle [units].
@@ -83,7 +84,9 @@ def standing_in_model(
     plane, foot = ground.plane(place), ground.plane(centre)
     above = (centre - place) @ ground.up
     stands = standing(plane, foot, above, picture, (float(size[0]), float(size[1])), ground.sd(place))
-    return stands, centre + (place - centre) * (1 + stands.lower)[:, None]
+    place = centre + (place - centre) * (1 + stands.lower)[:, None]
+    uneven, reach = np.sqrt(stands.trees) * UNEVEN, ALIKE_WITHIN * float(np.median(above))
+    return stands, Footing(place, stands.lower, stands.each, stands.shared, uneven, reach)
 
 
 def standing(
@@ -179,7 +182,8 @@ def _triangulated(place: np.ndarray, offset: np.ndarray, picture: np.ndarray, st
 def _combined(
     seen: _Seen, place: np.ndarray, sd: np.ndarray, above: np.ndarray, height: float, middle_sd: float
 ) -> Standing:
-    """The surface and the vehicles combined, for the boxes at `place`: a Gaussian process for each of two cases."""
+    """The surface and the vehicles combined, for the boxes at `place`: a Gaussian process for each of three cases. It
+    lies on the ground, or is too high, by the same everywhere or by more here than there."""
     nearest = cKDTree(place).query(seen.place)[1]
     own = sd[nearest]
     keep = np.ones(len(seen.lower), bool)
@@ -192,7 +196,7 @@ def _combined(
     noise = np.diag(seen.variance[keep]) + middle_sd**2
     some = np.unique(np.linspace(0, len(place) - 1, MOST_COMPARED).astype(int))
     means, variances, alike, evidence = [], [], [], []
-    for common, uneven in ((ON_GROUND * height, 0.0), (TOO_HIGH * height, UNEVEN * height)):
+    for common, uneven in ((ON_GROUND * height, 0.0), (TOO_HIGH * height, 0.0), (TOO_HIGH * height, UNEVEN * height)):
 
         def between(a: np.ndarray, b: np.ndarray, s: np.ndarray, t: np.ndarray, common=common, uneven=uneven):
             squared = cdist(a, b, "sqeuclidean") / (ALIKE_WITHIN * height) ** 2
@@ -213,14 +217,14 @@ def _combined(
         alike.append(max(together - lu_solve(whole, shared).mean(1) @ shared.mean(1), 0.0))
         log_determinant = np.log(np.abs(np.diag(whole[0]))).sum()
         evidence.append(-0.5 * (log_determinant + lower @ lu_solve(whole, lower)))
-    odds = np.array([np.log1p(-ON_TREES), np.log(ON_TREES)]) + evidence
+    odds = np.log([1 - ON_TREES, ON_TREES / 2, ON_TREES / 2]) + evidence
     chance = np.exp(odds - odds.max())
     chance /= chance.sum()
     mean = chance @ np.array(means)
     variance = chance @ (np.array(variances) + (np.array(means) - mean) ** 2)
     off = np.mean(means, axis=1) - mean.mean()
     shared = float(np.sqrt(chance @ (np.array(alike) + off**2))) / height
-    return Standing(mean / above, np.sqrt(variance) / above, shared, int(keep.sum()), float(chance[1]))
+    return Standing(mean / above, np.sqrt(variance) / above, shared, int(keep.sum()), float(chance[1:].sum()))
 
 
 def _of_sheet(sd: np.ndarray) -> Standing:

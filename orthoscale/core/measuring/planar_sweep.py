@@ -21,6 +21,7 @@ from ..projection.planar import footprint, ground_size
 from ..scale import Scale
 from ..source import NEAR_NADIR, GroundView, PosedSet
 from ..votes import Votes
+from .footing import Footing
 from .geometry import Geometry, Observation, larger_by
 from .in_view import frames_in_view, looked_at
 from .measure import doubts
@@ -48,7 +49,8 @@ class SweepGeometry:
 
     flat : (M, 2) sides of the boxes [model units]. offset : (M, 2) how far they lie from below the camera, along these
     and across, and camera : (M, 1) its height over the ground, in which `offset` is measured [model units].
-    along : (M, 3) unit vectors of the long sides, in the world.
+    along : (M, 3) unit vectors of the long sides, in the world. stands, footing : the ground under them, and what it is
+    for all else.
     """
 
     source: PosedSet
@@ -56,13 +58,13 @@ class SweepGeometry:
     boxes: Boxes
     picture: np.ndarray
     pixel: np.ndarray
-    place: np.ndarray
     along: np.ndarray
     flat: np.ndarray
     offset: np.ndarray
     camera: np.ndarray
     focal_sd: float
     stands: Standing
+    footing: Footing
     lost: Mapping[str, int]
     projection: str = "exact"
     called: str = CALLED_ABOVE
@@ -97,7 +99,7 @@ class SweepGeometry:
         unit_per_pixel = next(iter(pictures.values())).unit_per_pixel
         flat = ground_size(boxes) * unit_per_pixel
         images = np.array([pictures[name].image for name in names])
-        stands, place = standing_in_model(source, images, np.concatenate(places), np.median(flat, axis=0))
+        stands, footing = standing_in_model(source, images, np.concatenate(places), np.median(flat, axis=0))
         farther = (1 + stands.lower)[:, None]
         return cls(
             source=source,
@@ -105,13 +107,13 @@ class SweepGeometry:
             boxes=boxes,
             picture=np.array(names),
             pixel=unit_per_pixel / found.zoom * farther[:, 0],
-            place=place,
             along=along / np.linalg.norm(along, axis=1, keepdims=True),
             flat=flat * farther,
             offset=_along(boxes, np.concatenate(offsets)) / source.focal.ratio,
             camera=camera[:, None] * farther * source.focal.ratio,
             focal_sd=source.focal.sd,
             stands=stands,
+            footing=footing,
             lost=lost,
         )
 
@@ -119,6 +121,11 @@ class SweepGeometry:
     def unit(self) -> str:
         """The source's own."""
         return self.source.unit
+
+    @property
+    def place(self) -> np.ndarray:
+        """(M, 3) of the boxes on the ground on which they stand [source units]."""
+        return self.footing.place
 
     @property
     def typical_length(self) -> float:

@@ -15,13 +15,10 @@ from ..projection.exact import FLAT, Hull, ground_axes, ground_size
 from ..projection.view import Views
 from ..source import PosedSet
 from ..votes import Votes, gather
+from .footing import BY_POINTS, GROUND_SD, Footing
 from .objects import standard_objects
 from .parking import parking_pitch
 
-# Relative uncertainty of a reconstruction's ground (one sigma), as a share of the camera's height, where its sparse
-# points alone tell (else `parallax`): on bare ground these scatter by about this much on the two real scenes. Whatever
-# is measured on the ground errs with it.
-GROUND_SD = 0.01
 CLEAR_OF_BORDER = 3.0  # [px] from a frame's border: nearer, a box may be cut
 
 
@@ -90,12 +87,13 @@ def objects_in_model(
     zoom: float,
     metres_per_unit: float,
     known: Standards,
+    footing: Footing = BY_POINTS,
 ) -> list[AnchorVote]:
     """Objects of standard size in a reconstruction's frames, one vote for each object however many frames show it.
 
     objects : boxes by frame and class. `metres_per_unit` is the current scale, for the heights of objects that are not
     flat. The height up to which boxes enclose them has not been measured: half the object's height is assumed, and the
-    range from none to all of it is in the uncertainty.
+    range from none to all of it is in the uncertainty. footing : the ground on which they stand.
     """
     found = []
     for kind, standards in known.objects.items():
@@ -107,9 +105,10 @@ def objects_in_model(
             if not len(boxes):
                 continue
             view, place, ok = source.views(name, boxes.centre)
+            farther = 1 + footing.at(place)[0][:, None]
             parts.append(boxes[ok])
-            views.append(view[ok])
-            places.append(place[ok])
+            views.append(replace(view, ground=view.ground * farther)[ok])
+            places.append((source.centre(name) + (place - source.centre(name)) * farther)[ok])
         if not sum(map(len, parts)):
             continue
         boxes, view, place = Boxes.concatenate(parts), Views.concatenate(views), np.concatenate(places)
@@ -122,7 +121,9 @@ def objects_in_model(
         if tall > FLAT and whole and none:
             scales = [evidence_of(votes)[0].value for votes in (whole, none)]
             unsure = abs(float(np.log(scales[0] / scales[1]))) / np.sqrt(12)  # one sigma of anything in between
-        found += [replace(vote, shared_sd=float(np.hypot(GROUND_SD, unsure))) for vote in middle]
+        for vote in middle:
+            own = float(np.hypot(vote.relative_sd, footing.at(vote.place[None])[1][0]))
+            found.append(replace(vote, relative_sd=own, shared_sd=float(np.hypot(footing.shared, unsure))))
     return found
 
 
