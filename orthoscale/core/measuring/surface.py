@@ -15,8 +15,8 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
 # By which the mean sizes of lots scatter, relative, one sigma. Places of one country do by 1.6 % (0 to 6) at 12 places
-# read by eye, and by 3.1 to 3.3 % by the fleets' prior (docs/ruler.md); lots of one scene are more alike. Among lots that
-# scatter by 1.5 % there are hardly any false alarms, among those that scatter by 3 % some 2 to 7 % of the scenes have one.
+# read by eye, and by 3.1 to 3.3 % by the fleets' prior (docs/ruler.md); lots of one scene are more alike. False alarms
+# are rare among lots that scatter by 1.5 %; of scenes whose lots scatter by 3 %, 2 to 7 % have one.
 LOTS_SD = 0.02
 LOT_SIZE = 100.0  # [m] within which vehicles tend to be of one lot: a car park, a street's block; judged
 PER_CELL = 6.0  # vehicles wanted in a cell of the map
