@@ -132,6 +132,8 @@ def test_a_scene_whose_scale_drifts_is_judged_by_it(tmp_path, change, verdicts):
     inside = (local > scale.interval90[0]) & (local < scale.interval90[1])
     assert inside.mean() > 0.8, "the interval is that of any place"
     assert ("drift" in scale.parts) == (change > 0.02)
+    found = result.measured
+    assert found.drift.p_tilt == pytest.approx(drift(found.vehicles, 2000, 1500, scale.value).p_tilt, rel=0.01)
     if verdicts != {"unusable"}:
         assert result.disagreement is None
     else:
