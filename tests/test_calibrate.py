@@ -71,6 +71,28 @@ def test_the_margin_is_within_what_is_said_of_it(ruler):
     assert np.abs(np.mean(pulls, axis=0)).max() < 0.6
 
 
+@pytest.mark.parametrize("ruler", [Ruler(common_sd=0.03), Ruler(bias_sd=(0.05, 0.06))], ids=["alike", "each axis"])
+def test_sizes_are_known_no_better_than_what_all_boxes_share(ruler):
+    """A detector that draws all vehicles of a place too large or small alike, at all zooms."""
+    fleet = load_fleet("DE")
+    shared = np.hypot(ruler.bias_sd, ruler.common_sd)
+    pulls = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        margin = rng.normal(ruler.margin, ruler.margin_sd)
+        stray = np.exp(rng.multivariate_normal([0, 0], fleet.log_mean_covariance))
+        true = fleet.sample(rng, 80)[:, :2] * stray
+        drawn = np.exp(rng.normal(0, ruler.bias_sd) + rng.normal(0, ruler.common_sd))
+        _, fits, sizes = measure_ruler(
+            looks_at(true * drawn, margin, np.array([2.0, 1.2]), rng), ZOOMS, GSD, fleet, ruler
+        )
+        known = np.array([fit.size_sd / fit.size for fit in fits])
+        assert (known > shared).all()
+        pulls.append(np.log(np.median(sizes, axis=0) / np.median(true, axis=0)) / known)
+    spread = np.sqrt(np.mean(np.square(pulls), axis=0))
+    assert (spread > 0.6).all() and (spread < 1.2).all()
+
+
 def test_box_noise_comes_back():
     rng = np.random.default_rng(1)
     looks = looks_at(load_fleet("US").sample(rng, 600)[:, :2], 0.0, np.array([2.0, 1.2]), rng)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from orthoscale.core.evidence import Evidence, combined, ground_control, known_distance
-from orthoscale.core.measuring.objects import standard_objects
+from orthoscale.core.measuring.objects import EDGE_SD, standard_objects
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.pooling.posterior import Z90, Posterior
 from orthoscale.formats.tables import known_objects
@@ -140,9 +140,9 @@ def test_two_points_have_no_residuals_and_that_is_said():
     assert ground_control(ends, ends).says == "ground control (3 points)"
 
 
-def scale_by(kind, size, pixel):
+def scale_by(kind, size, pixel, country=""):
     place = 1000.0 * np.arange(2 * len(size)).reshape(-1, 2)
-    found = evidence_of(standard_objects(kind, known_objects().get(kind, []), size, pixel, place))
+    found = evidence_of(standard_objects(kind, known_objects().get(kind, []), size, pixel, place), country)
     return found[0] if found else None
 
 
@@ -154,6 +154,49 @@ def test_courts_and_containers_are_told_apart_by_their_shape():
     assert scale_by("container", boxes, pixel).value == pytest.approx(0.1, rel=0.01)
     assert scale_by("tennis-court", np.array([[100.0, 95.0]]), pixel[:1]) is None  # no court is square
     assert scale_by("swimming-pool", boxes, pixel) is None
+
+
+@pytest.mark.parametrize("kind, built", [("container", 3), ("basketball-court", 3), ("tennis-court", 1)])
+def test_boxes_that_may_be_of_several_standards_are_as_good_as_they_say(kind, built):
+    """Objects of any of the first `built` standards, boxed to EDGE_SD at 0.1 m/px, beside vehicles good to 5 %."""
+    rng, standards = np.random.default_rng(1), known_objects()[kind]
+    inside, pulls = [], []
+    for _ in range(300):
+        true = standards[rng.integers(built)]
+        sides = np.array([rng.normal(*true["length"]), rng.normal(*true["width"])])
+        found = scale_by(kind, sides[None] / 0.1 + rng.normal(0, EDGE_SD, (1, 2)), np.ones(1))
+        vehicles = Posterior.normal(np.log(0.1) + rng.normal(0, 0.05), 0.05)
+        together = combined(vehicles, PARTS, [found] if found else [])
+        value, low, high = together.summary
+        inside.append(low < 0.1 < high)
+        pulls.append(np.log(value / 0.1) / together.posterior.spread)
+    assert np.mean(inside) > 0.87 and np.std(pulls) < 1.3
+
+
+def test_boxes_of_one_standard_count_together_whatever_their_shapes_say():
+    boxes = np.array([[121.9, 24.4], [121.9, 23.8], [121.9, 22.8]])  # of 40 feet; the last are like those of 45, too
+    found = scale_by("container", boxes, np.ones(3))
+    assert found.says == "3 of kind container (diagonal of container 40ft, 12.43 m)"
+    assert found.value == pytest.approx(0.1, rel=0.01)
+    share = sum(w for w, words in zip(found.own.weight, found.words, strict=True) if "40ft" in words)
+    assert 0.5 < share < 0.95
+
+
+def test_american_containers_are_hardly_looked_for_elsewhere():
+    box = np.array([[150.0, 25.0]])  # between 45 and 53 feet
+    domestic = [
+        sum(w for w, words in zip(found.own.weight, found.words, strict=True) if "53ft" in words)
+        for found in (scale_by("container", box, np.ones(1), country) for country in ("US", "DE"))
+    ]
+    assert domestic[0] > 0.3 and domestic[1] < 0.1
+
+
+def test_a_box_of_an_object_does_not_overrule_the_vehicles_alone():
+    box = np.array([[300.0, 138.4]])  # a tennis court, were a pixel 7.9 cm
+    found = scale_by("tennis-court", box, np.ones(1))
+    together = combined(VEHICLES, PARTS, [found])
+    assert found.value < 0.08 and together.summary[0] == pytest.approx(0.1) and together.summary[2] > 0.108
+    assert together.remarks
 
 
 def test_every_standard_says_where_it_comes_from():

@@ -14,7 +14,7 @@ from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
 from orthoscale.core.evidence import Evidence
 from orthoscale.core.measuring.method import Method
-from orthoscale.core.measuring.surroundings import objects_in_model
+from orthoscale.core.measuring.surroundings import GROUND_SD, objects_in_model
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.pooling.anchors import evidence_of
@@ -114,6 +114,15 @@ def test_an_object_seen_in_many_frames_is_one_measurement(model, kind, size):
     assert found.kind == kind.replace("-", " ") and "2 of kind" in found.says
     assert abs(np.log(found.value / UNIT)) < (0.01 if kind == "tennis-court" else 1.5 * found.relative_sd)
     assert found.relative_sd < (0.02 if kind == "tennis-court" else 0.12)
+
+
+@pytest.mark.parametrize("size", [CONTAINER, (13.716, 2.438, 2.591), (16.154, 2.591, 2.591)])
+def test_what_a_boxs_height_leaves_open_is_not_what_its_standard_does(model, size):
+    """Boxes that reach higher look like those of shorter containers; heights alone change the scale by some 8 %."""
+    bodies = [block(size, np.array([-3.0, 1.0]), 0.3)]
+    frames = {name: {"container": boxes} for name, boxes in boxes_of(model, bodies).items()}
+    (vote,) = objects_in_model(model[0], frames, 1.0, UNIT, standards())
+    assert vote.shared_sd == pytest.approx(np.hypot(GROUND_SD, 0.08 / np.sqrt(12)), rel=0.2)
 
 
 def test_an_object_cut_by_the_frame_or_of_another_shape_says_nothing(model):

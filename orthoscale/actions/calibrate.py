@@ -168,7 +168,7 @@ def measure_ruler(
     stray = np.diag(fleet.log_mean_covariance) + pooled.parts["sampling"] ** 2 + ruler.common_sd**2
     fleet_sd = np.sqrt(stray) * fleet.mean[:2]
     margin_sd = NO_PRIOR if ruler == UNKNOWN_RULER else ruler.margin_sd
-    fits = tuple(
+    fits = [
         fit_margin(
             seen[:, axis] + ruler.margin[axis] * pixel,
             pixel,
@@ -177,14 +177,19 @@ def measure_ruler(
             (ruler.margin[axis], margin_sd[axis]),
         )
         for axis in (0, 1)
+    ]
+    # The fit takes zooms for independent, and what all boxes share for the vehicles'. Both are one scene's.
+    shared = np.hypot(ruler.bias_sd, ruler.common_sd)
+    length, width = (
+        replace(fit, size_sd=float(np.hypot(fit.size_sd, fit.size * sd))) for fit, sd in zip(fits, shared, strict=True)
     )
     new = replace(
         ruler,
-        margin=(fits[0].margin, fits[1].margin),
-        margin_sd=(fits[0].margin_sd, fits[1].margin_sd),
+        margin=(length.margin, width.margin),
+        margin_sd=(length.margin_sd, width.margin_sd),
         noise=box_noise(looks, zooms),
     )
-    return new, (fits[0], fits[1]), _sizes(looks[middle], gsd, 1 / zooms[middle], new)
+    return new, (length, width), _sizes(looks[middle], gsd, 1 / zooms[middle], new)
 
 
 def _sizes(boxes: Boxes, gsd: float, pixel: float, ruler: Ruler) -> np.ndarray:

@@ -20,14 +20,15 @@ SHARED_LINES = 0.5  # of either's lines, from which two anchors are one thing
 @dataclass(frozen=True)
 class Standard:
     """A standardised size. name : of the rule, for people. metres : of the anchor's reference length. relative_sd : one
-    sigma of objects built to the standard. prior : probability of this standard among those of its kind, beforehand.
-    countries : ISO codes where it applies, empty for everywhere. source : of the figure."""
+    sigma of objects built to the standard. prior : how probable it is among those that an anchor can be, beforehand and
+    by the anchor's shape, but for a common factor; no part of what the standard is, so that the anchors of one standard
+    are known as such. countries : ISO codes where it applies, empty for everywhere. source : of the figure."""
 
     name: str
     metres: float
     relative_sd: float
     source: str
-    prior: float = 1.0
+    prior: float = field(default=1.0, compare=False)
     countries: tuple[str, ...] = ()
 
 

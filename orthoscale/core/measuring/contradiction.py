@@ -9,7 +9,7 @@ import numpy as np
 from ..pooling.agreement import CONTRADICTION, MIN_COMMON, Agreement
 from .drift import CHANCE, NOTABLE
 from .measurement import SelfCalibration
-from .model_drift import by_region
+from .model_drift import trend_of
 
 ODD_HEIGHT = 2.0  # sigmas from the detector's card, from which the height that boxes take in is odd; chance makes 5 %
 
@@ -42,7 +42,7 @@ def cause(
     if abs(agreement.difference) < CONTRADICTION * agreement.sd:
         said = f"the {count} vehicles that count in both agree, so other vehicles part them, or wrong boxes"
         return Cause.OTHERS, said
-    trend = by_region(apart, plan, 1.0)[1]
+    trend = trend_of(apart, plan, lots_sd=0.0)  # of the same vehicles
     if trend is not None and trend.chance < CHANCE and trend.percent_across > 100 * NOTABLE:
         return Cause.GROUND, (
             f"the difference changes by {trend.percent_across:.0f} % across the model: the ground under the vehicles "

@@ -10,12 +10,10 @@ import numpy as np
 from ..remarks import CAUTION, REFUSAL, Remark
 from ..scale import Scale
 from ..verdicts import UNUSABLE, one_step_below, worst
+from .surface import LOT_SIZE, LOTS_SD, Cells, Fit, bowl, plane
 
 FEWEST = 40  # vehicles; with fewer no gradient that a picture may have could be told from chance
-PER_CELL = 6.0  # vehicles wanted in a cell of the map
-MOST_CELLS = 8  # along the longer side
 CHANCE = 0.01  # that vehicles without any drift are said to show one; tests share it
-SCATTER = 0.01  # least that vehicles' sizes scatter; those of one model, seen sharply, do by about as much
 NOTABLE = 0.01  # relative change across the picture below which nobody need know
 EVEN_SD = 12**-0.5  # one sigma of what is spread evenly over a range of 1 (uniform distribution)
 TO_MEND = "Straighten the input, measure its parts by themselves, or see whether vehicles differ from place to place"
@@ -26,7 +24,7 @@ class Drift:
     """How the scale changes over one picture, relative to the whole picture's scale.
 
     cells : (C, 5) per cell of the map with vehicles in it: centre x, centre y [px], vehicles, relative deviation of the
-        local scale, its one sigma. cell : (2,) size of a cell [px].
+        local scale, its one sigma, by which lots may stray included. cell : (2,) size of a cell [px].
     tilt : relative change of the scale from one end of the picture to the other, along the steepest direction.
     direction : of that increase [rad], from +x, clockwise on screen. tilt_sd : one sigma of the change.
     bend : relative range of what a curvature adds to that.
@@ -102,79 +100,34 @@ def with_drift(scale: Scale, amplitude: float, warnings: Sequence[str]) -> Scale
     return scale.remarked(*said)
 
 
-def drift(vehicles: np.ndarray, width: float, height: float) -> Drift | None:
+def drift(vehicles: np.ndarray, width: float, height: float, gsd: float) -> Drift | None:
     """The drift of the scale within a picture of `width` x `height` px, or None for fewer than 40 vehicles.
 
-    vehicles : the `vehicle_table` of the picture.
+    vehicles : the `vehicle_table` of the picture. gsd : [m/px].
 
-    Vehicles of one place resemble each other (a taxi rank, a works car park), so the observations are the means of
-    cells: a plane and a full quadratic are fitted to them, and judged by how the cells scatter about them (F-tests).
+    A plane and a full quadratic are fitted to the means of cells, and judged by how the cells scatter about them
+    (F-tests), vehicles of one lot not being independent (`surface`).
     """
     used = vehicles[vehicles["used"]]
     if len(used) < FEWEST:
         return None
-    place, deviation = np.stack([used["x_unit"], used["y_unit"]], -1), used["scale_deviation"]
-    cells, cell = _cells(place, deviation, width, height)
-    extent = max(width, height)
-    x, y = ((cells[:, :2] - (width / 2, height / 2)) / extent).T  # -1/2 to 1/2 along the longer side
-    plane = np.stack([np.ones_like(x), x, y], 1)
-    bowl = np.column_stack([plane, x * x, x * y, y * y])
-    flat_fit, plane_fit, bowl_fit = (_Fit.of(terms, cells) for terms in (plane[:, :1], plane, bowl))
-    p_tilt, p_bend = plane_fit.p_against(flat_fit), bowl_fit.p_against(plane_fit)
+    place, extent = np.stack([used["x_unit"], used["y_unit"]], -1), np.array([width, height], float)
+    cells = Cells.of(place, used["scale_deviation"], np.zeros(2), extent)
+    covariance = cells.covariance(LOT_SIZE / gsd)
+    about = cells.place - extent / 2
+    surfaces = np.ones((len(about), 1)), plane(about, extent), bowl(about, extent)
+    flat_fit, plane_fit, bowl_fit = (Fit.of(terms, cells.mean, covariance) for terms in surfaces)
     gradient = plane_fit.coefficients[1:]
     direction = float(np.arctan2(gradient[1], gradient[0]))
     along = np.array([np.cos(direction), np.sin(direction)])
-    length = float(np.abs(along) @ (width, height)) / extent
-    tilt = float(np.hypot(*gradient)) * length
-    tilt_sd = float(np.sqrt(along @ plane_fit.covariance[1:, 1:] @ along)) * length
-    fitted = bowl_fit.fitted
-    bend = float(np.ptp(fitted - plane_fit.fitted))
-    return Drift(cells, cell, tilt, tilt_sd, direction, p_tilt, bend, p_bend)
-
-
-def _cells(place: np.ndarray, deviation: np.ndarray, width: float, height: float) -> tuple[np.ndarray, tuple]:
-    side = np.sqrt(width * height * PER_CELL / len(place))
-    side = max(side, max(width, height) / MOST_CELLS)
-    count = np.maximum(np.round([width / side, height / side]), 1).astype(int)
-    cell = np.array([width, height]) / count
-    column, row = np.clip((place / cell).astype(int), 0, count - 1).T
-    scatter = max(float(deviation.std()), SCATTER)  # boxes that are all alike would have none, and be infinitely sure
-    cells = []
-    for key in np.unique(row * count[0] + column):
-        here = row * count[0] + column == key
-        n = int(here.sum())
-        centre = (key % count[0] + 0.5) * cell[0], (key // count[0] + 0.5) * cell[1]
-        cells.append((*centre, n, deviation[here].mean(), scatter / np.sqrt(n)))
-    return np.array(cells), (float(cell[0]), float(cell[1]))
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """Weighted least squares over cells; a cell counts for its vehicles."""
-
-    coefficients: np.ndarray
-    covariance: np.ndarray
-    fitted: np.ndarray
-    chi2: float
-    freedom: int
-
-    @classmethod
-    def of(cls, terms: np.ndarray, cells: np.ndarray) -> _Fit:
-        root = 1 / cells[:, 4]
-        a, b = terms * root[:, None], cells[:, 3] * root
-        coefficients = np.linalg.lstsq(a, b, rcond=None)[0]
-        chi2 = float(((b - a @ coefficients) ** 2).sum())
-        freedom = len(cells) - int(np.linalg.matrix_rank(a))
-        # Where cells scatter more than their vehicles explain, the fit is known less well.
-        excess = max(1.0, chi2 / freedom) if freedom > 0 else 1.0
-        return cls(coefficients, np.linalg.pinv(a.T @ a) * excess, terms @ coefficients, chi2, freedom)
-
-    def p_against(self, simpler: _Fit) -> float:
-        """Probability of so much better a fit than `simpler`'s by chance (F-test), 1 without cells enough to say."""
-        from scipy.special import fdtrc
-
-        more = simpler.freedom - self.freedom
-        if self.freedom < 3 or more < 1:
-            return 1.0
-        noise = max(self.chi2 / self.freedom, 1.0)  # cells cannot scatter less than their vehicles
-        return float(fdtrc(more, self.freedom, (simpler.chi2 - self.chi2) / more / noise))
+    length = float(np.abs(along) @ extent) / extent.max()
+    return Drift(
+        cells=np.column_stack([cells.centre, cells.count, cells.mean, np.hypot(cells.sd, LOTS_SD)]),
+        cell=cells.size,
+        tilt=float(np.hypot(*gradient)) * length,
+        tilt_sd=float(np.sqrt(along @ plane_fit.covariance[1:, 1:] @ along)) * length,
+        direction=direction,
+        p_tilt=plane_fit.p_against(flat_fit),
+        bend=float(np.ptp(surfaces[2] @ bowl_fit.coefficients - surfaces[1] @ plane_fit.coefficients)),
+        p_bend=bowl_fit.p_against(plane_fit),
+    )

@@ -6,16 +6,16 @@ same. Regions are compared through the fleet: their vehicles differ, so a region
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fdtrc
 
 from ..pooling.posterior import ROBUST_SD
 from ..scale import Scale
 from ..votes import Votes
 from .drift import CHANCE, NOTABLE
+from .surface import LOT_SIZE, LOTS_SD, Cells, Fit, bowl, plane
 
 MIN_SHARED = 3  # vehicles that a frame must share with others before it is judged
 ODD_SIGMAS, ODD_STRAY = 4.0, 0.05  # a frame is odd that strays by so many sigmas, and by so much of the scale
@@ -35,7 +35,8 @@ class FrameScale:
 
 @dataclass(frozen=True)
 class Region:
-    """centre : (2,) of its vehicles on the plan [units]. scale : metres per unit by them. sd : one sigma of that."""
+    """centre : (2,) of its vehicles on the plan [units]. scale : metres per unit by them. sd : one sigma of that, by
+    which lots may stray included."""
 
     centre: tuple[float, ...]
     scale: float
@@ -125,7 +126,8 @@ def model_drift(size: np.ndarray, picture: np.ndarray, votes: Votes, scale: Scal
     frames, odd = by_frame(np.log(np.maximum(size, 1e-12)).mean(1), picture, votes, scale)
     used = scale.used
     log_scale = -np.log(votes.size[used]) @ np.asarray(scale.weights)
-    regions, trend = by_region(log_scale - np.median(log_scale), plan[used], scale.value)
+    relative, there = log_scale - np.median(log_scale), plan[used]
+    regions, trend = by_region(relative, there, scale.value), trend_of(relative, there, scale.value)
     return ModelDrift(frames, odd, regions, trend)
 
 
@@ -157,44 +159,47 @@ def by_frame(
     return frames, sorted(odd, key=lambda item: -abs(item[1]))
 
 
-def by_region(log_scale: np.ndarray, plan: np.ndarray, value: float) -> tuple[list[Region], Trend | None]:
-    """Regions with their own scale, and a trend of `log_scale` (K,), relative, over the `plan` (K, 2): a plane, and
-    what a quadric adds to it.
-
-    The chances are those of F tests against no trend, and against the plane alone; percents the change over the plan.
-    """
+def by_region(log_scale: np.ndarray, plan: np.ndarray, value: float) -> list[Region]:
+    """Regions with their own scale: `log_scale` (K,), relative to `value`, of vehicles on the `plan` (K, 2)."""
     low, extent = plan.min(0), np.maximum(np.ptp(plan, axis=0), 1e-12)
     cell = np.minimum(((plan - low) / (extent.max() / CELLS)).astype(int), CELLS - 1)
     regions = []
     for key in np.unique(cell, axis=0):
-        mine = log_scale[(cell == key).all(1)]
+        here = (cell == key).all(1)
+        mine = log_scale[here]
         if len(mine) >= MIN_IN_REGION:
+            sd = np.hypot(mine.std(ddof=1) / np.sqrt(len(mine)), LOTS_SD)
             regions.append(
                 Region(
-                    tuple(plan[(cell == key).all(1)].mean(0).tolist()),
-                    value * float(np.exp(mine.mean())),
-                    value * float(mine.std(ddof=1) / np.sqrt(len(mine))),
-                    len(mine),
+                    tuple(plan[here].mean(0).tolist()), value * float(np.exp(mine.mean())), value * float(sd), len(mine)
                 )
             )
+    return regions
+
+
+def trend_of(
+    log_scale: np.ndarray, plan: np.ndarray, metres_per_unit: float = 1.0, lots_sd: float = LOTS_SD
+) -> Trend | None:
+    """A plane, and what a quadric adds to it, through `log_scale` (K,), relative, of vehicles on the `plan` (K, 2).
+
+    The chances are those of F tests against no trend, and against the plane alone, among vehicles whose lots stray by
+    `lots_sd` (`surface`); percents the change over the vehicles. None for too few of these.
+    """
     if len(plan) < MIN_FOR_TREND:
-        return regions, None
-    x, y = ((plan - plan.mean(0)) / extent.max()).T
-    level, plane = np.ones((len(plan), 1)), np.column_stack([np.ones(len(plan)), x, y])
-    across, chance = _more(level, plane, log_scale)
+        return None
+    low, extent = plan.min(0), np.maximum(np.ptp(plan, axis=0), 1e-12)
+    cells = Cells.of(plan, log_scale, low, extent)
+    covariance = cells.covariance(LOT_SIZE / metres_per_unit, lots_sd)
+    middle = plan.mean(0)
+
+    def fitted(terms: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[Fit, np.ndarray]:
+        fit = Fit.of(terms(cells.place - middle, extent), cells.mean, covariance)
+        return fit, terms(plan - middle, extent) @ fit.coefficients
+
+    flat = Fit.of(np.ones((len(cells.mean), 1)), cells.mean, covariance)
+    tilted, across = fitted(plane)
+    trend = Trend(100 * float(np.ptp(across)), tilted.p_against(flat))
     if len(plan) < MIN_FOR_BOWL:
-        return regions, Trend(100 * across, chance)
-    bent, bend_chance = _more(plane, np.column_stack([plane, x * x, x * y, y * y]), log_scale)
-    return regions, Trend(100 * across, chance, 100 * bent, bend_chance)
-
-
-def _more(simple: np.ndarray, full: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """What the terms `full` (K, P) fit of `values` beyond `simple`: the range of it, and the chance of as much."""
-    fits = [terms @ np.linalg.lstsq(terms, values, rcond=None)[0] for terms in (simple, full)]
-    whole, left = (float(((values - fit) ** 2).sum()) for fit in fits)
-    rank = [int(np.linalg.matrix_rank(terms)) for terms in (simple, full)]
-    more, freedom = rank[1] - rank[0], len(values) - rank[1]
-    if more < 1:  # a strip has no breadth
-        return 0.0, 1.0
-    chance = float(fdtrc(more, freedom, (whole - left) / more / max(left / freedom, 1e-300)))
-    return float(np.ptp(fits[1] - fits[0])), chance
+        return trend
+    bent, curved = fitted(bowl)
+    return replace(trend, percent_bent=100 * float(np.ptp(curved - across)), bend_chance=bent.p_against(tilted))

@@ -11,6 +11,7 @@ import numpy as np
 from ..anchors import AnchorVote
 from ..boxes import Boxes
 from ..pooling.anchors import evidence_of
+from ..pooling.posterior import Posterior
 from ..projection.exact import FLAT, Hull, ground_axes, ground_size
 from ..projection.view import Views
 from ..source import PosedSet
@@ -118,8 +119,10 @@ def objects_in_model(
         ]
         middle, whole, none = by_height
         unsure = 0.0
-        if tall > FLAT and whole and none:
-            scales = [evidence_of(votes)[0].value for votes in (whole, none)]
+        if tall > FLAT and all(by_height):
+            likely = evidence_of(middle)[0]  # of one standard, whatever the others make of the box's shape
+            about = Posterior.normal(float(np.log(likely.value)), likely.relative_sd)
+            scales = [evidence_of(votes)[0].meant(about).value for votes in (whole, none)]
             unsure = abs(float(np.log(scales[0] / scales[1]))) / np.sqrt(12)  # one sigma of anything in between
         for vote in middle:
             own = float(np.hypot(vote.relative_sd, footing.at(vote.place[None])[1][0]))

@@ -164,7 +164,8 @@ def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:
 
 
 def _reading(votes: Sequence[AnchorVote], standard: Standard, country: str) -> _Reading:
-    share = np.array([_prior(standard, country) / sum(_prior(s, country) for s in v.anchor.standards) for v in votes])
+    priors = [{s: _prior(s, country) for s in vote.anchor.standards} for vote in votes]
+    share = np.array([prior[standard] / sum(prior.values()) for prior in priors])
     false = np.array([vote.anchor.false for vote in votes])
     return _Reading(
         log_scale=np.log(standard.metres) - np.log([vote.units for vote in votes]),
