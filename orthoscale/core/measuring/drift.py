@@ -120,7 +120,7 @@ def drift(vehicles: np.ndarray, width: float, height: float, gsd: float) -> Drif
     gradient = plane_fit.coefficients[1:]
     direction = float(np.arctan2(gradient[1], gradient[0]))
     along = np.array([np.cos(direction), np.sin(direction)])
-    length = float(np.abs(along) @ extent) / extent.max()
+    length = float(np.abs(along) @ extent / extent.max())
     return Drift(
         cells=np.column_stack([cells.centre, cells.count, cells.mean, np.hypot(cells.sd, LOTS_SD)]),
         cell=cells.size,
