@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 
 from orthoscale.core.boxes import Boxes
+from orthoscale.core.detections import UNKNOWN_RULER, Detections
+from orthoscale.core.ruler import Ruler
 from orthoscale.detect.enlarged import enlargement
-from orthoscale.detect.measurer import Measurer, _window
+from orthoscale.detect.find import Effort
+from orthoscale.detect.measurer import Measured, Measurer, MeasurerCard, _window
+from orthoscale.detect.remeasure import remeasured
 from orthoscale.sources.picture_file import resized
 
 
@@ -89,3 +93,27 @@ def test_a_vehicle_is_as_long_in_an_enlarged_picture():
     as_shown = measurer(Pixels(large), there, enlarged=Fraction(4)).boxes.xylwa
     assert np.median(as_shown[:, 2:4] / before[:, 2:4], axis=0) == pytest.approx(4, rel=0.02)
     assert as_shown[:, :2] == pytest.approx(4 * before[:, :2], abs=2.0)
+
+
+class Knows:
+    """A measurer that says the boxes it is given."""
+
+    card, sha256 = MeasurerCard("a measurer", Ruler(margin_sd=(0.2, 0.1)), (2.0, 3.0), (0.8, 0.8), "cuboid"), "measurer"
+
+    def __call__(self, picture, boxes, enlarged):
+        n = len(boxes)
+        kind = np.repeat([[0.7, 0.1, 0.1, 0.1, 0.0]], n, 0)
+        return Measured(boxes, np.full((n, 4), 0.3), np.ones((n, 4)), kind, np.full(n, np.nan))
+
+
+def test_where_pixels_show_less_than_they_are_edges_are_less_sure():
+    """Nothing tells what blurred them."""
+    margins = []
+    for factor in (1, 4):
+        pixels, boxes = times(*car_park(), factor)
+        found = Detections({"pixels": boxes}, 1.0, UNKNOWN_RULER, (0.7, 0.5), "a detector", "detector")
+        got = remeasured([Pixels(pixels)], found, Knows(), Effort(workers=1, cache=False))
+        of_fine = float(enlargement({"pixels": Pixels(pixels)}, {"pixels": boxes}))
+        margins.append(np.array(got.ruler.margin_sd) / of_fine)  # in pixels of what it shows
+    assert margins[0] == pytest.approx((0.2, 0.1))
+    assert (margins[1] > [0.9, 0.6]).all() and (margins[1] < [1.5, 1.0]).all()
