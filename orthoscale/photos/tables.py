@@ -18,7 +18,7 @@ from .depth.ground import DepthAltitude
 from .measure import Measure, Photo, PhotoScale
 
 TABLE_SUFFIXES = (".csv", ".json", ".gpkg")
-TOGETHER = "all together"  # stands for a photo's name in the row of all
+ALL_TOGETHER = "all together"  # stands for a photo's name in the row of all
 OF_ONE_PHOTO = ("xmp_", "depth_")  # how columns begin that speak of one photo
 MEASURES = ("scale_m_per_px", "altitude_m", "gsd_m", "footprint_width_m", "footprint_height_m")
 
@@ -100,7 +100,7 @@ def document(
     }
     if together is not None:
         boxes = sum(outcome.boxes for outcome in outcomes)
-        pooled = row(Outcome(TOGETHER, together.photo, together, boxes=boxes))
+        pooled = row(Outcome(ALL_TOGETHER, together.photo, together, boxes=boxes))
         own = ("photo", "taken", "longitude", "latitude", "notes", "problem")
         text["together"] = {k: v for k, v in pooled.items() if k not in own and not k.startswith(OF_ONE_PHOTO)} | {
             "photos_per_place": round(together.overlap, 2),
@@ -138,7 +138,7 @@ def write(outcomes: Sequence[Outcome], text: Mapping[str, Any], path: Path) -> N
 
 def _row_of_all(pooled: Mapping[str, Any]) -> dict[str, Any]:
     """What `document` says of all together as a row; what is one photo's is empty."""
-    return {name: pooled.get(name) for name in row(Outcome("", None, None))} | {"photo": TOGETHER}
+    return {name: pooled.get(name) for name in row(Outcome("", None, None))} | {"photo": ALL_TOGETHER}
 
 
 def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
