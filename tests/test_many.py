@@ -18,7 +18,7 @@ from support.in_process import run
 from support.reports import EXAMPLE, car_park
 
 import orthoscale
-from orthoscale.actions import many
+from orthoscale.actions import finished, many
 from orthoscale.actions.inputs import inputs_of, outputs_of
 from orthoscale.errors import InputError, UsageError
 from orthoscale.requests import EstimateRequest, FixRequest
@@ -211,6 +211,20 @@ def test_a_copy_that_was_made_otherwise_is_refused(batch, change, more, said):
     change(batch)
     done, rows = batch(*more, code=2)
     assert said in done.stderr and said in rows["a.png"]["error"] and not rows["a.png"]["scale"]
+
+
+@pytest.mark.slow
+def test_options_that_only_write_are_remembered_too(batch):
+    batch("--cog", code=0)
+    done, _ = batch(code=2)
+    assert "was made with other options (--cog)" in done.stderr
+
+
+def test_how_many_work_on_it_makes_no_other_copy():
+    """`--jobs` gives each input a share of the cores."""
+    asked = FixRequest(fleet="DE", workers=2, cache=False, scheduler="tcp://localhost:1", override=True)
+    assert finished._other_options(asked, {"fleet": "DE", "workers": 1}) == []
+    assert finished._other_options(asked, {"fleet": "DE", "force": True, "fast": True}) == ["--fast", "--force"]
 
 
 def later(path):
