@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from support.in_process import run
 from support.reports import EXAMPLE, car_park
 
 import orthoscale
-from orthoscale.actions import many
+from orthoscale.actions import finished, many
 from orthoscale.actions.inputs import inputs_of, outputs_of
 from orthoscale.errors import InputError, UsageError
 from orthoscale.requests import EstimateRequest, FixRequest
@@ -117,12 +118,132 @@ def test_copies_of_one_name_take_that_of_their_folders(tmp_path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
     names = [path.name for path in outputs_of(inputs, tmp_path / "out")]
-    assert names[:2] == ["1_odm_o.tif", "2_odm_o.tif"] and len(set(names)) == 4
+    assert names == ["1_odm_o.tif", "2_odm_o.tif", "x_jpg.tif", "x_png.tif"]
+    strange = ["x_jpg.png", "x.jpg", "x.png"]  # two would be x_jpg.tif, in every folder above as well
+    for path in strange:
+        (tmp_path / path).touch()
+    first = [path.name for path in outputs_of([tmp_path / path for path in strange], tmp_path / "out")]
+    assert [name.count("_") for name in first] == [2, 2, 1] and len(set(first)) == 3
+    assert all(len(name) < 24 for name in first), "no absolute path where it tells nothing apart"
+    more = [tmp_path / path for path in ("a.tif", *strange)]
+    assert [path.name for path in outputs_of(more, tmp_path / "out")[1:]] == first, "names do not depend on the list"
     for out in (tmp_path, tmp_path / "1", inputs[0] / "in"):
         with pytest.raises(UsageError, match="lie in each other"):
             outputs_of(inputs, out)
     with pytest.raises(UsageError, match="would be the folder of several copies"):
         outputs_of(inputs, tmp_path / "scaled.tif")
+
+
+def test_an_input_keeps_the_name_of_its_copy_and_gets_no_others(parks, tmp_path):
+    """Whatever else is named the next time."""
+    inputs = [tmp_path / place for place in ("1/a.png", "2/a.png", "1/a.bmp")]
+    for path in inputs:
+        path.parent.mkdir(exist_ok=True)
+        shutil.copy(parks / "pictures/a.png", path)
+    first, second, third = inputs
+    out = tmp_path / "out"
+    out.mkdir()
+
+    def names(*inputs):
+        return [path.name for path in outputs_of(inputs, out)]
+
+    assert names(first) == names(second) == ["a.tif"] and names(second, first) == ["2_a.tif", "1_a.tif"]
+    orthoscale.fix(first, out / "a.tif", fleet="DE", detections=parks / "boxes.json", report="json")
+    assert names(second, first) == ["2_a.tif", "a.tif"] and names(second) == ["2_a.tif"]
+    assert names(third, first) == ["a_bmp.tif", "a.tif"]
+    first.unlink()
+    assert names(second) == ["a.tif"], "it was moved"
+
+
+@pytest.fixture
+def batch(parks, tmp_path):
+    """Runs `fix` for all pictures in a folder, of which b.png came later; its rows by their names."""
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    shutil.copy(parks / "pictures/a.png", folder)
+    (folder / "a.pgw").write_text("0.05\n0\n0\n-0.05\n500000\n5000000\n")
+    boxes = shutil.copy(parks / "boxes.json", tmp_path)
+
+    def fixed(*more, code, summary="out.csv"):
+        words = ["--out", tmp_path / "scaled", "--fleet", "DE", "--detections", boxes, "--override", *more]
+        done = run("fix", folder, *words, "--summary", tmp_path / summary)
+        assert done.returncode == code, done.stderr
+        with suppress(FileNotFoundError):
+            rows = csv.DictReader((tmp_path / "out.csv").open())
+            return done, {Path(row["input"]).name: row for row in rows}
+        return done, {}
+
+    fixed.folder, fixed.out, fixed.boxes, fixed.parks = folder, tmp_path / "scaled", Path(boxes), parks
+    return fixed
+
+
+@pytest.mark.slow
+def test_the_same_command_again_does_what_is_missing(batch):
+    _, first = batch(code=0)
+    before = {path: path.stat().st_mtime_ns for path in batch.out.iterdir()}
+    shutil.copy(batch.parks / "pictures/b.png", batch.folder)
+    done, rows = batch(code=0)
+    assert rows["a.png"] == first["a.png"], "as if measured"
+    assert rows["a.png"]["claim"] and rows["b.png"]["scale"] and "1 of 2 were there already" in done.stderr
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    done, _ = batch("--dry-run", code=0)
+    assert done.stdout.count("is there") == 2
+    done, rows = batch("--force", "--jobs", "2", code=0)  # neither changes a copy
+    assert "2 of 2 were there already" in done.stderr
+    done, rows = batch("--overwrite", code=0)
+    assert "there already" not in done.stderr and (batch.out / "a.tif").stat().st_mtime_ns > before[batch.out / "a.tif"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "more", "said"),
+    [
+        (lambda b: None, ["--cog"], "was made with other options (--cog)"),
+        (lambda b: None, ["--estimator", "iqr"], "was made with other options (--estimator)"),
+        (lambda b: shutil.copy(b.parks / "pictures/b.png", b.folder / "a.png"), [], "a.png has changed since"),
+        (lambda b: later(b.folder / "a.pgw"), [], "a.pgw has changed since"),
+        (lambda b: later(b.boxes), [], "boxes.json has changed since"),
+        (lambda b: (b.out / "a.tif.html").unlink(), [], "a.tif.html is missing"),
+    ],
+)
+def test_a_copy_that_was_made_otherwise_is_refused(batch, change, more, said):
+    batch(code=0)
+    change(batch)
+    done, rows = batch(*more, code=2)
+    assert said in done.stderr and said in rows["a.png"]["error"] and not rows["a.png"]["scale"]
+
+
+@pytest.mark.slow
+def test_options_that_only_write_are_remembered_too(batch):
+    batch("--cog", code=0)
+    done, _ = batch(code=2)
+    assert "was made with other options (--cog)" in done.stderr
+
+
+def test_how_many_work_on_it_makes_no_other_copy():
+    """`--jobs` gives each input a share of the cores."""
+    asked = FixRequest(fleet="DE", workers=2, cache=False, scheduler="tcp://localhost:1", override=True)
+    assert finished._other_options(asked, {"fleet": "DE", "workers": 1}) == []
+    assert finished._other_options(asked, {"fleet": "DE", "force": True, "fast": True}) == ["--fast", "--force"]
+
+
+def later(path):
+    os.utime(path, (time.time() + 60,) * 2)
+
+
+@pytest.mark.slow
+def test_a_summary_that_could_not_be_made_again_is_not_replaced(batch):
+    """And what is no summary never is."""
+    _, first = batch("--report", "none", code=0)
+    done, rows = batch("--report", "none", code=2)
+    assert "out.csv already exists" in done.stderr and rows == first
+    batch("--overwrite", code=0)
+    page = (batch.out / "a.tif.json").read_bytes()
+    done, _ = batch(summary="scaled/a.tif.json", code=2)
+    assert "so it is not replaced" in done.stderr and (batch.out / "a.tif.json").read_bytes() == page
+    for ending in ("json", "html", "gpkg"):
+        batch(summary=f"more.{ending}", code=0)
+        batch(summary=f"more.{ending}", code=0)
 
 
 @pytest.mark.slow

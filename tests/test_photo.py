@@ -466,6 +466,28 @@ def test_a_folder_becomes_a_table_in_every_format(tmp_path, flight):
     assert abs(area) == pytest.approx(shapely.Polygon(-rays[:, :2] * ALTITUDE / rays[:, 2:]).area, rel=0.02)
 
 
+def test_the_scale_of_all_together_is_in_every_table(tmp_path, flight):
+    """It may be the only one; counts agree in all of them and with what is said of each photo."""
+    folder, rules = flight
+    outputs = [tmp_path / f"out.{ending}" for ending in ("csv", "json", "gpkg")]
+    done = run(folder, *rules, "--together", *(part for path in outputs for part in ("--out", path)))
+    assert done.returncode == 0, done.stderr
+    text = json.loads(outputs[1].read_text())
+    rows = list(csv.DictReader(outputs[0].open()))
+    assert [row["photo"] for row in rows] == ["a.jpg", "c.jpg", "more/b.jpg", "all together"]
+    counts = [(row["boxes"], row["vehicles_used"]) for row in rows]
+    each, few, _, pooled = counts
+    assert few == ("4", "") and rows[1]["problem"].startswith("4 usable vehicles")
+    assert pooled == (str(2 * int(each[0]) + 4), str(text["together"]["vehicles_used"]))
+    assert f"{pooled[1]} of {pooled[0]} boxes used, in 3 photos" in done.stdout
+    assert float(rows[3]["altitude_m"]) == text["together"]["altitude_m"] and rows[3]["longitude"] == ""
+    meta, _, places, values = pyogrio.raw.read(outputs[2], layer="photos")
+    table = dict(zip(meta["fields"], values, strict=True))
+    assert table["photo"][3] == "all together" and places[3] is None and None not in places[:3]
+    assert table["altitude_m"][3] == text["together"]["altitude_m"]
+    assert len(pyogrio.raw.read(outputs[2], layer="footprints")[2]) == 2
+
+
 def test_one_photo_is_answered_in_full(flight):
     folder, rules = flight
     done = run(folder / "a.jpg", *rules)

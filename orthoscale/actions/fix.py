@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,6 +68,7 @@ def written(
         begun = _begin(path, out, request, outputs, save_detections, progress)
         source, writer, save_detections = begun.source, begun.writer, begun.save_detections
         result = measured(source, request.estimating(), progress)
+        result = replace(result, settings=request.without(("overwrite",)).settings())
         if not request.force:
             result.require_useful()
         writer.write(begun.main, result)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import glob
+import hashlib
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 
 from ..errors import InputError, UsageError
 from ..sources.exchange_files import find_exchange
 from ..system.outputs import ours
+from .finished import input_of, report_of
 from .workspace import models_in
 
 PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".bmp", ".gif", ".vrt", ".webp", ".img", ".ecw", ".sid")
@@ -45,10 +48,38 @@ def inputs_of(words: Iterable[Path]) -> list[Path]:
 def outputs_of(inputs: Sequence[Path], folder: Path) -> list[Path]:
     """Where in `folder` the scaled copy of each of `inputs` goes: a GeoTIFF of a picture's name, a folder of a model's.
 
-    Inputs of one name take those of the folders above them along: ``flight1_odm_orthophoto.tif``.
+    Inputs of one name take their endings along (``site_jpg.tif``), or the names of the folders above them
+    (``flight1_odm_orthophoto.tif``). An input whose copy is there already keeps its name, and never gets that of
+    another one's copy, as far as the reports beside the copies tell.
     Raises UsageError where `folder` and an input lie in each other: an output could take an input's place; and for a
     folder that is called as a GeoTIFF.
     """
+    _check_folder(inputs, folder)
+    owner = cache(lambda name: _owner(folder / name))
+    real = [Path(os.path.realpath(path)) for path in inputs]
+    bare = [path.parent / path.stem.lower() for path in map(Path, map(os.path.abspath, inputs))]
+    twins = {each for each, count in Counter(bare).items() if count > 1}
+    names = [_names(path, each in twins) for path, each in zip(inputs, bare, strict=True)]
+    kept = [
+        next((name for name in (*_names(path, False), *_names(path, True)) if owner(name) == mine), None)
+        for path, mine in zip(inputs, real, strict=True)
+    ]
+    while True:
+        taken = [names[k][0] if name is None else name for k, name in enumerate(kept)]
+        count = Counter(name.lower() for name in taken)
+        again = [
+            k
+            for k, name in enumerate(taken)
+            if kept[k] is None and len(names[k]) > 1 and (count[name.lower()] > 1 or owner(name) not in (None, real[k]))
+        ]
+        if not again:
+            return [folder / name for name in taken]
+        for k in again:
+            names[k] = names[k][1:]
+
+
+def _check_folder(inputs: Sequence[Path], folder: Path) -> None:
+    """Raise UsageError for a `folder` that cannot hold the copies of `inputs`; see `outputs_of`."""
     if folder.suffix.lower() in (".tif", ".tiff") and not folder.is_dir():
         raise UsageError(f"{folder} would be the folder of several copies", "Choose a name that is no picture's.")
     there = Path(os.path.realpath(folder))
@@ -56,26 +87,27 @@ def outputs_of(inputs: Sequence[Path], folder: Path) -> list[Path]:
         given = Path(os.path.realpath(path))
         if there in (given, *given.parents) or given in there.parents:
             raise UsageError(f"{folder} and the input {path} lie in each other", "Choose another folder for --out.")
-    parts = [Path(os.path.abspath(path)).parts[1:] for path in inputs]
-    longest = max(map(len, parts))
-    depth = [1] * len(inputs)
 
-    def name(k: int) -> str:
-        *above, last = parts[k][-depth[k] :]
-        stem = f"{Path(last).stem}.tif" if is_picture(inputs[k]) else last
-        return "_".join([*above, stem])
 
-    while True:
-        names = [name(k) for k in range(len(inputs))]
-        count = Counter(each.lower() for each in names)
-        twice = [k for k, each in enumerate(names) if count[each.lower()] > 1 and depth[k] < longest]
-        if not twice:
-            break
-        for k in twice:
-            depth[k] += 1
-    if max(count.values()) > 1:  # one name, two endings
-        names = [f"{k}_{each}" if count[each.lower()] > 1 else each for k, each in enumerate(names)]
-    return [folder / each for each in names]
+def _names(path: Path, with_ending: bool) -> list[str]:
+    """Names for the copy of the input at `path`, the shortest first; the last one is of no other input."""
+    whole = os.path.abspath(path)
+    *above, name = Path(whole).parts[1:]
+    end = ""
+    if is_picture(path):
+        picture = Path(name)
+        ending = picture.suffix[1:] if with_ending else ""
+        name, end = "_".join([picture.stem, ending] if ending else [picture.stem]), ".tif"
+    names = ["_".join([*above[len(above) - depth :], name]) for depth in range(len(above) + 1)]
+    mark = hashlib.blake2b(os.fsencode(whole), digest_size=4).hexdigest()
+    return [f"{each}{end}" for each in (*names, f"{name}_{mark}")]
+
+
+def _owner(out: Path) -> Path | None:
+    """The input whose copy `out` is; None where there is no copy, or nothing tells, or that input is gone."""
+    report = report_of(out) if out.exists() else None
+    source = None if report is None else input_of(report)
+    return source if source is not None and source.exists() else None
 
 
 def is_picture(path: Path) -> bool:

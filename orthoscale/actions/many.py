@@ -10,7 +10,7 @@ import logging
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +18,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from ..core.claims import own_claim
+from ..core.source import Source
 from ..detect.foreign_worker import receive, send
 from ..detect.workers import cluster, cores
 from ..errors import Incomplete, OrthoscaleError, UsageError, shown
@@ -29,6 +30,7 @@ from ..system import stopping
 from ..system.budget import allow, memory
 from .check import checked
 from .estimate import measured
+from .finished import finished
 from .fix import written
 from .inputs import outputs_of
 
@@ -49,9 +51,11 @@ def run_many(
 ) -> list[Row]:
     """`action` (estimate, fix or check) for each of `inputs`; a row of COLUMNS for each, in their order.
 
-    out : folder for what `fix` writes, made if need be. jobs : how many inputs are worked on at once, each in a process
-    of its own with its own memory budget; the cores are shared among them. With a Dask scheduler in `request` each
-    input is a task there instead, and every machine must see the files under the same paths.
+    out : folder for what `fix` writes, made if need be; a copy that is there, made from the same input with the same
+    options, is left and counts as made, unless `request` says to overwrite. jobs : how many inputs are worked on at
+    once, each in a process of its own with its own memory budget; the cores are shared among them. With a Dask
+    scheduler in `request` each input is a task there instead, and every machine must see the files under the same
+    paths.
     said : told each row as soon as it is there.
     Raises UsageError for what cannot be meant for many inputs.
     """
@@ -116,7 +120,11 @@ def one(job: Job) -> Row:
 
 def _do(job: dict[str, Any], path: Path, row: Row) -> None:
     if job["action"] == "fix":
-        _fill(row, written(path, Path(job["out"]), FixRequest.of(job["settings"])))
+        out, asked = Path(job["out"]), FixRequest.of(job["settings"])
+        if (done := finished(path, out, asked)) is not None:
+            _fill_by_report(row, *done)
+        else:
+            _fill(row, written(path, out, asked))
         row["output"] = job["out"]
         return
     request = EstimateRequest.of(job["settings"])
@@ -146,6 +154,20 @@ def _fill(row: Row, result: Result) -> None:
         "longitude": place and place.longitude,
         "latitude": place and place.latitude,
         "seconds": round(result.seconds, 2),
+    }
+
+
+def _fill_by_report(row: Row, report: Mapping[str, Any], source: Source) -> None:
+    """As `_fill`, for what an earlier run measured."""
+    place, claim = location_of(source), report["claim"]
+    row |= {name: report[name] for name in ("scale", "unit", "verdict", "vehicles_used", "fleet", "seconds")}
+    row |= {
+        "low90": report["interval90"][0],
+        "high90": report["interval90"][1],
+        "claimed": claim and claim["claimed"],
+        "claim": claim and claim["verdict"],
+        "longitude": place and place.longitude,
+        "latitude": place and place.latitude,
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -63,17 +64,21 @@ def rehearse(
     request: EstimateRequest,
     outs: Sequence[Path | None] | None = None,
     shown: Callable[[str], str] = str,
+    leave: Callable[[Path, Path], bool] = lambda path, out: False,
 ) -> NoReturn:
     """Say what would be done with each of `paths`, copies written at `outs`; end with the exit code of the worst.
 
-    shown : changes what is said.
+    shown : changes what is said. leave : whether the copy of an input that is there already would be left.
     """
     from ..actions.rehearsal import rehearsal
 
     codes = []
     for path, out in zip(paths, outs or [None] * len(paths), strict=True):
         try:
-            rows = rehearsal(path, request, out)
+            if out is not None and leave(path, out):
+                rows = [("input", str(path)), ("is there", str(out))]
+            else:
+                rows = rehearsal(path, request, out)
             codes.append(0)
         except OrthoscaleError as error:
             if len(paths) == 1:
@@ -105,22 +110,26 @@ def run(
 
     Raises UsageError, InputError for what makes no sense for all of them, before anything is done.
     """
+    from ..actions.finished import is_finished, report_of
     from ..actions.inputs import inputs_of, outputs_of
     from ..actions.many import run_many, worst
     from ..report.summary import SUMMARY_FORMAT, check_summary, is_summary, write_summary
     from ..system.outputs import Outputs
 
     found = inputs_of(many.words)
+    places = None if out is None else outputs_of(found, out)
     if dry_run:
         request.check_for_many()
-        places = None if out is None else outputs_of(found, out)
         if out is None or out.exists():
-            rehearse(found, request, places)
+            rehearse(found, request, places, leave=lambda path, out: is_finished(path, out, request))
         rehearse_in_new_folder(found, request, out, lambda folder: outputs_of(found, folder))
-    with Outputs(overwrite, (found, request.inputs)) as outputs, progress_bars() as progress:
+    there = [place for place in places or () if place.exists()]
+    # Where each copy has a report its row can be made again: then no summary is lost by replacing it.
+    replaces = overwrite or (places is not None and all(report_of(place) is not None for place in there))
+    with Outputs(replaces, (found, request.inputs)) as outputs, progress_bars() as progress:
         for summary in many.summaries:
             check_summary(summary)
-        partials = [outputs.file(s, is_summary if s.suffix.lower() == ".csv" else None) for s in many.summaries]
+        partials = [outputs.file(summary, is_summary) for summary in many.summaries]
         done: list[Row] = []
 
         def said(row: Row) -> None:
@@ -135,6 +144,9 @@ def run(
             write_summary(rows, partial, summary)
     if as_json:
         click.echo(json.dumps({"format": SUMMARY_FORMAT, "inputs": rows}))
+    former = set() if overwrite else {os.path.abspath(place) for place in there}
+    if left := sum(row["output"] in former for row in rows):
+        say(f"{left} of {len(rows)} were there already, made from the same input with the same options", err=True)
     failed = [row for row in rows if row["exit_code"]]
     if failed:
         say(f"{len(failed)} of {len(rows)} failed:", err=True)

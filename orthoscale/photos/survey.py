@@ -146,10 +146,11 @@ def measure_each(photos: Sequence[Photo], problems: dict[str, str], found: Detec
     """Every photo by itself, and those that could not be read, in the order of their names."""
     outcomes = [Outcome(name, None, None, problem) for name, problem in problems.items()]
     for photo in photos:
+        boxes = len(found.boxes.get(photo.name, ()))
         try:
-            outcomes.append(Outcome(photo.name, photo, measure([photo], found, fleet)))
+            outcomes.append(Outcome(photo.name, photo, measure([photo], found, fleet), boxes=boxes))
         except TooLittleEvidence as error:
-            outcomes.append(Outcome(photo.name, photo, None, error.message))
+            outcomes.append(Outcome(photo.name, photo, None, error.message, boxes))
     return sorted(outcomes, key=lambda outcome: outcome.name)
 
 

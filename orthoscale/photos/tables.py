@@ -18,6 +18,7 @@ from .depth.ground import DepthAltitude
 from .measure import Measure, Photo, PhotoScale
 
 TABLE_SUFFIXES = (".csv", ".json", ".gpkg")
+ALL_TOGETHER = "all together"  # stands for a photo's name in the row of all
 OF_ONE_PHOTO = ("xmp_", "depth_")  # how columns begin that speak of one photo
 MEASURES = ("scale_m_per_px", "altitude_m", "gsd_m", "footprint_width_m", "footprint_height_m")
 
@@ -26,13 +27,15 @@ MEASURES = ("scale_m_per_px", "altitude_m", "gsd_m", "footprint_width_m", "footp
 class Outcome:
     """One photo: what was measured, or why nothing was. `photo` is None where it could not even be read.
 
-    depth : what its depth map says, where one was given, and `depth_problem` why that says nothing.
+    boxes : how many were found in it. depth : what its depth map says, where one was given, and `depth_problem` why
+    that says nothing.
     """
 
     name: str
     photo: Photo | None
     measured: PhotoScale | None
     problem: str = ""
+    boxes: int = 0
     depth: DepthAltitude | None = None
     depth_problem: str = ""
 
@@ -55,8 +58,8 @@ def row(outcome: Outcome) -> dict[str, Any]:
         "measured": got is not None,
         "problem": outcome.problem,
         "verdict": got.scale.verdict if got else "",
-        "vehicles_used": got.scale.vehicles_used if got else 0,
-        "boxes": len(got.boxes) if got else 0,
+        "vehicles_used": got.scale.vehicles_used if got else None,  # 0 would say that its vehicles were no good
+        "boxes": outcome.boxes,
         **measures,
         "focal_px": round(photo.lens.focal_px, 2) if photo else None,
         "focal_source": photo.lens.source if photo else "",
@@ -96,7 +99,8 @@ def document(
         "notes": list(notes),
     }
     if together is not None:
-        pooled = row(Outcome("all together", together.photo, together))
+        boxes = sum(outcome.boxes for outcome in outcomes)
+        pooled = row(Outcome(ALL_TOGETHER, together.photo, together, boxes=boxes))
         own = ("photo", "taken", "longitude", "latitude", "notes", "problem")
         text["together"] = {k: v for k, v in pooled.items() if k not in own and not k.startswith(OF_ONE_PHOTO)} | {
             "photos_per_place": round(together.overlap, 2),
@@ -119,13 +123,22 @@ def known(path: Path) -> Callable[[Path], bool] | None:
 
 
 def write(outcomes: Sequence[Outcome], text: Mapping[str, Any], path: Path) -> None:
-    """Write the table to `path`, in the format of its ending."""
+    """Write the `document` of `outcomes` to `path`, in the format of its ending; the scale of all together is the last
+    row of a table."""
     if path.suffix.lower() == ".json":
         path.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
-    elif path.suffix.lower() == ".csv":
-        write_csv(text["rows"], path)
+        return
+    pooled = text.get("together")
+    rows = [*text["rows"], *([] if pooled is None else [_row_of_all(pooled)])]
+    if path.suffix.lower() == ".csv":
+        write_csv(rows, path)
     else:
-        _write_geopackage(outcomes, text["rows"], path)
+        _write_geopackage(outcomes, rows, path)
+
+
+def _row_of_all(pooled: Mapping[str, Any]) -> dict[str, Any]:
+    """What `document` says of all together as a row; what is one photo's is empty."""
+    return {name: pooled.get(name) for name in row(Outcome("", None, None))} | {"photo": ALL_TOGETHER}
 
 
 def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -137,8 +150,8 @@ def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 def _write_geopackage(outcomes: Sequence[Outcome], rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Layer ``photos``: all rows, at the camera's place where EXIF tells it. Layer ``footprints``: the ground that each
-    measured photo shows, where place and heading are told; longitude and latitude."""
+    """Layer ``photos``: all rows, those of the photos at the camera's place where EXIF tells it. Layer ``footprints``:
+    the ground that each measured photo shows, where place and heading are told; longitude and latitude."""
     import shapely
 
     from ..formats.vector import write_layer
@@ -146,8 +159,11 @@ def _write_geopackage(outcomes: Sequence[Outcome], rows: Sequence[Mapping[str, A
     places = [
         shapely.Point(o.photo.tags.lon_lat) if o.photo is not None and o.photo.tags.lon_lat else None for o in outcomes
     ]
+    places += [None] * (len(rows) - len(places))  # all together are nowhere
     write_layer(path, "photos", places, rows, "Point", "EPSG:4326")
-    outlines = [(r, shape) for o, r in zip(outcomes, rows, strict=True) if (shape := footprint_on_earth(o)) is not None]
+    outlines = [
+        (r, shape) for o, r in zip(outcomes, rows, strict=False) if (shape := footprint_on_earth(o)) is not None
+    ]
     if outlines:
         write_layer(path, "footprints", [s for _, s in outlines], [r for r, _ in outlines], "Polygon", "EPSG:4326")
 

@@ -18,8 +18,8 @@ def summary(
     """A few calm lines; one photo in full, many as a table."""
     if together is not None:
         lines = _in_full(together)
-        lines.append(f"vehicles   {together.scale.vehicles_used} boxes of {len(outcomes)} photos, "
-                     f"each place in {together.overlap:.1f} of them")  # fmt: skip
+        lines.append(f"vehicles   {together.scale.vehicles_used} of {text['together']['boxes']} boxes used, in "
+                     f"{len(outcomes)} photos, each place in {together.overlap:.1f} of them")  # fmt: skip
     elif len(outcomes) == 1:
         (only,) = outcomes
         assert only.measured is not None

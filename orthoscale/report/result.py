@@ -43,7 +43,7 @@ class Result(Brief):
     seconds: float
     measured: Measurement = field(repr=False)
     method: Method = field(default_factory=Method)
-    settings: dict[str, Any] = field(default_factory=dict)  # options of `estimate` as plain values, to do it again
+    settings: dict[str, Any] = field(default_factory=dict)  # options as plain values, to do it again
     anchors: FoundAnchors = field(default_factory=FoundAnchors, repr=False)
     on_map: OnMap = field(default_factory=OnMap, repr=False)  # where the source lies on the map of --against
 

@@ -13,11 +13,12 @@ from urllib.parse import quote
 from ..core.scale import decimals
 from ..errors import UsageError
 from ..formats.vector import write_layer
-from ..system.outputs import has_header
+from ..system.outputs import has_header, ours
 from .page import template
 
 SUMMARY_FORMAT = "orthoscale summary 1"
 SUMMARY_LAYER = "orthoscale"
+MARKS = {".json": SUMMARY_FORMAT, ".html": SUMMARY_FORMAT, ".gpkg": '"exit_code"'}  # what no other output has inside
 
 # The columns of a summary; None where there is nothing to say. Intervals are 90 %.
 COLUMNS = {
@@ -51,8 +52,10 @@ def check_summary(path: Path) -> None:
 
 
 def is_summary(path: Path) -> bool:
-    """Whether the CSV `path` is a summary that orthoscale wrote."""
-    return has_header(path, COLUMNS)
+    """Whether `path` is a summary that orthoscale wrote, by its ending and not, say, the report of a copy."""
+    if path.suffix.lower() == ".csv":
+        return has_header(path, COLUMNS)
+    return ours(path) and MARKS[path.suffix.lower()].encode() in path.read_bytes()
 
 
 def write_summary(rows: Sequence[Row], path: Path, place: Path) -> None:
@@ -86,7 +89,7 @@ def _write_points(rows: Sequence[Row], path: Path, place: Path) -> None:
 def _write_page(rows: Sequence[Row], path: Path, place: Path) -> None:
     lines = [{**row, "name": Path(row["input"]).name, **_shown(row), "page": _page_of(row, place)} for row in rows]
     good = sum(row["exit_code"] == 0 for row in rows)
-    text = template("summary.html").render(lines=lines, good=good)
+    text = template("summary.html").render(lines=lines, good=good, format=SUMMARY_FORMAT)
     path.write_bytes(text.encode("utf-8", "backslashreplace"))  # file names need not be text
 
 

@@ -1,0 +1,90 @@
+"""Copies that an earlier run of `fix` wrote: of which input they are, and whether they are what is asked for now."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from ..core.source import Source
+from ..errors import InputError, UsageError
+from ..report.document import completed, read_json
+from ..report.extras import chosen
+from ..requests import EstimateRequest, FixRequest, flag
+from .estimate import source_of
+from .fix import report_paths
+
+SAME_COPY = ("overwrite", "workers", "scheduler", "cache")  # options with which the copy is the same
+PERMITTING = ("force", "override")  # without which there may be no copy, but never another one
+
+
+def report_of(out: Path) -> dict[str, Any] | None:
+    """The report that lies with the copy at `out`; None where there is none that can be read."""
+    try:
+        return completed(read_json(_place(out)))
+    except InputError:
+        return None
+
+
+def _place(out: Path) -> Path:
+    return out / "report.json" if out.is_dir() else out.with_name(f"{out.name}.json")
+
+
+def input_of(report: Mapping[str, Any]) -> Path:
+    """What a report's copy was made from, with all links resolved, whether or not it is still there."""
+    return Path(os.path.realpath(Path(report["input"]["folder"]) / report["input"]["path"]))
+
+
+def finished(path: Path, out: Path, request: FixRequest) -> tuple[dict[str, Any], Source] | None:
+    """The report of the copy at `out`, and the input at `path` opened, where an earlier run did what `request` asks.
+
+    None where `request` says to overwrite, and where nothing at `out` tells how it was made. Raises UsageError for a
+    copy that was made otherwise; what opening the input does.
+    """
+    report = None if request.overwrite or not out.exists() else report_of(out)
+    if report is None:
+        return None
+    source = source_of(path, request, need_images=False)
+    for why in _otherwise(source, out, request, report):
+        raise UsageError(f"{out} already exists, and {why}", "Choose another place, or pass --overwrite to replace it.")
+    return report, source
+
+
+def is_finished(path: Path, out: Path, request: EstimateRequest) -> bool:
+    """Whether `fix` would leave the copy at `out`; see `finished` for what it raises."""
+    return isinstance(request, FixRequest) and finished(path, out, request) is not None
+
+
+def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[str, Any]) -> Iterator[str]:
+    """Why the copy is not what is asked for, each as the end of a sentence."""
+    if os.path.realpath(source.path) != str(input_of(report)):
+        yield f"is the copy of {input_of(report)}"
+        return
+    if other := _other_options(request, report["settings"]):
+        yield f"was made with other options ({', '.join(other)})"
+    if source.content_hash() != report["input"]["sha256"]:
+        yield f"{source.path} has changed since"
+    written = _place(out).stat().st_mtime
+    beside = [file for file in source.files if file != source.path] if source.plan is not None else []
+    for file in (*beside, *request.inputs):  # of which the report has no hash
+        if file.exists() and file.stat().st_mtime > written:
+            yield f"{file} has changed since"
+    extras = [extra.place(out) for extra in chosen(request.also)]
+    for part in (*report_paths(out, source, request.report).values(), *extras):
+        if not part.exists():
+            yield f"{part} is missing"
+
+
+def _other_options(request: FixRequest, settings: Mapping[str, Any]) -> list[str]:
+    """Names of the options that `settings`, those of a report, have otherwise than `request`."""
+    asked = json.loads(json.dumps(request.with_absolute_paths().settings()))
+    return [
+        flag(each).split("/")[0]
+        for each in fields(request)
+        if each.name not in SAME_COPY
+        and asked.get(each.name) != settings.get(each.name)
+        and not (each.name in PERMITTING and asked.get(each.name))
+    ]
