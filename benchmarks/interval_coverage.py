@@ -1,6 +1,6 @@
 """Do the 90 % intervals keep their word, and how near is the value?
 
-    python benchmarks/interval_coverage.py                        # every table: hours
+    python benchmarks/interval_coverage.py                        # every table: hours; with --scenes 100 one
     python benchmarks/interval_coverage.py country --scenes 3     # one of them: minutes
 
 Simulated car parks in orthophotos; in each, the fleet's mean, its classes, the margin and the labels' bias are off by
