@@ -85,13 +85,27 @@ def test_a_lower_ground_makes_distances_in_a_picture_longer_by_its_share():
     assert ground_shares(points, rays) @ lower == pytest.approx(longer, rel=1e-3)
 
 
+def test_the_ground_under_neighbours_errs_alike():
+    """So a short distance is hardly worse known than a long one, though a small tilt of it would be much."""
+    rng = np.random.default_rng(0)
+    ground = Footing(rng.uniform(-9, 9, (40, 3)) * [1, 1, 0], np.full(40, 0.03), np.full(40, 0.01), 0.0, 0.0, reach=4.0)
+    tape, camera = Evidence("tape", 5.0, 1e-4, "a tape"), np.array([0, 0, 10.0])
+    sds = []
+    for length in (0.2, 2.0, 40.0):
+        ends = np.array([[0.0, 0, 0], [length, 0, 0]])
+        shares = ground_shares(ends, ends - camera)
+        sds.append(on_ground(tape, shares, ground.covariance(ends), 0.0).own_sd)
+    assert sds[0] < 1.5 * sds[1] and 0.005 < sds[2] < 0.012
+    assert np.allclose(np.sqrt(np.diag(ground.covariance(ends))), ground.at(ends)[1])
+
+
 def test_evidence_shares_the_grounds_error_as_far_as_it_has_it():
     tape = Evidence("tape", 5.0, 0.01, "a tape")
     for share, common, more in ((1.0, 0.02, 0.0), (0.5, 0.01, 0.0), (-0.5, 0.0, 0.01), (2.0, 0.02, 0.02)):
-        got = on_ground(tape, np.array([share]), np.zeros(1), 0.02)
+        got = on_ground(tape, np.array([share]), np.zeros((1, 1)), 0.02)
         assert got.common == pytest.approx(common) and (got.kind, got.says) == ("tape", "a tape")
         assert got.relative_sd == pytest.approx(np.linalg.norm([0.01, common, more]))
-    places = on_ground(tape, np.array([0.5, 0.5]), np.array([0.03, 0.04]), 0.0)
+    places = on_ground(tape, np.array([0.5, 0.5]), np.diag([0.03, 0.04]) ** 2, 0.0)
     assert places.relative_sd == pytest.approx(np.linalg.norm([0.01, 0.015, 0.02]))
 
 

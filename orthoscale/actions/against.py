@@ -79,8 +79,11 @@ def on_map(
 def _with_ground(found: Evidence, source: PosedSet, picture: str, footing: Footing) -> Evidence:
     """What the map says by that `picture` of the ground of `source`, with the error of that ground, `footing`."""
     view = next(view for view in source.ground_pictures if view.name == picture)
-    lower, each = footing.at(view.ground(np.array([[view.width / 2, view.height / 2]])))
-    return on_ground(replace(found, value=found.value / (1 + float(lower[0]))), np.ones(1), each, footing.shared)
+    middle = view.ground(np.array([[view.width / 2, view.height / 2]]))
+    lower = float(footing.at(middle)[0][0])
+    return on_ground(
+        replace(found, value=found.value / (1 + lower)), np.ones(1), footing.covariance(middle), footing.shared
+    )
 
 
 def _registered(

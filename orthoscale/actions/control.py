@@ -84,12 +84,12 @@ def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Ev
 @dataclass(frozen=True)
 class _Point:
     """A point of a source. place, ray : (D,) where it lies, and `core.source.Source.ray` to it [units]. read_sd : one
-    sigma of how well it is read [units]. ground_sd : one sigma of the ground there, as `Footing.at` has it."""
+    sigma of how well it is read [units]. seen : (D,) its place where it was seen [units, world]."""
 
     place: np.ndarray
     ray: np.ndarray
     read_sd: float
-    ground_sd: float
+    seen: np.ndarray
 
     def from_above(self, source: Source) -> _Point:
         """The same on the plan of `source`."""
@@ -99,11 +99,9 @@ class _Point:
 
 def _located(word: str, source: Source, footing: Footing) -> _Point:
     """The point of `source` that a user calls `word`, on the ground of `footing` if it was seen on a ground."""
-    place, ray, ground_sd = source.locate(word), source.ray(word), 0.0
-    if ray.any():
-        lower, each = (float(v[0]) for v in footing.at(place[None]))
-        place, ray, ground_sd = place + lower * ray, (1 + lower) * ray, each
-    return _Point(place, ray, source.reading_sd(word), ground_sd)
+    seen, ray = source.locate(word), source.ray(word)
+    lower = float(footing.at(seen[None])[0][0]) if ray.any() else 0.0
+    return _Point(seen + lower * ray, (1 + lower) * ray, source.reading_sd(word), seen)
 
 
 def _with_ground(found: Evidence, points: list[_Point], footing: Footing) -> Evidence:
@@ -112,4 +110,4 @@ def _with_ground(found: Evidence, points: list[_Point], footing: Footing) -> Evi
     if not rays.any():
         return found
     shares = ground_shares(np.array([point.place for point in points]), rays)
-    return on_ground(found, shares, np.array([point.ground_sd for point in points]), footing.shared)
+    return on_ground(found, shares, footing.covariance(np.array([point.seen for point in points])), footing.shared)

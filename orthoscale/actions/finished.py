@@ -68,6 +68,10 @@ def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[s
     if source.content_hash() != report["input"]["sha256"]:
         yield f"{source.path} has changed since"
     written = _place(out).stat().st_mtime
+    parts = [out] if source.plan is not None else [p for p in out.iterdir() if p.is_file() and p.name[0] != "."]
+    for part in parts:  # the report is written last, but for its own page and picture
+        if not part.name.startswith("report.") and part.stat().st_mtime > written:
+            yield f"{part} has changed since it was made"
     beside = [file for file in source.files if file != source.path] if source.plan is not None else []
     for file in (*beside, *request.inputs):  # of which the report has no hash
         if file.exists() and file.stat().st_mtime > written:

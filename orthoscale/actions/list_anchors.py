@@ -18,7 +18,7 @@ from ..report.document import write_json
 from ..requests import EstimateRequest
 from ..sources.country import country_of, named_fleet
 from .anchors import MOST_SOUGHT, Wanted, anchors_at, look_for_anchors, own_standards
-from .estimate import effort_of, measured, source_of
+from .estimate import effort_of, footing_of, measured, source_of
 
 # Options that matter where the scale is told.
 WITH_A_SCALE = ("fleet", "images", "ground_cloud", "anchors", "anchor", "workers", "cache")
@@ -98,7 +98,8 @@ def list_anchors(
     if scale is None:
         result = measured(path, replace(request, anchors=("none",), anchor=()), progress)
         country = result.method.country
-        wanted = Wanted(request.anchors, own, country, effort, progress)
+        footing = footing_of(result.source, result.detections, result.fleet)
+        wanted = Wanted(request.anchors, own, country, effort, progress, footing)
         found = look_for_anchors(result.source, result.scale, wanted)
         return AnchorList(result.source, found, result.scale.value, result.scale)
     if not (scale > 0 and math.isfinite(scale)):

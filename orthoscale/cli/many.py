@@ -110,7 +110,7 @@ def run(
 
     Raises UsageError, InputError for what makes no sense for all of them, before anything is done.
     """
-    from ..actions.finished import is_finished, report_of
+    from ..actions.finished import is_finished
     from ..actions.inputs import inputs_of, outputs_of
     from ..actions.many import run_many, worst
     from ..report.summary import SUMMARY_FORMAT, check_summary, is_summary, write_summary
@@ -124,8 +124,7 @@ def run(
             rehearse(found, request, places, leave=lambda path, out: is_finished(path, out, request))
         rehearse_in_new_folder(found, request, out, lambda folder: outputs_of(found, folder))
     there = [place for place in places or () if place.exists()]
-    # Where each copy has a report its row can be made again: then no summary is lost by replacing it.
-    replaces = overwrite or (places is not None and all(report_of(place) is not None for place in there))
+    replaces = overwrite or (places is not None and _loses_nothing(many.summaries, found, places, request))
     with Outputs(replaces, (found, request.inputs)) as outputs, progress_bars() as progress:
         for summary in many.summaries:
             check_summary(summary)
@@ -144,9 +143,32 @@ def run(
             write_summary(rows, partial, summary)
     if as_json:
         click.echo(json.dumps({"format": SUMMARY_FORMAT, "inputs": rows}))
-    former = set() if overwrite else {os.path.abspath(place) for place in there}
+    _tell(rows, set() if overwrite else {os.path.abspath(place) for place in there})
+    sys.exit(worst(rows))
+
+
+def _loses_nothing(
+    summaries: Sequence[Path], found: Sequence[Path], places: Sequence[Path], request: EstimateRequest
+) -> bool:
+    """Whether the `summaries` of a former run can be replaced: each is there, speaks of no other inputs than those
+    `found`, and every copy that is there is left as it is, so that its row is made again."""
+    from ..actions.finished import is_finished
+    from ..report.summary import inputs_in
+
+    former = [inputs_in(summary) for summary in summaries if summary.exists()]
+    if not former or not all(told is not None and told <= set(map(str, found)) for told in former):
+        return False
+    there = [(path, place) for path, place in zip(found, places, strict=True) if place.exists()]
+    try:
+        return all(is_finished(path, place, request) for path, place in there)
+    except OrthoscaleError:
+        return False
+
+
+def _tell(rows: Sequence[Row], former: set[str]) -> None:
+    """Say which copies were there already, of those at `former`, and what failed."""
     if left := sum(row["output"] in former for row in rows):
-        say(f"{left} of {len(rows)} were there already, made from the same input with the same options", err=True)
+        say(f"{left} of {len(rows)} were there already, made from the same input with the same options: left", err=True)
     failed = [row for row in rows if row["exit_code"]]
     if failed:
         say(f"{len(failed)} of {len(rows)} failed:", err=True)
@@ -154,7 +176,6 @@ def run(
         say(f"  {row['input']}: {row['error']} (exit code {row['exit_code']})", err=True)
         if row["hint"]:
             say(f"    {row['hint']}", err=True)
-    sys.exit(worst(rows))
 
 
 def line(row: Row) -> str:

@@ -10,6 +10,7 @@ from .pooling.posterior import Z90
 from .scale import Scale
 from .source import Source
 
+NO_CLOSER = 1e-9  # least one sigma of a scale: boxes that are all alike would leave none
 CLEAR = 3.0  # sigmas from which a disagreement is no chance
 # Factors (truth over claim) that mistakes make, and the mistake. A ratio close to one of them is a hint, no proof.
 MISTAKES = (
@@ -94,14 +95,16 @@ def own_claim(source: Source, scale: Scale) -> Comparison | None:
     claimed = source.claimed
     if claimed is None or claimed.gsd_m is None or scale.conflict:
         return None
-    end = scale.interval90[claimed.gsd_m > scale.value]  # intervals need not be symmetric
+    low, high = scale.interval90  # which need not be symmetric, nor, by the paper's estimator, positive
+    end = high if claimed.gsd_m > scale.value else low
+    sd = abs(math.log(end / scale.value)) / Z90 if end > 0 else scale.relative_sd
     by = ["vehicles"] if scale.vehicles_used else []
     by += dict.fromkeys(e.kind for e in scale.evidence if e.kind in scale.parts)
     return Comparison(
         "its georeferencing claims",
         claimed.gsd_m,
         scale.value,
-        abs(math.log(end / scale.value)) / Z90,
+        max(sd, NO_CLOSER),
         claimed.usable,
         claimed.why,
         " and ".join(by),

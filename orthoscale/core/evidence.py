@@ -139,16 +139,17 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
     the interval covers all of them.
     """
     before = _anything(evidence) if vehicles is None else vehicles
-    heard, remarks = _within_reach(before, evidence)
+    heard, unheard = _within_reach(before, evidence)
     strong = [e.meant(before) for e in evidence if e.doubt <= STRONG]
     conflict, conflicts = _conflicts(vehicles, strong)
     if not conflict:
-        return _weighed(before, parts, evidence, heard, remarks)
+        return _weighed(before, parts, evidence, heard, [remark for _, remark in unheard])
     seen = [] if vehicles is None else [vehicles]
     every = [*seen, *(e.posterior for e in strong)]
     certain = [*seen, *(e.posterior for e in evidence if not e.doubt)] or every
     posterior, summary = _spanning(every, min(certain, key=lambda p: p.spread))
     told = tuple(e.meant(before) for e in evidence)
+    remarks = [remark for e, remark in unheard if e.doubt > STRONG]
     return Combined(posterior, {"conflict": posterior.spread}, conflict, [*conflicts, *remarks], summary, told)
 
 
@@ -168,7 +169,7 @@ def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tupl
     pairs = [(one.says, *_nearest(*one.unlike(other)), other.says) for one, other in combinations(evidence, 2)]
     if vehicles is not None:  # of a mixture, each what is nearest to the other counts
         found = Posterior.normal(vehicles.centre, vehicles.spread)
-        pairs += [("vehicles", *_nearest(found, e.posterior), e.says) for e in evidence]
+        pairs += [("vehicles", *_nearest(found.blurred(-(e.common**2)), e.own), e.says) for e in evidence]
     limit = float(-ndtri(ndtr(-CONFLICT_LIMIT) / max(len(pairs), 1)))
     worst, remarks = 0.0, list[Remark]()
     for name, sigmas, here, there, other_name in pairs:
@@ -211,11 +212,13 @@ def _weighed(
     return Combined(posterior, shares, 0.0, remarks, (value, low, high), told)
 
 
-def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[list[Evidence], list[Remark]]:
+def _within_reach(
+    vehicles: Posterior, evidence: Sequence[Evidence]
+) -> tuple[list[Evidence], list[tuple[Evidence, Remark]]]:
     """The evidence that counts, each without the scales outside of the vehicles' interval that no other evidence
-    supports; and remarks on evidence that does not count at all."""
+    supports; and the evidence that does not count at all, each with a remark."""
     low, high = (1 - ALONE) / 2, (1 + ALONE) / 2
-    heard, remarks, interval = [], [], None
+    heard, unheard, interval = [], [], None
     for e in evidence:
         if not e.doubt:
             heard.append(e)
@@ -236,8 +239,8 @@ def _within_reach(vehicles: Posterior, evidence: Sequence[Evidence]) -> tuple[li
                 f"{e.says}: would give {e.value:.5g}, outside of the vehicles' {100 * ALONE:.1f} % interval "
                 f"({np.exp(interval[0]):.5g} to {np.exp(interval[1]):.5g}); it does not count"
             )
-            remarks.append(Remark(CAUTION, text))
-    return heard, remarks
+            unheard.append((e, Remark(CAUTION, text)))
+    return heard, unheard
 
 
 def _nearest(one: Posterior, other: Posterior) -> tuple[float, float, float]:
@@ -333,14 +336,14 @@ def ground_shares(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
     return np.asarray((off * rays).sum(1) / (off**2).sum())
 
 
-def on_ground(found: Evidence, shares: np.ndarray, each: np.ndarray, shared: float) -> Evidence:
+def on_ground(found: Evidence, shares: np.ndarray, own: np.ndarray, shared: float) -> Evidence:
     """What was `found` from places on a reconstruction's ground, with the error of that ground's height.
 
-    shares : (N,) how much of it they have (`ground_shares`). each, shared : one sigmas of it, as shares of the cameras'
-    height: (N,) of the places, and of all that was seen on that ground alike. What has more than all of the latter, or
-    has it reversed, does not err as the vehicles do by so much more.
+    shares : (N,) how much of it they have (`ground_shares`). own : (N, N) covariance of it, as a share of the cameras'
+    height, and shared : one sigma of what is common to all that was seen on that ground. What has more than all of the
+    latter, or has it reversed, does not err as the vehicles do by so much more.
     """
     whole = float(shares.sum())
     common = float(np.clip(whole, 0, 1)) * shared
-    own = float(np.linalg.norm(np.r_[found.relative_sd, shares * each, whole * shared - common]))
-    return Evidence.mixed(found.kind, Posterior.normal(float(np.log(found.value)), own), [found.says], common=common)
+    sd = float(np.sqrt(found.relative_sd**2 + shares @ own @ shares + (whole * shared - common) ** 2))
+    return Evidence.mixed(found.kind, Posterior.normal(float(np.log(found.value)), sd), [found.says], common=common)

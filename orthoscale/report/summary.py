@@ -6,6 +6,7 @@ import csv
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -56,6 +57,17 @@ def is_summary(path: Path) -> bool:
     if path.suffix.lower() == ".csv":
         return has_header(path, COLUMNS)
     return ours(path) and MARKS[path.suffix.lower()].encode() in path.read_bytes()
+
+
+def inputs_in(path: Path) -> set[str] | None:
+    """The inputs that the summary `path` speaks of; None where that cannot be read: of a page and of points."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        if path.suffix.lower() == ".csv":
+            with path.open(newline="", encoding="utf-8", errors="backslashreplace") as file:
+                return {row["input"] for row in csv.DictReader(file)}
+        if path.suffix.lower() == ".json":
+            return {row["input"] for row in json.loads(path.read_text(encoding="utf-8"))["inputs"]}
+    return None
 
 
 def write_summary(rows: Sequence[Row], path: Path, place: Path) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 # Relative uncertainty of a reconstruction's ground (one sigma), as a share of the camera's height, where its sparse
 # points alone tell (else `parallax`): on bare ground these scatter by about this much on the two real scenes. Whatever
@@ -37,6 +38,12 @@ class Footing:
         away, nearest = cKDTree(self.place).query(place)
         apart = self.uneven * np.sqrt(-2 * np.expm1(-0.5 * (away / self.reach) ** 2))
         return self.lower[nearest], np.hypot(self.each[nearest], apart)
+
+    def covariance(self, place: np.ndarray) -> np.ndarray:
+        """(N, N) of the errors of `at` at `place` (N, 3) beside `shared`: places that are near each other err alike."""
+        each = self.at(place)[1]
+        alike: np.ndarray = np.exp(-0.5 * (cdist(place, place) / self.reach) ** 2)
+        return np.outer(each, each) * alike
 
 
 BY_POINTS = Footing(np.empty((0, 3)), np.empty(0), np.empty(0))  # the ground below the sparse points, as it is
