@@ -27,17 +27,14 @@ for folder in "$workspace" "$images"; do # COLMAP itself would end in a stack tr
     [ -d "$folder" ] || { echo "error: $folder is not a folder: create it first, or give another" >&2; exit 5; }
 done
 here=$(dirname "$0")
-if [ -d "$workspace/sparse_metric" ] && { [ -d "$workspace/dense_metric" ] || [ ! -d "$workspace/dense/0" ]; }; then
-    exec "$here/post_sparse.sh" "$workspace" # which finds that
-fi
 if [ ! -d "$workspace/sparse_metric" ]; then
     for program in colmap orthoscale; do # before the hours that COLMAP takes
         command -v $program >/dev/null || { echo "error: $program is not there: install it, or put it on PATH" >&2; exit 127; }
     done
     colmap automatic_reconstructor "$@"
-    # shellcheck disable=SC2086  # options are words
-    "$here/post_sparse.sh" "$workspace" --images "$images" ${ORTHOSCALE_OPTIONS:-}
 fi
+# shellcheck disable=SC2086  # options are words
+"$here/post_sparse.sh" "$workspace" --images "$images" ${ORTHOSCALE_OPTIONS:-}
 if [ -d "$workspace/dense/0" ]; then
     "$here/post_dense.sh" "$workspace"
 fi

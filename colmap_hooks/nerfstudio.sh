@@ -25,6 +25,10 @@ if [ -f "$model/models.json" ]; then # several: nerfstudio takes one, the first
     echo "several models; going on with $model"
 fi
 model=$(cd "$model" && pwd)
+if [ -f "$output/transforms.json" ] && [ "$model/sim3.json" -nt "$output/transforms.json" ]; then
+    echo "error: $output was made of another model than $model is now: remove it, or give another" >&2
+    exit 2
+fi
 if [ ! -f "$output/transforms.json" ]; then
     ns-process-data images --data "$workspace/images" --output-dir "$output" --skip-colmap \
         --colmap-model-path "$model"

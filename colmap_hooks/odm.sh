@@ -18,6 +18,11 @@ if [ -f "$project/opensfm_metric/sim3.json" ]; then
         echo "error: $project/opensfm/reconstruction.json was changed after $project/opensfm_metric was made of it: remove $project/opensfm_metric and $project/odm_metric" >&2
         exit 2
     fi
+    case " $* " in *" --overwrite "*)
+        echo "error: to measure anew, remove $project/opensfm_metric and $project/odm_metric" >&2
+        exit 2
+        ;;
+    esac
     echo "$project/opensfm_metric is there already"
 else
     [ -f "$project/opensfm/reconstruction.json" ] || {
@@ -27,6 +32,10 @@ else
     orthoscale fix "$project/opensfm/reconstruction.json" --images "$project/images" --out "$project/opensfm_metric" "$@"
 fi
 if [ -d "$project/odm_metric" ]; then
+    if [ "$project/opensfm_metric/sim3.json" -nt "$project/odm_metric" ]; then
+        echo "error: $project/odm_metric was made with another scale: remove it" >&2
+        exit 2
+    fi
     echo "$project/odm_metric is there already; nothing to do"
     exit 0
 fi

@@ -4,15 +4,20 @@
 #   post_dense.sh WORKSPACE [orthoscale options, e.g. --fleet US]
 #
 # Needs WORKSPACE/sparse_metric, or makes it with post_sparse.sh and the options. Reads WORKSPACE/dense, or dense/0,
-# dense/1 ..., writes WORKSPACE/dense_metric in the same layout. A second run finds it and does nothing; where dense/ was
-# changed since, it stops with 2.
+# dense/1 ..., writes WORKSPACE/dense_metric in the same layout. A second run finds it and does nothing; where dense/ or
+# sparse_metric/ was changed since, it stops with 2.
 set -eu
 case ${1:-} in -h | --help) sed -n '2,/^set /s/^# \{0,1\}//p' "$0"; exit 0 ;; esac
 [ $# -ge 1 ] || { echo "usage: $0 WORKSPACE [orthoscale options]" >&2; exit 2; }
 workspace=$1
 if [ -d "$workspace/dense_metric" ]; then
-    if [ -n "$(find "$workspace/dense" -type f -newer "$workspace/dense_metric")" ]; then
-        echo "error: $workspace/dense was changed after $workspace/dense_metric was made of it: remove $workspace/dense_metric" >&2
+    changed=$(find "$workspace/dense/" -type f -newer "$workspace/dense_metric")
+    for made in "$workspace/sparse_metric/sim3.json" "$workspace/sparse_metric/models.json"; do
+        [ "$made" -nt "$workspace/dense_metric" ] && changed=$made
+    done
+    case " $* " in *" --overwrite "*) changed=sparse_metric ;; esac # which it is to become
+    if [ -n "$changed" ]; then
+        echo "error: $workspace/dense_metric was made of a dense or sparse model that is another now: remove $workspace/dense_metric" >&2
         exit 2
     fi
     echo "$workspace/dense_metric is there already; nothing to do"

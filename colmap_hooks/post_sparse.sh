@@ -14,7 +14,7 @@ shift
 for made in "$workspace/sparse_metric/sim3.json" "$workspace/sparse_metric/models.json"; do
     case " $* " in *" --overwrite "*) break ;; esac
     [ -f "$made" ] || continue
-    if [ -n "$(find "$workspace/sparse" -type f -newer "$made")" ]; then
+    if [ -n "$(find "$workspace/sparse/" -type f -newer "$made")" ]; then
         echo "error: $workspace/sparse was changed after $workspace/sparse_metric was made of it: measure it anew with --overwrite, or remove $workspace/sparse_metric" >&2
         exit 2
     fi

@@ -119,6 +119,26 @@ def test_a_dense_workspace_that_was_changed_is_not_taken_for_done(bench):
     bench.run("post_dense.sh", bench.work, *OPTIONS)
     later(bench.work / "dense/fused.ply")
     command = [HOOKS / "post_dense.sh", bench.work, *OPTIONS]
+
+    def refused(*more):
+        done = subprocess.run([*command, *more], env=bench.environment, capture_output=True, text=True)
+        return done.returncode == 2 and "another now" in done.stderr
+
+    assert refused()
+    shutil.rmtree(bench.work / "dense_metric")
+    bench.run("post_dense.sh", bench.work, *OPTIONS)
+    assert refused("--overwrite"), "it would measure the sparse model anew, and leave this"
+    later(bench.work / "sparse_metric/sim3.json")
+    assert refused()
+
+
+def test_a_link_to_a_model_that_was_changed(bench):
+    bench.sparse()
+    (bench.work / "sparse").rename(bench.work / "elsewhere")
+    (bench.work / "sparse").symlink_to(bench.work / "elsewhere")
+    bench.run("post_sparse.sh", bench.work, *OPTIONS)
+    later(bench.work / "elsewhere/0/images.bin")
+    command = [HOOKS / "post_sparse.sh", bench.work, *OPTIONS]
     done = subprocess.run(command, env=bench.environment, capture_output=True, text=True)
     assert done.returncode == 2 and "was changed after" in done.stderr
 
