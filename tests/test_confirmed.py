@@ -8,7 +8,7 @@ import pytest
 import orthoscale
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.confirmed import seldom_confirmed, share_confirmed
-from orthoscale.detect import tie_break as contested
+from orthoscale.detect import tie_break
 from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.fleets import load_fleet
 from orthoscale.synthetic import make_scene, write_ortho
@@ -45,9 +45,9 @@ def test_what_nobody_doubts_counts():
 )
 def test_the_length_of_which_more_is_confirmed_comes_first(monkeypatch, standing, first, rival):
     asked = dict(zip((23.0, 42.0), standing, strict=True))
-    monkeypatch.setattr(contested, "_standing", lambda length, *_: asked[length])
+    monkeypatch.setattr(tie_break, "_standing", lambda length, *_: asked[length])
     detector = SimpleNamespace(confirming=object(), card=SimpleNamespace(best_length=38.0))
-    settled = contested.settled(ZoomChoice(38 / 23, 23.0, 100.0, 42.0, 0.39, [], True), [], detector)
+    settled = tie_break.settled(ZoomChoice(38 / 23, 23.0, 100.0, 42.0, 0.39, [], True), [], detector)
     assert settled.vehicle_px == first and settled.rival == pytest.approx(rival)
     assert settled.zoom == pytest.approx(38 / first) and {settled.vehicle_px, settled.rival_px} == {23.0, 42.0}
     assert (settled.as_likely is None) == (rival < 0.4)
@@ -55,9 +55,9 @@ def test_the_length_of_which_more_is_confirmed_comes_first(monkeypatch, standing
 
 def test_a_clear_length_is_not_looked_at_again():
     clear = ZoomChoice(1.0, 38.0, 100.0, 20.0, 0.15, [], True)
-    assert contested.settled(clear, [], SimpleNamespace(confirming=object())) is clear
+    assert tie_break.settled(clear, [], SimpleNamespace(confirming=object())) is clear
     open_ = ZoomChoice(1.0, 38.0, 100.0, 20.0, 0.35, [], True)
-    assert contested.settled(open_, [], SimpleNamespace(confirming=None)) is open_
+    assert tie_break.settled(open_, [], SimpleNamespace(confirming=None)) is open_
 
 
 @pytest.mark.slow

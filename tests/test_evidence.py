@@ -191,12 +191,12 @@ def test_american_containers_are_hardly_looked_for_elsewhere():
     assert domestic[0] > 0.3 and domestic[1] < 0.1
 
 
-def test_a_box_of_an_object_does_not_overrule_the_vehicles_alone():
+def test_a_box_of_an_object_that_contradicts_the_vehicles_is_said_to_and_does_not_move_them():
     box = np.array([[300.0, 138.4]])  # a tennis court, were a pixel 7.9 cm
     found = scale_by("tennis-court", box, np.ones(1))
     together = combined(VEHICLES, PARTS, [found])
     assert found.value < 0.08 and together.summary[0] == pytest.approx(0.1) and together.summary[2] > 0.108
-    assert together.remarks
+    assert together.conflict > 3 and [remark.severity for remark in together.remarks] == ["refusal"]
 
 
 def test_every_standard_says_where_it_comes_from():

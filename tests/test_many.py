@@ -169,7 +169,7 @@ def batch(parks, tmp_path):
         done = run("fix", folder, *words, "--summary", tmp_path / summary)
         assert done.returncode == code, done.stderr
         with suppress(FileNotFoundError):
-            rows = csv.DictReader((tmp_path / "out.csv").open())
+            rows = csv.DictReader((tmp_path / summary if summary.endswith(".csv") else tmp_path / "out.csv").open())
             return done, {Path(row["input"]).name: row for row in rows}
         return done, {}
 
@@ -207,9 +207,11 @@ def test_the_same_command_again_does_what_is_missing(batch):
     ],
 )
 def test_a_copy_that_was_made_otherwise_is_refused(batch, change, more, said):
-    batch(code=0)
+    _, first = batch(code=0)
     change(batch)
     done, rows = batch(*more, code=2)
+    assert said in done.stderr and rows == first, "and the summary of what was made is kept"
+    done, rows = batch(*more, summary="other.csv", code=2)
     assert said in done.stderr and said in rows["a.png"]["error"] and not rows["a.png"]["scale"]
 
 
@@ -239,11 +241,29 @@ def test_a_summary_that_could_not_be_made_again_is_not_replaced(batch):
     assert "out.csv already exists" in done.stderr and rows == first
     batch("--overwrite", code=0)
     page = (batch.out / "a.tif.json").read_bytes()
-    done, _ = batch(summary="scaled/a.tif.json", code=2)
+    done, _ = batch("--overwrite", summary="scaled/a.tif.json", code=2)
     assert "so it is not replaced" in done.stderr and (batch.out / "a.tif.json").read_bytes() == page
     for ending in ("json", "html", "gpkg"):
         batch(summary=f"more.{ending}", code=0)
         batch(summary=f"more.{ending}", code=0)
+    shutil.copytree(batch.folder, other := batch.folder.parent / "others")
+    for ending in ("csv", "json", "html", "gpkg"):  # another batch's would lose the rows of this one
+        name = f"{'out' if ending == 'csv' else 'more'}.{ending}"
+        former = (batch.out.parent / name).read_bytes()
+        done = run("fix", other, "--out", batch.out.parent / "new", "--fleet", "DE", "--detections", batch.boxes,
+                   "--override", "--summary", batch.out.parent / name)  # fmt: skip
+        assert done.returncode == 2 and "already exists" in done.stderr
+        assert (batch.out.parent / name).read_bytes() == former
+
+
+@pytest.mark.slow
+def test_a_copy_that_was_damaged_is_not_taken_for_made(batch):
+    batch(code=0)
+    copy = batch.out / "a.tif"
+    copy.write_bytes(copy.read_bytes()[:1000])
+    later(copy)
+    done, _ = batch(code=2)
+    assert "a.tif has changed since it was made" in done.stderr
 
 
 @pytest.mark.slow

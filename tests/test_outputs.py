@@ -310,6 +310,18 @@ def test_a_claim_is_compared_on_its_side_of_a_lopsided_interval():
     assert found == ["doubtful", "agrees", "agrees", "doubtful"]
 
 
+def test_a_claim_beside_an_interval_that_has_no_width_or_goes_below_nought():
+    """As the paper's estimator gives of boxes that are all alike, or of few that differ much."""
+    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.05, usable=True, why=""))
+    every = np.ones(5, bool)
+    for low, high, parts, verdict in (
+        (0.1, 0.1, {"sampling": 0.0}, "disagrees"),
+        (-0.02, 0.22, {"sampling": 0.6}, "agrees"),
+    ):
+        scale = Scale(0.10, "m/px", (low, high), parts, {}, (1, 0), 0.0, "DE", "fair", every, [""] * 5)
+        assert own_claim(claim, scale).verdict == verdict
+
+
 def test_check_compares_what_nothing_ties_to_the_ground_and_says_so(tmp_path, boxes):
     path = picture(tmp_path / "a.tif", **CASES["world file"][0])
     done = check(path, "--detections", boxes, "--fleet", "DE")

@@ -81,7 +81,7 @@ def written(
     if missing := outputs.missing():
         raise Incomplete(
             f"{out.name} is written and verified, but {missing}",
-            "`orthoscale report` makes the page and the picture from the report's JSON; else run again.",
+            "`orthoscale report` makes page and picture from the report's JSON; else run again with --overwrite.",
             result,
         )
     return result

@@ -150,8 +150,9 @@ def run(
 def _loses_nothing(
     summaries: Sequence[Path], found: Sequence[Path], places: Sequence[Path], request: EstimateRequest
 ) -> bool:
-    """Whether the `summaries` of a former run can be replaced: each is there, speaks of no other inputs than those
-    `found`, and every copy that is there is left as it is, so that its row is made again."""
+    """Whether the `summaries` of a former run can be replaced: each speaks of no other inputs than those `found`, and
+    every copy that is there is left as it is, so that its row is made again. Raises what `finished` raises for another
+    copy."""
     from ..actions.finished import is_finished
     from ..report.summary import inputs_in
 
@@ -159,10 +160,7 @@ def _loses_nothing(
     if not former or not all(told is not None and told <= set(map(str, found)) for told in former):
         return False
     there = [(path, place) for path, place in zip(found, places, strict=True) if place.exists()]
-    try:
-        return all(is_finished(path, place, request) for path, place in there)
-    except OrthoscaleError:
-        return False
+    return all(is_finished(path, place, request) for path, place in there)
 
 
 def _tell(rows: Sequence[Row], former: set[str]) -> None:

@@ -27,11 +27,11 @@ def coarse_pass(
     workers: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> np.ndarray:
-    """(N,) weights for the order in which to visit the tiles `jobs`, from a look at a quarter of the
-    resampling factor at the first ones in `order`.
+    """(N,) weights for the order in which to visit the tiles `jobs`, from a look at a quarter of the resampling factor
+    at the first ones in `order`.
 
-    All tiles that show vehicles weigh the same, however many: every vehicle in them has the same chance to
-    be seen, be it in a car park or in front of a lonely house.
+    All tiles that show vehicles weigh the same, however many: every vehicle in them has the same chance to be seen, be
+    it in a car park or in front of a lonely house.
     """
     if len(jobs) < MANY_TILES:
         return np.ones(len(jobs))

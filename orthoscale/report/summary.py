@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import csv
+import html
 import json
 import os
+import re
+import sqlite3
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -60,14 +63,30 @@ def is_summary(path: Path) -> bool:
 
 
 def inputs_in(path: Path) -> set[str] | None:
-    """The inputs that the summary `path` speaks of; None where that cannot be read: of a page and of points."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        if path.suffix.lower() == ".csv":
-            with path.open(newline="", encoding="utf-8", errors="backslashreplace") as file:
-                return {row["input"] for row in csv.DictReader(file)}
-        if path.suffix.lower() == ".json":
-            return {row["input"] for row in json.loads(path.read_text(encoding="utf-8"))["inputs"]}
-    return None
+    """The inputs that the summary `path` speaks of; None where it is damaged."""
+    try:
+        return set(SUMMARY_READERS[path.suffix.lower()](path))
+    except (OSError, ValueError, KeyError, TypeError, sqlite3.Error):
+        return None
+
+
+def _in_csv(path: Path) -> list[str]:
+    with path.open(newline="", encoding="utf-8", errors="backslashreplace") as file:
+        return [row["input"] for row in csv.DictReader(file)]
+
+
+def _in_json(path: Path) -> list[str]:
+    return [row["input"] for row in json.loads(path.read_text(encoding="utf-8"))["inputs"]]
+
+
+def _in_points(path: Path) -> list[str]:
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as layer:
+        return [name for (name,) in layer.execute(f"SELECT input FROM {SUMMARY_LAYER}")]
+
+
+def _in_page(path: Path) -> list[str]:
+    names = re.findall(r'<td class="name" title="(.*?)">', path.read_text(encoding="utf-8", errors="backslashreplace"))
+    return [html.unescape(name) for name in names]
 
 
 def write_summary(rows: Sequence[Row], path: Path, place: Path) -> None:
@@ -128,4 +147,10 @@ SUMMARY_WRITERS: dict[str, Callable[[Sequence[Row], Path, Path], None]] = {
     ".json": _write_json,
     ".gpkg": _write_points,
     ".html": _write_page,
+}
+SUMMARY_READERS: dict[str, Callable[[Path], list[str]]] = {
+    ".csv": _in_csv,
+    ".json": _in_json,
+    ".gpkg": _in_points,
+    ".html": _in_page,
 }
