@@ -17,9 +17,7 @@ from ..fleet import WORLD
 PARALLEL = np.cos(np.radians(7))  # vehicles of one row head alike, or opposite
 ASKEW = 0.25  # of a length: how far neighbours may stand ahead of one another
 PITCHES = (1.15, 1.75)  # of a vehicle's width: 2.2 m for the widest cars to 2.8 m for the narrowest
-STALLS_COMPARED = (
-    6  # stalls over which distances are compared; parking jitter does not grow with them, an error of pitch does
-)
+STALLS_COMPARED = 6  # over which distances are compared; parking jitter does not grow with them, an error of pitch does
 NEIGHBOURS = 256  # within that reach at most; twice as many as fit, if no two boxes show one vehicle
 MIN_ROW = 3  # vehicles side by side make a row
 MIN_IN_ROWS = 8  # in rows, below which no pitch is read
