@@ -33,9 +33,8 @@ VEHICLES = "vehicle"
 CARD, CARD_HINT = "a network with an orthoscale card that can be read", "Export it with training.export."
 LONGEST_CARD = 100_000  # characters
 IMAGE_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}  # of images
-MOST_BOXES = (
-    10_000  # boxes of one kind in one look, before those of one vehicle are made one; honest ones are some hundreds
-)
+# Boxes of one kind in one look, before those of one vehicle are made one; honest ones are some hundreds.
+MOST_BOXES = 10_000
 CUT = 2.0  # boxes closer than this to a window's edge may be cut by it [px]
 CUT_OBJECT = 8.0  # the same for objects, which are larger, and so are the errors of their boxes [px]
 

@@ -12,9 +12,8 @@ import scipy.fft
 from .ground import GroundImage
 from .maps import MapFeatures
 
-FFT_BLOCK = (
-    2.5  # side of a block of the map, in sides of the largest template: larger ones need more memory, not less time
-)
+# Side of a block of the map, in sides of the largest template: larger ones need more memory, not less time.
+FFT_BLOCK = 2.5
 GROUP_BYTES = 2**27  # of templates that are correlated in one pass over the map
 
 

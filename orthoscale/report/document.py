@@ -33,9 +33,8 @@ from ..version import __version__
 from .anchors import entries
 
 FORMAT = "orthoscale report 2"
-FIRST_FORMAT = (
-    "orthoscale report 1"  # remarks were bare sentences, `notes` those that are only informing; no judgements
-)
+# Remarks were bare sentences, `notes` those that are only informing; no judgements.
+FIRST_FORMAT = "orthoscale report 1"
 
 # What a report may be without (an orthophoto has no frames, few views tell no trend, an older version knew less), by
 # its place in the document, and what stands for it. Everything else belongs to every report.
