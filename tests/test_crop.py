@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 
 import cv2
 import numpy as np
@@ -59,6 +60,14 @@ def test_a_map_that_shows_the_ground_mirrored_is_refused(tmp_path, way):
         out.transform = out.transform @ Affine.scale(*way)
     with pytest.raises(UsageError, match="mirrored"):
         Satellite.open(path)
+
+
+@pytest.mark.parametrize("turned", [0, 25])
+def test_where_a_map_goes_is_said_by_all_its_corners(tmp_path, turned):
+    sky = Satellite.open(satellite(tmp_path / "sat.tif", turned=turned))
+    ends = np.array(re.findall(r"\d+\.\d{6}", sky.extent_in_words()), float).reshape(2, 2)
+    corners = sky.lon_lat(1600 * np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]))
+    assert ends == pytest.approx(np.array([corners.min(0), corners.max(0)]), abs=1e-6)
 
 
 def test_squares_are_those_of_the_shorter_side(tmp_path):

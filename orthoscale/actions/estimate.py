@@ -207,9 +207,9 @@ def _found(asked: Opened, request: EstimateRequest, progress: Progress | None) -
 def _of_vehicles(asked: Opened, found: Detections, method: Method, request: EstimateRequest, wanted: Wanted) -> _Answer:
     """The scale by vehicles; then with what the map says, and the anchors that are looked for, at that scale."""
     source, fleet, match, anchors = asked.source, asked.fleet, OnMap(), FoundAnchors()
-    footing = footing_of(source, found, fleet)
-    given = _given(source, request.known_distance, request.ground_control, footing)
-    method, wanted = replace(method, evidence=tuple(given)), replace(wanted, footing=footing)
+    if (footing := footing_of(source, found, fleet)) is not BY_POINTS:  # what was given lies on that ground, too
+        given = _given(source, request.known_distance, request.ground_control, footing)
+        method, wanted = replace(method, evidence=tuple(given)), replace(wanted, footing=footing)
     answer = _by_vehicles(source, found, fleet, method, request)
     if asked.satellite is not None:
         rough = answer.scale.value, answer.scale.relative_sd

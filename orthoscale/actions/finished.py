@@ -30,7 +30,7 @@ def report_of(out: Path) -> dict[str, Any] | None:
 
 
 def _place(out: Path) -> Path:
-    return out / "report.json" if out.is_dir() else out.with_name(f"{out.name}.json")
+    return report_paths(out, out.is_dir(), "json")["json"]
 
 
 def input_of(report: Mapping[str, Any]) -> Path:
@@ -48,7 +48,7 @@ def finished(path: Path, out: Path, request: FixRequest) -> tuple[dict[str, Any]
     if report is None:
         return None
     source = source_of(path, request, need_images=False)
-    for why in _otherwise(source, out, request, report):
+    if why := next(_otherwise(source, out, request, report), ""):
         raise UsageError(f"{out} already exists, and {why}", "Choose another place, or pass --overwrite to replace it.")
     return report, source
 
@@ -77,7 +77,7 @@ def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[s
         if file.exists() and file.stat().st_mtime > written:
             yield f"{file} has changed since"
     extras = [extra.place(out) for extra in chosen(request.also)]
-    for part in (*report_paths(out, source, request.report).values(), *extras):
+    for part in (*report_paths(out, out.is_dir(), request.report).values(), *extras):
         if not part.exists():
             yield f"{part} is missing"
 

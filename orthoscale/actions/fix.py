@@ -138,11 +138,11 @@ def _begin(
     return _Begun(source, writer, main, parts, save_detections)
 
 
-def report_paths(out: Path, source: Source, report: str) -> dict[str, Path]:
-    """Where `fix` writes the parts of a report: beside the scaled orthophoto `out`, or into the folder `out`."""
-    if source.plan is not None:
-        return {kind: _beside(out, f".{kind}") for kind in REPORT_FILES[report]}
-    return {kind: out / ("vehicles.png" if kind == "png" else f"report.{kind}") for kind in REPORT_FILES[report]}
+def report_paths(out: Path, in_folder: bool, report: str) -> dict[str, Path]:
+    """Where `fix` writes the parts of a report: into the folder `out` of a model, or beside the scaled orthophoto."""
+    if in_folder:
+        return {kind: out / ("vehicles.png" if kind == "png" else f"report.{kind}") for kind in REPORT_FILES[report]}
+    return {kind: _beside(out, f".{kind}") for kind in REPORT_FILES[report]}
 
 
 def _writer(source: Source, out: Path, request: FixRequest) -> _PlanWriter | _PosedWriter:
@@ -171,7 +171,7 @@ class _PlanWriter:
             if os.path.lexists(beside := _beside(self.out, suffix)):
                 raise UsageError(f"{beside} would be taken for a part of {self.out}", "Move it away, or delete it.")
         main = outputs.file(self.out)
-        parts = report_paths(self.out, self.plan, self.request.report)
+        parts = report_paths(self.out, False, self.request.report)
         parts = {kind: outputs.file(place) for kind, place in parts.items()}
         self.places_of_extras = [outputs.file(extra.place(self.out), extra.known(self.out)) for extra in self.extras]
         # What lies beside the file that is replaced would speak for the new one.
@@ -201,7 +201,7 @@ class _PosedWriter:
 
     def places(self, outputs: Outputs) -> tuple[Path, dict[str, Path]]:
         main = outputs.folder(self.out)
-        return main, report_paths(main, self.posed, self.request.report)
+        return main, report_paths(main, True, self.request.report)
 
     def write(self, main: Path, result: Result) -> None:
         scale = result.scale.value

@@ -48,6 +48,7 @@ def run_many(
     out: Path | None = None,
     jobs: int = 1,
     said: Callable[[Row], None] = lambda row: None,
+    places: Sequence[Path] | None = None,
 ) -> list[Row]:
     """`action` (estimate, fix or check) for each of `inputs`; a row of COLUMNS for each, in their order.
 
@@ -56,11 +57,11 @@ def run_many(
     once, each in a process of its own with its own memory budget; the cores are shared among them. With a Dask
     scheduler in `request` each input is a task there instead, and every machine must see the files under the same
     paths.
-    said : told each row as soon as it is there.
+    said : told each row as soon as it is there. places : where the copies go, if that is known: `outputs_of`.
     Raises UsageError for what cannot be meant for many inputs.
     """
     request.check_for_many()
-    todo = jobs_of(action, inputs, request, out, jobs)
+    todo = jobs_of(action, inputs, request, out, jobs, places)
     made = False
     if out is not None:
         made = _make_folder(out)
@@ -80,16 +81,23 @@ def run_many(
 
 
 def jobs_of(
-    action: str, inputs: Sequence[Path], request: EstimateRequest, out: Path | None = None, jobs: int = 1
+    action: str,
+    inputs: Sequence[Path],
+    request: EstimateRequest,
+    out: Path | None = None,
+    jobs: int = 1,
+    places: Sequence[Path] | None = None,
 ) -> list[Job]:
     """A job for each of `inputs`, as `run_many` takes these; all paths but those of the inputs are absolute."""
-    places = [None] * len(inputs) if out is None else [os.path.abspath(each) for each in outputs_of(inputs, out)]
+    if out is not None and places is None:
+        places = outputs_of(inputs, out)
+    outs = [None] * len(inputs) if places is None else list(map(os.path.abspath, places))
     settings = request.without(("scheduler", "workers")).with_absolute_paths().settings()
     if request.detections is None:
         settings["workers"] = request.workers or max(1, cores() // jobs)
     return [
         {"action": action, "input": str(path), "out": place, "settings": settings}
-        for path, place in zip(inputs, places, strict=True)
+        for path, place in zip(inputs, outs, strict=True)
     ]
 
 

@@ -138,7 +138,7 @@ def run(
             if not as_json:
                 say(line(row))
 
-        rows = run_many(action, found, request, out, many.jobs or 1, said)
+        rows = run_many(action, found, request, out, many.jobs or 1, said, places)
         for partial, summary in zip(partials, many.summaries, strict=True):
             write_summary(rows, partial, summary)
     if as_json:

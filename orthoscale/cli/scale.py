@@ -178,7 +178,7 @@ def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
     """What a person will look for."""
     from ..actions.fix import report_paths
 
-    page = report_paths(out, result.source, report).get("html")
+    page = report_paths(out, result.source.posed is not None, report).get("html")
     return {"written": out} | ({"report": page} if page and page.is_file() else {})
 
 

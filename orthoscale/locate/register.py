@@ -201,18 +201,11 @@ def search_area(mapped: MapFeatures, prior: tuple[float, float, float] | None) -
     if not np.isfinite(middle).all() or (high <= 0).any() or (low >= [width, height]).any():
         raise UsageError(
             f"the prior, {radius:g} m around {lon:.6f}, {lat:.6f}, lies outside of {grid.satellite.source.name}",
-            extent_in_words(grid.satellite),
+            grid.satellite.extent_in_words(),
         )
     left, top = (int(v) for v in np.maximum(low, 0))
     right, bottom = (int(v) for v in np.minimum(high, [width, height]))
     return top, left, bottom - top, right - left
-
-
-def extent_in_words(satellite: Satellite) -> str:
-    """From where to where a map goes."""
-    source = satellite.source
-    low, high = satellite.lon_lat(np.array([[0, source.height], [source.width, 0]]))
-    return f"It goes from {low[0]:.6f}, {low[1]:.6f} to {high[0]:.6f}, {high[1]:.6f} (longitude, latitude)."
 
 
 def up_of(grid: MapGrid, area: tuple[int, int, int, int], stride: int) -> float:

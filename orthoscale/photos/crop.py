@@ -75,10 +75,9 @@ def plan_crops(
     whole = np.array([satellite.source.width, satellite.source.height], float)
     middle = whole / 2 if at is None else satellite.pixel_of(*at)
     if not ((middle >= 0) & (middle <= whole)).all():
-        low, high = satellite.lon_lat(np.array([[0, whole[1]], [whole[0], 0]]))
         raise UsageError(
             f"{at[0] if at else 0:g}, {at[1] if at else 0:g} is not in {satellite.source.name}",
-            f"It goes from {low[0]:.6f}, {low[1]:.6f} to {high[0]:.6f}, {high[1]:.6f} (longitude, latitude).",
+            satellite.extent_in_words(),
         )
     pixel = satellite.pixel_size(middle)
     size = gsd * np.array(query[2:], float)

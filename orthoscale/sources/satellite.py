@@ -63,6 +63,13 @@ class Satellite:
         pixel = transformed(self.in_crs(np.array([lon, lat])), ~self.transform)[0]
         return np.where(np.isfinite(pixel), pixel, np.nan)
 
+    def extent_in_words(self) -> str:
+        """From where to where it goes."""
+        width, height = self.source.width, self.source.height
+        corners = self.lon_lat(np.array([[0, 0], [width, 0], [width, height], [0, height]]))
+        low, high = corners.min(0), corners.max(0)
+        return f"It goes from {low[0]:.6f}, {low[1]:.6f} to {high[0]:.6f}, {high[1]:.6f} (longitude, latitude)."
+
     def pixel_size(self, pixel: np.ndarray) -> np.ndarray:
         """(2,) true ground metres of one pixel, across and down, around `pixel`: projections stretch by place."""
         half = 50.0
