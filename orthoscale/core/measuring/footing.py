@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -30,12 +31,16 @@ class Footing:
     uneven: float = 0.0
     reach: float = 1.0
 
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.place)
+
     def at(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N,) how much lower the ground is at `place` (N, 3), and (N,) one sigma of that beside `shared`: as it is
         under the nearest vehicle."""
         if not len(self.place):
             return np.zeros(len(place)), np.zeros(len(place))
-        away, nearest = cKDTree(self.place).query(place)
+        away, nearest = self._tree.query(place)
         apart = self.uneven * np.sqrt(-2 * np.expm1(-0.5 * (away / self.reach) ** 2))
         return self.lower[nearest], np.hypot(self.each[nearest], apart)
 
