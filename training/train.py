@@ -158,8 +158,7 @@ class State:
         for group in self.optimiser.param_groups:
             group["lr"] = group["share"] * rate
         image, *targets = (part.to(device, non_blocking=True) for part in batch)
-        # Numbers of 16 bits where they do no harm: 1.7 times the crops per second of a core that has AVX-512 BF16.
-        with torch.autocast(device, torch.bfloat16):
+        with in_16_bits(device):
             maps = self.network(image.contiguous(memory_format=torch.channels_last))
         parts = loss(maps.float(), *targets)
         self.optimiser.zero_grad()
@@ -169,6 +168,13 @@ class State:
         self.step += 1
         follow(self.average, self.network, min(0.999, (1 + self.step) / (10 + self.step)))
         return parts
+
+
+def in_16_bits(device: str) -> torch.autocast:
+    """Within it numbers have 16 bits where that does no harm: 1.4 to 1.7 times as fast on a core with AVX-512 BF16. A
+    core without it would be ten times as slow, and keeps 32."""
+    fast = device != "cpu" or torch.cpu.get_capabilities().get("avx512_bf16", False)
+    return torch.autocast(device, torch.bfloat16, enabled=fast)
 
 
 def copied(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

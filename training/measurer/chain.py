@@ -19,7 +19,9 @@ from training.geometry import transform_boxes
 from .rendered import BRIGHTEST
 
 LENGTHS = (8.0, 120.0)  # of a vehicle in the finished picture [px]
-RESAMPLED = (0.5, 2.0)  # finished pixels per sensor pixel
+RESAMPLED = (0.5, 3.0)  # finished pixels per sensor pixel
+SOFT = 0.25  # share of the pictures that are blurred once they are taken: enlarged elsewhere, hazy, a film's frames
+SOFTEST = (0.5, 3.0)  # one sigma of that blur [px]
 SHARPEST = 126.0  # a vehicle's length on the sensor, at most [px]: as many as the rendered pictures have
 REACH = 2.9  # side of a window in vehicle lengths: a crop 1.35 times too large lies inside at any turn
 # Of the next training; m16 saw 0.3, 0.12 and shapes changed by 0.14.
@@ -79,7 +81,7 @@ class Shot:
     """A vehicle as one camera took it.
 
     pixels : (n, n, 3), light 0..1, or uint8 when it is finished. box : (5,) of the vehicle in them. shown : (5,) of
-    what is in sight of it. hidden : (4,) bool, which of its edges are not: rear, front, left, right.
+    what is in sight of it, and of its blur. hidden : (4,) bool, which of its edges are not: rear, front, left, right.
     """
 
     pixels: np.ndarray
@@ -173,8 +175,8 @@ def glare(x: np.ndarray, fine: int, rng: np.random.Generator) -> np.ndarray:
 def resample(x: np.ndarray, factor: float, rng: np.random.Generator) -> tuple[np.ndarray, float]:
     """At about `factor` times the size, with one of the filters in use; and the factor in fact."""
     size = max(8, round(x.shape[0] * factor))
-    ways = [cv2.INTER_AREA, cv2.INTER_LINEAR, cv2.INTER_CUBIC, cv2.INTER_LANCZOS4]
-    way = ways[rng.choice(4, p=[0.4, 0.2, 0.25, 0.15] if factor < 1 else [0.05, 0.4, 0.35, 0.2])]
+    ways = [cv2.INTER_AREA, cv2.INTER_LINEAR, cv2.INTER_CUBIC, cv2.INTER_LANCZOS4, cv2.INTER_NEAREST_EXACT]
+    way = ways[rng.choice(5, p=[0.38, 0.19, 0.24, 0.14, 0.05] if factor < 1 else [0.05, 0.38, 0.33, 0.19, 0.05])]
     return cv2.resize(x, (size, size), interpolation=way), size / x.shape[0]
 
 
@@ -297,6 +299,10 @@ def photograph(
     if factor != 1:
         x, factor = resample(x, factor, rng)
         box, shown = (b * [factor, factor, factor, factor, 1] for b in (box, shown))
+    if rng.random() < SOFT:
+        sigma = rng.uniform(*SOFTEST)
+        x = cv2.GaussianBlur(x, (0, 0), sigma)
+        shown = shown + np.array([0, 0, 1, 1, 0]) * (sigma * rng.uniform(0, 2))  # detectors box the blur, too
     return Shot(_bytes(finish(x, rng, 1.0 if linear else 0.6)), box, shown, hidden)
 
 
