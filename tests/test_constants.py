@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 import orthoscale
 from orthoscale.core.pooling.posterior import ROBUST_SD, Z90
-from orthoscale.sources.ground import ABOVE, BELOW, SETTLES, SPREAD
+from orthoscale.sources.ground_sheet import ABOVE, BELOW, SETTLES, SPREAD
 
 PACKAGE = Path(orthoscale.__file__).parent
 

@@ -7,7 +7,8 @@ import pytest
 from scipy import sparse
 
 from orthoscale.errors import InputError, TooLittleEvidence
-from orthoscale.sources.ground import Ground, _variances
+from orthoscale.sources.ground import Ground
+from orthoscale.sources.ground_grid import variances
 
 CAMERA_HEIGHT = 60.0  # [m], before the model's own unit
 SIZE = 200.0
@@ -204,5 +205,5 @@ def test_variances_are_the_diagonal_of_the_inverse(size, reach):
                         [k for k in offsets if abs(k) < size]).toarray()  # fmt: skip
     within = np.abs(np.subtract.outer(range(size), range(size))) <= reach
     precision = (band @ band.T) * within + 4 * reach * size * np.eye(size)
-    found = _variances(sparse.csr_matrix(precision), reach)
+    found = variances(sparse.csr_matrix(precision), reach)
     assert found == pytest.approx(np.linalg.inv(precision).diagonal(), rel=1e-12)

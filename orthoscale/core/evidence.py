@@ -37,7 +37,7 @@ SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach th
 BY_MAP = "map"  # kind of the evidence that a match with a georeferenced map gives
 CONTROL_SD = 0.05  # of a ground control point's position at best, and where no residuals say [m]
 # Of horizontal distances in a ground that is taken for level, a share of them: down streets of 8 %, the steepest usual
-# ones (`sources.ground.WANDER`), distances along the ground are longer by so much.
+# ones (`sources.ground_sheet.WANDER`), distances along the ground are longer by so much.
 LEVEL_SD = 0.003
 
 
