@@ -39,6 +39,7 @@ TOO_HIGH, UNEVEN, ON_GROUND, ON_TREES = 0.08, 0.02, 0.003, 0.1
 ALIKE_WITHIN = 0.5  # heights of the cameras over which a sheet's errors are alike
 MOST_COMPARED = 200  # boxes from which is taken how far all err alike
 BOXES_AT_ONCE = 1000  # boxes that are worked on at a time: 8 MB per thousand vehicles
+LEAST_VARIANCE = 4e-12  # of a place's height, of the reach squared, which rounding leaves
 STRAY_VEHICLE = 4.0  # sigmas from which a vehicle is left out: its boxes are not of one
 
 
@@ -179,51 +180,89 @@ def _triangulated(place: np.ndarray, offset: np.ndarray, picture: np.ndarray, st
     return _Seen(np.column_stack([x, y]), lower, np.maximum(each, noise) / lever)
 
 
+@dataclass(frozen=True)
+class _Error:
+    """What a surface may be off by: a Gaussian process over the places on it.
+
+    common, uneven : one sigma of it everywhere alike and from place to place. reach : distance over which what differs
+    from place to place is alike; all [units].
+    """
+
+    common: float
+    uneven: float
+    reach: float
+
+    def covariance(self, a: _Spots, b: _Spots) -> np.ndarray:
+        """(M, N) of the errors at `a` (M) and `b` (N)."""
+        squared = cdist(a.place, b.place, "sqeuclidean") / self.reach**2
+        return self.common**2 + (np.outer(a.sd, b.sd) + self.uneven**2) * np.exp(-0.5 * squared)
+
+    def known(self, at: _Spots, lower: np.ndarray, noise: np.ndarray, boxes: _Spots) -> _Known:
+        """The error at `boxes` (M), where at K places it was seen to be `lower` (K,) with the covariance `noise`."""
+        whole = lu_factor(self.covariance(at, at) + noise)
+        mean, told = np.empty(len(boxes.sd)), np.empty(len(boxes.sd))
+        for begin in range(0, len(boxes.sd), BOXES_AT_ONCE):
+            part = slice(begin, begin + BOXES_AT_ONCE)
+            shared = self.covariance(at, boxes[part])
+            gain = lu_solve(whole, shared)
+            mean[part], told[part] = lower @ gain, (gain * shared).sum(0)
+        variance = np.maximum(self.common**2 + boxes.sd**2 + self.uneven**2 - told, LEAST_VARIANCE * self.reach**2)
+        some = boxes[np.unique(np.linspace(0, len(boxes.sd) - 1, MOST_COMPARED).astype(int))]
+        shared = self.covariance(at, some)
+        alike = self.covariance(some, some).mean() - lu_solve(whole, shared).mean(1) @ shared.mean(1)
+        log_determinant = np.log(np.abs(np.diag(whole[0]))).sum()
+        evidence = -0.5 * (log_determinant + lower @ lu_solve(whole, lower))
+        return _Known(mean, variance, max(float(alike), 0.0), float(evidence))
+
+
+@dataclass(frozen=True)
+class _Spots:
+    """Places (N, 2) on the surface's plane, and one sigma of its height there (N,) [units]."""
+
+    place: np.ndarray
+    sd: np.ndarray
+
+    def __getitem__(self, which: slice | np.ndarray) -> _Spots:
+        return _Spots(self.place[which], self.sd[which])
+
+
+@dataclass(frozen=True)
+class _Known:
+    """How far the ground lies below the surface at M boxes, mean (M,) and variance (M,); the part of the variance that
+    all share, and the logarithm of how probable this error makes what was seen."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+    alike: float
+    evidence: float
+
+
 def _combined(
     seen: _Seen, place: np.ndarray, sd: np.ndarray, above: np.ndarray, height: float, middle_sd: float
 ) -> Standing:
-    """The surface and the vehicles combined, for the boxes at `place`: a Gaussian process for each of three cases. It
-    lies on the ground, or is too high, by the same everywhere or by more here than there."""
-    nearest = cKDTree(place).query(seen.place)[1]
-    own = sd[nearest]
-    keep = np.ones(len(seen.lower), bool)
+    """The surface and the vehicles combined, for the boxes at `place`. The surface lies on the ground, or is too high,
+    by the same everywhere or by more here than there: each case as likely as it makes what was seen."""
+    boxes = _Spots(place, sd)
     stray = np.abs(seen.lower - np.median(seen.lower))
     spread = ROBUST_SD * float(np.median(stray))
-    keep &= stray < STRAY_VEHICLE * np.sqrt(spread**2 + seen.variance + (UNEVEN * height) ** 2)
+    keep = stray < STRAY_VEHICLE * np.sqrt(spread**2 + seen.variance + (UNEVEN * height) ** 2)
     if keep.sum() < FEWEST_STANDING:
         return _of_sheet(sd / above)
-    at, lower, own = seen.place[keep], seen.lower[keep], own[keep]
+    at = _Spots(seen.place, sd[cKDTree(place).query(seen.place)[1]])[keep]
     noise = np.diag(seen.variance[keep]) + middle_sd**2
-    some = np.unique(np.linspace(0, len(place) - 1, MOST_COMPARED).astype(int))
-    means, variances, alike, evidence = [], [], [], []
-    for common, uneven in ((ON_GROUND * height, 0.0), (TOO_HIGH * height, 0.0), (TOO_HIGH * height, UNEVEN * height)):
-
-        def between(a: np.ndarray, b: np.ndarray, s: np.ndarray, t: np.ndarray, common=common, uneven=uneven):
-            squared = cdist(a, b, "sqeuclidean") / (ALIKE_WITHIN * height) ** 2
-            return common**2 + (np.outer(s, t) + uneven**2) * np.exp(-0.5 * squared)
-
-        whole = lu_factor(between(at, at, own, own) + noise)
-        mean, told = np.empty(len(place)), np.empty(len(place))
-        for begin in range(0, len(place), BOXES_AT_ONCE):
-            part = slice(begin, begin + BOXES_AT_ONCE)
-            shared = between(at, place[part], own, sd[part])
-            gain = lu_solve(whole, shared)
-            mean[part], told[part] = lower @ gain, (gain * shared).sum(0)
-        means.append(mean)
-        prior = common**2 + sd**2 + uneven**2
-        variances.append(np.maximum(prior - told, 1e-12 * height**2))
-        shared = between(at, place[some], own, sd[some])
-        together = between(place[some], place[some], sd[some], sd[some]).mean()
-        alike.append(max(together - lu_solve(whole, shared).mean(1) @ shared.mean(1), 0.0))
-        log_determinant = np.log(np.abs(np.diag(whole[0]))).sum()
-        evidence.append(-0.5 * (log_determinant + lower @ lu_solve(whole, lower)))
-    odds = np.log([1 - ON_TREES, ON_TREES / 2, ON_TREES / 2]) + evidence
+    reach = ALIKE_WITHIN * height
+    cases = [
+        _Error(common * height, uneven * height, reach).known(at, seen.lower[keep], noise, boxes)
+        for common, uneven in ((ON_GROUND, 0.0), (TOO_HIGH, 0.0), (TOO_HIGH, UNEVEN))
+    ]
+    odds = np.log([1 - ON_TREES, ON_TREES / 2, ON_TREES / 2]) + [case.evidence for case in cases]
     chance = np.exp(odds - odds.max())
     chance /= chance.sum()
-    mean = chance @ np.array(means)
-    variance = chance @ (np.array(variances) + (np.array(means) - mean) ** 2)
-    off = np.mean(means, axis=1) - mean.mean()
-    shared = float(np.sqrt(chance @ (np.array(alike) + off**2))) / height
+    means = np.array([case.mean for case in cases])
+    mean = chance @ means
+    variance = chance @ (np.array([case.variance for case in cases]) + (means - mean) ** 2)
+    off = means.mean(1) - mean.mean()
+    shared = float(np.sqrt(chance @ (np.array([case.alike for case in cases]) + off**2))) / height
     return Standing(mean / above, np.sqrt(variance) / above, shared, int(keep.sum()), float(chance[1:].sum()))
 
 
