@@ -48,10 +48,8 @@ ENOUGH_VOTES = 14.0  # votes (of 1 at most each) after which no further round is
 CLEAR_WINNER = (4.0, 0.35)  # so are fewer votes, where the second best length has less than this share of them
 FEWEST_VOTES = 2.0  # votes below which no zoom is right; five vehicles that two zooms agree on give more
 NEAR_AND_FAR = 4.0  # factor between lengths that may be the same vehicles', in frames from nearer and farther
-AGREED = (
-    OF_MISTAKES,
-    0.6,
-)  # share of boxes that two zooms agree on, of mistakes and of vehicles: from none to all of a vote
+# Share of boxes that two zooms agree on, of mistakes and of vehicles: from none to all of a vote.
+AGREED = (OF_MISTAKES, 0.6)
 LEAST_VOTE = 0.05  # that is left however few are agreed on
 MISTAKE_EVERY = 2e6  # network pixels, in which zooms agree on one by chance, where ground is busy
 WELL_SEEN = 20.0  # [px of the network] below which it says the usual size of whatever it sees: cars look all alike
@@ -248,9 +246,19 @@ class _Votes:
         return bool(self.votes[here].max(initial=0) >= max(PROMISING, self.best / 4))
 
 
+@dataclass(frozen=True)
+class _Ballots:
+    """Boxes that vote: lengths (N,) [px of the picture], what each is worth (N,), and by how much votes of mistakes
+    scatter where it was seen (N,)."""
+
+    length: np.ndarray
+    weight: np.ndarray
+    chance: np.ndarray
+
+
 def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
     """Boxes that two neighbouring zooms agree on vote for their length. `least_length` is usable at any zoom [px]."""
-    lengths, weights, chance, table = [], [], [], []
+    ballots, table = [], []
     lower: _Level | None = None
     there: dict[int, Boxes] = {}
     for level in levels:
@@ -261,18 +269,23 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
             # Windows at a lower zoom hold those at a higher one, so all that is long enough could have been confirmed.
             seen = Boxes.concatenate(list(here.values())).length
             vote = _reliability(pairs.length, seen[seen * lower.zoom >= VISIBLE * least_length])
+            chance = np.full(len(pairs), np.sqrt(1 + level.looked / MISTAKE_EVERY))
             for boxes in (pairs, Boxes.concatenate([low for _, low in confirmed])):
-                lengths.append(boxes.length)
-                weights.append(vote * boxes.score)
-                chance.append(np.full(len(boxes), np.sqrt(1 + level.looked / MISTAKE_EVERY)))
+                ballots.append(_Ballots(boxes.length, vote * boxes.score, chance))
         typical = float(np.median(pairs.length)) if len(pairs) else 0.0
         table.append((level.zoom, sum(map(len, here.values())), len(pairs), typical))
         lower, there = level, here
-    if not sum(map(len, lengths)):
+    return _counted(ballots, table)
+
+
+def _counted(ballots: Sequence[_Ballots], table: list[tuple[float, int, int, float]]) -> _Votes:
+    """The lengths whose votes stand out most from what mistakes scatter by."""
+    if not sum(len(some.length) for some in ballots):
         return _Votes(None, 0.0, None, 0.0, table, np.empty(0), np.empty(0))
-    log_length, weight = np.log(np.concatenate(lengths)), np.concatenate(weights)
+    log_length = np.log(np.concatenate([some.length for some in ballots]))
+    weight = np.concatenate([some.weight for some in ballots])
+    standing_each = weight / np.concatenate([some.chance for some in ballots])
     grid = np.arange(log_length.min() - 0.1, log_length.max() + 0.1, 0.02)
-    standing_each = weight / np.concatenate(chance)
     votes = standing = np.zeros(len(grid))
     for k in range(0, len(weight), VOTES_AT_ONCE):
         block = slice(k, k + VOTES_AT_ONCE)
