@@ -6,7 +6,6 @@ import hashlib
 import math
 import shutil
 import threading
-from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from functools import lru_cache
 from pathlib import Path
@@ -14,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import rasterio
-from rasterio.enums import Interleaving, MaskFlags, Resampling
+from rasterio.enums import MaskFlags, Resampling
 from rasterio.io import DatasetReader
 from rasterio.transform import Affine
 from rasterio.windows import Window
@@ -25,13 +24,14 @@ from ..core.scale import PER_PIXEL
 from ..core.source import NO_DATA_GREY, Picture, Placement
 from ..errors import InputError, UsageError
 from ..formats.points import pixel
-from ..system.budget import in_words, require
+from ..system.budget import in_words
 from ..system.scratch import Scratch
 from .fingerprint import fingerprint
 from .gdal import EXPORT_AGAIN, open_dataset, reading, settings
 from .georeference import Place, claim_of, kept_place, local_place
+from .raster_blocks import RasterBlocks
 from .raster_copy import Original
-from .tiff_blocks import blocks_of
+from .raster_display import Display
 
 USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
 OF_OTHERS = "A file that it refers to is missing or damaged: copy all of them along, or write the VRT anew."
@@ -45,13 +45,6 @@ LONGEST_SIDE = 10_000_000
 SQUEEZED = 0.05
 """Width over height of a pixel, as a logarithm, from which its user is cautioned: what it leaves open of the scale is
 about a per cent then (`core.measuring.plan.SQUEEZED_SD`)."""
-
-MOST_BETWEEN = 0.5
-"""Share of an alpha band's values that are neither nothing nor all, above which it masks nothing. Of masks it is the
-share of their edges, of a near infrared band nearly all."""
-
-# Formats that can be decoded from the top only.
-_IN_ORDER = frozenset(["AVIF", "BIGGIF", "GIF", "HEIF", "JPEG", "JPEGXL", "PNG", "WEBP"])
 
 
 class RasterSource:
@@ -77,17 +70,15 @@ class RasterSource:
         self._lock = threading.RLock()
         self.width, self.height = dataset.width, dataset.height
         self._check_size()
-        self._bands = self._colour_bands()
-        self._probe()
-        self._palette = self._palette_table()
-        self._overviews = dataset.overviews(self._bands[0])
-        masks = self._alpha_masks()
-        self._masked = masks and any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
-        self._stretch = self._stretch_limits()
-        self._negative = self._palette is None and dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
-        self._unmixed = self._palette is not None or self._negative or not masks
+        self._blocks = RasterBlocks.of(path, dataset)
+        self._read_last()
+        self._display = Display.of(path, dataset, self._blocks.in_order, self._damage)
+        self.notes += self._display.notes
+        self._overviews = dataset.overviews(self._display.bands[0])
+        without = any(MaskFlags.all_valid not in flags for flags in dataset.mask_flag_enums)
+        self._masked = self._display.masks and without
         self._scratch: Scratch | None = None
-        self._blocks = dataset  # or, from the first look on, a copy of it in blocks
+        self._read_from = dataset  # or, from the first look on, a copy of it in blocks
         self.claimed = claim_of(dataset)
         if (turned := dataset.tags().get("EXIF_Orientation", "1")) not in ("0", "1"):
             text = (
@@ -200,7 +191,7 @@ class RasterSource:
 
     def close(self) -> None:
         """Let go of the file. Also done at the end of a ``with`` block."""
-        self._blocks.close()
+        self._read_from.close()
         self._dataset.close()
         if self._scratch is not None:
             self._scratch.close()
@@ -245,19 +236,13 @@ class RasterSource:
         with self._lock, self._damage(f"at x {x}..{x + width}, y {y}..{y + height}"):
             if self._needs_blocks:
                 self._copy_into_blocks()
-            if self._unmixed:
-                rgb = self._read_unmixed(window, out)
-            else:
-                pixels = self._blocks.read(
-                    self._bands, window=window, out_shape=(len(self._bands), *out), resampling=resampling
-                )
-                rgb = cv2.merge(list(self._to_8_bit(pixels))).reshape(*out, -1)  # far faster than numpy's transposing
+            rgb = self._read_unmixed(window, out) if self._display.unmixed else self._shown(window, out, resampling)
             if self._masked:
                 how = Resampling.average if resampling == Resampling.average else Resampling.nearest
-                known = self._blocks.dataset_mask(window=window, out_shape=out, resampling=how)
+                known = self._read_from.dataset_mask(window=window, out_shape=out, resampling=how)
                 rgb = np.where((known >= 128)[..., None], rgb, np.uint8(NO_DATA_GREY))
-            if self._written is not None:
-                rgb = np.where(self._written_at(window, out)[..., None], rgb, np.uint8(NO_DATA_GREY))
+            if self._blocks.written is not None:
+                rgb = np.where(self._blocks.written_at(window, out)[..., None], rgb, np.uint8(NO_DATA_GREY))
         return np.ascontiguousarray(np.broadcast_to(rgb, (*out, 3)))
 
     def decoded_px(self, width: int, height: int, out_width: int, out_height: int) -> float:
@@ -266,40 +251,30 @@ class RasterSource:
         factor = max([f for f in self._overviews if f <= shrink], default=1)
         return width * height / factor**2
 
+    def _shown(self, window: Window, out: tuple[int, int], resampling: Resampling) -> np.ndarray:
+        """(*out, 3 or 1) uint8 of the window."""
+        bands = self._display.bands
+        shape = (len(bands), *out)
+        return self._display.rgb(self._read_from.read(bands, window=window, out_shape=shape, resampling=resampling))
+
     def _read_unmixed(self, window: Window, out: tuple[int, int]) -> np.ndarray:
-        """What GDAL must not resample: numbers of colours, which have no average; negatives, whose averages it seeks
-        among as many colours as their type has values, for minutes; bands beside one that it takes for their mask.
-        Up to 4 x 4 pixels per result are averaged."""
+        """The same of values that GDAL must not resample: up to 4 x 4 pixels per result are averaged."""
         shape = min(window.height, 4 * out[0]), min(window.width, 4 * out[1])
-        values = self._blocks.read(
-            self._bands, window=window, out_shape=(len(self._bands), *shape), resampling=Resampling.nearest
-        )
-        if self._palette is not None:
-            rgb = self._palette[np.clip(values[0], 0, len(self._palette) - 1)]
-        else:
-            rgb = cv2.merge(list(self._to_8_bit(values)))
-        if self._negative:
-            rgb = 255 - rgb
+        rgb = self._shown(window, shape, Resampling.nearest)
         if shape != out:
             shrinking = out[0] * out[1] < shape[0] * shape[1]
             rgb = cv2.resize(rgb, out[::-1], interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_CUBIC)
         return rgb.reshape(*out, -1)
 
-    def _to_8_bit(self, pixels: np.ndarray) -> np.ndarray:
-        """(C, H, W) of any real type to uint8; NaN becomes grey."""
-        if self._stretch is None:
-            return pixels
-        low, high = self._stretch
-        with np.errstate(over="ignore"):  # of what fills borders: 1e38 and more
-            scaled = (pixels.astype(np.float32) - low) * (255 / (high - low))
-        scaled = np.nan_to_num(scaled, nan=NO_DATA_GREY, posinf=255, neginf=0)
-        return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
-
     @property
     def _needs_blocks(self) -> bool:
         """Whether each window would be decoded from the image's top again: it has no blocks, and is too large for GDAL
         to keep it decoded."""
-        return self._in_order and self._blocks is self._dataset and self._decoded_size > settings()["GDAL_CACHEMAX"]
+        return (
+            self._blocks.in_order
+            and self._read_from is self._dataset
+            and self._decoded_size > settings()["GDAL_CACHEMAX"]
+        )
 
     @property
     def _decoded_size(self) -> int:
@@ -319,16 +294,8 @@ class RasterSource:
         copy = scratch.folder / "blocks.tif"
         # Fast to write and to read; its place on Earth does not matter there.
         self._original.convert(copy, Place(None, Affine.identity(), ""), compress="zstd", zstd_level=1, predictor=1)
-        self._blocks = rasterio.open(copy, sharing=False)
+        self._read_from = rasterio.open(copy, sharing=False)
         self._scratch = scratch
-
-    def _written_at(self, window: Window, out: tuple[int, int]) -> np.ndarray:
-        """(out) bool: where the window of a sparse TIFF, resampled to `out`, shows blocks that were ever written."""
-        assert self._written is not None
-        rows, columns = self._block
-        y = window.row_off + (np.arange(out[0]) + 0.5) * window.height / out[0]
-        x = window.col_off + (np.arange(out[1]) + 0.5) * window.width / out[1]
-        return self._written[(y / rows).astype(int)[:, None], (x / columns).astype(int)]
 
     # What is looked at once, at opening
 
@@ -350,128 +317,11 @@ class RasterSource:
         if len(dataset.subdatasets) > 1:
             self.notes.append(Remark(INFO, f"{self.name} holds {len(dataset.subdatasets)} images; the first is read"))
 
-    def _colour_bands(self) -> list[int]:
-        """The bands (from 1) to show: red, green, blue where they are named, by what they mean to GDAL or, as those of
-        multispectral cameras are, by their descriptions; else the first three, else one grey."""
-        kinds = [c.name for c in self._dataset.colorinterp]
-        described = [(text or "").strip().lower() for text in self._dataset.descriptions]
-        named = next((names for names in (described, kinds) if {"red", "green", "blue"} <= set(names)), None)
-        if named is not None:
-            bands = [named.index(k) + 1 for k in ("red", "green", "blue")]
-        else:
-            bands = [i for i, k in enumerate(kinds, 1) if k != "alpha"]
-            bands = bands[:3] if len(bands) >= 3 else bands[:1]
-        if not bands:
-            raise InputError(f"{self.path} has nothing but an alpha band", "Export the colour bands too.")
-        kind = np.result_type(*(self._dataset.dtypes[b - 1] for b in bands))
-        if kind.kind not in "uif":
-            raise InputError(f"{self.path} holds {kind} values", "Export it with 8 or 16 bit per band.")
-        return bands
-
-    def _probe(self) -> None:
-        """Find damage without reading everything: the blocks a TIFF says it has, and any format's last block."""
-        self._written: np.ndarray | None = None
-        self._in_order = self._dataset.driver in _IN_ORDER
-        if self._dataset.driver == "GTiff":
-            self._check_blocks()
+    def _read_last(self) -> None:
+        """Find damage without reading everything: decode the last block."""
         # One pixel decodes its whole block; asked for a whole PNG at once, GDAL takes a way that tolerates truncation.
         with self._damage("at its end"):
             self._dataset.read(window=Window(self.width - 1, self.height - 1, 1, 1))
-
-    def _check_blocks(self) -> None:
-        """Raises InputError for a TIFF whose directory does not say where all its pixels are, or whose blocks are too
-        large for the memory budget. Blocks that were never written (GDAL's SPARSE_OK) are no damage, but show nothing.
-        """
-        dataset, lists = self._dataset, blocks_of(self.path)
-        rows, columns = dataset.block_shapes[0]
-        apart = dataset.interleaving == Interleaving.band
-        size = rows * columns * np.dtype(dataset.dtypes[0]).itemsize * (1 if apart else dataset.count)
-        require(2 * size, f"{self.path}, whose pixels are in blocks of {columns} x {rows} px,")
-        if lists is None:
-            return
-        if lists.strip is not None:
-            rows = min(lists.strip, self.height)
-        shape = (dataset.count if apart else 1, math.ceil(self.height / rows), math.ceil(self.width / columns))
-        self._in_order = shape[1:] == (1, 1) and dataset.compression is not None
-        wanted = math.prod(shape)
-        listed = min(len(values) for values in (lists.offset, lists.count) if values is not None)
-        if listed < wanted:
-            raise InputError(f"{self.path} is damaged: its directory lists {listed} of {wanted} blocks", EXPORT_AGAIN)
-        offset = lists.offset[:wanted]
-        count = (offset > 0).astype(np.uint64) if lists.count is None else lists.count[:wanted]
-        lost = np.flatnonzero((offset == 0) != (count == 0))
-        if len(lost):
-            raise InputError(f"{self.path} is damaged: block {lost[0]} has no address", EXPORT_AGAIN)
-        end, length = int((offset + count).max(initial=0)), self.path.stat().st_size
-        if end > length or int(offset.max(initial=0)) > length:
-            raise InputError(
-                f"{self.path} is truncated: it has {length} bytes, but its pixels end at byte {end}", EXPORT_AGAIN
-            )
-        if not offset.all():
-            self._written = np.asarray((offset > 0).reshape(shape).any(0))
-            self._block = rows, columns
-
-    def _palette_table(self) -> np.ndarray | None:
-        """(K, 3) uint8 colours of a paletted image, transparent ones grey, or None."""
-        if self._dataset.colorinterp[0].name != "palette":
-            return None
-        entries = self._dataset.colormap(1)
-        table = np.full((max(entries) + 1, 3), NO_DATA_GREY, np.uint8)
-        for index, (*rgb, alpha) in entries.items():
-            if alpha >= 128:
-                table[index] = rgb
-        return table
-
-    def _samples(self, side: int = 128) -> Iterator[Window]:
-        """Windows of `side` px in an even grid: a decimated read of a file without overviews reads all of it."""
-        for y in np.unique(np.linspace(0, max(self.height - side, 0), 8).astype(int)):
-            for x in np.unique(np.linspace(0, max(self.width - side, 0), 8).astype(int)):
-                yield Window(x, y, min(side, self.width), min(side, self.height))
-
-    def _alpha_masks(self) -> bool:
-        """Whether an alpha band, if there is one, says where there is data: its values are nearly all nothing or all.
-
-        Of four bands of 8 bit GDAL calls the last one alpha where nobody told it otherwise. Often it is near infrared:
-        dark asphalt and water would show nothing. Formats that are decoded in order know their alpha themselves.
-        """
-        alpha = next((k for k, c in enumerate(self._dataset.colorinterp, 1) if c.name == "alpha"), None)
-        if alpha is None or self._in_order:
-            return True
-        values = []
-        for window in self._samples():
-            with self._damage(f"near x {window.col_off}, y {window.row_off}"):
-                values.append(self._dataset.read(alpha, window=window).ravel())
-        sample = np.concatenate(values)
-        between = float(np.mean((sample != 0) & (sample < sample.max())))
-        if between <= MOST_BETWEEN:
-            return True
-        self.notes.append(
-            Remark(INFO, f"band {alpha} is called alpha, but is a picture of its own, such as near infrared: not used")
-        )
-        return False
-
-    def _stretch_limits(self) -> tuple[float, float] | None:
-        """The values that become 0 and 255: percentiles 0.5 and 99.5 of samples, or None for plain 8 bit.
-
-        All bands share the limits, which keeps the hues.
-        """
-        dtypes = {self._dataset.dtypes[b - 1] for b in self._bands}
-        bits = self._dataset.tags(self._bands[0], "IMAGE_STRUCTURE").get("NBITS", "8")
-        if self._palette is not None or (dtypes == {"uint8"} and int(bits) == 8):
-            return None
-        values = []
-        for window in self._samples():
-            with self._damage(f"near x {window.col_off}, y {window.row_off}"):
-                pixels = self._dataset.read(self._bands, window=window)
-                known = self._dataset.dataset_mask(window=window) > 0
-            sample = pixels[:, known].ravel()
-            values.append(sample[np.isfinite(sample)])
-        sample = _without_fill(np.concatenate(values))
-        low, high = (float(v) for v in np.percentile(sample, [0.5, 99.5])) if len(sample) else (0.0, 1.0)
-        high = high if high > low else low + 1
-        text = f"{'/'.join(sorted(dtypes))} values from {low:g} to {high:g} are shown as 0 to 255"
-        self.notes.append(Remark(INFO, text))
-        return low, high
 
     def _damage(self, where: str) -> AbstractContextManager[None]:
         if self._dataset.driver == "VRT":  # it has no pixels of its own
@@ -482,7 +332,7 @@ class RasterSource:
 
     @property
     def _original(self) -> Original:
-        return Original(self.path, self._dataset, self._palette is not None, self._lock)
+        return Original(self.path, self._dataset, self._display.palette is not None, self._lock)
 
     def place(self, metres_per_pixel: float, keep_origin: bool = False) -> Place:
         """The georeferencing that a copy of this scale gets: local metres, or the input's own place and direction."""
@@ -517,16 +367,6 @@ class RasterSource:
         if original.is_cog and not cog:
             notes.append(f"{path.name} is no longer cloud-optimised as {self.name} is (--cog makes it so)")
         self.notes += [note for note in informing(notes) if note not in self.notes]
-
-
-def _without_fill(sample: np.ndarray) -> np.ndarray:
-    """`sample` (N,) without what fills an image's borders although it is not declared as nodata, such as -9999: one
-    value at an end, farther from all others than these are from one another."""
-    for end in (np.min, np.max):
-        rest = sample[sample != end(sample)] if len(sample) else sample
-        if len(rest) and abs(float(end(sample)) - float(end(rest))) > float(rest.max()) - float(rest.min()) > 0:
-            sample = rest
-    return sample
 
 
 @lru_cache(maxsize=4)

@@ -1,0 +1,177 @@
+"""How the values of a raster become pixels to look at: which bands, which colours, from which value to which."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from rasterio.io import DatasetReader
+from rasterio.windows import Window
+
+from ..core.remarks import INFO, Remark
+from ..core.source import NO_DATA_GREY
+from ..errors import InputError
+
+MOST_BETWEEN = 0.5
+"""Share of an alpha band's values that are neither nothing nor all, above which it masks nothing. Of masks it is the
+share of their edges, of a near infrared band nearly all."""
+
+SHOWN = (0.5, 99.5)
+"""Percentiles of the values that become 0 and 255, where they are not of 8 bit."""
+
+Damage = Callable[[str], AbstractContextManager[None]]
+"""Turns GDAL's errors within it into what is told of damage; given where that is."""
+
+
+@dataclass(frozen=True)
+class Display:
+    """How a raster is shown.
+
+    bands : numbers, from 1, of those that are red, green and blue, or of the one that is grey.
+    palette : (K, 3) uint8 colours of a paletted image, transparent ones grey; None for others.
+    stretch : the values that become 0 and 255; None for plain 8 bit. All bands share them, which keeps the hues.
+    negative : whether what is light is stored dark.
+    masks : whether an alpha band, if there is one, says where there is data.
+    notes : what the user should know of it.
+    """
+
+    bands: list[int]
+    palette: np.ndarray | None = None
+    stretch: tuple[float, float] | None = None
+    negative: bool = False
+    masks: bool = True
+    notes: list[Remark] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, path: Path, dataset: DatasetReader, in_order: bool, damage: Damage) -> Display:
+        """What suits an open image, by samples of its values.
+
+        in_order : whether it can be decoded from the top only. Raises InputError for an image that has no colour band
+        or none of real numbers, or is damaged.
+        """
+        notes: list[Remark] = []
+        bands = _colour_bands(path, dataset)
+        palette = _palette(dataset)
+        masks = _alpha_masks(dataset, in_order, damage, notes)
+        stretch = None if palette is not None else _stretch(dataset, bands, damage, notes)
+        negative = palette is None and dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
+        return cls(bands, palette, stretch, negative, masks, notes)
+
+    @property
+    def unmixed(self) -> bool:
+        """Whether GDAL must not resample the values: numbers of colours have no average; those of negatives it seeks
+        among as many colours as their type has values, for minutes; and bands beside one that it takes for their mask
+        it would mask."""
+        return self.palette is not None or self.negative or not self.masks
+
+    def rgb(self, values: np.ndarray) -> np.ndarray:
+        """(H, W, 3 or 1) uint8 of the bands' `values` (C, H, W) of any real type; NaN becomes grey."""
+        if self.palette is not None:
+            return self.palette[np.clip(values[0], 0, len(self.palette) - 1)]
+        rgb = cv2.merge(list(self._to_8_bit(values)))  # far faster than numpy's transposing
+        return (255 - rgb if self.negative else rgb).reshape(*values.shape[1:], -1)
+
+    def _to_8_bit(self, values: np.ndarray) -> np.ndarray:
+        if self.stretch is None:
+            return values
+        low, high = self.stretch
+        with np.errstate(over="ignore"):  # of what fills borders: 1e38 and more
+            scaled = (values.astype(np.float32) - low) * (255 / (high - low))
+        scaled = np.nan_to_num(scaled, nan=NO_DATA_GREY, posinf=255, neginf=0)
+        return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+
+
+def _colour_bands(path: Path, dataset: DatasetReader) -> list[int]:
+    """The bands (from 1) to show: red, green, blue where they are named, by what they mean to GDAL or, as those of
+    multispectral cameras are, by their descriptions; else the first three, else one grey."""
+    kinds = [c.name for c in dataset.colorinterp]
+    described = [(text or "").strip().lower() for text in dataset.descriptions]
+    named = next((names for names in (described, kinds) if {"red", "green", "blue"} <= set(names)), None)
+    if named is not None:
+        bands = [named.index(k) + 1 for k in ("red", "green", "blue")]
+    else:
+        bands = [i for i, k in enumerate(kinds, 1) if k != "alpha"]
+        bands = bands[:3] if len(bands) >= 3 else bands[:1]
+    if not bands:
+        raise InputError(f"{path} has nothing but an alpha band", "Export the colour bands too.")
+    kind = np.result_type(*(dataset.dtypes[b - 1] for b in bands))
+    if kind.kind not in "uif":
+        raise InputError(f"{path} holds {kind} values", "Export it with 8 or 16 bit per band.")
+    return bands
+
+
+def _palette(dataset: DatasetReader) -> np.ndarray | None:
+    if dataset.colorinterp[0].name != "palette":
+        return None
+    entries = dataset.colormap(1)
+    table = np.full((max(entries) + 1, 3), NO_DATA_GREY, np.uint8)
+    for index, (*rgb, alpha) in entries.items():
+        if alpha >= 128:
+            table[index] = rgb
+    return table
+
+
+def _samples(dataset: DatasetReader, side: int = 128) -> Iterator[Window]:
+    """Windows of `side` px in an even grid: a decimated read of a file without overviews reads all of it."""
+    for y in np.unique(np.linspace(0, max(dataset.height - side, 0), 8).astype(int)):
+        for x in np.unique(np.linspace(0, max(dataset.width - side, 0), 8).astype(int)):
+            yield Window(x, y, min(side, dataset.width), min(side, dataset.height))
+
+
+def _alpha_masks(dataset: DatasetReader, in_order: bool, damage: Damage, notes: list[Remark]) -> bool:
+    """Whether an alpha band, if there is one, says where there is data: its values are nearly all nothing or all.
+
+    Of four bands of 8 bit GDAL calls the last one alpha where nobody told it otherwise. Often it is near infrared:
+    dark asphalt and water would show nothing. Formats that are decoded in order know their alpha themselves.
+    """
+    alpha = next((k for k, c in enumerate(dataset.colorinterp, 1) if c.name == "alpha"), None)
+    if alpha is None or in_order:
+        return True
+    values = []
+    for window in _samples(dataset):
+        with damage(f"near x {window.col_off}, y {window.row_off}"):
+            values.append(dataset.read(alpha, window=window).ravel())
+    sample = np.concatenate(values)
+    between = float(np.mean((sample != 0) & (sample < sample.max())))
+    if between <= MOST_BETWEEN:
+        return True
+    notes.append(
+        Remark(INFO, f"band {alpha} is called alpha, but is a picture of its own, such as near infrared: not used")
+    )
+    return False
+
+
+def _stretch(
+    dataset: DatasetReader, bands: list[int], damage: Damage, notes: list[Remark]
+) -> tuple[float, float] | None:
+    """The percentiles SHOWN of samples of the `bands`, or None for plain 8 bit."""
+    dtypes = {dataset.dtypes[b - 1] for b in bands}
+    bits = dataset.tags(bands[0], "IMAGE_STRUCTURE").get("NBITS", "8")
+    if dtypes == {"uint8"} and int(bits) == 8:
+        return None
+    values = []
+    for window in _samples(dataset):
+        with damage(f"near x {window.col_off}, y {window.row_off}"):
+            pixels = dataset.read(bands, window=window)
+            known = dataset.dataset_mask(window=window) > 0
+        sample = pixels[:, known].ravel()
+        values.append(sample[np.isfinite(sample)])
+    sample = _without_fill(np.concatenate(values))
+    low, high = (float(v) for v in np.percentile(sample, SHOWN)) if len(sample) else (0.0, 1.0)
+    high = high if high > low else low + 1
+    notes.append(Remark(INFO, f"{'/'.join(sorted(dtypes))} values from {low:g} to {high:g} are shown as 0 to 255"))
+    return low, high
+
+
+def _without_fill(sample: np.ndarray) -> np.ndarray:
+    """`sample` (N,) without what fills an image's borders although it is not declared as nodata, such as -9999: one
+    value at an end, farther from all others than these are from one another."""
+    for end in (np.min, np.max):
+        rest = sample[sample != end(sample)] if len(sample) else sample
+        if len(rest) and abs(float(end(sample)) - float(end(rest))) > float(rest.max()) - float(rest.min()) > 0:
+            sample = rest
+    return sample
