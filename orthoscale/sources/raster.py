@@ -154,11 +154,6 @@ class RasterSource:
         return [self.name]
 
     @property
-    def raster(self) -> Path:
-        """The file itself."""
-        return self.path
-
-    @property
     def plan(self) -> RasterSource:
         """This source itself."""
         return self
