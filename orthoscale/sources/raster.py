@@ -13,7 +13,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rasterio
 from rasterio.enums import Interleaving, MaskFlags, Resampling
 from rasterio.io import DatasetReader
 from rasterio.transform import Affine
@@ -314,7 +313,7 @@ class RasterSource:
         copy = scratch.folder / "blocks.tif"
         # Fast to write and to read; its place on Earth does not matter there.
         self._original.convert(copy, Place(None, Affine.identity(), ""), compress="zstd", zstd_level=1, predictor=1)
-        self._blocks = rasterio.open(copy, sharing=False)
+        self._blocks = open_dataset(copy)
         self._scratch = scratch
 
     def _written_at(self, window: Window, out: tuple[int, int]) -> np.ndarray:
