@@ -121,6 +121,36 @@ def test_the_core_opens_no_file():
             assert not reads, f"{name} calls {reads}"
 
 
+def test_rasters_are_read_by_sources_gdal_alone():
+    """It is offline, within the memory limit, and refuses pipes; the others may only write what is theirs."""
+    assert {call for call, _ in gdal_calls("sources.gdal")} >= {"Env", "DatasetReader"}
+    for name in set(MODULES) - {"sources.gdal"}:
+        for call, mode in gdal_calls(name):
+            assert call == "open" and mode in ("w", "r+"), f"{name} calls rasterio's {call}"
+        assert "NotGeoreferencedWarning" not in MODULES[name].read_text(encoding="utf-8"), name
+
+
+def gdal_calls(name: str) -> list[tuple[str, object]]:
+    """Calls by the module `name` that open rasters or change GDAL's settings: what is called, and its second argument
+    where that is a plain value."""
+    tree = tree_of(name)
+    own = {
+        alias.asname or alias.name: alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "rasterio"
+        for alias in node.names
+    }
+    calls = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            called = ast.unparse(node.func)
+            what = own.get(called, called.removeprefix("rasterio.") if called.startswith("rasterio.") else "")
+            if what in ("open", "Env", "io.DatasetReader", "DatasetReader"):
+                second = node.args[1] if len(node.args) > 1 else None
+                calls.append((what, second.value if isinstance(second, ast.Constant) else None))
+    return calls
+
+
 def test_extras_are_imported_by_nobody_but_their_commands():
     """And by these in functions only, so that the program starts without them."""
     for name in MODULES:

@@ -14,6 +14,7 @@ from scipy.stats import norm
 
 import orthoscale
 from orthoscale.core.pooling.posterior import ROBUST_SD, Z90
+from orthoscale.core.round_numbers import round_above, round_below, scale_bar
 from orthoscale.sources.ground_sheet import ABOVE, BELOW, SETTLES, SPREAD
 
 PACKAGE = Path(orthoscale.__file__).parent
@@ -46,6 +47,26 @@ def test_every_constant_is_defined_in_one_module():
             homes[name].add(module)
     assert len(homes) > 300, "the package is not read"
     assert not {name: sorted(modules) for name, modules in homes.items() if len(modules) > 1}
+
+
+def test_round_numbers_have_one_owner():
+    """1, 2, 5: scale bars and the ticks of charts take theirs from core/round_numbers.py."""
+    found = {
+        module
+        for module, tree in modules().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Tuple) and ast.unparse(node).strip("()").startswith("1, 2, 5")
+    }
+    assert found == {"core/round_numbers.py"}
+
+
+@pytest.mark.parametrize("value", [0.003, 0.0199, 0.02, 0.5, 1, 4.99, 5, 7, 99.9, 1000, 123_456.0])
+def test_round_numbers_are_next_below_and_above(value):
+    known = np.multiply.outer(10.0 ** np.arange(-4, 8), [1, 2, 5]).ravel()
+    assert round_below(value) == pytest.approx(known[known <= value * (1 + 1e-12)].max())
+    assert round_above(value) == pytest.approx(known[known >= 0.999 * value].min())
+    metres, length = scale_bar(value / 200, 1000)
+    assert metres == round_below(value) and 80 < length <= 200.001 and length * value / 200 == pytest.approx(metres)
 
 
 def test_the_normal_distributions_numbers_have_one_owner():

@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from orthoscale.evaluate.surface import Surface
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections
 from orthoscale.photos.looking import save_boxes
-from orthoscale.photos.measure import RIGHT
+from orthoscale.photos.measure import RIGHT, measure
 from orthoscale.synthetic import NormalFleet, make_scene
 from orthoscale.synthetic.folders import GROUND_M, LON_LAT, survey_rotation, write_csv, write_denseuav, write_visloc
 
@@ -121,6 +122,15 @@ def test_true_boxes_give_true_altitudes(folders, name, worst):
     assert got["mape"] < worst and got["mean_vehicles"] > 10
     if name != "table":  # three photos only, two of them slanting
         assert summary(rows, "paper")["mape"] > got["mape"], "the paper's model is approximate, above all straight down"
+
+
+def test_the_shape_of_the_detectors_vehicles_counts(folders):
+    """As in `photo`: boxes of a detector whose card says that they enclose bodies like vans."""
+    samples, found, fleet = measured(folders, "dense")
+    vans, photo = replace(found, body="van"), samples[0].photo
+    got = METHODS["exact"](photo, vans, fleet, 0.0)
+    truth = measure([photo], vans, fleet).altitude.value
+    assert got.altitude == truth != METHODS["exact"](photo, found, fleet, 0.0).altitude
 
 
 def test_figures_of_a_table_by_hand(folders):

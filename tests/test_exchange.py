@@ -12,8 +12,10 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from rasterio.control import GroundControlPoint
 
 from orthoscale.cli.main import cli
+from orthoscale.core.affine import transformed
 from orthoscale.core.boxes import Boxes, overlap
 from orthoscale.core.detections import UNKNOWN_RULER, Detections
 from orthoscale.core.ruler import Ruler
@@ -22,6 +24,7 @@ from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections import load, save
 from orthoscale.formats.detections.items import rectangles
 from orthoscale.formats.detections.own import about
+from orthoscale.sources.georeference import LOCAL_CRS
 from orthoscale.sources.opening import open_source
 
 RULER = Ruler((0.5, 1.0), (0.3, 0.4), (0.01, 0.02), 0.01, (1.0, 0.8))
@@ -31,13 +34,11 @@ BOXES = Boxes(
 )
 
 
-def raster(path, crs=None, transform=None):
-    with (
-        warnings.catch_warnings(action="ignore"),
-        rasterio.open(
-            path, "w", driver="GTiff", width=320, height=240, count=3, dtype="uint8", crs=crs, transform=transform
-        ) as file,
-    ):
+def raster(path, crs=None, transform=None, **more):
+    profile = {"driver": "GTiff", "width": 320, "height": 240, "count": 3, "dtype": "uint8", "crs": crs, **more}
+    if transform is not None:
+        profile["transform"] = transform
+    with warnings.catch_warnings(action="ignore"), rasterio.open(path, "w", **profile) as file:
         file.write(np.full((3, 240, 320), 90, np.uint8))
     return open_source(path)
 
@@ -47,6 +48,8 @@ PLACES = {
     "UTM": ("EPSG:32651", Affine(0.1, 0, 284000.5, 0, -0.1, 1615000.25)),
     "rotated": ("EPSG:32651", Affine(0.08, 0.06, 284000.5, 0.06, -0.08, 1615000.25)),
     "degrees": ("EPSG:4326", Affine(9e-7, 0, 121.0, 0, -9e-7, 14.6)),
+    "local metres": (LOCAL_CRS, Affine(0.1, 0, 0, 0, -0.1, 24)),
+    "placeholder": ("EPSG:32630", Affine(0.1, 0, 0, 0, -0.1, 0)),
     "Web Mercator": ("EPSG:3857", Affine(0.1, 0, 13467532.0, 0, -0.1, 1632019.9)),
 }
 
@@ -71,9 +74,36 @@ def test_what_is_saved_reads_back(source, tmp_path, name):
         assert (again.zoom, again.ruler) == (1.0, UNKNOWN_RULER)
 
 
+def test_boxes_lie_where_ground_control_points_place_the_picture(tmp_path):
+    """Those of a program that made a warped copy of it fit, and ours fit the copy."""
+    crs, t = PLACES["rotated"]
+    corners = [(0, 0), (320, 0), (320, 240), (0, 240)]
+    points = [GroundControlPoint(y, x, *transformed((x, y), t)) for x, y in corners]
+    for folder in ("known", "pointed"):
+        (tmp_path / folder).mkdir()
+    known = raster(tmp_path / "known" / "ortho.tif", crs, t)
+    pointed = raster(tmp_path / "pointed" / "ortho.tif", crs, gcps=points)
+    found = Detections({"ortho.tif": BOXES}, 1.0, RULER, (0.7, 0.5), "test")
+    for name in ("d.geojson", "d.gpkg"):
+        save(found, tmp_path / name, known)
+        assert load(tmp_path / name, pointed).boxes["ortho.tif"].xylwa == pytest.approx(BOXES.xylwa, abs=0.02)
+        save(found, tmp_path / name, pointed)
+        assert load(tmp_path / name, known).boxes["ortho.tif"].xylwa == pytest.approx(BOXES.xylwa, abs=0.02)
+
+
+@pytest.mark.parametrize("name", ["local metres", "placeholder", "no georeferencing"])
+def test_geojson_of_a_picture_that_lies_nowhere_has_pixels(tmp_path, name):
+    source = raster(tmp_path / "ortho.tif", *PLACES[name])
+    save(Detections({"ortho.tif": BOXES}, 1.0, RULER, (0.7, 0.5), "test"), tmp_path / "d.geojson", source)
+    text = json.loads((tmp_path / "d.geojson").read_text())
+    assert text["orthoscale"]["coordinates"] == "pixels"
+    ring = np.array(text["features"][0]["geometry"]["coordinates"][0])[:4]
+    assert ring * [1, -1] == pytest.approx(BOXES.corners[0], abs=1e-3)
+
+
 def test_many_pictures_keep_their_names(tmp_path):
     class Frames:
-        raster, pictures, path = None, (), tmp_path
+        claimed, pictures, path = None, (), tmp_path
         picture_names = ("a/1.jpg", "a/2.jpg", "b/2.png")
 
     boxes = {"a/1.jpg": BOXES, "a/2.jpg": BOXES[:1], "b/2.png": BOXES[1:]}
@@ -93,7 +123,7 @@ EVERYTHING = ("d.json", "d.coco.json", "d.geojson", "d.gpkg")
 
 def pictures_of(names, folder):
     class Frames:
-        raster, pictures, path, picture_names, notes = None, (), folder, names, []
+        claimed, pictures, path, picture_names, notes = None, (), folder, names, []
 
     return Frames()
 

@@ -73,7 +73,7 @@ PIPELINE = {"pipeline": {"tasks": [{"transforms": [{"type": "Normalize", "mean":
 class Ortho:
     """A source of one picture of 320 x 240 px."""
 
-    unit, path, picture_names, raster = "m/px", Path("ortho.tif"), ["ortho.tif"], Path("ortho.tif")
+    unit, path, picture_names, claimed = "m/px", Path("ortho.tif"), ["ortho.tif"], None
 
     def __init__(self):
         self.notes = []

@@ -11,17 +11,20 @@ import pyproj
 import pytest
 import rasterio
 import shapely
+from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
 from shapely import Polygon, box
 from support import in_process
 from support.lots import lot_file, orthophoto
 
+from orthoscale.core.affine import transformed
 from orthoscale.errors import InputError, UsageError
 from orthoscale.layout import draw
 from orthoscale.layout.catalogue import load, parking, parse_requests
 from orthoscale.layout.ground import open_ground
 from orthoscale.layout.place import Placed, arrange, centres, holds
 from orthoscale.layout.plan import document, plan, prompt
+from orthoscale.sources.georeference import LOCAL_CRS
 
 FACILITIES = load()
 
@@ -255,6 +258,73 @@ def test_places_on_earth_have_true_metres_and_true_north(tmp_path, crs, step, tu
     assert made.ground.north == pytest.approx(-turned, abs=0.1)
 
 
+def test_the_place_of_a_picture_may_come_from_ground_control_points(tmp_path):
+    known = projected(tmp_path / "a.tif", "EPSG:32632", 9.0, 60.0, 0.1, 30)
+    with rasterio.open(known) as file:
+        t, crs, pixels = file.transform, file.crs, file.read()
+    points = [
+        GroundControlPoint(row, col, *transformed((col, row), t))
+        for col, row in ((0, 0), (900, 0), (900, 900), (0, 900))
+    ]
+    with rasterio.open(tmp_path / "points.tif", "w", "GTiff", 900, 900, 3, dtype="uint8", gcps=points, crs=crs) as out:
+        out.write(pixels)
+    lot = lot_file(tmp_path / "lot.geojson", [(100, 100), (800, 100), (800, 800), (100, 800)])
+    same = plan(known, lot, ["basketball"], lot_pixels=True)
+    done = run(
+        tmp_path / "points.tif", "--lot", lot, "--lot-pixels", "--facility", "basketball", "--out", tmp_path / "out"
+    )
+    assert done.returncode == 0, done.stderr
+    meta, _, (area,), _ = pyogrio.raw.read(tmp_path / "out" / "layout.gpkg", layer="facilities")
+    (place,) = same.placed
+    corners = shapely.get_coordinates(same.ground.mapped(place.area, same.ground.to_crs))
+    assert meta["crs"] == "EPSG:32632" and shapely.get_coordinates(shapely.from_wkb(area)) == pytest.approx(
+        corners, abs=1e-3
+    )
+    with rasterio.open(tmp_path / "out" / "mask.tif") as mask:
+        assert np.allclose(mask.transform, t) and mask.crs == crs
+
+
+WAYS = {"south-up": (Affine(1, 0, 0, 0, -1, 900), slice(None, None, -1), slice(None)),
+        "mirrored": (Affine(-1, 0, 900, 0, 1, 0), slice(None), slice(None, None, -1))}  # fmt: skip
+
+
+@pytest.mark.parametrize("turned", [0, 30])
+@pytest.mark.parametrize("way", WAYS)
+def test_rows_that_go_north_and_columns_that_go_west_show_the_same_ground(tmp_path, way, turned):
+    """Such a picture is mirrored as it is stored, the facilities on its ground are not."""
+    usual = projected(tmp_path / "a.tif", "EPSG:32632", 9.0, 60.0, 0.1, turned)
+    with rasterio.open(usual) as file:
+        about, pixels, t = file.profile, file.read(), file.transform
+    flip, rows, columns = WAYS[way]
+    with rasterio.open(tmp_path / "flipped.tif", "w", **{**about, "transform": t * flip}) as out:
+        out.write(pixels[:, rows, columns])
+    geod = pyproj.Geod(ellps="WGS84")
+    lot = lot_file(tmp_path / "lot.geojson", [geod.fwd(9.0, 60.0, b, 45)[:2] for b in (20, 110, 200, 250, 290)])
+    x, y = transformed((450, 430), t)
+    wish = f"basketball@{x},{y},25"
+    made, same = (plan(path, lot, [wish, "padel"]) for path in (tmp_path / "flipped.tif", usual))
+    (court, _), (other, _) = (
+        [shapely.get_coordinates(each.ground.mapped(p.full_area, each.ground.to_crs)) for p in each.placed]
+        for each in (made, same)
+    )
+    assert court == pytest.approx(other, abs=1e-3)
+    assert made.lot.area == pytest.approx(same.lot.area)
+    steps = made.ground.from_crs(np.array([[x, y], [x + 10, y], [x, y + 10]]))
+    assert np.diff(steps, axis=0) == pytest.approx(np.array([[10, 0], [-10, 10]]), abs=0.02), "as CAD gets them"
+    assert made.ground.to_metres(made.ground.to_pixels(steps)) == pytest.approx(steps)
+
+
+def test_local_metres_whose_rows_go_north_as_fix_writes_them(tmp_path):
+    with rasterio.open(
+        tmp_path / "a.tif", "w", "GTiff", 700, 500, 3, LOCAL_CRS, Affine(0.1, 0, 0, 0, 0.1, 0), "uint8"
+    ) as out:
+        out.write(np.full((3, 500, 700), 128, np.uint8))
+    ground = open_ground(tmp_path / "a.tif")
+    points = ground.from_crs(np.array([[20.0, 10.0], [30.0, 10.0], [20.0, 20.0]]))
+    assert np.diff(points, axis=0) == pytest.approx(np.array([[10, 0], [-10, 10]]))
+    assert abs(ground.north) == pytest.approx(180) and any("nothing ties" in note for note in ground.notes)
+
+
 def test_how_well_the_metres_are_known_is_told_per_facility(tmp_path):
     report = {"scale": 0.1, "interval90": [0.092, 0.106]}
     path = orthophoto(tmp_path, report=report)
@@ -268,6 +338,18 @@ def test_how_well_the_metres_are_known_is_told_per_facility(tmp_path):
     unknown = plan(path, lot, ["basketball"])
     assert document(unknown)["facilities"][0]["length_low"] is None
     assert any("no scaled.tif.json" in note for note in unknown.notes)
+
+
+def test_what_must_be_avoided_does_not_hold_a_facility_when_the_scale_is_off(tmp_path):
+    lot = lot_file(tmp_path / "lot.geojson", [(5, 5), (65, 5), (65, 45), (5, 45)])
+    tree = lot_file(tmp_path / "tree.geojson", [(40, 5), (65, 5), (65, 45), (40, 45)])
+    path = orthophoto(tmp_path)
+    text = document(plan(path, lot, ["basketball@29,25"], avoid=tree, scale_error=0.2))
+    (row,) = text["facilities"]
+    assert row["fits_at_high_scale"] and row["fits_at_low_scale"] is False, "its 19 m become 23.75, 29 + 11.9 > 40"
+    assert text["free_area_m2"] == pytest.approx(60 * 40 - 25 * 40 - 32 * 19, abs=0.1)
+    (alone,) = document(plan(path, lot, ["basketball@29,25"], scale_error=0.2))["facilities"]
+    assert alone["fits_at_low_scale"] is True
 
 
 def run(*arguments):

@@ -14,11 +14,13 @@ import pyogrio
 import pytest
 import rasterio
 import shapely
+from PIL import Image
 from rasterio.transform import from_origin
 from support.aerial import Shot, degraded, relit, town, vehicles_moved
 from support.in_process import run
-from support.photos import detections_of
+from support.photos import detections_of, write_photo
 
+from orthoscale.actions import locate as locating_action
 from orthoscale.core.boxes import Boxes
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.evaluate import locating
@@ -38,6 +40,7 @@ from orthoscale.locate.verify import Similarity, agreeing, needed
 from orthoscale.photos.measure import Measure, open_photo
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.satellite import Satellite
+from orthoscale.sources.tags import Tags
 
 GSD = 0.25  # of the town [m/px]
 
@@ -283,6 +286,31 @@ def test_a_photo_is_located_below_its_camera(flight, sky, tmp_path, name):
     _, _, geometry, _ = pyogrio.raw.read(tmp_path / "out" / "located.gpkg", layer="cameras")
     camera = shapely.from_wkb(geometry[0])
     assert (camera.x - 500_000, 6_700_000 - camera.y) == pytest.approx(SHOTS[name].foot, abs=3.0)
+
+
+def test_a_roll_of_180_degrees_turns_the_heading_of_a_photo_taken_straight_down(flight, sky, tmp_path):
+    shot = SHOTS["down.png"]
+    angles = {"Pitch": -90, "Roll": 180, "Yaw": 200}
+    xmp = " ".join(f'drone-dji:Gimbal{name}Degree="{value}"' for name, value in angles.items())
+    write_photo(tmp_path / "plain.jpg", xmp)
+    pixels = Image.open(flight / "down.png")
+    pixels.save(tmp_path / "a.jpg", quality=95, xmp=Image.open(tmp_path / "plain.jpg").info["xmp"])
+    words = ("--satellite", flight / "map.tif", "--gsd", gsd_of(shot), "--focal-px", shot.focal)
+    done = run("locate", tmp_path / "a.jpg", *words, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    (told,) = json.loads(done.stdout)["photos"]
+    assert found_at(sky, told) == pytest.approx(shot.foot, abs=3.0)
+
+
+@pytest.mark.parametrize(("told", "heading"), [(None, None), ("search", None), ("12", 12)])
+def test_a_photo_that_was_turned_may_have_any_heading(monkeypatch, told, heading):
+    """Which way is not known, so that its yaw says nothing."""
+    asked = []
+    monkeypatch.setattr(locating_action, "register", lambda seen, sky, features, known, *_, **__: asked.append(known))
+    tags = Tags(6, 8, 8, full_height=6, pitch=-90.0, roll=0.0, yaw=40.0)
+    claimed = SimpleNamespace(photo=SimpleNamespace(name="a", tags=tags), factors=(0.9, 1.1), levelled=None)
+    locating_action.searched(claimed, None, None, locating_action.LocateRequest(heading=told), None)
+    assert asked[0].heading == (None if heading is None else pytest.approx(np.radians(heading)))
 
 
 @pytest.mark.slow

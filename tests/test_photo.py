@@ -197,6 +197,25 @@ def test_focal_length_from_tags(given, focal):
     assert 0 < lens.sd < (0.05 if given.digital_zoom == 1 else 0.2)
 
 
+@pytest.mark.parametrize(
+    ("roll", "kept", "exif"),
+    [
+        (5, 5, {}),
+        (-90.5, 0, {}),
+        (180, 0, {}),  # which DJI writes for photos taken straight down
+        (5, 0, {0xA002: SIZE[1], 0xA003: SIZE[0]}),  # of a photo that was turned since
+    ],
+)
+def test_a_pitch_that_is_given_keeps_the_roll_that_is_known(tmp_path, roll, kept, exif):
+    xmp = f'drone-dji:GimbalPitchDegree="-62.0" drone-dji:GimbalRollDegree="{roll}"'
+    path = write_photo(tmp_path / "a.jpg", xmp, {0xA405: 24, **exif})
+    photo = open_photo(path, pitch=-60)
+    assert photo.up == pytest.approx(up_from_gimbal(*np.radians([-60, kept])))
+    assert photo.attitude == "pitch -60, given" + (f"; roll {kept}, from XMP" if kept else "")
+    both = open_photo(path, pitch=-60, roll=0)
+    assert both.up == pytest.approx(up_from_gimbal(np.radians(-60))) and both.attitude == "pitch -60, given"
+
+
 def test_what_was_cropped_and_may_be_smaller_is_refused(tmp_path):
     with pytest.raises(InputError, match="1920 x 1080 px are a part of the 4000 x 3000 px"):
         lens_of(tags(1920, 1080, 4000, full_height=3000, focal_35mm=20))

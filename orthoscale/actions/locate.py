@@ -32,7 +32,7 @@ class LocateRequest:
     """What is asked of a search.
 
     prior : "LON,LAT,RADIUS", or "X,Y,RADIUS" in the map's reference system; radius in metres. heading : degrees
-    clockwise from north, or "search"; None: what XMP tells, else any. gsd : average ground sampling distance of the
+    clockwise from north, or "search"; None: `Tags.heading`, else any. gsd : average ground sampling distance of the
     photos [m/px], None to measure it by vehicles. method : one of LOCATE_METHODS. embedding, embedding_map : networks
     for `retrieval`. top : candidates that are listed. cache : keep the map's features. Raises UsageError.
     """
@@ -180,7 +180,7 @@ def searched(
     """One photo. A picture that is too small on the map is its own outcome, not the end of the others."""
     photo = claimed.photo
     begun = time.monotonic()
-    known = Known(claimed.factors, request.heading_rad(photo.tags.yaw), prior)
+    known = Known(claimed.factors, request.heading_rad(photo.tags.heading), prior)
     try:
         found = register(claimed.levelled, satellite, features, known, request.cache, finder=finder)
     except TooLittleEvidence as error:

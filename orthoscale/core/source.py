@@ -37,27 +37,6 @@ class Picture(Protocol):
         ...
 
 
-class Pictures(Protocol):
-    """Something with pictures. path : of its file or folder. notes : remarks for the user on how it was read or
-    written."""
-
-    @property
-    def path(self) -> Path: ...
-    @property
-    def notes(self) -> list[Remark]: ...
-    @property
-    def pictures(self) -> Sequence[Picture]: ...
-    @property
-    def picture_names(self) -> list[str]:
-        """Names of all its pictures, also of those whose pixels are not at hand."""
-        ...
-
-    @property
-    def raster(self) -> Path | None:
-        """The file whose georeferencing places its one picture on the Earth, if there is such a file."""
-        ...
-
-
 class Claim(Protocol):
     """The scale that a source claims for itself. gsd_m : metres per pixel, None without any. usable : whether to trust
     it. why : the reason, for people. crs, transform : the georeferencing behind it, None without any. aspect : how many
@@ -77,20 +56,39 @@ class Claim(Protocol):
     def aspect(self) -> float: ...
 
 
+class Pictures(Protocol):
+    """Something with pictures.
+
+    path : of its file or folder. notes : remarks for the user on how it was read or written.
+    claimed : what it says of its own scale and place, None where it cannot say anything.
+    """
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def notes(self) -> list[Remark]: ...
+    @property
+    def pictures(self) -> Sequence[Picture]: ...
+    @property
+    def picture_names(self) -> list[str]:
+        """Names of all its pictures, also of those whose pixels are not at hand."""
+        ...
+
+    @property
+    def claimed(self) -> Claim | None: ...
+
+
 class Source(Pictures, Protocol):
     """What a scale is found for. It is a `Plan` or a `PosedSet`: one of `plan` and `posed` is itself, the other None.
 
     unit : what its scale is measured in, "m/px", "m/model-unit" ...
     metric_already : why the source counts as metric already, as a sentence; empty if it does not.
-    claimed : what it says of its own scale, None where it cannot say anything.
     """
 
     @property
     def unit(self) -> str: ...
     @property
     def metric_already(self) -> str: ...
-    @property
-    def claimed(self) -> Claim | None: ...
     @property
     def plan(self) -> Plan | None: ...
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,13 +34,7 @@ Method = Callable[[Photo, Detections, Fleet, float], Estimate | None]
 def exact(photo: Photo, found: Detections, fleet: Fleet, min_score: float) -> Estimate | None:
     """The exact projection, pooled with the fleet, as `orthoscale photo` does; None for too few vehicles."""
     boxes = found.boxes.get(photo.name, Boxes.empty())
-    confident = Detections(
-        {photo.name: boxes[boxes.score > min_score]},
-        found.zoom,
-        found.ruler,
-        found.effective_height,
-        found.detector,
-    )
+    confident = replace(found, boxes={photo.name: boxes[boxes.score > min_score]})
     try:
         got = measure([photo], confident, fleet)
     except TooLittleEvidence:

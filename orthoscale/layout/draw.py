@@ -10,6 +10,7 @@ import numpy as np
 from rasterio.features import rasterize
 from shapely.geometry.base import BaseGeometry
 
+from ..core.round_numbers import scale_bar
 from .ground import Ground
 from .place import Placed
 
@@ -129,11 +130,9 @@ def _label(image: np.ndarray, text: str, x: int, y: int) -> None:
 
 
 def _scale_bar(image: np.ndarray, metres_per_px: float) -> None:
-    wanted = image.shape[1] / 5 * metres_per_px
-    step = 10.0 ** np.floor(np.log10(wanted))
-    metres = step * max(k for k in (1, 2, 5) if k * step <= wanted)
+    metres, length = scale_bar(metres_per_px, image.shape[1])
     x, y = 14, image.shape[0] - 14
-    right = x + round(metres / metres_per_px)
+    right = x + round(length)
     cv2.line(image, (x, y), (right, y), (0, 0, 0), 7)
     cv2.line(image, (x, y), (right, y), (255, 255, 255), 3)
     _label(image, f"{metres:g} m", right + 36, y - 4)

@@ -14,6 +14,7 @@ from rasterio.windows import Window as RasterWindow
 
 from ..formats.pictures import write_png
 from ..formats.vector import write_layer
+from ..sources.gdal import guarded
 from . import draw
 from .plan import Layout, document, prompt
 
@@ -105,23 +106,26 @@ def write_pictures(layout: Layout, folder: Path) -> None:
 def _write_grid(layout: Layout, path: Path, bands: np.ndarray, window: draw.Window, names: Sequence[str]) -> None:
     """A GeoTIFF of the orthophoto's size; what lies outside of `window` is 0 and takes no space."""
     ground = layout.ground
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=ground.source.width,
-        height=ground.source.height,
-        count=len(bands),
-        dtype=bands.dtype.name,
-        crs=ground.crs,
-        transform=ground.transform,
-        tiled=True,
-        blockxsize=TILE_PX,
-        blockysize=TILE_PX,
-        compress="deflate",
-        sparse_ok=True,
-        bigtiff="IF_SAFER",
-    ) as out:
+    with (
+        guarded(),
+        rasterio.open(
+            path,
+            "w",
+            driver="GTiff",
+            width=ground.source.width,
+            height=ground.source.height,
+            count=len(bands),
+            dtype=bands.dtype.name,
+            crs=ground.crs,
+            transform=ground.transform,
+            tiled=True,
+            blockxsize=TILE_PX,
+            blockysize=TILE_PX,
+            compress="deflate",
+            sparse_ok=True,
+            bigtiff="IF_SAFER",
+        ) as out,
+    ):
         out.write(bands, window=RasterWindow(window.x, window.y, window.width, window.height))
         out.descriptions = tuple(names)
 

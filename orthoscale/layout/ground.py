@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pyproj
-import rasterio
 import shapely
 from rasterio.transform import Affine
 from shapely.geometry.base import BaseGeometry
@@ -31,7 +30,8 @@ class Ground:
     """An orthophoto with metres.
 
     pixel : (2,) true ground size of one pixel, across and down [m].
-    north : bearing of north in the picture, clockwise from its top [deg]. transform, crs : of the file.
+    north : bearing of north in the picture, clockwise from its top [deg]. transform, crs : what the file claims, from
+    ground control points where it has no geotransform; crs None without one.
     interval : (low, high), the 90 % interval of the scale over its value; None where nobody tells it.
     notes : what the user should know of all that.
     """
@@ -53,7 +53,10 @@ class Ground:
     def _axes(self) -> np.ndarray:
         """(2, 2) rows east and north, as (right, up) on the picture."""
         a = math.radians(self.north)
-        return np.array([[math.cos(a), -math.sin(a)], [math.sin(a), math.cos(a)]])
+        north = np.array([math.sin(a), math.cos(a)])
+        east = north[::-1] * (1, -1)
+        # Rows may go north, or columns west: what is stored then is the ground's mirror image.
+        return np.array([-east if self.transform.determinant > 0 else east, north])
 
     def to_metres(self, pixels: np.ndarray) -> np.ndarray:
         """(n, 2) pixels to metres east and north of the picture's lower left corner."""
@@ -85,32 +88,34 @@ def open_ground(path: Path, scale_error: float | None = None) -> Ground:
     beside the file.
     """
     source = RasterSource.open(path)
-    gsd = source.claimed.gsd_m
-    if gsd is None:
+    gsd, transform, crs = source.claimed.gsd_m, source.claimed.transform, source.claimed.crs
+    if gsd is None or transform is None:
         raise InputError(
             f"{path} has no metres: {source.claimed.why}",
             "Give it its scale first: orthoscale fix ORTHO --out SCALED.tif",
         )
-    with rasterio.open(path) as dataset:
-        transform, crs = dataset.transform, dataset.crs
     across, down = math.hypot(transform.a, transform.d), math.hypot(transform.b, transform.e)
     # A transform in degrees does not tell the shape that pixels have on the ground.
     aspect = math.sqrt(source.claimed.aspect if source.claimed.usable else across / down)
-    north, notes = _north(source, transform, crs)
+    north, notes = _north(source, transform)
     interval, told = _interval(path, scale_error)
     return Ground(source, gsd * np.array([aspect, 1 / aspect]), north, transform, crs, interval, (*notes, *told))
 
 
-def _north(source: RasterSource, transform: Affine, crs: Any) -> tuple[float, tuple[str, ...]]:
-    if not source.claimed.usable:
-        return 0.0, ("north is taken to be the top of the picture: nothing ties it to the ground",)
-    system = pyproj.CRS.from_user_input(crs)
-    there = pyproj.Transformer.from_crs(system, "EPSG:4326", always_xy=True)
+def _north(source: RasterSource, transform: Affine) -> tuple[float, tuple[str, ...]]:
+    """Of a picture with this transform, `Ground.north`, and notes on it."""
     middle = np.array([[source.width / 2, source.height / 2]])
-    lon, lat = there.transform(*transformed(middle, transform)[0])
-    up = there.transform(lon, lat + 1e-4, direction="INVERSE")
-    right, down = (transformed(np.array([up]), ~transform) - middle)[0]
-    return math.degrees(math.atan2(right, -down)), ()
+    x, y = transformed(middle, transform)[0]
+    notes: tuple[str, ...] = ()
+    if source.claimed.usable:
+        there = pyproj.Transformer.from_crs(pyproj.CRS.from_user_input(source.claimed.crs), "EPSG:4326", always_xy=True)
+        lon, lat = there.transform(x, y)
+        ahead = there.transform(lon, lat + 1e-4, direction="INVERSE")
+    else:
+        ahead = x, y + 1
+        notes = ("north is taken to be where the picture's own y axis points: nothing ties it to the ground",)
+    right, down = (transformed(np.array([ahead]), ~transform) - middle)[0]
+    return math.degrees(math.atan2(right, -down)), notes
 
 
 def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float] | None, tuple[str, ...]]:

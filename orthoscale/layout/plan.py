@@ -21,8 +21,8 @@ from .place import Missing, Placed, arrange, holds
 class Layout:
     """What was placed where, what was not and why; metres east and north of the picture's lower left corner.
 
-    holds_low, holds_high : of each placed facility, whether it still fits where it is if the scale is at that end of
-    its 90 % interval; None where the interval is not known.
+    holds_low, holds_high : of each placed facility, whether it still fits where it is, clear of what is to be avoided,
+    if the scale is at that end of its 90 % interval; None where the interval is not known.
     """
 
     ground: Ground
@@ -33,6 +33,11 @@ class Layout:
     holds_low: list[bool] | None
     holds_high: list[bool] | None
     notes: tuple[str, ...]
+
+    @property
+    def free_area(self) -> float:
+        """Of the lot without what is to be avoided and what was placed [m2]."""
+        return _buildable(self.lot, self.avoid).area - sum(p.full_area.area for p in self.placed)
 
 
 def plan(
@@ -67,8 +72,13 @@ def plan(
     low = high = None
     if ground.interval is not None:
         # A scale at the low end makes the lot smaller on the ground, so facilities larger on the picture.
-        low, high = (holds(area, placed, 1 / bound) for bound in ground.interval)
+        low, high = (holds(_buildable(area, blocked), placed, 1 / bound) for bound in ground.interval)
     return Layout(ground, area, blocked, placed, missing, low, high, (*ground.notes, *notes))
+
+
+def _buildable(lot: BaseGeometry, avoid: BaseGeometry | None) -> BaseGeometry:
+    """The lot without what is to be avoided."""
+    return lot if avoid is None else lot.difference(avoid)
 
 
 def _fixed(request: Request, ground: Ground, pixels: bool) -> Placed:
@@ -85,7 +95,7 @@ def document(layout: Layout) -> dict[str, Any]:
         "gsd": ground.gsd,
         "scale_interval90": None if ground.interval is None else [ground.gsd * bound for bound in ground.interval],
         "lot_area_m2": round(layout.lot.area, 1),
-        "free_area_m2": round(layout.lot.area - sum(p.full_area.area for p in layout.placed), 1),
+        "free_area_m2": round(layout.free_area, 1),
         "north_in_picture": round(ground.north, 3),
         "facilities": [_row(layout, k) for k in range(len(layout.placed))],
         "missing": [

@@ -37,7 +37,7 @@ class Album:
 
     photos: Sequence[Photo]
     notes: list[Remark] = field(default_factory=list)
-    raster: None = None
+    claimed: None = None
 
     @property
     def path(self) -> Path:

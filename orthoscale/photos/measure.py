@@ -99,7 +99,8 @@ def open_photo(
     pitch: float | None = None,
     roll: float | None = None,
 ) -> Photo:
-    """The photo at `path`. What is told (angles in degrees) goes before what its tags say; nadir where nothing is.
+    """The photo at `path`. What is told (angles in degrees) goes before what its tags say, each angle by itself; nadir
+    where nothing is.
 
     Raises InputError for what is no photo or has no focal length, UsageError for an impossible pitch or a roll alone.
     """
@@ -113,7 +114,10 @@ def open_photo(
     if pitch is not None:
         if not -90 <= pitch < 0:
             raise UsageError(f"--pitch must lie between -90 (straight down) and 0 (the horizon), not {pitch:g}")
-        angles, sd, attitude = (pitch, roll or 0.0), TOLD_SD, f"pitch {pitch:g}, given"
+        kept = _roll_beside_told_pitch(tags) if roll is None else roll
+        angles, sd, attitude = (pitch, kept), TOLD_SD, f"pitch {pitch:g}, given"
+        if roll is None and kept:
+            attitude += f"; roll {kept:g}, from XMP"
     elif tags.pitch is not None:
         if tags.turned and tags.pitch > TURNED_PITCH:
             raise InputError(
@@ -129,6 +133,15 @@ def open_photo(
         angles, sd, attitude = (-90.0, 0.0), ASSUMED_SD, "nadir, assumed: the photo does not tell its pitch"
     up = up_from_gimbal(*np.radians(angles))
     return Photo(name or path.name, path, tags, lens, up, float(sd), attitude)
+
+
+def _roll_beside_told_pitch(tags: Tags) -> float:
+    """What the tags say of the roll, 0 without it [deg]. A photo that was turned since it was taken has another; and
+    one beyond 90 degrees, which DJI writes for some photos taken straight down, is only the way its top points there
+    (`Tags.heading`): beside another pitch it would be a camera upside down."""
+    if tags.roll is None or tags.turned or np.cos(np.radians(tags.roll)) <= 0:
+        return 0.0
+    return tags.roll
 
 
 def find_photos(paths: Sequence[Path]) -> dict[str, Path]:

@@ -13,6 +13,7 @@ from markupsafe import Markup, escape
 
 from ..core.pooling.posterior import Z90
 from ..core.remarks import signed
+from ..core.round_numbers import round_above, round_below
 from .places import Frame, Region
 
 CHART_WIDTH = 360  # of every chart; the page shows it at 300 to 480 px, so that 12 stays a readable size of letters
@@ -41,7 +42,7 @@ def histogram(used: np.ndarray, rejected: np.ndarray, fleet: Sequence[tuple[floa
     weight = weight / weight.sum()
     low, high = float((mean - 3 * sd).min()), float((mean + 3 * sd).max())
     low, high = min(low, float(used.min(initial=low))), max(high, float(used.max(initial=high)))
-    step = _round_step((high - low) / BARS)
+    step = round_above((high - low) / BARS)
     edges = np.arange(np.floor(low / step), np.ceil(high / step) + 1) * step
     counts = [np.histogram(sizes, edges)[0] for sizes in (used, rejected)]
     beyond = int((rejected < edges[0]).sum()), int((rejected > edges[-1]).sum())
@@ -69,7 +70,7 @@ def histogram(used: np.ndarray, rejected: np.ndarray, fleet: Sequence[tuple[floa
     points = " ".join(f"{px(a):.1f},{base - b / top * height:.1f}" for a, b in zip(x, curve, strict=True))
     parts.append(_tag("polyline", points=points, class_="fleet"))
     parts.append(_line(left, base, right, base))
-    tick = _round_step((edges[-1] - edges[0]) / 5)
+    tick = round_above((edges[-1] - edges[0]) / 5)
     for value in np.arange(np.ceil(edges[0] / tick), edges[-1] / tick + 1e-9) * tick:
         parts.append(_line(px(value), base, px(value), base + 4))
         parts.append(_text(min(max(px(value), left + 8), right - 8), base + 17, f"{value:.3g}"))
@@ -175,16 +176,9 @@ def frames(rows: Sequence[Frame], label: str) -> Markup:
     return _svg(top + height + 22, parts, label)
 
 
-def _round_step(about: float) -> float:
-    """The round number (1, 2, 5 times a power of ten) next above `about`."""
-    power = 10.0 ** np.floor(np.log10(about))
-    return float(power * next(k for k in (1, 2, 5, 10) if k * power >= about * 0.999))
-
-
 def _ticks(reach: float) -> np.ndarray:
     """Round numbers from -`reach` to `reach`, three to five of them."""
-    power = 10.0 ** np.floor(np.log10(reach))
-    step = power * max(k for k in (1, 2, 5) if k * power <= reach)
+    step = round_below(reach)
     return np.arange(np.ceil(-reach / step), np.floor(reach / step) + 1) * step
 
 

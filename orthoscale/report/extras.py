@@ -12,6 +12,8 @@ import numpy as np
 from rasterio.transform import Affine
 
 from ..core.source import Placement, Plan
+from ..errors import InputError
+from ..sources.gdal import open_dataset, reading
 from ..system.outputs import has_header, ours, signature
 from .geo import check_on_earth, write_geojson, write_geopackage
 from .result import Result
@@ -48,15 +50,13 @@ def _world(t: Affine) -> tuple[float, ...]:
 
 def _says_the_same(out: Path, path: Path) -> bool:
     """Whether the world file `path` places the picture as the GeoTIFF `out` does, which orthoscale wrote."""
-    import rasterio
-
     if not ours(out):
         return False
     try:
-        with rasterio.open(out) as raster:
+        with reading(out, "is no GeoTIFF", "Write it again."), open_dataset(out) as raster:
             said = [float(line) for line in path.read_text(encoding="ascii").split()]
             return len(said) == 6 and np.allclose(said, _world(raster.transform), rtol=1e-9, atol=1e-9)
-    except (rasterio.errors.RasterioError, ValueError):
+    except (InputError, ValueError):
         return False
 
 

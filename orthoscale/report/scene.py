@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from ..core.boxes import Boxes
+from ..core.round_numbers import scale_bar
 from ..core.source import Picture, PosedSet, Source
 from .document import of_plan
 
@@ -126,7 +127,7 @@ def _overview(report: Mapping[str, Any], name: str, picture: Picture | None) -> 
         if box["picture"] == name
     ]
     flat = of_plan(report)
-    bar = _bar(float(report["scale"]) / zoom, size[0]) if flat else None
+    bar = scale_bar(float(report["scale"]) / zoom, size[0]) if flat else None
     title = name if flat else f"{name}, the frame with most vehicles"
     return Panel(title, image, outlines, bar)
 
@@ -164,7 +165,7 @@ def _plan(report: Mapping[str, Any], source: PosedSet | None) -> Panel:
         for centre, v in zip(to_px(vehicles), report["vehicles"], strict=True)
     ]
     title = "The model from above" if source else "The vehicles from above"
-    return Panel(title, image, outlines, _bar(1 / zoom, int(width)))
+    return Panel(title, image, outlines, scale_bar(1 / zoom, int(width)))
 
 
 def _evenly(vehicles: Sequence[Mapping], count: int) -> list[Mapping]:
@@ -227,11 +228,3 @@ def _outline(vehicle: Mapping, box: Mapping, zoom: float, shift: tuple[float, fl
 
 def _label(vehicle: Mapping) -> str:
     return f"{vehicle['length']:.2f} × {vehicle['width']:.2f} m, {vehicle['reason'] or 'used'}"
-
-
-def _bar(metres_per_px: float, width: int) -> tuple[float, float]:
-    """A round number of metres, about a fifth of a panel `width` px wide, and its length [px]."""
-    about = width / 5 * metres_per_px
-    step = 10.0 ** np.floor(np.log10(about))
-    metres = float(step * max(k for k in (1, 2, 5) if k * step <= about))
-    return metres, metres / metres_per_px

@@ -155,11 +155,6 @@ class ColmapSource:
         return self.ground.camera_height
 
     @property
-    def raster(self) -> None:
-        """There is none: frames have no georeferencing."""
-        return None
-
-    @property
     def claimed(self) -> None:
         """A model in its own units claims no scale."""
         return None

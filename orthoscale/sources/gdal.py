@@ -60,13 +60,14 @@ def _local_drivers() -> list[str]:
         return [name for name in env.drivers() if name not in _SERVED]
 
 
-def open_dataset(path: Path) -> DatasetReader:
-    """GDAL's view of a file on this machine; within `reading`, as all that is done with it, so that it calls no server.
+def open_dataset(path: Path, *formats: str) -> DatasetReader:
+    """GDAL's view of a file on this machine; within `guarded`, as all that is done with it, so that it calls no server.
 
-    Raises InputError for what names a pipe or device; GDAL's errors for what it cannot open.
+    formats : GDAL's names of those that it may be, by default all whose files are local. Raises InputError for what
+    names a pipe or device; GDAL's errors for what it cannot open.
     """
     _require_files(path)
-    return DatasetReader(path, driver=_local_drivers(), sharing=False)
+    return DatasetReader(path, driver=list(formats) or _local_drivers(), sharing=False)
 
 
 def _require_files(path: Path) -> None:
@@ -98,18 +99,19 @@ def _require_files(path: Path) -> None:
 
 
 @contextmanager
-def no_warnings() -> Iterator[None]:
-    """Silence rasterio on images without georeferencing; they are this package's daily bread."""
-    with warnings.catch_warnings():
+def guarded(**options: Any) -> Iterator[None]:
+    """GDAL within its memory limit and offline; `options` are more of its settings."""
+    with rasterio.Env(**settings(), **options), warnings.catch_warnings():
+        # Images without georeferencing are this package's daily bread.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         yield
 
 
 @contextmanager
 def reading(path: Path, what: str, hint: str) -> Iterator[None]:
-    """GDAL within its memory limit and offline; an error of it becomes ``InputError(path what (reason), hint)``."""
+    """`guarded`; an error of GDAL becomes ``InputError(path what (reason), hint)``."""
     try:
-        with rasterio.Env(**settings()), no_warnings():
+        with guarded():
             yield
     except UnicodeEncodeError as error:
         raise InputError(f"{path}: GDAL takes names in UTF-8 only", "Rename it.") from error

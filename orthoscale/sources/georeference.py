@@ -84,7 +84,7 @@ def claim_of(dataset: DatasetReader) -> Claim:
         return Claim(size, False, why + _attitude(t), crs, t)
     if (t.c, t.f) == (0, 0):
         # OpenDroneMap without GPS: UTM zone 30N, geotransform (0, .1, 0, 0, 0, -.1).
-        return Claim(None, False, f"a placeholder: {system.name} with its origin at exactly (0, 0)")
+        return Claim(None, False, f"a placeholder: {system.name} with its origin at exactly (0, 0)", crs, t)
     return _claim_on_earth(dataset, crs, t, f"on the ground, from {system.name}")
 
 

@@ -186,30 +186,28 @@ def _decode(path: Path, factor: int) -> np.ndarray:
 
 def _in_strips(path: Path) -> np.ndarray | None:
     """BGR pixels of a plain JPEG or PNG, decoded by GDAL some rows at a time; None where it is another kind of file."""
-    import rasterio
     from rasterio.enums import ColorInterp
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
     from rasterio.windows import Window
+
+    from .gdal import GDAL_ERRORS, guarded, open_dataset
 
     driver = "JPEG" if _is_jpeg(path) else "PNG"
     try:
         with path.open("rb") as data, mmap.mmap(data.fileno(), 0, access=mmap.ACCESS_READ) as content:
             if not _is_complete(content):
                 return None
-        with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=64, GDAL_ALLOW_LARGE_LIBJPEG_MEM_ALLOC=True):
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path, driver=driver) as file:
-                if set(file.dtypes) != {"uint8"} or file.colorinterp[0] == ColorInterp.palette:
-                    return None
-                budget.require(budget.LEAST_BYTES + 3 * file.width * file.height, f"{path}")
-                pixels = np.empty((file.height, file.width, 3), np.uint8)
-                bands = [3, 2, 1] if file.count >= 3 else [1, 1, 1]
-                for top in range(0, file.height, STRIP):
-                    rows = min(STRIP, file.height - top)
-                    read = file.read(bands, window=Window(0, top, file.width, rows))
-                    pixels[top : top + rows] = read.transpose(1, 2, 0)
-                return pixels
-    except (RasterioError, ValueError):  # OpenCV will say so, or read it
+        with guarded(GDAL_ALLOW_LARGE_LIBJPEG_MEM_ALLOC=True), open_dataset(path, driver) as file:
+            if set(file.dtypes) != {"uint8"} or file.colorinterp[0] == ColorInterp.palette:
+                return None
+            budget.require(budget.LEAST_BYTES + 3 * file.width * file.height, f"{path}")
+            pixels = np.empty((file.height, file.width, 3), np.uint8)
+            bands = [3, 2, 1] if file.count >= 3 else [1, 1, 1]
+            for top in range(0, file.height, STRIP):
+                rows = min(STRIP, file.height - top)
+                read = file.read(bands, window=Window(0, top, file.width, rows))
+                pixels[top : top + rows] = read.transpose(1, 2, 0)
+            return pixels
+    except (*GDAL_ERRORS, ValueError):  # OpenCV will say so, or read it
         return None
 
 
@@ -248,15 +246,12 @@ def stored_size(path: Path) -> tuple[int, int] | None:
 
 def _told_by_gdal(path: Path) -> tuple[int, int] | None:
     """Of a TIFF: of more kinds than Pillow knows, the header only."""
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    from .gdal import GDAL_ERRORS, guarded, open_dataset
 
     try:
-        with warnings.catch_warnings(), rasterio.Env():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path, driver="GTiff") as file:
-                return file.width, file.height
-    except (RasterioError, ValueError):
+        with guarded(), open_dataset(path, "GTiff") as file:
+            return file.width, file.height
+    except GDAL_ERRORS:
         return None
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rasterio
 from rasterio.enums import MaskFlags, Resampling
 from rasterio.io import DatasetReader
 from rasterio.transform import Affine
@@ -143,11 +142,6 @@ class RasterSource:
     def picture_names(self) -> list[str]:
         """The one image's name."""
         return [self.name]
-
-    @property
-    def raster(self) -> Path:
-        """The file itself."""
-        return self.path
 
     @property
     def plan(self) -> RasterSource:
@@ -294,7 +288,7 @@ class RasterSource:
         copy = scratch.folder / "blocks.tif"
         # Fast to write and to read; its place on Earth does not matter there.
         self._original.convert(copy, Place(None, Affine.identity(), ""), compress="zstd", zstd_level=1, predictor=1)
-        self._read_from = rasterio.open(copy, sharing=False)
+        self._read_from = open_dataset(copy)
         self._scratch = scratch
 
     # What is looked at once, at opening

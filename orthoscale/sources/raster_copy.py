@@ -21,7 +21,7 @@ from rasterio.windows import Window
 from ..core.source import Placement
 from ..errors import OutputError
 from ..system.outputs import signature
-from .gdal import EXPORT_AGAIN, GDAL_ERRORS, no_warnings, reading, reason, settings
+from .gdal import EXPORT_AGAIN, GDAL_ERRORS, guarded, open_dataset, reading, reason
 
 _STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written
 _CLASSIC = 2**32 - 2**24  # [byte] a classic TIFF longer than this may not have room for another directory
@@ -46,7 +46,7 @@ class Original:
         that cannot be written or does not read back alike."""
         plain = path.with_name(f"plain.{path.name}") if cog else path
         try:
-            with rasterio.Env(**settings()), no_warnings():
+            with guarded():
                 if self._can_be_copied():
                     shutil.copyfile(self.path, plain)
                 else:
@@ -179,7 +179,7 @@ class Original:
     def _verify(self, path: Path, place: Placement) -> None:
         """Read the copy back and compare; raises OutputError."""
         source = self.dataset
-        with rasterio.open(path, sharing=False) as copy:
+        with open_dataset(path) as copy:
             told = {
                 "size": (copy.width, copy.height, copy.count) == (source.width, source.height, source.count),
                 "type": copy.dtypes[0] == np.result_type(*source.dtypes) or copy.dtypes == source.dtypes,

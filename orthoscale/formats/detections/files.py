@@ -123,7 +123,7 @@ def _write(text: Any, path: Path) -> None:
 
 
 def _place(source: Pictures) -> geo.Place | None:
-    return None if source.raster is None else geo.Place.of(source.raster)
+    return None if source.claimed is None else geo.Place.of(source.claimed)
 
 
 def _sizes(source: Pictures) -> dict[str, tuple[int, int]]:

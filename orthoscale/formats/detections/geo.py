@@ -1,7 +1,7 @@
-"""Detections as map features: GeoJSON (RFC 7946) and GeoPackage, in the raster's own place on Earth where it has one.
+"""Detections as map features: GeoJSON (RFC 7946), and GeoPackage in the raster's own coordinates.
 
-A picture without georeferencing has pixel coordinates. They are written with rows as negative y, as QGIS shows such
-pictures, and read with either sign.
+A picture without georeferencing has pixel coordinates, in GeoJSON one in local metres too. They are written with rows
+as negative y, as QGIS shows such pictures, and read with either sign.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 
 from ...core.affine import transformed
 from ...core.boxes import KINDS, Boxes
+from ...core.source import Claim
 from ...errors import InputError, OutputError, shown
 from ..reading import check_regular, checked, parsed
 from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
@@ -31,27 +32,21 @@ PIXELS = "pixels"
 
 @dataclass(frozen=True)
 class Place:
-    """Where a picture's pixels lie: `transform` from pixels to map coordinates, rasterio's Affine, and their CRS."""
+    """Where a picture's pixels lie: `transform` from pixels to map coordinates, rasterio's Affine, and their CRS.
+
+    on_earth : that CRS has longitude and latitude; that of local metres has none.
+    """
 
     transform: Any
     crs: str
+    on_earth: bool
 
     @classmethod
-    def of(cls, path: Path) -> Place | None:
-        """Of the raster at `path`; None for one that no coordinate reference system ties to the ground."""
-        import warnings
-
-        import rasterio
-        from rasterio.errors import NotGeoreferencedWarning
-
-        if not path.is_file():
+    def of(cls, claim: Claim) -> Place | None:
+        """By the georeferencing of a picture; None where it has no coordinate reference system."""
+        if claim.crs is None or claim.transform is None:
             return None
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path, sharing=False) as dataset:
-                if dataset.crs is None or dataset.transform.is_identity:
-                    return None
-                return cls(dataset.transform, dataset.crs.to_wkt())
+        return cls(claim.transform, claim.crs.to_wkt(), claim.usable)
 
     def to_map(self, pixels: np.ndarray, crs: str | None = None) -> np.ndarray:
         """(K, 2) map coordinates of (K, 2) pixels, in `crs` or the raster's own."""
@@ -59,8 +54,9 @@ class Place:
         return points if crs is None else np.column_stack(_transformer(self.crs, crs).transform(*points.T))
 
     def to_pixels(self, points: np.ndarray, crs: str | None = None) -> np.ndarray:
-        """(K, 2) pixels of (K, 2) map coordinates, in `crs` or the raster's own."""
-        if crs is not None:
+        """(K, 2) pixels of (K, 2) map coordinates, in `crs` or the raster's own. Raises pyproj's errors where the one
+        cannot be transformed into the other; local metres are taken for the raster's own."""
+        if crs is not None and not (_is_local(crs) and _is_local(self.crs)):
             points = np.column_stack(_transformer(crs, self.crs).transform(*points.T))
         return transformed(points, ~self.transform)
 
@@ -70,6 +66,14 @@ def _transformer(source: str, target: str):
     from pyproj import Transformer
 
     return Transformer.from_crs(source, target, always_xy=True)
+
+
+@cache
+def _is_local(crs: str) -> bool:
+    """Whether it has no place on Earth, so that nothing can be transformed into it."""
+    from pyproj import CRS
+
+    return CRS.from_user_input(crs).type_name == "Engineering CRS"
 
 
 # GeoJSON
@@ -101,7 +105,9 @@ def read_geojson(text: Mapping[str, Any], origin: str, place: Place | None) -> l
 
 
 def geojson(boxes: Mapping[str, Boxes], place: Place | None, note: Mapping[str, Any]) -> dict:
-    """A document of `boxes` by picture name, in longitude and latitude where `place` is known."""
+    """A document of `boxes` by picture name, in longitude and latitude where `place` is on Earth."""
+    if place is not None and not place.on_earth:
+        place = None
     features = []
     for polygon, properties in _features(boxes, place, None if place is None else "EPSG:4326"):
         digits = 3 if place is None else 9
