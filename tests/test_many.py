@@ -216,6 +216,33 @@ def test_a_copy_that_was_made_otherwise_is_refused(batch, change, more, said):
 
 
 @pytest.mark.slow
+def test_a_folder_of_models_is_resumed_and_a_damaged_copy_refused(tmp_path):
+    """The page and the picture of a model's report are written after the report, into the copy's own folder."""
+    for name in "ab":
+        shutil.copytree(EXAMPLE / "sparse", tmp_path / "models" / name)
+    words = ["fix", tmp_path / "models", "--out", tmp_path / "scaled", "--fleet", "US"]
+    words += ["--detections", EXAMPLE / "detections.json"]
+    assert run(*words).returncode == 0
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "scaled").rglob("*")}
+    done = run(*words)
+    assert done.returncode == 0 and "2 of 2 were there already" in done.stderr, done.stderr
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scaled").rglob("*")} == before
+    later(tmp_path / "scaled/a/sim3.json")
+    done = run(*words)
+    assert done.returncode == 2 and "a/sim3.json has changed since it was made" in done.stderr
+
+
+def test_a_copy_called_report_is_a_copy(tmp_path):
+    """It was taken for a part of its report, in which no change was seen."""
+    (tmp_path / "report.tif").touch()
+    assert finished._copied(tmp_path / "report.tif") == [tmp_path / "report.tif"]
+    (tmp_path / "a").mkdir()
+    for name in ("report.json", "report.html", "report.txt", "vehicles.png", "points3D.bin", ".orthoscale.json"):
+        (tmp_path / "a" / name).touch()
+    assert sorted(path.name for path in finished._copied(tmp_path / "a")) == ["points3D.bin", "report.txt"]
+
+
+@pytest.mark.slow
 def test_options_that_only_write_are_remembered_too(batch):
     batch("--cog", code=0)
     done, _ = batch(code=2)
