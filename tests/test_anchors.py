@@ -267,6 +267,8 @@ def test_two_kinds_that_agree_give_a_scale_without_vehicles(two_kinds, tmp_path)
     assert "No vehicles" in page and "squares of 6 m" in page and "nan" not in page.lower()
     done = run("estimate", path, "--fleet", "DE", "--detections", options["detections"])
     assert done.returncode == 0 and "painted square" in done.stdout
+    with pytest.raises(TooLittleEvidence, match="0 usable vehicles"):
+        orthoscale.estimate(path, estimator="iqr", **options)  # the paper's takes vehicles only
 
 
 @pytest.mark.slow
