@@ -107,9 +107,13 @@ def test_what_is_named(parks, tmp_path):
     for k in "01":
         shutil.copytree(EXAMPLE / "sparse", work / "sparse" / k)
     assert inputs_of([work]) == [work / "sparse/0", work / "sparse/1"]
-    assert inputs_of([tmp_path]) == [work], "a folder of models"
+    both = [work / "sparse/0", work / "sparse/1"]
+    assert inputs_of([tmp_path]) == inputs_of([tmp_path / "*"]) == both, "a folder of models"
     shutil.copy(pictures / "a.png", tmp_path / "a.png")
-    assert inputs_of([tmp_path]) == [tmp_path / "a.png", work]
+    assert inputs_of([tmp_path]) == [tmp_path / "a.png", *both]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="holds no COLMAP model"):
+        inputs_of([tmp_path / "empty"])
 
 
 def test_copies_of_one_name_take_that_of_their_folders(tmp_path):
