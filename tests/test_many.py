@@ -330,7 +330,9 @@ def test_what_speaks_of_one_input_is_refused(parks):
     for more in (["--known-distance", "0,0 9,9 1"], ["--save-detections", "x.json"]):
         assert run("estimate", parks / "pictures", *options(parks, *more)).returncode == 2
     assert run("estimate", parks / "pictures/a.png", *options(parks, "--jobs", "2")).returncode == 2
-    assert run("check", parks / "pictures", *options(parks, "--model", "x")).returncode == 2
+    for more in (["--model", "x"], ["--model-detections", "x.json"]):
+        done = run("check", parks / "pictures", *options(parks, *more))
+        assert done.returncode == 2 and f"{more[0]} is for one input" in done.stderr
     assert run("estimate", parks / "pictures", *options(parks, "--summary", "x.doc")).returncode == 2
 
 
@@ -349,7 +351,42 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(parks, tmp_path):
     assert done.returncode == 5 and f"{new}/b.tif.json" in done.stdout and not new.exists()
     words = ["fix", parks / "pictures/a.png", "--out", parks / "pictures/a.png", *options(parks, "--dry-run")]
     assert run(*words).returncode == 2
-    assert run("check", parks / "pictures/a.png", *options(parks, "--dry-run")).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["check", "a.png"], 2, "claims no scale"),
+        (["check", "a.png", "b.png"], 2, "b.png claims no scale"),
+        (["check", "a.png", "--model", "nosuch"], 5, "nosuch does not exist"),
+        (["check", "a.png", "--model", "b.png"], 2, "a cross-check needs an orthophoto and a model"),
+        (["fix", "a.png", "--out", "NEW", "--save-detections", "NEW.foo"], 2, "not an ending of a detections format"),
+        (["fix", "a.png", "--out", "NEW", "--save-detections", "NEW/b.json"], 6, "does not exist"),
+        (["estimate", "a.png", "--save-detections", "NEW.foo"], 2, "not an ending of a detections format"),
+        (["estimate", "a.png", "--save-detections", "boxes.json"], 2, "is the input"),
+        (["estimate", "a.png", "--measurer", "nosuch.onnx"], 5, "nosuch.onnx: cannot be read"),
+        (["estimate", "a.png", "b.png", "--summary", "NEW.doc"], 2, "a summary ends in"),
+        (["fix", "a.png", "b.png", "--out", "NEW/gone"], 2, "is not a folder"),
+    ],
+)
+def test_a_dry_run_refuses_what_the_command_does(parks, tmp_path, words, code, said):
+    places = {name: parks / "pictures" / name for name in ("a.png", "b.png")} | {"boxes.json": parks / "boxes.json"}
+    words = [places.get(word, word.replace("NEW", str(tmp_path / "new.tif"))) for word in words]
+    done = run(*words, *options(parks, "--dry-run"))
+    assert done.returncode == code and said in done.stderr + done.stdout, done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_dry_run_of_a_check_says_what_would_be_compared_and_kept(parks, tmp_path):
+    shutil.copy(parks / "pictures/a.png", tmp_path)
+    (tmp_path / "a.pgw").write_text("0.05\n0\n0\n-0.05\n500000\n5000000\n")
+    before = sorted(tmp_path.iterdir())
+    done = run("check", tmp_path / "a.png", *options(parks, "--dry-run", "--save-detections", tmp_path / "kept.json"))
+    assert done.returncode == 0 and f"to write   {tmp_path}/kept.json" in done.stdout, done.stderr
+    words = ["--model", EXAMPLE, "--model-detections", EXAMPLE / "detections.json", "--dry-run"]
+    done = run("check", tmp_path / "a.png", *options(parks, *words))
+    assert done.returncode == 0 and "1000 x 700 px" in done.stdout and "a model with" in done.stdout, done.stderr
+    assert sorted(tmp_path.iterdir()) == before
 
 
 @pytest.mark.slow

@@ -64,7 +64,9 @@ def run_many(
     todo = jobs_of(action, inputs, request, out, jobs, places)
     made = False
     if out is not None:
-        made = _make_folder(out)
+        made = not out.is_dir()
+        check_folder(out)
+        out.mkdir(exist_ok=True)
     rows: list[Row] = [{}] * len(todo)
     work = on_cluster(todo, request.scheduler) if request.scheduler is not None else _in_processes(todo, jobs)
     try:
@@ -179,15 +181,12 @@ def _fill_by_report(row: Row, report: Mapping[str, Any], source: Source) -> None
     }
 
 
-def _make_folder(out: Path) -> bool:
-    """Whether it was not there before."""
+def check_folder(out: Path) -> None:
+    """Raise UsageError where `out` is no folder and none can be made there."""
     if out.is_file():
         raise UsageError(f"{out} is a file; several inputs need a folder", "Choose another place.")
     if not out.absolute().parent.is_dir():
         raise UsageError(f"{out.absolute().parent} is not a folder", "Create it first, or choose another place.")
-    there = out.is_dir()
-    out.mkdir(exist_ok=True)
-    return not there
 
 
 # --- Who does them ---------------------------------------------------------------------------------------------------
