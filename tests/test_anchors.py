@@ -298,6 +298,8 @@ def test_the_command_lists_and_draws_them(two_kinds, tmp_path):
     few = run("anchors", path, "--scale", "0.101", "--anchors", "all", "--json")
     assert len(json.loads(few.stdout)["anchors"]) == 5
     assert run("anchors", path, "--scale", "-1").returncode == 2
+    done = run("anchors", path, "--estimator", "iqr")
+    assert done.returncode == 2 and "--estimator iqr" in done.stderr and "Remove --estimator." in done.stderr
 
 
 @pytest.mark.parametrize("form", ["png", "json", "gpkg"])

@@ -430,6 +430,20 @@ def test_an_empty_folder_that_was_there_stays(parks, tmp_path):
         assert out.exists() == there
 
 
+def test_jobs_share_the_cores_of_this_machine_and_not_of_a_cluster(tmp_path, monkeypatch):
+    monkeypatch.setattr(many, "cores", lambda: 6)
+
+    def workers(jobs, **options):
+        (job,) = many.jobs_of("estimate", [tmp_path / "a.tif"], EstimateRequest(**options), jobs=jobs)
+        return job["settings"].get("workers")
+
+    assert (workers(1), workers(2), workers(9)) == (6, 3, 1)
+    assert workers(1, scheduler="tcp://localhost:1") is None
+    assert workers(1, scheduler="tcp://localhost:1", workers=3) == workers(2, workers=3) == 3
+    monkeypatch.setattr(many, "cores", lambda: 64)
+    assert workers(1) == 8, "as many as one input alone has"
+
+
 def test_only_files_that_options_name_become_absolute(tmp_path, monkeypatch):
     """A file that happens to be called as a country is stays a country."""
     monkeypatch.chdir(tmp_path)

@@ -20,7 +20,7 @@ from typing import Any
 from ..core.claims import own_claim
 from ..core.source import Source
 from ..detect.foreign_worker import receive, send
-from ..detect.workers import cluster, cores
+from ..detect.workers import MOST_THREADS, cluster, cores
 from ..errors import Incomplete, OrthoscaleError, UsageError, shown
 from ..report.result import Result
 from ..report.summary import COLUMNS, Row
@@ -95,8 +95,10 @@ def jobs_of(
         places = outputs_of(inputs, out)
     outs = [None] * len(inputs) if places is None else list(map(os.path.abspath, places))
     settings = request.without(("scheduler", "workers")).with_absolute_paths().settings()
-    if request.detections is None:
-        settings["workers"] = request.workers or max(1, cores() // jobs)
+    if request.detections is None and request.workers is not None:
+        settings["workers"] = request.workers
+    elif request.detections is None and request.scheduler is None:  # a cluster's machines have cores of their own
+        settings["workers"] = min(max(1, cores() // jobs), MOST_THREADS)
     return [
         {"action": action, "input": str(path), "out": place, "settings": settings}
         for path, place in zip(inputs, outs, strict=True)

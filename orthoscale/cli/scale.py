@@ -81,11 +81,10 @@ def estimate(
             outcomes = workspace.estimate_all(models, request, progress)
         else:
             boxes = output_of(outputs, save_detections)
-            source = pipeline.source_of(path, request, request.needs_pictures, progress)
-            outputs.protect(*source.files)
-            result = pipeline.measured(source, request, progress)
+            result = pipeline.measured(path, request, progress)
             if boxes is not None:
-                save(result.detections, boxes, source)
+                outputs.protect(*result.source.files)
+                save(result.detections, boxes, result.source)
     if models:
         _finish_all(outcomes, as_json)
         results = [outcome.result for outcome in outcomes if outcome.result is not None]
