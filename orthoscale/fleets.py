@@ -47,7 +47,7 @@ def load_fleet(name: str | Path) -> Fleet:
     if str(name).lower() in known:
         return _row(known[str(name).lower()])
     path = path_of(name, "a country, or the path of a fleet.json")
-    return read_fleet(path) if path.suffix == ".json" else _of_country(str(name))
+    return read_fleet(path) if path.suffix.lower() == ".json" else _of_country(str(name))
 
 
 def read_fleet(path: Path) -> Fleet:

@@ -365,15 +365,15 @@ class EstimateRequest(VehicleRequest):
             self._refuse(("target",), "--exhaustive visits every tile")
         if self.estimator == "iqr":
             self._refuse(("anchors", "anchor", "against"), "--estimator iqr is the paper's, for vehicles only")
+            if self.known_distance or self.ground_control is not None:
+                raise UsageError(
+                    "the estimator 'iqr' is the paper's, for vehicles only",
+                    "Remove known distances and ground control, or use --estimator robust.",
+                )
         if NO_KIND in self.anchors:
             self._refuse(("anchor",), "--anchors none looks for none")
             if len(self.anchors) > 1:
                 raise UsageError("--anchors none and kinds of anchors contradict each other", "Give one of them.")
-        if self.estimator == "iqr" and (self.known_distance or self.ground_control is not None):
-            raise UsageError(
-                "the estimator 'iqr' is the paper's, for vehicles only",
-                "Remove known distances and ground control, or use --estimator robust.",
-            )
 
     @property
     def measures(self) -> str | None:

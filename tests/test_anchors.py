@@ -267,6 +267,8 @@ def test_two_kinds_that_agree_give_a_scale_without_vehicles(two_kinds, tmp_path)
     assert "No vehicles" in page and "squares of 6 m" in page and "nan" not in page.lower()
     done = run("estimate", path, "--fleet", "DE", "--detections", options["detections"])
     assert done.returncode == 0 and "painted square" in done.stdout
+    with pytest.raises(TooLittleEvidence, match="0 usable vehicles"):
+        orthoscale.estimate(path, estimator="iqr", **options)  # the paper's takes vehicles only
 
 
 @pytest.mark.slow
@@ -296,6 +298,8 @@ def test_the_command_lists_and_draws_them(two_kinds, tmp_path):
     few = run("anchors", path, "--scale", "0.101", "--anchors", "all", "--json")
     assert len(json.loads(few.stdout)["anchors"]) == 5
     assert run("anchors", path, "--scale", "-1").returncode == 2
+    done = run("anchors", path, "--estimator", "iqr")
+    assert done.returncode == 2 and "--estimator iqr" in done.stderr and "Remove --estimator." in done.stderr
 
 
 @pytest.mark.parametrize("form", ["png", "json", "gpkg"])

@@ -182,6 +182,8 @@ def test_a_fleet_of_ones_own(tmp_path):
     path = tmp_path / "taxis.json"
     path.write_text(json.dumps(entry))
     assert load_fleet(path).mean.tolist() == [4.8, 1.8, 1.5]
+    (tmp_path / "TAXIS.JSON").write_text(json.dumps(entry))
+    assert load_fleet(tmp_path / "TAXIS.JSON").mean.tolist() == [4.8, 1.8, 1.5]
     del entry["mean_sd"]
     path.write_text(json.dumps(entry))
     with pytest.raises(InputError, match="mean_sd"):

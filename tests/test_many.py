@@ -107,9 +107,13 @@ def test_what_is_named(parks, tmp_path):
     for k in "01":
         shutil.copytree(EXAMPLE / "sparse", work / "sparse" / k)
     assert inputs_of([work]) == [work / "sparse/0", work / "sparse/1"]
-    assert inputs_of([tmp_path]) == [work], "a folder of models"
+    both = [work / "sparse/0", work / "sparse/1"]
+    assert inputs_of([tmp_path]) == inputs_of([tmp_path / "*"]) == both, "a folder of models"
     shutil.copy(pictures / "a.png", tmp_path / "a.png")
-    assert inputs_of([tmp_path]) == [tmp_path / "a.png", work]
+    assert inputs_of([tmp_path]) == [tmp_path / "a.png", *both]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="holds no COLMAP model"):
+        inputs_of([tmp_path / "empty"])
 
 
 def test_copies_of_one_name_take_that_of_their_folders(tmp_path):
@@ -216,6 +220,33 @@ def test_a_copy_that_was_made_otherwise_is_refused(batch, change, more, said):
 
 
 @pytest.mark.slow
+def test_a_folder_of_models_is_resumed_and_a_damaged_copy_refused(tmp_path):
+    """The page and the picture of a model's report are written after the report, into the copy's own folder."""
+    for name in "ab":
+        shutil.copytree(EXAMPLE / "sparse", tmp_path / "models" / name)
+    words = ["fix", tmp_path / "models", "--out", tmp_path / "scaled", "--fleet", "US"]
+    words += ["--detections", EXAMPLE / "detections.json"]
+    assert run(*words).returncode == 0
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "scaled").rglob("*")}
+    done = run(*words)
+    assert done.returncode == 0 and "2 of 2 were there already" in done.stderr, done.stderr
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scaled").rglob("*")} == before
+    later(tmp_path / "scaled/a/sim3.json")
+    done = run(*words)
+    assert done.returncode == 2 and "a/sim3.json has changed since it was made" in done.stderr
+
+
+def test_a_copy_called_report_is_a_copy(tmp_path):
+    """It was taken for a part of its report, in which no change was seen."""
+    (tmp_path / "report.tif").touch()
+    assert finished._copied(tmp_path / "report.tif") == [tmp_path / "report.tif"]
+    (tmp_path / "a").mkdir()
+    for name in ("report.json", "report.html", "report.txt", "vehicles.png", "points3D.bin", ".orthoscale.json"):
+        (tmp_path / "a" / name).touch()
+    assert sorted(path.name for path in finished._copied(tmp_path / "a")) == ["points3D.bin", "report.txt"]
+
+
+@pytest.mark.slow
 def test_options_that_only_write_are_remembered_too(batch):
     batch("--cog", code=0)
     done, _ = batch(code=2)
@@ -299,7 +330,9 @@ def test_what_speaks_of_one_input_is_refused(parks):
     for more in (["--known-distance", "0,0 9,9 1"], ["--save-detections", "x.json"]):
         assert run("estimate", parks / "pictures", *options(parks, *more)).returncode == 2
     assert run("estimate", parks / "pictures/a.png", *options(parks, "--jobs", "2")).returncode == 2
-    assert run("check", parks / "pictures", *options(parks, "--model", "x")).returncode == 2
+    for more in (["--model", "x"], ["--model-detections", "x.json"]):
+        done = run("check", parks / "pictures", *options(parks, *more))
+        assert done.returncode == 2 and f"{more[0]} is for one input" in done.stderr
     assert run("estimate", parks / "pictures", *options(parks, "--summary", "x.doc")).returncode == 2
 
 
@@ -318,7 +351,42 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(parks, tmp_path):
     assert done.returncode == 5 and f"{new}/b.tif.json" in done.stdout and not new.exists()
     words = ["fix", parks / "pictures/a.png", "--out", parks / "pictures/a.png", *options(parks, "--dry-run")]
     assert run(*words).returncode == 2
-    assert run("check", parks / "pictures/a.png", *options(parks, "--dry-run")).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["check", "a.png"], 2, "claims no scale"),
+        (["check", "a.png", "b.png"], 2, "b.png claims no scale"),
+        (["check", "a.png", "--model", "nosuch"], 5, "nosuch does not exist"),
+        (["check", "a.png", "--model", "b.png"], 2, "a cross-check needs an orthophoto and a model"),
+        (["fix", "a.png", "--out", "NEW", "--save-detections", "NEW.foo"], 2, "not an ending of a detections format"),
+        (["fix", "a.png", "--out", "NEW", "--save-detections", "NEW/b.json"], 6, "does not exist"),
+        (["estimate", "a.png", "--save-detections", "NEW.foo"], 2, "not an ending of a detections format"),
+        (["estimate", "a.png", "--save-detections", "boxes.json"], 2, "is the input"),
+        (["estimate", "a.png", "--measurer", "nosuch.onnx"], 5, "nosuch.onnx: cannot be read"),
+        (["estimate", "a.png", "b.png", "--summary", "NEW.doc"], 2, "a summary ends in"),
+        (["fix", "a.png", "b.png", "--out", "NEW/gone"], 2, "is not a folder"),
+    ],
+)
+def test_a_dry_run_refuses_what_the_command_does(parks, tmp_path, words, code, said):
+    places = {name: parks / "pictures" / name for name in ("a.png", "b.png")} | {"boxes.json": parks / "boxes.json"}
+    words = [places.get(word, word.replace("NEW", str(tmp_path / "new.tif"))) for word in words]
+    done = run(*words, *options(parks, "--dry-run"))
+    assert done.returncode == code and said in done.stderr + done.stdout, done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_dry_run_of_a_check_says_what_would_be_compared_and_kept(parks, tmp_path):
+    shutil.copy(parks / "pictures/a.png", tmp_path)
+    (tmp_path / "a.pgw").write_text("0.05\n0\n0\n-0.05\n500000\n5000000\n")
+    before = sorted(tmp_path.iterdir())
+    done = run("check", tmp_path / "a.png", *options(parks, "--dry-run", "--save-detections", tmp_path / "kept.json"))
+    assert done.returncode == 0 and f"to write   {tmp_path}/kept.json" in done.stdout, done.stderr
+    words = ["--model", EXAMPLE, "--model-detections", EXAMPLE / "detections.json", "--dry-run"]
+    done = run("check", tmp_path / "a.png", *options(parks, *words))
+    assert done.returncode == 0 and "1000 x 700 px" in done.stdout and "a model with" in done.stdout, done.stderr
+    assert sorted(tmp_path.iterdir()) == before
 
 
 @pytest.mark.slow
@@ -360,6 +428,20 @@ def test_an_empty_folder_that_was_there_stays(parks, tmp_path):
             out.mkdir()
         assert run("fix", parks / "pictures/broken.tif", parks / "pictures/readme.txt", "--out", out).returncode
         assert out.exists() == there
+
+
+def test_jobs_share_the_cores_of_this_machine_and_not_of_a_cluster(tmp_path, monkeypatch):
+    monkeypatch.setattr(many, "cores", lambda: 6)
+
+    def workers(jobs, **options):
+        (job,) = many.jobs_of("estimate", [tmp_path / "a.tif"], EstimateRequest(**options), jobs=jobs)
+        return job["settings"].get("workers")
+
+    assert (workers(1), workers(2), workers(9)) == (6, 3, 1)
+    assert workers(1, scheduler="tcp://localhost:1") is None
+    assert workers(1, scheduler="tcp://localhost:1", workers=3) == workers(2, workers=3) == 3
+    monkeypatch.setattr(many, "cores", lambda: 64)
+    assert workers(1) == 8, "as many as one input alone has"
 
 
 def test_only_files_that_options_name_become_absolute(tmp_path, monkeypatch):

@@ -13,13 +13,15 @@ from support.models import make_model, put_frames, save
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
 from orthoscale.core.evidence import Evidence
+from orthoscale.core.measuring.footing import GROUND_SD, Footing
 from orthoscale.core.measuring.method import Method
-from orthoscale.core.measuring.surroundings import GROUND_SD, objects_in_model
+from orthoscale.core.measuring.surroundings import objects_in_model, rows_in_model
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.scale import Scale
+from orthoscale.core.votes import gather
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.tables import standards
 from orthoscale.sources.colmap import ColmapSource
@@ -102,6 +104,19 @@ def test_rows_seen_in_many_frames_are_one_measurement(scales):
     low, high = scale.interval90
     assert low < UNIT < high
     assert not without.evidence and without.relative_sd > scale.relative_sd
+
+
+@pytest.mark.parametrize("shared", [0.003, 0.04])
+def test_rows_err_with_the_ground_on_which_their_vehicles_stand(shared):
+    """As objects and anchors do: better known where vehicles tell it, worse where trees hide it."""
+    stalls = np.array([[2.5 * k, 6.0 * row, 0.0] for row in range(3) for k in range(12)]) / UNIT
+    size = np.full((len(stalls), 2), (4.5, 1.8)) / UNIT
+    votes = gather(size, np.full(len(stalls), 0.01), stalls, np.ones(len(stalls)), repeated=False)
+    along = np.tile([0.0, 1.0, 0.0], (len(stalls), 1))
+    footing = Footing(stalls, np.zeros(len(stalls)), np.full(len(stalls), 0.02), shared)
+    (vote,), (alone,) = (rows_in_model(votes, along, standards(), "DE", *more) for more in ((footing,), ()))
+    assert vote.shared_sd == pytest.approx(shared) and alone.shared_sd == GROUND_SD
+    assert vote.relative_sd == pytest.approx(np.hypot(alone.relative_sd, 0.02))
 
 
 @pytest.mark.parametrize(("kind", "size"), [("tennis-court", COURT), ("container", CONTAINER)])

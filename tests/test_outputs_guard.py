@@ -534,6 +534,17 @@ def test_a_signal_waits_while_files_change_places_and_is_not_forgotten(ctrl_c_is
             stopping.check()
 
 
+def test_what_is_stopped_says_no_output_that_goes_with_another(tmp_path):
+    """Models of one workspace are outputs in the folder of all: written only when that is in its place."""
+    with stopping.listening():
+        with Outputs() as outer:
+            folder = outer.folder(tmp_path / "scaled")
+            with Outputs() as inner:
+                (inner.folder(folder / "0") / "text").write_text("1")
+            assert stopping.sentence() == "stopped; nothing was written"
+        assert stopping.sentence() == f"stopped; already written: {tmp_path}/scaled"
+
+
 LATE = """
 import sys, time
 there = sys.argv.pop()

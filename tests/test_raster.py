@@ -17,6 +17,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 from PIL import Image
@@ -31,6 +32,7 @@ from rasterio.transform import Affine
 from orthoscale.core.source import NO_DATA_GREY
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.sources import gdal
+from orthoscale.sources.georeference import claim_of
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.raster_copy import Original
 
@@ -477,6 +479,29 @@ def with_control_points(path: Path, corners=((0, 0), (0, W), (H, 0), (H, W))) ->
     with rasterio.open(path, "r+") as d:
         d.gcps = points, CRS.from_epsg(4326)
     return path
+
+
+@pytest.mark.parametrize("kind", ["geotransform", "control points"])
+def test_a_reference_system_that_nobody_understands_is_no_claim(tmp_path, monkeypatch, kind):
+    def refuse(crs):
+        raise pyproj.exceptions.CRSError("a future one")
+
+    path = tmp_path / "a.tif"
+    if kind == "geotransform":
+        make(path, crs="EPSG:32632", transform=Affine(0.1, 0, 5e5, 0, -0.1, 5e6))
+    else:
+        with_control_points(path)
+    monkeypatch.setattr(pyproj.CRS, "from_user_input", refuse)
+    with rasterio.open(path) as dataset:
+        claim = claim_of(dataset)
+    assert not claim.usable and claim.gsd_m is None and "not understood (a future one)" in claim.why
+
+
+def test_pixels_without_size_are_no_claim(tmp_path):
+    make(tmp_path / "a.tif", crs="EPSG:32632", transform=Affine(1e-30, 0, 5e5, 0, -1e-30, 5e6))
+    with rasterio.open(tmp_path / "a.tif") as dataset:
+        claim = claim_of(dataset)
+    assert not claim.usable and "without size" in claim.why
 
 
 def with_rational_polynomials(path: Path) -> Path:

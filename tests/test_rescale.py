@@ -496,6 +496,8 @@ def test_damaged_depth_map(tmp_path):
 def test_apply(tmp_path):
     Sim3(SCALE).save(tmp_path)
     assert Sim3.load(tmp_path / "sim3.json") == Sim3.load(tmp_path / "sim3.txt") == Sim3(SCALE)
+    (tmp_path / "SIM3.JSON").write_text((tmp_path / "sim3.json").read_text())
+    assert Sim3.load(tmp_path / "SIM3.JSON") == Sim3(SCALE)
     cloud = ply(tmp_path / "a.ply", "ascii", ["x", "y", "z"], XYZ)
     dense = dense_workspace(tmp_path / "dense")
     out = tmp_path / "metric"

@@ -75,12 +75,17 @@ def check(
 def checked(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Checked:
     """What `request` asks of the input at `path`; see `check`."""
     source = source_of(path, request, request.needs_pictures, progress)
+    require_claim(source)
+    result = measured(source, request, progress)
+    return Checked(result, comparisons(result))
+
+
+def require_claim(source: Source) -> None:
+    """Raise UsageError where `source` claims no scale that could be compared."""
     claimed = source.claimed
     if claimed is None or claimed.gsd_m is None:
         why = "" if claimed is None else f": {claimed.why}"
         raise UsageError(f"{source.path} claims no scale{why}", "Find it by `orthoscale estimate`.")
-    result = measured(source, request, progress)
-    return Checked(result, comparisons(result))
 
 
 def comparisons(result: Result) -> list[Comparison]:

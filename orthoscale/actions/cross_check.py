@@ -18,6 +18,7 @@ from ..core.pooling.agreement import Agreement, compare
 from ..errors import TooLittleEvidence, UsageError
 
 if TYPE_CHECKING:
+    from ..core.source import Plan, PosedSet, Source
     from ..report.result import Result
 
 SAME_POSITION = 0.35  # of a vehicle's length: how far apart one may stand in the two
@@ -70,11 +71,9 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     Raises UsageError if they are not one of each, TooLittleEvidence if their vehicles do not match: another place, or
     too few.
     """
-    posed = model.source.posed
-    if ortho.source.plan is None or posed is None:
-        raise UsageError("a cross-check needs an orthophoto and a model", "Give ORTHO.tif and --model FOLDER.")
+    plan, posed = plan_and_posed(ortho.source, model.source)
     places = posed.from_above(model.votes.place[model.scale.used])
-    wide = np.sqrt(ortho.source.plan.claimed.aspect)  # to square pixels, of which the scale is told
+    wide = np.sqrt(plan.claimed.aspect)  # to square pixels, of which the scale is told
     pixels = ortho.votes.place[ortho.scale.used] * (wide, -1 / wide)  # y up, as in the plan
     found = match(
         pixels * ortho.scale.value,
@@ -95,6 +94,13 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     )
     low, high = (end * units_per_pixel for end in model.scale.interval90)
     return CrossCheck(units_per_pixel, common, ortho.scale.value, by_model, (low, high), agreement)
+
+
+def plan_and_posed(ortho: Source, model: Source) -> tuple[Plan, PosedSet]:
+    """The two as what they must be for a cross-check. Raises UsageError if they are not one of each."""
+    if ortho.plan is None or model.posed is None:
+        raise UsageError("a cross-check needs an orthophoto and a model", "Give ORTHO.tif and --model FOLDER.")
+    return ortho.plan, model.posed
 
 
 def match(a: np.ndarray, b: np.ndarray, reach: float) -> tuple[float, int] | None:

@@ -178,6 +178,8 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
         found, choice = _found(asked, request, progress)
         answer = _of_vehicles(asked, found, method, request, wanted)
     except TooLittleEvidence as error:
+        if method.vehicles_only:
+            raise
         answer = _of_anchors(asked, doubts(found), method, request, wanted, error)
     measurement, anchors, match = answer.measurement, answer.anchors, answer.on_map
     if any(note.severity == REFUSAL for note in source.notes):
@@ -205,27 +207,37 @@ def _found(asked: Opened, request: EstimateRequest, progress: Progress | None) -
 
 
 def _of_vehicles(asked: Opened, found: Detections, method: Method, request: EstimateRequest, wanted: Wanted) -> _Answer:
-    """The scale by vehicles; then with what the map says, and the anchors that are looked for, at that scale."""
-    source, fleet, match, anchors = asked.source, asked.fleet, OnMap(), FoundAnchors()
-    if (footing := footing_of(source, found, fleet)) is not BY_POINTS:  # what was given lies on that ground, too
-        given = _given(source, request.known_distance, request.ground_control, footing)
-        method, wanted = replace(method, evidence=tuple(given)), replace(wanted, footing=footing)
-    answer = _by_vehicles(source, found, fleet, method, request)
+    """The scale by vehicles; then with what the map says, and the anchors that are looked for, at that scale.
+
+    Raises TooLittleEvidence, UsageError.
+    """
+    source, fleet = asked.source, asked.fleet
+    footing = footing_of(source, found, fleet)
+    given = method
+    if footing is not BY_POINTS:  # what was given lies on that ground, too
+        evidence = _given(source, request.known_distance, request.ground_control, footing)
+        given = replace(method, evidence=tuple(evidence))
+    by_vehicles = _by_vehicles(source, found, fleet, given, request)
+
+    match, with_map, by_map = OnMap(), given, by_vehicles
     if asked.satellite is not None:
-        rough = answer.scale.value, answer.scale.relative_sd
+        rough = by_vehicles.scale.value, by_vehicles.scale.relative_sd
         match = on_map(source, asked.satellite, rough, request.cache, wanted.progress, footing)
     if match.evidence:
-        method = replace(method, evidence=(*method.evidence, *match.evidence))
-        answer = measure_source(source, found, fleet, method, request.mode)
-    if request.estimator == "robust" and not answer.scale.conflict:
+        with_map = replace(given, evidence=(*given.evidence, *match.evidence))
+        by_map = measure_source(source, found, fleet, with_map, request.mode)
+
+    anchors = FoundAnchors()
+    if not method.vehicles_only and not by_map.scale.conflict:
         try:
-            anchors = look_for_anchors(source, answer.scale, wanted)
+            anchors = look_for_anchors(source, by_map.scale, replace(wanted, footing=footing))
         except InputError as error:  # the vehicles' boxes may come from a file, and the pictures be damaged
             anchors = FoundAnchors(notes=(f"no anchors were looked for: {error.message}",))
-    if anchors.votes:
-        method = replace(method, anchors=anchors.votes)
-        answer = measure_source(source, found, fleet, method, request.mode)
-    return _Answer(answer, method, anchors, match)
+    if not anchors.votes:
+        return _Answer(by_map, with_map, anchors, match)
+    with_anchors = replace(with_map, anchors=anchors.votes)
+    by_anchors = measure_source(source, found, fleet, with_anchors, request.mode)
+    return _Answer(by_anchors, with_anchors, anchors, match)
 
 
 def _of_anchors(
@@ -252,6 +264,8 @@ def _of_anchors(
 def _by_vehicles(
     source: Source, found: Detections, fleet: Fleet, method: Method, request: EstimateRequest
 ) -> Measurement:
+    """The scale by the vehicles `found`. Raises TooLittleEvidence that names the input and says how large vehicles are
+    in it; UsageError."""
     try:
         return measure_source(source, found, fleet, method, request.mode)
     except TooLittleEvidence as error:
@@ -321,7 +335,11 @@ def detector_of(source: Source, request: EstimateRequest) -> Detector:
 def _given(
     source: Source, known_distance: Sequence[str], ground_control: str | Path | None, footing: Footing = BY_POINTS
 ) -> list[Evidence]:
-    """What the user knows of the scale, on the ground of `footing`. Raises UsageError, InputError."""
+    """What the user knows of the scale [m per unit], on the ground of `footing`.
+
+    known_distance : texts as `control.read_distance` takes them. ground_control : a file as `control.read_control`
+    does. Raises UsageError, InputError.
+    """
     given = [read_distance(text, source, footing) for text in known_distance]
     if ground_control is not None:
         given.append(read_control(Path(ground_control), source, footing))
@@ -373,6 +391,8 @@ def _sampling(source: Source, fleet: Fleet) -> Sampling:
 
 
 def _typical_length(found: Detections) -> str:
+    """How long vehicles are in the pictures [px], the median of all boxes, as a part of a sentence; or that there are
+    none."""
     boxes = found.boxes or (found.planar.boxes if found.planar is not None else {})
     lengths = [one.length for one in boxes.values() if len(one)]
     if not lengths:

@@ -150,6 +150,13 @@ def _plans(source: PosedSet, needed: bool) -> list[GroundView]:
     return plans
 
 
+def measurer_of(request: EstimateRequest) -> Measurer | None:
+    """The network that measures vehicles once more, as `request` says; None where none does. Raises InputError."""
+    if request.measures is None:
+        return None
+    return Measurer(None if request.measures == BUILT_IN else Path(request.measures))
+
+
 def measured_anew(
     source: Source,
     found: Detections,
@@ -164,9 +171,8 @@ def measured_anew(
     outline of the body that the projection assumes. Raises InputError, and UsageError for a file of boxes in frames
     only.
     """
-    if request.measures is None:
+    if (measurer := measurer_of(request)) is None:
         return found
-    measurer = Measurer(None if request.measures == BUILT_IN else Path(request.measures))
     if source.posed is None:
         return remeasured(source.pictures, found, measurer, effort, progress)
     if found.planar is None:

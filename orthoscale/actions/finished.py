@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ def finished(path: Path, out: Path, request: FixRequest) -> tuple[dict[str, Any]
     if report is None:
         return None
     source = source_of(path, request, need_images=False)
-    if why := next(_otherwise(source, out, request, report), ""):
+    if why := _otherwise(source, out, request, report):
         raise UsageError(f"{out} already exists, and {why}", "Choose another place, or pass --overwrite to replace it.")
     return report, source
 
@@ -58,28 +58,41 @@ def is_finished(path: Path, out: Path, request: EstimateRequest) -> bool:
     return isinstance(request, FixRequest) and finished(path, out, request) is not None
 
 
-def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[str, Any]) -> Iterator[str]:
-    """Why the copy is not what is asked for, each as the end of a sentence."""
+def _otherwise(source: Source, out: Path, request: FixRequest, report: Mapping[str, Any]) -> str:
+    """Why the copy is not what is asked for, as the end of a sentence; '' where it is."""
     if os.path.realpath(source.path) != str(input_of(report)):
-        yield f"is the copy of {input_of(report)}"
-        return
+        return f"is the copy of {input_of(report)}"
     if other := _other_options(request, report["settings"]):
-        yield f"was made with other options ({', '.join(other)})"
+        return f"was made with other options ({', '.join(other)})"
     if source.content_hash() != report["input"]["sha256"]:
-        yield f"{source.path} has changed since"
+        return f"{source.path} has changed since"
     written = _place(out).stat().st_mtime
-    parts = [out] if source.plan is not None else [p for p in out.iterdir() if p.is_file() and p.name[0] != "."]
-    for part in parts:  # the report is written last, but for its own page and picture
-        if not part.name.startswith("report.") and part.stat().st_mtime > written:
-            yield f"{part} has changed since it was made"
+    if (part := _later(_copied(out), written)) is not None:
+        return f"{part} has changed since it was made"
     beside = [file for file in source.files if file != source.path] if source.plan is not None else []
-    for file in (*beside, *request.inputs):  # of which the report has no hash
-        if file.exists() and file.stat().st_mtime > written:
-            yield f"{file} has changed since"
+    if (file := _later([*beside, *request.inputs], written)) is not None:  # of which the report has no hash
+        return f"{file} has changed since"
+    missing = (part for part in _beside_copy(out, request) if not part.exists())
+    return next((f"{part} is missing" for part in missing), "")
+
+
+def _copied(out: Path) -> list[Path]:
+    """The files of the copy itself. Its report's JSON is written after them, page and picture after that."""
+    if not out.is_dir():
+        return [out]
+    of_report = report_paths(out, True, "html").values()
+    return [path for path in out.iterdir() if path.is_file() and path.name[0] != "." and path not in of_report]
+
+
+def _beside_copy(out: Path, request: FixRequest) -> list[Path]:
+    """The parts of the report, and what else `request` wants written beside the copy."""
     extras = [extra.place(out) for extra in chosen(request.also)]
-    for part in (*report_paths(out, out.is_dir(), request.report).values(), *extras):
-        if not part.exists():
-            yield f"{part} is missing"
+    return [*report_paths(out, out.is_dir(), request.report).values(), *extras]
+
+
+def _later(files: Iterable[Path], written: float) -> Path | None:
+    """The first of `files` that was changed after the time `written` [s since 1970]; None where none was."""
+    return next((file for file in files if file.exists() and file.stat().st_mtime > written), None)
 
 
 def _other_options(request: FixRequest, settings: Mapping[str, Any]) -> list[str]:

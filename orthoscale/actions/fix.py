@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.source import Plan, PosedSet, Source
 from ..errors import Incomplete, MetricAlready, UsageError
-from ..formats.detections import check_name, save
+from ..formats.detections import check_name, output_of, save
 from ..report.extras import WRITERS, chosen
 from ..report.files import write_report
 from ..report.result import Result
@@ -89,14 +88,9 @@ def written(
 
 def rehearsed(path: Path, out: Path, request: FixRequest, save_detections: Path | None = None) -> list[Path]:
     """What `written` would write, the copy first; nothing is. Raises what that raises before it measures."""
-    with suppress(_Rehearsed), Outputs(request.overwrite, (path, request.inputs)) as outputs:
+    with Outputs(request.overwrite, (path, request.inputs), dry_run=True) as outputs:
         _begin(path, out, request, outputs, save_detections)
-        raise _Rehearsed  # so that the outputs are given up
     return outputs.places
-
-
-class _Rehearsed(Exception):
-    """All that can be known before measuring is in order."""
 
 
 @dataclass(frozen=True)
@@ -132,10 +126,9 @@ def _begin(
             "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
         )
     main, parts = writer.places(outputs)
-    if save_detections is not None:
-        save_detections = outputs.file(save_detections)
+    boxes = output_of(outputs, save_detections)
     outputs.protect(*source.files, *writer.more_inputs)
-    return _Begun(source, writer, main, parts, save_detections)
+    return _Begun(source, writer, main, parts, boxes)
 
 
 def report_paths(out: Path, in_folder: bool, report: str) -> dict[str, Path]:

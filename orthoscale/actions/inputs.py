@@ -29,8 +29,9 @@ def inputs_of(words: Iterable[Path]) -> list[Path]:
     """The inputs that `words` name, each once, in their order.
 
     A folder that holds no model stands for the pictures and the models in it (but for a report's pictures), a
-    workspace with several models for each of them, a pattern (``*``, ``?``, ``[...]``, ``**``) for what fits it.
-    What does not exist stands for itself. Raises InputError for a pattern that nothing fits.
+    pattern (``*``, ``?``, ``[...]``, ``**``) for what fits it, and a workspace with several models for each of them,
+    also where a folder or a pattern stands for it. What does not exist stands for itself. Raises InputError for a
+    pattern that nothing fits, and for a folder in which there is nothing.
     """
     found: dict[str, Path] = {}
     for word in words:
@@ -40,8 +41,9 @@ def inputs_of(words: Iterable[Path]) -> list[Path]:
             if not named:
                 raise InputError(f"no file fits {word}", "Check the pattern and the current folder.")
         for path in named:
-            for each in _in_folder(path) or models_in(path) or [path]:
-                found.setdefault(os.path.realpath(each), each)
+            for each in _in_folder(path) or [path]:
+                for one in models_in(each) or [each]:
+                    found.setdefault(os.path.realpath(one), one)
     return list(found.values())
 
 

@@ -96,6 +96,8 @@ def list_anchors(
     own = own_standards(request.anchor)
     effort = replace(effort_of(request), exhaustive=True)
     if scale is None:
+        if request.estimator == "iqr":
+            raise UsageError("--estimator iqr is the paper's, for vehicles only", "Remove --estimator.")
         result = measured(path, replace(request, anchors=("none",), anchor=()), progress)
         country = result.method.country
         footing = footing_of(result.source, result.detections, result.fleet)

@@ -20,7 +20,7 @@ from typing import Any
 from ..core.claims import own_claim
 from ..core.source import Source
 from ..detect.foreign_worker import receive, send
-from ..detect.workers import cluster, cores
+from ..detect.workers import MOST_THREADS, cluster, cores
 from ..errors import Incomplete, OrthoscaleError, UsageError, shown
 from ..report.result import Result
 from ..report.summary import COLUMNS, Row
@@ -64,7 +64,9 @@ def run_many(
     todo = jobs_of(action, inputs, request, out, jobs, places)
     made = False
     if out is not None:
-        made = _make_folder(out)
+        made = not out.is_dir()
+        check_folder(out)
+        out.mkdir(exist_ok=True)
     rows: list[Row] = [{}] * len(todo)
     work = on_cluster(todo, request.scheduler) if request.scheduler is not None else _in_processes(todo, jobs)
     try:
@@ -93,8 +95,10 @@ def jobs_of(
         places = outputs_of(inputs, out)
     outs = [None] * len(inputs) if places is None else list(map(os.path.abspath, places))
     settings = request.without(("scheduler", "workers")).with_absolute_paths().settings()
-    if request.detections is None:
-        settings["workers"] = request.workers or max(1, cores() // jobs)
+    if request.detections is None and request.workers is not None:
+        settings["workers"] = request.workers
+    elif request.detections is None and request.scheduler is None:  # a cluster's machines have cores of their own
+        settings["workers"] = min(max(1, cores() // jobs), MOST_THREADS)
     return [
         {"action": action, "input": str(path), "out": place, "settings": settings}
         for path, place in zip(inputs, outs, strict=True)
@@ -179,15 +183,12 @@ def _fill_by_report(row: Row, report: Mapping[str, Any], source: Source) -> None
     }
 
 
-def _make_folder(out: Path) -> bool:
-    """Whether it was not there before."""
+def check_folder(out: Path) -> None:
+    """Raise UsageError where `out` is no folder and none can be made there."""
     if out.is_file():
         raise UsageError(f"{out} is a file; several inputs need a folder", "Choose another place.")
     if not out.absolute().parent.is_dir():
         raise UsageError(f"{out.absolute().parent} is not a folder", "Create it first, or choose another place.")
-    there = out.is_dir()
-    out.mkdir(exist_ok=True)
-    return not there
 
 
 # --- Who does them ---------------------------------------------------------------------------------------------------

@@ -6,20 +6,33 @@ from pathlib import Path
 
 from ..core.source import Source
 from ..formats.detections import load as load_detections
+from ..formats.detections import output_of
 from ..requests import EstimateRequest, FixRequest
+from ..system.outputs import Outputs
+from .check import require_claim
 from .estimate import detector_of, opened
+from .find import measurer_of
 from .fix import rehearsed
 
 
 def rehearsal(
-    path: Path, request: EstimateRequest, out: Path | None = None, save_detections: Path | None = None
+    path: Path,
+    request: EstimateRequest,
+    out: Path | None = None,
+    save_detections: Path | None = None,
+    overwrite: bool = False,
+    needs_claim: bool = False,
 ) -> list[tuple[str, str]]:
     """What would be done with the input at `path`, and what by `fix` be written at `out`: labels and texts.
 
+    save_detections : the file that would keep the boxes, and overwrite : whether it may be replaced; `fix` has that in
+    its request. needs_claim : whether it is for `check`, which compares what the input claims.
     Raises what the command raises before it measures.
     """
     asked = opened(path, request)
     source = asked.source
+    if needs_claim:
+        require_claim(source)
     rows = [("input", f"{path}: {_kind(source)}"), ("fleet", f"{asked.fleet.code} ({asked.fleet.name})")]
     rows += [("why", why) for why in asked.why]
     if request.detections is not None:
@@ -27,11 +40,18 @@ def rehearsal(
         rows.append(("boxes", f"{len(boxes)} from {request.detections}"))
     else:
         rows.append(("detector", detector_of(source, request).name))
+    measurer_of(request)  # it may be no network
     rows += [("also", evidence.says) for evidence in asked.given]
     if source.claimed is not None and source.claimed.gsd_m is not None:
         rows.append(("claim", f"{source.claimed.gsd_m:.4g} m/px: {source.claimed.why}"))
     if isinstance(request, FixRequest) and out is not None:
-        rows += [("to write", str(place)) for place in rehearsed(path, out, request, save_detections)]
+        places = rehearsed(path, out, request, save_detections)
+    else:
+        with Outputs(overwrite, (path, request.inputs), dry_run=True) as outputs:
+            output_of(outputs, save_detections)
+            outputs.protect(*source.files)
+        places = outputs.places
+    rows += [("to write", str(place)) for place in places]
     rows += [(note.label, note.text) for note in source.notes]
     return rows
 

@@ -11,7 +11,7 @@ import click
 
 from ..errors import EvidenceDisagrees, UsageError
 from ..requests import EstimateRequest
-from .many import Many, inputs, rehearse, run
+from .many import Many, inputs, rehearse, run, tell_rehearsal
 from .options import (
     PATH,
     command,
@@ -74,34 +74,33 @@ def check(
     """
     from ..actions.check import checked
     from ..actions.estimate import source_of
-    from ..formats.detections import check_name, save
+    from ..formats.detections import output_of, save
     from ..system.outputs import Outputs
 
     refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summaries)
     request = EstimateRequest.of(options)
     if many is not None:
-        for name, value in (("--save-detections", save_detections), ("--model", model)):
+        of_one = {"save-detections": save_detections, "model": model, "model-detections": model_detections}
+        for name, value in of_one.items():
             if value is not None:
-                raise UsageError(f"{name} is for one input, and these are several", f"Remove {name}.")
+                raise UsageError(f"--{name} is for one input, and these are several", f"Remove --{name}.")
         run("check", many, request, as_json, overwrite, dry_run=dry_run)
-    if dry_run:
-        rehearse([path], request)
     if model is not None:
         if save_detections is not None:
             raise UsageError("--save-detections keeps the boxes of one input", "Remove it, or remove --model.")
-        _against_model(path, as_json, model, model_detections, request)
+        _against_model(path, as_json, model, model_detections, request, dry_run)
         return
     if model_detections is not None:
         raise UsageError("--model-detections are boxes of a --model, and none is named", "Name it: --model FOLDER.")
+    if dry_run:
+        rehearse([path], request, save_detections=save_detections, overwrite=overwrite, needs_claim=True)
     with Outputs(overwrite, (path, request.inputs)) as outputs, progress_bars() as progress:
-        if save_detections is not None:
-            check_name(save_detections)
-            saved = outputs.file(save_detections)
+        boxes = output_of(outputs, save_detections)
         source = source_of(path, request, request.needs_pictures, progress)
         outputs.protect(*source.files)
         outcome = checked(source, request, progress)
-        if save_detections is not None:
-            save(outcome.result.detections, saved, source)
+        if boxes is not None:
+            save(outcome.result.detections, boxes, source)
     if as_json:
         click.echo(json.dumps(outcome.to_dict()))
     else:
@@ -133,15 +132,23 @@ OF_MODEL = ("images", "ground_cloud", "mode", "projection")
 
 
 def _against_model(
-    path: Path, as_json: bool, model: Path, model_detections: Path | None, request: EstimateRequest
+    path: Path, as_json: bool, model: Path, model_detections: Path | None, request: EstimateRequest, dry_run: bool
 ) -> None:
     from ..actions import estimate as pipeline
-    from ..actions.cross_check import check_against_model
+    from ..actions.cross_check import check_against_model, plan_and_posed
+    from ..actions.rehearsal import rehearsal
 
     not_of_model = (*OF_ORTHOPHOTO, *((*request.of_detector, "measurer") if model_detections is not None else ()))
+    of_ortho, of_model = request.without(OF_MODEL), request.without(not_of_model, detections=model_detections)
     with progress_bars() as progress:
-        ortho = pipeline.measured(path, request.without(OF_MODEL), progress)
-        frames = pipeline.measured(model, request.without(not_of_model, detections=model_detections), progress)
+        plan = pipeline.source_of(path, of_ortho, of_ortho.needs_pictures)
+        posed = pipeline.source_of(model, of_model, of_model.needs_pictures, progress)
+        plan_and_posed(plan, posed)
+        if dry_run:
+            for each, asked in ((path, of_ortho), (model, of_model)):
+                tell_rehearsal(rehearsal(each, asked))
+            return
+        ortho, frames = pipeline.measured(plan, of_ortho, progress), pipeline.measured(posed, of_model, progress)
     checked = check_against_model(ortho, frames)
     if as_json:
         click.echo(json.dumps(checked.document()))

@@ -111,7 +111,7 @@ def evaluate(
     wrong ones; their places come from Dense_GPS_*.txt, the CSV's longitude and latitude, or GPS tags.
     """
     from ..evaluate import report
-    from ..formats.detections import check_name
+    from ..formats.detections import output_of
     from ..photos import looking as boxes
     from ..photos.depth.maps import Depths
     from ..photos.tables import check_ending
@@ -125,16 +125,14 @@ def evaluate(
         for output in outputs:
             check_ending(output, (".json", ".csv"))
         partials = [files.file(output, report.known(output, locate)) for output in outputs]
-        if save_detections is not None:
-            check_name(save_detections)
-            saved = files.file(save_detections)
+        saved = output_of(files, save_detections)
         samples, notes = report.samples_of(path, form, lens_file, focal_px, max_pitch)
         photos = [sample.photo for sample in samples]
         depths = Depths.asked(how, several=len(photos) > 1)
         ruler, why = how.ruler_fleet([photo.path for photo in photos])
         notes = [*notes, *why]
         found = boxes.boxes_of(photos, how, progress)
-        if save_detections is not None:  # worth a look above all where they are too few
+        if saved is not None:  # worth a look above all where they are too few
             boxes.save_boxes(found, saved, photos)
             files.deliver(saved)
         if satellite is None:

@@ -8,7 +8,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -65,10 +65,14 @@ def rehearse(
     outs: Sequence[Path | None] | None = None,
     shown: Callable[[str], str] = str,
     leave: Callable[[Path, Path], bool] = lambda path, out: False,
+    save_detections: Path | None = None,
+    overwrite: bool = False,
+    needs_claim: bool = False,
 ) -> NoReturn:
     """Say what would be done with each of `paths`, copies written at `outs`; end with the exit code of the worst.
 
     shown : changes what is said. leave : whether the copy of an input that is there already would be left.
+    save_detections, overwrite, needs_claim : see `rehearsal`.
     """
     from ..actions.rehearsal import rehearsal
 
@@ -78,15 +82,20 @@ def rehearse(
             if out is not None and leave(path, out):
                 rows = [("input", str(path)), ("is there", str(out))]
             else:
-                rows = rehearsal(path, request, out)
+                rows = rehearsal(path, request, out, save_detections, overwrite, needs_claim)
             codes.append(0)
         except OrthoscaleError as error:
             if len(paths) == 1:
                 raise
             rows = [("input", str(path)), ("error", f"{error.message} (exit code {error.exit_code})")]
             codes.append(error.exit_code)
-        say(shown("\n".join(f"{label:10s} {text}" for label, text in rows)))
+        tell_rehearsal(rows, shown)
     sys.exit(max(codes))
+
+
+def tell_rehearsal(rows: Sequence[tuple[str, str]], shown: Callable[[str], str] = str) -> None:
+    """Print the `rows` of a `rehearsal`, changed by `shown`."""
+    say(shown("\n".join(f"{label:10s} {text}" for label, text in rows)))
 
 
 def rehearse_in_new_folder(
@@ -112,23 +121,26 @@ def run(
     """
     from ..actions.finished import is_finished
     from ..actions.inputs import inputs_of, outputs_of
-    from ..actions.many import run_many, worst
+    from ..actions.many import check_folder, run_many, worst
     from ..report.summary import SUMMARY_FORMAT, check_summary, is_summary, write_summary
     from ..system.outputs import Outputs
 
     found = inputs_of(many.words)
     places = None if out is None else outputs_of(found, out)
-    if dry_run:
-        request.check_for_many()
-        if out is None or out.exists():
-            rehearse(found, request, places, leave=lambda path, out: is_finished(path, out, request))
-        rehearse_in_new_folder(found, request, out, lambda folder: outputs_of(found, folder))
+    request.check_for_many()
+    if out is not None:
+        check_folder(out)
     there = [place for place in places or () if place.exists()]
     replaces = overwrite or (places is not None and _loses_nothing(many.summaries, found, places, request))
     with Outputs(replaces, (found, request.inputs)) as outputs, progress_bars() as progress:
         for summary in many.summaries:
             check_summary(summary)
         partials = [outputs.file(summary, is_summary) for summary in many.summaries]
+        if dry_run and out is not None and not out.exists():
+            rehearse_in_new_folder(found, request, out, lambda folder: outputs_of(found, folder))
+        if dry_run:
+            leave = partial(is_finished, request=request)
+            rehearse(found, request, places, leave=leave, needs_claim=action == "check")
         done: list[Row] = []
 
         def said(row: Row) -> None:
@@ -139,8 +151,8 @@ def run(
                 say(line(row))
 
         rows = run_many(action, found, request, out, many.jobs or 1, said, places)
-        for partial, summary in zip(partials, many.summaries, strict=True):
-            write_summary(rows, partial, summary)
+        for place, summary in zip(partials, many.summaries, strict=True):
+            write_summary(rows, place, summary)
     if as_json:
         click.echo(json.dumps({"format": SUMMARY_FORMAT, "inputs": rows}))
     _tell(rows, set() if overwrite else {os.path.abspath(place) for place in there})

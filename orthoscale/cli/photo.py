@@ -72,6 +72,7 @@ def photo(
     nadir view, its altitude above the ground where the vehicles stand, the mean ground sampling distance and the
     footprint, each with a 90 % interval. The ground is assumed level.
     """
+    from ..formats.detections import output_of
     from ..photos import survey, tables
     from ..photos.looking import Looking
     from ..system.outputs import Outputs
@@ -82,7 +83,8 @@ def photo(
         for path in outputs:
             tables.check_ending(path)
         partials = [files.file(path, tables.known(path)) for path in outputs]
-        keep = None if save_detections is None else _keeper(files, save_detections)
+        saved = output_of(files, save_detections)
+        keep = None if saved is None else _keeper(files, saved)
         made = survey.surveyed(paths, how, together, progress, keep, **lens)
         outcomes, pooled = made.outcomes, made.together
         text = made.to_dict()
@@ -96,13 +98,10 @@ def photo(
         say(summary(outcomes, text, pooled, outputs))
 
 
-def _keeper(files: Outputs, path: Path) -> Callable[[Detections, Sequence[Photo]], None]:
-    """What writes the boxes to `path` at once: they are worth a look above all where they are too few."""
-    from ..formats.detections import check_name
+def _keeper(files: Outputs, saved: Path) -> Callable[[Detections, Sequence[Photo]], None]:
+    """What writes the boxes to `saved`, one of the outputs `files`, and delivers them at once: they are worth a look
+    above all where they are too few."""
     from ..photos.looking import save_boxes
-
-    check_name(path)
-    saved = files.file(path)
 
     def keep(found: Detections, photos: Sequence[Photo]) -> None:
         save_boxes(found, saved, photos)

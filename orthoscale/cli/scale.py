@@ -64,7 +64,7 @@ def estimate(
     """
     from ..actions import estimate as pipeline
     from ..actions import workspace
-    from ..formats.detections import check_name, save
+    from ..formats.detections import output_of, save
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
@@ -75,18 +75,16 @@ def estimate(
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
     if dry_run:
-        rehearse(models or [path], request)
+        rehearse(models or [path], request, save_detections=save_detections, overwrite=overwrite)
     with Outputs(overwrite, (path, request.inputs)) as outputs, progress_bars() as progress:
         if models:
             outcomes = workspace.estimate_all(models, request, progress)
         else:
-            if save_detections is not None:
-                check_name(save_detections)
-                saved = outputs.file(save_detections)
+            boxes = output_of(outputs, save_detections)
             result = pipeline.measured(path, request, progress)
-            if save_detections is not None:
+            if boxes is not None:
                 outputs.protect(*result.source.files)
-                save(result.detections, saved, result.source)
+                save(result.detections, boxes, result.source)
     if models:
         _finish_all(outcomes, as_json)
         results = [outcome.result for outcome in outcomes if outcome.result is not None]
@@ -144,7 +142,7 @@ def fix(
             outputs.check(out)
         rehearse_in_new_folder(models, request, out, lambda folder: [folder / model.name for model in models])
     if dry_run:
-        rehearse([path], request, [out])
+        rehearse([path], request, [out], save_detections=save_detections)
     missing = None
     with progress_bars() as progress:
         try:

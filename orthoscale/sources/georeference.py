@@ -55,6 +55,14 @@ class Place:
 
 def claim_of(dataset: DatasetReader) -> Claim:
     """What the georeferencing of `dataset` says, and whether to believe it. Never raises for strange georeferencing."""
+    try:
+        return _claim_of(dataset)
+    except pyproj.exceptions.CRSError as error:
+        return Claim(None, False, f"its coordinate reference system is not understood ({error})")
+
+
+def _claim_of(dataset: DatasetReader) -> Claim:
+    """As `claim_of`. Raises CRSError."""
     t, crs = dataset.transform, dataset.crs
     if (t.b, t.d, t.c) == (0, 0, 0) and abs(t.a) == abs(t.e) == 1 and t.f in (0, dataset.height):
         if dataset.gcps[0]:
@@ -74,10 +82,7 @@ def claim_of(dataset: DatasetReader) -> Claim:
             f"there is no coordinate reference system; pixels are {shape}"
         )
         return Claim(size, False, why + _attitude(t), None, t)
-    try:
-        system = pyproj.CRS.from_user_input(crs)
-    except pyproj.exceptions.CRSError as error:
-        return Claim(None, False, f"its coordinate reference system is not understood ({error})")
+    system = pyproj.CRS.from_user_input(crs)
     if system.type_name == "Engineering CRS":
         size *= system.axis_info[0].unit_conversion_factor
         why = f"in local coordinates ({system.name}), which nothing ties to the ground"
@@ -117,6 +122,8 @@ def _claim_on_earth(dataset: DatasetReader, crs: CRS, t: Affine, why: str) -> Cl
     except pyproj.exceptions.ProjError as error:
         return Claim(None, False, f"its place cannot be found on Earth from {system.name} ({error})")
     gsd = math.sqrt(across * down)
+    if gsd == 0:
+        return Claim(None, False, f"pixels without size on the ground, in {system.name}")
     size = math.sqrt(abs(t.determinant))
     unit = system.axis_info[0].unit_name if system.axis_info else "unit"
     if system.is_geographic:

@@ -38,7 +38,8 @@ except ImportError:  # not POSIX
 FOLDER_MARK = ".orthoscale.json"  # in every folder that orthoscale writes: what it is, and the files that it wrote
 ELSEWHERE = "Choose another place, or delete it yourself."
 DISK = (OSError, sqlite3.Error)  # what a disk that is full, gone or read-only raises
-LOCK, NEW, FORMER = "lock", "new", "former"  # in the scratch folder of an output
+SCRATCH = ".partial"  # ending of the scratch folder beside an output
+LOCK, NEW, FORMER = "lock", "new", "former"  # in that folder
 
 # What GDAL reads beside a file: the file's name and this, or its stem and this. World files come on top.
 BESIDE_NAME = (".aux.xml", ".ovr", ".msk", ".xml", "-wal", "-shm", "-journal")
@@ -87,14 +88,17 @@ def has_header(path: Path, columns: Iterable[str]) -> bool:
 class Outputs:
     """The outputs of one command, as a context: in their places at its end, or on an error as if it had not run.
 
-    overwrite : replace what orthoscale wrote before. inputs : what `existing` takes.
+    overwrite : replace what orthoscale wrote before. inputs : what `existing` takes. dry_run : only check the outputs,
+    and leave all as it was.
     problems : what `attempt` could not write, by the reason.
     Raises UsageError for an output that is refused, OutputError for one that cannot be written. An OSError from the
     block becomes an InputError if it names a file that is none of the outputs, else an OutputError.
     """
 
-    def __init__(self, overwrite: bool = False, inputs: str | Path | None | Sequence = ()) -> None:
-        self.overwrite = overwrite
+    def __init__(
+        self, overwrite: bool = False, inputs: str | Path | None | Sequence = (), dry_run: bool = False
+    ) -> None:
+        self.overwrite, self.dry_run = overwrite, dry_run
         self.problems: dict[str, list[str]] = {}
         self._inputs = existing(inputs)
         self._claims: list[_Claim] = []
@@ -158,7 +162,7 @@ class Outputs:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if error is None:
+            if error is None and not self.dry_run:
                 self._put(self._claims)
             elif isinstance(error, OrthoscaleError):
                 error.reword(self._named_by_place)
@@ -254,7 +258,8 @@ class Outputs:
                 for claim in reversed(done):
                     claim.undo()
                 raise
-            stopping.written.extend(str(claim.path) for claim in written)
+            # What lies in another output's scratch folder goes with that, and is there when that is.
+            stopping.written.extend(str(claim.path) for claim in written if not claim.in_another)
 
 
 class _Claim:
@@ -266,7 +271,7 @@ class _Claim:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.retired = self.failed = False
-        self.scratch = path.absolute().parent / f".{signature(path).replace(' ', '-')}.partial"
+        self.scratch = path.absolute().parent / f".{signature(path).replace(' ', '-')}{SCRATCH}"
         with _writing(path):
             self._lock = _locked(self.scratch, path)
             self.partial, self._former = self.scratch / NEW / path.name, self.scratch / FORMER / path.name
@@ -279,6 +284,12 @@ class _Claim:
             except BaseException:
                 self.release()
                 raise
+
+    @property
+    def in_another(self) -> bool:
+        """Whether it is written as a part of another output, which is not in its place yet."""
+        folders = self.path.absolute().parents
+        return any(folder.name == NEW and folder.parent.suffix == SCRATCH for folder in folders)
 
     def concerns(self, name: str | bytes) -> bool:
         """Whether an error about the file `name` is one about this output."""

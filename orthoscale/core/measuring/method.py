@@ -51,6 +51,11 @@ class Method:
     country: str = ""
     own: Mapping[str, tuple[Standard, ...]] = field(default_factory=dict)
 
+    @property
+    def vehicles_only(self) -> bool:
+        """Whether nothing but vehicles enters the scale: by the paper's estimator."""
+        return self.estimator == "iqr"
+
     def sizes(
         self, boxes: Boxes, views: Views, metres_per_unit: float, height: Sequence[float] | np.ndarray, fleet: Fleet
     ) -> np.ndarray:
@@ -76,7 +81,7 @@ class Method:
         more: Sequence[AnchorVote] = (),
     ) -> Scale:
         """The scale; `more` are anchors that the boxes themselves show."""
-        if self.estimator == "iqr":
+        if self.vehicles_only:
             return pool_paper(votes, fleet, unit)
         seen = [vote.of(self.own.get(vote.anchor.kind)) for vote in (*self.anchors, *more)]
         return pool(votes, fleet, ruler, unit, geometry, self.evidence, seen, self.country)

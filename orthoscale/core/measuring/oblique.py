@@ -142,7 +142,7 @@ class FramesGeometry:
         objects = objects_in_model(
             self.source, self.found.objects, self.found.zoom, metres_per_unit, standards, self.footing
         )
-        return [*objects, *rows_in_model(vehicles, self.along[seen.solved], standards, country)]
+        return [*objects, *rows_in_model(vehicles, self.along[seen.solved], standards, country, self.footing)]
 
     def _findings(
         self, seen: Observation, shipped: np.ndarray, bare: np.ndarray, ruler: OwnRuler, vehicles: Votes, scale: Scale

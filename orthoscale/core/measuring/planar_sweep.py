@@ -157,7 +157,7 @@ class SweepGeometry:
         self, seen: Observation, vehicles: Votes, metres_per_unit: float, standards: Standards, country: str
     ) -> Sequence[AnchorVote]:
         """Rows of parked vehicles."""
-        return rows_in_model(vehicles, self.along[seen.solved], standards, country)
+        return rows_in_model(vehicles, self.along[seen.solved], standards, country, self.footing)
 
     def refined(self, seen: Observation, votes: Votes, scale: Scale) -> Geometry:
         """There is nothing to refine."""

@@ -16,7 +16,7 @@ from ..projection.exact import FLAT, Hull, ground_axes, ground_size
 from ..projection.view import Views
 from ..source import PosedSet
 from ..votes import Votes, gather
-from .footing import BY_POINTS, GROUND_SD, Footing
+from .footing import BY_POINTS, Footing
 from .objects import standard_objects
 from .parking import parking_pitch
 
@@ -57,19 +57,22 @@ def objects_in_plan(objects: Mapping[str, Boxes], zoom: float, standards: Standa
     ]
 
 
-def rows_in_model(votes: Votes, along: np.ndarray, standards: Standards, country: str) -> list[AnchorVote]:
+def rows_in_model(
+    votes: Votes, along: np.ndarray, standards: Standards, country: str, footing: Footing = BY_POINTS
+) -> list[AnchorVote]:
     """The pitch of parking rows on a reconstruction's ground, where they show one.
 
     Each vehicle has one place, however often it was seen.
 
     votes : of vehicles, `place` (N, 3) in the world, `size` without the margin. along : (M, 3) unit vectors of the
-    long sides of all boxes, in the world. Vehicles seen once where others are seen often are left out.
+    long sides of all boxes, in the world. Vehicles seen once where others are seen often are left out. footing : the
+    ground on which they stand.
     """
     kept = ~votes.fleeting
     members = [m for m, keep in zip(votes.members, kept, strict=True) if keep]
     axes = np.array([_mean_axis(along[m]) for m in members]).reshape(-1, 3)
     found = parking_pitch(votes.place[kept], axes, votes.size[kept], standards.stalls, country)
-    return [] if found is None else [replace(found, shared_sd=GROUND_SD)]
+    return [] if found is None else [_on_ground(found, footing)]
 
 
 def world_axes(source: PosedSet, names: np.ndarray, boxes: Boxes, views: Views) -> np.ndarray:
@@ -125,9 +128,14 @@ def objects_in_model(
             scales = [evidence_of(votes)[0].meant(about).value for votes in (whole, none)]
             unsure = abs(float(np.log(scales[0] / scales[1]))) / np.sqrt(12)  # one sigma of anything in between
         for vote in middle:
-            own = float(np.hypot(vote.relative_sd, footing.at(vote.place[None])[1][0]))
-            found.append(replace(vote, relative_sd=own, shared_sd=float(np.hypot(footing.shared, unsure))))
+            found.append(_on_ground(vote, footing, unsure))
     return found
+
+
+def _on_ground(vote: AnchorVote, footing: Footing, unsure: float = 0.0) -> AnchorVote:
+    """`vote` with the errors of the ground of `footing`, and one sigma `unsure` that all of its kind share."""
+    own = np.hypot(vote.relative_sd, footing.at(vote.place[None])[1][0])
+    return replace(vote, relative_sd=float(own), shared_sd=float(np.hypot(footing.shared, unsure)))
 
 
 def _objects(

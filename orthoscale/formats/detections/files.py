@@ -15,6 +15,7 @@ from ...core.detections import Detections
 from ...core.remarks import CAUTION, INFO, Remark
 from ...core.source import Pictures
 from ...errors import InputError, UsageError, shown
+from ...system.outputs import Outputs
 from ..reading import LARGE, read_plain
 from ..tables import known_objects
 from . import coco, dota, geo, table
@@ -37,6 +38,15 @@ def check_name(path: Path) -> None:
     if path.suffix.lower() not in FORMATS:
         known = ", ".join(f"{suffix} ({what})" for suffix, what in FORMATS.items())
         raise UsageError(f"{path.name}: not an ending of a detections format", f"Known: {known}.")
+
+
+def output_of(outputs: Outputs, path: Path | None) -> Path | None:
+    """Where to write the boxes that are to be kept at `path`, one of the `outputs`; None where none are to be kept.
+    Raises UsageError, OutputError."""
+    if path is None:
+        return None
+    check_name(path)
+    return outputs.file(path)
 
 
 def save(found: Detections, path: Path, source: Pictures) -> None:

@@ -48,7 +48,7 @@ class Sim3:
     @classmethod
     def load(cls, path: Path) -> Sim3:
         """Read either file. Raises InputError for anything else, UsageError for one that turns or shifts."""
-        if path.suffix == ".json":
+        if path.suffix.lower() == ".json":
             from ..schemas import Sim3Entry
 
             entry = read(path, Sim3Entry, "a similarity", SIM3_HINT)
