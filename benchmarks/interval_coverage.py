@@ -39,7 +39,7 @@ NO_MARGIN = Ruler(margin=(0.0, 0.0), margin_sd=(0.0, 0.0), bias_sd=(0.015, 0.02)
 # A detector that draws sizes to the usual as the shipped one does on rendered scenes (`training.shrink`).
 DRAWING = replace(RULER, shrink=(0.4, 0.2), shrink_sd=(0.1, 0.1))
 NO_VANS = Vans()
-CARD = Path(__file__).parents[1] / "training" / "measurer" / "card_m16.json"
+CARD = Path(__file__).parents[1] / "training" / "measurer" / "card_m21.json"
 SHIPPED = MeasurerCard.from_json(CARD.read_text(), str(CARD)).ruler
 # The measurer's boxes, of which the noise is a share of the vehicle (3 % of length, 4.4 % of width: 1.1 and 0.66 px at
 # 12 cm/px) and hardly any margin is left open, as its card has it: alike at every pixel size. And what it calls them.

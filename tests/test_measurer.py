@@ -25,7 +25,7 @@ from orthoscale.detect.measurer import (
 )
 
 DARK = 60  # ground of drawn pictures; filters undershoot, and must not be cut off at black
-CARD = Path(__file__).parents[1] / "training/measurer/card_m16.json"
+CARD = Path(__file__).parents[1] / "training/measurer/card_m21.json"
 FINE = 8  # samples per pixel that drawn pictures are averaged from
 
 

@@ -24,7 +24,6 @@ SOFT = 0.25  # share of the pictures that are blurred once they are taken: enlar
 SOFTEST = (0.5, 3.0)  # one sigma of that blur [px]
 SHARPEST = 126.0  # a vehicle's length on the sensor, at most [px]: as many as the rendered pictures have
 REACH = 2.9  # side of a window in vehicle lengths: a crop 1.35 times too large lies inside at any turn
-# Of the next training; m16 saw 0.3, 0.12 and shapes changed by 0.14.
 GLARE = 0.45  # share of the lenses that scatter light widely: what is overexposed grows by it
 OVEREXPOSED = 0.3  # share of the pictures whose exposure suits the shade
 # Share of the pictures whose contrast was stretched until shadows are black, as it is in orthophotos; dark paint in or

@@ -1,6 +1,6 @@
 """Write the trained measurer as ONNX, its answers averaged over the crop's mirrors.
 
-    python -m training.measurer.export --run runs/m16 --card training/measurer/card_m16.json --out measurer.onnx
+    python -m training.measurer.export --run runs/m21 --card training/measurer/card_m21.json --out measurer.onnx
     python -m training.measurer.export --network measurer.onnx --card CARD.json --out measurer.onnx  # another card
 
 Input ``crops`` float32 (n, 3, 48, 96), RGB 0..255; outputs ``edges`` and ``sigma`` (n, 4) [crop px], ``turn`` (n,)

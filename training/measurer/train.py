@@ -4,7 +4,7 @@ r"""Train the measurer.
     python -m training.measurer.real runs/bank --labels ../shared/data/vehicles/labels.json
     python -m training.measurer.train --bank runs/bank --run runs/new --steps 20000
 
-A step is BATCH crops, which a process of its own makes; two cores do NNN crops a second. The checkpoint holds
+A step is BATCH crops, made by a process of its own; two cores do 60 to 240 crops a second. The checkpoint holds
 everything: `--resume` goes on where it stopped, in newly drawn crops. The exponential moving average of the weights is
 what `export` writes.
 """
