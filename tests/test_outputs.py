@@ -322,6 +322,15 @@ def test_a_claim_beside_an_interval_that_has_no_width_or_goes_below_nought():
         assert own_claim(claim, scale).verdict == verdict
 
 
+def test_a_scale_that_is_of_no_use_contradicts_no_claim():
+    """Its boxes may be no vehicles: 0.22 m/px by a factor at which there were none, where the file says 0.097."""
+    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.097, usable=True, why=""))
+    every = np.ones(18, bool)
+    for word, verdict in (("poor", "disagrees"), ("unusable", "doubtful")):
+        scale = Scale(0.22, "m/px", (0.195, 0.25), {"sampling": 0.08}, {}, (1, 0), 0.0, "PH", word, every, [""] * 18)
+        assert own_claim(claim, scale).verdict == verdict
+
+
 def test_check_compares_what_nothing_ties_to_the_ground_and_says_so(tmp_path, boxes):
     path = picture(tmp_path / "a.tif", **CASES["world file"][0])
     done = check(path, "--detections", boxes, "--fleet", "DE")

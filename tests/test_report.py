@@ -5,7 +5,9 @@ import json
 import os
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +18,8 @@ from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed
 import orthoscale
 from orthoscale.core.remarks import REFUSAL, Remark
 from orthoscale.core.verdicts import UNUSABLE
-from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, UsageError
+from orthoscale.detect.zoom import ZoomChoice
+from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
 from orthoscale.report import files, places, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, read_json
@@ -534,3 +537,24 @@ def test_a_source_that_refuses_its_pictures_makes_the_scale_unusable(tmp_path):
     with pytest.raises(EvidenceDisagrees, match="of another flight") as caught:
         result.require_useful()
     assert "Name the right ones, or write anyway" in caught.value.hint
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_a_scale_of_no_use_says_what_was_not_tried_yet(tmp_path, named):
+    """A fleet that was named is not asked for again; where the factor was searched for, the size of a pixel helps."""
+    car_park(tmp_path)
+    options = {"fleet": "DE", "detections": tmp_path / "detections.json"}
+    result = orthoscale.estimate(tmp_path / "park.png", **options)
+    useless = replace(result.measured, scale=replace(result.scale, verdict=UNUSABLE))
+    settings = {"fleet": "DE"} if named else {}
+    for searched in (None, ZoomChoice(4.0, 7.0, 2.0, None, 0.0, [])):
+        with pytest.raises(TooLittleEvidence) as caught:
+            replace(result, measured=useless, settings=settings, zoom_choice=searched).require_useful()
+        assert ("--fleet" in caught.value.hint) == (not named)
+        assert ("--gsd-hint METRES_PER_PIXEL" in caught.value.hint) == (searched is not None)
+        assert caught.value.hint[0].isupper() and "--force" in caught.value.hint
+    claimed = SimpleNamespace(gsd_m=0.0967, usable=True)
+    source = SimpleNamespace(path="a.tif", plan=True, notes=[], claimed=claimed)
+    with pytest.raises(TooLittleEvidence) as caught:
+        replace(result, source=source, measured=useless, zoom_choice=searched).require_useful()
+    assert "--gsd-hint 0.0967, as its georeferencing claims" in caught.value.hint

@@ -16,6 +16,7 @@ from ..core.anchors import Anchor, AnchorFinder, Standard, alike
 from ..core.detections import Tile
 from ..core.source import Picture
 from ..detect.cache import RASTER_CODE, Kept, content_key, tile_name
+from ..detect.filled import filled, one_grey
 from ..detect.order import visiting_order
 from ..detect.tiles import check_number, read, tiles
 from ..detect.workers import done_on_threads
@@ -104,6 +105,8 @@ class _Part:
         self.gsd = {picture.name: gsd for picture, gsd in sought.pictures}
         self.pictures = [picture for picture, gsd in sought.pictures if gsd <= self.finder.coarsest]
         windows = [(p, tile) for p in self.pictures for tile in windows_of(p, self.gsd[p.name], self.finder)]
+        if not self.exhaustive:
+            windows = [(picture, tile) for picture, tile in windows if filled(picture).share(tile)]
         order = range(len(windows))
         if len(self.pictures) == 1 and not self.exhaustive:
             order = visiting_order([tile for _, tile in windows], np.ones(len(windows)), seed).tolist()
@@ -187,10 +190,10 @@ def windows_of(picture: Picture, gsd: float, finder: AnchorFinder) -> list[Tile]
 def look(
     finder: AnchorFinder, picture: Picture, tile: Tile, gsd: float, gsd_sd: float, country: str = ""
 ) -> list[Anchor]:
-    """The anchors in one window of a picture of `gsd` m/px, in the picture's pixels. A window of one colour (no data)
+    """The anchors in one window of a picture of `gsd` m/px, in the picture's pixels. A window of one grey (no data)
     is not looked at."""
     image = read(picture, tile)
-    if image.min() == image.max():
+    if one_grey(image):
         return []
     factor = np.array([tile.width / tile.out_width, tile.height / tile.out_height])
     mean = float(np.sqrt(factor.prod()))

@@ -9,6 +9,7 @@ from typing import Any
 from .pooling.posterior import Z90
 from .scale import Scale
 from .source import Source
+from .verdicts import UNUSABLE
 
 NO_CLOSER = 1e-9  # least one sigma of a scale: boxes that are all alike would leave none
 CLEAR = 3.0  # sigmas from which a disagreement is no chance
@@ -30,7 +31,8 @@ class Comparison:
 
     claimed_by : what claims it, for people. claimed, recovered : metres per unit. sd : relative one sigma of the
     recovered scale (and of the claim, where it has one), on the claim's side of it. by : what recovered it. believed :
-    False if by the claim itself nothing ties it to the ground. why : where the claim comes from.
+    False if by the claim itself nothing ties it to the ground. why : where the claim comes from. useful : False if the
+    recovered scale is too uncertain to be used, and so to contradict anything: its boxes may be no vehicles.
     """
 
     claimed_by: str
@@ -40,6 +42,7 @@ class Comparison:
     believed: bool = True
     why: str = ""
     by: str = "vehicles"
+    useful: bool = True
 
     @property
     def ratio(self) -> float:
@@ -53,10 +56,11 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """``agrees`` (within the 90 % interval), ``disagrees`` (beyond three sigmas), else ``doubtful``."""
+        """``agrees`` (within the 90 % interval), ``disagrees`` (beyond three sigmas, by a useful scale), else
+        ``doubtful``."""
         if self.sigmas <= Z90:
             return "agrees"
-        return "disagrees" if self.sigmas > CLEAR else "doubtful"
+        return "disagrees" if self.sigmas > CLEAR and self.useful else "doubtful"
 
     @property
     def guesses(self) -> list[str]:
@@ -108,4 +112,5 @@ def own_claim(source: Source, scale: Scale) -> Comparison | None:
         claimed.usable,
         claimed.why,
         " and ".join(by),
+        scale.verdict != UNUSABLE,
     )

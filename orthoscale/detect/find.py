@@ -20,6 +20,7 @@ from .cache import TileCache, cache_key
 from .coarse_pass import coarse_pass
 from .cover import Cover
 from .detector import Detector
+from .filled import filled
 from .order import visiting_order
 from .sweep import Found, Stop, sweep_twice
 from .tie_break import settled
@@ -72,8 +73,9 @@ def find_vehicles(
 
     detector : the shipped one by default. zoom : detector pixels per picture pixel.
     sampling : gives the sampling part of the uncertainty that follows from what was found so far (infinite for too
-    little): the sweep ends when it reaches the effort's target. Without it, all tiles are looked at. cover : of frames
-    that overlap: enough of them are looked at, whatever the target, and more only for too little evidence.
+    little): the sweep ends when it reaches the effort's target, and leaves out tiles that show nothing. Without it, all
+    tiles are looked at. cover : of frames that overlap: enough of them are looked at, whatever the target, and more
+    only for too little evidence.
     Raises TooLittleEvidence, EvidenceDisagrees.
     """
     effort = effort or Effort()
@@ -87,8 +89,12 @@ def find_vehicles(
     detections = partial(_detections, detector=detector, zoom=zoom)
     check_number(pictures, zoom)
     each = [tiles(picture, zoom) for picture in pictures]
-    jobs = [(picture, tile) for picture, some in zip(pictures, each, strict=True) for tile in some]
     anytime = sampling is not None and not effort.exhaustive
+    if anytime:
+        each = [
+            [tile for tile in some if filled(picture).share(tile)] for picture, some in zip(pictures, each, strict=True)
+        ]
+    jobs = [(picture, tile) for picture, some in zip(pictures, each, strict=True) for tile in some]
     order: Sequence[int | np.ndarray] | np.ndarray = np.arange(len(jobs))
     if anytime and cover is not None:
         of_picture = np.split(np.arange(len(jobs)), np.cumsum([len(some) for some in each])[:-1])

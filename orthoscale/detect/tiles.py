@@ -16,6 +16,7 @@ from ..core.detections import Tile
 from ..core.source import Picture
 from ..system.budget import require
 from .detector import CUT_OBJECT, OVERLAP, VEHICLES, Detector
+from .filled import one_grey
 
 TILE = 1024  # side of the network's input [px]
 TILE_BORDER = 2.0  # boxes closer than this to a tile's edge may be cut by it [px of the input]
@@ -82,12 +83,12 @@ def look(picture: Picture, tile: Tile, detect: Detect) -> Boxes:
 
 
 def look_twice(picture: Picture, tile: Tile, detect: Detect, confirm: Detect | None = None) -> Looks:
-    """Two passes over one tile, whose pixels are read once. A tile of one colour (no data) is left out.
+    """Two passes over one tile, whose pixels are read once. A tile of one grey (no data) is left out.
 
     confirm : takes the second one; by default the detector that confirms `detect`, or `detect` itself.
     """
     image = read(picture, tile)
-    if image.min() == image.max():
+    if one_grey(image):
         return Looks(Boxes.empty(), Boxes.empty())
     first = _seen(detect, image)
     if not any(map(len, first.values())):  # only what both show counts, and most of many surveys is empty

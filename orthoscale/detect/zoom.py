@@ -28,6 +28,7 @@ from ..core.equal_sizes import all_alike, more_of_the_same
 from ..core.source import Picture
 from ..errors import UsageError
 from .detector import Card
+from .filled import Filled, filled
 from .tiles import Detect, look, tiles
 
 # Where these numbers come from: BUDGET's second and DECODED's ratio were measured on two cores. The rest follows from
@@ -120,7 +121,8 @@ def search_zoom(
     clear; where none does, it is soon said that there are none.
     """
     longest = max(max(p.width, p.height) for p in pictures)
-    levels = [_Level(float(z)) for z in ZOOM_LEVELS if longest * z >= 3 * card.usable_length[0]]
+    shown = [filled(picture) for picture in pictures]
+    levels = [_Level(float(z), shown) for z in ZOOM_LEVELS if longest * z >= 3 * card.usable_length[0]]
     order = np.random.default_rng(seed).permutation(len(pictures))
 
     def look_at(chosen: Sequence[_Level], budget: float) -> _Votes:
@@ -164,29 +166,40 @@ def zoom_for(length: float, card: Card) -> float:
 
 def sample(pictures: Sequence[Picture], zoom: float, seed: int = 0) -> list[tuple[int, Tile]]:
     """Windows (picture number, tile) for one look at `zoom` that costs no more than one zoom of the search."""
-    return _Level(zoom).windows(pictures, np.random.default_rng(seed).permutation(len(pictures)), BUDGET)
+    level = _Level(zoom, [filled(picture) for picture in pictures])
+    return level.windows(pictures, np.random.default_rng(seed).permutation(len(pictures)), BUDGET)
 
 
 @dataclass
 class _Level:
-    """What has been seen at one zoom: boxes of usable length by picture number, in its pixels."""
+    """What has been seen at one zoom: boxes of usable length by picture number, in its pixels. filled : where each
+    picture shows anything."""
 
     zoom: float
+    filled: Sequence[Filled]
     parts: dict[int, list[Boxes]] = field(default_factory=dict)
     done: set[tuple[int, int, int]] = field(default_factory=set)
     spent: float = 0.0  # network pixels
-    looked: float = 0.0  # network pixels in `parts`
+    looked: float = 0.0  # network pixels in `parts` that may show anything
     anchor: int = 0
     complete: bool = False
 
     def windows(self, pictures: Sequence[Picture], order: np.ndarray, budget: float) -> list[tuple[int, Tile]]:
         """Windows (picture number, tile) to look at next, until `budget` network pixels are spent, those before
         included; everything, where that costs no more. The same places serve every zoom, so that neighbouring zooms
-        see the same vehicles."""
+        see the same vehicles. What shows nothing is left out."""
         if self.complete:
             return []
-        if sum(p.width * p.height for p in pictures) * self.zoom**2 <= budget:
-            everything = [(k, tile) for k, picture in enumerate(pictures) for tile in tiles(picture, self.zoom)]
+        if (
+            sum(p.width * p.height * f.area for p, f in zip(pictures, self.filled, strict=True)) * self.zoom**2
+            <= budget
+        ):
+            everything = [
+                (k, tile)
+                for k, picture in enumerate(pictures)
+                for tile in tiles(picture, self.zoom)
+                if self.filled[k].share(tile)
+            ]
             if sum(_cost(pictures[k], tile) for k, tile in everything) <= 2 * budget:
                 self.complete, self.parts, self.looked = True, {}, 0.0
                 return everything
@@ -194,6 +207,8 @@ class _Level:
         while self.spent < budget:
             index, sx, sy = _anchor(self.anchor, order)
             self.anchor += 1
+            if not self.filled[index].at(sx, sy):
+                continue
             picture = pictures[index]
             span = max(1, int(WINDOW / self.zoom))
             width, height = min(span, picture.width), min(span, picture.height)
@@ -211,7 +226,7 @@ class _Level:
         """Add what was seen in `windows`."""
         low, high = card.usable_length
         for (index, tile), boxes in zip(windows, looks, strict=True):
-            self.looked += tile.out_width * tile.out_height
+            self.looked += tile.out_width * tile.out_height * self.filled[index].share(tile)
             usable = (boxes.length * self.zoom >= low) & (boxes.length * self.zoom <= high)
             self.parts.setdefault(index, []).append(boxes[usable])
 

@@ -155,5 +155,19 @@ class Result(Brief):
             raise TooLittleEvidence(
                 f"{self.source.path}: the scale is only known to lie between {low:.4g} and {high:.4g} "
                 f"{self.scale.unit}",
-                "Name the country's fleet (--fleet), give a scene with more vehicles, or write anyway with --force.",
+                self._cures,
             )
+
+    @property
+    def _cures(self) -> str:
+        """What may make too uncertain a scale useful, of what the user has not done yet."""
+        cures = []
+        if "fleet" not in self.settings:
+            cures.append("name the country's fleet (--fleet)")
+        if self.zoom_choice is not None:  # it was searched for, and may be that of other things than vehicles
+            claimed = self.source.claimed
+            told = claimed is not None and claimed.gsd_m is not None and claimed.usable and self.source.plan is not None
+            size = f"{claimed.gsd_m:.3g}, as its georeferencing claims" if claimed and told else "METRES_PER_PIXEL"
+            cures.append(f"say roughly how large a pixel is (--gsd-hint {size})")
+        text = ", ".join([*cures, "give a scene with more vehicles", "or write anyway with --force."])
+        return text[0].upper() + text[1:]
