@@ -26,16 +26,16 @@ WANDERS = (0.3, 0.6, 1.2, 2.4, 4.8)
 # it (doi:10.3390/s20216050), GPS errors over some 20 min (El-Rabbany and Kleusberg 2003); the shorter ones are of
 # filters, and of positions that lag behind.
 MEMORIES = (10.0, 60.0, 300.0, 1200.0)
-WHITE = (0.02, 0.1, 0.3, 1.0, 3.0, 10.0)  # one sigma of the white part [m]: from RTK to degrees that were rounded
+WHITES = (0.02, 0.1, 0.3, 1.0, 3.0, 10.0)  # one sigma of the white part [m]: from RTK to degrees that were rounded
 ODD = 6.0  # sigmas along one axis, by the median, from which a position is a mistake ...
 ORDINARY = 10.0  # ... but no less than so far off [m]: those of `weedon` lag by up to 7 m, and are no mistakes
 MOST_ODD = 0.25  # share of mistakes from which none of the positions is believed
-ROUNDS = 20  # of robust fitting; it settles in fewer
+REWEIGHTED = 20  # of robust fitting; it settles in fewer
 MEDIAN_OF_TWO = float(np.sqrt(2 * np.log(2)))  # median length of two normal errors, in sigmas (Rayleigh)
 MOST_SD = 0.1  # relative one sigma of the scale from which positions say nothing: they are of another flight, say
 # Root mean square distance of the positions from their middle, below which they say nothing [m]: some RECEIVERS, and
 # the decimetres between antenna and camera, which no residual shows. A judgement.
-SMALLEST = 10.0
+LEAST_SPREAD = 10.0
 UNFIT = "they do not fit its cameras"
 
 
@@ -51,7 +51,7 @@ def by_positions(units: np.ndarray, metres: np.ndarray, seconds: np.ndarray) -> 
     if len(units) < FEWEST_POSITIONS:
         return None, ""
     a, b = (np.asarray(p, float) @ (1, 1j) for p in (units, metres))
-    if np.std(b) < SMALLEST:
+    if np.std(b) < LEAST_SPREAD:
         return None, f"they lie within {2 * np.std(b):.0f} m"
     fits = _fitting(a, b)
     mistakes = float((~fits).mean())
@@ -75,11 +75,11 @@ def _fitting(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(N,) bool: which of the positions `b`, complex, fit the places `a`: by the similarity of the least sum of
     distances, found by weights (Weiszfeld 1937)."""
     weight = np.ones(len(a))
-    for _ in range(ROUNDS):
+    for _ in range(REWEIGHTED):
         x, y = a - np.average(a, weights=weight), b - np.average(b, weights=weight)
         factor = np.vdot(x, weight * y) / max(np.vdot(x, weight * x).real, np.finfo(float).tiny)
         off = np.abs(y - factor * x)
-        typical = max(float(np.median(off)) / MEDIAN_OF_TWO, WHITE[0])
+        typical = max(float(np.median(off)) / MEDIAN_OF_TWO, WHITES[0])
         weight = 1 / np.maximum(off, typical)
     return off < max(ODD * typical, ORDINARY)
 
@@ -95,7 +95,7 @@ def _scale(a: np.ndarray, b: np.ndarray, seconds: np.ndarray) -> tuple[float, fl
         size, axes = np.linalg.eigh(np.exp(-apart / memory))
         x, y, share = axes.T @ design, axes.T @ b, np.abs(take @ axes) ** 2
         for wander in WANDERS:
-            for white in WHITE:
+            for white in WHITES:
                 variance = np.maximum(wander**2 * size, 0) + white**2
                 whitened = x / variance[:, None]
                 inverse = np.linalg.inv(x.conj().T @ whitened)
