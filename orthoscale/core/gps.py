@@ -35,7 +35,7 @@ MEDIAN_OF_TWO = float(np.sqrt(2 * np.log(2)))  # median length of two normal err
 MOST_SD = 0.1  # relative one sigma of the scale from which positions say nothing: they are of another flight, say
 # Root mean square distance of the positions from their middle, below which they say nothing [m]: some RECEIVERS, and
 # the decimetres between antenna and camera, which no residual shows. A judgement.
-LEAST_SPREAD = 10.0
+LEAST_EXTENT = 10.0
 UNFIT = "they do not fit its cameras"
 
 
@@ -51,7 +51,7 @@ def by_positions(units: np.ndarray, metres: np.ndarray, seconds: np.ndarray) -> 
     if len(units) < FEWEST_POSITIONS:
         return None, ""
     a, b = (np.asarray(p, float) @ (1, 1j) for p in (units, metres))
-    if np.std(b) < LEAST_SPREAD:
+    if np.std(b) < LEAST_EXTENT:
         return None, f"they lie within {2 * np.std(b):.0f} m"
     fits = _fitting(a, b)
     mistakes = float((~fits).mean())
