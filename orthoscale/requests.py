@@ -323,6 +323,13 @@ class EstimateRequest(VehicleRequest):
         "the ground is not level; an orthophoto's distances are horizontal.",
         metavar="FILE",
     )
+    gps: bool = option(
+        True,
+        bool,
+        "Evidence",
+        "Leave the GPS positions in the tags of a model's frames out of the scale.",
+        flag="--no-gps",
+    )
     against: str | Path | None = option(
         None,
         Path,
@@ -364,7 +371,7 @@ class EstimateRequest(VehicleRequest):
         if self.exhaustive:
             self._refuse(("target",), "--exhaustive visits every tile")
         if self.estimator == "iqr":
-            self._refuse(("anchors", "anchor", "against"), "--estimator iqr is the paper's, for vehicles only")
+            self._refuse(("anchors", "anchor", "against", "gps"), "--estimator iqr is the paper's, for vehicles only")
             if self.known_distance or self.ground_control is not None:
                 raise UsageError(
                     "the estimator 'iqr' is the paper's, for vehicles only",
@@ -382,6 +389,11 @@ class EstimateRequest(VehicleRequest):
             own = self.detections is None and self.detector is None and self.calibration is None
             return BUILT_IN if own else None
         return None if self.measurer == NOTHING else str(self.measurer)
+
+    @property
+    def counts_gps(self) -> bool:
+        """Whether GPS positions of frames enter the scale; nothing but vehicles does by the paper's estimator."""
+        return self.gps and self.estimator != "iqr"
 
     @property
     def needs_pictures(self) -> bool:
@@ -408,7 +420,7 @@ class EstimateRequest(VehicleRequest):
         self._refuse(("known_distance", "ground_control"), "it is about one input, and these are several")
 
     def _for_plan(self, path: Path) -> None:
-        self._refuse(("mode", "images", "ground_cloud"), f"it is for COLMAP models, and {path} is an image")
+        self._refuse(("mode", "images", "ground_cloud", "gps"), f"it is for COLMAP models, and {path} is an image")
         if self.projection not in (None, "planar"):
             raise UsageError(
                 f"--projection {self.projection} needs a camera; an orthophoto has none", "Remove --projection."
@@ -501,6 +513,7 @@ class EstimateOptions(VehicleOptions, total=False):
     estimator: str
     known_distance: Sequence[str]
     ground_control: str | Path | None
+    gps: bool
     against: str | Path | None
     anchors: Sequence[str]
     anchor: Sequence[str]

@@ -60,6 +60,7 @@ ASKED = {
     "estimator": ("--estimator", "iqr"),
     "known_distance": ("--known-distance", "0,0 9,9 1"),
     "ground_control": ("--ground-control", "g.txt"),
+    "gps": ("--no-gps",),
     "against": ("--against", "SATELLITE"),
     "anchors": ("--anchors", "none"),
     "anchor": ("--anchor", "bay=2.5"),

@@ -58,6 +58,7 @@ SAID = {
     "estimator": "iqr",
     "known_distance": ("0,0 9,9 1",),
     "ground_control": "g.txt",
+    "gps": False,
     "against": "map.tif",
     "anchors": ("none",),
     "anchor": ("bay=2.5",),
@@ -74,7 +75,7 @@ SAID = {
 OF_DETECTOR = {"detector", "decoder", "zoom", "gsd_hint"} | {
     *("refine", "fast", "target", "exhaustive", "seed", "workers", "scheduler", "cache")
 }
-OF_MODEL = {"mode", "images", "projection", "dense", "ground_cloud"}
+OF_MODEL = {"mode", "images", "projection", "dense", "ground_cloud", "gps"}
 OF_ORTHOPHOTO = {"fast", "target", "keep_origin", "cog", "also"}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -89,9 +89,9 @@ def estimate(
     sparse points alone; by default one that lies beside it. mode : how a model is measured, one of `requests.MODES`;
     by default in every way that there is evidence for.
     projection, estimator : other ways than the usual, see `measuring.method.Method`. known_distance, ground_control :
-    what is known besides, see `actions.control`. against : a georeferenced map that shows the same ground, see
-    `actions.against`. anchors : which things of exact size are looked for, and anchor : your
-    own standards for them, see `actions.anchors`.
+    what is known besides, see `actions.control`. gps : whether the GPS positions of a model's frames count, see
+    `core.gps`. against : a georeferenced map that shows the same ground, see `actions.against`. anchors : which things
+    of exact size are looked for, and anchor : your own standards for them, see `actions.anchors`.
 
     How much is looked at, and with what (`detect.find.Effort`)
     target, exhaustive, seed, workers, scheduler, cache.
@@ -107,7 +107,8 @@ class Opened:
     """The inputs of a request, opened and checked against each other, before anything is measured.
 
     fleet : whose vehicles they are. why : notes on its choice, if the user did not name it. given : the user's evidence
-    on the scale. own : the user's standards for anchors, by kind. satellite : the map that the source is compared with.
+    on the scale, and that of the frames' GPS positions. own : the user's standards for anchors, by kind. satellite :
+    the map that the source is compared with.
     """
 
     source: Source
@@ -139,7 +140,9 @@ def opened(path: str | Path | Source, request: EstimateRequest, progress: Progre
     source = source_of(path, request, request.needs_pictures, progress)
     fleet, why = (named, ()) if named is not None else fleet_at(location_of(source))
     request.check_for(source)
-    given = _given(source, request.known_distance, request.ground_control)
+    given = _given(source, request)
+    if source.posed is not None and request.counts_gps:
+        why = (*why, *source.posed.gps.notes)
     own = own_standards(request.anchor)
     return Opened(source, fleet, why, known, tuple(given), own, _satellite(request.against))
 
@@ -215,7 +218,7 @@ def _of_vehicles(asked: Opened, found: Detections, method: Method, request: Esti
     footing = footing_of(source, found, fleet)
     given = method
     if footing is not BY_POINTS:  # what was given lies on that ground, too
-        evidence = _given(source, request.known_distance, request.ground_control, footing)
+        evidence = _given(source, request, footing)
         given = replace(method, evidence=tuple(evidence))
     by_vehicles = _by_vehicles(source, found, fleet, given, request)
 
@@ -332,17 +335,14 @@ def detector_of(source: Source, request: EstimateRequest) -> Detector:
     return Detector(path, request.decoder, request.vehicle_classes, threads, confirmed)
 
 
-def _given(
-    source: Source, known_distance: Sequence[str], ground_control: str | Path | None, footing: Footing = BY_POINTS
-) -> list[Evidence]:
-    """What the user knows of the scale [m per unit], on the ground of `footing`.
-
-    known_distance : texts as `control.read_distance` takes them. ground_control : a file as `control.read_control`
-    does. Raises UsageError, InputError.
-    """
-    given = [read_distance(text, source, footing) for text in known_distance]
-    if ground_control is not None:
-        given.append(read_control(Path(ground_control), source, footing))
+def _given(source: Source, request: EstimateRequest, footing: Footing = BY_POINTS) -> list[Evidence]:
+    """What the user and the frames' tags know of the scale [m per unit], on the ground of `footing`. Raises UsageError,
+    InputError."""
+    given = [read_distance(text, source, footing) for text in request.known_distance]
+    if request.ground_control is not None:
+        given.append(read_control(Path(request.ground_control), source, footing))
+    if source.posed is not None and request.counts_gps:
+        given += source.posed.gps.evidence
     return given
 
 

@@ -128,7 +128,7 @@ def _show(outcome: Checked) -> None:
 
 # What says something of one of the two inputs only: of the orthophoto's pixels, of the model's frames.
 OF_ORTHOPHOTO = ("zoom", "gsd_hint", "fast", "target", "known_distance", "ground_control")
-OF_MODEL = ("images", "ground_cloud", "mode", "projection")
+OF_MODEL = ("images", "ground_cloud", "mode", "projection", "gps")
 
 
 def _against_model(
@@ -156,6 +156,8 @@ def _against_model(
         low, high = checked.interval90_by_model
         say(f"orthophoto {checked.by_ortho:.5g} m/px by the vehicles in it")
         say(f"model      {checked.by_model:.5g} m/px, 90 % {low:.5g} to {high:.5g}")
+        for evidence in frames.scale.evidence:
+            say(f"also       {evidence.value:.5g} {frames.scale.unit} from {evidence.says}")
         say(f"tied by    {checked.common} vehicles seen in both")
         say(f"           {checked.agreement.sentence()}")
     for result in (ortho, frames):

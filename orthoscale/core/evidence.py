@@ -1,4 +1,4 @@
-"""Evidence on the scale besides the vehicles: known distances, ground control, anchors.
+"""Evidence on the scale besides the vehicles: known distances, ground control, GPS positions of frames, anchors.
 
 Each piece is one measurement of metres per unit with its own uncertainty. Pieces that agree are combined;
 contradictions are reported and never averaged.
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri, stdtrit
 
 from .pooling.posterior import Z90, Posterior
-from .remarks import CAUTION, REFUSAL, Remark
+from .remarks import CAUTION, INFO, REFUSAL, Remark
 
 CONFLICT_HINT = "Check the given evidence, the anchors (--anchors) and the boxes (--save-detections)"
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
@@ -35,6 +35,8 @@ SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a pictur
 READING_SD = 0.5  # [px] one sigma of a point that a person reads in a picture, along a line
 SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach that
 BY_MAP = "map"  # kind of the evidence that a match with a georeferenced map gives
+LEADING = 0.5  # share of the weight from which one measurement decides the scale
+BY_GPS = "GPS positions"  # kind of the evidence that the positions of frames give (`core.gps`)
 CONTROL_SD = 0.05  # of a ground control point's position at best, and where no residuals say [m]
 # Of horizontal distances in a ground that is taken for level, a share of them: down streets of 8 %, the steepest usual
 # ones (`sources.ground_sheet.WANDER`), distances along the ground are longer by so much.
@@ -209,7 +211,17 @@ def _weighed(
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
     shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior, common)
     told = tuple(e.meant(posterior) for e in evidence)
+    remarks = [*remarks, *_leading(heard, posterior)]
     return Combined(posterior, shares, 0.0, remarks, (value, low, high), told)
+
+
+def _leading(heard: Sequence[Evidence], posterior: Posterior) -> list[Remark]:
+    """That GPS positions, which nobody gave on purpose, have most of the weight, where they do."""
+    return [
+        Remark(INFO, f"{e.says} decide the scale, with {100 * weight:.0f} % of the weight; --no-gps leaves them out")
+        for e in heard
+        if e.kind == BY_GPS and (weight := min((posterior.spread / e.own_sd) ** 2, 1.0)) > LEADING
+    ]
 
 
 def _within_reach(

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from .evidence import Evidence
 from .projection.view import LOWEST_ELEVATION, Views
 from .remarks import Remark
 
@@ -165,6 +166,15 @@ class FocalDoubt:
     said: str = ""
 
 
+@dataclass(frozen=True)
+class GpsScale:
+    """What the GPS positions of a reconstruction's frames say of its scale. evidence : one piece, or none where there
+    are no positions, or they tell nothing. notes : why they tell nothing."""
+
+    evidence: tuple[Evidence, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
 class Ground(Protocol):
     """The ground under a reconstruction's cameras, and a plane that follows it [model units].
 
@@ -230,6 +240,11 @@ class PosedSet(Source, Protocol):
     def ground(self) -> Ground: ...
     @property
     def focal(self) -> FocalDoubt: ...
+    @property
+    def gps(self) -> GpsScale:
+        """What the GPS positions of its frames say of its scale."""
+        ...
+
     @property
     def ground_pictures(self) -> Sequence[GroundView]:
         """The near-nadir parts of the frames, warped onto the ground."""

@@ -18,6 +18,7 @@ MEANINGS = {
     "conflict": "measurements that contradict each other",
     "known distance": "the known distance itself",
     "ground control": "the control points themselves",
+    "GPS positions": "the receiver's errors wander, and the flight is only so large",
     "map": "the match with the map, and what the map shows",
     "parking bays": "the width of parking bays at one place",
 }

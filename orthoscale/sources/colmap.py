@@ -16,7 +16,7 @@ import numpy as np
 from ..core.evidence import READING_SD
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.remarks import CAUTION, INFO, Remark, informing
-from ..core.source import FocalDoubt
+from ..core.source import FocalDoubt, GpsScale
 from ..errors import InputError, OrthoscaleError, OutputError, UsageError
 from ..formats.geometry.dense import GEOMETRY, find_dense, scale_dense, sparse_folders
 from ..formats.geometry.files import reason_left
@@ -37,6 +37,7 @@ from .frames import find_frames
 from .ground import Ground
 from .ground_picture import GroundPicture, ground_pictures
 from .picture_file import PictureFile
+from .positions import gps_scale
 from .undistort import undistort
 
 if TYPE_CHECKING:
@@ -143,6 +144,11 @@ class ColmapSource:
     def focal(self) -> FocalDoubt:
         """How far the focal length may be trusted."""
         return focal_doubt(self._model, self.pictures)
+
+    @cached_property
+    def gps(self) -> GpsScale:
+        """What the GPS positions of its frames say of its scale."""
+        return gps_scale(self)
 
     @cached_property
     def ground_pictures(self) -> list[GroundPicture]:

@@ -1,0 +1,113 @@
+"""The scale of a reconstruction by the GPS positions of its frames: a similarity of camera centres to metres.
+
+Only what is horizontal counts: a drone's heights come from a barometer. Errors of one receiver are no independent
+draws: they wander in seconds to tens of minutes, and a slow part of them stretches a flight without leaving anything in
+the residuals. So every position errs by a white part and by one that wanders (Gauss-Markov: variance times
+exp(-time / memory), alike in east and north), and all likely sizes and memories of the two are weighed by what the
+residuals say of them. The scale is that of least squares, which no memory sways; its sigma is the mean of what those
+errors do to it, and more where the residuals are larger than a receiver's (RECEIVERS).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .evidence import BY_GPS, LEVEL_SD, Evidence
+
+FEWEST_POSITIONS = 6  # that fit: four numbers of a similarity are fitted to twelve; a judgement
+MOST_POSITIONS = 300  # of a flight, evenly chosen, that are read and fitted: more show the same slow errors again
+# Residuals along one axis up to which they are the receiver's [m]: within that, drones hover by GPS (DJI's
+# specifications, from Phantom 4 on). What exceeds it is something else, of which it is not known that it averages out:
+# positions of `weedon` lag behind its pictures, by the more the faster it flies.
+RECEIVERS = 1.5
+# One sigma of what wanders, along one axis [m]. The least is a judgement: it keeps the shortest flights honest.
+WANDERS = (0.3, 0.6, 1.2, 2.4, 4.8)
+# Its memories [s]: positions of single-frequency receivers are correlated in time, as an Ornstein-Uhlenbeck process has
+# it (doi:10.3390/s20216050), GPS errors over some 20 min (El-Rabbany and Kleusberg 2003); the shorter ones are of
+# filters, and of positions that lag behind.
+MEMORIES = (10.0, 60.0, 300.0, 1200.0)
+WHITES = (0.02, 0.1, 0.3, 1.0, 3.0, 10.0)  # one sigma of the white part [m]: from RTK to degrees that were rounded
+ODD = 6.0  # sigmas along one axis, by the median, from which a position is a mistake ...
+ORDINARY = 10.0  # ... but no less than so far off [m]: those of `weedon` lag by up to 7 m, and are no mistakes
+MOST_ODD = 0.25  # share of mistakes from which none of the positions is believed
+REWEIGHTED = 20  # of robust fitting; it settles in fewer
+MEDIAN_OF_TWO = float(np.sqrt(2 * np.log(2)))  # median length of two normal errors, in sigmas (Rayleigh)
+MOST_SD = 0.1  # relative one sigma of the scale from which positions say nothing: they are of another flight, say
+# Root mean square distance of the positions from their middle, below which they say nothing [m]: some RECEIVERS, and
+# the decimetres between antenna and camera, which no residual shows. A judgement.
+LEAST_EXTENT = 10.0
+UNFIT = "they do not fit its cameras"
+
+
+def by_positions(units: np.ndarray, metres: np.ndarray, seconds: np.ndarray) -> tuple[Evidence | None, str]:
+    """The scale of the similarity transform between places of cameras (N, 2) [units] and their positions (N, 2) [m],
+    both horizontal, east or x first; or None, and why not ('' where there are too few to speak of).
+
+    seconds : (N,) when each was taken. Positions that several frames have are stale or rounded, and are left out.
+    Where some are mistakes, all of them are doubted by their share.
+    """
+    fresh = _fresh(metres)
+    units, metres, seconds = units[fresh], metres[fresh], seconds[fresh]
+    if len(units) < FEWEST_POSITIONS:
+        return None, ""
+    a, b = (np.asarray(p, float) @ (1, 1j) for p in (units, metres))
+    if np.std(b) < LEAST_EXTENT:
+        return None, f"they lie within {2 * np.std(b):.0f} m"
+    fits = _fitting(a, b)
+    mistakes = float((~fits).mean())
+    if mistakes > MOST_ODD or fits.sum() < FEWEST_POSITIONS:
+        return None, UNFIT
+    value, sd = _scale(a[fits], b[fits], seconds[fits])
+    sd = float(np.hypot(sd, LEVEL_SD))
+    if not sd < MOST_SD:
+        return None, UNFIT
+    says = f"GPS positions of {int(fits.sum())} frames"
+    return Evidence(BY_GPS, value, sd, says, doubt=mistakes), ""
+
+
+def _fresh(metres: np.ndarray) -> np.ndarray:
+    """(N,) bool: positions that one frame alone has."""
+    _, which, count = np.unique(metres, axis=0, return_inverse=True, return_counts=True)
+    return count[which.ravel()] == 1
+
+
+def _fitting(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(N,) bool: which of the positions `b`, complex, fit the places `a`: by the similarity of the least sum of
+    distances, found by weights (Weiszfeld 1937)."""
+    weight = np.ones(len(a))
+    for _ in range(REWEIGHTED):
+        x, y = a - np.average(a, weights=weight), b - np.average(b, weights=weight)
+        factor = np.vdot(x, weight * y) / max(np.vdot(x, weight * x).real, np.finfo(float).tiny)
+        off = np.abs(y - factor * x)
+        typical = max(float(np.median(off)) / MEDIAN_OF_TWO, WHITES[0])
+        weight = 1 / np.maximum(off, typical)
+    return off < max(ODD * typical, ORDINARY)
+
+
+def _scale(a: np.ndarray, b: np.ndarray, seconds: np.ndarray) -> tuple[float, float]:
+    """The scale of the least-squares similarity from `a` to `b`, complex, and its relative one sigma, over all errors
+    that are likely."""
+    design = np.stack([a - a.mean(), np.ones(len(a))], 1)
+    take = design[:, 0].conj() / np.vdot(design[:, 0], design[:, 0]).real  # of each position in the factor
+    apart = np.abs(seconds[:, None] - seconds)
+    found = []
+    for memory in MEMORIES:
+        size, axes = np.linalg.eigh(np.exp(-apart / memory))
+        x, y, share = axes.T @ design, axes.T @ b, np.abs(take @ axes) ** 2
+        for wander in WANDERS:
+            for white in WHITES:
+                variance = np.maximum(wander**2 * size, 0) + white**2
+                whitened = x / variance[:, None]
+                inverse = np.linalg.inv(x.conj().T @ whitened)
+                off = y - x @ (inverse @ (whitened.conj().T @ y))
+                # Of residuals, east and north alike (restricted maximum likelihood).
+                log = np.linalg.slogdet(inverse)[1] - np.log(variance).sum() - (np.abs(off) ** 2 / variance).sum() / 2
+                found.append((log, share @ variance))
+    log, variance = np.array(found).T
+    weight = np.exp(log - log.max())
+    factor = take @ b
+    x = design[:, 0]
+    rest = float((np.abs(b - b.mean() - factor * x) ** 2).mean()) / 2
+    strange = max(rest - RECEIVERS**2, 0.0) / float((np.abs(x) ** 2).mean())
+    scale = float(abs(factor))
+    return scale, float(np.sqrt(weight @ variance / weight.sum() + strange)) / scale

@@ -1,0 +1,71 @@
+"""The GPS positions in the tags of a reconstruction's frames, and the scale that they give it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.gps import MOST_POSITIONS, by_positions
+from ..core.source import GpsScale
+from ..errors import InputError, OrthoscaleError
+
+if TYPE_CHECKING:
+    from ..core.source import PosedSet
+    from .tags import Tags
+
+TAKEN = "%Y:%m:%d %H:%M:%S"  # EXIF 2.32, DateTimeOriginal
+SPACING = 3.0  # [s] between frames whose tags tell no time: mapping drones take one every 2 to 5 s
+
+
+def gps_scale(source: PosedSet) -> GpsScale:
+    """What the positions of the frames of `source` say of its scale."""
+    names, tags = _tagged(source)
+    if not names:
+        return GpsScale()
+    try:
+        units = source.ground.plane(np.array([source.centre(name) for name in names]))
+    except OrthoscaleError:  # which measuring tells
+        return GpsScale()
+    found, why = by_positions(units, _local_metres(tags), _seconds(tags))
+    if found is None:
+        return GpsScale(notes=(f"the GPS positions of its frames do not count: {why}",) if why else ())
+    return GpsScale((found,))
+
+
+def _tagged(source: PosedSet) -> tuple[list[str], list[Tags]]:
+    """Names and tags of the frames at hand that have a position; of many frames every n-th is asked."""
+    from .tags import read_tags
+
+    pictures = [picture for picture in source.pictures if hasattr(picture, "path")]
+    names, tags = [], []
+    for picture in pictures[:: max(1, -(-len(pictures) // MOST_POSITIONS))]:
+        try:
+            told = read_tags(Path(picture.path))
+        except InputError:
+            continue
+        if told.lon_lat is not None:
+            names.append(picture.name)
+            tags.append(told)
+    return names, tags
+
+
+def _local_metres(tags: Sequence[Tags]) -> np.ndarray:
+    """(N, 2) east and north of the middle one [m]."""
+    import pyproj
+
+    lon, lat = np.array([told.lon_lat for told in tags]).T
+    local = pyproj.Proj(proj="aeqd", lon_0=float(np.median(lon)), lat_0=float(np.median(lat)), ellps="WGS84")
+    return np.stack(local(lon, lat), 1)
+
+
+def _seconds(tags: Sequence[Tags]) -> np.ndarray:
+    """(N,) when they were taken, from the first on; in their order, SPACING apart, where one does not tell."""
+    try:
+        times = [datetime.strptime(told.taken, TAKEN) for told in tags]
+    except ValueError:
+        return SPACING * np.arange(len(tags))
+    return np.array([(time - times[0]).total_seconds() for time in times])
