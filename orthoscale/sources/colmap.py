@@ -51,6 +51,8 @@ LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger i
 ANOTHER_MODEL = 0.02
 SAME_CAMERA = 1e-4  # of the flying height: cameras of a model and of its undistorted copy are no farther apart
 FEW_POINTS = 500  # of three views or more, below which those of two are taken as well; chosen by eye, not tuned
+FAR_OFF = 100.0  # extents of the cameras from the origin: maps' coordinates; reconstructions begin among their cameras
+GPS_SURE = 0.03  # relative one sigma of a scale by GPS up to which 1 m per unit is no accident
 SCALED_MARK = "sim3.txt"  # by which a model is known to be in metres
 OURS = {SCALED_MARK, MATRIX, FOLDER_MARK, "sim3.json", "report.json", "report.html", "vehicles.png"}
 
@@ -212,9 +214,26 @@ class ColmapSource:
         return on_ground[0]
 
     @property
-    def metric_already(self) -> str:
-        """Why this model counts as metric, empty if it does not: orthoscale's own file lies in its folder."""
+    def scaled_already(self) -> str:
+        """That orthoscale wrote this model, whose own file lies in its folder then; empty if it did not."""
         return f"orthoscale wrote it: {SCALED_MARK} lies in it" if (self.folder / SCALED_MARK).is_file() else ""
+
+    @property
+    def metric_already(self) -> str:
+        """Why this model counts as metric, empty if it does not: orthoscale wrote it, its coordinates are those of a
+        map, or the GPS positions of its frames are its cameras' own."""
+        return self.scaled_already or self._georeferenced
+
+    @cached_property
+    def _georeferenced(self) -> str:
+        centres = np.array([self.centre(name) for name in self.picture_names])
+        away, extent = np.linalg.norm(np.median(centres, axis=0)), np.linalg.norm(np.ptp(centres, axis=0))
+        if away > FAR_OFF * extent > 0:
+            return f"its cameras stand {away:,.0f} from its origin and within {extent:,.0f} of each other, as on a map"
+        for told in self.gps.evidence:
+            if told.relative_sd < GPS_SURE and abs(np.log(told.value)) < 2 * told.relative_sd:
+                return f"{told.says} are those of its cameras ({told.value:.3f} m per unit)"
+        return ""
 
     @cached_property
     def sparse(self) -> tuple[np.ndarray, np.ndarray]:
@@ -413,8 +432,8 @@ def scale_model(
     already, and for another one: its cameras of the same names stand elsewhere.
     """
     model = ColmapSource.open(source, need_images=False)
-    if model.metric_already:
-        raise UsageError(f"{source} is in metres already: {model.metric_already}", "Apply it to the original model.")
+    if model.scaled_already:
+        raise UsageError(f"{source} is in metres already: {model.scaled_already}", "Apply it to the original model.")
     apart = model._apart(metric, scale)
     extent = float(np.linalg.norm(np.ptp([*metric.values(), np.zeros(3)], axis=0)))
     if apart and max(apart.values()) > ANOTHER_MODEL * extent:

@@ -67,7 +67,7 @@ class ExchangeSource(OneFileSource):
 
     @property
     def metric_already(self) -> str:
-        """Why it counts as metric: orthoscale's mark, or OpenSfM's alignment with GPS."""
+        """Why it counts as metric: orthoscale's mark, OpenSfM's alignment with GPS, or what any model may show."""
         text = read_poses(self.path)
         if isinstance(text, dict):
             return "orthoscale wrote it" if MARK in text else ""
@@ -76,7 +76,7 @@ class ExchangeSource(OneFileSource):
             return "orthoscale wrote it"
         placed = [s for s in part["shots"].values() if s.get("gps_dop", GPS_DOP) < GPS_DOP and "gps_position" in s]
         aligned = "reference_lla" in part and len(placed) >= 3
-        return "OpenSfM aligned it with the GPS of its images" if aligned else ""
+        return "OpenSfM aligned it with the GPS of its images" if aligned else self._georeferenced
 
     def check_writable(self) -> None:
         """Raise InputError for a point cloud outside the file's folder: its copy would have no place in another."""
