@@ -79,15 +79,18 @@ def _modes(measured: Measurement) -> Judgement | None:
 
 def _evidence(measured: Measurement) -> Judgement | None:
     scale = measured.scale
-    if not scale.evidence:
-        return None
-    apart = {e.kind: e.value / scale.value - 1 for e in scale.evidence}
-    kinds = ", ".join(f"{e.kind} gives {signed(e.value / scale.value - 1)}" for e in scale.evidence)
-    if scale.conflict:
+    if scale.conflict and scale.evidence:
+        kinds = ", ".join(f"{e.kind} gives {signed(e.value / scale.value - 1)}" for e in scale.evidence)
         return Judgement(REFUSAL, "Other evidence contradicts", f"{kinds} ({scale.conflict:.1f} sigma)")
-    if max(map(abs, apart.values())) > max(scale.half_width, ROUGH):
-        return Judgement(INFO, "Other evidence differs within its uncertainty", kinds)
-    return Judgement(SUPPORT, "Other evidence agrees", kinds)
+    if not scale.compared:
+        return None
+    kinds = ", ".join(f"{one.kind} gives {signed(one.difference)} ({one.sigmas:.1f} sigma)" for one in scale.compared)
+    detail = f"against all else, {kinds}"
+    if scale.doubted:
+        return Judgement(CAUTION, "Other evidence is doubtful", detail)
+    if max(abs(one.difference) for one in scale.compared) > max(scale.half_width, ROUGH):
+        return Judgement(INFO, "Other evidence differs within its uncertainty", detail)
+    return Judgement(SUPPORT, "Other evidence agrees", detail)
 
 
 def _claim(claim: Comparison | None) -> Iterator[Judgement]:

@@ -155,7 +155,8 @@ def together(agreement: Agreement) -> Scale:
         value=float(np.exp(log_value)),
         interval90=(float(np.exp(log_value - Z90 * sd)), float(np.exp(log_value + Z90 * sd))),
         parts=parts,
-        verdict=verdict(float(sd), a.tension > CHECK_LIMIT, a.verdict == UNUSABLE),
+        verdict=verdict(float(sd), a.tension > CHECK_LIMIT, a.verdict == UNUSABLE, a.doubted or b.doubted),
         checks=a.checks | both,
         evidence=a.evidence or b.evidence,
+        compared=a.compared or b.compared,
     )
