@@ -305,14 +305,14 @@ def test_check_of_a_scale_that_contradicts_itself_is_no_agreement(tmp_path, boxe
 
 def test_a_claim_is_compared_on_its_side_of_a_lopsided_interval():
     scale = Scale(0.10, "m/px", (0.09, 0.15), {"sampling": 0.12}, {}, (1, 0), 0.0, "DE", "fair", np.ones(9, bool), [])
-    claims = [SimpleNamespace(gsd_m=gsd, usable=True, why="") for gsd in (0.088, 0.092, 0.145, 0.155)]
+    claims = [SimpleNamespace(gsd_m=gsd, usable=True, unit_known=True, why="") for gsd in (0.088, 0.092, 0.145, 0.155)]
     found = [own_claim(SimpleNamespace(claimed=claim), scale).verdict for claim in claims]
     assert found == ["doubtful", "agrees", "agrees", "doubtful"]
 
 
 def test_a_claim_beside_an_interval_that_has_no_width_or_goes_below_nought():
     """As the paper's estimator gives of boxes that are all alike, or of few that differ much."""
-    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.05, usable=True, why=""))
+    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.05, usable=True, unit_known=True, why=""))
     every = np.ones(5, bool)
     for low, high, parts, verdict in (
         (0.1, 0.1, {"sampling": 0.0}, "disagrees"),
@@ -322,10 +322,31 @@ def test_a_claim_beside_an_interval_that_has_no_width_or_goes_below_nought():
         assert own_claim(claim, scale).verdict == verdict
 
 
+@pytest.mark.parametrize(
+    "unit, fits", [(1.0, "fits metres ("), (0.3048, "fits feet ("), (0.7, "fits neither metres (")]
+)
+def test_a_world_file_of_no_unit_is_compared_for_information_only(tmp_path, boxes, unit, fits):
+    """Whatever it says: the same words from `check`, `estimate` and `fix`, and nothing is refused."""
+    path = picture(tmp_path / "a.tif", transform=Affine(GSD / unit, 0, 500, 0, -GSD / unit, 900))
+    words = ("--detections", boxes, "--fleet", "DE")
+    done = check(path, *words)
+    assert done.exit_code == 0, done.output
+    said = next(line for line in done.stdout.splitlines() if "has no unit, for information only" in line)
+    assert fits in said and "disagrees" not in done.stdout and "not tied to the ground" not in done.stdout
+    assert f"claim      {GSD / unit:.5g} per pixel: " in done.stdout and "of an unknown unit" in done.stdout
+    estimated = orthoscale.estimate(path, fleet="DE", detections=boxes)
+    sentence = own_claim(estimated.source, estimated.scale).sentence()
+    assert sentence == said.strip() and estimated.to_dict()["claim"]["verdict"] == "has no unit"
+    assert not [j for j in estimated.to_dict()["judgements"] if "georeferencing" in j["what"]]
+    place = estimated.place()
+    assert "is not used and not in it" in place.said and "of an unknown unit" in place.said
+
+
 def test_check_compares_what_nothing_ties_to_the_ground_and_says_so(tmp_path, boxes):
-    path = picture(tmp_path / "a.tif", **CASES["world file"][0])
+    local = 'LOCAL_CS["site",LOCAL_DATUM["site",32767],UNIT["metre",1],AXIS["E",EAST],AXIS["N",NORTH]]'
+    path = picture(tmp_path / "a.tif", crs=local, transform=Affine(GSD, 0, 500, 0, -GSD, 900))
     done = check(path, "--detections", boxes, "--fleet", "DE")
-    assert "not tied to the ground" in done.stdout and "0.1 m/px" in done.stdout
+    assert done.exit_code == 0 and "not tied to the ground" in done.stdout and f"{GSD:.5g} m/px" in done.stdout
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
