@@ -88,6 +88,15 @@ def test_one_piece_without_vehicles_has_nothing_to_be_compared_with():
     assert sigmas == pytest.approx([np.log(1.05) / np.hypot(0.001, 0.02)] * 2, rel=0.01)
 
 
+def test_what_is_not_documented_counts_and_is_not_judged_by():
+    bays, court = Evidence("bays", 0.1, 0.03, "bays", documented=False), Evidence("court", 0.1, 0.05, "a court")
+    with_it, without = combined(VEHICLES, PARTS, [bays, court]), combined(VEHICLES, PARTS, [court])
+    assert with_it.posterior.spread < 0.8 * without.posterior.spread
+    assert with_it.judged_sd == pytest.approx(without.posterior.spread) == pytest.approx(without.judged_sd)
+    far = combined(VEHICLES, PARTS, [Evidence("bays", 0.115, 0.01, "bays", documented=False)])
+    assert not far.doubted and [r.severity for r in far.remarks] == ["caution"], "said, but the verdict stays"
+
+
 def test_evidence_chooses_between_two_possibilities():
     either = Posterior(np.array([0.5, 0.5]), np.log([0.08, 0.12]), np.array([0.02, 0.02]))
     together = combined(either, {"fleet": either.spread}, [Evidence("tape", 0.12, 0.03, "a tape")])

@@ -58,7 +58,8 @@ class Evidence:
     modes, words : all scales that it may mean, where there are several, and a description of each; `value` is one of
     them. doubt : probability that it is false; then any scale in a range as wide as `window` (in logarithms) is
     possible. common : one sigma of the error that it shares with the vehicles and with all else that was seen on the
-    same ground; not contained in `modes`.
+    same ground; not contained in `modes`. documented : False if it rests on a standard that is not
+    (`anchors.Standard`): it counts, but improves no verdict.
     """
 
     kind: str
@@ -70,6 +71,7 @@ class Evidence:
     doubt: float = 0.0
     window: float = 1.0
     common: float = 0.0
+    documented: bool = True
 
     @classmethod
     def mixed(
@@ -128,7 +130,7 @@ class Compared:
     """One piece of evidence against all the rest: the vehicles and the other evidence, combined without it.
 
     value : the scale that it means, given the rest. rest : the scale that the rest gives. sd : one sigma of the
-    difference of their logarithms.
+    difference of their logarithms. documented : of the evidence.
     """
 
     kind: str
@@ -136,6 +138,7 @@ class Compared:
     value: float
     rest: float
     sd: float
+    documented: bool = True
 
     @property
     def difference(self) -> float:
@@ -169,7 +172,8 @@ class Combined:
 
     conflict : sigmas between the two that contradict each other most, 0 if none do. summary : value and the ends of its
     90 % interval. In a conflict, the interval covers all of them. evidence : what entered, each with the scale that it
-    means given the combined one. compared : what counts of it, each against the rest; empty in a conflict.
+    means given the combined one. compared : what counts of it, each against the rest; empty in a conflict. unproven :
+    one sigma by which the posterior would be wider, in quadrature, without what is not documented.
     """
 
     posterior: Posterior
@@ -179,6 +183,17 @@ class Combined:
     summary: tuple[float, float, float]
     evidence: tuple[Evidence, ...] = ()
     compared: tuple[Compared, ...] = ()
+    unproven: float = 0.0
+
+    @property
+    def doubted(self) -> bool:
+        """Whether a documented piece of evidence does not fit the rest."""
+        return any(one.doubtful and one.documented for one in self.compared)
+
+    @property
+    def judged_sd(self) -> float:
+        """Relative one-sigma by which the scale is judged."""
+        return float(np.hypot(self.posterior.spread, self.unproven))
 
 
 def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
@@ -254,7 +269,7 @@ def _compared(vehicles: Posterior | None, heard: Sequence[Evidence]) -> tuple[Co
         shared = min(e.common**2, common)
         e = e.meant(rest)
         sd = float(np.hypot(rest.blurred(-shared).spread, np.sqrt(e.relative_sd**2 - shared)))
-        found.append(Compared(e.kind, e.says, e.value, float(np.exp(rest.centre)), sd))
+        found.append(Compared(e.kind, e.says, e.value, float(np.exp(rest.centre)), sd, e.documented))
     return tuple(found)
 
 
@@ -281,7 +296,9 @@ def _weighed(
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
     shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior, common)
     told = tuple(e.meant(posterior) for e in evidence)
-    return Combined(posterior, shares, 0.0, [], (value, low, high), told)
+    proven, _ = _product(vehicles, [e for e in heard if e.documented])
+    unproven = float(np.sqrt(max(proven.spread**2 - posterior.spread**2, 0.0)))
+    return Combined(posterior, shares, 0.0, [], (value, low, high), told, unproven=unproven)
 
 
 def _within_reach(

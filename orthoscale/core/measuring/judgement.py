@@ -86,7 +86,7 @@ def _evidence(measured: Measurement) -> Judgement | None:
         return None
     kinds = ", ".join(f"{one.kind} gives {signed(one.difference)} ({one.sigmas:.1f} sigma)" for one in scale.compared)
     detail = f"against all else, {kinds}"
-    if scale.doubted:
+    if any(one.doubtful for one in scale.compared):
         return Judgement(CAUTION, "Other evidence is doubtful", detail)
     if max(abs(one.difference) for one in scale.compared) > max(scale.half_width, ROUGH):
         return Judgement(INFO, "Other evidence differs within its uncertainty", detail)

@@ -31,8 +31,7 @@ def measured_without_vehicles(
         raise TooLittleEvidence(f"without vehicles, two kinds of anchors that agree are needed; found: {kinds}")
     together = combined(None, {}, evidence)
     value, low, high = together.summary
-    doubted = any(one.doubtful for one in together.compared)
-    said = verdict(together.posterior.spread, False, together.conflict > 0, doubted)
+    said = verdict(together.judged_sd, False, together.conflict > 0, together.doubted)
     agreeing = _agreeing(together)
     if not together.conflict and (said == UNUSABLE or len(agreeing) < FEWEST_KINDS):
         kinds = "; ".join(f"{e.says}: {e.value:.4g} {unit}" for e in evidence)
@@ -54,6 +53,7 @@ def measured_without_vehicles(
         evidence=together.evidence,
         conflict=together.conflict,
         compared=together.compared,
+        unproven=together.unproven,
     )
     none = np.empty((0, 2))
     votes = gather(none, np.empty(0), np.empty((0, dims)), np.empty(0), repeated=False)

@@ -113,7 +113,6 @@ def pool(
     measuring = [vote for vote in anchors if not tells_country(vote)] if unknown else anchors
     together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)))
     value, low, high = together.summary
-    doubted = any(one.doubtful for one in together.compared)
     return Scale(
         value=value,
         unit=unit,
@@ -124,7 +123,7 @@ def pool(
         tension=best.tension,
         conflict=together.conflict,
         fleet=fleet.code,
-        verdict=verdict(together.posterior.spread, best.tension > CHECK_LIMIT, together.conflict > 0, doubted),
+        verdict=verdict(together.judged_sd, best.tension > CHECK_LIMIT, together.conflict > 0, together.doubted),
         used=used,
         reasons=reasons(used, index, fleeting, np.log(size), mean),
         remarks=(*together.remarks, *_remarks(best, telling, anchors)),
@@ -132,6 +131,7 @@ def pool(
         fleets=fleets,
         evidence=together.evidence,
         compared=together.compared,
+        unproven=together.unproven,
     )
 
 
