@@ -230,18 +230,6 @@ def test_geojson_is_longitude_and_latitude_or_refused(everything, tmp_path, boxe
     assert not list(tmp_path.glob("out.tif*"))
 
 
-def test_geojson_lies_on_earth_also_where_the_copy_does_not(tmp_path, boxes):
-    """A copy in local metres, which readers would take for degrees, has its vehicles where they stand all the same."""
-    path = picture(tmp_path / "a.tif", "EPSG:32632", UTM)
-    fixed(path, tmp_path / "out.tif", boxes, also=["geojson"])
-    with rasterio.open(tmp_path / "out.tif") as copy:
-        assert not copy.crs.is_projected
-    rings = json.loads((tmp_path / "out.tif.geojson").read_text())["features"]
-    points = np.array([feature["geometry"]["coordinates"][0] for feature in rings]).reshape(-1, 2)
-    lon, lat = pyproj.Transformer.from_crs("EPSG:32632", "EPSG:4326", always_xy=True).transform(UTM.c, UTM.f)
-    assert np.abs(points - (lon, lat)).max() < 0.01
-
-
 def test_tiles_without_a_sweep_are_a_header(everything):
     with (everything[0] / "out.tif.tiles.csv").open() as file:
         assert len(list(csv.reader(file))) == 1, "boxes from a file: no tile was looked at"
@@ -347,6 +335,20 @@ def test_check_compares_what_nothing_ties_to_the_ground_and_says_so(tmp_path, bo
     path = picture(tmp_path / "a.tif", crs=local, transform=Affine(GSD, 0, 500, 0, -GSD, 900))
     done = check(path, "--detections", boxes, "--fleet", "DE")
     assert done.exit_code == 0 and "not tied to the ground" in done.stdout and f"{GSD:.5g} m/px" in done.stdout
+
+
+def test_geojson_lies_on_the_copy_or_is_refused(tmp_path, boxes):
+    """Of local metres nobody knows where on Earth they are, though the input lay somewhere."""
+    path = picture(tmp_path / "a.tif", crs="EPSG:4326", transform=Affine(1e-6, 0, 10, 0, -7e-7, 50))
+    with pytest.raises(UsageError, match="(?s)lies nowhere on Earth.*Add --keep-origin"):
+        fixed(path, tmp_path / "out.tif", boxes, also=["geojson"])
+    assert not (tmp_path / "out.tif").exists(), "refused before any work"
+    result = fixed(path, tmp_path / "out.tif", boxes, also=["geojson"], keep_origin=True)
+    ring = json.loads((tmp_path / "out.tif.geojson").read_text())["features"][0]["geometry"]["coordinates"][0]
+    assert np.allclose(ring, outlines(result, result.place(keep_origin=True))[0], atol=1e-9)
+    with rasterio.open(tmp_path / "out.tif") as copy:
+        left, bottom, right, top = copy.bounds
+    assert ((np.array(ring) > [left, bottom]) & (np.array(ring) < [right, top])).all()
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
