@@ -57,9 +57,7 @@ def test_what_failed_is_named_once_and_as_the_user_named_it(parks, monkeypatch, 
     assert row["exit_code"] == 5 and str(parks) not in row["error"] + row["hint"]
     command._tell([row, {**row, "error": "its process died"}], set())
     lines = [line for line in capsys.readouterr().err.splitlines() if "exit code" in line]
-    assert [line.count("broken.tif") for line in lines] == [1, 1] and all(
-        "pictures/broken.tif" in line for line in lines
-    )
+    assert [line.count("pictures/broken.tif") for line in lines] == [1, 1]
 
 
 @pytest.mark.slow
