@@ -59,7 +59,7 @@ class Evidence:
     them. doubt : probability that it is false; then any scale in a range as wide as `window` (in logarithms) is
     possible. common : one sigma of the error that it shares with the vehicles and with all else that was seen on the
     same ground; not contained in `modes`. documented : False if it rests on a standard that is not
-    (`anchors.Standard`): it counts, but improves no verdict.
+    (`Standard.documented`): it counts, but improves no verdict.
     """
 
     kind: str

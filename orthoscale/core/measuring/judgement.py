@@ -12,6 +12,7 @@ from ..verdicts import CHECK_LIMIT, SHAPE_LIMIT
 from .drift import Drift
 from .measurement import Measurement
 from .model_drift import ModelDrift
+from .squeeze import SQUEEZE
 
 SAMPLING = 0.02  # one sigma from which more vehicles would help
 ROUGH = 0.06  # relative difference from which no check supports a scale, however little is known
@@ -64,6 +65,8 @@ def _shapes(measured: Measurement) -> Judgement | None:
         return Judgement(severity, "Lengths and widths disagree", detail)
     if abs(difference) > max(scale.half_width, ROUGH):
         return Judgement(INFO, "Lengths and widths differ within their uncertainty", detail)
+    if SQUEEZE in scale.parts:  # where both err, one way along x and the other along y
+        return Judgement(INFO, "Lengths and widths agree on the average of all directions only", detail)
     return Judgement(SUPPORT, "Lengths and widths agree", detail)
 
 
