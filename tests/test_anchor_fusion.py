@@ -87,7 +87,7 @@ def test_a_doubtful_kind_that_does_not_contradict_the_vehicles_gives_an_answer_o
     """2.7 sigmas off: neither said to contradict them nor left out, but counted as much as its doubt leaves it."""
     got = together([vote("zebra crossing", off, 0.01, COURT, false=0.2)])
     low, high = sorted(np.log(got.summary[1:]) * np.sign(off))
-    assert not got.conflict and not got.remarks
+    assert not got.conflict and [r.severity for r in got.remarks] == ["caution"]
     assert low < 0 and high > abs(off) - 0.02
     surer = together([vote("zebra crossing", off, 0.01, COURT, false=0.01)])
     assert abs(np.log(got.summary[0])) < abs(np.log(surer.summary[0]))

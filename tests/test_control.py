@@ -48,6 +48,21 @@ def test_a_distance_narrows_the_interval_and_is_in_the_report(boxes):
     assert given.scale.parts["known distance"] > given.scale.parts["fleet"]
 
 
+def test_a_mistyped_distance_is_never_good_and_says_what_may_be_wrong(boxes):
+    """A tenth off, less than contradicts the vehicles: it alone makes the answer, and would agree with itself."""
+    options = {"fleet": "DE", "detections": boxes, "anchors": ["none"]}
+    without = orthoscale.estimate(TOWN, **options).scale
+    metres = 1000 * without.value * np.exp(2.5 * without.relative_sd)
+    wrong = orthoscale.estimate(TOWN, **options, known_distance=[f"0,0 1000,0 {metres:.2f} 0.1"])
+    assert not wrong.scale.conflict and wrong.scale.relative_sd < 0.002 and wrong.scale.verdict == "fair"
+    (said,) = [r for r in wrong.remarks if r.severity == "caution" and "known distance" in r.text]
+    assert "2.5 sigma" in said.text and "the distance may be mistyped, or not on the ground" in said.text
+    checks = wrong.to_dict()["judgements"]
+    assert [c["severity"] for c in checks if c["what"].startswith("Other evidence")] == ["caution"]
+    right = orthoscale.estimate(TOWN, **options, known_distance=[f"0,0 1000,0 {1000 * without.value:.2f} 0.1"])
+    assert right.scale.verdict == "good"
+
+
 def test_a_distance_that_contradicts_the_vehicles_writes_nothing(boxes, tmp_path):
     options = {"fleet": "DE", "detections": boxes, "known_distance": ["0,0 1000,0 170 1"]}
     assert orthoscale.estimate(TOWN, **options).scale.verdict == "unusable"

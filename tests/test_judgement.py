@@ -8,7 +8,7 @@ from support.reports import car_park
 
 import orthoscale
 from orthoscale.core.claims import Comparison
-from orthoscale.core.evidence import Evidence
+from orthoscale.core.evidence import Compared, Evidence
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.measurement import Findings
 from orthoscale.core.measuring.model_drift import FrameScale, ModelDrift, Trend
@@ -43,9 +43,10 @@ def test_of_a_sound_scale_nothing_is_to_be_looked_at(measured):
     assert "Largest uncertainty: margin" in said or "Largest uncertainty: fleet" in said
 
 
-def with_tape(measured, metres_per_pixel, conflict):
+def with_tape(measured, metres_per_pixel, conflict, rest_sd=0.04):
     tape = Evidence("known distance", metres_per_pixel, 0.01, "a tape")
-    return scaled(measured, evidence=(tape,), conflict=conflict)
+    compared = () if conflict else (Compared(tape.kind, tape.says, tape.value, 0.1, rest_sd),)
+    return scaled(measured, evidence=(tape,), conflict=conflict, compared=compared)
 
 
 AGAINST = {
@@ -86,10 +87,11 @@ def test_no_sampling_error_is_made_up_in_a_conflict(measured):
     assert check.severity == INFO and "sampling" not in check.detail
 
 
-@pytest.mark.parametrize("value, severity", [(0.1, SUPPORT), (0.13, INFO)])
-def test_evidence_supports_only_where_it_is_near(measured, value, severity):
-    (check,) = [j for j in judgements(with_tape(measured, value, 0.0)) if "evidence" in j.what]
+@pytest.mark.parametrize("value, sd, severity", [(0.1, 0.04, SUPPORT), (0.13, 0.2, INFO), (0.11, 0.04, CAUTION)])
+def test_evidence_supports_only_where_it_is_near_all_else(measured, value, sd, severity):
+    (check,) = [j for j in judgements(with_tape(measured, value, 0.0, sd)) if "evidence" in j.what]
     assert check.severity == severity
+    assert f"known distance gives {100 * (value / 0.1 - 1):+.1f} % (" in check.detail, "not against its own mean"
 
 
 def test_agreement_of_two_ways_is_told_as_it_was_judged(measured):

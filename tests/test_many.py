@@ -48,6 +48,18 @@ def options(parks, *more):
     return ["--fleet", "DE", "--detections", parks / "boxes.json", *more]
 
 
+def test_what_failed_is_named_once_and_as_the_user_named_it(parks, monkeypatch, capsys):
+    from orthoscale.cli import many as command
+
+    monkeypatch.chdir(parks)
+    job = {"action": "estimate", "input": "pictures/broken.tif", "out": None, "settings": {}}
+    row = many.one(job)
+    assert row["exit_code"] == 5 and str(parks) not in row["error"] + row["hint"]
+    command._tell([row, {**row, "error": "its process died"}], set())
+    lines = [line for line in capsys.readouterr().err.splitlines() if "exit code" in line]
+    assert [line.count("pictures/broken.tif") for line in lines] == [1, 1]
+
+
 @pytest.mark.slow
 def test_a_folder_gives_a_row_each_and_the_exit_code_of_the_worst(parks, tmp_path):
     summary = tmp_path / "out.csv"

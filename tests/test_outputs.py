@@ -230,18 +230,6 @@ def test_geojson_is_longitude_and_latitude_or_refused(everything, tmp_path, boxe
     assert not list(tmp_path.glob("out.tif*"))
 
 
-def test_geojson_lies_on_earth_also_where_the_copy_does_not(tmp_path, boxes):
-    """A copy in local metres, which readers would take for degrees, has its vehicles where they stand all the same."""
-    path = picture(tmp_path / "a.tif", "EPSG:32632", UTM)
-    fixed(path, tmp_path / "out.tif", boxes, also=["geojson"])
-    with rasterio.open(tmp_path / "out.tif") as copy:
-        assert not copy.crs.is_projected
-    rings = json.loads((tmp_path / "out.tif.geojson").read_text())["features"]
-    points = np.array([feature["geometry"]["coordinates"][0] for feature in rings]).reshape(-1, 2)
-    lon, lat = pyproj.Transformer.from_crs("EPSG:32632", "EPSG:4326", always_xy=True).transform(UTM.c, UTM.f)
-    assert np.abs(points - (lon, lat)).max() < 0.01
-
-
 def test_tiles_without_a_sweep_are_a_header(everything):
     with (everything[0] / "out.tif.tiles.csv").open() as file:
         assert len(list(csv.reader(file))) == 1, "boxes from a file: no tile was looked at"
@@ -305,14 +293,14 @@ def test_check_of_a_scale_that_contradicts_itself_is_no_agreement(tmp_path, boxe
 
 def test_a_claim_is_compared_on_its_side_of_a_lopsided_interval():
     scale = Scale(0.10, "m/px", (0.09, 0.15), {"sampling": 0.12}, {}, (1, 0), 0.0, "DE", "fair", np.ones(9, bool), [])
-    claims = [SimpleNamespace(gsd_m=gsd, usable=True, why="") for gsd in (0.088, 0.092, 0.145, 0.155)]
+    claims = [SimpleNamespace(gsd_m=gsd, usable=True, unit_known=True, why="") for gsd in (0.088, 0.092, 0.145, 0.155)]
     found = [own_claim(SimpleNamespace(claimed=claim), scale).verdict for claim in claims]
     assert found == ["doubtful", "agrees", "agrees", "doubtful"]
 
 
 def test_a_claim_beside_an_interval_that_has_no_width_or_goes_below_nought():
     """As the paper's estimator gives of boxes that are all alike, or of few that differ much."""
-    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.05, usable=True, why=""))
+    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.05, usable=True, unit_known=True, why=""))
     every = np.ones(5, bool)
     for low, high, parts, verdict in (
         (0.1, 0.1, {"sampling": 0.0}, "disagrees"),
@@ -324,17 +312,52 @@ def test_a_claim_beside_an_interval_that_has_no_width_or_goes_below_nought():
 
 def test_a_scale_that_is_of_no_use_contradicts_no_claim():
     """Its boxes may be no vehicles: 0.22 m/px by a factor at which there were none, where the file says 0.097."""
-    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.097, usable=True, why=""))
+    claim = SimpleNamespace(claimed=SimpleNamespace(gsd_m=0.097, usable=True, why="", unit_known=True))
     every = np.ones(18, bool)
     for word, verdict in (("poor", "disagrees"), ("unusable", "doubtful")):
         scale = Scale(0.22, "m/px", (0.195, 0.25), {"sampling": 0.08}, {}, (1, 0), 0.0, "PH", word, every, [""] * 18)
         assert own_claim(claim, scale).verdict == verdict
 
 
+@pytest.mark.parametrize(
+    "unit, fits", [(1.0, "fits metres ("), (0.3048, "fits feet ("), (0.7, "fits neither metres (")]
+)
+def test_a_world_file_of_no_unit_is_compared_for_information_only(tmp_path, boxes, unit, fits):
+    """Whatever it says: the same words from `check`, `estimate` and `fix`, and nothing is refused."""
+    path = picture(tmp_path / "a.tif", transform=Affine(GSD / unit, 0, 500, 0, -GSD / unit, 900))
+    words = ("--detections", boxes, "--fleet", "DE")
+    done = check(path, *words)
+    assert done.exit_code == 0, done.output
+    said = next(line for line in done.stdout.splitlines() if "has no unit, for information only" in line)
+    assert fits in said and "disagrees" not in done.stdout and "not tied to the ground" not in done.stdout
+    assert f"claim      {GSD / unit:.5g} per pixel: " in done.stdout and "of an unknown unit" in done.stdout
+    estimated = orthoscale.estimate(path, fleet="DE", detections=boxes)
+    sentence = own_claim(estimated.source, estimated.scale).sentence()
+    assert sentence == said.strip() and estimated.to_dict()["claim"]["verdict"] == "has no unit"
+    assert not [j for j in estimated.to_dict()["judgements"] if "georeferencing" in j["what"]]
+    place = estimated.place()
+    assert "is not used and not in it" in place.said and "of an unknown unit" in place.said
+
+
 def test_check_compares_what_nothing_ties_to_the_ground_and_says_so(tmp_path, boxes):
-    path = picture(tmp_path / "a.tif", **CASES["world file"][0])
+    local = 'LOCAL_CS["site",LOCAL_DATUM["site",32767],UNIT["metre",1],AXIS["E",EAST],AXIS["N",NORTH]]'
+    path = picture(tmp_path / "a.tif", crs=local, transform=Affine(GSD, 0, 500, 0, -GSD, 900))
     done = check(path, "--detections", boxes, "--fleet", "DE")
-    assert "not tied to the ground" in done.stdout and "0.1 m/px" in done.stdout
+    assert done.exit_code == 0 and "not tied to the ground" in done.stdout and f"{GSD:.5g} m/px" in done.stdout
+
+
+def test_geojson_lies_on_the_copy_or_is_refused(tmp_path, boxes):
+    """Of local metres nobody knows where on Earth they are, though the input lay somewhere."""
+    path = picture(tmp_path / "a.tif", crs="EPSG:4326", transform=Affine(1e-6, 0, 10, 0, -7e-7, 50))
+    with pytest.raises(UsageError, match="(?s)lies nowhere on Earth.*Add --keep-origin"):
+        fixed(path, tmp_path / "out.tif", boxes, also=["geojson"])
+    assert not (tmp_path / "out.tif").exists(), "refused before any work"
+    result = fixed(path, tmp_path / "out.tif", boxes, also=["geojson"], keep_origin=True)
+    ring = json.loads((tmp_path / "out.tif.geojson").read_text())["features"][0]["geometry"]["coordinates"][0]
+    assert np.allclose(ring, outlines(result, result.place(keep_origin=True))[0], atol=1e-9)
+    with rasterio.open(tmp_path / "out.tif") as copy:
+        left, bottom, right, top = copy.bounds
+    assert ((np.array(ring) > [left, bottom]) & (np.array(ring) < [right, top])).all()
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import orthoscale
+from orthoscale.anchors.bays import bay_standards
 from orthoscale.core.anchors import BAYS
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
@@ -109,6 +110,30 @@ def test_rows_of_the_table_hold_where_they_say(country, width):
     else:
         (standard,) = found.anchor.standards
         assert standard.metres == width and "GCC" not in standard.countries
+
+
+def test_rows_improve_no_verdict(tmp_path):
+    """Rules give the least width of stalls, and no document says what one place built."""
+    place, along, size = car_park(np.random.default_rng(4), 2.5, rows=3)
+    place = place - place.min(0) + 60
+    cv2.imwrite(str(tmp_path / "park.png"), np.full(np.ceil(place.max(0) + 60).astype(int)[::-1], 90, np.uint8))
+    boxes = Boxes(np.c_[place, size, np.arctan2(along[:, 1], along[:, 0])], np.ones(len(size)))
+    found = Detections({"park.png": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "drawn")
+    save_detections(found, tmp_path / "boxes.json")
+    options = {"fleet": "DE", "detections": tmp_path / "boxes.json"}
+    rows = orthoscale.estimate(tmp_path / "park.png", **options).scale
+    alone = orthoscale.estimate(tmp_path / "park.png", **options, anchors=["none"]).scale
+    assert [e.kind for e in rows.evidence] == [BAYS] and rows.relative_sd < alone.relative_sd
+    assert rows.unproven == pytest.approx(np.sqrt(alone.relative_sd**2 - rows.relative_sd**2), rel=0.01)
+    grown = rows.with_parts({"fleet": 0.0295})
+    assert rows.verdict == alone.verdict and grown.relative_sd < 0.03 and grown.verdict == "fair"
+
+
+@pytest.mark.parametrize("code", ["IT", "CO", "IR", "WORLD"])
+def test_bays_of_a_recalled_standard_are_less_certain_and_not_documented(code):
+    ends = {standard.source: standard for standard in bay_standards() if "US" not in standard.countries}
+    recalled, known = ends[STALLS[code]["source"]], ends[STALLS["DE"]["source"]]
+    assert recalled.relative_sd > 0.1 > known.relative_sd and known.documented and not recalled.documented
 
 
 @pytest.mark.parametrize("fleet", ["US", "Texas"])

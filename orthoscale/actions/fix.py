@@ -157,7 +157,7 @@ class _PlanWriter:
         plan.check_name(out)
         if request.against is None:  # a map may place what has no place of its own
             for extra in self.extras:
-                extra.check(self.plan)
+                extra.check(self.plan, request.keep_origin)
 
     def places(self, outputs: Outputs) -> tuple[Path, dict[str, Path]]:
         for suffix in GDAL_SIDECARS:

@@ -21,7 +21,7 @@ from ..core.claims import own_claim
 from ..core.source import Source
 from ..detect.foreign_worker import receive, send
 from ..detect.workers import MOST_THREADS, cluster, cores
-from ..errors import Incomplete, OrthoscaleError, UsageError, shown
+from ..errors import LONGEST_MESSAGE, Incomplete, OrthoscaleError, UsageError, shown
 from ..report.result import Result
 from ..report.summary import COLUMNS, Row
 from ..requests import EstimateRequest, FixRequest
@@ -122,7 +122,9 @@ def one(job: Job) -> Row:
             row["output"] = job["out"]
             raise
     except OrthoscaleError as error:
-        row |= {"exit_code": error.exit_code, "error": error.message, "hint": error.hint}
+        said, named = shown(path, LONGEST_MESSAGE), shown(job["input"], LONGEST_MESSAGE)  # as the user named it
+        message, hint = error.message.replace(said, named), error.hint.replace(said, named)
+        row |= {"exit_code": error.exit_code, "error": message, "hint": hint}
     except Exception as error:
         logging.getLogger(__name__).exception("%s", path)
         row |= {"exit_code": BUG, "error": shown(f"{type(error).__name__}: {error}", 300)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..core.claims import figure
 from ..core.source import Source
 from ..formats.detections import load as load_detections
 from ..formats.detections import output_of
@@ -42,8 +43,9 @@ def rehearsal(
         rows.append(("detector", detector_of(source, request).name))
     measurer_of(request)  # it may be no network
     rows += [("also", evidence.says) for evidence in asked.given]
-    if source.claimed is not None and source.claimed.gsd_m is not None:
-        rows.append(("claim", f"{source.claimed.gsd_m:.4g} m/px: {source.claimed.why}"))
+    claim = source.claimed
+    if claim is not None and claim.gsd_m is not None:
+        rows.append(("claim", figure(claim.gsd_m, claim.unit_known, claim.why)))
     if isinstance(request, FixRequest) and out is not None:
         places = rehearsed(path, out, request, save_detections)
     else:

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 
 from ..core.anchors import BAYS, Anchor, Standard, holding
+from ..core.measuring.parking import RECALLED_SD, documented
 from ..formats.tables import standards as tables
 from .ladders import Ladder, crowded, doubled, find_ladders, levels, refined
 from .repeated import anchor_of
@@ -67,9 +68,10 @@ def bay_standards() -> tuple[Standard, ...]:
         Standard(
             f"bays of {row['width']:.2f} m",
             row["width"],
-            float(np.hypot(row["width_sd"], BAY_PLACE_SD) / row["width"]),
+            float(np.hypot(row["width_sd"], BAY_PLACE_SD if documented(code, row) else RECALLED_SD) / row["width"]),
             row["source"],
             countries=tuple(row.get("countries", (code,))),
+            documented=documented(code, row),
         )
         for code, row in tables().stalls.items()
         if code != "US"

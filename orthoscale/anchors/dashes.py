@@ -17,13 +17,15 @@ LANE_PAINTED = 0.01  # one sigma of a line's mean period about its rule: 68 of 8
 LANE_FALSE = 0.07  # six of 81 American lines are off by 3 to 11 %: painted to no rule, or two lines taken for one
 
 
+POLAND = "speeds by brd.szkola.pl and droga.zut.edu.pl; lengths recalled"
+
+
 def _line(dash: float, gap: float, where: str, source: str, countries: str, prior: float = 1.0) -> Standard:
     name = f"dashes {dash:g} m, gaps {gap:g} m: {where}"
-    return Standard(name, dash + gap, LANE_PAINTED, source, prior, tuple(countries.split()))
+    return Standard(name, dash + gap, LANE_PAINTED, source, prior, tuple(countries.split()), source != POLAND)
 
 
 CALIFORNIA = "48 ft from mark to mark, Orange County Register 2018 (govtech.com); 12 ft of it paint recalled"
-POLAND = "speeds by brd.szkola.pl and droga.zut.edu.pl; lengths recalled"
 
 LANE_LINES = (
     (3.048, _line(3.048, 9.144, "lane and centre lines", "MUTCD 2009 3A.06: 10 ft and 30 ft", "US")),

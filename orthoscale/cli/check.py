@@ -118,10 +118,10 @@ def _show(outcome: Checked) -> None:
         f"{result.scale.vehicles_used} of fleet {result.scale.fleet}"
     )
     for comparison in outcome.comparisons:
-        say(f"claim      {comparison.claimed:.5g} {result.scale.unit}: {comparison.why}")
+        say(f"claim      {comparison.stated()}")
         say(f"           {comparison.sentence()}")
-        if not comparison.believed:
-            say("           the claim itself is not tied to the ground; it is compared as if it were metres")
+        if comparison.unit_known and not comparison.believed:
+            say("           the claim itself is not tied to the ground")
     for remark in result.remarks:
         say(f"{remark.label:10s} {remark.text}")
 

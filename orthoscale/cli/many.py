@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from ..errors import OrthoscaleError, UsageError
+from ..errors import LONGEST_MESSAGE, OrthoscaleError, UsageError
+from ..errors import shown as printable
 from .options import PATH, option, progress_bars, say
 
 if TYPE_CHECKING:
@@ -183,7 +184,8 @@ def _tell(rows: Sequence[Row], former: set[str]) -> None:
     if failed:
         say(f"{len(failed)} of {len(rows)} failed:", err=True)
     for row in failed:
-        say(f"  {row['input']}: {row['error']} (exit code {row['exit_code']})", err=True)
+        named = "" if row["error"].startswith(printable(row["input"], LONGEST_MESSAGE)) else f"{row['input']}: "
+        say(f"  {named}{row['error']} (exit code {row['exit_code']})", err=True)
         if row["hint"]:
             say(f"    {row['hint']}", err=True)
 

@@ -22,7 +22,9 @@ class Standard:
     """A standardised size. name : of the rule, for people. metres : of the anchor's reference length. relative_sd : one
     sigma of objects built to the standard. prior : how probable it is among those that an anchor can be, beforehand and
     by the anchor's shape, but for a common factor; no part of what the standard is, so that the anchors of one standard
-    are known as such. countries : ISO codes where it applies, empty for everywhere. source : of the figure."""
+    are known as such. countries : ISO codes where it applies, empty for everywhere. source : of the figure.
+    documented : False if the figure was only recalled, or no document says what is built: it then improves no
+    verdict."""
 
     name: str
     metres: float
@@ -30,6 +32,7 @@ class Standard:
     source: str
     prior: float = field(default=1.0, compare=False)
     countries: tuple[str, ...] = ()
+    documented: bool = field(default=True, compare=False)
 
 
 def holding(standards: Sequence[Standard], country: str) -> list[Standard]:

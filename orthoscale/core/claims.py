@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from .pooling.posterior import Z90
-from .scale import Scale
+from .scale import PER_PIXEL, Scale
 from .source import Source
 from .verdicts import UNUSABLE
 
 NO_CLOSER = 1e-9  # least one sigma of a scale: boxes that are all alike would leave none
 CLEAR = 3.0  # sigmas from which a disagreement is no chance
+NO_UNIT = "has no unit"  # verdict on a claim that may be of metres, feet or anything: it is never held against an input
+UNITS = {"metres": 1.0, "feet": 0.3048}  # [m] that such a claim is compared with
 # Factors (truth over claim) that mistakes make, and the mistake. A ratio close to one of them is a hint, no proof.
 MISTAKES = (
     (0.3048, "feet were taken for metres"),
@@ -32,7 +34,8 @@ class Comparison:
     claimed_by : what claims it, for people. claimed, recovered : metres per unit. sd : relative one sigma of the
     recovered scale (and of the claim, where it has one), on the claim's side of it. by : what recovered it. believed :
     False if by the claim itself nothing ties it to the ground. why : where the claim comes from. useful : False if the
-    recovered scale is too uncertain to be used, and so to contradict anything: its boxes may be no vehicles.
+    recovered scale is too uncertain to be used, and so to contradict anything: its boxes may be no vehicles. unit_known
+    : False if nothing says of what unit `claimed` is.
     """
 
     claimed_by: str
@@ -43,6 +46,7 @@ class Comparison:
     why: str = ""
     by: str = "vehicles"
     useful: bool = True
+    unit_known: bool = True
 
     @property
     def ratio(self) -> float:
@@ -57,7 +61,9 @@ class Comparison:
     @property
     def verdict(self) -> str:
         """``agrees`` (within the 90 % interval), ``disagrees`` (beyond three sigmas, by a useful scale), else
-        ``doubtful``."""
+        ``doubtful``; NO_UNIT where its unit is not known."""
+        if not self.unit_known:
+            return NO_UNIT
         if self.sigmas <= Z90:
             return "agrees"
         return "disagrees" if self.sigmas > CLEAR and self.useful else "doubtful"
@@ -65,7 +71,7 @@ class Comparison:
     @property
     def guesses(self) -> list[str]:
         """Mistakes that would explain a disagreement."""
-        if self.verdict == "agrees":
+        if self.verdict in ("agrees", NO_UNIT):
             return []
         return [why for factor, why in MISTAKES if abs(math.log(self.ratio / factor)) <= Z90 * self.sd]
 
@@ -85,12 +91,31 @@ class Comparison:
 
     def sentence(self) -> str:
         """One line for a person."""
+        if not self.unit_known:
+            figures = f"{self.by} give {self.recovered:.4g}, {self.claimed_by} {self.claimed:.4g}"
+            return f"{self.verdict}, for information only: {figures}, which {self._fits()}"
         percent = f"{abs(100 * (self.ratio - 1)):.1f} % {'more' if self.ratio > 1 else 'less'}"
         text = (
             f"{self.verdict}: {self.by} give {self.recovered:.4g}, {percent} "
             f"than the {self.claimed:.4g} that {self.claimed_by} ({self.sigmas:.1f} sigma)"
         )
         return text + "".join(f"; perhaps {guess}" for guess in self.guesses)
+
+    def stated(self) -> str:
+        """What is claimed, and where that comes from."""
+        return figure(self.claimed, self.unit_known, self.why)
+
+    def _fits(self) -> str:
+        """Whether the claim would agree if it were of one of UNITS."""
+        off = {name: abs(math.log(self.ratio / metres)) / self.sd for name, metres in UNITS.items()}
+        told = {name: f"{name} ({sigmas:.1f} sigma)" for name, sigmas in off.items()}
+        fitting = [told[name] for name, sigmas in off.items() if sigmas <= Z90]
+        return f"fits {' and '.join(fitting)}" if fitting else f"fits neither {' nor '.join(told.values())}"
+
+
+def figure(claimed: float, unit_known: bool, why: str) -> str:
+    """A claimed size of a pixel [m if `unit_known`] with `why` it is that, in words."""
+    return f"{claimed:.5g} {PER_PIXEL if unit_known else 'per pixel'}: {why}"
 
 
 def own_claim(source: Source, scale: Scale) -> Comparison | None:
@@ -113,4 +138,5 @@ def own_claim(source: Source, scale: Scale) -> Comparison | None:
         claimed.why,
         " and ".join(by),
         scale.verdict != UNUSABLE,
+        claimed.unit_known,
     )

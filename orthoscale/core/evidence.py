@@ -19,9 +19,12 @@ import numpy as np
 from scipy.special import ndtr, ndtri, stdtrit
 
 from .pooling.posterior import Z90, Posterior
-from .remarks import CAUTION, INFO, REFUSAL, Remark
+from .remarks import CAUTION, INFO, REFUSAL, Remark, percent
 
-CONFLICT_HINT = "Check the given evidence, the anchors (--anchors) and the boxes (--save-detections)"
+CONFLICT_HINT = (
+    "Check the given evidence (a distance may be mistyped, or not on the ground), the anchors (--anchors) and the "
+    "boxes (--save-detections)"
+)
 CONFLICT_LIMIT = 3.0  # sigmas between two measurements from which they contradict each other
 STRONG = 0.05  # probability of a mistake up to which an anchor may contradict others
 # Of the vehicles' probability: the interval that no anchor alone leaves. It reaches CONFLICT_LIMIT sigmas to each side,
@@ -29,7 +32,7 @@ STRONG = 0.05  # probability of a mistake up to which an anchor may contradict o
 ALONE = float(1 - 2 * ndtr(-CONFLICT_LIMIT))
 COMMON_AT_MOST = 0.99  # share of a scale's variance that may be what all its sources have in common
 ANYTHING = 3.0  # one sigma of the logarithm of a scale of which nothing is known: a factor of 20
-SUPPORTS = 2.0  # sigmas within which two measurements support each other
+SUPPORTS = 2.0  # sigmas within which two measurements support each other; from there on there is a caution
 DISTANCE_SD = 0.01  # of a known distance's metres, where none is given: a tape, and pixels clicked by hand
 SHORTEST, LONGEST = 1e-3, 1e6  # of a known distance [m]: what shows in a picture
 READING_SD = 0.5  # [px] one sigma of a point that a person reads in a picture, along a line
@@ -37,6 +40,14 @@ SUREST = 1e-6  # sigma of a known distance, as a share of it: surveyors reach th
 BY_MAP = "map"  # kind of the evidence that a match with a georeferenced map gives
 LEADING = 0.5  # share of the weight from which one measurement decides the scale
 BY_GPS = "GPS positions"  # kind of the evidence that the positions of frames give (`core.gps`)
+BY_DISTANCE, BY_CONTROL = "known distance", "ground control"  # kinds of what a user gives
+MAY_BE = {  # by kind, what may be wrong with evidence that does not fit the rest
+    BY_DISTANCE: "the distance may be mistyped, or not on the ground",
+    BY_CONTROL: "the points may be mistyped, or of another grid",
+    BY_GPS: "the positions may be of another flight",
+    BY_MAP: "the place on the map may be wrong",
+}
+OF_ANCHORS = "it may be of another standard, or something else"
 CONTROL_SD = 0.05  # of a ground control point's position at best, and where no residuals say [m]
 # Of horizontal distances in a ground that is taken for level, a share of them: down streets of 8 %, the steepest usual
 # ones (`sources.ground_sheet.WANDER`), distances along the ground are longer by so much.
@@ -50,7 +61,8 @@ class Evidence:
     modes, words : all scales that it may mean, where there are several, and a description of each; `value` is one of
     them. doubt : probability that it is false; then any scale in a range as wide as `window` (in logarithms) is
     possible. common : one sigma of the error that it shares with the vehicles and with all else that was seen on the
-    same ground; not contained in `modes`.
+    same ground; not contained in `modes`. documented : False if it rests on a standard that is not
+    (`Standard.documented`): it counts, but improves no verdict.
     """
 
     kind: str
@@ -62,6 +74,7 @@ class Evidence:
     doubt: float = 0.0
     window: float = 1.0
     common: float = 0.0
+    documented: bool = True
 
     @classmethod
     def mixed(
@@ -116,12 +129,54 @@ class Evidence:
 
 
 @dataclass(frozen=True)
+class Compared:
+    """One piece of evidence against all the rest: the vehicles and the other evidence, combined without it.
+
+    value : the scale that it means, given the rest. rest : the scale that the rest gives. sd : one sigma of the
+    difference of their logarithms. documented : of the evidence.
+    """
+
+    kind: str
+    says: str
+    value: float
+    rest: float
+    sd: float
+    documented: bool = True
+
+    @property
+    def difference(self) -> float:
+        """By what share it lies above the rest."""
+        return self.value / self.rest - 1
+
+    @property
+    def sigmas(self) -> float:
+        """How many sigmas the two lie apart."""
+        return float(abs(np.log(self.value / self.rest))) / self.sd
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the rest does not support it."""
+        return self.sigmas >= SUPPORTS
+
+    @property
+    def remark(self) -> Remark:
+        """The sentence on a doubtful one."""
+        apart = f"{percent(abs(self.difference))} {'more' if self.difference > 0 else 'less'}"
+        text = (
+            f"{self.says}: gives {self.value:.5g}, {apart} than the {self.rest:.5g} of all else "
+            f"({self.sigmas:.1f} sigma): {MAY_BE.get(self.kind, OF_ANCHORS)}"
+        )
+        return Remark(CAUTION, text)
+
+
+@dataclass(frozen=True)
 class Combined:
     """The combination of all measurements.
 
     conflict : sigmas between the two that contradict each other most, 0 if none do. summary : value and the ends of its
     90 % interval. In a conflict, the interval covers all of them. evidence : what entered, each with the scale that it
-    means given the combined one.
+    means given the combined one. compared : what counts of it, each against the rest; empty in a conflict. unproven :
+    one sigma by which the posterior would be wider, in quadrature, without what is not documented.
     """
 
     posterior: Posterior
@@ -130,6 +185,18 @@ class Combined:
     remarks: list[Remark]
     summary: tuple[float, float, float]
     evidence: tuple[Evidence, ...] = ()
+    compared: tuple[Compared, ...] = ()
+    unproven: float = 0.0
+
+    @property
+    def doubted(self) -> bool:
+        """Whether a documented piece of evidence does not fit the rest."""
+        return any(one.doubtful and one.documented for one in self.compared)
+
+    @property
+    def judged_sd(self) -> float:
+        """Relative one-sigma by which the scale is judged."""
+        return float(np.hypot(self.posterior.spread, self.unproven))
 
 
 def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
@@ -145,7 +212,11 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
     strong = [e.meant(before) for e in evidence if e.doubt <= STRONG]
     conflict, conflicts = _conflicts(vehicles, strong)
     if not conflict:
-        return _weighed(before, parts, evidence, heard, [remark for _, remark in unheard])
+        compared = _compared(vehicles, heard)
+        weighed = _weighed(before, parts, evidence, heard)
+        doubtful = [one.remark for one in compared if one.doubtful]
+        remarks = [*doubtful, *(remark for _, remark in unheard), *weighed.remarks]
+        return replace(weighed, remarks=remarks, compared=compared)
     seen = [] if vehicles is None else [vehicles]
     every = [*seen, *(e.posterior for e in strong)]
     certain = [*seen, *(e.posterior for e in evidence if not e.doubt)] or every
@@ -191,28 +262,48 @@ def _spanning(every: Sequence[Posterior], surest: Posterior) -> tuple[Posterior,
     return Posterior.normal(surest.centre, spread), summary
 
 
-def _weighed(
-    vehicles: Posterior,
-    parts: Mapping[str, float],
-    evidence: Sequence[Evidence],
-    heard: Sequence[Evidence],
-    remarks: list[Remark],
-) -> Combined:
-    """The product of `vehicles` and of the evidence `heard`, none of which contradicts another. The error common to all
-    that was seen on one ground is left out while these are combined, and added afterwards. A measurement that knows
-    that ground better shares a part of it only."""
-    common = max((e.common**2 for e in heard), default=0.0)
+def _compared(vehicles: Posterior | None, heard: Sequence[Evidence]) -> tuple[Compared, ...]:
+    """Each piece of `heard` against `vehicles` and the other pieces, where there are any. What it would be compared
+    with otherwise, the combination, may be little more than itself."""
+    found = []
+    for k, e in enumerate(heard):
+        others = [*heard[:k], *heard[k + 1 :]]
+        if vehicles is None and not others:
+            continue
+        rest, common = _product(_anything(others) if vehicles is None else vehicles, others)
+        shared = min(e.common**2, common)
+        e = e.meant(rest)
+        sd = float(np.hypot(rest.blurred(-shared).spread, np.sqrt(e.relative_sd**2 - shared)))
+        found.append(Compared(e.kind, e.says, e.value, float(np.exp(rest.centre)), sd, e.documented))
+    return tuple(found)
+
+
+def _product(vehicles: Posterior, heard: Sequence[Evidence]) -> tuple[Posterior, float]:
+    """`vehicles` and the evidence `heard` together, and what of the error common to all that was seen on one ground is
+    left in it (a variance; infinite without evidence, for vehicles have all of it). That error is left out while these
+    are combined, and added afterwards. A measurement that knows that ground better shares a part of it only."""
+    if not heard:
+        return vehicles, np.inf
+    common = max(e.common**2 for e in heard)
     posterior = vehicles.blurred(-common) if common else vehicles
     for e in sorted(heard, key=lambda e: -e.common):
         if e.common**2 < common:
             posterior, common = posterior.blurred(common - e.common**2), e.common**2
         posterior = posterior.times_doubted(e.own, e.doubt, e.window)
-    posterior = posterior.blurred(common) if common else posterior
+    return posterior.blurred(common) if common else posterior, common
+
+
+def _weighed(
+    vehicles: Posterior, parts: Mapping[str, float], evidence: Sequence[Evidence], heard: Sequence[Evidence]
+) -> Combined:
+    """The product of `vehicles` and of the evidence `heard`, none of which contradicts another."""
+    posterior, common = _product(vehicles, heard)
     value, low, high = (float(np.exp(posterior.quantile(q))) for q in (0.5, 0.05, 0.95))
     shares = _shares(vehicles, parts, [e.meant(posterior) for e in heard], posterior, common)
     told = tuple(e.meant(posterior) for e in evidence)
-    remarks = [*remarks, *_leading(heard, posterior)]
-    return Combined(posterior, shares, 0.0, remarks, (value, low, high), told)
+    proven, _ = _product(vehicles, [e for e in heard if e.documented])
+    unproven = float(np.sqrt(max(proven.spread**2 - posterior.spread**2, 0.0)))
+    return Combined(posterior, shares, 0.0, _leading(heard, posterior), (value, low, high), told, unproven=unproven)
 
 
 def _leading(heard: Sequence[Evidence], posterior: Posterior) -> list[Remark]:
@@ -302,7 +393,7 @@ def known_distance(
     if not SUREST * metres <= sd <= metres:
         raise ValueError("the sigma must be positive metres, from a millionth of the distance to all of it")
     relative_sd = float(np.hypot(sd / metres, read_sd / units))
-    return Evidence("known distance", metres / units, relative_sd, f"the known distance of {metres:g} m{where}")
+    return Evidence(BY_DISTANCE, metres / units, relative_sd, f"the known distance of {metres:g} m{where}")
 
 
 def ground_control(
@@ -337,7 +428,7 @@ def ground_control(
     if level_sd:
         says.append("the ground taken for level")
     sd = float(np.hypot(sd, level_sd))
-    return Evidence("ground control", spread[1] / spread[0], sd, f"ground control ({', '.join(says)})")
+    return Evidence(BY_CONTROL, spread[1] / spread[0], sd, f"ground control ({', '.join(says)})")
 
 
 def ground_shares(points: np.ndarray, rays: np.ndarray) -> np.ndarray:

@@ -40,13 +40,16 @@ class Picture(Protocol):
 
 class Claim(Protocol):
     """The scale that a source claims for itself. gsd_m : metres per pixel, None without any. usable : whether to trust
-    it. why : the reason, for people. crs, transform : the georeferencing behind it, None without any. aspect : how many
-    times as wide as high a pixel is on the ground, 1 where that is not known."""
+    it. unit_known : False if nothing says of what unit `gsd_m` is. why : the reason, for people. crs, transform : the
+    georeferencing behind it, None without any. aspect : how many times as wide as high a pixel is on the ground, 1
+    where that is not known."""
 
     @property
     def gsd_m(self) -> float | None: ...
     @property
     def usable(self) -> bool: ...
+    @property
+    def unit_known(self) -> bool: ...
     @property
     def why(self) -> str: ...
     @property

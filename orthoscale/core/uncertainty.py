@@ -15,6 +15,7 @@ MEANINGS = {
     "margin": "box bias: how much boxes over- or undershoot vehicles varies from scene to scene",
     "geometry": "the height of the ground under the vehicles, and up to what height boxes enclose them",
     "drift": "the scale changes from place to place",
+    "squeeze": "pixels are not square on the ground: lengths differ along x and along y",
     "conflict": "measurements that contradict each other",
     "known distance": "the known distance itself",
     "ground control": "the control points themselves",

@@ -15,18 +15,20 @@ FIT = {  # verdict: what the scale is fit for
     "poor": "Suitable for a rough idea only.",
     UNUSABLE: "Not suitable for use.",
 }
+AT_BEST_DOUBTED = "fair"  # where a measurement does not fit the rest: one of them is wrong, but which is not known
 CHECK_LIMIT = 2.5  # sigmas between length and width before the verdict is lowered
 SHAPE_LIMIT = 4.0  # sigmas between them from which nothing is written without being told to
 
 
-def verdict(sd: float, odd_shape: bool, conflict: bool) -> str:
+def verdict(sd: float, odd_shape: bool, conflict: bool, doubted: bool = False) -> str:
     """``good``, ``fair``, ``poor`` or ``unusable``. sd : relative one-sigma of the scale. odd_shape : lengths and
     widths give different scales; one step down, to ``poor`` at worst. conflict : two measurements contradict each
-    other, so the scale is not known."""
+    other, so the scale is not known. doubted : a measurement does not fit the rest; ``fair`` at best."""
     rank = next((k for k, (_, limit) in enumerate(VERDICTS) if sd <= limit), len(VERDICTS))
     if conflict or rank == len(VERDICTS):
         return UNUSABLE
-    return BEST_TO_WORST[min(rank + odd_shape, len(VERDICTS) - 1)]
+    word = BEST_TO_WORST[min(rank + odd_shape, len(VERDICTS) - 1)]
+    return worst(word, AT_BEST_DOUBTED) if doubted else word
 
 
 def worst(*verdicts: str) -> str:

@@ -24,7 +24,8 @@ TILE_COLUMNS = ("x_px", "y_px", "width_px", "height_px", "vehicles", "used", "m_
 @dataclass(frozen=True)
 class Extra:
     """place : the file's path, from that of the main output. write : makes it.
-    check : raises UsageError, before any work, for a source of which it cannot be made.
+    check : raises UsageError, before any work, for a source of which it cannot be made; told whether the copy keeps the
+    source's place.
     mine : whether a file in that place is orthoscale's, by its content and the main output; for formats that have no
     room for a signature.
     """
@@ -32,7 +33,7 @@ class Extra:
     place: Callable[[Path], Path]
     write: Callable[[Result, Placement, Path], None]
     mine: Callable[[Path, Path], bool] | None = None
-    check: Callable[[Plan], None] = lambda source: None
+    check: Callable[[Plan, bool], None] = lambda source, keep_origin: None
 
     def known(self, out: Path) -> Callable[[Path], bool] | None:
         """`mine` for the main output `out`."""

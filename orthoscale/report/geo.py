@@ -95,28 +95,33 @@ def write_geopackage(result: Result, place: Placement, path: Path) -> None:
         raise OutputError(f"{path} could not be written ({error})", "Check the free space on its disk.") from error
 
 
-def check_on_earth(source: Plan) -> None:
-    """Raise UsageError where nothing says where on Earth `source` lies: GeoJSON knows nothing else."""
-    _require_earth(source.place(1.0, keep_origin=True), source.path)
+def check_on_earth(source: Plan, keep_origin: bool) -> None:
+    """Raise UsageError where the copy of `source` lies nowhere on Earth: GeoJSON knows nothing else. keep_origin :
+    whether it keeps the place of `source`."""
+    if _on_earth(source.place(1.0, keep_origin)):
+        return
+    kept = _on_earth(source.place(1.0, keep_origin=True))
+    raise _nowhere(source.path, "Add --keep-origin, or take" if kept else "Take")
 
 
-def _require_earth(place: Placement, path: Path) -> None:
-    crs = place.crs
-    if isinstance(crs, str) or not (crs.is_geographic or crs.is_projected):
-        raise UsageError(
-            f"--also geojson: {path} lies nowhere on Earth, and GeoJSON has longitude and latitude only",
-            "Take --also gpkg, which keeps local metres.",
-        )
+def _on_earth(place: Placement) -> bool:
+    return not isinstance(place.crs, str) and bool(place.crs.is_geographic or place.crs.is_projected)
+
+
+def _nowhere(path: Path, take: str) -> UsageError:
+    return UsageError(
+        f"--also geojson: the copy of {path} lies nowhere on Earth, and GeoJSON has longitude and latitude only",
+        f"{take} --also gpkg, which keeps local metres.",
+    )
 
 
 def write_geojson(result: Result, place: Placement, path: Path) -> None:
     """Vehicles as polygons in longitude and latitude (WGS 84), as RFC 7946 wants it and every reader takes it.
 
-    They lie where the map of --against puts them, else where the input's own georeferencing puts its first corner,
-    whether or not the copy keeps that. Raises UsageError where neither does.
+    They lie on the copy at `place`. Raises UsageError where that is nowhere on Earth.
     """
-    place = result.place(keep_origin=True)
-    _require_earth(place, result.source.path)
+    if not _on_earth(place):
+        raise _nowhere(result.source.path, "Take")
     columns = {name: values.tolist() for name, values in table(result).items()}
     features = []
     for k, ring in enumerate(outlines(result, place)):

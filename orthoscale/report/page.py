@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..core.claims import NO_UNIT
 from ..core.pooling.posterior import Z90
 from ..core.remarks import INFO, percent, signed
 from ..formats.pictures import jpeg
@@ -133,7 +134,7 @@ def _estimates(report: Mapping[str, Any]) -> Markup:
     for other in report["evidence"]:
         half = Z90 * other["relative_sd"]
         rows.append(charts.Row(other["kind"], at := relative(other["scale"], report), (at - half, at + half)))
-    if report["claim"]:
+    if report["claim"] and report["claim"]["verdict"] != NO_UNIT:
         rows.append(charts.Row("its georeferencing", relative(report["claim"]["claimed"], report)))
     rows = [row for row in rows if abs(row.value) < FARTHEST_CHECK]
     label = "; ".join(f"{row.name} {signed(row.value)}" for row in rows[1:])

@@ -34,6 +34,7 @@ class Claim:
     crs, transform : the georeferencing behind it, from ground control points where there is no geotransform; None
         without any.
     aspect : how many times as wide as high a pixel is on the ground; 1 where that is not known, and where it is square.
+    unit_known : False where nothing says of what unit the figures are.
     """
 
     gsd_m: float | None
@@ -42,6 +43,7 @@ class Claim:
     crs: CRS | None = None
     transform: Affine | None = None
     aspect: float = 1.0
+    unit_known: bool = True
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def _claim_of(dataset: DatasetReader) -> Claim:
             f"{across:.6g} x {down:.6g} of an unknown unit per pixel{f' ({beside[0]})' if beside else ''}: "
             f"there is no coordinate reference system; pixels are {shape}"
         )
-        return Claim(size, False, why + _attitude(t), None, t)
+        return Claim(size, False, why + _attitude(t), None, t, unit_known=False)
     system = pyproj.CRS.from_user_input(crs)
     if system.type_name == "Engineering CRS":
         size *= system.axis_info[0].unit_conversion_factor
@@ -164,7 +166,7 @@ def local_place(claim: Claim, height: int, gsd_m: float) -> Place:
     if claim.usable:
         said += f"; the georeferencing of the input ({claim.why}) is not in it (--keep-origin keeps its place)"
     elif t is not None or "not georeferenced" not in claim.why:
-        said += f"; not believed and not in it: {claim.why}"
+        said += f"; the georeferencing of the input is not used and not in it: {claim.why}"
     if t is not None and t.determinant > 0:
         return Place(LOCAL_CRS, Affine(wide, 0, 0, 0, high, 0), said + "; rows go north: it is mirrored like the input")
     return Place(LOCAL_CRS, Affine(wide, 0, 0, 0, -high, high * height), said)

@@ -12,6 +12,7 @@ from ..verdicts import CHECK_LIMIT, SHAPE_LIMIT
 from .drift import Drift
 from .measurement import Measurement
 from .model_drift import ModelDrift
+from .squeeze import SQUEEZE
 
 SAMPLING = 0.02  # one sigma from which more vehicles would help
 ROUGH = 0.06  # relative difference from which no check supports a scale, however little is known
@@ -64,6 +65,8 @@ def _shapes(measured: Measurement) -> Judgement | None:
         return Judgement(severity, "Lengths and widths disagree", detail)
     if abs(difference) > max(scale.half_width, ROUGH):
         return Judgement(INFO, "Lengths and widths differ within their uncertainty", detail)
+    if SQUEEZE in scale.parts:  # where both err, one way along x and the other along y
+        return Judgement(INFO, "Lengths and widths agree on the average of all directions only", detail)
     return Judgement(SUPPORT, "Lengths and widths agree", detail)
 
 
@@ -79,15 +82,18 @@ def _modes(measured: Measurement) -> Judgement | None:
 
 def _evidence(measured: Measurement) -> Judgement | None:
     scale = measured.scale
-    if not scale.evidence:
-        return None
-    apart = {e.kind: e.value / scale.value - 1 for e in scale.evidence}
-    kinds = ", ".join(f"{e.kind} gives {signed(e.value / scale.value - 1)}" for e in scale.evidence)
-    if scale.conflict:
+    if scale.conflict and scale.evidence:
+        kinds = ", ".join(f"{e.kind} gives {signed(e.value / scale.value - 1)}" for e in scale.evidence)
         return Judgement(REFUSAL, "Other evidence contradicts", f"{kinds} ({scale.conflict:.1f} sigma)")
-    if max(map(abs, apart.values())) > max(scale.half_width, ROUGH):
-        return Judgement(INFO, "Other evidence differs within its uncertainty", kinds)
-    return Judgement(SUPPORT, "Other evidence agrees", kinds)
+    if not scale.compared:
+        return None
+    kinds = ", ".join(f"{one.kind} gives {signed(one.difference)} ({one.sigmas:.1f} sigma)" for one in scale.compared)
+    detail = f"against all else, {kinds}"
+    if any(one.doubtful for one in scale.compared):
+        return Judgement(CAUTION, "Other evidence is doubtful", detail)
+    if max(abs(one.difference) for one in scale.compared) > max(scale.half_width, ROUGH):
+        return Judgement(INFO, "Other evidence differs within its uncertainty", detail)
+    return Judgement(SUPPORT, "Other evidence agrees", detail)
 
 
 def _claim(claim: Comparison | None) -> Iterator[Judgement]:

@@ -1,7 +1,7 @@
 """Whether boxes can be vehicles at all: some scale fits any boxes, so implausible ones are refused or doubted.
 
 Implausible are boxes of an orthophoto that overlap, lie in no order, are all of one length, or are seldom found by both
-detection passes.
+detection passes; or lie on pixels that are not square.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from ..confirmed import OF_MISTAKES
 from ..equal_sizes import of_one_size
 from ..remarks import CAUTION, REFUSAL, Remark, percent
 from ..scale import Scale
-from ..verdicts import UNUSABLE, one_step_below, worst
+from ..verdicts import AT_BEST_DOUBTED, UNUSABLE, one_step_below, worst
+from .squeeze import SQUEEZE, Squeeze, squeeze
 
 NEAREST = 5  # boxes that are looked at around each; more than that near one another stand in one another anyway
 # Share of the vehicles that count, from which it cannot be a mistake here and there. Of the 4,649 labelled vehicles of
@@ -29,6 +30,11 @@ LEAST_PAIRS = 30  # neighbours below which chance may look like order, and nothi
 # 15 and more 0.68 to 1; of 4,000 sets of random boxes with 30 pairs one in a thousand reaches it.
 ALIGNED = 0.35
 
+SQUEEZED_SIGMAS = 3.0  # from square pixels, from which chance no longer makes them look squeezed
+NOTABLE_SQUEEZE = 0.05  # log aspect below which nobody need know
+# Log aspect from which no scale is fair: lengths along the axes err by half of it, by 6 % rms over all directions.
+FAR_SQUEEZED = 0.17
+
 LEAST_SEEN = 20  # boxes of both kinds, below which a share says little
 # Share of larger vehicles (`Scale.larger_share`) from which they are such a sign. Twelve orthophotos of known scale
 # have 0.04 to 0.23, and the two passes agree on 0.83 of that with the most; of 150 rendered towns full of look-alikes
@@ -36,16 +42,16 @@ LEAST_SEEN = 20  # boxes of both kinds, below which a share says little
 MANY_LARGER = 0.2
 
 
-def plausible(scale: Scale, boxes: Boxes, doubtful: int) -> Scale:
+def plausible(scale: Scale, boxes: Boxes, doubtful: int, aspect: float = 1.0) -> Scale:
     """`scale`, with a remark on each check by which its `boxes` (N, of one picture) may not be vehicles.
 
     scale : by all of `boxes`, of which it uses some. doubtful : number of boxes that only one of the two detection
-    passes found.
+    passes found. aspect : how many times as wide as high pixels are taken to be.
     """
     used = boxes[scale.used]
     for check in (if_apart, if_in_order, if_unlike):
         scale = check(scale, used)
-    return if_confirmed(scale, len(boxes), doubtful)
+    return if_confirmed(if_square(scale, squeeze(used, aspect)), len(boxes), doubtful)
 
 
 def if_apart(scale: Scale, used: Boxes) -> Scale:
@@ -90,6 +96,27 @@ def if_unlike(scale: Scale, used: Boxes) -> Scale:
         "Inspect the boxes (--save-detections); give the vehicles' size (--gsd-hint METRES_PER_PIXEL) if there are any",
     )
     return scale.remarked(remark, at_best=UNUSABLE)
+
+
+def if_square(scale: Scale, found: Squeeze | None) -> Scale:
+    """`scale`, less certain and doubted if pixels are not as square as is said; refused if they are far from it.
+
+    One scale does not hold along both axes then: along x and y lengths err by half of the log aspect, one way and the
+    other, and by it over the root of 8 (rms) over all directions.
+    """
+    if found is None or found.sigmas < SQUEEZED_SIGMAS or abs(found.log_aspect) < NOTABLE_SQUEEZE:
+        return scale
+    sides = "longer and narrower" if found.log_aspect < 0 else "shorter and wider"
+    far = abs(found.log_aspect) > FAR_SQUEEZED
+    remark = Remark(
+        REFUSAL if far else CAUTION,
+        f"vehicles along rows of pixels look {sides} than those along columns: pixels seem to be "
+        f"{np.exp(found.log_aspect):.2f} times as wide as high (+-{percent(found.sd)}, {found.sigmas:.1f} sigma), "
+        "beside what the georeferencing says",
+        "Warp the picture to square pixels, or give it the georeferencing that it had" if far else "",
+    )
+    less = scale.with_parts({**scale.parts, SQUEEZE: abs(found.log_aspect) / np.sqrt(8)})
+    return less.remarked(remark, at_best=UNUSABLE if far else AT_BEST_DOUBTED)
 
 
 def if_confirmed(scale: Scale, believed: int, doubtful: int) -> Scale:

@@ -11,7 +11,7 @@ agree.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -160,7 +160,9 @@ def _of_kind(kind: str, votes: Sequence[AnchorVote], country: str) -> Evidence:
     doubt, window = min(vote.anchor.false for vote in those), float(np.median([vote.window for vote in those]))
     common = max(vote.shared_sd for vote in votes)
     found = Evidence.mixed(kind, Posterior(weight, means, sds), words, doubt, window, common)
-    return found.only(weight > LEAST_WEIGHT)
+    likely = weight > LEAST_WEIGHT
+    documented = all(row[3].documented for row, keep in zip(rows, likely, strict=True) if keep)
+    return replace(found.only(likely), documented=documented)
 
 
 def _reading(votes: Sequence[AnchorVote], standard: Standard, country: str) -> _Reading:

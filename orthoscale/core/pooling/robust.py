@@ -123,13 +123,15 @@ def pool(
         tension=best.tension,
         conflict=together.conflict,
         fleet=fleet.code,
-        verdict=verdict(together.posterior.spread, best.tension > CHECK_LIMIT, together.conflict > 0),
+        verdict=verdict(together.judged_sd, best.tension > CHECK_LIMIT, together.conflict > 0, together.doubted),
         used=used,
         reasons=reasons(used, index, fleeting, np.log(size), mean),
         remarks=(*together.remarks, *_remarks(best, telling, anchors)),
         larger_share=best.larger_share,
         fleets=fleets,
         evidence=together.evidence,
+        compared=together.compared,
+        unproven=together.unproven,
     )
 
 
