@@ -60,6 +60,11 @@ class Scene:
     def name(self) -> str:
         return self.path.stem
 
+    @property
+    def options(self) -> dict[str, bool]:
+        """Without the GPS positions of frames: the truth of most reconstructions is theirs."""
+        return {"gps": False} if self.path.is_dir() else {}
+
 
 def scenes() -> list[Scene]:
     """All that there are, those that nothing was chosen with first."""
@@ -112,7 +117,7 @@ def measured(scene: Scene, fleet: str, boxes: Path) -> tuple[float, float, float
     """Relative error of the scale and of both ends of its 90 % interval, and one sigma of it without the margin's part;
     or why there is none."""
     try:
-        result = orthoscale.estimate(scene.path, fleet=fleet, detections=boxes)
+        result = orthoscale.estimate(scene.path, fleet=fleet, detections=boxes, **scene.options)
         result.require_useful()
     except (EvidenceDisagrees, TooLittleEvidence) as error:
         return unanswered(error)
@@ -155,7 +160,7 @@ def main(some: list[Scene], folder: Path, **networks: str | Path | None) -> None
         boxes = folder / f"{scene.name}.det.json"
         if not boxes.exists():
             try:
-                found = orthoscale.estimate(scene.path, fleet=scene.country, **networks).detections
+                found = orthoscale.estimate(scene.path, fleet=scene.country, **scene.options, **networks).detections
             except (EvidenceDisagrees, TooLittleEvidence) as error:
                 rows.append([scene.name, scene.country, *[unanswered(error)] * len(FLEETS)])
                 continue

@@ -57,7 +57,7 @@ def main() -> None:
     for scene, fleet in SCENES.items():
         folder = data / "reconstructions" / scene
         truth = json.loads((folder / "truth.json").read_text())["metres_per_model_unit"]
-        result = estimate(folder, fleet=load_fleet(fleet).code, detections=boxes and boxes / f"{scene}.json")
+        result = estimate(folder, fleet=load_fleet(fleet).code, detections=boxes and boxes / f"{scene}.json", gps=False)
         source, measured = result.source, result.measured
         print(f"\n`{scene}`, truth {truth} m per unit, {len(result.boxes)} boxes in frames\n")
         print("| method | m per unit | error | 90 % interval |\n|---|---|---|---|")
