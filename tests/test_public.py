@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from rasterio.crs import CRS
 from support.photos import CARS, FOCAL, boxes_in, detections_of, view_from, write_photo
 from support.reports import car_park, fixed, fixed_model
 
@@ -63,13 +64,16 @@ def test_a_result_as_plain_values_is_the_report(park, result):
 
 
 def test_check_is_public(park):
-    (park / "park.pgw").write_text("0.2\n0\n0\n-0.2\n0\n0\n")
+    (park / "park.pgw").write_text("0.2\n0\n0\n-0.2\n500000\n5600000\n")
+    wkt = CRS.from_epsg(32632).to_wkt()
+    (park / "park.png.aux.xml").write_text(f"<PAMDataset><SRS>{wkt.replace('&', '&amp;')}</SRS></PAMDataset>")
     checked = orthoscale.check(park / "park.png", fleet="DE", detections=park / "detections.json")
-    assert checked.disagrees and checked.comparisons[0].claimed == pytest.approx(0.2)
+    assert checked.disagrees and checked.comparisons[0].claimed == pytest.approx(0.2, rel=1e-3)
     shown = str(checked).splitlines()
     assert len(shown) < 10 and shown[0].startswith("claim      disagrees") and "<td>disagrees" in checked._repr_html_()
     assert json.loads(json.dumps(checked.to_dict()))["comparisons"][0]["verdict"] == "disagrees"
     (park / "park.pgw").unlink()
+    (park / "park.png.aux.xml").unlink()
 
 
 def test_photos_are_public(tmp_path):
