@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pyproj
 import pytest
@@ -207,3 +209,18 @@ def test_the_papers_estimator_takes_vehicles_only(flight):
     assert not found.scale.evidence
     with pytest.raises(UsageError, match="--no-gps does nothing here"):
         orthoscale.estimate(flight, gps=False, estimator="iqr")
+
+
+def test_a_model_in_a_maps_coordinates_is_metric_already(tmp_path):
+    """`fix` would scale it about the map's origin, and move it by kilometres."""
+    import pycolmap
+
+    from orthoscale.sources.colmap import ColmapSource
+    from orthoscale.sources.colmap_check import open_model
+
+    folder = open_model(Path(__file__).parents[1] / "examples" / "sheffield").folder
+    assert ColmapSource.open(folder, need_images=False).metric_already == ""
+    model = pycolmap.Reconstruction(folder)
+    model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(), np.array([480_027.0, 4_979_967.0, 50.0])))
+    model.write(tmp_path)
+    assert "as on a map" in ColmapSource.open(tmp_path, need_images=False).metric_already
