@@ -370,7 +370,7 @@ class EstimateRequest(VehicleRequest):
             self._refuse(("fast",), "only where both built-in networks are used does a larger one make the second pass")
         if self.exhaustive:
             self._refuse(("target",), "--exhaustive visits every tile")
-        if self.estimator == "iqr":
+        if self.vehicles_only:
             self._refuse(("anchors", "anchor", "against", "gps"), "--estimator iqr is the paper's, for vehicles only")
             if self.known_distance or self.ground_control is not None:
                 raise UsageError(
@@ -392,8 +392,13 @@ class EstimateRequest(VehicleRequest):
 
     @property
     def counts_gps(self) -> bool:
-        """Whether GPS positions of frames enter the scale; nothing but vehicles does by the paper's estimator."""
-        return self.gps and self.estimator != "iqr"
+        """Whether GPS positions of frames enter the scale."""
+        return self.gps and not self.vehicles_only
+
+    @property
+    def vehicles_only(self) -> bool:
+        """Whether nothing but vehicles enters the scale: by the paper's estimator."""
+        return self.estimator == "iqr"
 
     @property
     def needs_pictures(self) -> bool:

@@ -56,7 +56,7 @@ def test_an_error_that_two_share_hides_no_contradiction_between_them():
 def test_each_is_compared_with_all_the_rest_and_not_with_what_it_dominates():
     tape, court = Evidence("known distance", 0.106, 0.001, "a tape"), Evidence("court", 0.101, 0.02, "a court")
     together = combined(VEHICLES, PARTS, [tape, court])
-    first, second = together.compared
+    first, second = together.support.compared
     rest = combined(VEHICLES, PARTS, [court])
     assert together.summary[0] == pytest.approx(0.106, rel=1e-3), "which the tape alone makes"
     assert first.rest == pytest.approx(rest.summary[0]) and first.value == pytest.approx(0.106)
@@ -69,7 +69,7 @@ def test_each_is_compared_with_all_the_rest_and_not_with_what_it_dominates():
 def test_a_distance_that_does_not_fit_the_vehicles_is_a_caution(off, doubtful):
     tape = Evidence("known distance", float(0.1 * np.exp(off * np.hypot(0.05, 0.001))), 0.001, "a tape")
     together = combined(VEHICLES, PARTS, [tape])
-    assert not together.conflict and together.compared[0].sigmas == pytest.approx(off)
+    assert not together.conflict and together.support.compared[0].sigmas == pytest.approx(off)
     assert [r.severity for r in together.remarks] == ["caution"] * doubtful
     assert all("may be mistyped, or not on the ground" in r.text for r in together.remarks)
 
@@ -77,14 +77,14 @@ def test_a_distance_that_does_not_fit_the_vehicles_is_a_caution(off, doubtful):
 def test_what_two_share_is_no_part_of_the_difference_between_them():
     vehicles = Posterior.normal(0.0, 0.05)
     court = Evidence.mixed("court", Posterior.normal(0.08, 0.01), ["a court"], common=0.04)
-    (found,) = combined(vehicles, PARTS, [court]).compared
+    (found,) = combined(vehicles, PARTS, [court]).support.compared
     assert found.sigmas == pytest.approx(0.08 / np.hypot(0.03, 0.01)), "0.05 less 0.04 leaves 0.03"
 
 
 def test_one_piece_without_vehicles_has_nothing_to_be_compared_with():
     tape, court = Evidence("known distance", 0.1, 0.001, "a tape"), Evidence("court", 0.105, 0.02, "a court")
-    assert not combined(None, {}, [tape]).compared
-    sigmas = [one.sigmas for one in combined(None, {}, [tape, court]).compared]
+    assert not combined(None, {}, [tape]).support.compared
+    sigmas = [one.sigmas for one in combined(None, {}, [tape, court]).support.compared]
     assert sigmas == pytest.approx([np.log(1.05) / np.hypot(0.001, 0.02)] * 2, rel=0.01)
 
 
@@ -92,9 +92,10 @@ def test_what_is_not_documented_counts_and_is_not_judged_by():
     bays, court = Evidence("bays", 0.1, 0.03, "bays", documented=False), Evidence("court", 0.1, 0.05, "a court")
     with_it, without = combined(VEHICLES, PARTS, [bays, court]), combined(VEHICLES, PARTS, [court])
     assert with_it.posterior.spread < 0.8 * without.posterior.spread
-    assert with_it.judged_sd == pytest.approx(without.posterior.spread) == pytest.approx(without.judged_sd)
+    judged, alone = (one.support.judged(one.posterior.spread) for one in (with_it, without))
+    assert judged == pytest.approx(without.posterior.spread) == pytest.approx(alone)
     far = combined(VEHICLES, PARTS, [Evidence("bays", 0.115, 0.01, "bays", documented=False)])
-    assert not far.doubted and [r.severity for r in far.remarks] == ["caution"], "said, but the verdict stays"
+    assert not far.support.doubted and [r.severity for r in far.remarks] == ["caution"], "said, but the verdict stays"
 
 
 def test_evidence_chooses_between_two_possibilities():

@@ -8,7 +8,7 @@ from support.reports import car_park
 
 import orthoscale
 from orthoscale.core.claims import Comparison
-from orthoscale.core.evidence import Compared, Evidence
+from orthoscale.core.evidence import Compared, Evidence, Support
 from orthoscale.core.measuring.judgement import judgements
 from orthoscale.core.measuring.measurement import Findings
 from orthoscale.core.measuring.model_drift import FrameScale, ModelDrift, Trend
@@ -46,7 +46,7 @@ def test_of_a_sound_scale_nothing_is_to_be_looked_at(measured):
 def with_tape(measured, metres_per_pixel, conflict, rest_sd=0.04):
     tape = Evidence("known distance", metres_per_pixel, 0.01, "a tape")
     compared = () if conflict else (Compared(tape.kind, tape.says, tape.value, 0.1, rest_sd),)
-    return scaled(measured, evidence=(tape,), conflict=conflict, compared=compared)
+    return scaled(measured, evidence=(tape,), conflict=conflict, support=Support(compared))
 
 
 AGAINST = {

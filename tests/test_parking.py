@@ -124,7 +124,7 @@ def test_rows_improve_no_verdict(tmp_path):
     rows = orthoscale.estimate(tmp_path / "park.png", **options).scale
     alone = orthoscale.estimate(tmp_path / "park.png", **options, anchors=["none"]).scale
     assert [e.kind for e in rows.evidence] == [BAYS] and rows.relative_sd < alone.relative_sd
-    assert rows.unproven == pytest.approx(np.sqrt(alone.relative_sd**2 - rows.relative_sd**2), rel=0.01)
+    assert rows.support.unproven == pytest.approx(np.sqrt(alone.relative_sd**2 - rows.relative_sd**2), rel=0.01)
     grown = rows.with_parts({"fleet": 0.0295})
     assert rows.verdict == alone.verdict and grown.relative_sd < 0.03 and grown.verdict == "fair"
 

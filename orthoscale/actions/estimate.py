@@ -31,7 +31,7 @@ from ..core.measuring.without_vehicles import measured_without_vehicles
 from ..core.pooling.anchors import evidence_of
 from ..core.progress import Progress
 from ..core.remarks import REFUSAL
-from ..core.source import Source
+from ..core.source import GpsScale, Source
 from ..core.verdicts import UNUSABLE
 from ..detect.detector import Detector
 from ..detect.find import Effort
@@ -140,9 +140,7 @@ def opened(path: str | Path | Source, request: EstimateRequest, progress: Progre
     source = source_of(path, request, request.needs_pictures, progress)
     fleet, why = (named, ()) if named is not None else fleet_at(location_of(source))
     request.check_for(source)
-    given = _given(source, request)
-    if source.posed is not None and request.counts_gps:
-        why = (*why, *source.posed.gps.notes)
+    given, why = _given(source, request), (*why, *_gps(source, request).notes)
     own = own_standards(request.anchor)
     return Opened(source, fleet, why, known, tuple(given), own, _satellite(request.against))
 
@@ -341,9 +339,12 @@ def _given(source: Source, request: EstimateRequest, footing: Footing = BY_POINT
     given = [read_distance(text, source, footing) for text in request.known_distance]
     if request.ground_control is not None:
         given.append(read_control(Path(request.ground_control), source, footing))
-    if source.posed is not None and request.counts_gps:
-        given += source.posed.gps.evidence
-    return given
+    return [*given, *_gps(source, request).evidence]
+
+
+def _gps(source: Source, request: EstimateRequest) -> GpsScale:
+    """What the GPS positions of frames say of the scale, where there are any and they count."""
+    return source.posed.gps if source.posed is not None and request.counts_gps else GpsScale()
 
 
 def footing_of(source: Source, found: Detections, fleet: Fleet) -> Footing:

@@ -96,7 +96,7 @@ def list_anchors(
     own = own_standards(request.anchor)
     effort = replace(effort_of(request), exhaustive=True)
     if scale is None:
-        if request.estimator == "iqr":
+        if request.vehicles_only:
             raise UsageError("--estimator iqr is the paper's, for vehicles only", "Remove --estimator.")
         result = measured(path, replace(request, anchors=("none",), anchor=()), progress)
         country = result.method.country

@@ -170,21 +170,13 @@ class Compared:
 
 
 @dataclass(frozen=True)
-class Combined:
-    """The combination of all measurements.
+class Support:
+    """How far other evidence supports a scale, and what it may do to its verdict.
 
-    conflict : sigmas between the two that contradict each other most, 0 if none do. summary : value and the ends of its
-    90 % interval. In a conflict, the interval covers all of them. evidence : what entered, each with the scale that it
-    means given the combined one. compared : what counts of it, each against the rest; empty in a conflict. unproven :
-    one sigma by which the posterior would be wider, in quadrature, without what is not documented.
+    compared : each piece that counts, against all the rest; empty in a conflict. unproven : one sigma by which the
+    scale would be less certain, in quadrature, without what is not documented.
     """
 
-    posterior: Posterior
-    parts: dict[str, float]
-    conflict: float
-    remarks: list[Remark]
-    summary: tuple[float, float, float]
-    evidence: tuple[Evidence, ...] = ()
     compared: tuple[Compared, ...] = ()
     unproven: float = 0.0
 
@@ -193,10 +185,27 @@ class Combined:
         """Whether a documented piece of evidence does not fit the rest."""
         return any(one.doubtful and one.documented for one in self.compared)
 
-    @property
-    def judged_sd(self) -> float:
-        """Relative one-sigma by which the scale is judged."""
-        return float(np.hypot(self.posterior.spread, self.unproven))
+    def judged(self, sd: float) -> float:
+        """The relative one-sigma by which a scale of one sigma `sd` is judged."""
+        return float(np.hypot(sd, self.unproven))
+
+
+@dataclass(frozen=True)
+class Combined:
+    """The combination of all measurements.
+
+    conflict : sigmas between the two that contradict each other most, 0 if none do. summary : value and the ends of its
+    90 % interval. In a conflict, the interval covers all of them. evidence : what entered, each with the scale that it
+    means given the combined one. support : what that says of the scale.
+    """
+
+    posterior: Posterior
+    parts: dict[str, float]
+    conflict: float
+    remarks: list[Remark]
+    summary: tuple[float, float, float]
+    evidence: tuple[Evidence, ...] = ()
+    support: Support = Support()
 
 
 def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: Sequence[Evidence]) -> Combined:
@@ -212,11 +221,11 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
     strong = [e.meant(before) for e in evidence if e.doubt <= STRONG]
     conflict, conflicts = _conflicts(vehicles, strong)
     if not conflict:
-        compared = _compared(vehicles, heard)
         weighed = _weighed(before, parts, evidence, heard)
-        doubtful = [one.remark for one in compared if one.doubtful]
+        support = replace(weighed.support, compared=_compared(vehicles, heard))
+        doubtful = [one.remark for one in support.compared if one.doubtful]
         remarks = [*doubtful, *(remark for _, remark in unheard), *weighed.remarks]
-        return replace(weighed, remarks=remarks, compared=compared)
+        return replace(weighed, remarks=remarks, support=support)
     seen = [] if vehicles is None else [vehicles]
     every = [*seen, *(e.posterior for e in strong)]
     certain = [*seen, *(e.posterior for e in evidence if not e.doubt)] or every
@@ -303,7 +312,8 @@ def _weighed(
     told = tuple(e.meant(posterior) for e in evidence)
     proven, _ = _product(vehicles, [e for e in heard if e.documented])
     unproven = float(np.sqrt(max(proven.spread**2 - posterior.spread**2, 0.0)))
-    return Combined(posterior, shares, 0.0, _leading(heard, posterior), (value, low, high), told, unproven=unproven)
+    remarks, support = _leading(heard, posterior), Support(unproven=unproven)
+    return Combined(posterior, shares, 0.0, remarks, (value, low, high), told, support)
 
 
 def _leading(heard: Sequence[Evidence], posterior: Posterior) -> list[Remark]:

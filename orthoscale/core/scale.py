@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .evidence import Compared, Evidence
+from .evidence import Evidence, Support
 from .pooling.posterior import Z90
 from .remarks import Remark, by_severity
 from .verdicts import CHECK_LIMIT, verdict, worst
@@ -35,8 +35,7 @@ class Scale:
     conflict : sigmas between the two measurements (vehicles, evidence) that contradict each other most, 0 if none do.
     larger_share : share of larger vehicles (vans, pickups beyond the fleet's own) among the vehicles.
     fleets : probability of each fleet that may stand here; one entry unless the fleet was to be found.
-    evidence : what entered besides the vehicles. compared : what counts of it, each against all the rest.
-    unproven : one sigma that would be added to it, in quadrature, without evidence that is not documented.
+    evidence : what entered besides the vehicles. support : what that says of the scale.
     remarks : what speaks against it, limits it or was found on the way.
     used : (N,) bool, votes that count; reasons : (N,) why the others do not ('' where used).
     """
@@ -57,13 +56,7 @@ class Scale:
     fleets: Mapping[str, float] = field(default_factory=dict)
     evidence: tuple[Evidence, ...] = ()
     conflict: float = 0.0
-    compared: tuple[Compared, ...] = ()
-    unproven: float = 0.0
-
-    @property
-    def doubted(self) -> bool:
-        """Whether a documented piece of evidence does not fit the rest."""
-        return any(one.doubtful and one.documented for one in self.compared)
+    support: Support = Support()
 
     @property
     def relative_sd(self) -> float:
@@ -85,8 +78,8 @@ class Scale:
             low, high = (self.value * (end / self.value) ** (now / before) for end in self.interval90)
         else:
             low, high = (self.value * np.exp(side * Z90 * now) for side in (-1, 1))
-        judged = float(np.hypot(now, self.unproven))
-        word = worst(self.verdict, verdict(judged, self.tension > CHECK_LIMIT, self.conflict > 0, self.doubted))
+        judged, doubted = self.support.judged(now), self.support.doubted
+        word = worst(self.verdict, verdict(judged, self.tension > CHECK_LIMIT, self.conflict > 0, doubted))
         return replace(changed, interval90=(float(low), float(high)), verdict=word)
 
     def remarked(self, *remarks: Remark, at_best: str | None = None) -> Scale:

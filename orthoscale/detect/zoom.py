@@ -190,15 +190,13 @@ class _Level:
         see the same vehicles. What shows nothing is left out."""
         if self.complete:
             return []
-        if (
-            sum(p.width * p.height * f.area for p, f in zip(pictures, self.filled, strict=True)) * self.zoom**2
-            <= budget
-        ):
+        shown = list(zip(pictures, self.filled, strict=True))
+        if sum(picture.width * picture.height * where.area for picture, where in shown) * self.zoom**2 <= budget:
             everything = [
                 (k, tile)
-                for k, picture in enumerate(pictures)
+                for k, (picture, where) in enumerate(shown)
                 for tile in tiles(picture, self.zoom)
-                if self.filled[k].share(tile)
+                if where.share(tile)
             ]
             if sum(_cost(pictures[k], tile) for k, tile in everything) <= 2 * budget:
                 self.complete, self.parts, self.looked = True, {}, 0.0

@@ -85,13 +85,13 @@ def _evidence(measured: Measurement) -> Judgement | None:
     if scale.conflict and scale.evidence:
         kinds = ", ".join(f"{e.kind} gives {signed(e.value / scale.value - 1)}" for e in scale.evidence)
         return Judgement(REFUSAL, "Other evidence contradicts", f"{kinds} ({scale.conflict:.1f} sigma)")
-    if not scale.compared:
+    if not (compared := scale.support.compared):
         return None
-    kinds = ", ".join(f"{one.kind} gives {signed(one.difference)} ({one.sigmas:.1f} sigma)" for one in scale.compared)
+    kinds = ", ".join(f"{one.kind} gives {signed(one.difference)} ({one.sigmas:.1f} sigma)" for one in compared)
     detail = f"against all else, {kinds}"
-    if any(one.doubtful for one in scale.compared):
+    if any(one.doubtful for one in compared):
         return Judgement(CAUTION, "Other evidence is doubtful", detail)
-    if max(abs(one.difference) for one in scale.compared) > max(scale.half_width, ROUGH):
+    if max(abs(one.difference) for one in compared) > max(scale.half_width, ROUGH):
         return Judgement(INFO, "Other evidence differs within its uncertainty", detail)
     return Judgement(SUPPORT, "Other evidence agrees", detail)
 

@@ -18,9 +18,8 @@ SQUEEZE = "squeeze"  # part of a scale's uncertainty
 LEAST_VEHICLES = 20  # vehicles; their scatter is not known from fewer
 FIT_STEPS = 20  # of the fit; it settles in about five
 SETTLED_SQUEEZE = 1e-5  # log aspect
-ODD_SHAPE_SIGMAS = (
-    4.685  # sigmas from which a vehicle counts no more (Tukey's biweight, 95 % efficient on normal errors)
-)
+# Sigmas from which a vehicle counts no more: Tukey's biweight, 95 % efficient on normal errors.
+ODD_SHAPE_SIGMAS = 4.685
 # One sigma of what shadows, the detector, and lots of other vehicles that stand another way make of it: ten orthophotos
 # of known scale with 20 vehicles or more (places and orthophotos, 2026-11-25) have -0.074 to 0.081, rms 0.045.
 OF_SQUARE = 0.045

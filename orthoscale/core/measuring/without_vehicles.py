@@ -31,7 +31,8 @@ def measured_without_vehicles(
         raise TooLittleEvidence(f"without vehicles, two kinds of anchors that agree are needed; found: {kinds}")
     together = combined(None, {}, evidence)
     value, low, high = together.summary
-    said = verdict(together.judged_sd, False, together.conflict > 0, together.doubted)
+    judged = together.support.judged(together.posterior.spread)
+    said = verdict(judged, False, together.conflict > 0, together.support.doubted)
     agreeing = _agreeing(together)
     if not together.conflict and (said == UNUSABLE or len(agreeing) < FEWEST_KINDS):
         kinds = "; ".join(f"{e.says}: {e.value:.4g} {unit}" for e in evidence)
@@ -52,8 +53,7 @@ def measured_without_vehicles(
         remarks=(*together.remarks, *(() if together.conflict else (remark,))),
         evidence=together.evidence,
         conflict=together.conflict,
-        compared=together.compared,
-        unproven=together.unproven,
+        support=together.support,
     )
     none = np.empty((0, 2))
     votes = gather(none, np.empty(0), np.empty((0, dims)), np.empty(0), repeated=False)

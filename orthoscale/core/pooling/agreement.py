@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..evidence import Support
 from ..remarks import INFO, REFUSAL, Remark
 from ..scale import Scale
 from ..verdicts import CHECK_LIMIT, UNUSABLE, verdict
@@ -149,16 +150,16 @@ def together(agreement: Agreement) -> Scale:
     parts = {name: float(weight @ [s.parts.get(name, 0.0) for s in (a, b)]) for name in names}
     more = float(weight.prod() * max(agreement.apart**2 - agreement.apart_sd**2, 0.0))
     parts["fleet"] = float(np.hypot(parts.get("fleet", 0.0), np.sqrt(more)))
-    sd, unproven = np.sqrt(sum(v**2 for v in parts.values())), max(a.unproven, b.unproven)
-    judged, doubted = float(np.hypot(sd, unproven)), a.doubted or b.doubted
+    sd = float(np.sqrt(sum(v**2 for v in parts.values())))
+    support = Support(a.support.compared or b.support.compared, max(a.support.unproven, b.support.unproven))
+    doubted = a.support.doubted or b.support.doubted
     return replace(
         a,
         value=float(np.exp(log_value)),
         interval90=(float(np.exp(log_value - Z90 * sd)), float(np.exp(log_value + Z90 * sd))),
         parts=parts,
-        verdict=verdict(judged, a.tension > CHECK_LIMIT, a.verdict == UNUSABLE, doubted),
+        verdict=verdict(support.judged(sd), a.tension > CHECK_LIMIT, a.verdict == UNUSABLE, doubted),
         checks=a.checks | both,
         evidence=a.evidence or b.evidence,
-        compared=a.compared or b.compared,
-        unproven=unproven,
+        support=support,
     )

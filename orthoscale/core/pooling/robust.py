@@ -113,6 +113,7 @@ def pool(
     measuring = [vote for vote in anchors if not tells_country(vote)] if unknown else anchors
     together = combined(vehicles, parts, (*evidence, *evidence_of(measuring, country)))
     value, low, high = together.summary
+    judged = together.support.judged(together.posterior.spread)
     return Scale(
         value=value,
         unit=unit,
@@ -123,15 +124,14 @@ def pool(
         tension=best.tension,
         conflict=together.conflict,
         fleet=fleet.code,
-        verdict=verdict(together.judged_sd, best.tension > CHECK_LIMIT, together.conflict > 0, together.doubted),
+        verdict=verdict(judged, best.tension > CHECK_LIMIT, together.conflict > 0, together.support.doubted),
         used=used,
         reasons=reasons(used, index, fleeting, np.log(size), mean),
         remarks=(*together.remarks, *_remarks(best, telling, anchors)),
         larger_share=best.larger_share,
         fleets=fleets,
         evidence=together.evidence,
-        compared=together.compared,
-        unproven=together.unproven,
+        support=together.support,
     )
 
 
