@@ -22,7 +22,7 @@ from orthoscale.errors import InputError, UsageError
 from orthoscale.layout import draw
 from orthoscale.layout.catalogue import load, parking, parse_requests
 from orthoscale.layout.ground import open_ground
-from orthoscale.layout.place import Placed, arrange, centres, holds
+from orthoscale.layout.place import PlacedFacility, arrange, centres, holds
 from orthoscale.layout.plan import document, plan, prompt
 from orthoscale.sources.georeference import LOCAL_CRS
 
@@ -116,7 +116,7 @@ def test_where_a_rectangle_may_be_agrees_with_trying():
     for bearing in (0.0, 20.0, 115.0):
         free = centres(lot, 16, 8, bearing)
         for x, y in rng.uniform([-5, 0], [70, 55], (300, 2)):
-            place = Polygon(Placed(FACILITIES["padel"], (x, y), bearing).on_ground(np.array(
+            place = Polygon(PlacedFacility(FACILITIES["padel"], (x, y), bearing).on_ground(np.array(
                 [[8, 4], [-8, 4], [-8, -4], [8, -4]])))  # fmt: skip
             if shapely.distance(free.boundary, shapely.Point(x, y)) > 0.01:
                 assert free.contains(shapely.Point(x, y)) == lot.contains(place)
@@ -175,9 +175,9 @@ def test_no_room_left_is_another_reason():
 
 
 def test_given_places_are_kept_and_judged():
-    good = Placed(FACILITIES["badminton"], (20.0, 20.0), 30.0)
-    outside = Placed(FACILITIES["badminton"], (0.0, 20.0), 0.0)
-    over = Placed(FACILITIES["badminton"], (22.0, 20.0), 30.0)
+    good = PlacedFacility(FACILITIES["badminton"], (20.0, 20.0), 30.0)
+    outside = PlacedFacility(FACILITIES["badminton"], (0.0, 20.0), 0.0)
+    over = PlacedFacility(FACILITIES["badminton"], (22.0, 20.0), 30.0)
     lot = box(0, 0, 60, 60)
     placed, missing = arrange(lot, [FACILITIES["tennis"]], [good, outside, over], clearance=1.0)
     assert placed[0] is good and placed[1].facility.code == "tennis"
@@ -188,7 +188,7 @@ def test_given_places_are_kept_and_judged():
 
 def test_what_remains_when_the_scale_is_off():
     lot = box(0, 0, 40, 40)
-    middle = [Placed(FACILITIES["basketball"], (20.0, 20.0), 0.0)]
+    middle = [PlacedFacility(FACILITIES["basketball"], (20.0, 20.0), 0.0)]
     assert holds(lot, middle, 1.2) == [True] and holds(lot, middle, 1.3) == [False]
 
 
@@ -197,7 +197,7 @@ def test_what_remains_when_the_scale_is_off():
 
 def test_the_mask_is_exact_to_the_pixel(tmp_path):
     ground = open_ground(orthophoto(tmp_path))
-    place = Placed(FACILITIES["badminton"], (30.02, 25.03), 0.0)
+    place = PlacedFacility(FACILITIES["badminton"], (30.02, 25.03), 0.0)
     window = draw.Window(0, 0, 700, 500)
     playing, full = draw.mask(ground, [place], window)
     y, x = (np.indices((500, 700)) + 0.5) * 0.1

@@ -36,7 +36,7 @@ from orthoscale.locate.opinions import opinions
 from orthoscale.locate.register import Known, heading_steps, register, scale_steps
 from orthoscale.locate.retrieval import Embedding
 from orthoscale.locate.terminal import summary
-from orthoscale.locate.verify import Similarity, agreeing, needed
+from orthoscale.locate.verify import PlaneSimilarity, agreeing, needed
 from orthoscale.photos.measure import Measure, open_photo
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.satellite import Satellite
@@ -213,7 +213,7 @@ def test_headings_are_all_or_around_the_known_one():
 
 def test_a_similarity_is_found_among_wrong_matches():
     draw = np.random.default_rng(0)
-    true = Similarity(1.1 * np.exp(0.1j), 3 + 4j)
+    true = PlaneSimilarity(1.1 * np.exp(0.1j), 3 + 4j)
     z = draw.uniform(0, 40, (120, 2))
     w = true(z) + draw.normal(0, 0.3, z.shape)
     w[40:] = draw.uniform(0, 50, (80, 2))

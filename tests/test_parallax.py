@@ -93,7 +93,9 @@ def test_many_vehicles_take_little_memory(monkeypatch):
     """A thousand of them in 24 views each were matrices of their product."""
     rng = np.random.default_rng(0)
     vehicles, boxes = 1000, 24_000
-    seen = parallax._Seen(rng.uniform(0, 900, (vehicles, 2)), rng.normal(0.5, 0.2, vehicles), np.full(vehicles, 0.01))
+    seen = parallax._SeenVehicles(
+        rng.uniform(0, 900, (vehicles, 2)), rng.normal(0.5, 0.2, vehicles), np.full(vehicles, 0.01)
+    )
     place, sd = rng.uniform(0, 900, (boxes, 2)), rng.uniform(0.1, 0.3, boxes)
     tracemalloc.start()
     stands = parallax._combined(seen, place, sd, np.full(boxes, HEIGHT), HEIGHT, 0.1)

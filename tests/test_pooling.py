@@ -8,7 +8,7 @@ import pytest
 from support.simulate import place_of, with_most
 
 from orthoscale.core.fleet import Fleet
-from orthoscale.core.market_segments import Places
+from orthoscale.core.market_segments import PlaceKind
 from orthoscale.core.pooling import robust
 from orthoscale.core.pooling.mixture import fit
 from orthoscale.core.pooling.observed import Seen
@@ -184,7 +184,7 @@ def test_minis_in_a_sharp_picture_are_recognised_and_in_a_coarse_one_leave_the_i
 class _ByCountryAlone(Fleet):
     """One whose odd places have few of its vehicles, but none that are rare among them."""
 
-    place_vehicles = (Places(20.0, 0.8), Places(3.0, 0.2))
+    place_vehicles = (PlaceKind(20.0, 0.8), PlaceKind(3.0, 0.2))
 
 
 def test_a_class_that_is_rare_in_a_country_may_be_most_of_a_place():

@@ -26,7 +26,7 @@ from orthoscale.report.document import OPTIONAL, read_json
 from orthoscale.report.files import redraw
 from orthoscale.report.lettering import HALO, write_on
 from orthoscale.report.page import page
-from orthoscale.report.scene import Scene
+from orthoscale.report.scene import ReportPictures
 from orthoscale.report.terminal import show
 from orthoscale.requests import command_line
 from orthoscale.sources.opening import open_source
@@ -58,19 +58,19 @@ def states(report):
 
 def test_means_are_not_said_to_match_where_other_evidence_counts(report):
     matches, differ = "matches best", "so the means may differ"
-    plain = page({**report, "evidence": []}, Scene())
+    plain = page({**report, "evidence": []}, ReportPictures())
     assert matches in plain and differ not in plain
     moved = {"kind": "known distance", "scale": report["scale"], "relative_sd": 0.01, "says": "a known distance"}
-    with_ = page({**report, "evidence": [moved]}, Scene())
+    with_ = page({**report, "evidence": [moved]}, ReportPictures())
     assert differ in with_ and matches not in with_
 
 
 def test_what_the_used_vehicles_are_is_told(report):
-    assert "not looked at" not in page(report, Scene()), "of boxes without kinds nothing is said"
+    assert "not looked at" not in page(report, ReportPictures()), "of boxes without kinds nothing is said"
     told = copy.deepcopy(report)
     for vehicle, kind in zip(told["vehicles"], ["car"] * 50 + ["van"] * 8 + ["larger", "", "pickup"], strict=True):
         vehicle["kind"] = kind  # the last one does not count
-    assert "used, 60 (50 cars, 8 vans, 1 larger, 1 not looked at)" in page(told, Scene())
+    assert "used, 60 (50 cars, 8 vans, 1 larger, 1 not looked at)" in page(told, ReportPictures())
 
 
 def test_vehicles_are_plain_values_in_metres(park, report):
@@ -149,7 +149,7 @@ def test_the_page_says_the_answer_first_with_the_digits_it_deserves(park, report
 
 
 def test_the_page_shows_24_vehicles_from_the_shortest_to_the_longest(park, report):
-    scene = Scene.of(report, open_source(park[0] / "park.png"))
+    scene = ReportPictures.of(report, open_source(park[0] / "park.png"))
     assert len(scene.overviews) == 1 and len(scene.used) == 24 and len(scene.rejected) == 1
     lengths = [float(panel.title.split()[0]) for panel in scene.used]
     used = [v["length"] for v in report["vehicles"] if v["used"]]
@@ -159,7 +159,7 @@ def test_the_page_shows_24_vehicles_from_the_shortest_to_the_longest(park, repor
 
 
 def test_outlines_lie_on_their_vehicles(park, report):
-    scene = Scene.of(report, open_source(park[0] / "park.png"))
+    scene = ReportPictures.of(report, open_source(park[0] / "park.png"))
     for panel in scene.used:
         inside = panel.image[85:95, 85:95].astype(float)  # a rectangle of one colour, in the middle of its chip
         assert np.ptp(inside, axis=(0, 1)).max() <= 2
@@ -215,10 +215,10 @@ def test_a_report_is_drawn_as_a_page_or_a_picture_only(park, tmp_path):
 
 
 def test_boxes_that_are_not_drawn_are_not_counted_among_the_outlines(report):
-    html = page({**report, "boxes_rejected": {"low confidence": 6}}, Scene())
+    html = page({**report, "boxes_rejected": {"low confidence": 6}}, ReportPictures())
     (line,) = re.findall(r"<p.*rejected: .*</p>", html)
     assert "rejected: 1 too large for a car &ensp; Boxes that do not count, and are not drawn: 6 low confidence" in line
-    assert "not drawn" not in page(report, Scene())
+    assert "not drawn" not in page(report, ReportPictures())
 
 
 @pytest.mark.parametrize("fate, why", [("gone", "not there"), ("changed", "changed since")])
@@ -252,14 +252,14 @@ def test_a_drift_across_the_picture_is_seen(tmp_path, report):
     assert left < 0 < right
     found = places.regions(drifting)
     assert max(region.x for region in found) < drifting["pictures"]["park.png"][0] * drifting["scale"]
-    text = page(drifting, Scene())
+    text = page(drifting, ReportPictures())
     assert text.count('fill-opacity="') == len(found)
 
 
 def test_vehicles_too_few_to_compare_places_are_said_to_be(tmp_path):
     car_park(tmp_path, count=20)
     few = read_json(fixed(tmp_path).with_suffix(".json"))
-    assert states(few)["Places not compared"] == "info" and "the same everywhere?" not in page(few, Scene())
+    assert states(few)["Places not compared"] == "info" and "the same everywhere?" not in page(few, ReportPictures())
 
 
 OF_A_MODEL = {
@@ -283,7 +283,7 @@ def test_the_frames_and_places_of_a_model_are_drawn(model):
     here = places.regions(report)[0]
     assert (here.x, here.y) == pytest.approx(np.array([-4.5, -4.2]) * report["scale"])
     assert here.deviation == pytest.approx(np.log(14.7 / report["scale"]))
-    text = page(report, Scene())
+    text = page(report, ReportPictures())
     assert text.count('fill-opacity="') == 2 and ">DJI_1.jpg</text>" in text
 
 
@@ -298,7 +298,7 @@ def test_what_the_views_said_of_the_ruler_is_told(model):
             "after": {"percent_per_10_degrees": [-0.7, 0.7], "percent_per_pixel_doubling": [1.1, 3.7]},
         },
     }
-    text = page({**read_json(model / "report.json"), "calibration": calibration}, Scene())
+    text = page({**read_json(model / "report.json"), "calibration": calibration}, ReportPictures())
     assert "512 views" in text and "<td>0.70, 0.45 m</td><td>0.71, 0.59 m</td>" in text
     assert "<td>+18.7, +3.4 %</td><td>+1.1, +3.7 %</td>" in text
 
@@ -330,10 +330,10 @@ def parts_of(report):
 @pytest.mark.slow
 def test_the_page_does_without_every_part_that_may_be_missing(report, model):
     of_model = {**read_json(model / "report.json"), "drift": OF_A_MODEL}
-    drawn = [page(less, Scene.of(less, None)) for full in (report, of_model) for less in parts_of(full)]
+    drawn = [page(less, ReportPictures.of(less, None)) for full in (report, of_model) for less in parts_of(full)]
     assert len(drawn) > 50 and all(text.rstrip().endswith("</html>") for text in drawn)
     bare = {key: value for key, value in of_model.items() if (key,) not in OPTIONAL}
-    assert "</html>" in page(bare, Scene.of(bare, None))
+    assert "</html>" in page(bare, ReportPictures.of(bare, None))
 
 
 def test_a_page_that_fails_does_not_cost_the_copy(tmp_path, monkeypatch):
@@ -346,12 +346,12 @@ def test_a_page_that_fails_does_not_cost_the_copy(tmp_path, monkeypatch):
 
 
 def test_planar_and_oblique_are_drawn_where_they_are(report):
-    plain = page(report, Scene())
+    plain = page(report, ReportPictures())
     modes = {
         "planar": {"scale": 0.0995, "interval90": [0.095, 0.104], "vehicles_used": 40},
         "oblique": {"scale": 0.1012, "interval90": [0.096, 0.106]},
     }
-    text = page({**report, "modes": modes}, Scene())
+    text = page({**report, "modes": modes}, ReportPictures())
     assert "9.95 cm/px, 9.50 to 10.40 (90 %), 40 vehicles" in text and ">oblique</text>" in text
     assert "lanar" not in plain
 
@@ -364,7 +364,7 @@ def test_unknown_parts_of_the_uncertainty_and_far_checks_are_borne(report):
     changed["evidence"] = [
         {"kind": "ground control", "scale": 1.01 * changed["scale"], "relative_sd": 0.01, "says": ""}
     ]
-    text = page(changed, Scene())
+    text = page(changed, ReportPictures())
     assert (
         "the known distance itself" in text and ">ground control</text>" in text and "length − width</text>" not in text
     )

@@ -14,7 +14,7 @@ from support.reports import GSD, car_park, fixed
 from orthoscale.report.document import read_json
 from orthoscale.report.page import page
 from orthoscale.report.result import Result
-from orthoscale.report.scene import Scene
+from orthoscale.report.scene import ReportPictures
 from orthoscale.sources.colmap import ColmapSource
 
 
@@ -54,5 +54,5 @@ def test_a_models_vehicles_have_one_size_in_every_output_and_the_true_one(flight
     # The bodies are meshes with lamps and shoulders, the ruler's a hull: that far the two may part.
     assert np.median(ratio, axis=0) == pytest.approx(1, abs=0.012)
 
-    labels = re.findall(r"<figcaption>(\d+\.\d\d × \d+\.\d\d) m", page(report, Scene.of(report, source)))
+    labels = re.findall(r"<figcaption>(\d+\.\d\d × \d+\.\d\d) m", page(report, ReportPictures.of(report, source)))
     assert labels and set(labels) <= {f"{length:.2f} × {width:.2f}" for length, width in said}

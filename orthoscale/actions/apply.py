@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import UsageError
-from ..formats.geometry.files import Places
+from ..formats.geometry.files import WrittenFiles
 from ..formats.geometry.sim3 import Sim3
 from ..sources.colmap import metric_cameras_of
 from ..sources.scaling import scale_path
@@ -31,7 +31,7 @@ def apply(
     if twice := {name for name in names if names.count(name) > 1}:
         raise UsageError(f"two FILEs are called {min(twice)}", "Write them to different folders, one after the other.")
     written = {}
-    places = Places()
+    others = WrittenFiles()
     with Outputs(overwrite, (sim3, given)) as outputs:
         folder = outputs.folder(out)
         scale = Sim3.load(sim3).scale
@@ -40,5 +40,5 @@ def apply(
             target = folder / name
             if path.is_dir():
                 target.mkdir()
-            written[out / name] = list(scale_path(path, target, scale, places, metric))
+            written[out / name] = list(scale_path(path, target, scale, others, metric))
     return written

@@ -54,7 +54,7 @@ def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Ev
     are those in space, or without UP horizontal ones. What is level there is not known: the ground's plane stands for
     it.
     """
-    points: list[_Point] = []
+    points: list[_ControlPoint] = []
     metres: list[list[float]] = []
     level_sd, dims = 0.0, 3 if source.plan is None else 2
     for row, line in enumerate(read_text(path, CONTROL_HINT).splitlines(), 1):
@@ -82,7 +82,7 @@ def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Ev
 
 
 @dataclass(frozen=True)
-class _Point:
+class _ControlPoint:
     """A point of a source. place, ray : (D,) where it lies, and `core.source.Source.ray` to it [units]. read_sd : one
     sigma of how well it is read [units]. seen : (D,) its place where it was seen [units, world]."""
 
@@ -91,20 +91,20 @@ class _Point:
     read_sd: float
     seen: np.ndarray
 
-    def from_above(self, source: Source) -> _Point:
+    def from_above(self, source: Source) -> _ControlPoint:
         """The same on the plan of `source`."""
         near, far = source.from_above(np.array([self.place - self.ray, self.place]))
         return replace(self, place=far, ray=far - near)
 
 
-def _located(word: str, source: Source, footing: Footing) -> _Point:
+def _located(word: str, source: Source, footing: Footing) -> _ControlPoint:
     """The point of `source` that a user calls `word`, on the ground of `footing` if it was seen on a ground."""
     seen, ray = source.locate(word), source.ray(word)
     lower = float(footing.at(seen[None])[0][0]) if ray.any() else 0.0
-    return _Point(seen + lower * ray, (1 + lower) * ray, source.reading_sd(word), seen)
+    return _ControlPoint(seen + lower * ray, (1 + lower) * ray, source.reading_sd(word), seen)
 
 
-def _with_ground(found: Evidence, points: list[_Point], footing: Footing) -> Evidence:
+def _with_ground(found: Evidence, points: list[_ControlPoint], footing: Footing) -> Evidence:
     """What `points` gave, with the error of the ground on which they were seen."""
     rays = np.array([point.ray for point in points])
     if not rays.any():

@@ -16,7 +16,7 @@ from ..errors import OrthoscaleError, TooLittleEvidence, UsageError
 from ..locate.claimed import ClaimedScale, claimed_scales
 from ..locate.features import Features, GradientFeatures
 from ..locate.files import write
-from ..locate.outcome import Outcome, document
+from ..locate.outcome import LocateOutcome, document
 from ..locate.register import Known, PlaceFinder, register
 from ..photos.looking import Looking
 from ..photos.measure import find_photos
@@ -99,7 +99,7 @@ class LocateRequest:
 class Located(Brief):
     """outcomes : of each photo. satellite : the map. method : by which features. notes : what the user should know."""
 
-    outcomes: list[Outcome]
+    outcomes: list[LocateOutcome]
     satellite: Satellite
     method: str
     notes: tuple[str, ...] = ()
@@ -161,7 +161,7 @@ def locate(
     outcomes = []
     for number, (name, claimed) in enumerate(claims.items(), 1):
         if isinstance(claimed, OrthoscaleError):
-            outcomes.append(Outcome(name, None, None, claimed))
+            outcomes.append(LocateOutcome(name, None, None, claimed))
             continue
         outcomes.append(searched(claimed, satellite, features, request, prior, finder))
         if progress:
@@ -176,7 +176,7 @@ def searched(
     request: LocateRequest,
     prior: tuple[float, float, float] | None,
     finder: PlaceFinder | None = None,
-) -> Outcome:
+) -> LocateOutcome:
     """One photo. A picture that is too small on the map is its own outcome, not the end of the others."""
     photo = claimed.photo
     begun = time.monotonic()
@@ -184,5 +184,5 @@ def searched(
     try:
         found = register(claimed.levelled, satellite, features, known, request.cache, finder=finder)
     except TooLittleEvidence as error:
-        return Outcome(photo.name, claimed, None, TooLittleEvidence(f"{photo.name}: {error.message}", error.hint))
-    return Outcome(photo.name, claimed, found, None, time.monotonic() - begun)
+        return LocateOutcome(photo.name, claimed, None, TooLittleEvidence(f"{photo.name}: {error.message}", error.hint))
+    return LocateOutcome(photo.name, claimed, found, None, time.monotonic() - begun)

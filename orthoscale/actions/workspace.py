@@ -25,7 +25,7 @@ OF_ONE = (TooLittleEvidence, EvidenceDisagrees, InputError, MetricAlready)
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ModelOutcome:
     """What became of one model: its result, or why it has none; both where something beside it is missing."""
 
     model: Path
@@ -60,7 +60,7 @@ def models_in(path: Path) -> list[Path]:
     return folders if len(folders) > 1 else []
 
 
-def estimate_all(models: list[Path], request: EstimateRequest, progress: Progress | None = None) -> list[Outcome]:
+def estimate_all(models: list[Path], request: EstimateRequest, progress: Progress | None = None) -> list[ModelOutcome]:
     """`estimate` for each of `models`. Raises the first error if none has a scale."""
     return _checked([_one(model, partial(measured, model, request, progress)) for model in models])
 
@@ -71,7 +71,7 @@ def fix_all(
     request: FixRequest,
     workspace: Path | None = None,
     progress: Progress | None = None,
-) -> list[Outcome]:
+) -> list[ModelOutcome]:
     """`fix` for each of `models`, into folders of their names in the folder `out`, with models.json beside them.
 
     A model that has too little evidence, is damaged, or in metres already is left out and does not stop the others.
@@ -93,16 +93,16 @@ def fix_all(
     return outcomes
 
 
-def _one(model: Path, do: Callable[[], Result]) -> Outcome:
+def _one(model: Path, do: Callable[[], Result]) -> ModelOutcome:
     try:
-        return Outcome(model, do(), None)
+        return ModelOutcome(model, do(), None)
     except Incomplete as error:
-        return Outcome(model, error.result, error)
+        return ModelOutcome(model, error.result, error)
     except OF_ONE as error:
-        return Outcome(model, None, error)
+        return ModelOutcome(model, None, error)
 
 
-def _checked(outcomes: list[Outcome]) -> list[Outcome]:
+def _checked(outcomes: list[ModelOutcome]) -> list[ModelOutcome]:
     if all(outcome.result is None for outcome in outcomes):
         raise next(outcome.error for outcome in outcomes if outcome.error is not None)
     return outcomes

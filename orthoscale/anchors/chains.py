@@ -104,7 +104,7 @@ def _forward(strokes: Strokes) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Levels:
+class ChainLevels:
     """Colours on and around a chain, medians over each stroke. paint : (M, 3) on the strokes. gap : (M - 1, 3) on the
     line between neighbours. side : (2, M, 3) beside the strokes, left and right."""
 
@@ -113,7 +113,7 @@ class Levels:
     side: np.ndarray
 
 
-def levels(image: np.ndarray, chain: Chain, aside: float) -> Levels:
+def levels(image: np.ndarray, chain: Chain, aside: float) -> ChainLevels:
     """Of RGB uint8 `image`; `aside` : how far beside the strokes [px]."""
     lines = chain.lines()
     along = _forward(chain.strokes)
@@ -122,4 +122,4 @@ def levels(image: np.ndarray, chain: Chain, aside: float) -> Levels:
     on = lines[:, 0] * (1 - share) + lines[:, 1] * share
     between = lines[:-1, 1] * (1 - share) + lines[1:, 0] * share
     beside = np.stack([on - aside * across, on + aside * across], 1)
-    return Levels(*(np.median(values(image, place), axis=0) for place in (on, between, beside)))
+    return ChainLevels(*(np.median(values(image, place), axis=0) for place in (on, between, beside)))

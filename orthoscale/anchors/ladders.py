@@ -228,7 +228,7 @@ def crowded(ladder: Ladder, strokes: Strokes) -> float:
 
 
 @dataclass(frozen=True)
-class Levels:
+class LadderLevels:
     """Colours on and around a ladder, medians along each stroke. paint, ground : (M, 3) and (M - 1, 3) on the strokes
     and midway between neighbours. beside : (2, M, 3) left and right of the strokes. beyond : (2, M, 3) on their axes
     past both ends."""
@@ -239,7 +239,7 @@ class Levels:
     beyond: np.ndarray
 
 
-def levels(image: np.ndarray, ladder: Ladder, aside: float, past: float) -> Levels:
+def levels(image: np.ndarray, ladder: Ladder, aside: float, past: float) -> LadderLevels:
     """Of RGB uint8 `image`; how far `aside` of the strokes' lines and `past` their ends [px]."""
     lines = ladder.lines()
     middle = (lines[1:] + lines[:-1]) / 2
@@ -253,4 +253,4 @@ def levels(image: np.ndarray, ladder: Ladder, aside: float, past: float) -> Leve
     on = np.concatenate([axis - half, axis + half]) if ladder.apart else axis
     between = middle[:, 0] * (1 - share) + middle[:, 1] * share
     beside = np.stack([axis - away, axis + away], 1)
-    return Levels(*(np.median(values(image, place), axis=0) for place in (on, between, beside, ends + spot)))
+    return LadderLevels(*(np.median(values(image, place), axis=0) for place in (on, between, beside, ends + spot)))

@@ -70,7 +70,7 @@ def search(
     for no more; where depends on nothing but the pictures, the scale and the `seed`.
     `progress(done, total)` counts windows, the total being the most there may be.
     """
-    parts = [_Part(one, gsd_sd, country, np.inf if exhaustive else most_pixels, enough, seed) for one in sought]
+    parts = [_KindSearch(one, gsd_sd, country, np.inf if exhaustive else most_pixels, enough, seed) for one in sought]
     with ExitStack() as open_things:
         for part in parts:
             part.cache = open_things.enter_context(AnchorCache(key)) if cache and (key := part.key()) else None
@@ -96,7 +96,7 @@ def _at_once(window: Tile, workers: int) -> int:
     return max(1, min(workers, int(SHARE_OF_MEMORY * budget.memory() / needed)))
 
 
-class _Part:
+class _KindSearch:
     """The search of one kind: its windows in the order in which they are looked at, and what was found."""
 
     def __init__(self, sought: Sought, gsd_sd: float, country: str, most_pixels: float, enough: int, seed: int):

@@ -31,7 +31,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ..actions.workspace import Outcome
+    from ..actions.workspace import ModelOutcome
 
 
 @command(
@@ -180,7 +180,7 @@ def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
     return {"written": out} | ({"report": page} if page and page.is_file() else {})
 
 
-def _finish_all(outcomes: list[Outcome], as_json: bool, out: Path | None = None, report: str = "none") -> None:
+def _finish_all(outcomes: list[ModelOutcome], as_json: bool, out: Path | None = None, report: str = "none") -> None:
     if as_json:
         click.echo(json.dumps({outcome.model.name: outcome.document() for outcome in outcomes}))
         return

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .market_segments import AXES, Class, Places, classes_of, kinds_of, place_scatter, place_vehicles, told_apart
+from .market_segments import AXES, Class, PlaceKind, classes_of, kinds_of, place_scatter, place_vehicles, told_apart
 
 # Correlation between the errors of a fleet's mean length and mean width: a country whose cars are longer than thought
 # has wider ones too. Between the means of the table's 29 national fleets it is 0.92; taken a little lower, because each
@@ -87,7 +87,7 @@ class Fleet:
         return (*(replace(c, weight=left * c.weight / total) for c in self.classes), self.three_wheelers)
 
     @property
-    def place_vehicles(self) -> tuple[Places, ...]:
+    def place_vehicles(self) -> tuple[PlaceKind, ...]:
         """How much a place is like this fleet: see `market_segments.PLACE_VEHICLES`."""
         return place_vehicles(self.shares_sd)
 

@@ -22,7 +22,7 @@ TOLD_APART = 0.03
 ANY_CLASS = 0.8
 
 
-class Places(NamedTuple):
+class PlaceKind(NamedTuple):
     """A kind of places, by how much their vehicles are like their country's.
 
     vehicles : its mix is as if so many had been drawn and all others there were like them (a Dirichlet process).
@@ -48,7 +48,7 @@ class Places(NamedTuple):
 # read by eye it was 1.6 % (0 to 6 %), what is not known of the countries included (training/between_places.py). How
 # often a place is odd cannot be told from 12. Vans are 0 to 25 % at real places, but there are depots of them: at odd
 # places their share is as of 8 vehicles, not 20.
-PLACE_VEHICLES = (Places(20.0, 0.8), Places(3.0, 0.2, ANY_CLASS, 8.0))
+PLACE_VEHICLES = (PlaceKind(20.0, 0.8), PlaceKind(3.0, 0.2, ANY_CLASS, 8.0))
 # Of classes as of a fleet's, of which it has about five that boxes tell apart, the share that stands for all of them
 # where one figure says how well the shares of a country are known.
 USUAL_SHARE = 0.2
@@ -96,7 +96,7 @@ class Class:
         return self.covariance[:2, :2] / np.outer(self.mean[:2], self.mean[:2])
 
 
-def place_vehicles(shares_sd: float) -> tuple[Places, ...]:
+def place_vehicles(shares_sd: float) -> tuple[PlaceKind, ...]:
     """PLACE_VEHICLES of a country of which the shares of the classes are known to `shares_sd` (one sigma, relative).
 
     A share p of a Dirichlet process with n vehicles has the variance p (1 - p) / (n + 1); what is not known of the
@@ -106,7 +106,7 @@ def place_vehicles(shares_sd: float) -> tuple[Places, ...]:
     return tuple(kind._replace(vehicles=1 / (1 / (kind.vehicles + 1) + country) - 1) for kind in PLACE_VEHICLES)
 
 
-def place_scatter(kinds: Sequence[Places]) -> float:
+def place_scatter(kinds: Sequence[PlaceKind]) -> float:
     """The covariance of places' means, as a share of that of the country's vehicles."""
     return sum(kind.probability / (1 + kind.vehicles) for kind in kinds)
 

@@ -22,7 +22,7 @@ from ..formats.reading import checked, parsed, read_bytes
 from ..system.budget import memory, require
 from . import foreign_worker
 from .foreign import ForeignError, Said, Worker
-from .output_forms import Layout, Normalisation, Shape, recognise
+from .output_forms import NetworkForm, Normalisation, Shape, recognise
 
 SHIPPED = "small_vehicle.onnx"
 FINDER = "finder.onnx"  # finds better than it, and measures worse
@@ -264,7 +264,7 @@ def _foreign(path: Path, content: bytes, threads: int) -> Worker:
         raise InputError(f"{path}: not an ONNX network that onnxruntime can load ({error})") from error
 
 
-def _card(path: Path, metadata: dict[str, str], layout: Layout) -> Card:
+def _card(path: Path, metadata: dict[str, str], layout: NetworkForm) -> Card:
     if "orthoscale" in metadata:
         return Card.from_json(metadata["orthoscale"], str(path))
     if layout.decoder == "orthoscale":

@@ -47,7 +47,7 @@ RTMDET = Normalisation((103.53, 116.28, 123.675), (57.375, 57.12, 58.395), "BGR"
 
 
 @dataclass(frozen=True)
-class Layout:
+class NetworkForm:
     """How to feed a network and how to read it.
 
     multiple : height and width of its input must be multiples of this [px]. size : (height, width) where the file
@@ -73,7 +73,7 @@ def recognise(
     outputs: Mapping[str, Shape],
     decoder: str | None = None,
     vehicle_classes: Sequence[str] = (),
-) -> Layout:
+) -> NetworkForm:
     """The layout of the network in `path`; `decoder` names it where it is not to be guessed.
 
     metadata : of the ONNX file. input_shape : of its image. outputs : shape by name. vehicle_classes : names or
@@ -103,7 +103,7 @@ def recognise(
         raise InputError(f"{path}: its input has shape {list(input_shape)}, not [1, 3, height, width]")
     size = _fixed(input_shape)
     if found == "orthoscale":
-        return Layout(found, Normalisation(), 32, size, lambda arrays, _, score: decode_maps(arrays[0][0], score))
+        return NetworkForm(found, Normalisation(), 32, size, lambda arrays, _, score: decode_maps(arrays[0][0], score))
     if found.startswith("ultralytics"):
         return _ultralytics(path, found, metadata, outputs, size, vehicle_classes)
     return _mmrotate(path, found, outputs, size, vehicle_classes, named=decoder is not None)
@@ -158,7 +158,7 @@ def _ultralytics(
     outputs: Mapping[str, Shape],
     size: tuple[int, int] | None,
     wanted: Sequence[str],
-) -> Layout:
+) -> NetworkForm:
     names = _names(metadata)
     (shape,) = outputs.values()
     if names is None and "names" in metadata and not wanted:
@@ -191,7 +191,7 @@ def _ultralytics(
         return read(arrays[0][0].astype(np.float64), classes, score)
 
     objects = _others(names, vehicles)
-    return Layout(decoder, Normalisation(), stride, size, decode, tuple(vehicles), objects=objects)
+    return NetworkForm(decoder, Normalisation(), stride, size, decode, tuple(vehicles), objects=objects)
 
 
 def _mmrotate(
@@ -201,7 +201,7 @@ def _mmrotate(
     size: tuple[int, int] | None,
     wanted: Sequence[str],
     named: bool,
-) -> Layout:
+) -> NetworkForm:
     numbers = [int(w) for w in wanted if w.isdigit()]
     assumed = [] if numbers else ["class numbers as in DOTA v1.0"]
     names = list(DOTA) + [str(k) for k in range(len(DOTA), max(numbers, default=0) + 1)]
@@ -218,7 +218,7 @@ def _mmrotate(
 
     # Where the user numbers the classes, they are not known to be DOTA's.
     objects = {} if numbers else _others(names, vehicles)
-    return Layout(decoder, normalisation, 32, size, decode, tuple(vehicles), "; ".join(assumed), objects)
+    return NetworkForm(decoder, normalisation, 32, size, decode, tuple(vehicles), "; ".join(assumed), objects)
 
 
 def _vehicles(path: Path, names: Sequence[str], wanted: Sequence[str]) -> list[int]:

@@ -125,7 +125,7 @@ def search_zoom(
     levels = [_Level(float(z), shown) for z in ZOOM_LEVELS if longest * z >= 3 * card.usable_length[0]]
     order = np.random.default_rng(seed).permutation(len(pictures))
 
-    def look_at(chosen: Sequence[_Level], budget: float) -> _Votes:
+    def look_at(chosen: Sequence[_Level], budget: float) -> _ZoomVotes:
         with ThreadPoolExecutor(workers) as pool:
             # All at once: coarse zooms have a window or two, for which most threads would wait.
             work = [(level, level.windows(pictures, order, budget)) for level in chosen]
@@ -233,7 +233,7 @@ class _Level:
 
 
 @dataclass(frozen=True)
-class _Votes:
+class _ZoomVotes:
     """length, rival_length : those whose votes stand out most [px of the picture], None without any; best : votes of
     the first; rival, table as in ZoomChoice.
 
@@ -269,7 +269,7 @@ class _Ballots:
     chance: np.ndarray
 
 
-def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
+def _votes(levels: Sequence[_Level], least_length: float) -> _ZoomVotes:
     """Boxes that two neighbouring zooms agree on vote for their length. `least_length` is usable at any zoom [px]."""
     ballots, table = [], []
     lower: _Level | None = None
@@ -291,10 +291,10 @@ def _votes(levels: Sequence[_Level], least_length: float) -> _Votes:
     return _counted(ballots, table)
 
 
-def _counted(ballots: Sequence[_Ballots], table: list[tuple[float, int, int, float]]) -> _Votes:
+def _counted(ballots: Sequence[_Ballots], table: list[tuple[float, int, int, float]]) -> _ZoomVotes:
     """The lengths whose votes stand out most from what mistakes scatter by."""
     if not sum(len(some.length) for some in ballots):
-        return _Votes(None, 0.0, None, 0.0, table, np.empty(0), np.empty(0))
+        return _ZoomVotes(None, 0.0, None, 0.0, table, np.empty(0), np.empty(0))
     log_length = np.log(np.concatenate([some.length for some in ballots]))
     weight = np.concatenate([some.weight for some in ballots])
     standing_each = weight / np.concatenate([some.chance for some in ballots])
@@ -309,7 +309,7 @@ def _counted(ballots: Sequence[_Ballots], table: list[tuple[float, int, int, flo
     second = int(np.argmax(elsewhere))
     rival = float(elsewhere[second] / standing[best])
     length, rival_length = np.exp(grid[[best, second]]).tolist()
-    return _Votes(length, float(votes[best]), rival_length if rival else None, rival, table, grid, votes)
+    return _ZoomVotes(length, float(votes[best]), rival_length if rival else None, rival, table, grid, votes)
 
 
 def _unlike(boxes: Boxes, zoom: float) -> Boxes:

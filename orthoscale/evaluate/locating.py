@@ -28,7 +28,7 @@ STAGE = "Locating"
 
 
 @dataclass(frozen=True)
-class Found:
+class LocateTrial:
     """One search. error : of the best candidate [m], infinite without any; answered : whether it was good enough."""
 
     photo: str
@@ -125,16 +125,16 @@ def document(
     }
 
 
-def _found(each: PlacedSample, outcome: Any) -> Found:
+def _found(each: PlacedSample, outcome: Any) -> LocateTrial:
     name = each.sample.photo.name
     if outcome.registration is None or not outcome.registration.candidates:
-        return Found(name, float("inf"), False)
+        return LocateTrial(name, float("inf"), False)
     below = foot(outcome.registration.candidates[0])
     error = float(pyproj.Geod(ellps="WGS84").inv(*each.lon_lat, *below)[2])
-    return Found(name, error, outcome.located is not None)
+    return LocateTrial(name, error, outcome.located is not None)
 
 
-def summary(results: Sequence[Found], photos: int) -> dict[str, Any]:
+def summary(results: Sequence[LocateTrial], photos: int) -> dict[str, Any]:
     """One line of the table, as shares of all `photos`: the best candidate within NEAR_M and FAR_M, good enough or not;
     what was answered, and of that what was right; and how many answers were wrong (beyond FAR_M)."""
     error = np.array([each.error for each in results])

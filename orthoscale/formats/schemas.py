@@ -373,7 +373,7 @@ class CalibrationEntry(Struct):
 # Shipped tables of what is known besides vehicles
 
 
-class Standard(Struct):
+class ObjectStandard(Struct):
     """The standard size of one kind of object [m], and who says so."""
 
     name: Text
@@ -405,7 +405,7 @@ class AnchorStandards(Struct):
 class ObjectTable(Struct):
     """``data/objects.json``."""
 
-    objects: dict[str, list[Standard]]
+    objects: dict[str, list[ObjectStandard]]
 
 
 class Stall(Struct):
@@ -505,7 +505,7 @@ class LensEntry(Struct):
 # Reports
 
 
-class Measured(Struct):
+class ReportScale(Struct):
     """What of a report (`report.document`) says how long a unit is."""
 
     scale: Positive
@@ -634,7 +634,7 @@ class Report(Explained, kw_only=True):
     vehicles: list[ReportVehicle]
     evidence: list[ReportEvidence] = []
     anchors: list[ReportAnchor] = []
-    without_anchors: Measured | None = None
+    without_anchors: ReportScale | None = None
     fleets: dict[str, Finite] = {}
     claim: dict[str, Any] | None = None
     drift: dict[str, Any] | None = None
@@ -678,7 +678,7 @@ class Intrinsics(Struct, kw_only=True):
     camera_model: Name | UnsetType = UNSET
 
 
-class Frame(Intrinsics, kw_only=True):
+class TransformsFrame(Intrinsics, kw_only=True):
     """A picture of ``transforms.json``: camera to world (4, 4), OpenGL's axes (y up, z backwards)."""
 
     file_path: Text
@@ -688,7 +688,7 @@ class Frame(Intrinsics, kw_only=True):
 class Transforms(Intrinsics, kw_only=True):
     """nerfstudio's and instant-ngp's ``transforms.json``."""
 
-    frames: list[Frame]
+    frames: list[TransformsFrame]
     applied_transform: tuple[Row, Row, Row] | UnsetType = UNSET
     ply_file_path: Text | UnsetType = UNSET
     integer_depth_scale: Finite | UnsetType = UNSET
@@ -713,13 +713,13 @@ class OpensfmCamera(Struct):
     p2: Bend = 0.0
 
 
-class Placed(Struct):
+class OpensfmPlaced(Struct):
     """Something with a place; world to camera, as OpenSfM writes it."""
 
     translation: Vector
 
 
-class Shot(Placed):
+class OpensfmShot(OpensfmPlaced):
     """A picture: rotation from the world to the camera as an axis times its angle [rad]."""
 
     rotation: Vector
@@ -727,7 +727,7 @@ class Shot(Placed):
     gps_dop: Finite | UnsetType = UNSET
 
 
-class Point(Struct):
+class OpensfmPoint(Struct):
     """A point of the cloud [units of the model], its colour 0 to 255."""
 
     coordinates: Vector
@@ -737,11 +737,11 @@ class Point(Struct):
 class OpensfmPart(Struct):
     """One of the reconstructions in OpenSfM's ``reconstruction.json``."""
 
-    shots: dict[str, Shot]
+    shots: dict[str, OpensfmShot]
     cameras: dict[str, OpensfmCamera] = {}
-    points: dict[str, Point] = {}
-    rig_instances: dict[str, Placed] = {}
-    rig_cameras: dict[str, Placed] = {}
+    points: dict[str, OpensfmPoint] = {}
+    rig_instances: dict[str, OpensfmPlaced] = {}
+    rig_cameras: dict[str, OpensfmPlaced] = {}
 
 
 class GltfAsset(Struct):

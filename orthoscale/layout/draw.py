@@ -11,8 +11,8 @@ from rasterio.features import rasterize
 from shapely.geometry.base import BaseGeometry
 
 from ..core.round_numbers import scale_bar
-from .ground import Ground
-from .place import Placed
+from .ground import MetricOrthophoto
+from .place import PlacedFacility
 
 LINE_M = 0.05  # width of painted lines [m]: 5 cm in the rules of basketball, tennis and others
 DRAWING_MARGIN = 0.06  # of the lot, around it
@@ -31,7 +31,7 @@ class Window:
     height: int
 
 
-def window_of(ground: Ground, lot: BaseGeometry) -> Window:
+def window_of(ground: MetricOrthophoto, lot: BaseGeometry) -> Window:
     """The lot with a margin, inside of the picture."""
     x0, y0, x1, y1 = ground.mapped(lot, ground.to_pixels).bounds
     margin = DRAWING_MARGIN * max(x1 - x0, y1 - y0)
@@ -40,7 +40,7 @@ def window_of(ground: Ground, lot: BaseGeometry) -> Window:
     return Window(left, top, right - left, bottom - top)
 
 
-def mask(ground: Ground, placed: Sequence[Placed], window: Window) -> np.ndarray:
+def mask(ground: MetricOrthophoto, placed: Sequence[PlacedFacility], window: Window) -> np.ndarray:
     """(2, h, w) uint16: the number of the facility (1, 2 ...) whose playing area holds the pixel's centre, and whose
     area with run-off does; 0 for none."""
     bands = []
@@ -51,7 +51,7 @@ def mask(ground: Ground, placed: Sequence[Placed], window: Window) -> np.ndarray
     return np.stack(bands)
 
 
-def lines(ground: Ground, placed: Sequence[Placed], window: Window) -> np.ndarray:
+def lines(ground: MetricOrthophoto, placed: Sequence[PlacedFacility], window: Window) -> np.ndarray:
     """(h, w) uint8: 255 on painted lines and on the playing areas' edges, else 0; no half tones."""
     drawing = np.zeros((window.height, window.width), np.uint8)
     thickness = max(1, round(LINE_M / ground.gsd))
@@ -62,7 +62,9 @@ def lines(ground: Ground, placed: Sequence[Placed], window: Window) -> np.ndarra
     return drawing
 
 
-def overlay(ground: Ground, lot: BaseGeometry, placed: Sequence[Placed], window: Window) -> np.ndarray:
+def overlay(
+    ground: MetricOrthophoto, lot: BaseGeometry, placed: Sequence[PlacedFacility], window: Window
+) -> np.ndarray:
     """(h, w, 3) uint8 RGB: the orthophoto with the lot, the facilities and their lines, a scale bar and north."""
     zoom = min(OVERLAY / max(window.width, window.height), 4.0)
     size = max(1, round(window.width * zoom)), max(1, round(window.height * zoom))
@@ -99,11 +101,11 @@ def _rings(area: BaseGeometry) -> list[np.ndarray]:
     return [np.asarray(r.coords)[:, :2] for p in parts for r in (p.exterior, *p.interiors)]
 
 
-def _shifted(ground: Ground, area: BaseGeometry, window: Window) -> BaseGeometry:
+def _shifted(ground: MetricOrthophoto, area: BaseGeometry, window: Window) -> BaseGeometry:
     return ground.mapped(area, lambda metres: ground.to_pixels(metres) - (window.x, window.y))
 
 
-def _points(ground: Ground, metres: np.ndarray, window: Window, zoom: float) -> np.ndarray:
+def _points(ground: MetricOrthophoto, metres: np.ndarray, window: Window, zoom: float) -> np.ndarray:
     """(n, 2) int32, in sixteenths of a pixel as OpenCV takes them; its pixel centres are integers, ours end in .5."""
     pixels = (ground.to_pixels(metres) - (window.x, window.y)) * zoom - 0.5
     return np.round(pixels * 16).astype(np.int32)
@@ -111,7 +113,7 @@ def _points(ground: Ground, metres: np.ndarray, window: Window, zoom: float) -> 
 
 def _polyline(
     image: np.ndarray,
-    ground: Ground,
+    ground: MetricOrthophoto,
     metres: np.ndarray,
     window: Window,
     zoom: float,

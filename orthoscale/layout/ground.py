@@ -26,7 +26,7 @@ FARTHEST_M = 1e9  # of a polygon's coordinates, whatever their unit
 
 
 @dataclass(frozen=True)
-class Ground:
+class MetricOrthophoto:
     """An orthophoto with metres.
 
     pixel : (2,) true ground size of one pixel, across and down [m].
@@ -81,7 +81,7 @@ class Ground:
         return shapely.transform(shape, to)
 
 
-def open_ground(path: Path, scale_error: float | None = None) -> Ground:
+def open_ground(path: Path, scale_error: float | None = None) -> MetricOrthophoto:
     """The orthophoto at `path`. Raises InputError for one without metres.
 
     scale_error : half of the scale's 90 % interval, as a share; by default from the report that `orthoscale fix` wrote
@@ -99,11 +99,13 @@ def open_ground(path: Path, scale_error: float | None = None) -> Ground:
     aspect = math.sqrt(source.claimed.aspect if source.claimed.usable else across / down)
     north, notes = _north(source, transform)
     interval, told = _interval(path, scale_error)
-    return Ground(source, gsd * np.array([aspect, 1 / aspect]), north, transform, crs, interval, (*notes, *told))
+    return MetricOrthophoto(
+        source, gsd * np.array([aspect, 1 / aspect]), north, transform, crs, interval, (*notes, *told)
+    )
 
 
 def _north(source: RasterSource, transform: Affine) -> tuple[float, tuple[str, ...]]:
-    """Of a picture with this transform, `Ground.north`, and notes on it."""
+    """Of a picture with this transform, `MetricOrthophoto.north`, and notes on it."""
     middle = np.array([[source.width / 2, source.height / 2]])
     x, y = transformed(middle, transform)[0]
     notes: tuple[str, ...] = ()
@@ -124,10 +126,10 @@ def _interval(path: Path, scale_error: float | None) -> tuple[tuple[float, float
             raise UsageError("--scale-error must lie between 0 and 100 per cent")
         return (1 - scale_error, 1 + scale_error), ()
     report = path.with_name(path.name + ".json")
-    from ..formats.schemas import Measured
+    from ..formats.schemas import ReportScale
 
     try:
-        told = read(report, Measured, "a report of orthoscale", most=LARGE)
+        told = read(report, ReportScale, "a report of orthoscale", most=LARGE)
         low, high = (v / told.scale for v in told.interval90)
         if 1 / MOST_OFF <= low <= 1 <= high <= MOST_OFF:
             return (low, high), ()
@@ -158,7 +160,7 @@ def _polygons(path: Path) -> tuple[BaseGeometry, str | None]:
     return area, meta["crs"]
 
 
-def read_area(path: Path, ground: Ground, pixels: bool = False) -> tuple[BaseGeometry, tuple[str, ...]]:
+def read_area(path: Path, ground: MetricOrthophoto, pixels: bool = False) -> tuple[BaseGeometry, tuple[str, ...]]:
     """The polygons of a vector file as one area in `ground`'s metres, and notes on how they were read.
 
     pixels : coordinates are columns and rows of the picture. Otherwise those of a file with a CRS of its own are

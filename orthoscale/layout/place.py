@@ -30,7 +30,7 @@ ATTEMPTS = 12  # the first four towards one corner each, the others with a corne
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedFacility:
     """A facility at `centre` [m], its length along `bearing`, clockwise from north [deg, 0..180)."""
 
     facility: Facility
@@ -78,7 +78,7 @@ class Missing:
     share: float = 0.0
     short_length: float | None = None
     short_width: float | None = None
-    place: Placed | None = None
+    place: PlacedFacility | None = None
     outside: float = 0.0
     overlapping: float = 0.0
 
@@ -101,10 +101,10 @@ class Missing:
 def arrange(
     lot: BaseGeometry,
     wanted: Sequence[Facility],
-    fixed: Sequence[Placed] = (),
+    fixed: Sequence[PlacedFacility] = (),
     clearance: float = 1.0,
     avoid: BaseGeometry | None = None,
-) -> tuple[list[Placed], list[Missing]]:
+) -> tuple[list[PlacedFacility], list[Missing]]:
     """Place `wanted` (and `fixed`, where they are asked to be) inside `lot`; east and north in metres.
 
     clearance : between facilities, run-off included, and to the lot's edge [m]. avoid : what must stay free of them.
@@ -117,7 +117,7 @@ def arrange(
     hopeless = {f.code for f in wanted if not _fits(space, f.full_length, f.full_width, directions)}
     by_area = sorted(wanted, key=lambda f: -f.full_length * f.full_width)
     rng = np.random.default_rng(0)
-    best: tuple[list[Placed], list[Facility]] | None = None
+    best: tuple[list[PlacedFacility], list[Facility]] | None = None
     for attempt in range(ATTEMPTS if by_area else 1):
         placed, failed, full = list(kept), [], set(hopeless)
         free = _without(space, kept, clearance)
@@ -145,7 +145,7 @@ def arrange(
     return placed, missing
 
 
-def holds(lot: BaseGeometry, placed: Sequence[Placed], factor: float) -> list[bool]:
+def holds(lot: BaseGeometry, placed: Sequence[PlacedFacility], factor: float) -> list[bool]:
     """Whether each would still lie in the lot and clear of the others, were all `factor` times as large on the picture:
     what remains of a layout when the scale is that much off."""
     areas = [p.grown(factor) for p in placed]
@@ -163,7 +163,7 @@ def centres(free: BaseGeometry, length: float, width: float, bearing: float) -> 
     room = shapely.buffer(free, -(min(length, width) - SLACK) / 2)
     if room.is_empty:
         return room
-    corners = Placed(_NOTHING, (0.0, 0.0), bearing).on_ground(_corners(length - SLACK, width - SLACK))
+    corners = PlacedFacility(_NOTHING, (0.0, 0.0), bearing).on_ground(_corners(length - SLACK, width - SLACK))
     edges = np.concatenate([np.stack([r[:-1], r[1:]], 1) for r in map(_coordinates, _rings(free))])  # (E, 2 ends, 2)
     swept = (edges[:, :, None] + corners).reshape(-1, 2)  # eight points each
     blocked = shapely.convex_hull(shapely.multipoints(swept, indices=np.repeat(np.arange(len(edges)), 8)))
@@ -211,7 +211,7 @@ def _ranked(facility: Facility, directions: Sequence[float]) -> list[list[float]
 
 def _best_place(
     free: BaseGeometry, facility: Facility, directions: Sequence[float], corner: np.ndarray
-) -> Placed | None:
+) -> PlacedFacility | None:
     """The tightest place towards `corner`, in the first group of directions that has any."""
     for group in _ranked(facility, directions):
         options = []
@@ -225,11 +225,11 @@ def _best_place(
                 options.append((float(pull[k]), bearing, (float(points[k, 0]), float(points[k, 1]))))
         if options:
             _, bearing, centre = max(options)
-            return Placed(facility, centre, bearing)
+            return PlacedFacility(facility, centre, bearing)
     return None
 
 
-def _merit(placed: Sequence[Placed]) -> tuple[float, float, float]:
+def _merit(placed: Sequence[PlacedFacility]) -> tuple[float, float, float]:
     """More area first, then fewer degrees from north, then less sprawl."""
     area = sum(p.full_area.area for p in placed)
     turned = sum(max(p.from_north - TOLERANCE, 0) for p in placed if p.facility.north_south)
@@ -237,13 +237,15 @@ def _merit(placed: Sequence[Placed]) -> tuple[float, float, float]:
     return round(area, 3), -turned, -sprawl
 
 
-def _without(free: BaseGeometry, placed: Sequence[Placed], clearance: float) -> BaseGeometry:
+def _without(free: BaseGeometry, placed: Sequence[PlacedFacility], clearance: float) -> BaseGeometry:
     taken = [shapely.buffer(p.full_area, clearance, join_style="mitre") for p in placed]
     return free.difference(shapely.union_all(taken)) if taken else free
 
 
-def _fix(space: BaseGeometry, fixed: Sequence[Placed], clearance: float) -> tuple[list[Placed], list[Missing]]:
-    kept: list[Placed] = []
+def _fix(
+    space: BaseGeometry, fixed: Sequence[PlacedFacility], clearance: float
+) -> tuple[list[PlacedFacility], list[Missing]]:
+    kept: list[PlacedFacility] = []
     missing = []
     for place in fixed:
         area = place.full_area

@@ -13,8 +13,8 @@ from shapely.geometry.base import BaseGeometry
 from ..errors import UsageError
 from ..version import __version__
 from .catalogue import Facility, Request, parse_requests
-from .ground import Ground, open_ground, read_area
-from .place import Missing, Placed, arrange, holds
+from .ground import MetricOrthophoto, open_ground, read_area
+from .place import Missing, PlacedFacility, arrange, holds
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class Layout:
     if the scale is at that end of its 90 % interval; None where the interval is not known.
     """
 
-    ground: Ground
+    ground: MetricOrthophoto
     lot: BaseGeometry
     avoid: BaseGeometry | None
-    placed: list[Placed]
+    placed: list[PlacedFacility]
     missing: list[Missing]
     holds_low: list[bool] | None
     holds_high: list[bool] | None
@@ -81,10 +81,10 @@ def _buildable(lot: BaseGeometry, avoid: BaseGeometry | None) -> BaseGeometry:
     return lot if avoid is None else lot.difference(avoid)
 
 
-def _fixed(request: Request, ground: Ground, pixels: bool) -> Placed:
+def _fixed(request: Request, ground: MetricOrthophoto, pixels: bool) -> PlacedFacility:
     place = np.array([request.centre])
     x, y = (ground.to_metres(place) if pixels else ground.from_crs(place))[0]
-    return Placed(request.facility, (float(x), float(y)), float(request.bearing or 0.0) % 180)
+    return PlacedFacility(request.facility, (float(x), float(y)), float(request.bearing or 0.0) % 180)
 
 
 def document(layout: Layout) -> dict[str, Any]:
@@ -152,7 +152,7 @@ def _row(layout: Layout, k: int) -> dict[str, Any]:
 
 def prompt(layout: Layout) -> str:
     """What is to be drawn where, for a generative renderer that gets lines.png beside it."""
-    kinds: dict[str, tuple[Facility, list[Placed]]] = {}
+    kinds: dict[str, tuple[Facility, list[PlacedFacility]]] = {}
     for place in layout.placed:
         kinds.setdefault(place.facility.name, (place.facility, []))[1].append(place)
     parts = []
@@ -168,7 +168,7 @@ def prompt(layout: Layout) -> str:
     )
 
 
-def _where(layout: Layout, place: Placed) -> str:
+def _where(layout: Layout, place: PlacedFacility) -> str:
     x0, y0, x1, y1 = layout.lot.bounds
     across, up = (place.centre[0] - x0) / max(x1 - x0, 1e-9), (place.centre[1] - y0) / max(y1 - y0, 1e-9)
     names = [("south", "", "north")[min(int(3 * up), 2)], ("west", "", "east")[min(int(3 * across), 2)]]

@@ -14,7 +14,7 @@ import numpy as np
 from ..formats.pictures import write_jpeg
 from ..formats.vector import write_layer
 from ..sources.satellite import Satellite
-from .outcome import Outcome, candidate_rows, foot, footprint
+from .outcome import LocateOutcome, candidate_rows, foot, footprint
 
 CANDIDATE_COLUMNS = (
     "photo", "rank", "inliers", "needed", "score", "longitude", "latitude", "x", "y", "foot_longitude", "foot_latitude",
@@ -25,7 +25,9 @@ LINES_DRAWN = 120  # matches that are drawn
 FOUND_COLOUR, NOT_FOUND_COLOUR, MATCHES_QUALITY = (60, 220, 60), (230, 60, 40), 90
 
 
-def write(outcomes: Sequence[Outcome], text: dict[str, Any], satellite: Satellite, folder: Path, top: int) -> None:
+def write(
+    outcomes: Sequence[LocateOutcome], text: dict[str, Any], satellite: Satellite, folder: Path, top: int
+) -> None:
     """Write into the empty `folder`: located.json, candidates.csv (the best `top` of each photo), located.gpkg, and
     matches.jpg, or of several photos matches/NAME.jpg. Raises OSError, InputError."""
     (folder / "located.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
@@ -45,7 +47,9 @@ def write(outcomes: Sequence[Outcome], text: dict[str, Any], satellite: Satellit
         write_jpeg(place, matches_picture(outcome, satellite), MATCHES_QUALITY)
 
 
-def write_places(outcomes: Sequence[Outcome], rows: Sequence[dict[str, Any]], satellite: Satellite, path: Path) -> None:
+def write_places(
+    outcomes: Sequence[LocateOutcome], rows: Sequence[dict[str, Any]], satellite: Satellite, path: Path
+) -> None:
     """Layers footprints and cameras of the photos that were located, and candidates; in the map's reference system."""
     import shapely
 
@@ -63,7 +67,7 @@ def write_places(outcomes: Sequence[Outcome], rows: Sequence[dict[str, Any]], sa
         write_layer(path, "candidates", points, rows, "Point", crs)
 
 
-def matches_picture(outcome: Outcome, satellite: Satellite) -> np.ndarray:
+def matches_picture(outcome: LocateOutcome, satellite: Satellite) -> np.ndarray:
     """(H, 2 H, 3) uint8 RGB: the levelled photo left, the map around the best candidate right, and lines between what
     matches; green where the photo was located, else red."""
     assert outcome.registration is not None and outcome.claimed is not None

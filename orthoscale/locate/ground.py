@@ -69,7 +69,7 @@ class GroundImage:
         return GroundImage(pixels, valid, gsd, np.zeros(2)), from_metres
 
 
-class Seen(Protocol):
+class Query(Protocol):
     """What is to be found on a map: a photo, or an orthophoto without a place or a scale that is believed.
 
     size : (2,) width and height of the ground that it shows [claimed m].

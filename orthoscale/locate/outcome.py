@@ -20,7 +20,7 @@ FORMAT_OF_LOCATED = "orthoscale locate 1"
 
 
 @dataclass(frozen=True)
-class Outcome:
+class LocateOutcome:
     """One photo: its scale and what the search found, or the error that came before. seconds : that the search took."""
 
     name: str
@@ -58,7 +58,7 @@ class Outcome:
         return opinions(self.claimed, self.located.scale, self.registration.scale_sd)
 
 
-def footprint(outcome: Outcome, candidate: Candidate) -> np.ndarray | None:
+def footprint(outcome: LocateOutcome, candidate: Candidate) -> np.ndarray | None:
     """(4, 2) longitude and latitude of the photo's corners at a `candidate`, from the upper left clockwise; None when a
     corner lies near the horizon."""
     assert outcome.claimed is not None
@@ -71,7 +71,7 @@ def foot(candidate: Candidate) -> np.ndarray:
     return candidate.lon_lat(np.zeros((1, 2)))[0]
 
 
-def all_failed(outcomes: Sequence[Outcome]) -> OrthoscaleError | None:
+def all_failed(outcomes: Sequence[LocateOutcome]) -> OrthoscaleError | None:
     """What to end with where no photo was located: the only one's problem, or the gravest of several; else None."""
     problems = [problem for outcome in outcomes if (problem := outcome.problem) is not None]
     if len(problems) < len(outcomes):
@@ -83,7 +83,7 @@ def all_failed(outcomes: Sequence[Outcome]) -> OrthoscaleError | None:
     return type(worst)(f"none of {len(problems)} photos was located; {worst.message}", worst.hint)
 
 
-def document(outcomes: Sequence[Outcome], satellite: Satellite, told: dict[str, Any]) -> dict[str, Any]:
+def document(outcomes: Sequence[LocateOutcome], satellite: Satellite, told: dict[str, Any]) -> dict[str, Any]:
     """Everything, as `located.json` has it; `told` is what was asked for."""
     return {
         "format": FORMAT_OF_LOCATED,
@@ -95,7 +95,7 @@ def document(outcomes: Sequence[Outcome], satellite: Satellite, told: dict[str, 
     }
 
 
-def entry(outcome: Outcome, satellite: Satellite) -> dict[str, Any]:
+def entry(outcome: LocateOutcome, satellite: Satellite) -> dict[str, Any]:
     """One photo; a place is [longitude, latitude], lengths are in metres and headings clockwise from north."""
     problem, best, scales = outcome.problem, outcome.located, outcome.scales
     values: dict[str, Any] = {
@@ -135,7 +135,7 @@ def entry(outcome: Outcome, satellite: Satellite) -> dict[str, Any]:
     return values
 
 
-def candidate_rows(outcome: Outcome, satellite: Satellite) -> list[dict[str, Any]]:
+def candidate_rows(outcome: LocateOutcome, satellite: Satellite) -> list[dict[str, Any]]:
     """A row per verified place, best first."""
     assert outcome.registration is not None
     rows = []

@@ -19,9 +19,9 @@ from ..errors import TooLittleEvidence, UsageError
 from ..sources.satellite import Satellite
 from .correlate import Peak, Template, search
 from .features import Features
-from .ground import GroundImage, Seen
+from .ground import GroundImage, Query
 from .maps import MapFeatures, MapGrid
-from .verify import Similarity, Verified, needed, verified
+from .verify import PlaneSimilarity, Verified, needed, verified
 
 ACROSS = 320.0  # [px] to which the longer side of a picture is brought
 FINER = 640.0  # [px] the same for the last look at the best place, where the map has so much detail
@@ -69,7 +69,7 @@ class Candidate:
     """
 
     grid: MapGrid
-    pose: Similarity
+    pose: PlaneSimilarity
     score: float
     inliers: int
     squares: int
@@ -129,7 +129,7 @@ class Registration:
 
 
 def register(
-    seen: Seen,
+    seen: Query,
     satellite: Satellite,
     features: Features,
     known: Known = Known(),  # noqa: B008 - a frozen value
@@ -174,7 +174,7 @@ def correlation(
     return search([way.template for way in ways], mapped.window, area, apart, most, step)
 
 
-def grid_for(seen: Seen, satellite: Satellite, scales: tuple[float, float]) -> MapGrid:
+def grid_for(seen: Query, satellite: Satellite, scales: tuple[float, float]) -> MapGrid:
     """The grid on which `seen` has about ACROSS px. Raises TooLittleEvidence where the map is too coarse for it."""
     size = seen.size * float(np.sqrt(scales[0] * scales[1]))
     grid = MapGrid.of(satellite, float(size.max()) / ACROSS)
@@ -239,14 +239,14 @@ def heading_steps(heading: float | None, up: float) -> np.ndarray:
 class Way:
     """The picture turned and scaled in one way. pose : from its claimed metres to the template's pixels."""
 
-    pose: Similarity
+    pose: PlaneSimilarity
     template: Template
 
     @classmethod
     def of(cls, image: GroundImage, turn: float, scale: float, mapped: MapFeatures) -> Way:
         """`image` turned clockwise by `turn` [rad], with `scale` times its claimed metres."""
         turned, to_pixels = image.turned(turn, scale, mapped.grid.gsd)
-        pose = Similarity.of_affine(to_pixels)
+        pose = PlaneSimilarity.of_affine(to_pixels)
         features = mapped.usual.of_features(mapped.features.of(turned.pixels, turned.valid))
         return cls(pose, Template(features, pose(image.middle[None])[0, ::-1] / mapped.features.stride, turned))
 
@@ -298,7 +298,7 @@ def different(looks: Sequence[Look], image: GroundImage, mapped: MapFeatures, ap
     return kept
 
 
-def judged(candidates: Sequence[Candidate], enough: int, seen: Seen, mapped: MapFeatures) -> Registration:
+def judged(candidates: Sequence[Candidate], enough: int, seen: Query, mapped: MapFeatures) -> Registration:
     """The result of `candidates`, best first, of which one with `enough` matches is right."""
     if not candidates:
         return Registration((), enough, None, float("inf"))
@@ -311,7 +311,7 @@ def judged(candidates: Sequence[Candidate], enough: int, seen: Seen, mapped: Map
     return Registration((best, *candidates[1:]), enough, rival, float(np.hypot(sd, LEVELLING_SD)))
 
 
-def refined(best: Candidate, seen: Seen, mapped: MapFeatures) -> tuple[Candidate, float]:
+def refined(best: Candidate, seen: Query, mapped: MapFeatures) -> tuple[Candidate, float]:
     """`best` by one more look on a finer grid, turned and scaled as it was found; and what its matches' scatter leaves
     of its scale, one sigma. Its count remains that of the first look."""
     fine = mapped.finer(float(seen.size.max()) * best.scale / FINER)
@@ -332,7 +332,7 @@ def _candidate(way: Way, peak: Peak, look: Verified, image: GroundImage, mapped:
     assert look.fit is not None
     grid, stride = mapped.grid, mapped.features.stride
     inner = look.fit.similarity
-    pose = Similarity(inner.factor, inner.shift * stride).after(way.pose)
+    pose = PlaneSimilarity(inner.factor, inner.shift * stride).after(way.pose)
     middle = grid.map_pixel(pose(image.middle[None]))
     ahead = grid.map_pixel(pose(image.middle[None] - (0.0, image.size[1] / 4)))
     here, above = grid.satellite.lon_lat(np.concatenate([middle, ahead]))

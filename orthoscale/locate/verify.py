@@ -23,7 +23,7 @@ GUMBEL_MEDIAN, GUMBEL_QUARTILES = -np.log(np.log(2)), np.log(np.log(4) / np.log(
 
 
 @dataclass(frozen=True)
-class Similarity:
+class PlaneSimilarity:
     """The map from one plane to another that keeps angles: ``w = factor z + shift`` in complex numbers, x + i y with y
     down; the angle of `factor` is a turn clockwise on screen."""
 
@@ -45,9 +45,9 @@ class Similarity:
         image = self.factor * _complex(points) + self.shift
         return np.stack([image.real, image.imag], -1)
 
-    def after(self, other: Similarity) -> Similarity:
+    def after(self, other: PlaneSimilarity) -> PlaneSimilarity:
         """First `other`, then this."""
-        return Similarity(self.factor * other.factor, self.factor * other.shift + self.shift)
+        return PlaneSimilarity(self.factor * other.factor, self.factor * other.shift + self.shift)
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
         """(N, 2) points whose images are `points` (N, 2)."""
@@ -55,19 +55,19 @@ class Similarity:
         return np.stack([original.real, original.imag], -1)
 
     @classmethod
-    def of_affine(cls, matrix: np.ndarray) -> Similarity:
+    def of_affine(cls, matrix: np.ndarray) -> PlaneSimilarity:
         """From a (2, 3) affine matrix that is a similarity."""
         return cls(complex(matrix[0, 0], matrix[1, 0]), complex(matrix[0, 2], matrix[1, 2]))
 
 
 @dataclass(frozen=True)
-class Fit:
+class SimilarityFit:
     """A similarity and the matches that agree on it.
 
     inliers : (N,) bool of the matches. scale_sd : relative one-sigma of its scale, from their scatter.
     """
 
-    similarity: Similarity
+    similarity: PlaneSimilarity
     inliers: np.ndarray
     scale_sd: float
 
@@ -84,7 +84,7 @@ class Verified:
     what was looked at in which the map has data."""
 
     matches: np.ndarray
-    fit: Fit | None
+    fit: SimilarityFit | None
     covered: float
 
     @property
@@ -145,7 +145,7 @@ def mutual_matches(picture: np.ndarray, ground: np.ndarray, block: int, every: i
     return np.column_stack([here[mutual], there[forth[mutual]]])
 
 
-def agreeing(matches: np.ndarray, seed: int = 0) -> Fit | None:
+def agreeing(matches: np.ndarray, seed: int = 0) -> SimilarityFit | None:
     """The similarity on which most `matches` (N, 4) agree, of those with hardly a turn and stretch (MOST_TURNED,
     MOST_STRETCHED): by random pairs (RANSAC; Fischler and Bolles, CACM 1981), refitted; None for fewer than two."""
     z, w = _complex(matches[:, :2]), _complex(matches[:, 2:])
@@ -166,7 +166,7 @@ def agreeing(matches: np.ndarray, seed: int = 0) -> Fit | None:
     shift = w[first] - factor * z[first]
     votes = (np.abs(factor[:, None] * z + shift[:, None] - w) <= MATCH_TOLERANCE).sum(1)
     best = int(votes.argmax())
-    found = Similarity(complex(factor[best]), complex(shift[best]))
+    found = PlaneSimilarity(complex(factor[best]), complex(shift[best]))
     inliers = np.abs(found.factor * z + found.shift - w) <= MATCH_TOLERANCE
     for _ in range(REFITS):
         found = _fitted(z[inliers], w[inliers])
@@ -174,18 +174,18 @@ def agreeing(matches: np.ndarray, seed: int = 0) -> Fit | None:
         if chosen.sum() < 2 or (chosen == inliers).all():
             break
         inliers = chosen
-    return Fit(found, inliers, _scale_sd(found, z[inliers], w[inliers]))
+    return SimilarityFit(found, inliers, _scale_sd(found, z[inliers], w[inliers]))
 
 
-def _fitted(z: np.ndarray, w: np.ndarray) -> Similarity:
+def _fitted(z: np.ndarray, w: np.ndarray) -> PlaneSimilarity:
     """The similarity of least squares (Umeyama, PAMI 1991, in the plane)."""
     centre, target = z.mean(), w.mean()
     spread = (np.abs(z - centre) ** 2).sum()
     factor = complex((np.conj(z - centre) * (w - target)).sum() / spread) if spread > 0 else 1.0 + 0j
-    return Similarity(factor, complex(target - factor * centre))
+    return PlaneSimilarity(factor, complex(target - factor * centre))
 
 
-def _scale_sd(found: Similarity, z: np.ndarray, w: np.ndarray) -> float:
+def _scale_sd(found: PlaneSimilarity, z: np.ndarray, w: np.ndarray) -> float:
     """Relative one-sigma of the scale: residuals across the spread of the places."""
     if len(z) < 3:
         return float("inf")

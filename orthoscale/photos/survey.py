@@ -19,7 +19,7 @@ from ..system.paths import path_of, paths_of
 from .depth.maps import Depths
 from .looking import Looking, boxes_of
 from .measure import Measure, Photo, PhotoScale, find_photos, measure, open_photo
-from .tables import Outcome, document
+from .tables import PhotoOutcome, document
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -36,7 +36,7 @@ class Survey(Brief):
     """outcomes : of every photo by itself. together : one scale of all of them, where that was asked for.
     found : the boxes. photos : those that could be read. fleet : by which they were measured, and why by that one."""
 
-    outcomes: list[Outcome]
+    outcomes: list[PhotoOutcome]
     together: PhotoScale | None
     found: Detections
     photos: list[Photo]
@@ -142,24 +142,26 @@ def open_photos(paths: dict[str, Path], decode: bool = True, **told: Any) -> tup
     return photos, problems
 
 
-def measure_each(photos: Sequence[Photo], problems: dict[str, str], found: Detections, fleet: Fleet) -> list[Outcome]:
+def measure_each(
+    photos: Sequence[Photo], problems: dict[str, str], found: Detections, fleet: Fleet
+) -> list[PhotoOutcome]:
     """Every photo by itself, and those that could not be read, in the order of their names."""
-    outcomes = [Outcome(name, None, None, problem) for name, problem in problems.items()]
+    outcomes = [PhotoOutcome(name, None, None, problem) for name, problem in problems.items()]
     for photo in photos:
         boxes = len(found.boxes.get(photo.name, ()))
         try:
-            outcomes.append(Outcome(photo.name, photo, measure([photo], found, fleet), boxes=boxes))
+            outcomes.append(PhotoOutcome(photo.name, photo, measure([photo], found, fleet), boxes=boxes))
         except TooLittleEvidence as error:
-            outcomes.append(Outcome(photo.name, photo, None, error.message, boxes))
+            outcomes.append(PhotoOutcome(photo.name, photo, None, error.message, boxes))
     return sorted(outcomes, key=lambda outcome: outcome.name)
 
 
-def compared(outcomes: Sequence[Outcome], depths: Depths, found: Detections) -> list[Outcome]:
+def compared(outcomes: Sequence[PhotoOutcome], depths: Depths, found: Detections) -> list[PhotoOutcome]:
     """The same with the altitude that the depth of each photo says, or why it says none.
 
     Raises InputError where that is so of all of them.
     """
-    made: list[Outcome] = []
+    made: list[PhotoOutcome] = []
     refused: list[InputError] = []
     for outcome in outcomes:
         if outcome.photo is not None:

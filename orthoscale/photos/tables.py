@@ -24,7 +24,7 @@ MEASURES = ("scale_m_per_px", "altitude_m", "gsd_m", "footprint_width_m", "footp
 
 
 @dataclass(frozen=True)
-class Outcome:
+class PhotoOutcome:
     """One photo: what was measured, or why nothing was. `photo` is None where it could not even be read.
 
     boxes : how many were found in it. depth : what its depth map says, where one was given, and `depth_problem` why
@@ -44,7 +44,7 @@ class Outcome:
         return altitude / self.measured.altitude.value if altitude and altitude > 0 and self.measured else None
 
 
-def row(outcome: Outcome) -> dict[str, Any]:
+def row(outcome: PhotoOutcome) -> dict[str, Any]:
     """Plain values; lengths in metres, angles in degrees, each measure with the bounds of its 90 % interval."""
     photo, got, depth = outcome.photo, outcome.measured, outcome.depth
     measures: dict[str, Any] = {}
@@ -81,7 +81,11 @@ def row(outcome: Outcome) -> dict[str, Any]:
 
 
 def document(
-    outcomes: Sequence[Outcome], fleet: Fleet, detector: str, together: PhotoScale | None, notes: Sequence[str] = ()
+    outcomes: Sequence[PhotoOutcome],
+    fleet: Fleet,
+    detector: str,
+    together: PhotoScale | None,
+    notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """All rows, with the share of photos that had enough vehicles; and the scale of all together where it was asked.
 
@@ -100,7 +104,7 @@ def document(
     }
     if together is not None:
         boxes = sum(outcome.boxes for outcome in outcomes)
-        pooled = row(Outcome(ALL_TOGETHER, together.photo, together, boxes=boxes))
+        pooled = row(PhotoOutcome(ALL_TOGETHER, together.photo, together, boxes=boxes))
         own = ("photo", "taken", "longitude", "latitude", "notes", "problem")
         text["together"] = {k: v for k, v in pooled.items() if k not in own and not k.startswith(OF_ONE_PHOTO)} | {
             "photos_per_place": round(together.overlap, 2),
@@ -118,11 +122,11 @@ def check_ending(path: Path, formats: Sequence[str] = TABLE_SUFFIXES) -> None:
 
 def known(path: Path) -> Callable[[Path], bool] | None:
     """Whether a table at `path` is orthoscale's, where its format has no room for a signature; see `Outputs.file`."""
-    columns = list(row(Outcome("", None, None)))
+    columns = list(row(PhotoOutcome("", None, None)))
     return (lambda place: has_header(place, columns)) if path.suffix.lower() == ".csv" else None
 
 
-def write(outcomes: Sequence[Outcome], text: Mapping[str, Any], path: Path) -> None:
+def write(outcomes: Sequence[PhotoOutcome], text: Mapping[str, Any], path: Path) -> None:
     """Write the `document` of `outcomes` to `path`, in the format of its ending; the scale of all together is the last
     row of a table."""
     if path.suffix.lower() == ".json":
@@ -138,7 +142,7 @@ def write(outcomes: Sequence[Outcome], text: Mapping[str, Any], path: Path) -> N
 
 def _row_of_all(pooled: Mapping[str, Any]) -> dict[str, Any]:
     """What `document` says of all together as a row; what is one photo's is empty."""
-    return {name: pooled.get(name) for name in row(Outcome("", None, None))} | {"photo": ALL_TOGETHER}
+    return {name: pooled.get(name) for name in row(PhotoOutcome("", None, None))} | {"photo": ALL_TOGETHER}
 
 
 def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -149,7 +153,7 @@ def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         table.writerows(rows)
 
 
-def _write_geopackage(outcomes: Sequence[Outcome], rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+def _write_geopackage(outcomes: Sequence[PhotoOutcome], rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Layer ``photos``: all rows, those of the photos at the camera's place where EXIF tells it. Layer ``footprints``:
     the ground that each measured photo shows, where place and heading are told; longitude and latitude."""
     import shapely
@@ -168,7 +172,7 @@ def _write_geopackage(outcomes: Sequence[Outcome], rows: Sequence[Mapping[str, A
         write_layer(path, "footprints", [s for _, s in outlines], [r for r, _ in outlines], "Polygon", "EPSG:4326")
 
 
-def footprint_on_earth(outcome: Outcome) -> Any:
+def footprint_on_earth(outcome: PhotoOutcome) -> Any:
     """The ground that the photo shows, as a polygon of longitudes and latitudes; None where that is not known."""
     import pyproj
     import shapely

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from .measure import Measure, PhotoScale
-from .tables import Outcome
+from .tables import PhotoOutcome
 
 LISTED = 40  # photos that are listed
 
 
 def summary(
-    outcomes: Sequence[Outcome], text: Mapping[str, Any], together: PhotoScale | None, outputs: Sequence[Path]
+    outcomes: Sequence[PhotoOutcome], text: Mapping[str, Any], together: PhotoScale | None, outputs: Sequence[Path]
 ) -> str:
     """A few calm lines; one photo in full, many as a table."""
     if together is not None:
@@ -61,7 +61,7 @@ def _in_full(got: PhotoScale) -> list[str]:
     return lines
 
 
-def _compared(outcome: Outcome) -> list[str]:
+def _compared(outcome: PhotoOutcome) -> list[str]:
     """The altitudes of a photo side by side, with their ratios to the one by vehicles."""
     photo, got, depth = outcome.photo, outcome.measured, outcome.depth
     assert photo is not None and got is not None
@@ -85,7 +85,7 @@ def _ratio(ratio: float | None) -> str:
     return "" if ratio is None else f"{ratio:7.3f}"
 
 
-def _depth(outcome: Outcome) -> str:
+def _depth(outcome: PhotoOutcome) -> str:
     """The end of a photo's line: what its depth says."""
     if outcome.depth is None:
         return f"  depth: {outcome.depth_problem}" if outcome.depth_problem else ""

@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 from ..core.pooling.posterior import Z90
 from ..core.remarks import signed
 from ..core.round_numbers import round_above, round_below
-from .places import Frame, Region
+from .places import LocalFrameScale, LocalRegionScale
 
 CHART_WIDTH = 360  # of every chart; the page shows it at 300 to 480 px, so that 12 stays a readable size of letters
 LETTER = 6.8  # width of one, about
@@ -24,7 +24,7 @@ FULL_COLOUR = 3.0  # sigmas
 
 
 @dataclass(frozen=True)
-class Row:
+class ChartRow:
     """A value with its 90 % interval, relative to the answer: 0.02 is 2 % larger."""
 
     name: str
@@ -84,7 +84,7 @@ def histogram(used: np.ndarray, rejected: np.ndarray, fleet: Sequence[tuple[floa
     return _svg(base + 38, parts, label)
 
 
-def estimates(rows: Sequence[Row], band: tuple[float, float], label: str) -> Markup:
+def estimates(rows: Sequence[ChartRow], band: tuple[float, float], label: str) -> Markup:
     """Values under one another on one axis in per cent of the answer, whose 90 % interval is the grey `band`."""
     ends = [*band, *(v for row in rows for v in (row.value, *(row.interval or ())))]
     reach = min(max(1.1 * max(map(abs, ends)), 0.02), 0.6)
@@ -112,7 +112,7 @@ def estimates(rows: Sequence[Row], band: tuple[float, float], label: str) -> Mar
     return _svg(bottom + 22, parts, label)
 
 
-def place_map(vehicles: np.ndarray, regions: Sequence[Region], label: str) -> Markup:
+def place_map(vehicles: np.ndarray, regions: Sequence[LocalRegionScale], label: str) -> Markup:
     """Vehicles (N, 2) [m] from above, and how far the scale of each region is from that of all, in per cent.
 
     A region is coloured by its sigmas: what chance gives stays pale.
@@ -153,7 +153,7 @@ def strength(deviation: float, sd: float) -> float:
     return min(abs(deviation) / sd / FULL_COLOUR, 1.0) ** 2 if sd > 0 else 0.0
 
 
-def frames(rows: Sequence[Frame], label: str) -> Markup:
+def frames(rows: Sequence[LocalFrameScale], label: str) -> Markup:
     """One mark for each frame, in their order, with its 90 % interval; odd ones stand out."""
     reach = min(max(1.05 * max(abs(row.deviation) for row in rows), 0.04), 0.5)
     left, right, top, height = 46.0, CHART_WIDTH - 4.0, 6.0, 120.0

@@ -17,7 +17,7 @@ from .document import of_plan, read_json, write_json
 from .page import page
 from .pictures import draw
 from .result import Result
-from .scene import Scene
+from .scene import ReportPictures
 
 DRAWN_AS = (".html", ".htm", ".png")
 Attempt = Callable[[Path, str], AbstractContextManager[None]]
@@ -27,7 +27,7 @@ def write_report(result: Result, paths: Mapping[str, Path], attempt: Attempt) ->
     """Write the parts of the report that `paths` names, ``json`` first, then ``png``, ``html``, each in an `attempt`
     (`Outputs.attempt`), so that one that fails takes nothing else away."""
     report = cache(result.to_dict)
-    scene = cache(lambda: Scene.of(report(), result.source))
+    scene = cache(lambda: ReportPictures.of(report(), result.source))
     writers: dict[str, Callable[[Path], None]] = {
         "json": lambda place: write_json(report(), place),
         "png": lambda place: draw(report(), scene(), place),
@@ -58,7 +58,7 @@ def redraw(path: Path, out: Path, images: Path | None = None, overwrite: bool = 
             source, why = _source(report, path, images)
             if source is not None:
                 outputs.protect(*source.files)
-            scene = Scene.of(report, source)
+            scene = ReportPictures.of(report, source)
             if out.suffix.lower() == ".png":
                 draw(report, scene, partial)
             else:

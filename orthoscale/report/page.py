@@ -18,7 +18,7 @@ from ..requests import command_line
 from . import charts, places, wording
 from .document import completed
 from .explanation import explain
-from .scene import Panel, Scene
+from .scene import Panel, ReportPictures
 from .wording import relative
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ NAMES = {  # of the report's checks, for people
 FARTHEST_CHECK = 0.5  # relative; checks further off are left to the document: they would squeeze the others
 
 
-def page(report: Mapping[str, Any], scene: Scene) -> str:
+def page(report: Mapping[str, Any], scene: ReportPictures) -> str:
     """The HTML of a report. `scene` has its pictures; without any, the page does without."""
     report = completed(report)
     (value, low, high), unit = wording.quantity(report, report["scale"], *report["interval90"])
@@ -126,16 +126,16 @@ def _histogram(report: Mapping[str, Any], axis: str) -> dict[str, Any]:
 
 def _estimates(report: Mapping[str, Any]) -> Markup:
     low, high = (relative(v, report) for v in report["interval90"])
-    rows = [charts.Row("the answer", 0.0, (low, high), strong=True)]
+    rows = [charts.ChartRow("the answer", 0.0, (low, high), strong=True)]
     for name, value in report["checks"].items():
         if not name.endswith("_sigmas") and name not in MODE_ORDER:
-            rows.append(charts.Row(NAMES.get(name, name.replace("_", " ")), relative(value, report)))
+            rows.append(charts.ChartRow(NAMES.get(name, name.replace("_", " ")), relative(value, report)))
     rows += [_row(name, mode, report) for name, mode in _modes(report).items()]
     for other in report["evidence"]:
         half = Z90 * other["relative_sd"]
-        rows.append(charts.Row(other["kind"], at := relative(other["scale"], report), (at - half, at + half)))
+        rows.append(charts.ChartRow(other["kind"], at := relative(other["scale"], report), (at - half, at + half)))
     if report["claim"] and report["claim"]["verdict"] != NO_UNIT:
-        rows.append(charts.Row("its georeferencing", relative(report["claim"]["claimed"], report)))
+        rows.append(charts.ChartRow("its georeferencing", relative(report["claim"]["claimed"], report)))
     rows = [row for row in rows if abs(row.value) < FARTHEST_CHECK]
     label = "; ".join(f"{row.name} {signed(row.value)}" for row in rows[1:])
     return charts.estimates(rows, (low, high), f"Other estimates of the scale, relative to the answer: {label}")
@@ -208,6 +208,6 @@ def _frames(report: Mapping[str, Any]) -> Markup | None:
     return charts.frames(found, "Scale of each frame relative to the answer") if found else None
 
 
-def _row(name: str, values: Mapping[str, Any], report: Mapping[str, Any]) -> charts.Row:
+def _row(name: str, values: Mapping[str, Any], report: Mapping[str, Any]) -> charts.ChartRow:
     interval = tuple(relative(v, report) for v in values["interval90"]) if values.get("interval90") else None
-    return charts.Row(name, relative(values["scale"], report), interval)  # type: ignore[arg-type]
+    return charts.ChartRow(name, relative(values["scale"], report), interval)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ import numpy as np
 from ..formats.pictures import write_png
 from .drift_map import drift_panel, regions_panel
 from .lettering import BLACK, WHITE, write_on
-from .scene import CHIP, Outline, Panel, Scene
+from .scene import CHIP, Outline, Panel, ReportPictures
 from .wording import quantity
 
 USED_RGB, REJECTED_RGB = (0, 214, 255), (255, 106, 0)  # RGB; told apart by people who do not tell green from red
@@ -21,7 +21,7 @@ FEWEST_REGIONS = 2  # of a model with a scale of their own, from which they are 
 SHEET_COLUMNS = 6  # of the contact sheet
 
 
-def draw(report: Mapping[str, Any], scene: Scene, path: Path) -> None:
+def draw(report: Mapping[str, Any], scene: ReportPictures, path: Path) -> None:
     """Write a PNG: the answer, the scene with used (blue) and rejected (orange) vehicles, and a contact sheet."""
     panels = [_title(report), *(drawn(panel, SHEET_WIDTH / panel.image.shape[1]) for panel in scene.overviews)]
     if scene.used:

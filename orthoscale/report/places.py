@@ -9,7 +9,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Region:
+class LocalRegionScale:
     """x, y : its middle on the plan [m]. width, height : its size [m], 0 where it has none.
     deviation : log of its scale over that of all; sd : one sigma of that."""
 
@@ -22,7 +22,7 @@ class Region:
 
 
 @dataclass(frozen=True)
-class Frame:
+class LocalFrameScale:
     """deviation : log of the scale that this frame gives its vehicles over the one that all frames give them."""
 
     name: str
@@ -31,28 +31,30 @@ class Frame:
     odd: bool
 
 
-def regions(report: Mapping[str, Any]) -> list[Region]:
+def regions(report: Mapping[str, Any]) -> list[LocalRegionScale]:
     """Places with a scale of their own; none where there are too few vehicles to compare them."""
     drift, scale = report.get("drift") or {}, report["scale"]
     if drift.get("cells"):
         ((_, image_height),) = report["pictures"].values()
         width, height = (side * scale for side in drift["cell_px"])
         return [
-            Region(c["x_px"] * scale, (image_height - c["y_px"]) * scale, width, height, c["deviation"], c["sd"])
+            LocalRegionScale(
+                c["x_px"] * scale, (image_height - c["y_px"]) * scale, width, height, c["deviation"], c["sd"]
+            )
             for c in drift["cells"]
         ]
     return [
-        Region(x * scale, y * scale, 0.0, 0.0, log(r["scale"] / scale), r["sd"] / r["scale"])
+        LocalRegionScale(x * scale, y * scale, 0.0, 0.0, log(r["scale"] / scale), r["sd"] / r["scale"])
         for r in drift.get("regions", [])
         for x, y in [r["centre_unit"]]
     ]
 
 
-def frames(report: Mapping[str, Any]) -> list[Frame]:
+def frames(report: Mapping[str, Any]) -> list[LocalFrameScale]:
     """A model's frames that share vehicles with others, in the order of their names."""
     drift, scale = report.get("drift") or {}, report["scale"]
     odd = set(drift.get("odd_frames", []))
     return [
-        Frame(name, log(f["scale"] / scale), f["sd"] / f["scale"], name in odd)
+        LocalFrameScale(name, log(f["scale"] / scale), f["sd"] / f["scale"], name in odd)
         for name, f in sorted(drift.get("frames", {}).items())
     ]

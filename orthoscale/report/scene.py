@@ -53,7 +53,7 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Scene:
+class ReportPictures:
     """The pictures of a report; empty sequences where the source's own pictures are not at hand."""
 
     overviews: Sequence[Panel] = ()
@@ -62,7 +62,7 @@ class Scene:
     anchors: Sequence[Panel] = ()
 
     @classmethod
-    def of(cls, report: Mapping[str, Any], source: Source | None) -> Scene:
+    def of(cls, report: Mapping[str, Any], source: Source | None) -> ReportPictures:
         """The scene of a report, with the pixels of the `source` that it came from, as far as they are there."""
         vehicles = report["vehicles"]
         anchors = report.get("anchors") or []

@@ -12,11 +12,11 @@ from ..formats.reading import refuse_pointer
 from .colmap_tables import (
     CAMERA_MODELS,
     NOT_UTF8_HINT,
-    Camera,
-    Frame,
-    Image,
+    CameraRow,
+    FrameRow,
+    ImageRow,
     Points,
-    Rig,
+    RigRow,
     Tables,
     add,
     damaged,
@@ -104,7 +104,7 @@ def _binary_cameras(file: _Bytes, tables: Tables) -> None:
         if model not in CAMERA_MODELS:
             raise unknown_camera(where, camera, model)
         params = file.take(f"{CAMERA_MODELS[model][1]}d", f"the parameters of camera {camera}")
-        add(tables.cameras, camera, Camera(where, model, width, height, params), where, "camera")
+        add(tables.cameras, camera, CameraRow(where, model, width, height, params), where, "camera")
 
 
 def _binary_images(file: _Bytes, tables: Tables) -> None:
@@ -115,7 +115,7 @@ def _binary_images(file: _Bytes, tables: Tables) -> None:
         count = file.count(24, f"observations of image {image} ({name})")
         seen = np.frombuffer(file.data, _OBSERVATION, count, file.at) if count else np.empty(0, _OBSERVATION)
         file.at += 24 * count
-        tables.images.append(Image(where, image, tuple(pose), camera, name, seen["xy"], seen["point"]))
+        tables.images.append(ImageRow(where, image, tuple(pose), camera, name, seen["xy"], seen["point"]))
 
 
 def _binary_points(file: _Bytes, tables: Tables) -> None:
@@ -157,7 +157,7 @@ def _binary_rigs(file: _Bytes, tables: Tables) -> None:
             if k and file.take("B", f"the sensors of rig {rig}")[0]:
                 pose = file.take("7d", f"the sensors of rig {rig}")
             sensors.append((kind, sensor, pose))
-        add(tables.rigs, rig, Rig(where, sensors), where, "rig")
+        add(tables.rigs, rig, RigRow(where, sensors), where, "rig")
 
 
 def _binary_frames(file: _Bytes, tables: Tables) -> None:
@@ -167,4 +167,4 @@ def _binary_frames(file: _Bytes, tables: Tables) -> None:
         frame, rig, *pose, count = file.take("II7dI", "a frame")
         file.need(16 * count, f"the {count} data of frame {frame}")
         data = [file.take("iIQ", "") for _ in range(count)]
-        add(tables.frames, frame, Frame(where, rig, tuple(pose), data), where, "frame")
+        add(tables.frames, frame, FrameRow(where, rig, tuple(pose), data), where, "frame")

@@ -26,9 +26,9 @@ from .colmap_tables import (
     RIG_TABLES,
     SENSOR_TYPES,
     TABLES,
-    Frame,
-    Image,
-    Rig,
+    FrameRow,
+    ImageRow,
+    RigRow,
     Tables,
     damaged,
 )
@@ -321,7 +321,7 @@ def _parts(tables: Tables) -> tuple[int, ...]:
     return tuple(sizes[sizes > 1].tolist())
 
 
-def _check_rigs(tables: Tables, rigs: dict[int, Rig], frames: dict[int, Frame]) -> None:
+def _check_rigs(tables: Tables, rigs: dict[int, RigRow], frames: dict[int, FrameRow]) -> None:
     for number, rig in rigs.items():
         if not rig.sensors:
             raise damaged(rig.where, f"rig {number} has no sensor")
@@ -361,7 +361,7 @@ def _check_rigs(tables: Tables, rigs: dict[int, Rig], frames: dict[int, Frame]) 
     _check_agreement(tables.images, np.array([poses[image.id] for image in tables.images]))
 
 
-def _check_agreement(images: list[Image], poses: np.ndarray) -> None:
+def _check_agreement(images: list[ImageRow], poses: np.ndarray) -> None:
     """Poses are written twice, by image and by frame; pycolmap takes the frames'. Both must say the same."""
     own = np.array([image.pose for image in images])
     sensor, rig, camera = (Rotation.from_quat(pose[:, [1, 2, 3, 0]]) for pose in (poses[:, 0], poses[:, 1], own))

@@ -47,7 +47,7 @@ WRITE_ANEW = "The file is damaged: copy the model again, or write it anew with `
 
 
 @dataclass(frozen=True)
-class Camera:
+class CameraRow:
     """One line of cameras: where it stands, its model's id, its size [px], its parameters as COLMAP orders them."""
 
     where: str
@@ -58,7 +58,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Image:
+class ImageRow:
     """A registered image and what it saw; the pose is that of the world in its camera."""
 
     where: str
@@ -82,7 +82,7 @@ class Points:
 
 
 @dataclass(frozen=True)
-class Rig:
+class RigRow:
     """Sensors that are mounted together, each with its pose in the rig; the reference has none."""
 
     where: str
@@ -90,7 +90,7 @@ class Rig:
 
 
 @dataclass(frozen=True)
-class Frame:
+class FrameRow:
     """Where a rig stood once, and what its sensors took there."""
 
     where: str
@@ -103,11 +103,11 @@ class Frame:
 class Tables:
     """A model as its files have it, before anything is made of it. paths : the files, by table."""
 
-    cameras: dict[int, Camera] = field(default_factory=dict)
-    images: list[Image] = field(default_factory=list)
+    cameras: dict[int, CameraRow] = field(default_factory=dict)
+    images: list[ImageRow] = field(default_factory=list)
     points: Points = field(init=False)
-    rigs: dict[int, Rig] | None = None
-    frames: dict[int, Frame] | None = None
+    rigs: dict[int, RigRow] | None = None
+    frames: dict[int, FrameRow] | None = None
     paths: dict[str, Path] = field(default_factory=dict)
 
 

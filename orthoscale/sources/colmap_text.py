@@ -15,11 +15,11 @@ from .colmap_tables import (
     NO_POINT,
     NOT_UTF8_HINT,
     SENSOR_TYPES,
-    Camera,
-    Frame,
-    Image,
+    CameraRow,
+    FrameRow,
+    ImageRow,
     Points,
-    Rig,
+    RigRow,
     Tables,
     add,
     damaged,
@@ -91,7 +91,7 @@ def _text_cameras(path: Path, tables: Tables) -> None:
         expected = CAMERA_MODELS[model][1]
         if len(params) != expected:
             raise damaged(where, f"camera {camera}: {words[1]} has {expected} parameters, the line {len(params)}")
-        add(tables.cameras, camera, Camera(where, model, width, height, params), where, "camera")
+        add(tables.cameras, camera, CameraRow(where, model, width, height, params), where, "camera")
 
 
 def _text_images(path: Path, tables: Tables) -> None:
@@ -118,7 +118,7 @@ def _text_images(path: Path, tables: Tables) -> None:
             raise damaged(seen_where, f"image {name}: a point id is out of range")
         x, y = (_parse(seen_where, words[k::3], float, f"image {name}") for k in (0, 1))
         ids = np.array([NO_POINT if p == -1 else p for p in points], np.uint64)
-        tables.images.append(Image(where, image, pose, camera, name, np.column_stack([x, y]), ids))
+        tables.images.append(ImageRow(where, image, pose, camera, name, np.column_stack([x, y]), ids))
 
 
 def _text_points(path: Path, tables: Tables) -> None:
@@ -173,7 +173,7 @@ def _text_rigs(path: Path, tables: Tables) -> None:
             sensors.append((kind, sensor, pose))
         if len(sensors) != count:
             raise damaged(where, f"rig {rig} announces {count} sensors, the line has {len(sensors)}")
-        add(tables.rigs, rig, Rig(where, sensors), where, "rig")
+        add(tables.rigs, rig, RigRow(where, sensors), where, "rig")
 
 
 def _text_frames(path: Path, tables: Tables) -> None:
@@ -188,4 +188,4 @@ def _text_frames(path: Path, tables: Tables) -> None:
             (*_text_sensor(where, *words[k : k + 2]), *_parse(where, words[k + 2 : k + 3], int, f"frame {frame}"))
             for k in range(10, len(words), 3)
         ]
-        add(tables.frames, frame, Frame(where, rig, pose, data), where, "frame")
+        add(tables.frames, frame, FrameRow(where, rig, pose, data), where, "frame")

@@ -39,7 +39,7 @@ def dense_ground(sparse: Ground, points: np.ndarray, centres: np.ndarray, blocks
     all in model units, world. Raises InputError for a cloud that does not lie on the sparse points, and what `blocks`
     raises.
     """
-    grid = _Cells(sparse, points)
+    grid = _LayerCounts(sparse, points)
     for block in blocks:
         grid.add(block)
     level, known = grid.levels()
@@ -50,7 +50,7 @@ def dense_ground(sparse: Ground, points: np.ndarray, centres: np.ndarray, blocks
     return ground.unsure(float(np.hypot(SMOOTH_SD * ground.camera_height, apart)))
 
 
-class _Cells:
+class _LayerCounts:
     """How many points lie in each layer of each cell over the plane of a `Ground`, relative to its sheet."""
 
     def __init__(self, ground: Ground, points: np.ndarray) -> None:

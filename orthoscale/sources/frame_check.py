@@ -30,13 +30,13 @@ OWN_FRAMES = 0.5  # correlation, in the middle of the frames, from which they ar
 # Correlation elsewhere from which the points are sure to be there, and how much higher than in their places it is: an
 # error of 1 % costs the four models 0.03 to 0.2, and their own frames fit within 0.3 %.
 SURE_PLACE, GAIN, LEAST_ERROR = 0.7, 0.03, 0.01
-MOST_ZOOM, MOST_BEND = 0.12, 0.4  # how far is looked for other places; `_Fit`
+MOST_ZOOM, MOST_BEND = 0.12, 0.4  # how far is looked for other places; `_ZoomFit`
 SHARES_TRIED = np.linspace(-1, 1, 7)
 GRIDS = 6  # of grids, each half as wide as the one before: errors of 0.2 % show in the end
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _ZoomFit:
     """Where a frame shows the points: zoom + bend * r^2 times as far from the middle, r in focal lengths, as the model.
 
     own, best : correlation in the model's places, and there. error : how much larger things are there, relative.
@@ -73,7 +73,7 @@ def check_frames(model: pycolmap.Reconstruction, pictures: Sequence[PictureFile]
     return []
 
 
-def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: PictureFile) -> _Fit | None:
+def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: PictureFile) -> _ZoomFit | None:
     """Where `picture` shows the points of `image`, by the brightness of both; None if not known."""
     seen = [point for point in image.points2D if point.has_point3D()]
     if len(seen) < LEAST_POINTS:
@@ -98,7 +98,7 @@ def _fitted(model: pycolmap.Reconstruction, image: pycolmap.Image, picture: Pict
             if own == -1:
                 return None
             zoom, bend = _highest(likeness)
-            return _Fit(own, likeness(zoom, bend), zoom - 1 + 2 * bend * float(r2.mean()))
+            return _ZoomFit(own, likeness(zoom, bend), zoom - 1 + 2 * bend * float(r2.mean()))
     except InputError:  # said by whoever needs it
         return None
 

@@ -47,7 +47,7 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class Place:
+class CopyGeoreference:
     """The georeferencing of a copy with the measured scale. said : for people, what became of the input's own."""
 
     crs: str | CRS
@@ -153,7 +153,7 @@ def _attitude(t: Affine) -> str:
     return "".join(f"; {word}" for word in words)
 
 
-def local_place(claim: Claim, height: int, gsd_m: float) -> Place:
+def local_place(claim: Claim, height: int, gsd_m: float) -> CopyGeoreference:
     """Local metres, north up, origin at the lower left corner of the image of `height` px.
 
     An image that shows the ground mirrored (its first row is its southernmost, or its first column its easternmost) is
@@ -168,11 +168,13 @@ def local_place(claim: Claim, height: int, gsd_m: float) -> Place:
     elif t is not None or "not georeferenced" not in claim.why:
         said += f"; the georeferencing of the input is not used and not in it: {claim.why}"
     if t is not None and t.determinant > 0:
-        return Place(LOCAL_CRS, Affine(wide, 0, 0, 0, high, 0), said + "; rows go north: it is mirrored like the input")
-    return Place(LOCAL_CRS, Affine(wide, 0, 0, 0, -high, high * height), said)
+        return CopyGeoreference(
+            LOCAL_CRS, Affine(wide, 0, 0, 0, high, 0), said + "; rows go north: it is mirrored like the input"
+        )
+    return CopyGeoreference(LOCAL_CRS, Affine(wide, 0, 0, 0, -high, high * height), said)
 
 
-def kept_place(claim: Claim, height: int, gsd_m: float) -> Place:
+def kept_place(claim: Claim, height: int, gsd_m: float) -> CopyGeoreference:
     """The input's own coordinate reference system, first corner and direction, with pixels of the measured size.
 
     One factor on the geotransform does it in metres, feet and degrees, stretched or not. Where there is no place to
@@ -181,11 +183,11 @@ def kept_place(claim: Claim, height: int, gsd_m: float) -> Place:
     t = claim.transform
     if t is None or claim.gsd_m is None:
         place = local_place(claim, height, gsd_m)
-        return Place(place.crs, place.transform, f"{place.said}; there was no origin to keep")
+        return CopyGeoreference(place.crs, place.transform, f"{place.said}; there was no origin to keep")
     k = gsd_m / claim.gsd_m
     transform = Affine(t.a * k, t.b * k, t.c, t.d * k, t.e * k, t.f)
     name = pyproj.CRS.from_user_input(claim.crs).name if claim.crs is not None else "local metres"
-    return Place(
+    return CopyGeoreference(
         claim.crs or LOCAL_CRS,
         transform,
         f"{name}; the first corner is where it was, pixels are {k:.5g} times as large",

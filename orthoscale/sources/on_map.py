@@ -35,10 +35,10 @@ class OnMap:
             return None
         from rasterio.transform import Affine
 
-        from .georeference import Place
+        from .georeference import CopyGeoreference
 
         linear, shift = self.affine[:, :2], self.affine[:, 2]
         middle = np.array(self.size) / 2
         grown = linear * (metres_per_pixel / self.gsd_m)
         matrix = np.column_stack([grown, linear @ middle + shift - grown @ middle])
-        return Place(self.crs, Affine(*matrix.ravel()), f"place and direction by its match with {self.name}")
+        return CopyGeoreference(self.crs, Affine(*matrix.ravel()), f"place and direction by its match with {self.name}")

@@ -27,7 +27,7 @@ from ..system.budget import in_words
 from ..system.scratch import Scratch
 from .fingerprint import fingerprint
 from .gdal import EXPORT_AGAIN, open_dataset, reading, settings
-from .georeference import Place, claim_of, kept_place, local_place
+from .georeference import CopyGeoreference, claim_of, kept_place, local_place
 from .raster_blocks import RasterBlocks
 from .raster_copy import Original
 from .raster_display import Display
@@ -287,7 +287,9 @@ class RasterSource:
             )
         copy = scratch.folder / "blocks.tif"
         # Fast to write and to read; its place on Earth does not matter there.
-        self._original.convert(copy, Place(None, Affine.identity(), ""), compress="zstd", zstd_level=1, predictor=1)
+        self._original.convert(
+            copy, CopyGeoreference(None, Affine.identity(), ""), compress="zstd", zstd_level=1, predictor=1
+        )
         self._read_from = open_dataset(copy)
         self._scratch = scratch
 
@@ -328,7 +330,7 @@ class RasterSource:
     def _original(self) -> Original:
         return Original(self.path, self._dataset, self._display.palette is not None, self._lock)
 
-    def place(self, metres_per_pixel: float, keep_origin: bool = False) -> Place:
+    def place(self, metres_per_pixel: float, keep_origin: bool = False) -> CopyGeoreference:
         """The georeferencing that a copy of this scale gets: local metres, or the input's own place and direction."""
         return (kept_place if keep_origin else local_place)(self.claimed, self.height, metres_per_pixel)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError, UsageError
 from ..formats.geometry.dense import is_dense
-from ..formats.geometry.files import Places, scale_file
+from ..formats.geometry.files import WrittenFiles, scale_file
 from .colmap import scale_model, scale_workspace
 from .colmap_check import model_folders
 
@@ -20,13 +20,13 @@ def scale_path(
     source: Path,
     target: Path,
     scale: float,
-    places: Places | None = None,
+    others: WrittenFiles | None = None,
     metric: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> list[str]:
     """Write `source`, in model units, to `target`, in metres: all lengths times `scale`; returns what there is to say.
 
     A folder is a sparse model or a dense workspace of COLMAP; `target` is then an empty folder. Files that a file
-    refers to (materials, buffers, point clouds) come along beside `target`. places : of what was written before.
+    refers to (materials, buffers, point clouds) come along beside `target`. others : of what was written before.
     metric : cameras [m] of the model that the scale is of, by the names of their images, with which other models are
     compared. Raises InputError for a missing, damaged or unknown file, UsageError for one that is in metres already,
     for several models in one folder, and for a model whose cameras stand elsewhere.
@@ -34,7 +34,7 @@ def scale_path(
     if not os.path.exists(source):  # noqa: PTH110  pathlib's raises for names that are too long
         raise InputError(f"{source} does not exist", "Give files in the units of the model.")
     if not source.is_dir():
-        return scale_file(source, target, scale, places)
+        return scale_file(source, target, scale, others)
     if is_dense(source):
         return scale_workspace(source, target, scale, metric)
     if len(models := model_folders(source)) > 1:

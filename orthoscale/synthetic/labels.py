@@ -11,7 +11,7 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..formats.pictures import write_jpeg
 from .render import ortho_view, render, vehicle_boxes
-from .scene import Fleet, Scene, make_scene
+from .scene import Scene, SizeSource, make_scene
 from .vehicle import Vehicle
 from .view import Camera, Perspective, Pose, View
 
@@ -79,7 +79,12 @@ def random_view(rng: np.random.Generator, size: int) -> tuple[View | None, float
 
 
 def write_labels(
-    folder: Path, count: int = 240, seed: int = 0, fleet: Fleet | None = None, size: int = 768, style: str | None = None
+    folder: Path,
+    count: int = 240,
+    seed: int = 0,
+    fleet: SizeSource | None = None,
+    size: int = 768,
+    style: str | None = None,
 ) -> Path:
     """Write `count` pictures, of scenes of one `style` or any, to ``folder/images``, and ``folder/labels.json``, whose
     path is returned."""

@@ -20,7 +20,7 @@ from .view import Camera, Perspective, Pose
 
 
 @dataclass(frozen=True)
-class Similarity:
+class SceneToModel:
     """From the scene's metres to a model's units: ``model = rotation @ metres / metres_per_unit + translation``."""
 
     metres_per_unit: float
@@ -28,7 +28,7 @@ class Similarity:
     translation: np.ndarray
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, metres_per_unit: float) -> Similarity:
+    def drawn(cls, rng: np.random.Generator, metres_per_unit: float) -> SceneToModel:
         """With the given scale and any rotation and translation, as structure from motion leaves them."""
         q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
         return cls(metres_per_unit, q * np.sign(np.linalg.det(q)), rng.normal(0, 5, 3))
@@ -99,7 +99,7 @@ def write_colmap(
     folder = Path(folder)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng([seed, 6])
-    world = Similarity.drawn(rng, metres_per_unit)
+    world = SceneToModel.drawn(rng, metres_per_unit)
     camera = Camera(focal_px, width, height, k1)
     views = [Perspective(camera, pose) for pose in flight(scene, n_frames, altitude_m, pitch_deg, slope_deg, seed)]
     names = [f"frame_{i:04d}.jpg" for i in range(n_frames)]
@@ -217,7 +217,7 @@ def _tie_points(
 
 
 def _model(
-    world: Similarity,
+    world: SceneToModel,
     views: Sequence[Perspective],
     names: Sequence[str],
     images: Sequence[np.ndarray],

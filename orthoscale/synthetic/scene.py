@@ -37,7 +37,7 @@ Span = tuple[float, float]
 """From, to [m]."""
 
 
-class Fleet(Protocol):
+class SizeSource(Protocol):
     """Anything that draws vehicle sizes, such as `orthoscale.core.fleet.Fleet`."""
 
     def sample(self, rng: np.random.Generator, n: int) -> np.ndarray:
@@ -89,7 +89,7 @@ class Scene:
 
 def make_scene(
     seed: int,
-    fleet: Fleet | None = None,
+    fleet: SizeSource | None = None,
     extent_m: float = 100.0,
     n_vehicles: int = 40,
     style: str | None = None,
@@ -104,7 +104,7 @@ def make_scene(
     rng = np.random.default_rng(seed)
     if style is None:
         style = pick(rng, list(STYLES), list(OFTEN))
-    plan = _Plan(rng, style, extent_m)
+    plan = _Draft(rng, style, extent_m)
     plan.lay_out()
     vehicles = plan.park(NormalFleet() if fleet is None else fleet, n_vehicles)
     azimuth, height = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(22, 68))
@@ -116,7 +116,7 @@ def make_scene(
     return Scene(seed, extent_m, vehicles, lorries, join(plan.parts), plan.ground, sun, sunlight, skylight)
 
 
-class _Plan:
+class _Draft:
     """A scene in the making.
 
     Streets and parcels are axis-parallel in street coordinates, which are the scene's turned by `turn` [rad]; all
@@ -532,7 +532,7 @@ class _Plan:
 
     # Vehicles.
 
-    def park(self, fleet: Fleet, count: int) -> tuple[Vehicle, ...]:
+    def park(self, fleet: SizeSource, count: int) -> tuple[Vehicle, ...]:
         """Fill slots in random order, then any free ground, leaving out places where a vehicle would touch anything."""
         rng, half = self.rng, self.extent / 2 - 3.0
         slots = [s for s in self.slots if max(abs(s[0]), abs(s[1])) < half]

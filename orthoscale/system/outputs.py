@@ -101,7 +101,7 @@ class Outputs:
         self.overwrite, self.dry_run = overwrite, dry_run
         self.problems: dict[str, list[str]] = {}
         self._inputs = existing(inputs)
-        self._claims: list[_Claim] = []
+        self._claims: list[_Reserved] = []
 
     def file(self, path: Path, mine: Callable[[Path], bool] | None = None) -> Path:
         """Where to write the file that is to be `path`; it has the same name.
@@ -219,11 +219,11 @@ class Outputs:
                 raise UsageError(f"{path} {why}, so it is not replaced", ELSEWHERE)
         return there
 
-    def _claim(self, path: Path, mine: Callable[[Path], bool] | None, folder: bool) -> _Claim:
+    def _claim(self, path: Path, mine: Callable[[Path], bool] | None, folder: bool) -> _Reserved:
         path = Path(path)
         there = self.check(path, mine)
         with stopping.held():
-            claim = _Claim(path)
+            claim = _Reserved(path)
             self._claims.append(claim)
         if claim.before != there:  # another run ended just before the lock, or a killed one's former output came back
             self._refuse_existing(path, mine)
@@ -240,7 +240,7 @@ class Outputs:
             self._claims.remove(claim)
             claim.release()
 
-    def _put(self, claims: list[_Claim]) -> None:
+    def _put(self, claims: list[_Reserved]) -> None:
         """In their places, all or none; the one claimed first, the main output, last."""
         written = [claim for claim in reversed(claims) if not (claim.retired or claim.failed)]
         for claim in written:
@@ -248,7 +248,7 @@ class Outputs:
         stopping.check()
         # What would speak falsely for the new output goes when that is there.
         changes = [*written, *(claim for claim in claims if claim.retired or claim.failed)]
-        done: list[_Claim] = []
+        done: list[_Reserved] = []
         with stopping.held():
             try:
                 for claim in changes:
@@ -262,7 +262,7 @@ class Outputs:
             stopping.written.extend(str(claim.path) for claim in written if not claim.in_another)
 
 
-class _Claim:
+class _Reserved:
     """One output: its place, locked against other runs, and a scratch folder beside it.
 
     before : identity of what is to be replaced, None where there is nothing.

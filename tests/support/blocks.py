@@ -18,13 +18,13 @@ from scipy.spatial import cKDTree
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.detections import Detections
 from orthoscale.core.fleet import MEAN_CORRELATION, Fleet
-from orthoscale.core.market_segments import Places
+from orthoscale.core.market_segments import PlaceKind
 from orthoscale.core.measuring.oblique import HEIGHT_SD
 from orthoscale.core.projection.exact import BEND
 from orthoscale.core.projection.self_calibration import CORNER_SD, LEAN_SD
 from orthoscale.core.ruler import Ruler
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.synthetic.model import Similarity
+from orthoscale.synthetic.model import SceneToModel
 
 from .bodies import CAR, CAR_CORNER, body
 from .flights import enclosing
@@ -94,7 +94,7 @@ class Block:
 class _KnownFleet(Fleet):
     """One whose places are all like it."""
 
-    place_vehicles = (Places(1e6, 1.0),)
+    place_vehicles = (PlaceKind(1e6, 1.0),)
 
 
 def exactly(fleet: Fleet) -> Fleet:
@@ -125,7 +125,7 @@ def fly(
 
     focal = 900.0
     cameras = _cameras(rng, c)
-    world = Similarity.drawn(rng, float(np.exp(rng.uniform(np.log(0.1), np.log(20)))))
+    world = SceneToModel.drawn(rng, float(np.exp(rng.uniform(np.log(0.1), np.log(20)))))
     stretch = np.array([1.0, 1.0, 1 + c.focal])  # what a longer focal length does to a model seen straight from above
     sparse, things = _sparse(rng, c, terrain, place)
     source = _source(world, cameras, stretch, sparse, focal * (1 + c.focal))
@@ -389,7 +389,7 @@ class _Cloud:
 
 
 def _source(
-    world: Similarity,
+    world: SceneToModel,
     cameras: list[tuple[np.ndarray, np.ndarray]],
     stretch: np.ndarray,
     points: np.ndarray,

@@ -10,7 +10,7 @@ import numpy as np
 from ..remarks import CAUTION, REFUSAL, Remark
 from ..scale import Scale
 from ..verdicts import UNUSABLE, one_step_below, worst
-from .surface import LOT_SIZE, LOTS_SD, Cells, Fit, bowl, plane
+from .surface import LOT_SIZE, LOTS_SD, Cells, SurfaceFit, bowl, plane
 
 FEWEST = 40  # vehicles; with fewer no gradient that a picture may have could be told from chance
 CHANCE = 0.01  # that vehicles without any drift are said to show one; tests share it
@@ -116,7 +116,7 @@ def drift(vehicles: np.ndarray, width: float, height: float, gsd: float) -> Drif
     covariance = cells.covariance(LOT_SIZE / gsd)
     about = cells.place - extent / 2
     surfaces = np.ones((len(about), 1)), plane(about, extent), bowl(about, extent)
-    flat_fit, plane_fit, bowl_fit = (Fit.of(terms, cells.mean, covariance) for terms in surfaces)
+    flat_fit, plane_fit, bowl_fit = (SurfaceFit.of(terms, cells.mean, covariance) for terms in surfaces)
     gradient = plane_fit.coefficients[1:]
     direction = float(np.arctan2(gradient[1], gradient[0]))
     along = np.array([np.cos(direction), np.sin(direction)])

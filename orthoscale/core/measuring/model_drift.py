@@ -15,7 +15,7 @@ from ..pooling.posterior import ROBUST_SD
 from ..scale import Scale
 from ..votes import Votes
 from .drift import CHANCE, NOTABLE
-from .surface import LOT_SIZE, LOTS_SD, Cells, Fit, bowl, plane
+from .surface import LOT_SIZE, LOTS_SD, Cells, SurfaceFit, bowl, plane
 
 MIN_SHARED = 3  # vehicles that a frame must share with others before it is judged
 ODD_SIGMAS, ODD_STRAY = 4.0, 0.05  # a frame is odd that strays by so many sigmas, and by so much of the scale
@@ -192,11 +192,11 @@ def trend_of(
     covariance = cells.covariance(LOT_SIZE / metres_per_unit, lots_sd)
     middle = plan.mean(0)
 
-    def fitted(terms: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[Fit, np.ndarray]:
-        fit = Fit.of(terms(cells.place - middle, extent), cells.mean, covariance)
+    def fitted(terms: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> tuple[SurfaceFit, np.ndarray]:
+        fit = SurfaceFit.of(terms(cells.place - middle, extent), cells.mean, covariance)
         return fit, terms(plan - middle, extent) @ fit.coefficients
 
-    flat = Fit.of(np.ones((len(cells.mean), 1)), cells.mean, covariance)
+    flat = SurfaceFit.of(np.ones((len(cells.mean), 1)), cells.mean, covariance)
     tilted, across = fitted(plane)
     trend = Trend(100 * float(np.ptp(across)), tilted.p_against(flat))
     if len(plan) < MIN_FOR_BOWL:

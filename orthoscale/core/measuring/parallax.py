@@ -117,12 +117,12 @@ def standing(
     seen = _triangulated(place, offset, picture, start, width)
     if len(seen.lower) < FEWEST_STANDING:
         return alone
-    found = _Seen(seen.place, seen.lower + MIDDLE * length, seen.variance + (MIDDLE_EACH * length) ** 2)
+    found = _SeenVehicles(seen.place, seen.lower + MIDDLE * length, seen.variance + (MIDDLE_EACH * length) ** 2)
     return _combined(found, place, sd, above, height, MIDDLE_SD * length)
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _SeenVehicles:
     """K vehicles seen in several frames: place (K, 2), how far below the surface they stand, and its variance."""
 
     place: np.ndarray
@@ -154,7 +154,9 @@ def _search(
     return float(tried[best]) if scores[best] > CLEARLY[0] * scores[0] + CLEARLY[1] else usual
 
 
-def _triangulated(place: np.ndarray, offset: np.ndarray, picture: np.ndarray, start: np.ndarray, width: float) -> _Seen:
+def _triangulated(
+    place: np.ndarray, offset: np.ndarray, picture: np.ndarray, start: np.ndarray, width: float
+) -> _SeenVehicles:
     """Vehicles seen in several frames, found where boxes coincide at `start` (M,) below the surface."""
     at = place + start[:, None] * offset
     labels = same_place(at, SAME_PLACE * width)
@@ -171,13 +173,13 @@ def _triangulated(place: np.ndarray, offset: np.ndarray, picture: np.ndarray, st
         left.append((float(((p + lower * o) ** 2).sum()), 2 * len(mine) - 3))
         rows.append((*(place[mine] + lower * offset[mine]).mean(0), lower, lever))
     if not rows:
-        return _Seen(np.empty((0, 2)), np.empty(0), np.empty(0))
+        return _SeenVehicles(np.empty((0, 2)), np.empty(0), np.empty(0))
     x, y, lower, lever = np.array(rows).T
     squares, freedom = np.array(left).T
     each = squares / freedom
     usual = each <= OUTLYING * np.median(each)
     noise = max(float(squares[usual].sum() / freedom[usual].sum()), (BOX_SD * width) ** 2)
-    return _Seen(np.column_stack([x, y]), lower, np.maximum(each, noise) / lever)
+    return _SeenVehicles(np.column_stack([x, y]), lower, np.maximum(each, noise) / lever)
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,7 @@ class _Error:
         squared = cdist(a.place, b.place, "sqeuclidean") / self.reach**2
         return self.common**2 + (np.outer(a.sd, b.sd) + self.uneven**2) * np.exp(-0.5 * squared)
 
-    def known(self, at: _Spots, lower: np.ndarray, noise: np.ndarray, boxes: _Spots) -> _Known:
+    def known(self, at: _Spots, lower: np.ndarray, noise: np.ndarray, boxes: _Spots) -> _GroundBelow:
         """The error at `boxes` (M), where at K places it was seen to be `lower` (K,) with the covariance `noise`."""
         whole = lu_factor(self.covariance(at, at) + noise)
         mean, told = np.empty(len(boxes.sd)), np.empty(len(boxes.sd))
@@ -212,7 +214,7 @@ class _Error:
         alike = self.covariance(some, some).mean() - lu_solve(whole, shared).mean(1) @ shared.mean(1)
         log_determinant = np.log(np.abs(np.diag(whole[0]))).sum()
         evidence = -0.5 * (log_determinant + lower @ lu_solve(whole, lower))
-        return _Known(mean, variance, max(float(alike), 0.0), float(evidence))
+        return _GroundBelow(mean, variance, max(float(alike), 0.0), float(evidence))
 
 
 @dataclass(frozen=True)
@@ -227,7 +229,7 @@ class _Spots:
 
 
 @dataclass(frozen=True)
-class _Known:
+class _GroundBelow:
     """How far the ground lies below the surface at M boxes, mean (M,) and variance (M,); the part of the variance that
     all share, and the logarithm of how probable this error makes what was seen."""
 
@@ -238,7 +240,7 @@ class _Known:
 
 
 def _combined(
-    seen: _Seen, place: np.ndarray, sd: np.ndarray, above: np.ndarray, height: float, middle_sd: float
+    seen: _SeenVehicles, place: np.ndarray, sd: np.ndarray, above: np.ndarray, height: float, middle_sd: float
 ) -> Standing:
     """The surface and the vehicles combined, for the boxes at `place`. The surface lies on the ground, or is too high,
     by the same everywhere or by more here than there: each case as likely as it makes what was seen."""

@@ -81,7 +81,7 @@ def bowl(place: np.ndarray, extent: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Fit:
+class SurfaceFit:
     """Of P terms to C cells. coefficients : (P,). covariance : (P, P) of these. chi2, freedom : of what is left.
     noise : how much that is per degree of freedom, 1 at least."""
 
@@ -92,7 +92,7 @@ class Fit:
     noise: float
 
     @classmethod
-    def of(cls, terms: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> Fit:
+    def of(cls, terms: np.ndarray, values: np.ndarray, covariance: np.ndarray) -> SurfaceFit:
         """`terms` (C, P) fitted to `values` (C,) whose `covariance` (C, C) is known."""
         root = np.linalg.cholesky(covariance)
         a, b = (solve_triangular(root, each, lower=True) for each in (terms, values))
@@ -104,7 +104,7 @@ class Fit:
         noise = max(chi2 / freedom, 1.0) if freedom > 0 else 1.0
         return cls(coefficients, np.linalg.pinv(a.T @ a) * noise, chi2, freedom, noise)
 
-    def p_against(self, simpler: Fit) -> float:
+    def p_against(self, simpler: SurfaceFit) -> float:
         """Probability of so much better a fit than `simpler`'s by chance (F-test), 1 without cells enough to say."""
         more = simpler.freedom - self.freedom
         if self.freedom < 3 or more < 1:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from ..fleet import Fleet
-from ..market_segments import Places
+from ..market_segments import PlaceKind
 from .beside_fleet import LARGER, LORRIES, LORRIES_SHARE, OUTLIER_CALLED, OUTLIER_SHARE, left_out
 from .observed import Confusion
 
@@ -44,7 +44,7 @@ def _of_fleet(counts: np.ndarray, fleet: Fleet, confusion: Confusion) -> float:
     return float(np.logaddexp.reduce(each))
 
 
-def _at(counts: np.ndarray, fleet: Fleet, place: Places, confusion: Confusion) -> float:
+def _at(counts: np.ndarray, fleet: Fleet, place: PlaceKind, confusion: Confusion) -> float:
     """The same at one kind of places: of a Dirichlet-multinomial distribution that has the mean and the variance of the
     shares there. They stray for the place's mix of vehicles, and for what the measurer calls those of a kind there."""
     classes = fleet.told_apart_by_kind

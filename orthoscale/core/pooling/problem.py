@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import digamma
 
-from ..market_segments import PLACE_VEHICLES, Class, Places
+from ..market_segments import PLACE_VEHICLES, Class, PlaceKind
 from .beside_fleet import (
     BESIDE_FLEET,
     HIDDEN_SHARE,
@@ -42,7 +42,7 @@ class Mix:
     classes: Sequence[Class]
     systematic: np.ndarray
     weights: np.ndarray
-    place: Sequence[Places] = PLACE_VEHICLES
+    place: Sequence[PlaceKind] = PLACE_VEHICLES
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Problem:
     prior: np.ndarray
     shares: np.ndarray
     larger: float
-    place: Sequence[Places]
+    place: Sequence[PlaceKind]
     weights: np.ndarray
     basis: np.ndarray
     called: np.ndarray

@@ -132,8 +132,8 @@ def _write(text: Any, path: Path) -> None:
     path.write_text(json.dumps(text) + "\n", encoding="utf-8")
 
 
-def _place(source: Pictures) -> geo.Place | None:
-    return None if source.claimed is None else geo.Place.of(source.claimed)
+def _place(source: Pictures) -> geo.Georeference | None:
+    return None if source.claimed is None else geo.Georeference.of(source.claimed)
 
 
 def _sizes(source: Pictures) -> dict[str, tuple[int, int]]:

@@ -31,7 +31,7 @@ PIXELS = "pixels"
 
 
 @dataclass(frozen=True)
-class Place:
+class Georeference:
     """Where a picture's pixels lie: `transform` from pixels to map coordinates, rasterio's Affine, and their CRS.
 
     on_earth : that CRS has longitude and latitude; that of local metres has none.
@@ -42,7 +42,7 @@ class Place:
     on_earth: bool
 
     @classmethod
-    def of(cls, claim: Claim) -> Place | None:
+    def of(cls, claim: Claim) -> Georeference | None:
         """By the georeferencing of a picture; None where it has no coordinate reference system."""
         if claim.crs is None or claim.transform is None:
             return None
@@ -84,7 +84,7 @@ def is_geojson(text: Any) -> bool:
     return isinstance(text, dict) and text.get("type") == "FeatureCollection"
 
 
-def read_geojson(text: Mapping[str, Any], origin: str, place: Place | None) -> list[Item]:
+def read_geojson(text: Mapping[str, Any], origin: str, place: Georeference | None) -> list[Item]:
     """The boxes of a document. Raises InputError."""
     from ..schemas import GeoCollection
 
@@ -104,7 +104,7 @@ def read_geojson(text: Mapping[str, Any], origin: str, place: Place | None) -> l
     return items
 
 
-def geojson(boxes: Mapping[str, Boxes], place: Place | None, note: Mapping[str, Any]) -> dict:
+def geojson(boxes: Mapping[str, Boxes], place: Georeference | None, note: Mapping[str, Any]) -> dict:
     """A document of `boxes` by picture name, in longitude and latitude where `place` is on Earth."""
     if place is not None and not place.on_earth:
         place = None
@@ -121,7 +121,7 @@ def geojson(boxes: Mapping[str, Boxes], place: Place | None, note: Mapping[str, 
 # GeoPackage
 
 
-def read_geopackage(path: Path, place: Place | None) -> tuple[list[Item], dict[str, Any] | None]:
+def read_geopackage(path: Path, place: Georeference | None) -> tuple[list[Item], dict[str, Any] | None]:
     """The boxes of the layer `vehicles`, or else the first, and what `write_geopackage` said about them.
 
     Raises InputError.
@@ -153,7 +153,9 @@ def read_geopackage(path: Path, place: Place | None) -> tuple[list[Item], dict[s
     return items, note
 
 
-def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None, note: Mapping[str, Any]) -> None:
+def write_geopackage(
+    path: Path, boxes: Mapping[str, Boxes], place: Georeference | None, note: Mapping[str, Any]
+) -> None:
     """Write the layer `vehicles`, in the raster's own coordinates where `place` is known."""
     import warnings
 
@@ -191,7 +193,7 @@ def write_geopackage(path: Path, boxes: Mapping[str, Boxes], place: Place | None
 
 
 def _features(
-    boxes: Mapping[str, Boxes], place: Place | None, crs: str | None
+    boxes: Mapping[str, Boxes], place: Georeference | None, crs: str | None
 ) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
     for picture, found in boxes.items():
         rows = zip(found.corners, found.xylwa, found.score, measured_notes(found), strict=True)
@@ -211,7 +213,7 @@ def _features(
             )
 
 
-def _in_pixels(ring: np.ndarray, place: Place | None, crs: str | None, origin: str) -> np.ndarray:
+def _in_pixels(ring: np.ndarray, place: Georeference | None, crs: str | None, origin: str) -> np.ndarray:
     if place is None:
         return ring * [1, -1] if ring[:, 1].mean() < 0 else ring
     from pyproj.exceptions import CRSError, ProjError

@@ -40,7 +40,7 @@ ONE_FILE: dict[str, Callable[[Path, Path, float], list[str] | None]] = {
 WITH_OTHERS = {".ply": scale_ply, ".obj": scale_obj, ".gltf": scale_gltf}
 
 
-class Places:
+class WrittenFiles:
     """Where the files of one run go, lest one takes the place of another that only has the same name."""
 
     def __init__(self) -> None:
@@ -57,15 +57,15 @@ class Places:
         return first is source
 
 
-def scale_file(source: Path, target: Path, scale: float, places: Places | None = None) -> list[str]:
+def scale_file(source: Path, target: Path, scale: float, others: WrittenFiles | None = None) -> list[str]:
     """Write the file `source`, in model units, to `target`, in metres: all lengths times `scale`; returns what there is
     to say.
 
-    Files that it refers to (materials, buffers, point clouds) come along beside `target`. places : of what was written
+    Files that it refers to (materials, buffers, point clouds) come along beside `target`. others : what was written
     before. Raises InputError for a missing, damaged or unknown file, UsageError for one that is in metres already.
     """
-    places = places or Places()
-    places.take(target, source)
+    others = others or WrittenFiles()
+    others.take(target, source)
     suffix = source.suffix.lower()
     copied, scaled = Referred(), Referred()
     notes: list[str] = []
@@ -82,10 +82,10 @@ def scale_file(source: Path, target: Path, scale: float, places: Places | None =
     else:
         raise InputError(_unknown(source), KNOWN)
     for path in copied.there:
-        if places.take(place := _beside(path, source, target), path):
+        if others.take(place := _beside(path, source, target), path):
             shutil.copyfile(path, place)
     for path in scaled.there:
-        if places.take(place := _beside(path, source, target), path):
+        if others.take(place := _beside(path, source, target), path):
             scale_ply(path, place, scale)
     absent = [f"refers to {shown(name)}, which is not beside it" for name in (*copied.absent, *scaled.absent)]
     return [f"with {path.name}" for path in (*copied.there, *scaled.there)] + absent + notes
