@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,6 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from rasterio.control import GroundControlPoint
+from support.models import make_model
+from support.models import save as save_model
 
 from orthoscale.cli.main import cli
 from orthoscale.core.affine import transformed
@@ -106,6 +109,9 @@ def test_many_pictures_keep_their_names(tmp_path):
         claimed, pictures, path = None, (), tmp_path
         picture_names = ("a/1.jpg", "a/2.jpg", "b/2.png")
 
+        def image_size(self, name):
+            return 4000, 3000
+
     boxes = {"a/1.jpg": BOXES, "a/2.jpg": BOXES[:1], "b/2.png": BOXES[1:]}
     for name in ("d.coco.json", "d.txt", "d.geojson", "d.gpkg"):
         if name.endswith("gpkg"):
@@ -118,12 +124,27 @@ def test_many_pictures_keep_their_names(tmp_path):
         load(tmp_path / "2.txt", Frames())
 
 
+def test_shares_of_frames_that_are_not_at_hand_are_of_their_size_in_the_model(tmp_path):
+    """Labels of Ultralytics: shares of the picture's width and height."""
+    model, _ = make_model()
+    source = open_source(save_model(model, tmp_path / "model", "bin"), need_images=False)
+    (labels := tmp_path / "labels").mkdir()
+    for name in source.picture_names:
+        (labels / Path(name).with_suffix(".txt").name).write_text("0 0.45 0.47 0.55 0.47 0.55 0.53 0.45 0.53\n")
+    assert not source.pictures
+    for boxes in load(labels, source).boxes.values():
+        assert boxes.xylwa[0, :4] == pytest.approx([320, 240, 64, 28.8], abs=0.1)
+
+
 EVERYTHING = ("d.json", "d.coco.json", "d.geojson", "d.gpkg")
 
 
 def pictures_of(names, folder):
     class Frames:
         claimed, pictures, path, picture_names, notes = None, (), folder, names, []
+
+        def image_size(self, name):
+            return 4000, 3000
 
     return Frames()
 

@@ -78,6 +78,9 @@ class Ortho:
     def __init__(self):
         self.notes = []
 
+    def image_size(self, name):
+        return 320, 240
+
     @property
     def pictures(self):
         class Whole:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.flights import found_by
+from support.geometry import ply
 from support.models import make_model, put_frames, save
 from support.other_programs import LENS, nerfstudio, opensfm, rescaled, same_views
 
@@ -17,6 +18,7 @@ from orthoscale.actions.fix import fix, rehearsed
 from orthoscale.actions.workspace import models_in
 from orthoscale.errors import InputError, OutputError, UsageError
 from orthoscale.formats.detections.own import save_detections
+from orthoscale.formats.geometry.files import scale_file
 from orthoscale.requests import FixRequest
 from orthoscale.sources.colmap import ColmapSource
 from orthoscale.sources.ground import Ground
@@ -107,6 +109,35 @@ def test_several_reconstructions_and_gps(made, tmp_path):
         shot |= {"gps_position": [1, 2, 3], "gps_dop": 15.0}
     path.write_text(json.dumps([{**part, "reference_lla": {"latitude": 1, "longitude": 2, "altitude": 0}}]))
     assert "GPS" in open_source(path, need_images=False).metric_already
+
+
+def test_a_cloud_that_nerfstudio_does_not_name_is_read_and_written(made, tmp_path):
+    """`sparse_pc.ply` lies beside it; instant-ngp's file has none."""
+    path = nerfstudio(made[0], tmp_path / "in")
+    text = json.loads(path.read_text())
+    del text["ply_file_path"]
+    path.write_text(json.dumps(text))
+    source = open_source(path, need_images=False)
+    (tmp_path / "out").mkdir()
+    source.write(tmp_path / "out", 2.0)
+    written = open_source(tmp_path / "out" / path.name, need_images=False)
+    assert np.allclose(written.sparse[0], 2 * source.sparse[0], atol=1e-4)
+    (path.parent / "sparse_pc.ply").unlink()
+    assert scale_file(path, tmp_path / "alone.json", 2.0) == []
+
+
+def test_a_nerfstudio_model_in_a_maps_coordinates_is_metric_already(made, tmp_path):
+    path = nerfstudio(made[0], tmp_path)
+    assert not open_source(path, need_images=False).metric_already
+    text, on_map = json.loads(path.read_text()), np.array([500_000.0, 4_000_000.0, 50.0])
+    for frame in text["frames"]:
+        pose = np.array(frame["transform_matrix"])
+        pose[:3, 3] += on_map
+        frame["transform_matrix"] = pose.tolist()
+    path.write_text(json.dumps(text))
+    points = np.array([p.xyz for p in made[0].points3D.values()])
+    ply(tmp_path / "sparse_pc.ply", "ascii", ["x", "y", "z"], points + on_map)
+    assert "as on a map" in open_source(path, need_images=False).metric_already
 
 
 def test_a_colmap_model_comes_first(made, tmp_path):

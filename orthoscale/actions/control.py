@@ -67,9 +67,8 @@ def read_control(path: Path, source: Source, footing: Footing = BY_POINTS) -> Ev
             point, known = _located(name, source, footing), [number(word) for word in words][:dims]
             if metres and len(known) != len(metres[0]):
                 raise ValueError(f"{len(words)} coordinates in metres, but {len(metres[0])} above")
-            if len(known) == 2:
-                point = point.from_above(source)
-                level_sd = LEVEL_SD if source.plan is None else 0.0
+            if len(known) == 2 and source.posed is not None:
+                point, level_sd = point.from_above(source.posed), LEVEL_SD
             points.append(point)
             metres.append(known)
         except (ValueError, OverflowError) as error:

@@ -73,8 +73,7 @@ def check_against_model(ortho: Result, model: Result) -> CrossCheck:
     """
     plan, posed = plan_and_posed(ortho.source, model.source)
     places = posed.from_above(model.votes.place[model.scale.used])
-    wide = np.sqrt(plan.claimed.aspect)  # to square pixels, of which the scale is told
-    pixels = ortho.votes.place[ortho.scale.used] * (wide, -1 / wide)  # y up, as in the plan
+    pixels = plan.from_above(ortho.votes.place[ortho.scale.used])
     found = match(
         pixels * ortho.scale.value,
         places * model.scale.value,

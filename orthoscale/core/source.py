@@ -78,6 +78,10 @@ class Pictures(Protocol):
         """Names of all its pictures, also of those whose pixels are not at hand."""
         ...
 
+    def image_size(self, name: str) -> tuple[int, int]:
+        """Width and height of the picture `name` [px]."""
+        ...
+
     @property
     def claimed(self) -> Claim | None: ...
 
@@ -271,10 +275,6 @@ class PosedSet(Source, Protocol):
 
     def rotation(self, name: str) -> np.ndarray:
         """(3, 3) `camera_from_world` of the picture `name`: its rows are the camera's x, y and z in the world."""
-        ...
-
-    def image_size(self, name: str) -> tuple[int, int]:
-        """Width and height of the picture `name` [px]."""
         ...
 
     def project(self, name: str, world: np.ndarray) -> np.ndarray:

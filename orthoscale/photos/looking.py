@@ -54,6 +54,11 @@ class Album:
         """Their names, by which detections are kept."""
         return [photo.name for photo in self.photos]
 
+    def image_size(self, name: str) -> tuple[int, int]:
+        """Width and height of the photo `name` [px]."""
+        picture = next(photo.picture for photo in self.photos if photo.name == name)
+        return picture.width, picture.height
+
 
 def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = None) -> Detections:
     """The boxes of `photos`, from a file or by the detector.

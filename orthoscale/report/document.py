@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -67,6 +68,7 @@ OPTIONAL: dict[tuple[str, ...], Any] = {
     ("calibration", "undercut"): {"card": (0.0, 0.0), "fitted": (0.0, 0.0)},
     ("calibration", "trends"): None,
     ("input", "folder"): "",
+    ("pixel_aspect",): 1.0,
     ("settings",): {},
     ("versions",): {},
     ("created",): "",
@@ -133,6 +135,7 @@ def document(
         "input": {"path": str(source.path), "sha256": source.content_hash(), "folder": _current_folder()},
         "settings": dict(settings),
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
+        "pixel_aspect": 1.0 if source.plan is None else source.plan.claimed.aspect,
         "versions": _versions(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "seconds": round(seconds, 2),
@@ -276,6 +279,12 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
 def of_plan(report: Mapping[str, Any]) -> bool:
     """Whether it is that of an orthophoto; else of a reconstruction."""
     return report["unit"] == PER_PIXEL
+
+
+def pixel_size(report: Mapping[str, Any]) -> tuple[float, float]:
+    """Width and height of an orthophoto's pixel on the ground [m]; the scale is that of a square one of its area."""
+    wide = math.sqrt(report["pixel_aspect"])
+    return report["scale"] * wide, report["scale"] / wide
 
 
 def upgraded(report: Any) -> Any:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from math import log
 from typing import Any
 
+from .document import pixel_size
+
 
 @dataclass(frozen=True)
 class LocalRegionScale:
@@ -36,10 +38,16 @@ def regions(report: Mapping[str, Any]) -> list[LocalRegionScale]:
     drift, scale = report.get("drift") or {}, report["scale"]
     if drift.get("cells"):
         ((_, image_height),) = report["pictures"].values()
-        width, height = (side * scale for side in drift["cell_px"])
+        wide, high = pixel_size(report)
+        width, height = drift["cell_px"]
         return [
             LocalRegionScale(
-                c["x_px"] * scale, (image_height - c["y_px"]) * scale, width, height, c["deviation"], c["sd"]
+                c["x_px"] * wide,
+                (image_height - c["y_px"]) * high,
+                width * wide,
+                height * high,
+                c["deviation"],
+                c["sd"],
             )
             for c in drift["cells"]
         ]

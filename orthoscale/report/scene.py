@@ -15,7 +15,7 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..core.round_numbers import scale_bar
 from ..core.source import Picture, PosedSet, Source
-from .document import of_plan
+from .document import of_plan, pixel_size
 
 OVERVIEW = 1600  # longest side of an overview [px]
 CHIPS, REJECTED_CHIPS = 24, 8  # vehicles shown one by one
@@ -127,7 +127,7 @@ def _overview(report: Mapping[str, Any], name: str, picture: Picture | None) -> 
         if box["picture"] == name
     ]
     flat = of_plan(report)
-    bar = scale_bar(float(report["scale"]) / zoom, size[0]) if flat else None
+    bar = scale_bar(pixel_size(report)[0] / zoom, size[0]) if flat else None
     title = name if flat else f"{name}, the frame with most vehicles"
     return Panel(title, image, outlines, bar)
 

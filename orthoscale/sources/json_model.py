@@ -21,7 +21,7 @@ from ..formats.geometry.beside import beside
 from ..formats.geometry.files import place_beside, scale_file
 from ..formats.geometry.mark import MARK
 from ..formats.geometry.ply import read_points
-from ..formats.geometry.poses import read_poses
+from ..formats.geometry.poses import cloud_name, read_poses
 from ..formats.reading import reason
 from .colmap_check import FARTHEST
 from .colmap_tables import CUT_VIEWS, SPHERICAL
@@ -70,7 +70,7 @@ class ExchangeSource(OneFileSource):
         """Why it counts as metric: orthoscale's mark, OpenSfM's alignment with GPS, or what any model may show."""
         text = read_poses(self.path)
         if isinstance(text, dict):
-            return "orthoscale wrote it" if MARK in text else ""
+            return "orthoscale wrote it" if MARK in text else self._georeferenced
         part, _ = _largest(self.path, text)
         if MARK in part:
             return "orthoscale wrote it"
@@ -261,7 +261,7 @@ def _nerfstudio(path: Path, text: dict[str, Any]) -> tuple[pycolmap.Reconstructi
         if file in poses:
             raise ValueError(f"{file} appears twice")
         poses[file] = (key, rotation, -rotation @ matrix[:3, 3])
-    name = text.get("ply_file_path", "sparse_pc.ply")
+    name = cloud_name(text)
     cloud = beside(path, name)
     if cloud is None:
         raise InputError(

@@ -143,6 +143,10 @@ class RasterSource:
         """The one image's name."""
         return [self.name]
 
+    def image_size(self, name: str) -> tuple[int, int]:
+        """Width and height [px] of the one image, `name`."""
+        return self.width, self.height
+
     @property
     def plan(self) -> RasterSource:
         """This source itself."""
@@ -154,13 +158,18 @@ class RasterSource:
         return None
 
     def from_above(self, place: np.ndarray) -> np.ndarray:
-        """(N, 2) places [px], x right and y up from the lower left corner, of pixels (N, 2)."""
-        return np.stack([place[:, 0], self.height - place[:, 1]], -1)
+        """(N, 2) places of pixels (N, 2), x right and y up from the lower left corner [px, as if they were square]."""
+        return np.stack([place[:, 0], self.height - place[:, 1]], -1) * self._square
 
     def locate(self, point: str) -> np.ndarray:
         """(2,) where the pixel that ``X,Y`` means would be if pixels were square. Raises ValueError."""
+        return pixel(point, self.width, self.height, "a point of an orthophoto") * self._square
+
+    @property
+    def _square(self) -> np.ndarray:
+        """(2,) width and height of a pixel in those of a square one of the same area."""
         wide = math.sqrt(self.claimed.aspect)
-        return pixel(point, self.width, self.height, "a point of an orthophoto") * (wide, 1 / wide)
+        return np.array([wide, 1 / wide])
 
     def reading_sd(self, point: str) -> float:
         """One sigma of how well `point` can be read along a line [px]."""

@@ -137,7 +137,7 @@ def _place(source: Pictures) -> geo.Georeference | None:
 
 
 def _sizes(source: Pictures) -> dict[str, tuple[int, int]]:
-    return {p.name: (p.width, p.height) for p in source.pictures}
+    return {name: source.image_size(name) for name in source.picture_names}
 
 
 def _check_sizes(sizes: Mapping[str, tuple[int, int]], source: Pictures, path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,10 +11,11 @@ import numpy as np
 
 from ...errors import InputError, UsageError
 from ..reading import HUGE, checked, read_plain
-from .beside import Referred
+from .beside import Referred, beside
 from .mark import MARK, mark, refuse_marked
 
 INTEGER_DEPTH = "integer_depth_scale"
+CLOUD_FILE = "sparse_pc.ply"  # nerfstudio's point cloud, beside a transforms.json that names none
 POSES_HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
 
 
@@ -53,8 +55,14 @@ def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred
     text[MARK] = mark(scale)
     target.write_text(json.dumps(text, indent=1), encoding="utf-8")
     cloud = Referred()
-    cloud.add(source, [text.get("ply_file_path") or ""])
+    if "ply_file_path" in text or beside(source, CLOUD_FILE) is not None:
+        cloud.add(source, [cloud_name(text)])
     return cloud, notes
+
+
+def cloud_name(text: Mapping[str, Any]) -> str:
+    """The point cloud of a transforms.json, from its own folder."""
+    return text.get("ply_file_path", CLOUD_FILE)
 
 
 def scale_reconstruction(source: Path, target: Path, scale: float) -> None:
