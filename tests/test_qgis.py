@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import json
 import os
 import shutil
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import rasterio
@@ -109,6 +111,34 @@ def test_the_plugin_is_packed_whole(tmp_path):
     names = zipfile.ZipFile(ROOT / "build/orthoscale_qgis.zip").namelist()
     for needed in ("metadata.txt", "__init__.py", "provider.py", "fix.py", "check.py", "layout.py", "vehicles.py"):
         assert f"orthoscale_qgis/{needed}" in names
+
+
+def test_a_scale_that_contradicts_itself_judges_no_claim(monkeypatch):
+    """The program's report has no comparison then, and ends as one that disagrees. QGIS's classes are stood in for."""
+    anything = type("Anything", (Exception,), {"__init__": lambda self, *_, **__: None})
+    core = ModuleType("qgis.core")
+    core.__getattr__ = lambda name: anything
+    core.QgsProcessingException = type("QgsProcessingException", (Exception,), {})
+    config = ModuleType("processing.core.ProcessingConfig")
+    config.ProcessingConfig = anything
+    package = ModuleType("orthoscale_qgis")
+    package.__path__ = [str(PLUGIN)]
+    stands_in = {"qgis.core": core, "processing.core.ProcessingConfig": config, "orthoscale_qgis": package}
+    for name in ("qgis", "processing", "processing.core"):
+        stands_in[name] = ModuleType(name)
+    for name, module in stands_in.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    for name in ("program", "check"):
+        monkeypatch.delitem(sys.modules, f"orthoscale_qgis.{name}", raising=False)
+    check = importlib.import_module("orthoscale_qgis.check")
+    said = [{"severity": "refusal", "text": "vehicles and bays differ by 6 sigma"}, {"severity": "info", "text": "x"}]
+    monkeypatch.setattr(check, "run", lambda *_: {"comparisons": [], "remarks": said})
+    algorithm = check.Check()
+    monkeypatch.setattr(check.Check, "input_words", lambda *_: ["a.tif"])
+    with pytest.raises(core.QgsProcessingException, match="cannot be judged.\nvehicles and bays differ"):
+        algorithm.processAlgorithm({}, None, None)
+    for name in ("program", "check"):
+        sys.modules.pop(f"orthoscale_qgis.{name}")
 
 
 def test_options_that_the_plugin_passes_exist():

@@ -204,6 +204,25 @@ def test_the_centre_of_3d_tiles_grows_as_well(tmp_path):
     }  # fmt: skip
 
 
+def test_what_gltf_cameras_and_lights_say_of_themselves_grows_as_well(tmp_path):
+    """No node's scale acts on it."""
+    views = [{"orthographic": {"xmag": 3, "ymag": 2, "znear": 0, "zfar": 50}}, {"perspective": {"yfov": 1, "znear": 1}}]
+    lights = {"lights": [{"type": "spot", "range": 10, "spot": {"outerConeAngle": 1}}, {"type": "point"}]}
+    text = gltf(cameras=views, extensions={"KHR_lights_punctual": lights})
+    (tmp_path / "a.gltf").write_text(json.dumps(text))
+    scale_path(tmp_path / "a.gltf", tmp_path / "b.gltf", 2)
+    new = json.loads((tmp_path / "b.gltf").read_text())
+    assert new["cameras"] == [
+        {"orthographic": {"xmag": 6, "ymag": 4, "znear": 0, "zfar": 100}}, {"perspective": {"yfov": 1, "znear": 2}}
+    ]  # fmt: skip
+    assert new["extensions"]["KHR_lights_punctual"] == {
+        "lights": [{"type": "spot", "range": 20, "spot": {"outerConeAngle": 1}}, {"type": "point"}]
+    }
+    (tmp_path / "c.gltf").write_text(json.dumps(gltf(cameras=[{"perspective": {"znear": "near"}}])))
+    with pytest.raises(InputError, match="znear"):
+        scale_path(tmp_path / "c.gltf", tmp_path / "d.gltf", 2)
+
+
 def test_gltf_without_scenes_and_with_a_note_of_its_author(tmp_path):
     text = gltf(asset={"version": "2.0", "extras": "by hand"})
     del text["scenes"]

@@ -775,10 +775,39 @@ class GltfCentre(Struct):
     center: tuple[Finite, Finite, Finite]
 
 
+class GltfView(Struct):
+    """How far a camera sees, and how much of the scene where it has no perspective."""
+
+    xmag: Finite | None = None
+    ymag: Finite | None = None
+    znear: Finite | None = None
+    zfar: Finite | None = None
+
+
+class GltfCamera(Struct):
+    """A camera of one of the two kinds."""
+
+    orthographic: GltfView | None = None
+    perspective: GltfView | None = None
+
+
+class GltfLight(Struct):
+    """How far it shines."""
+
+    range: Finite | None = None
+
+
+class GltfLights(Struct):
+    """Those of KHR_lights_punctual."""
+
+    lights: list[GltfLight] = []
+
+
 class GltfExtensions(Struct):
     """Those of a whole scene that have a length."""
 
     CESIUM_RTC: GltfCentre | None = None
+    KHR_lights_punctual: GltfLights | None = None
 
 
 class Gltf(Struct):
@@ -789,4 +818,5 @@ class Gltf(Struct):
     scenes: list[GltfScene] = []
     buffers: list[GltfPart] = []
     images: list[GltfPart] = []
+    cameras: list[GltfCamera] = []
     extensions: GltfExtensions | None = None

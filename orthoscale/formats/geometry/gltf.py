@@ -1,7 +1,8 @@
 """glTF 2.0, as .glb or .gltf: every root gets a node with the scale above it, so that no buffer is changed.
 
-That node applies to all that is below it: meshes, skins, animations, quantised or compressed geometry. Only the
-centre that 3D Tiles add (CESIUM_RTC) is not below it.
+That node applies to all that is below it: meshes, skins, animations, quantised or compressed geometry. Not below it
+are the centre that 3D Tiles add (CESIUM_RTC), and what cameras and lights say of themselves (glTF 2.0, 3.10.3;
+KHR_lights_punctual): a node's scale does not act on these.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from .mark import MARK, mark, refuse_marked
 
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
 A_SCENE = "a glTF scene"
+CAMERA_LENGTHS = ("xmag", "ymag", "znear", "zfar")
 NOT_BESIDE = ("data:", "http:", "https:")  # how addresses begin that are of no file beside it
 
 
@@ -82,7 +84,14 @@ def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
         if "nodes" in scene:  # an empty list is none
             scene["nodes"] = [above[root] for root in scene["nodes"]]
     nodes += [{"name": "metres", "scale": [scale] * 3, "children": [root]} for root in roots]
-    if centre := (text.get("extensions") or {}).get("CESIUM_RTC"):  # outside of all nodes
+    extensions = text.get("extensions") or {}
+    if centre := extensions.get("CESIUM_RTC"):
         centre["center"] = [value * scale for value in centre["center"]]
+    views = [camera.get(kind) for camera in text.get("cameras", []) for kind in ("orthographic", "perspective")]
+    lights = (extensions.get("KHR_lights_punctual") or {}).get("lights", [])
+    for part in (*views, *lights):
+        for name in (*CAMERA_LENGTHS, "range"):
+            if part and part.get(name) is not None:
+                part[name] *= scale
     asset["extras"] = {**extras, MARK: mark(scale)}
     return text
