@@ -19,7 +19,7 @@ import numpy as np
 
 from .core.market_segments import AXES
 from .errors import InputError, TooLittleEvidence, shown
-from .formats.reading import read_plain, read_text
+from .formats.reading import read_plain, read_table
 
 HEADINGS = {  # names of columns, in plain letters
     "make": ("make", "brand", "marke", "hersteller", "marque", "marca", "merk", "manufacturer", "handelsbenaming merk"),
@@ -114,29 +114,28 @@ def model_called(text: str) -> Model | None:
 
 
 def _counted(path: Path) -> dict[str, float]:
-    text = read_text(path, HINT)
-    head = text.partition("\n")[0]
-    separator = max(",;\t", key=head.count)
-    rows = list(csv.reader(text.splitlines(), delimiter=separator))
-    if not rows:
+    table = read_table(path, HINT)
+    columns = {" ".join(_words(name)): name for name in reversed(table.fieldnames or ())}
+    if not columns:
         raise InputError(f"{path}: empty", HINT)
-    head_words = [" ".join(_words(cell)) for cell in rows[0]]
-    at = {what: next((head_words.index(n) for n in names if n in head_words), None) for what, names in HEADINGS.items()}
+    at = {what: next((columns[n] for n in names if n in columns), None) for what, names in HEADINGS.items()}
     model, count, make = at["model"], at["count"], at["make"]
     if model is None or count is None:
         raise InputError(f"{path}, line 1: no column {'model' if model is None else 'count'}", HINT)
     counted: dict[str, float] = {}
-    for number, row in enumerate(rows[1:], 2):
-        if not any(cell.strip() for cell in row):
-            continue
-        try:
-            said = row[count].strip()
-            name = " ".join(row[k].strip() for k in (make, model) if k is not None)
-        except IndexError as error:
-            raise InputError(f"{path}, line {number}: no number of vehicles", HINT) from error
-        if not (whole := WHOLE_COUNT.fullmatch(said)):
-            raise InputError(f"{path}, line {number}: {shown(said) or 'nothing'} is no whole number of vehicles", HINT)
-        counted[name] = counted.get(name, 0.0) + float(re.sub(r"\D", "", whole["figures"]))
+    try:
+        for row in table:
+            said, *name = ((row[column] or "").strip() for column in (count, make, model) if column is not None)
+            if not (said or any(name)):
+                continue
+            if not (whole := WHOLE_COUNT.fullmatch(said)):
+                raise InputError(
+                    f"{path}, line {table.line_num}: {shown(said) or 'nothing'} is no whole number of vehicles", HINT
+                )
+            called = " ".join(name)
+            counted[called] = counted.get(called, 0.0) + float(re.sub(r"\D", "", whole["figures"]))
+    except csv.Error as error:
+        raise InputError(f"{path}, line {table.line_num}: {error}", HINT) from error
     if not sum(counted.values()) > 0:
         raise InputError(f"{path}: counts no vehicle", HINT)
     return counted

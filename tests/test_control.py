@@ -11,7 +11,7 @@ from support.in_process import run
 
 import orthoscale
 from orthoscale.actions.control import read_control
-from orthoscale.core.evidence import LEVEL_SD
+from orthoscale.core.control import LEVEL_SD
 from orthoscale.errors import EvidenceDisagrees, InputError, OrthoscaleError, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections

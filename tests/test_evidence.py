@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from orthoscale.core.evidence import Evidence, combined, ground_control, known_distance
+from orthoscale.core.control import ground_control, known_distance
+from orthoscale.core.evidence import Evidence, combined
 from orthoscale.core.measuring.objects import EDGE_SD, standard_objects
 from orthoscale.core.pooling.anchors import evidence_of
 from orthoscale.core.pooling.posterior import Z90, Posterior

@@ -15,7 +15,8 @@ from orthoscale.actions.control import read_control, read_distance
 from orthoscale.actions.estimate import footing_of, measured
 from orthoscale.core.anchors import Anchor, Standard
 from orthoscale.core.boxes import Boxes
-from orthoscale.core.evidence import BY_MAP, Evidence, ground_shares, on_ground
+from orthoscale.core.control import ground_shares, on_ground
+from orthoscale.core.evidence import BY_MAP, Evidence
 from orthoscale.core.measuring.anchors import FoundAnchors, votes_in_model
 from orthoscale.core.measuring.footing import BY_POINTS, GROUND_SD, Footing
 from orthoscale.core.measuring.surroundings import objects_in_model

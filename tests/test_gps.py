@@ -12,7 +12,8 @@ from support.models import make_model, save
 from support.photos import write_photo
 
 import orthoscale
-from orthoscale.core.evidence import LEVEL_SD, Evidence, combined
+from orthoscale.core.control import LEVEL_SD
+from orthoscale.core.evidence import Evidence, combined
 from orthoscale.core.gps import FEWEST_POSITIONS, by_positions
 from orthoscale.core.pooling.posterior import Z90, Posterior
 from orthoscale.errors import UsageError

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.evidence import BY_MAP, Evidence, on_ground
+from ..core.control import on_ground
+from ..core.evidence import BY_MAP, Evidence
 from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.progress import Progress
 from ..core.source import Picture, PosedSet, Source

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.evidence import LEVEL_SD, Evidence, ground_control, ground_shares, known_distance, on_ground
+from ..core.control import LEVEL_SD, ground_control, ground_shares, known_distance, on_ground
+from ..core.evidence import Evidence
 from ..core.measuring.footing import BY_POINTS, Footing
 from ..core.source import Source
 from ..errors import InputError, UsageError, shown

@@ -336,7 +336,7 @@ def detector_of(source: Source, request: EstimateRequest) -> Detector:
 def _given(source: Source, request: EstimateRequest, footing: Footing = BY_POINTS) -> list[Evidence]:
     """What the user and the frames' tags know of the scale [m per unit], on the ground of `footing`. Raises UsageError,
     InputError."""
-    given = [read_distance(text, source, footing) for text in request.known_distance]
+    given = [read_distance(text, source, footing) for text in dict.fromkeys(request.known_distance)]
     if request.ground_control is not None:
         given.append(read_control(Path(request.ground_control), source, footing))
     return [*given, *_gps(source, request).evidence]

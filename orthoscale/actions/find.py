@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Spread = Callable[[Detections], float]
 """The sampling part of the uncertainty that follows from what was found so far, infinite for too little."""
-Found = tuple[Detections, "ZoomChoice | None"]
+BoxesAndZoom = tuple[Detections, "ZoomChoice | None"]
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,12 @@ class VehicleSearch:
         """The same, with `where` added to what its progress says."""
         return replace(self, progress=_named(self.progress, where))
 
-    def vehicles(self, pictures: Sequence[Picture], spread: Spread | None, cover: Cover | None = None) -> Found:
+    def vehicles(self, pictures: Sequence[Picture], spread: Spread | None, cover: Cover | None = None) -> BoxesAndZoom:
         """See `find_vehicles`, of which `spread` is the sampling."""
         return find_vehicles(pictures, self.detector, self.zoom, self.progress, self.effort, spread, cover)
 
 
-def find_in(source: Source, mode: str | None, search: VehicleSearch) -> Found:
+def find_in(source: Source, mode: str | None, search: VehicleSearch) -> BoxesAndZoom:
     """The vehicles in `source`. mode : of a posed set, see `find_in_model`.
 
     Raises TooLittleEvidence, EvidenceDisagrees.
@@ -73,7 +73,7 @@ def find_in(source: Source, mode: str | None, search: VehicleSearch) -> Found:
     return search.vehicles(source.pictures, search.sampling.in_pictures)
 
 
-def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> Found:
+def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> BoxesAndZoom:
     """The vehicles in the frames of `source`, and in `planar` those in its ground pictures, as `mode` asks.
 
     Of FEW_FRAMES or more, only those that show all of the ground are processed (`detect.cover`), if the search has a
@@ -87,7 +87,7 @@ def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> 
         some = source.pictures if cover is None else [source.pictures[k] for k in cover.first(ZOOM_FRAMES)]
         return find_zoom(some, search.detector, _named(search.progress, "in the frames"), search.effort).zoom
 
-    def planar(plans: Sequence[GroundView], search: VehicleSearch, of_frames: Callable[[], float]) -> Found:
+    def planar(plans: Sequence[GroundView], search: VehicleSearch, of_frames: Callable[[], float]) -> BoxesAndZoom:
         places = [seen_from_above(seen[plan.image]) for plan in plans] if len(plans) >= FEW_FRAMES else []
         return _planar(plans, search, covering(places) if places else None, of_frames)
 
@@ -110,7 +110,7 @@ def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> 
 
 def _planar(
     plans: Sequence[GroundView], search: VehicleSearch, cover: Cover | None, of_frames: Callable[[], float]
-) -> Found:
+) -> BoxesAndZoom:
     """The vehicles in pictures of the ground, the same in `planar` alone and beside the frames.
 
     The resampling factor is first searched for in these pictures themselves. Where there are few vehicles, a slightly

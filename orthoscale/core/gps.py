@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .evidence import BY_GPS, LEVEL_SD, Evidence
+from .control import LEVEL_SD
+from .evidence import BY_GPS, Evidence
 
 FEWEST_POSITIONS = 6  # that fit: four numbers of a similarity are fitted to twelve; a judgement
 MOST_POSITIONS = 300  # of a flight, evenly chosen, that are read and fitted: more show the same slow errors again

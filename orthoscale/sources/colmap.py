@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.evidence import READING_SD
+from ..core.control import READING_SD
 from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.source import FocalDoubt, GpsScale
