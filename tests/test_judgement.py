@@ -45,8 +45,9 @@ def test_of_a_sound_scale_nothing_is_to_be_looked_at(measured):
 
 def with_tape(measured, metres_per_pixel, conflict, rest_sd=0.04):
     tape = Evidence("known distance", metres_per_pixel, 0.01, "a tape")
+    said = () if not conflict else (Remark(REFUSAL, "conflict: vehicles: 0.1, a tape: 0.13, 5 sigmas apart"),)
     compared = () if conflict else (Compared(tape.kind, tape.says, tape.value, 0.1, rest_sd),)
-    return scaled(measured, evidence=(tape,), conflict=conflict, support=Support(compared))
+    return scaled(measured, evidence=(tape,), conflict=conflict, support=Support(compared), remarks=said)
 
 
 AGAINST = {
@@ -66,6 +67,11 @@ def test_what_speaks_against_a_scale_comes_first(measured, what):
     assert (found[0].severity, found[0].what) == (severity, what)
     order = [SEVERITIES.index(j.severity) for j in found]
     assert order == sorted(order)
+
+
+def test_a_contradiction_is_told_by_what_each_side_says(measured):
+    found = judgements(with_tape(measured, 0.13, 5.0))
+    assert "vehicles: 0.1, a tape: 0.13, 5 sigmas apart" in [j.detail for j in found if "contradicts" in j.what]
 
 
 def test_lengths_and_widths_refuse_only_far_apart(measured):

@@ -21,7 +21,7 @@ from orthoscale.core.claims import own_claim
 from orthoscale.core.scale import Scale
 from orthoscale.errors import EvidenceDisagrees, UsageError
 from orthoscale.report.document import pixel_size
-from orthoscale.report.geo import outlines
+from orthoscale.report.geo import outlines, table
 from orthoscale.sources.raster import RasterSource
 
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul")
@@ -364,6 +364,22 @@ def test_geojson_lies_on_the_copy_or_is_refused(tmp_path, boxes):
     with rasterio.open(tmp_path / "out.tif") as copy:
         left, bottom, right, top = copy.bounds
     assert ((np.array(ring) > [left, bottom]) & (np.array(ring) < [right, top])).all()
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("name", ["nothing", "UTM", "rotated", "south-up", "mirrored", "degrees"])
+def test_headings_are_those_of_the_outlines(tmp_path, boxes, name):
+    path = picture(tmp_path / "a.tif", **CASES[name][0])
+    result = orthoscale.estimate(path, fleet="DE", detections=boxes, measurer="none", anchors=["none"])
+    place = result.place(keep_origin=name != "nothing")
+    sides = outlines(result, place)[:, 1:3] - outlines(result, place)[:, :2]
+    east, north = sides[..., 0], sides[..., 1]
+    if name == "degrees":
+        east = east * math.cos(math.radians(50))
+    longer = np.hypot(east, north).argmax(1), np.arange(len(sides))
+    azimuth = np.degrees(np.arctan2(east[longer[::-1]], north[longer[::-1]]))
+    off = (table(result, place)["heading_deg"] - azimuth + 90) % 180 - 90
+    assert np.abs(off).max() < 0.5
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -17,6 +17,7 @@ from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed
 
 import orthoscale
 from orthoscale.core.remarks import REFUSAL, Remark
+from orthoscale.core.scale import spread
 from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
@@ -444,6 +445,14 @@ def result(park):
     return orthoscale.estimate(folder / "park.png", fleet="DE", detections=folder / "detections.json")
 
 
+def test_an_interval_that_is_not_symmetric_is_told_by_both_ends():
+    assert spread(0.1, 0.09, 0.11) == "+-10.0 %"
+    assert spread(0.1, 0.0978, 0.103) == "-2.2 to +3.0 %"
+    report = {"scale": 0.17, "interval90": [0.081, 0.173]}
+    assert wording.within(report) == "\u221252.4 to +1.8 %"
+    assert wording.metres_of(report) == "10 m in the copy are 4.8 to 10.2 m on the ground"
+
+
 def test_a_pipe_gets_plain_lines_the_answer_first(result, park, capsys):
     show(result, {"written": park[0] / "scaled.tif"})
     text = capsys.readouterr().out
@@ -457,7 +466,7 @@ def test_a_pipe_gets_plain_lines_the_answer_first(result, park, capsys):
         "cm)",
         result.scale.verdict,
     ]
-    assert first.split()[:6] == words and "(90 % within +-" in first
+    assert first.split()[:6] == words and f"(90 % within {result.scale.within})" in first
     assert last == f"written    {park[0] / 'scaled.tif'}"
 
 

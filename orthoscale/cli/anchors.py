@@ -69,7 +69,7 @@ def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, 
     if as_json:
         click.echo(json.dumps(told))
         return
-    by = "as told" if found.scale is None else f"by the vehicles, +- {100 * found.scale.half_width:.1f} %"
+    by = "as told" if found.scale is None else f"by the vehicles, {found.scale.within}"
     lines = [f"scale      {told['scale']:.5g} {told['unit']} ({by})"]
     for a in told["anchors"]:
         where = ",".join(f"{v:.0f}" for v in a["place_px"])

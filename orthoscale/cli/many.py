@@ -194,12 +194,13 @@ def line(row: Row) -> str:
     """One row for a person: the scale and how well it is known, or that there is none."""
     if row["scale"] is None:
         return f"{row['input']}: no scale (exit code {row['exit_code']})"
-    from ..core.scale import decimals
+    from ..core.scale import decimals, spread
 
     half = (row["high90"] - row["low90"]) / 2
+    within = spread(row["scale"], row["low90"], row["high90"])
     text = (
         f"{row['input']}: {row['scale']:.{decimals(half)}f} {row['unit']}, {row['verdict']} "
-        f"(90 % within +-{100 * half / row['scale']:.1f} %), {row['vehicles_used']} vehicles of fleet {row['fleet']}"
+        f"(90 % within {within}), {row['vehicles_used']} vehicles of fleet {row['fleet']}"
     )
     if row["claim"]:
         text += f"; its claim of {row['claimed']:.4g} {row['claim']}"

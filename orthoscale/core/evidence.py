@@ -21,6 +21,7 @@ from scipy.special import ndtr, ndtri
 from .pooling.posterior import Z90, Posterior
 from .remarks import CAUTION, INFO, REFUSAL, Remark, percent
 
+CONFLICT = "conflict: "  # how the remark on two measurements that contradict each other begins
 CONFLICT_HINT = (
     "Check the given evidence (a distance may be mistyped, or not on the ground), the anchors (--anchors) and the "
     "boxes (--save-detections)"
@@ -218,13 +219,15 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
         doubtful = [one.remark for one in support.compared if one.doubtful]
         remarks = [*doubtful, *(remark for _, remark in unheard), *weighed.remarks]
         return replace(weighed, remarks=remarks, support=support)
-    seen = [] if vehicles is None else [vehicles]
-    every = [*seen, *(e.posterior for e in strong)]
-    certain = [*seen, *(e.posterior for e in evidence if not e.doubt)] or every
-    posterior, summary = _spanning(every, min(certain, key=lambda p: p.spread))
+    seen = [] if vehicles is None else [("vehicles", vehicles)]
+    every = [*seen, *((e.says, e.posterior) for e in strong)]
+    certain = [*seen, *((e.says, e.posterior) for e in evidence if not e.doubt)] or every
+    name, surest = min(certain, key=lambda one: one[1].spread)
+    posterior, summary = _spanning([p for _, p in every], surest)
     told = tuple(e.meant(before) for e in evidence)
-    remarks = [remark for e, remark in unheard if e.doubt > STRONG]
-    return Combined(posterior, {"conflict": posterior.spread}, conflict, [*conflicts, *remarks], summary, told)
+    whose = Remark(CAUTION, f"the scale told is that of one side alone, the surest: {name}; the interval covers all")
+    remarks = [*conflicts, whose, *(remark for e, remark in unheard if e.doubt > STRONG)]
+    return Combined(posterior, {"conflict": posterior.spread}, conflict, remarks, summary, told)
 
 
 def _anything(evidence: Sequence[Evidence]) -> Posterior:
@@ -250,7 +253,7 @@ def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tupl
         if sigmas > limit:
             worst = max(worst, sigmas)
             these = f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}"
-            remarks.append(Remark(REFUSAL, f"conflict: {these}, {sigmas:.1f} sigmas apart", CONFLICT_HINT))
+            remarks.append(Remark(REFUSAL, f"{CONFLICT}{these}, {sigmas:.1f} sigmas apart", CONFLICT_HINT))
     return worst, remarks
 
 

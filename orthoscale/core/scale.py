@@ -64,6 +64,11 @@ class Scale:
         return float(np.sqrt(sum(sd**2 for sd in self.parts.values())))
 
     @property
+    def within(self) -> str:
+        """The 90 % interval about the value, for people: see `spread`."""
+        return spread(self.value, *self.interval90)
+
+    @property
     def half_width(self) -> float:
         """Half of the 90 % interval, relative to the value."""
         low, high = self.interval90
@@ -109,3 +114,10 @@ class Scale:
         for reason in filter(None, self.reasons):
             counts[reason] = counts.get(reason, 0) + 1
         return dict(sorted(counts.items(), key=lambda item: -item[1]))
+
+
+def spread(value: float, low: float, high: float) -> str:
+    """An interval about a value, relative to it: "+-1.4 %", or "-2.2 to +3.0 %" where it is not symmetric. In ASCII,
+    which every terminal can write."""
+    below, above = (f"{100 * (end / value - 1):+.1f}" for end in (low, high))
+    return f"+-{above[1:]} %" if below[1:] == above[1:] else f"{below} to {above} %"

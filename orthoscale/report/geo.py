@@ -47,9 +47,15 @@ STYLES_TABLE = """CREATE TABLE layer_styles (
  update_time DATETIME DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')))"""
 
 
-def table(result: Result) -> dict[str, np.ndarray]:
-    """One value per vehicle, lengths in metres."""
+def table(result: Result, place: Placement) -> dict[str, np.ndarray]:
+    """One value per vehicle, lengths in metres. Headings are clockwise from the north of the grid of `place` [deg,
+    0..180): which end is the front is not known."""
     vehicles = result.vehicles
+    a, b, _, d, e, f = place.transform[:6]
+    x, y = np.cos(vehicles["angle"]), np.sin(vehicles["angle"])
+    east, north = a * x + b * y, d * x + e * y
+    if not isinstance(place.crs, str) and place.crs.is_geographic:  # degrees of longitude shrink towards the poles
+        east = east * np.cos(np.radians(d * vehicles["x_unit"] + e * vehicles["y_unit"] + f))
     return {
         "length_m": vehicles["length"],
         "width_m": vehicles["width"],
@@ -57,8 +63,7 @@ def table(result: Result) -> dict[str, np.ndarray]:
         "kind": vehicles["kind"],
         "used": vehicles["used"],
         "reason": vehicles["reason"],
-        # Clockwise from the image's upward direction, as a compass shows it on a north-up map.
-        "heading_deg": (np.degrees(vehicles["angle"]) + 90) % 180,
+        "heading_deg": np.degrees(np.arctan2(east, north)) % 180,
         "scale_deviation_percent": 100 * vehicles["scale_deviation"],
         "x_px": vehicles["x_unit"],
         "y_px": vehicles["y_unit"],
@@ -82,7 +87,7 @@ def write_geopackage(result: Result, place: Placement, path: Path) -> None:
     """
     import shapely
 
-    columns = {name: values.tolist() for name, values in table(result).items()}
+    columns = {name: values.tolist() for name, values in table(result, place).items()}
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     crs = place.crs if isinstance(place.crs, str) else place.crs.to_wkt()
     try:
@@ -122,7 +127,7 @@ def write_geojson(result: Result, place: Placement, path: Path) -> None:
     """
     if not _on_earth(place):
         raise _nowhere(result.source.path, "Take")
-    columns = {name: values.tolist() for name, values in table(result).items()}
+    columns = {name: values.tolist() for name, values in table(result, place).items()}
     features = []
     for k, ring in enumerate(outlines(result, place)):
         geometry = transform_geom(place.crs, "EPSG:4326", {"type": "Polygon", "coordinates": [ring.tolist()]})

@@ -47,7 +47,7 @@ def page(report: Mapping[str, Any], scene: ReportPictures) -> str:
         low=low,
         high=high,
         unit=unit,
-        half_width=percent(wording.half_width(report)),
+        within=wording.within(report),
         metres=wording.metres_of(report),
         notes=[remark["text"] for remark in report["remarks"] if remark["severity"] == INFO],
         overviews=[_picture(panel) for panel in scene.overviews],

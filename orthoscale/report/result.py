@@ -55,7 +55,7 @@ class Result(Brief):
     def answer(self) -> list[tuple[str, str]]:
         """The scale in words, by what each line is called; signs in ASCII, which every terminal can write."""
         scale = self.scale
-        within = f"{scale.verdict} (90 % within +-{100 * scale.half_width:.1f} %)"
+        within = f"{scale.verdict} (90 % within {scale.within})"
         return [("scale", f"{scale.text()}  {within}"), ("90 %", scale.text(*scale.interval90))]
 
     def brief(self) -> list[tuple[str, str]]:

@@ -80,7 +80,7 @@ def rows(result: Result, written: Mapping[str, Path]) -> list[tuple[str, str]]:
         anchors = Counter(vote.anchor.kind for vote in result.anchors.votes)
         found = ", ".join(f"{count} x {kind}" for kind, count in anchors.items())
         before = result.anchors.without
-        without = "" if before is None else f"; without them +- {percent(before.half_width)} (90 %)"
+        without = "" if before is None else f"; without them {before.within} (90 %)"
         table.append(("anchors", found + without))
     table += [(remark.label, remark.text) for remark in result.remarks]
     table += [(label, str(path)) for label, path in written.items()]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from math import exp, log
 from typing import Any
 
 from ..core.boxes import KINDS
-from ..core.remarks import percent, signed
-from ..core.scale import decimals
+from ..core.remarks import signed
+from ..core.scale import decimals, spread
 from .document import of_plan
 
 
@@ -32,6 +31,12 @@ def half_width(report: Mapping[str, Any]) -> float:
     return (high - low) / 2 / report["scale"]
 
 
+def within(report: Mapping[str, Any]) -> str:
+    """The 90 % interval about the scale: "± 1.4 %", or "−2.2 to +3.0 %"."""
+    text = spread(report["scale"], *report["interval90"])
+    return text.replace("+-", "± ") if text.startswith("+-") else text.replace("-", "−")
+
+
 def quantity(report: Mapping[str, Any], *values: float) -> tuple[list[str], str]:
     """`values` with as many digits as the scale deserves (two of its uncertainty), and their unit for people."""
     unit = {"m/model-unit": "m per model unit"}.get(report["unit"], report["unit"])
@@ -50,8 +55,8 @@ def relative(scale: float, report: Mapping[str, Any]) -> float:
 
 def metres_of(report: Mapping[str, Any], length: float = 10.0) -> str:
     """What the interval means for a length of so many metres in the copy."""
-    half = log(report["interval90"][1] / report["interval90"][0]) / 2
-    return f"{length:g} m in the copy are {length * exp(-half):.1f} to {length * exp(half):.1f} m on the ground"
+    low, high = (length * end / report["scale"] for end in report["interval90"])
+    return f"{length:g} m in the copy are {low:.1f} to {high:.1f} m on the ground"
 
 
 def narrowed(report: Mapping[str, Any]) -> str:
@@ -59,7 +64,5 @@ def narrowed(report: Mapping[str, Any]) -> str:
     before = report.get("without_anchors")
     if not before:
         return "the scale rests on them"
-    low, high = before["interval90"]
-    half = percent((high - low) / 2 / before["scale"])
     moved = signed(report["scale"] / before["scale"] - 1)
-    return f"90 % interval ± {percent(half_width(report))} with, ± {half} without; the scale moved by {moved}"
+    return f"90 % interval {within(report)} with, {within(before)} without; the scale moved by {moved}"

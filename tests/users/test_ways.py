@@ -62,7 +62,7 @@ def test_the_tour(desk):
     shown = (DOCS / "index.md").read_text()
     said = [desk(command) for command in commands("index.md")]
     assert len(said) == 5
-    figures = re.compile(r"^scale +([\d.]+) m/px .*90 % within \+-([\d.]+) %", re.MULTILINE)
+    figures = re.compile(r"^scale +([\d.]+) m/px .*90 % within (?:\+-|\S+ to \+)([\d.]+) %", re.MULTILINE)
     told, printed = (tuple(map(float, figures.search(text).groups())) for text in (shown, said[0]))
     assert printed[0] == pytest.approx(told[0], rel=0.02) and printed[1] == pytest.approx(told[1], abs=1.5)
     with rasterio.open(desk.place / "scaled.tif") as raster:
