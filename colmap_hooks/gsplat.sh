@@ -18,6 +18,7 @@ if [ -n "${GSPLAT:-}" ] && [ ! -f "$GSPLAT/examples/simple_trainer.py" ]; then
     exit 127
 fi
 "$(dirname "$0")/post_sparse.sh" "$workspace" "$@"
+case " $* " in *" --dry-run "*) exit 0 ;; esac # nothing was written to go on with
 model="$workspace/sparse_metric"
 if [ -f "$model/models.json" ]; then # several: the trainer takes one, the first
     model=$(dirname "$(find "$model" -name sim3.json | sort | head -n 1)")

@@ -19,6 +19,7 @@ for program in ns-process-data ${method:+ns-train}; do
     command -v "$program" >/dev/null || { echo "error: $program is not there: activate nerfstudio's environment" >&2; exit 127; }
 done
 "$(dirname "$0")/post_sparse.sh" "$workspace" "$@"
+case " $* " in *" --dry-run "*) exit 0 ;; esac # nothing was written to go on with
 model="$workspace/sparse_metric"
 if [ -f "$model/models.json" ]; then # several: nerfstudio takes one, the first
     model=$(dirname "$(find "$model" -name sim3.json | sort | head -n 1)")

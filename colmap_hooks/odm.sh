@@ -30,6 +30,7 @@ else
         exit 5
     }
     orthoscale fix "$project/opensfm/reconstruction.json" --images "$project/images" --out "$project/opensfm_metric" "$@"
+    case " $* " in *" --dry-run "*) exit 0 ;; esac # nothing was written to go on with
 fi
 if [ -d "$project/odm_metric" ]; then
     if [ "$project/opensfm_metric/sim3.json" -nt "$project/odm_metric" ]; then

@@ -24,6 +24,7 @@ if [ -d "$workspace/dense_metric" ]; then
     exit 0
 fi
 "$(dirname "$0")/post_sparse.sh" "$@"
+case " $* " in *" --dry-run "*) exit 0 ;; esac # nothing was written to go on with
 command -v orthoscale >/dev/null || { echo "error: orthoscale is not there: pip install orthoscale, or put it on PATH" >&2; exit 127; }
 
 # Written aside, then renamed, so that a run that was cut off is not taken for a whole one. The folder is this run's own

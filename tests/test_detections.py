@@ -10,9 +10,16 @@ from orthoscale.core.detections import UNKNOWN_RULER, Detections
 from orthoscale.core.pooling.robust import pool
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
-from orthoscale.errors import InputError, TooLittleEvidence
+from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections, save_detections
+
+
+@pytest.mark.parametrize("name", ["d.gpkg", "d.txt", "d.coco.json", "d"])
+def test_boxes_are_not_written_as_json_under_another_formats_name(tmp_path, name):
+    with pytest.raises(UsageError, match="name end in .json"):
+        save_detections(Detections({}, 1.0, Ruler((0, 0)), (0.7, 0.5), "test"), tmp_path / name)
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_saved_reads_back(tmp_path):

@@ -23,6 +23,13 @@ def test_parts_are_shares_of_the_variance_largest_first():
     assert sum(p["share"] for p in found["parts"]) == pytest.approx(1)
 
 
+def test_what_is_known_to_a_centimetre_gets_no_advice_to_know_it_to_less():
+    found = explain({"scale": 0.1, "unit": "m/px", "uncertainty": {"ground control": 3e-5}, "vehicles_used": 90,
+                     "fleet": "DE", "verdict": "good"})  # fmt: skip
+    assert "no known distance would halve it" in found["halve"]
+    assert "known to +- 0.003 % (1 sigma)" in in_words(found)
+
+
 def test_the_distance_that_it_names_does_halve_it():
     found = explain(REPORT)
     assert "good to 4.0 %" in found["halve"] and "20 m known to 81 cm" in found["halve"]

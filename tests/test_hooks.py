@@ -278,6 +278,17 @@ def test_a_hook_hands_the_exit_code_on(bench, hook):
     assert not (bench.work / "sparse_metric").exists() and not (bench.work / "dense_metric").exists()
 
 
+@pytest.mark.parametrize("hook", ["post_sparse", "post_dense", "nerfstudio", "gsplat"])
+def test_a_rehearsal_ends_where_nothing_was_written(bench, hook):
+    bench.sparse()
+    bench.program("ns-process-data", "")
+    end = [bench.work.parent / "out", "--"] if hook in ("nerfstudio", "gsplat") else []
+    said = bench.run(f"{hook}.sh", bench.work, *end, *OPTIONS, "--dry-run")
+    assert "to write" in said and "sparse_metric" in said
+    assert not list(bench.work.glob("*_metric")) and not bench.calls("ns-process-data")
+    assert not (bench.work.parent / "out").exists()
+
+
 def test_what_nerfstudio_makes_of_the_metric_model_is_in_metres(bench):
     """A stand-in that writes what the real ns-process-data does; read back, and nothing is scaled twice by hand."""
     pycolmap = pytest.importorskip("pycolmap")
@@ -440,6 +451,8 @@ def test_odm(bench):
     mesh.parent.mkdir()
     mesh.write_text("v 1 0 0\n")
     bench.frames()
+    bench.run("odm.sh", bench.work, *OPTIONS, "--dry-run")
+    assert not list(bench.work.glob("*_metric"))
     bench.run("odm.sh", bench.work, *OPTIONS)
     scale = json.loads((bench.work / "opensfm_metric/sim3.json").read_text())["scale"]
     truth = json.loads((EXAMPLE / "truth.json").read_text())["metres_per_model_unit"]

@@ -358,6 +358,11 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(parks, tmp_path):
         assert said in done.stdout, said
     done = run("fix", parks / "pictures", "--out", tmp_path, *options(parks, "--dry-run"))
     assert done.returncode == 5 and "b.tif.json" in done.stdout and sorted(tmp_path.rglob("*")) == before
+    done = run("fix", parks / "pictures", "--out", tmp_path, *options(parks, "--dry-run", "--json"))
+    told = json.loads(done.stdout)
+    assert done.returncode == 5 and told["format"] == "orthoscale rehearsal 1"
+    assert any(str(tmp_path / "b.tif.json") in one.get("to write", []) for one in told["inputs"])
+    assert all(len(one["input"]) == 1 for one in told["inputs"])
     new = tmp_path / "new"
     done = run("fix", parks / "pictures", "--out", new, *options(parks, "--dry-run"))
     assert done.returncode == 5 and f"{new}/b.tif.json" in done.stdout and not new.exists()

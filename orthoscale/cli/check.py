@@ -11,7 +11,7 @@ import click
 
 from ..errors import EvidenceDisagrees, UsageError
 from ..requests import EstimateRequest
-from .many import Many, inputs, rehearse, run, tell_rehearsal
+from .many import Many, inputs, rehearse, run, tell_rehearsals
 from .options import (
     PATH,
     command,
@@ -93,7 +93,9 @@ def check(
     if model_detections is not None:
         raise UsageError("--model-detections are boxes of a --model, and none is named", "Name it: --model FOLDER.")
     if dry_run:
-        rehearse([path], request, save_detections=save_detections, overwrite=overwrite, needs_claim=True)
+        rehearse(
+            [path], request, save_detections=save_detections, overwrite=overwrite, needs_claim=True, as_json=as_json
+        )
     with Outputs(overwrite, (path, request.inputs)) as outputs, progress_bars() as progress:
         boxes = output_of(outputs, save_detections)
         source = source_of(path, request, request.needs_pictures, progress)
@@ -145,8 +147,7 @@ def _against_model(
         posed = pipeline.source_of(model, of_model, of_model.needs_pictures, progress)
         plan_and_posed(plan, posed)
         if dry_run:
-            for each, asked in ((path, of_ortho), (model, of_model)):
-                tell_rehearsal(rehearsal(each, asked))
+            tell_rehearsals([rehearsal(path, of_ortho), rehearsal(model, of_model)], as_json)
             return
         ortho, frames = pipeline.measured(plan, of_ortho, progress), pipeline.measured(posed, of_model, progress)
     checked = check_against_model(ortho, frames)

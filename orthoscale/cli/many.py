@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..report.summary import Row
     from ..requests import EstimateRequest
 
+REHEARSAL_FORMAT = "orthoscale rehearsal 1"
 inputs_argument = click.argument("paths", metavar="INPUT...", type=PATH, nargs=-1, required=True)
 
 
@@ -69,15 +70,16 @@ def rehearse(
     save_detections: Path | None = None,
     overwrite: bool = False,
     needs_claim: bool = False,
+    as_json: bool = False,
 ) -> NoReturn:
     """Say what would be done with each of `paths`, copies written at `outs`; end with the exit code of the worst.
 
-    shown : changes what is said. leave : whether the copy of an input that is there already would be left.
-    save_detections, overwrite, needs_claim : see `rehearsal`.
+    shown : changes what is said, as JSON if `as_json`. leave : whether the copy of an input that is there already would
+    be left. save_detections, overwrite, needs_claim : see `rehearsal`.
     """
     from ..actions.rehearsal import rehearsal
 
-    codes = []
+    codes, told = [], []
     for path, out in zip(paths, outs or [None] * len(paths), strict=True):
         try:
             if out is not None and leave(path, out):
@@ -90,21 +92,38 @@ def rehearse(
                 raise
             rows = [("input", str(path)), ("error", f"{error.message} (exit code {error.exit_code})")]
             codes.append(error.exit_code)
-        tell_rehearsal(rows, shown)
+        told.append([(label, shown(text)) for label, text in rows])
+        if not as_json:
+            tell_rehearsals(told[-1:])
+    if as_json:
+        tell_rehearsals(told, as_json)
     sys.exit(max(codes))
 
 
-def tell_rehearsal(rows: Sequence[tuple[str, str]], shown: Callable[[str], str] = str) -> None:
-    """Print the `rows` of a `rehearsal`, changed by `shown`."""
-    say(shown("\n".join(f"{label:10s} {text}" for label, text in rows)))
+def tell_rehearsals(told: Sequence[Sequence[tuple[str, str]]], as_json: bool = False) -> None:
+    """Print the rows of every `rehearsal`; as JSON, in which a label has all its texts."""
+    if not as_json:
+        for rows in told:
+            say("\n".join(f"{label:10s} {text}" for label, text in rows))
+        return
+    inputs: list[dict[str, list[str]]] = [{} for _ in told]
+    for one, rows in zip(inputs, told, strict=True):
+        for label, text in rows:
+            one.setdefault(label, []).append(text)
+    click.echo(json.dumps({"format": REHEARSAL_FORMAT, "inputs": inputs}))
 
 
 def rehearse_in_new_folder(
-    paths: Sequence[Path], request: EstimateRequest, out: Path, places: Callable[[Path], list[Path]]
+    paths: Sequence[Path],
+    request: EstimateRequest,
+    out: Path,
+    places: Callable[[Path], list[Path]],
+    as_json: bool = False,
 ) -> NoReturn:
     """`rehearse`, of copies at `places` in the folder `out`, which would be made."""
     with tempfile.TemporaryDirectory() as stand_in:
-        rehearse(paths, request, places(Path(stand_in)), lambda text: text.replace(stand_in, str(out)))
+        there = places(Path(stand_in))
+        rehearse(paths, request, there, lambda text: text.replace(stand_in, str(out)), as_json=as_json)
 
 
 def run(
@@ -138,10 +157,10 @@ def run(
             check_summary(summary)
         partials = [outputs.file(summary, is_summary) for summary in many.summaries]
         if dry_run and out is not None and not out.exists():
-            rehearse_in_new_folder(found, request, out, lambda folder: outputs_of(found, folder))
+            rehearse_in_new_folder(found, request, out, lambda folder: outputs_of(found, folder), as_json)
         if dry_run:
             leave = partial(is_finished, request=request)
-            rehearse(found, request, places, leave=leave, needs_claim=action == "check")
+            rehearse(found, request, places, leave=leave, needs_claim=action == "check", as_json=as_json)
         done: list[Row] = []
 
         def said(row: Row) -> None:

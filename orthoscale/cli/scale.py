@@ -75,7 +75,7 @@ def estimate(
     models = workspace.models_in(path)
     _refuse_one_file_for_many(models, save_detections)
     if dry_run:
-        rehearse(models or [path], request, save_detections=save_detections, overwrite=overwrite)
+        rehearse(models or [path], request, save_detections=save_detections, overwrite=overwrite, as_json=as_json)
     with Outputs(overwrite, (path, request.inputs)) as outputs, progress_bars() as progress:
         if models:
             outcomes = workspace.estimate_all(models, request, progress)
@@ -140,9 +140,9 @@ def fix(
     if dry_run and models:
         with Outputs(request.overwrite, (path, models, request.inputs)) as outputs:
             outputs.check(out)
-        rehearse_in_new_folder(models, request, out, lambda folder: [folder / model.name for model in models])
+        rehearse_in_new_folder(models, request, out, lambda folder: [folder / model.name for model in models], as_json)
     if dry_run:
-        rehearse([path], request, [out], save_detections=save_detections)
+        rehearse([path], request, [out], save_detections=save_detections, as_json=as_json)
     missing = None
     with progress_bars() as progress:
         try:

@@ -27,6 +27,7 @@ OF_AN_ANCHOR = "how well its size is known, and measured in the pictures"  # of 
 # A country's mean is known about twice as well as the world's (fleet table: 2 to 3 % against 5.6 %).
 COUNTRY_SHARE = 0.5
 NOTABLE_SHARE = 0.05  # share of the variance below which a part is not worth a remedy
+FINEST = 5e-4  # of a distance, the least one sigma that is asked for: 1 cm in KNOWN_METRES
 KNOWN_METRES = 20.0  # [m] the length of the distance that is given as an example
 
 
@@ -104,6 +105,8 @@ def _halve(variance: float, drift: float, remedies: list[Remedy]) -> str:
         alone = f"this alone would: {best}" if best else "nothing below would do so alone"
         return f"No known distance halves it while the scale drifts; {alone}."
     needed = float(1 / np.sqrt(1 / left - 1 / rest))
+    if needed < FINEST:
+        return "It is known as well as things can be read in pictures: no known distance would halve it."
     across = f"{KNOWN_METRES:g} m known to {100 * KNOWN_METRES * needed:.0f} cm"
     halve = f"A known distance good to {100 * needed:.1f} % would halve it ({across}: --known-distance)"
     return halve + (f"; so would this alone: {best}." if best else "; nothing below would do so alone.")

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from ..core import uncertainty
+from ..core.remarks import percent
 from ..errors import InputError
 from ..formats.reading import reason
 
@@ -36,11 +37,11 @@ def in_words(explanation: Mapping[str, Any]) -> str:
     """The explanation as a person reads it."""
     e = explanation
     lines = [
-        f"The scale is {e['scale']:.5g} {e['unit']}, known to +- {100 * e['relative_sd']:.1f} % (1 sigma).",
+        f"The scale is {e['scale']:.5g} {e['unit']}, known to +- {percent(e['relative_sd'])} (1 sigma).",
         "",
         "Where that comes from, as shares of the variance:",
         *(
-            f"  {100 * p['share']:3.0f} %  {p['name']} ({100 * p['relative_sd']:.1f} %): {p['meaning']}"
+            f"  {100 * p['share']:3.0f} %  {p['name']} ({percent(p['relative_sd'])}): {p['meaning']}"
             for p in e["parts"]
         ),
         "",
@@ -48,7 +49,7 @@ def in_words(explanation: Mapping[str, Any]) -> str:
     ]
     if e["remedies"]:
         lines += ["", "What else would help, and the uncertainty (1 sigma) that it would leave:"]
-        lines += [f"  {100 * r['leaves']:.1f} %  {r['do']}" for r in e["remedies"]]
+        lines += [f"  {percent(r['leaves'])}  {r['do']}" for r in e["remedies"]]
     if e["remarks"]:
         lines += ["", "Noted in the report:", *(f"  {remark}" for remark in e["remarks"])]
     return "\n".join(lines)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.boxes import KINDS, Boxes
 from ...core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
+from ...errors import UsageError
 from ...system.paths import path_of
 from ..reading import LARGE, checked, read_plain
 from ..tables import known_objects
@@ -27,9 +28,13 @@ BOXES_HINT = 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle"
 def save_detections(found: Detections, path: str | Path) -> None:
     """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians.
 
-    Raises UsageError for what is no path, OSError.
+    Raises UsageError for what is no path, and for another ending: the other formats need the pictures, too (`files.save`,
+    ``--save-detections``). Raises OSError.
     """
-    path_of(path, f"the path of {WHAT}").write_text(json.dumps(_document(found), indent=0))
+    path = path_of(path, f"the path of {WHAT}")
+    if path.suffix.lower() != ".json" or path.name.lower().endswith(".coco.json"):
+        raise UsageError(f"{path}: boxes are written as JSON here", "Let its name end in .json, not in .coco.json.")
+    path.write_text(json.dumps(_document(found), indent=0))
 
 
 def load_detections(path: str | Path) -> Detections:
