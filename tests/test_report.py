@@ -21,7 +21,7 @@ from orthoscale.core.scale import spread
 from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
-from orthoscale.report import files, places, wording
+from orthoscale.report import files, pictures, places, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, read_json
 from orthoscale.report.files import redraw
@@ -276,6 +276,14 @@ OF_A_MODEL = {
     },
     "odd_frames": ["DJI_2.jpg"],
 }
+
+
+def test_the_picture_has_the_scale_by_place_unless_it_does_not_drift(tmp_path, report):
+    heights = {}
+    for drifts in (True, None, False):
+        pictures.draw({**report, "drift": {**report["drift"], "drifts": drifts}}, ReportPictures(), tmp_path / "a.png")
+        heights[drifts] = Image.open(tmp_path / "a.png").height
+    assert heights[True] == heights[None] > heights[False]
 
 
 def test_the_frames_and_places_of_a_model_are_drawn(model):

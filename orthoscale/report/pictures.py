@@ -22,15 +22,18 @@ SHEET_COLUMNS = 6  # of the contact sheet
 
 
 def draw(report: Mapping[str, Any], scene: ReportPictures, path: Path) -> None:
-    """Write a PNG: the answer, the scene with used (blue) and rejected (orange) vehicles, and a contact sheet."""
+    """Write a PNG: the answer, the scene with used (blue) and rejected (orange) vehicles, a contact sheet, and the scale
+    by place unless it was found not to drift."""
     panels = [_title(report), *(drawn(panel, SHEET_WIDTH / panel.image.shape[1]) for panel in scene.overviews)]
     if scene.used:
         panels.append(_contact_sheet(scene.used))
-    if "cells" in (report.get("drift") or {}):
-        ((width, height),) = report["pictures"].values()
-        panels.append(drift_panel(report["drift"], width, height, SHEET_WIDTH))
-    if len((report.get("drift") or {}).get("regions", [])) >= FEWEST_REGIONS:
-        panels.append(regions_panel(report["drift"], report["scale"], SHEET_WIDTH))
+    drift = report.get("drift") or {}
+    if drift.get("drifts") is not False:
+        if "cells" in drift:
+            ((width, height),) = report["pictures"].values()
+            panels.append(drift_panel(drift, width, height, SHEET_WIDTH))
+        if len(drift.get("regions", [])) >= FEWEST_REGIONS:
+            panels.append(regions_panel(drift, report["scale"], SHEET_WIDTH))
     sheet = np.concatenate([_padded(panel, SHEET_WIDTH) for panel in panels])
     write_png(path, sheet)
 

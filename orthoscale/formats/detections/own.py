@@ -28,8 +28,8 @@ BOXES_HINT = 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle"
 def save_detections(found: Detections, path: str | Path) -> None:
     """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians.
 
-    Raises UsageError for what is no path, and for another ending: the other formats need the pictures, too (`files.save`,
-    ``--save-detections``). Raises OSError.
+    Raises UsageError for what is no path, and for another ending: the other formats need the pictures too, see
+    `files.save`; OSError.
     """
     path = path_of(path, f"the path of {WHAT}")
     if path.suffix.lower() != ".json" or path.name.lower().endswith(".coco.json"):
