@@ -6,6 +6,7 @@ import hashlib
 import http.server
 import math
 import os
+import pickle
 import re
 import shutil
 import struct
@@ -269,6 +270,40 @@ def test_another_thread_may_read(tmp_path):
 def test_content_hash(tmp_path):
     path = make(tmp_path / "a.tif")
     assert RasterSource.open(path).content_hash() == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def replaced(path: Path) -> None:
+    """Put other pixels in the place of `path`, of the same size."""
+    path.unlink()
+    make(path, 255 - scene())
+
+
+def test_no_work_on_an_image_is_cached_that_was_changed_since_it_was_opened(tmp_path):
+    """It still shows the former pixels, under whatever name they are kept."""
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    former = source.fingerprint()
+    replaced(source.path)
+    with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+        source.fingerprint()
+    assert RasterSource.open(source.path).fingerprint() != former
+
+
+def test_a_worker_shows_what_its_sender_opened(tmp_path):
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    sent = pickle.dumps(source)
+    former = pickle.loads(sent).read(0, 0, W, H, W, H)
+    replaced(source.path)
+    again = RasterSource.open(source.path)
+    there = pickle.loads(pickle.dumps(again))
+    assert np.array_equal(there.read(0, 0, W, H, W, H), again.read(0, 0, W, H, W, H))
+    assert not np.array_equal(there.read(0, 0, W, H, W, H), former)
+
+
+def test_a_worker_refuses_another_image_than_its_sender_opened(tmp_path):
+    sent = pickle.dumps(RasterSource.open(make(tmp_path / "a.tif")))
+    os.utime(tmp_path / "a.tif", (0, 0))
+    with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+        pickle.loads(sent)
 
 
 # Bad inputs
