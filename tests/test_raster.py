@@ -36,6 +36,7 @@ from orthoscale.sources import gdal
 from orthoscale.sources.georeference import claim_of
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.raster_copy import Original
+from orthoscale.system import scratch
 
 W, H = 300, 200
 UTM = {"crs": "EPSG:32632", "transform": Affine(0.1, 0, 500_000, 0, -0.1, 5_400_000)}
@@ -801,6 +802,27 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
     code = f"{make}; print(a.folder.exists(), b.folder.exists())"
     ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert ran.stdout.split() == ["True", "True"] and not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="deletes no file that is open")
+def test_a_new_scratch_folder_is_not_taken_for_a_leftover(tmp_path, monkeypatch):
+    """Another run looks for leftovers between the making of its lock and the locking."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    locked, times = scratch._locked, []
+
+    def late(lock):
+        times.append(lock)
+        if len(times) == 1:
+            scratch._remove_leftovers(tmp_path)
+        return locked(lock)
+
+    monkeypatch.setattr(scratch, "_locked", late)
+    mine = scratch.Scratch()
+    assert (mine.folder / scratch.IN_USE).is_file()
+    scratch._remove_leftovers(tmp_path)
+    assert mine.folder.is_dir()
+    mine.close()
+    assert not list(tmp_path.iterdir())
 
 
 LISTS = {"offsets": (273, 324), "counts": (279, 325)}
