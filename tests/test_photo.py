@@ -22,6 +22,7 @@ from orthoscale.detect.workers import cores, worker_count
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
+from orthoscale.photos import tables
 from orthoscale.photos.looking import Looking, boxes_of
 from orthoscale.photos.measure import find_photos, measure, open_photo
 from orthoscale.photos.survey import measure_together, open_photos
@@ -483,6 +484,13 @@ def test_a_folder_becomes_a_table_in_every_format(tmp_path, flight):
     corners = np.array([[0, 0], [SIZE[0], 0], SIZE, [0, SIZE[1]]])
     rays = np.column_stack([(corners - np.array(SIZE) / 2) / FOCAL, np.ones(4)]) @ view.pose.rotation
     assert abs(area) == pytest.approx(shapely.Polygon(-rays[:, :2] * ALTITUDE / rays[:, 2:]).area, rel=0.02)
+
+
+@pytest.mark.parametrize("ending", ["csv", "json", "gpkg"])
+def test_a_name_that_is_not_utf_8_is_written_with_escapes(tmp_path, ending):
+    outcome, path = tables.PhotoOutcome("caf\udce9.jpg", None, None, "no photo"), tmp_path / f"out.{ending}"
+    tables.write([outcome], {"rows": [tables.row(outcome)]}, path)
+    assert rb"caf\udce9.jpg" in path.read_bytes()
 
 
 def test_the_scale_of_all_together_is_in_every_table(tmp_path, flight):
