@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 from ..core.detections import Tile
 from ..core.source import Picture
 from ..errors import InputError, OrthoscaleError, UsageError
+from ..system.budget import allow, memory
 from .detector import Detector
 from .tiles import Detect, Looks, look_twice
 
@@ -96,7 +97,7 @@ def _on_cluster(client: Any, jobs: Jobs, detector: Detector) -> Iterator[tuple[i
     from distributed import KilledWorker, as_completed
 
     path, *how = detector.settings
-    given = (None if path is None else Path(path).absolute(), *how), detector.sha256
+    given = (None if path is None else Path(path).absolute(), *how), detector.sha256, memory()
     # A task of a worker that is lost goes to another one; `retries` is for errors such as a network drive's hiccup.
     futures = {
         client.submit(_look_elsewhere, picture, tile, *given, pure=False, retries=RETRIES): number
@@ -113,7 +114,8 @@ def _on_cluster(client: Any, jobs: Jobs, detector: Detector) -> Iterator[tuple[i
         client.cancel([future for future in futures if not future.done()])
 
 
-def _look_elsewhere(picture: Picture, tile: Tile, settings: Settings, sha256: str) -> Looks:
+def _look_elsewhere(picture: Picture, tile: Tile, settings: Settings, sha256: str, budget: int) -> Looks:
+    allow(budget)
     return look_twice(picture, tile, _detector(settings, sha256))
 
 
