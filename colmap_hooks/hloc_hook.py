@@ -6,7 +6,7 @@
 
 It runs `hloc.reconstruction.main` and writes outputs/sfm_metric. hloc localises queries against the model that it is
 given: pass outputs/sfm_metric to `hloc.localize_sfm` and the poses come in metres. A second run finds the metric model
-and does nothing.
+and does nothing; where outputs/sfm was changed since, it is refused.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from pycolmap_hook import write_metric
 def main(
     sfm_dir: Path, image_dir: Path, *args: Any, fleet: str | None = None, detections: Path | None = None, **options: Any
 ) -> pycolmap.Reconstruction:
-    """`hloc.reconstruction.main` with the same arguments; returns the metric model. Raises OrthoscaleError.
+    """`hloc.reconstruction.main` with the same arguments; returns the metric model.
+
+    Raises UsageError where `sfm_dir` was changed after the metric model was made of it, OrthoscaleError.
 
     fleet, detections : of `orthoscale.fix`, which takes the country from the images' GPS tags where none is named.
     """
     sfm_dir = Path(sfm_dir)
     metric = sfm_dir.with_name(sfm_dir.name + "_metric")
-    if not (metric / "sim3.json").is_file():
-        if not (sfm_dir / "images.bin").is_file():
-            from hloc import reconstruction
+    if not (metric / "sim3.json").is_file() and not (sfm_dir / "images.bin").is_file():
+        from hloc import reconstruction
 
-            reconstruction.main(sfm_dir, image_dir, *args, **options)
-        write_metric(sfm_dir, metric, image_dir, fleet=fleet, detections=detections)
+        reconstruction.main(sfm_dir, image_dir, *args, **options)
+    write_metric(sfm_dir, metric, image_dir, fleet=fleet, detections=detections)
     return pycolmap.Reconstruction(str(metric))

@@ -447,6 +447,30 @@ def test_picture_file(tmp_path, suffix):
     assert picture.read(0, 0, 60, 40, 60, 40).any()
 
 
+def test_a_picture_that_was_replaced_shows_its_new_pixels(tmp_path, monkeypatch):
+    """Also under a name that meant another file before."""
+    (tmp_path / "other").mkdir()
+    for folder, grey in ((".", 10), (".", 200), ("other", 77)):
+        monkeypatch.chdir(tmp_path / folder)
+        cv2.imwrite("a.png", np.full((40, 60, 3), grey, np.uint8))
+        assert (PictureFile("a", Path("a.png"), 60, 40).read(0, 0, 60, 40, 60, 40) == grey).all()
+
+
+def test_a_picture_is_not_changed_while_work_on_it_is_cached(tmp_path):
+    """Neither here nor on another machine, where its boxes would be kept under the former content."""
+    path = tmp_path / "a.bmp"
+    cv2.imwrite(str(path), np.zeros((40, 60, 3), np.uint8))
+    picture = PictureFile("a", path, 60, 40)
+    former = picture.fingerprint()
+    other = pickle.loads(pickle.dumps(picture))
+    os.utime(path, (0, 0))
+    for each in (picture, other):
+        with pytest.raises(InputError, match=r"a\.bmp was changed since"):
+            each.read(0, 0, 60, 40, 60, 40)
+    assert picture.fingerprint() == former
+    assert not picture.read(0, 0, 60, 40, 60, 40).any()
+
+
 @pytest.mark.parametrize("suffix", ["jpg", "png"])
 def test_truncated_pictures(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"

@@ -4,16 +4,22 @@ import os
 import signal
 import threading
 import time
+from concurrent.futures import Future
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
+from orthoscale.actions import many
+from orthoscale.detect import workers
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.errors import UsageError
 from orthoscale.sources.raster import RasterSource
+from orthoscale.system import budget
 
 distributed = pytest.importorskip("distributed")
 
@@ -79,3 +85,33 @@ def test_a_raster_travels_as_its_path(raster):
     assert other is not raster and np.array_equal(other.read(0, 0, 99, 99, 50, 50), raster.read(0, 0, 99, 99, 50, 50))
     assert pickle.loads(pickle.dumps(raster)) is other, "opened once for all tiles"
     assert Detector(threads=1).card == Detector().card
+
+
+class Elsewhere:
+    """A client of another machine, with a memory budget of its own; what is submitted is done at once."""
+
+    loop = None
+
+    def submit(self, work, *given, **_):
+        here, done = budget.memory(), Future()
+        budget.allow(budget.LEAST_BYTES)
+        try:
+            done.set_result(work(*given))
+        finally:
+            budget.allow(here)
+        return done
+
+    def cancel(self, futures):
+        assert not futures
+
+
+def test_the_memory_budget_counts_on_a_cluster_too(monkeypatch):
+    monkeypatch.setattr(budget, "_budget", 3 * 2**30)
+    monkeypatch.setattr(distributed, "as_completed", lambda futures, loop: list(futures))
+    monkeypatch.setattr(workers, "_detector", lambda *settings: None)
+    monkeypatch.setattr(workers, "look_twice", lambda *given: budget.memory())
+    detector = SimpleNamespace(settings=(None, None, (), False), sha256="")
+    assert list(workers._on_cluster(Elsewhere(), {0: (None, None)}, detector)) == [(0, 3 * 2**30)]
+    monkeypatch.setattr(many, "cluster", lambda address: nullcontext(Elsewhere()))
+    monkeypatch.setattr(many, "one", lambda job: {"exit_code": budget.memory()})
+    assert [row["exit_code"] for _, row in many.on_cluster([{"input": "a.tif"}], "tcp://there:1")] == [3 * 2**30]

@@ -16,7 +16,7 @@ from orthoscale.core.measuring.measure import measure
 from orthoscale.core.measuring.method import Method
 from orthoscale.core.measuring.plan import PlanGeometry
 from orthoscale.core.ruler import Ruler
-from orthoscale.detect import foreign
+from orthoscale.detect import foreign, workers
 from orthoscale.detect.cache import TileCache
 from orthoscale.detect.detector import MOST_BOXES, Detector
 from orthoscale.detect.sweep import sweep_twice
@@ -509,6 +509,20 @@ def test_more_boxes_than_a_tile_can_hold_are_capped_with_a_word(tmp_path):
     assert len(cars) == MOST_BOXES and cars.score.min() > 0.79
     (note,) = detector.notes
     assert f"over {MOST_BOXES}" in note
+
+
+def test_a_dask_worker_looks_with_the_network_of_its_sender(tmp_path):
+    """Not with one that it loaded from the same path before, nor with another one that is there now."""
+    path = network(tmp_path / "theirs.onnx", {"output0": raw()}, NAMES)
+    first = Detector(path, threads=1)
+    assert workers._detector(first.settings, first.sha256).sha256 == first.sha256
+    network(path, {"output0": nms_free()}, {**NAMES, "end2end": "True"})
+    second = Detector(path, threads=1)
+    there = workers._detector(second.settings, second.sha256)
+    assert there.layout.decoder == second.layout.decoder != first.layout.decoder
+    workers._detector.cache_clear()
+    with pytest.raises(InputError, match=r"theirs\.onnx: a Dask worker has another network"):
+        workers._detector(first.settings, first.sha256)
 
 
 def test_threads_share_somebodys_network(tmp_path):

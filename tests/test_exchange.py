@@ -3,6 +3,7 @@
 import json
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -60,6 +61,15 @@ PLACES = {
 @pytest.fixture(scope="module", params=PLACES)
 def source(request, tmp_path_factory):
     return raster(tmp_path_factory.mktemp("place") / "ortho.tif", *PLACES[request.param])
+
+
+def test_boxes_of_a_picture_whose_name_is_not_utf_8_read_back(tmp_path):
+    name = "caf\udce9.jpg"
+    picture = SimpleNamespace(name=name, width=320, height=240)
+    album = SimpleNamespace(path=tmp_path, notes=[], claimed=None, pictures=[picture], picture_names=[name])
+    for form in ("d.json", "d.coco.json", "d.geojson", "d.gpkg"):
+        save(Detections({name: BOXES}, 0.8, RULER, (0.7, 0.5), "test", "abc"), tmp_path / form, album)
+        assert len(load(tmp_path / form, album).boxes[name]) == len(BOXES), form
 
 
 @pytest.mark.parametrize("name", ["d.json", "d.coco.json", "d.txt", "d.geojson", "d.gpkg"])

@@ -1,5 +1,9 @@
 """Mosaics that are mostly empty: the search, the sweep and the search for anchors look where there is something."""
 
+import gc
+import weakref
+
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -139,6 +143,17 @@ def test_nothing_is_nothing_whatever_says_so(tmp_path, how):
         assert (rows.min(), rows.max(), columns.min(), columns.max()) == (9, 14, 9, 14), "with one cell around"
         assert found.at(0.75, 0.75) and not found.at(0.25, 0.75)
         assert found.share(Tile(2560, 2560, 1024, 1024, 9, 9)) == 1 and not found.share(Tile(0, 0, 999, 999, 9, 9))
+
+
+def test_a_picture_is_let_go_when_nobody_needs_it(tmp_path):
+    """With the file that it holds open, and its copy on the disk."""
+    cv2.imwrite(str(tmp_path / "a.tif"), np.zeros((300, 300, 3), np.uint8))
+    source = RasterSource.open(tmp_path / "a.tif")
+    assert filled(source) is filled(source), "looked at once"
+    left = weakref.ref(source)
+    del source
+    gc.collect()
+    assert left() is None
 
 
 def test_a_picture_that_shows_nothing_is_searched_as_a_whole():

@@ -393,6 +393,9 @@ def test_hloc(bench, hooks, monkeypatch):
     assert bench.stamps() == before
     assert np.allclose(metric.image(1).projection_center(), again.image(1).projection_center())
     assert (bench.work / "sfm_metric/sim3.json").is_file()
+    later(bench.work / "sfm/images.bin")
+    with pytest.raises(hooks[0].UsageError, match="was changed after"):
+        hooks[1].main(bench.work / "sfm", bench.work / "images", Path("pairs.txt"), **options)
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])

@@ -15,6 +15,7 @@ import pytest
 import rasterio
 import shapely
 from PIL import Image
+from rasterio.crs import CRS
 from rasterio.transform import from_origin
 from support.aerial import Shot, degraded, relit, town, vehicles_moved
 from support.in_process import run
@@ -26,6 +27,7 @@ from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.evaluate import locating
 from orthoscale.evaluate.places import places_of_denseuav
 from orthoscale.formats.detections.own import save_detections
+from orthoscale.locate import files
 from orthoscale.locate.claimed import BY_WORD, ClaimedScale
 from orthoscale.locate.correlate import Template, correlated
 from orthoscale.locate.features import GradientFeatures
@@ -339,6 +341,16 @@ def test_of_several_photos_each_has_its_outcome(flight, tmp_path):
 
 
 @pytest.mark.slow
+def test_candidates_of_a_photo_whose_name_is_not_utf_8_are_written(tmp_path, monkeypatch):
+    row = dict.fromkeys(files.CANDIDATE_COLUMNS, 0.0) | {"photo": "caf\udce9.jpg"}
+    sky = SimpleNamespace(crs=CRS.from_epsg(32631))
+    monkeypatch.setattr(files, "candidate_rows", lambda *given: [row])
+    searched = SimpleNamespace(name=row["photo"], located=None, registration=SimpleNamespace(candidates=[]))
+    files.write([searched], {}, sky, tmp_path, 5)
+    assert rb"caf\udce9.jpg" in (tmp_path / "candidates.csv").read_bytes()
+    assert rb"caf\udce9.jpg" in (tmp_path / "located.gpkg").read_bytes()
+
+
 def test_a_photo_that_is_not_located_says_so_and_leaves_candidates(flight, tmp_path):
     done = run(*line(flight, tmp_path / "out", "down.png", "--heading", "200"))
     assert done.returncode == 3 and "not located: best candidate has" in done.stderr and "needed" in done.stderr

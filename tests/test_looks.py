@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 
 import cv2
@@ -149,6 +151,26 @@ def test_ground_pictures_show_what_the_frames_show(flight, tmp_path):
     assert np.linalg.norm(b - a) == pytest.approx(10 * picture.unit_per_pixel, rel=0.01)
     assert np.cross(b - a, c - a) @ turn[:, 2] < 0, "x right and y down, seen from above"
     assert len({p.unit_per_pixel for p in source.ground_pictures}) == 1
+
+
+def test_a_reconstruction_is_let_go_when_nobody_needs_its_ground(flight, tmp_path):
+    """The memory of pictures keeps pixels only, and not those of a frame that was replaced."""
+
+    def paint(grey):
+        for image in make_model()[0].images.values():
+            cv2.imwrite(str(tmp_path / image.name), np.full((480, 640, 3), grey, np.uint8))
+
+    paint(20)
+    source = ColmapSource.open(flight[0], images=tmp_path)
+    picture = source.ground_pictures[4]
+    whole = 0, 0, picture.width, picture.height, picture.width, picture.height
+    assert (picture.read(*whole) == 20).any()
+    paint(220)
+    assert not (picture.read(*whole) == 20).any()
+    left = weakref.ref(source)
+    del source, picture
+    gc.collect()
+    assert left() is None
 
 
 def test_agreement_of_two_scales(measured):

@@ -21,6 +21,8 @@ import orthoscale
 from orthoscale.actions import finished, many
 from orthoscale.actions.inputs import inputs_of, outputs_of
 from orthoscale.errors import InputError, UsageError
+from orthoscale.formats.csv_table import in_utf8
+from orthoscale.report.summary import inputs_in, write_summary
 from orthoscale.requests import EstimateRequest, FixRequest
 
 SLOW = pytest.mark.slow
@@ -108,6 +110,14 @@ def test_summaries_in_every_format(parks, tmp_path, ending):
         assert (
             'href="scaled/a.tif.html"' in page and "broken.tif" in page and "http:" not in page and "https:" not in page
         )
+
+
+@pytest.mark.parametrize("ending", ["csv", "json", "gpkg", "html"])
+def test_a_summary_tells_an_input_whose_name_is_not_utf_8(tmp_path, ending):
+    """So that the same command may write it again."""
+    row = {**dict.fromkeys(many.COLUMNS), "input": "caf\udce9.tif", "exit_code": 3, "error": "x", "hint": ""}
+    write_summary([row], tmp_path / f"out.{ending}", tmp_path / f"out.{ending}")
+    assert inputs_in(tmp_path / f"out.{ending}") == {in_utf8("caf\udce9.tif")} == {r"caf\udce9.tif"}
 
 
 def test_what_is_named(parks, tmp_path):

@@ -15,6 +15,7 @@ from support.bodies import CAR, VAN, VAN_CORNER, block, body
 from support.camera import simple_views
 from support.photos import ALTITUDE, CALIBRATIONS, CARS, FOCAL, SIZE, boxes_in, detections_of, view_from, write_photo
 
+from orthoscale.core.boxes import Boxes
 from orthoscale.core.projection.exact import BODIES
 from orthoscale.core.projection.level import level_axes, level_views, up_from_gimbal, up_from_survey
 from orthoscale.detect.find import Effort
@@ -22,6 +23,9 @@ from orthoscale.detect.workers import cores, worker_count
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
+from orthoscale.locate.claimed import claimed_scales
+from orthoscale.photos import tables
+from orthoscale.photos.footprint import footprint_of
 from orthoscale.photos.looking import Looking, boxes_of
 from orthoscale.photos.measure import find_photos, measure, open_photo
 from orthoscale.photos.survey import measure_together, open_photos
@@ -483,6 +487,32 @@ def test_a_folder_becomes_a_table_in_every_format(tmp_path, flight):
     corners = np.array([[0, 0], [SIZE[0], 0], SIZE, [0, SIZE[1]]])
     rays = np.column_stack([(corners - np.array(SIZE) / 2) / FOCAL, np.ones(4)]) @ view.pose.rotation
     assert abs(area) == pytest.approx(shapely.Polygon(-rays[:, :2] * ALTITUDE / rays[:, 2:]).area, rel=0.02)
+
+
+@pytest.mark.parametrize("ending", ["csv", "json", "gpkg"])
+def test_a_name_that_is_not_utf_8_is_written_with_escapes(tmp_path, ending):
+    outcome, path = tables.PhotoOutcome("caf\udce9.jpg", None, None, "no photo"), tmp_path / f"out.{ending}"
+    tables.write([outcome], {"rows": [tables.row(outcome)]}, path)
+    assert rb"caf\udce9.jpg" in path.read_bytes()
+
+
+@pytest.mark.parametrize("command", ["photo", "crop", "locate"])
+def test_what_is_to_be_said_of_the_boxes_is_said(tmp_path, flight, command):
+    """Boxes of photos that are not there, and boxes that repeat one vehicle."""
+    folder, rules = flight
+    boxes = boxes_in(view_from(-60))
+    twice = Boxes.concatenate([boxes, boxes])
+    save_detections(detections_of({"a.jpg": twice, "elsewhere.jpg": boxes}), tmp_path / "boxes.json")
+    how = Looking(detections=rules[1], fleet=rules[3])
+    if command == "photo":
+        notes = survey_photos(folder / "a.jpg", **how.settings()).to_dict()["notes"]
+    elif command == "crop":
+        notes = footprint_of(folder / "a.jpg", None, how).told["notes"]
+    else:
+        notes = claimed_scales({"a.jpg": folder / "a.jpg"}, None, how)["a.jpg"].notes
+    said = "; ".join(notes)
+    assert "1 of its pictures are not in this model, the first is elsewhere.jpg" in said
+    assert f"{len(boxes)} of its {len(twice)} boxes repeat another's vehicle" in said
 
 
 def test_the_scale_of_all_together_is_in_every_table(tmp_path, flight):

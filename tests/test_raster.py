@@ -6,6 +6,7 @@ import hashlib
 import http.server
 import math
 import os
+import pickle
 import re
 import shutil
 import struct
@@ -35,6 +36,7 @@ from orthoscale.sources import gdal
 from orthoscale.sources.georeference import claim_of
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.raster_copy import Original
+from orthoscale.system import scratch
 
 W, H = 300, 200
 UTM = {"crs": "EPSG:32632", "transform": Affine(0.1, 0, 500_000, 0, -0.1, 5_400_000)}
@@ -269,6 +271,40 @@ def test_another_thread_may_read(tmp_path):
 def test_content_hash(tmp_path):
     path = make(tmp_path / "a.tif")
     assert RasterSource.open(path).content_hash() == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def replaced(path: Path) -> None:
+    """Put other pixels in the place of `path`, of the same size."""
+    path.unlink()
+    make(path, 255 - scene())
+
+
+def test_no_work_on_an_image_is_cached_that_was_changed_since_it_was_opened(tmp_path):
+    """It still shows the former pixels, under whatever name they are kept."""
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    former = source.fingerprint()
+    replaced(source.path)
+    with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+        source.fingerprint()
+    assert RasterSource.open(source.path).fingerprint() != former
+
+
+def test_a_worker_shows_what_its_sender_opened(tmp_path):
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    sent = pickle.dumps(source)
+    former = pickle.loads(sent).read(0, 0, W, H, W, H)
+    replaced(source.path)
+    again = RasterSource.open(source.path)
+    there = pickle.loads(pickle.dumps(again))
+    assert np.array_equal(there.read(0, 0, W, H, W, H), again.read(0, 0, W, H, W, H))
+    assert not np.array_equal(there.read(0, 0, W, H, W, H), former)
+
+
+def test_a_worker_refuses_another_image_than_its_sender_opened(tmp_path):
+    sent = pickle.dumps(RasterSource.open(make(tmp_path / "a.tif")))
+    os.utime(tmp_path / "a.tif", (0, 0))
+    with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+        pickle.loads(sent)
 
 
 # Bad inputs
@@ -766,6 +802,27 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
     code = f"{make}; print(a.folder.exists(), b.folder.exists())"
     ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert ran.stdout.split() == ["True", "True"] and not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="deletes no file that is open")
+def test_a_new_scratch_folder_is_not_taken_for_a_leftover(tmp_path, monkeypatch):
+    """Another run looks for leftovers between the making of its lock and the locking."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    locked, times = scratch._locked, []
+
+    def late(lock):
+        times.append(lock)
+        if len(times) == 1:
+            scratch._remove_leftovers(tmp_path)
+        return locked(lock)
+
+    monkeypatch.setattr(scratch, "_locked", late)
+    mine = scratch.Scratch()
+    assert (mine.folder / scratch.IN_USE).is_file()
+    scratch._remove_leftovers(tmp_path)
+    assert mine.folder.is_dir()
+    mine.close()
+    assert not list(tmp_path.iterdir())
 
 
 LISTS = {"offsets": (273, 324), "counts": (279, 325)}

@@ -270,7 +270,7 @@ def on_cluster(todo: Sequence[Job], address: str) -> Iterator[tuple[int, Row]]:
 
     with cluster(address) as client:
         elsewhere = [{**job, "input": os.path.abspath(job["input"])} for job in todo]
-        futures = {client.submit(one, job, pure=False): k for k, job in enumerate(elsewhere)}
+        futures = {client.submit(_one_within, memory(), job, pure=False): k for k, job in enumerate(elsewhere)}
         try:
             for future in as_done(futures, loop=client.loop):
                 k = futures[future]
@@ -282,6 +282,12 @@ def on_cluster(todo: Sequence[Job], address: str) -> Iterator[tuple[int, Row]]:
                 yield k, {**row, "input": todo[k]["input"]}
         finally:
             client.cancel([future for future in futures if not future.done()])
+
+
+def _one_within(budget: int, job: Job) -> Row:
+    """`one` in a process of its own, with a memory `budget` [byte]."""
+    allow(budget)
+    return one(job)
 
 
 def serve() -> None:
@@ -296,9 +302,8 @@ def serve() -> None:
     with suppress(EOFError, OSError, KeyboardInterrupt), stopping.listening():
         while True:
             head, _ = receive(requests)
-            allow(head["memory"])
             logging.getLogger("orthoscale").setLevel(head["log"])
-            send(answers, one(head["job"]))
+            send(answers, _one_within(head["memory"], head["job"]))
 
 
 if __name__ == "__main__":

@@ -101,6 +101,7 @@ def crop(
         f"crops      {len(crops.windows)} of {metres}, resampled to {crops.out[0]} x {crops.out[1]} px",
         f"photo      {100 * shown.gsd:.4g} cm/px{known}",
         f"satellite  {crops.pixel[0]:.4g} x {crops.pixel[1]:.4g} m/px, {pixels} a crop",
+        *(f"note       {note}" for note in shown.told.get("notes", ())),
         f"written    {out}: query.jpg, gallery/, manifest.csv, crop.json",
     ]
     say("\n".join(lines))

@@ -132,6 +132,7 @@ def evaluate(
         ruler, why = how.ruler_fleet([photo.path for photo in photos])
         notes = [*notes, *why]
         found = boxes.boxes_of(photos, how, progress)
+        notes += found.notes
         if saved is not None:  # worth a look above all where they are too few
             boxes.save_boxes(found, saved, photos)
             files.deliver(saved)

@@ -186,10 +186,11 @@ def _loses_nothing(
     every copy that is there is left as it is, so that its row is made again. Raises what `finished` raises for another
     copy."""
     from ..actions.finished import is_finished
+    from ..formats.csv_table import in_utf8
     from ..report.summary import inputs_in
 
     former = [inputs_in(summary) for summary in summaries if summary.exists()]
-    if not former or not all(told is not None and told <= set(map(str, found)) for told in former):
+    if not former or not all(told is not None and told <= {in_utf8(str(path)) for path in found} for told in former):
         return False
     there = [(path, place) for path, place in zip(found, places, strict=True) if place.exists()]
     return all(is_finished(path, place, request) for path, place in there)

@@ -18,6 +18,7 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..core.detections import Tile
 from ..core.source import Picture
+from ..formats.csv_table import in_utf8
 from .detector import OVERLAP, Detector
 from .tiles import CONFIRMING_ZOOM, TILE, TILE_BORDER, Looks
 
@@ -190,7 +191,7 @@ def tile_name(picture: Picture, tile: Tile) -> str:
 
 def as_text(picture: Picture) -> str:
     """A picture's name as SQLite can have it: file names need not be UTF-8."""
-    return picture.name.encode(errors="backslashreplace").decode()
+    return in_utf8(picture.name)
 
 
 def _checksum(name: str, content: bytes) -> bytes:

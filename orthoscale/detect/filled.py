@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Protocol, runtime_checkable
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -70,10 +70,17 @@ def filled(picture: Picture) -> Filled:
     written, or a white or black border that nobody declared. Of a picture with overviews all of a cell is looked at,
     else a patch of it.
     """
-    return _looked_at(picture) if isinstance(picture, Windowed) else Filled(picture.width, picture.height)
+    if not isinstance(picture, Windowed):
+        return Filled(picture.width, picture.height)
+    if picture not in _known:
+        _known[picture] = _looked_at(picture)
+    return _known[picture]
 
 
-@lru_cache(maxsize=4)  # the search, its tie-break and the sweep ask one after another
+# The search, its tie-break and the sweep ask one after another; a picture that nobody else holds is let go.
+_known: WeakKeyDictionary[Windowed, Filled] = WeakKeyDictionary()
+
+
 def _looked_at(picture: Windowed) -> Filled:
     side = max(LEAST_CELL, -(-max(picture.width, picture.height) // CELLS_ACROSS))
     rows, columns = -(-picture.height // side), -(-picture.width // side)

@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 
 from ..core.detections import Tile
 from ..core.source import Picture
-from ..errors import OrthoscaleError, UsageError
+from ..errors import InputError, OrthoscaleError, UsageError
+from ..system.budget import allow, memory
 from .detector import Detector
 from .tiles import Detect, Looks, look_twice
 
@@ -96,10 +97,10 @@ def _on_cluster(client: Any, jobs: Jobs, detector: Detector) -> Iterator[tuple[i
     from distributed import KilledWorker, as_completed
 
     path, *how = detector.settings
-    settings = (None if path is None else Path(path).absolute(), *how)
+    given = (None if path is None else Path(path).absolute(), *how), detector.sha256, memory()
     # A task of a worker that is lost goes to another one; `retries` is for errors such as a network drive's hiccup.
     futures = {
-        client.submit(_look_elsewhere, picture, tile, settings, pure=False, retries=RETRIES): number
+        client.submit(_look_elsewhere, picture, tile, *given, pure=False, retries=RETRIES): number
         for number, (picture, tile) in jobs.items()
     }
     try:
@@ -113,11 +114,18 @@ def _on_cluster(client: Any, jobs: Jobs, detector: Detector) -> Iterator[tuple[i
         client.cancel([future for future in futures if not future.done()])
 
 
-def _look_elsewhere(picture: Picture, tile: Tile, settings: Settings) -> Looks:
-    return look_twice(picture, tile, _detector(settings))
+def _look_elsewhere(picture: Picture, tile: Tile, settings: Settings, sha256: str, budget: int) -> Looks:
+    allow(budget)
+    return look_twice(picture, tile, _detector(settings, sha256))
 
 
 @lru_cache(maxsize=2)
-def _detector(settings: Settings) -> Detector:
+def _detector(settings: Settings, sha256: str) -> Detector:
+    """The network of that content. Raises InputError where this machine has another."""
     path, decoder, vehicle_classes, confirmed = settings
-    return Detector(path, decoder, vehicle_classes, 1, confirmed)
+    detector = Detector(path, decoder, vehicle_classes, 1, confirmed)
+    if detector.sha256 != sha256:
+        raise InputError(
+            f"{detector.path}: a Dask worker has another network there", "Give all machines the same, and run again."
+        )
+    return detector

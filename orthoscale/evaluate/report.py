@@ -15,8 +15,8 @@ from ..core.fleet import Fleet
 from ..core.pooling.paper import MIN_SCORE, MIN_VEHICLES
 from ..core.progress import Progress
 from ..errors import InputError, TooLittleEvidence
+from ..formats.csv_table import write_csv
 from ..photos.depth.maps import Depths
-from ..photos.tables import write_csv
 from ..system.outputs import has_header
 from ..version import __version__
 from . import score
@@ -102,7 +102,7 @@ def write(text: dict[str, Any], path: Path) -> None:
     if path.suffix.lower() == ".json":
         path.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
     else:
-        write_csv(text["rows"], path)
+        write_csv(path, list(text["rows"][0]), text["rows"])
 
 
 def tables(text: dict[str, Any], outputs: Sequence[Path]) -> str:

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from .csv_table import in_utf8
+
 DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
 
 
@@ -18,7 +20,8 @@ def write_layer(
     """Write shapely `shapes` (None for no place) of one `kind` ("Polygon" ...) with their `rows` as one layer.
 
     The file's ending says the format: .gpkg (layers are added to an existing file) or .geojson (one layer only).
-    All rows have the same keys; a missing value is None. `crs` is anything GDAL understands. Raises OSError.
+    All rows have the same keys; a missing value is None, and texts are written as `in_utf8` has them. `crs` is anything
+    GDAL understands. Raises OSError.
     """
     import pyogrio
     import shapely
@@ -54,4 +57,4 @@ def _column(values: list[Any]) -> tuple[np.ndarray, np.ndarray]:
         return np.array([0 if v is None else v for v in values], np.int64), mask
     if all(isinstance(v, int | float) for v in known):
         return np.array([np.nan if v is None else v for v in values], np.float64), mask
-    return np.array(["" if v is None else str(v) for v in values], object), mask
+    return np.array(["" if v is None else in_utf8(str(v)) for v in values], object), mask

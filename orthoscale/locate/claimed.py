@@ -27,13 +27,14 @@ class ClaimedScale:
     """A photo with its average ground sampling distance [m/px] and 90 % interval.
 
     by : BY_VEHICLES or BY_WORD. measured : the vehicles' scale, None where it was told. focal_known : whether the
-    photo's focal length is, without which its altitude is not."""
+    photo's focal length is, without which its altitude is not. notes : what is to be said of the vehicles' boxes."""
 
     photo: Photo
     gsd: Measure
     by: str
     measured: PhotoScale | None = None
     focal_known: bool = True
+    notes: tuple[str, ...] = ()
 
     @property
     def sd(self) -> float:
@@ -113,7 +114,7 @@ def _by_vehicles(
     for photo in photos:
         try:
             got = measure([photo], boxes, fleet)
-            found[photo.name] = ClaimedScale(photo, got.gsd, BY_VEHICLES, got)
+            found[photo.name] = ClaimedScale(photo, got.gsd, BY_VEHICLES, got, notes=boxes.notes)
         except TooLittleEvidence as error:
             found[photo.name] = TooLittleEvidence(f"no scale: {error.message}", hint)
     return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ..formats.csv_table import write_csv
 from ..formats.pictures import write_jpeg
 from ..formats.vector import write_layer
 from ..sources.satellite import Satellite
@@ -33,10 +33,7 @@ def write(
     (folder / "located.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
     searched = [outcome for outcome in outcomes if outcome.registration is not None]
     rows = [row for outcome in searched for row in candidate_rows(outcome, satellite)[:top]]
-    with (folder / "candidates.csv").open("w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, CANDIDATE_COLUMNS)
-        table.writeheader()
-        table.writerows(rows)
+    write_csv(folder / "candidates.csv", CANDIDATE_COLUMNS, rows)
     write_places(outcomes, rows, satellite, folder / "located.gpkg")
     drawn = [outcome for outcome in searched if outcome.registration and outcome.registration.candidates]
     for number, outcome in enumerate(drawn, 1):

@@ -55,5 +55,6 @@ def footprint_of(
         "fleet": ruler.code,
         "attitude": photo.attitude,
         "focal_source": photo.lens.source,
+        "notes": list(found.notes),
     }
     return Footprint(photo.picture, got.gsd.value, (photo.tags.width, photo.tags.height), told)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ..core.detections import Detections
@@ -63,13 +63,16 @@ class Album:
 def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = None) -> Detections:
     """The boxes of `photos`, from a file or by the detector.
 
-    All photos share one zoom, as those of a flight do: measure flights at different heights in one run each.
+    All photos share one zoom, as those of a flight do: measure flights at different heights in one run each. What is
+    to be said of the boxes is in their `notes`.
     Raises InputError, UsageError, TooLittleEvidence, EvidenceDisagrees.
     """
     if how.detections is not None:
         from ..formats.detections import load
 
-        found = load(Path(how.detections), Album(photos), how.vehicle_classes)
+        album = Album(photos)
+        found = load(Path(how.detections), album, how.vehicle_classes)
+        found = replace(found, notes=(*found.notes, *(note.text for note in album.notes)))
     else:
         found = _detected(photos, how, progress)
     if how.calibration is not None:
@@ -86,10 +89,11 @@ def _detected(photos: Sequence[Photo], how: Looking, progress: Progress | None) 
     detector = Detector(path, how.decoder, how.vehicle_classes, effort.threads_each)
     zoom = told_zoom(how.zoom, how.gsd_hint, detector.card, float(how.ruler_fleet([p.path for p in photos])[0].mean[0]))
     try:
-        return find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)[0]
+        found = find_vehicles([photo.picture for photo in photos], detector, zoom, progress, effort)[0]
     except (TooLittleEvidence, EvidenceDisagrees) as error:
         where = photos[0].name if len(photos) == 1 else f"{len(photos)} photos"
         raise type(error)(f"{where}: {error.message}", error.hint) from error
+    return replace(found, notes=(*found.notes, *detector.notes))
 
 
 def save_boxes(found: Detections, path: Path, photos: Sequence[Photo]) -> None:

@@ -58,7 +58,8 @@ class Survey(Brief):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, a row for each photo; what `orthoscale photo --json` prints."""
-        return document(self.outcomes, self.fleet, self.found.detector, self.together, self.why)
+        notes = (*self.why, *self.found.notes)
+        return document(self.outcomes, self.fleet, self.found.detector, self.together, notes)
 
 
 def photo(

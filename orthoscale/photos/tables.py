@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 
 from ..core.fleet import Fleet
 from ..errors import UsageError
+from ..formats.csv_table import write_csv
 from ..system.outputs import has_header
 from .depth.ground import DepthAltitude
 from .measure import Measure, Photo, PhotoScale
@@ -135,7 +135,7 @@ def write(outcomes: Sequence[PhotoOutcome], text: Mapping[str, Any], path: Path)
     pooled = text.get("together")
     rows = [*text["rows"], *([] if pooled is None else [_row_of_all(pooled)])]
     if path.suffix.lower() == ".csv":
-        write_csv(rows, path)
+        write_csv(path, list(rows[0]), rows)
     else:
         _write_geopackage(outcomes, rows, path)
 
@@ -143,14 +143,6 @@ def write(outcomes: Sequence[PhotoOutcome], text: Mapping[str, Any], path: Path)
 def _row_of_all(pooled: Mapping[str, Any]) -> dict[str, Any]:
     """What `document` says of all together as a row; what is one photo's is empty."""
     return {name: pooled.get(name) for name in row(PhotoOutcome("", None, None))} | {"photo": ALL_TOGETHER}
-
-
-def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """A header, and a line per row; all rows have the same keys."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, list(rows[0]))
-        table.writeheader()
-        table.writerows(rows)
 
 
 def _write_geopackage(outcomes: Sequence[PhotoOutcome], rows: Sequence[Mapping[str, Any]], path: Path) -> None:

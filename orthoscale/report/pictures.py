@@ -22,8 +22,8 @@ SHEET_COLUMNS = 6  # of the contact sheet
 
 
 def draw(report: Mapping[str, Any], scene: ReportPictures, path: Path) -> None:
-    """Write a PNG: the answer, the scene with used (blue) and rejected (orange) vehicles, a contact sheet, and the scale
-    by place unless it was found not to drift."""
+    """Write a PNG: the answer, the scene with used (blue) and rejected (orange) vehicles, a contact sheet, and the
+    scale by place unless it was found not to drift."""
     panels = [_title(report), *(drawn(panel, SHEET_WIDTH / panel.image.shape[1]) for panel in scene.overviews)]
     if scene.used:
         panels.append(_contact_sheet(scene.used))

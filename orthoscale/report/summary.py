@@ -16,6 +16,7 @@ from urllib.parse import quote
 
 from ..core.scale import decimals
 from ..errors import UsageError
+from ..formats.csv_table import in_utf8, write_csv
 from ..formats.vector import write_layer
 from ..system.outputs import has_header, ours
 from .page import template
@@ -63,9 +64,9 @@ def is_summary(path: Path) -> bool:
 
 
 def inputs_in(path: Path) -> set[str] | None:
-    """The inputs that the summary `path` speaks of; None where it is damaged."""
+    """The inputs that the summary `path` speaks of, as `in_utf8` writes them; None where it is damaged."""
     try:
-        return set(SUMMARY_READERS[path.suffix.lower()](path))
+        return set(map(in_utf8, SUMMARY_READERS[path.suffix.lower()](path)))
     except (OSError, ValueError, KeyError, TypeError, sqlite3.Error):
         return None
 
@@ -96,10 +97,7 @@ def write_summary(rows: Sequence[Row], path: Path, place: Path) -> None:
 
 
 def _write_csv(rows: Sequence[Row], path: Path, place: Path) -> None:
-    with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
-        writer = csv.DictWriter(file, list(COLUMNS))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(path, list(COLUMNS), rows)
 
 
 def _write_json(rows: Sequence[Row], path: Path, place: Path) -> None:

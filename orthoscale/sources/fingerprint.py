@@ -1,4 +1,5 @@
-"""Identifies files: by a hash of all their content for the report, by a quick fingerprint for cache keys."""
+"""Identifies files: by a hash of all their content for the report, by a quick fingerprint for cache keys, and by a
+stamp within one run."""
 
 from __future__ import annotations
 
@@ -7,11 +8,39 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 from ..errors import InputError
 
 WHOLE = 4 * 2**20  # [byte] files up to this size are read whole
 PIECES, PIECE_BYTES = 64, 16 * 2**10  # number and size [byte] of the pieces that are read of larger ones
+TIME_STEP_NS = 2_000_000_000  # [ns] of the coarsest file system, FAT: so far may two machines' times of one file differ
+
+
+class Stamp(NamedTuple):
+    """What tells one content of a file from the next without reading it. path : absolute. inode : of its disk.
+    changed : when [ns]. size : [byte]."""
+
+    path: str
+    inode: int
+    changed: int
+    size: int
+
+    @classmethod
+    def of(cls, path: Path) -> Stamp:
+        """Of the file that is there now. Raises InputError."""
+        with _reading(path), path.open("rb") as file:  # of an open file a network drive tells what is so now
+            there = os.fstat(file.fileno())
+        return cls(os.path.abspath(path), there.st_ino, there.st_mtime_ns, there.st_size)
+
+    def same_elsewhere(self, other: Stamp) -> bool:
+        """Whether another machine may mean the same content; network drives make up inodes and round times."""
+        return self.size == other.size and abs(self.changed - other.changed) <= TIME_STEP_NS
+
+
+def changed(path: Path) -> InputError:
+    """The error of a file that got another content while it was in use."""
+    return InputError(f"{path} was changed since it was opened", "Let nothing write it meanwhile, and run again.")
 
 
 def content_hash(paths: Iterable[Path]) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -45,6 +45,8 @@ class GroundPicture:
     axes: np.ndarray
     frame: PictureFile | None
     source: PosedSet
+    # Stands for this picture in the memory of pictures, which would hold its source too.
+    _key: object = field(default_factory=object, init=False, repr=False)
 
     def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
         """See `Picture.read`. Raises InputError as the frame does."""
@@ -56,7 +58,8 @@ class GroundPicture:
             shrink = min(width // max(out_width, 1), height // max(out_height, 1))
             part, factor = _warped(self, x, y, width, height, shrink)
             return shrunk(part, factor, (x, y, width, height), out_width, out_height)
-        with memory.holding(self, size, lambda: _warped(self, 0, 0, self.width, self.height)[0]) as whole:
+        key = (self._key, self.frame.stamp())
+        with memory.holding(key, size, lambda: _warped(self, 0, 0, self.width, self.height)[0]) as whole:
             return resized(whole[y : y + height, x : x + width], out_width, out_height)
 
     def fingerprint(self) -> str:

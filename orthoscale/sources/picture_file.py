@@ -9,7 +9,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -18,7 +18,7 @@ import numpy as np
 from ..errors import InputError
 from ..formats.reading import refuse_pointer
 from ..system import budget
-from .fingerprint import fingerprint
+from .fingerprint import Stamp, changed, fingerprint
 
 # Shares of the memory budget: what decoded pictures may take together as long as they are small, and from which size
 # on one is large: decoded no finer than needed, one at a time, and kept alone.
@@ -40,6 +40,7 @@ class PictureFile:
     path: Path
     width: int
     height: int
+    _keyed: Stamp | None = field(default=None, init=False, repr=False, compare=False)
 
     def read(self, x: int, y: int, width: int, height: int, out_width: int, out_height: int) -> np.ndarray:
         """See `Picture.read`. Raises InputError for a file that is truncated, undecodable, of another size, or larger
@@ -60,11 +61,19 @@ class PictureFile:
         file's: 1, or for a large one, of which no more than a `shrink`-th is wanted, up to 8. Raises as `read`."""
         factor = next((f for f in (8, 4, 2) if f <= shrink), 1) if self.large else 1
         size = 3 * self.width * self.height // factor**2
-        with memory.holding((self.path, factor), size, lambda: self._decoded(factor)) as pixels:
+        with memory.holding((self.stamp(), factor), size, lambda: self._decoded(factor)) as pixels:
             yield pixels, factor
 
+    def stamp(self) -> Stamp:
+        """Of the content that it has now. Raises InputError, also where work on another content is being cached."""
+        now = Stamp.of(self.path)
+        if self._keyed is not None and not now.same_elsewhere(self._keyed):
+            raise changed(self.path)
+        return now
+
     def fingerprint(self) -> str:
-        """What cached work on this frame is keyed by."""
+        """What cached work on this frame is keyed by; from now on it has to keep its content. Raises InputError."""
+        self._keyed = Stamp.of(self.path)
         return fingerprint([self.path])
 
     def check_size(self) -> None:

@@ -6,7 +6,7 @@ import hashlib
 import math
 import shutil
 import threading
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from ..errors import InputError, UsageError
 from ..formats.points import pixel
 from ..system.budget import in_words
 from ..system.scratch import Scratch
-from .fingerprint import fingerprint
+from .fingerprint import Stamp, changed, fingerprint
 from .gdal import EXPORT_AGAIN, open_dataset, reading, settings
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place
 from .raster_blocks import RasterBlocks
@@ -66,6 +66,10 @@ class RasterSource:
         self.name = path.name
         self.notes: list[Remark] = []
         self._dataset = dataset
+        self._stamps = {path: Stamp.of(path)}
+        for file in self.files:
+            with suppress(InputError):  # what is missing beside it is said where it is needed
+                self._stamps[file] = Stamp.of(file)
         self._lock = threading.RLock()
         self.width, self.height = dataset.width, dataset.height
         self._check_size()
@@ -213,12 +217,18 @@ class RasterSource:
         return [Path(file) for file in self._dataset.files]
 
     def fingerprint(self) -> str:
-        """What cached work on this image is keyed by: the content of all its files, sampled where it is large."""
+        """What cached work on this image is keyed by: the content of all its files, sampled where it is large.
+
+        Raises InputError where one was changed since it was opened: the pixels that it gives may be those of before.
+        """
+        for file, stamp in self._stamps.items():
+            if Stamp.of(file) != stamp:
+                raise changed(file)
         return fingerprint(self.files)
 
     def __reduce__(self) -> tuple:
         """Pickled as its path: another process opens it anew, once for all its tiles."""
-        return _shared, (str(self.path.absolute()),)
+        return _shared, (str(self.path.absolute()), self._stamps[self.path])
 
     # Reading
 
@@ -375,5 +385,10 @@ class RasterSource:
 
 
 @lru_cache(maxsize=4)
-def _shared(path: str) -> RasterSource:
-    return RasterSource.open(path)
+def _shared(path: str, stamp: Stamp) -> RasterSource:
+    """The image with the content that `stamp` tells of. Raises InputError where it has another now."""
+    source = RasterSource.open(path)
+    if not source._stamps[source.path].same_elsewhere(stamp):
+        source.close()
+        raise changed(source.path)
+    return source

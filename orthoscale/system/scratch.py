@@ -23,14 +23,22 @@ class Scratch:
 
     def __init__(self) -> None:
         _remove_leftovers(Path(tempfile.gettempdir()))
-        self.folder = Path(tempfile.mkdtemp(prefix=PREFIX))
-        lock = (self.folder / IN_USE).open("wb")
-        _locked(lock)
+        self.folder, lock = _new()
         self._end = weakref.finalize(self, _remove, self.folder, lock)
 
     def close(self) -> None:
         """Remove the folder now."""
         self._end()
+
+
+def _new() -> tuple[Path, BinaryIO]:
+    """A new folder and its lock, which this process holds."""
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=PREFIX))
+        lock = (folder / IN_USE).open("wb")
+        if _locked(lock) and (folder / IN_USE).exists():
+            return folder, lock
+        lock.close()  # before it was locked, another run took it for a leftover
 
 
 def _remove(folder: Path, lock: BinaryIO) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from ...core.remarks import CAUTION, INFO, Remark
 from ...core.source import Pictures
 from ...errors import InputError, UsageError, shown
 from ...system.outputs import Outputs
+from ..csv_table import in_utf8
 from ..reading import LARGE, read_plain
 from ..tables import known_objects
 from . import coco, dota, geo, table
@@ -59,12 +60,15 @@ def save(found: Detections, path: Path, source: Pictures) -> None:
     suffix = path.suffix.lower()
     if suffix == ".txt":
         dota.write(path, found.boxes, source.picture_names)
-    elif suffix == ".gpkg":
+        return
+    found = _renamed(found, in_utf8)
+    if suffix == ".gpkg":
         geo.write_geopackage(path, found.boxes, _place(source), note(found))
     elif suffix == ".geojson":
         _write(geo.geojson(found.boxes, _place(source), note(found)), path)
     elif path.name.lower().endswith(".coco.json"):
-        _write(coco.document(found.boxes, _sizes(source), note(found)), path)
+        sizes = {in_utf8(name): size for name, size in _sizes(source).items()}
+        _write(coco.document(found.boxes, sizes, note(found)), path)
     else:
         save_detections(found, path)
 
@@ -156,6 +160,8 @@ def _checked(found: Detections, source: Pictures, path: Path) -> Detections:
     Raises InputError where it has none of them, or boxes outside of them or that cannot be meant.
     """
     known = source.picture_names
+    names = {in_utf8(name): name for name in known}
+    found = _renamed(found, lambda name: names.get(name, name))
     strangers = [name for name in found.boxes if name not in set(known)]
     if strangers and len(strangers) == len(found.boxes):
         raise InputError(
@@ -191,6 +197,15 @@ def _checked(found: Detections, source: Pictures, path: Path) -> Detections:
         text = f"{path}: {copies} of its {len(found)} boxes repeat another's vehicle and were left out"
         source.notes.append(Remark(INFO, text))
     return replace(found, boxes=single, planar=planar)
+
+
+def _renamed(found: Detections, name: Callable[[str], str]) -> Detections:
+    """`found` with `name` of each picture's name."""
+    boxes = {name(picture): each for picture, each in found.boxes.items()}
+    doubtful = {name(picture): each for picture, each in found.doubtful.items()}
+    objects = {name(picture): kinds for picture, kinds in found.objects.items()}
+    planar = None if found.planar is None else _renamed(found.planar, name)
+    return replace(found, boxes=boxes, doubtful=doubtful, objects=objects, planar=planar)
 
 
 def _check_boxes(found: Detections, sizes: Mapping[str, tuple[int, int]], path: Path) -> None:

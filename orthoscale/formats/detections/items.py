@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.boxes import KINDS, Boxes
 from ...errors import InputError, shown
+from ..csv_table import in_utf8
 from .classes import is_vehicle
 
 FARTHEST_PX = 1e7  # [px]
@@ -133,7 +134,7 @@ def _names(pictures: Sequence[str]) -> dict[str, str | None]:
         path = PurePosixPath(picture)
         for name in {str(path.with_suffix("")), path.name, path.stem}:
             names[name] = None if name in names else picture
-    return {**names, **{p: p for p in pictures}}
+    return {**names, **{in_utf8(p): p for p in pictures}, **{p: p for p in pictures}}
 
 
 def _resolved(name: str | None, pictures: Sequence[str], names: dict[str, str | None], origin: str) -> str:
