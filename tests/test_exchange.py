@@ -66,7 +66,9 @@ def source(request, tmp_path_factory):
 def test_boxes_of_a_picture_whose_name_is_not_utf_8_read_back(tmp_path):
     name = "caf\udce9.jpg"
     picture = SimpleNamespace(name=name, width=320, height=240)
-    album = SimpleNamespace(path=tmp_path, notes=[], claimed=None, pictures=[picture], picture_names=[name])
+    album = SimpleNamespace(
+        path=tmp_path, notes=[], claimed=None, pictures=[picture], picture_names=[name], image_size=lambda _: (320, 240)
+    )
     for form in ("d.json", "d.coco.json", "d.geojson", "d.gpkg"):
         save(Detections({name: BOXES}, 0.8, RULER, (0.7, 0.5), "test", "abc"), tmp_path / form, album)
         assert len(load(tmp_path / form, album).boxes[name]) == len(BOXES), form
