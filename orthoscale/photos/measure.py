@@ -9,6 +9,7 @@ detector's effective height are propagated by measuring again with each of them 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -33,7 +34,7 @@ from ..core.scale import PER_PIXEL, Scale, decimals
 from ..core.votes import Votes
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..formats.reading import files_below
-from ..sources.lens import Lens, brown, lens_of
+from ..sources.lens import Lens, lens_of
 from ..sources.picture_file import PictureFile
 from ..sources.tags import READABLE_PHOTOS, Tags, read_tags
 from ..sources.undistort import undistort
@@ -83,11 +84,12 @@ class Photo:
         return replace(self, up=self.up * np.cos(angle) + np.cross(axis, self.up) * np.sin(angle))
 
     def refocused(self, factor: float) -> Photo:
-        """The same photo with `factor` times the focal length; distortion, which is second to that, left away."""
-        camera = self.lens.camera
-        focal = self.lens.focal_px * factor
-        middle = (camera.principal_point_x, camera.principal_point_y)
-        return replace(self, lens=replace(self.lens, camera=brown((camera.width, camera.height), focal, focal, middle)))
+        """The same photo with `factor` times the focal length; principal point and distortion stay."""
+        camera = copy(self.lens.camera)
+        params = np.array(camera.params)
+        params[list(camera.focal_length_idxs())] *= factor
+        camera.params = params
+        return replace(self, lens=replace(self.lens, camera=camera))
 
 
 def open_photo(
