@@ -88,7 +88,7 @@ class Photo:
         camera = copy(self.lens.camera)
         params = np.array(camera.params)
         params[list(camera.focal_length_idxs())] *= factor
-        camera.params = params
+        camera.params = params.tolist()
         return replace(self, lens=replace(self.lens, camera=camera))
 
 
