@@ -132,8 +132,10 @@ class Measured:
         kind: np.ndarray,
         light: np.ndarray,
     ) -> Measured:
-        """What is told along boxes `xylwa` (N, 5) of any direction, which `Boxes` turns along the longer side; the other
-        arguments are as the fields, the score (N,) of the proposed boxes."""
+        """What is told along boxes `xylwa` (N, 5) of any direction, which `Boxes` turns along the longer side.
+
+        score : (N,) of the proposed boxes. The others are as the fields.
+        """
         boxes = Boxes(xylwa, score)
         edges = TURNED_EDGES[np.round((boxes.angle - xylwa[:, 4]) / (np.pi / 2)).astype(int) % 4]
         return cls(boxes, np.take_along_axis(sigma, edges, 1), np.take_along_axis(seen, edges, 1), kind, light)
