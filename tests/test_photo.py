@@ -22,6 +22,7 @@ from orthoscale.detect.workers import cores, worker_count
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
+from orthoscale.locate.level import LevelledPhoto
 from orthoscale.photos.looking import Looking, boxes_of
 from orthoscale.photos.measure import PhotoGeometry, find_photos, measure, open_photo
 from orthoscale.photos.survey import measure_together, open_photos
@@ -389,6 +390,23 @@ def test_altitude_gsd_and_footprint_of_a_known_pose(tmp_path, fleet, pitch, roll
         truth = -rays[:, :2] * ALTITUDE / rays[:, 2:]
         sides = np.linalg.norm(np.diff(got.outline(), axis=0, append=got.outline()[:1]), axis=1)
         assert sides == pytest.approx(np.linalg.norm(np.diff(truth, axis=0, append=truth[:1]), axis=1), rel=POOLED)
+
+
+def test_altitude_and_resolution_lead_to_each_other(tmp_path):
+    photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=1000, pitch=-30)
+    assert photo.gsd_from(90.0) == pytest.approx(0.18) and photo.altitude_of(0.18) == pytest.approx(90)
+
+
+@pytest.mark.parametrize("pitch, there", [(-90, True), (-35, True), (-33, False), (-10, False)])
+def test_an_outline_needs_corners_that_see_the_ground_from_ten_degrees(tmp_path, pitch, there):
+    """The upper corners see it from 11 degrees at a pitch of -35, from 9.2 at one of -33."""
+    photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL, pitch=pitch)
+    outline = photo.outline(60.0)
+    assert (outline is not None) == there
+    if outline is not None:
+        assert LevelledPhoto(photo, 60.0).corners == pytest.approx(outline * (1, -1))
+    if pitch == -90:
+        assert outline == pytest.approx(np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) * np.array(SIZE) / 30)
 
 
 def test_what_is_not_known_widens_what_depends_on_it(tmp_path, fleet):
