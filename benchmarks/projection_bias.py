@@ -42,7 +42,8 @@ from support.simulate import (  # noqa: E402
 VEHICLES = 2000
 # Exact's hull is in metres, so it is measured with again; a round leaves up to half the error, at -30 degrees.
 ROUNDS = 12
-METHODS = ("naive", "text", "program", "exact")
+VARIANTS = {"naive": decoupled.NAIVE, "text": decoupled.TEXT, "program": decoupled.PROGRAM}
+METHODS = (*VARIANTS, "exact")
 
 CAR = (4.4, 1.9)
 ASSUMED = {
@@ -62,7 +63,7 @@ OTHERS = {  # none of them known to exact
 def scales(seen: Seen, views: Views, body: Body, method: str, hull: Hull) -> np.ndarray:
     """(N,) metres per unit by each box; `exact` starts from a tenth off and settles as it does in the pipeline."""
     if method != "exact":
-        return decoupled.paper_scale(seen.boxes, views, (*body.size, body.height), decoupled.VARIANTS[method])
+        return decoupled.paper_scale(seen.boxes, views, (*body.size, body.height), VARIANTS[method])
     metres_per_unit = 1.1 * UNIT
     for _ in range(ROUNDS):
         each = (np.array(body.size) / exact.ground_size(seen.boxes, views, metres_per_unit, hull)).mean(1)
@@ -143,8 +144,8 @@ def run_time(n: int = 100_000) -> str:
     seen = fly(np.random.default_rng(0), n, DENSEUAV, -60, body)
     views = seen.views(unit=UNIT)
     jobs: dict[str, Callable[[], np.ndarray]] = {
-        m: partial(decoupled.ground_size, seen.boxes, views, (*body.size, body.height), decoupled.VARIANTS[m])
-        for m in METHODS[:3]
+        name: partial(decoupled.ground_size, seen.boxes, views, (*body.size, body.height), variant)
+        for name, variant in VARIANTS.items()
     }
     jobs["exact, 0.8 m"] = partial(exact.ground_size, seen.boxes, views, UNIT, Hull())
     jobs["exact, 1.5 m"] = partial(exact.ground_size, seen.boxes, views, UNIT, hull)

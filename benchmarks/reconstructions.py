@@ -14,7 +14,7 @@ import numpy as np
 
 from orthoscale.actions.estimate import estimate
 from orthoscale.core.pooling.paper import pool_iqr
-from orthoscale.core.projection.decoupled import PRIORS, VARIANTS, paper_scale
+from orthoscale.core.projection.decoupled import NAIVE, PRIORS, PROGRAM, TEXT, paper_scale
 from orthoscale.core.projection.view import Views
 from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import load_fleet
@@ -34,7 +34,7 @@ def by_the_paper(result: Result, source) -> dict[str, float]:
     priors = {"paper's priors": PRIORS, "fleet's priors": tuple(map(float, result.fleet.mean))}
     out = {}
     for which, prior in priors.items():
-        for name, variant in VARIANTS.items():
+        for name, variant in {"text": TEXT, "program": PROGRAM, "naive": NAIVE}.items():
             try:
                 out[f"{name}, {which}"] = pool_iqr(paper_scale(boxes, views, prior, variant), boxes.score).value
             except TooLittleEvidence:

@@ -76,8 +76,9 @@ def flag(of: Field) -> str:
     return named or "--" + of.name.replace("_", "-")
 
 
-def command_line(path: str, settings: Mapping[str, Any]) -> str:
-    """`orthoscale estimate` of `path` with the `settings` of a report, those that are not its defaults."""
+def command_line(path: str, settings: Mapping[str, Any], folder: str = "") -> str:
+    """`orthoscale estimate` of `path` with the `settings` of a report, those that are not its defaults, after the way
+    to the `folder` that its relative names start from."""
     words = ["orthoscale", "estimate", path]
     for each in fields(EstimateRequest):
         value = settings.get(each.name)
@@ -89,7 +90,8 @@ def command_line(path: str, settings: Mapping[str, Any]) -> str:
         else:
             for one in value if isinstance(value, (list, tuple)) else [value]:
                 words += [on, str(one)]
-    return shlex.join(words)
+    there = f"{shlex.join(['cd', folder])}\n" if folder else ""
+    return there + shlex.join(words)
 
 
 @dataclass(frozen=True, kw_only=True)

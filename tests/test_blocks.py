@@ -18,6 +18,7 @@ from orthoscale.core.measuring.systematic import Systematic
 from orthoscale.core.measuring.ways import measure_source, united
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.votes import gather
+from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import load_fleet
 
 FLEET = load_fleet("DE")
@@ -202,3 +203,12 @@ class _With:
 
     def __getattr__(self, name):
         return getattr(self.source, name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.005, 0.003])
+def test_boxes_that_the_margin_may_be_all_of_are_too_little_evidence(share):
+    block = fly(np.random.default_rng(8), FLEET, Conditions("nadir", vehicles=20), unsure=False)
+    tiny = {name: replace(b, xylwa=b.xylwa * [1, 1, share, share, 1]) for name, b in block.found.boxes.items()}
+    with pytest.raises(TooLittleEvidence, match="boxes that a vehicle explains, 5 are needed"):
+        measure_source(block.source, replace(block.found, boxes=tiny), FLEET, mode="oblique")

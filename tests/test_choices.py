@@ -16,7 +16,7 @@ from orthoscale.core.measuring.systematic import Systematic
 from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.projection.exact import Hull
 from orthoscale.core.scale import Scale
-from orthoscale.core.verdicts import verdict
+from orthoscale.core.verdicts import UNUSABLE, remark_on_shape, verdict
 from orthoscale.detect.find import Effort
 from orthoscale.detect.sweep import sweep_twice
 from orthoscale.detect.tiles import Looks
@@ -73,6 +73,16 @@ def test_of_two_measurements_the_more_certain_one_counts_more():
     # Inverse variances: nine to one.
     assert np.log(both.value / 0.1) == pytest.approx(0.1 * np.log(1.02), rel=1e-6)
     assert both.parts["fleet"] == pytest.approx(0.03)  # what both share does not shrink
+
+
+def test_the_pooled_verdict_does_not_depend_on_which_measurement_comes_first():
+    unsure, sure = replace(scale(0.100, 0.16), verdict=UNUSABLE), scale(0.101, 0.01)
+    odd = replace(scale(0.101, 0.02), tension=2.6, remarks=(remark_on_shape(0.1, 2.6),))
+    for pair, word in (((unsure, sure), "fair"), ((odd, sure), "poor")):
+        for first, second in (pair, pair[::-1]):
+            both = together(compare({"oblique": first, "planar": second}))
+            assert both.verdict == word and both.tension == max(one.tension for one in pair)
+            assert both.remarks == pair[0].remarks
 
 
 @pytest.mark.parametrize(

@@ -63,13 +63,9 @@ def frames():
 COVER = Cover(np.arange(80)[::-1], 40)
 
 
-class Rectangles(RectangleDetector):
-    sha256, sure, confirming = "a" * 64, 0.0, None
-    name = "rectangles"
-
-
 def looked_at(frames, sampling, cover=COVER, **effort):
-    found, _ = find_vehicles(frames, Rectangles(), 1.0, None, Effort(cache=False, workers=1, **effort), sampling, cover)
+    effort = Effort(cache=False, workers=1, **effort)
+    found, _ = find_vehicles(frames, RectangleDetector(), 1.0, None, effort, sampling, cover)
     names = [name for name, _ in found.swept.tiles]
     assert all(names.count(name) == 2 for name in names), "each frame has two tiles, and is looked at as a whole"
     return sorted(set(names)), found

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support import in_process
+from support.photos import SIZE
 
 from orthoscale.errors import InputError
 from orthoscale.evaluate.methods import METHODS
@@ -19,6 +20,7 @@ from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections
 from orthoscale.photos.looking import save_boxes
 from orthoscale.photos.measure import RIGHT, measure
+from orthoscale.sources.lens import Lens, brown
 from orthoscale.synthetic import NormalFleet, make_scene
 from orthoscale.synthetic.folders import GROUND_M, LON_LAT, survey_rotation, write_csv, write_denseuav, write_visloc
 
@@ -194,6 +196,14 @@ def test_a_wrong_pitch_is_towards_the_horizon(folders):
     for before, after in zip(samples[1:], changed(samples, pitch_deg=2.0)[1:], strict=True):
         assert np.degrees(after.photo.pitch - before.photo.pitch) == pytest.approx(2.0)
         assert after.photo.up @ RIGHT == pytest.approx(0)
+
+
+def test_a_wrong_pitch_alone_leaves_the_lens(folders):
+    (sample, *_), _ = read_samples(folders / "table" / "photos.csv")
+    bent = brown(SIZE, 900.0, 910.0, bend=(-0.1, 0.0, 0.0, 0.0, 0.0))
+    sample = replace(sample, photo=replace(sample.photo, lens=Lens(bent, 0.003, "made for this test")))
+    (after,) = changed([sample], pitch_deg=2.0)
+    assert after.photo.lens.camera.params == pytest.approx(bent.params)
 
 
 def break_csv(text):

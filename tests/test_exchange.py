@@ -196,7 +196,7 @@ def some_detections(draw, plans=True):
         detector_sha256="ab" * 32,
         doubtful={name: boxes for name in names[:2] if len(boxes := draw(some_boxes()))},
         objects={names[0]: {"tennis-court": boxes}} if len(boxes := draw(some_boxes())) else {},
-        doubt="seen faintly",
+        set_aside={why: {names[0]: boxes} for why in ("panels", "no vehicle") if len(boxes := draw(some_boxes()))},
         planar=draw(some_detections(plans=False)) if plans and draw(st.booleans()) else None,
         body=draw(st.sampled_from(["car", "van"])),
     )
@@ -213,18 +213,32 @@ def test_load_gives_back_all_that_was_saved(tmp_path_factory, name, found):
     assert about(again) == about(found) and source.notes == []
 
     def compare(a, b):
-        for ours, theirs in ((a.boxes, b.boxes), (a.doubtful, b.doubtful)):
+        assert a.set_aside.keys() == b.set_aside.keys()
+        aside = [(a.set_aside[why], b.set_aside[why]) for why in b.set_aside]
+        for ours, theirs in ((a.boxes, b.boxes), (a.doubtful, b.doubtful), *aside):
             for picture in {*ours, *theirs}:
                 same(ours.get(picture, Boxes.empty()), theirs.get(picture, Boxes.empty()))
         assert a.objects.keys() == b.objects.keys()
         for picture, kinds in a.objects.items():
             same(kinds["tennis-court"], b.objects[picture]["tennis-court"])
-        assert (a.doubt == b.doubt or not a.doubtful) and (a.planar is None) == (b.planar is None)
+        assert (a.planar is None) == (b.planar is None)
 
     compare(again, found)
     if found.planar is not None:
         assert about(again.planar) == about(found.planar)
         compare(again.planar, found.planar)
+
+
+def test_files_of_before_reasons_were_kept_apart_are_read(tmp_path):
+    row = {"cx": 100.0, "cy": 80.0, "length": 41.0, "width": 17.0, "angle": 0.3}
+    text = {
+        "detector": "t", "detector_sha256": "", "zoom": 0.8, "effective_height": [0.7, 0.5], "body": "car",
+        "doubt": "low confidence, or detected at only one resolution", "doubtful": {"a.jpg": [row]},
+        "pictures": {"a.jpg": [row, {**row, "cx": 200.0}]},
+    }  # fmt: skip
+    (tmp_path / "d.json").write_text(json.dumps(text))
+    found = load(tmp_path / "d.json", pictures_of(["a.jpg"], tmp_path))
+    assert (len(found), found.unconfirmed, found.set_aside) == (2, 1, {})
 
 
 def test_dota_text_keeps_boxes_and_scores(tmp_path):

@@ -16,6 +16,7 @@ from orthoscale.detect.measurer import (
     CROP_HEIGHT,
     CROP_WIDTH,
     MOVED_AT_MOST,
+    Measured,
     Measurer,
     MeasurerCard,
     crop,
@@ -219,6 +220,28 @@ def test_an_edge_that_is_moved_leaves_the_other_three_where_they_are() -> None:
 
         assert moved[4] == box[4]
         assert edges(moved) - edges(box) == pytest.approx(outward * [-1, 1, -1, 1])
+
+
+def test_what_is_told_of_an_edge_stays_with_it_when_the_box_is_turned() -> None:
+    """Boxes that came out wider than long, or point elsewhere, are turned along the longer side."""
+    rng = np.random.default_rng(7)
+    count = 40
+    xylwa = np.column_stack([rng.uniform(20, 40, (count, 4)), rng.uniform(-7, 7, count)])
+    edges = rng.permuted(np.tile(np.arange(1.0, 5.0), (count, 1)), axis=1)
+    rows = np.column_stack([xylwa, edges, edges / 4, np.zeros((count, len(ANSWERS) + 1))])
+    told = Measured.of_rows(rows, np.ones(count))
+
+    def middles(boxes: np.ndarray) -> np.ndarray:
+        along = np.stack([np.cos(boxes[:, 4]), np.sin(boxes[:, 4])], 1) * boxes[:, 2:3] / 2
+        across = np.stack([-np.sin(boxes[:, 4]), np.cos(boxes[:, 4])], 1) * boxes[:, 3:4] / 2
+        return boxes[:, None, :2] + np.stack([-along, along, -across, across], 1)
+
+    for values, before in ((told.sigma, edges), (told.seen, edges / 4)):
+        one, other = (np.argsort(some, axis=1)[..., None] for some in (before, values))
+        same = np.take_along_axis(middles(xylwa), one, 1) - np.take_along_axis(middles(told.boxes.xylwa), other, 1)
+        assert np.abs(same).max() < 1e-9
+    again = Measured.of_rows(told.rows, np.ones(count))
+    assert (again.rows == told.rows).all()
 
 
 def test_what_is_moved_is_less_certain() -> None:

@@ -24,10 +24,11 @@ from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.locate.claimed import claimed_scales
+from orthoscale.locate.level import LevelledPhoto
 from orthoscale.photos import tables
 from orthoscale.photos.footprint import footprint_of
 from orthoscale.photos.looking import Looking, boxes_of
-from orthoscale.photos.measure import find_photos, measure, open_photo
+from orthoscale.photos.measure import PhotoGeometry, find_photos, measure, open_photo
 from orthoscale.photos.survey import measure_together, open_photos
 from orthoscale.photos.survey import photo as survey_photos
 from orthoscale.photos.tables import footprint_on_earth
@@ -395,6 +396,23 @@ def test_altitude_gsd_and_footprint_of_a_known_pose(tmp_path, fleet, pitch, roll
         assert sides == pytest.approx(np.linalg.norm(np.diff(truth, axis=0, append=truth[:1]), axis=1), rel=POOLED)
 
 
+def test_altitude_and_resolution_lead_to_each_other(tmp_path):
+    photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=1000, pitch=-30)
+    assert photo.gsd_from(90.0) == pytest.approx(0.18) and photo.altitude_of(0.18) == pytest.approx(90)
+
+
+@pytest.mark.parametrize("pitch, there", [(-90, True), (-35, True), (-33, False), (-10, False)])
+def test_an_outline_needs_corners_that_see_the_ground_from_ten_degrees(tmp_path, pitch, there):
+    """The upper corners see it from 11 degrees at a pitch of -35, from 9.2 at one of -33."""
+    photo = open_photo(write_photo(tmp_path / "a.jpg"), focal_px=FOCAL, pitch=pitch)
+    outline = photo.outline(60.0)
+    assert (outline is not None) == there
+    if outline is not None:
+        assert LevelledPhoto(photo, 60.0).corners == pytest.approx(outline * (1, -1))
+    if pitch == -90:
+        assert outline == pytest.approx(np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) * np.array(SIZE) / 30)
+
+
 def test_what_is_not_known_widens_what_depends_on_it(tmp_path, fleet):
     path = write_photo(tmp_path / "a.jpg")
     (tmp_path / "a.json").write_text(json.dumps({"width": SIZE[0], "height": SIZE[1], "fx": FOCAL}))
@@ -410,6 +428,27 @@ def test_what_is_not_known_widens_what_depends_on_it(tmp_path, fleet):
     oblique = detections_of({"a.jpg": boxes_in(view_from(-50))})
     tilted = measure([open_photo(path, focal_px=FOCAL, pitch=-50.0)], oblique, fleet)
     assert tilted.scale.parts["geometry"] > 2 * told.scale.parts["geometry"]
+
+
+@pytest.mark.parametrize("k1", [0.0, -0.1])
+def test_a_bent_lens_leaves_no_more_open_than_its_focal_length(tmp_path, k1):
+    """Straight down a wrong focal length changes no size in pixels of the nadir view, however the lens bends."""
+    (tmp_path / "a.json").write_text(json.dumps({"width": SIZE[0], "height": SIZE[1], "fx": FOCAL, "k1": k1}))
+    photo = open_photo(write_photo(tmp_path / "a.jpg"), lens_file=tmp_path / "a.json", pitch=-90.0)
+    seen = PhotoGeometry.of([photo], detections_of({"a.jpg": boxes_in(view_from(-90))})).observe(ALTITUDE / FOCAL)
+    assert np.abs(seen.systematic.shared["focal"]).max() < photo.lens.sd / 5
+
+
+@pytest.mark.parametrize("text", [CALIBRATIONS["a.txt"], "1 SIMPLE_RADIAL 4000 3000 2300 2012 1492 -0.02\n"])
+def test_another_focal_length_is_of_the_same_lens(tmp_path, text):
+    (tmp_path / "a.txt").write_text(text)
+    path = write_photo(tmp_path / "a.jpg", size=(400, 300))
+    photo = open_photo(path, lens_file=tmp_path / "a.txt")
+    before, after = photo.lens.camera, photo.refocused(1.5).lens.camera
+    rays = np.array([[0.3, -0.2, 1.0], [0.0, 0.1, 1.0]])
+    middle = np.array([before.principal_point_x, before.principal_point_y])
+    assert after.img_from_cam(rays) - middle == pytest.approx(1.5 * (before.img_from_cam(rays) - middle))
+    assert before.mean_focal_length() == pytest.approx(230), "the photo itself stays as it is"
 
 
 def test_photos_of_one_altitude_are_pooled_and_repeats_do_not_count_twice(tmp_path, fleet):

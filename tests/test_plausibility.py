@@ -129,13 +129,15 @@ def test_what_two_looks_seldom_agree_on_is_believed_less(believed, doubtful, low
     plan.plan, plan.posed = plan, None
     boxes = car_park(45, 2000, 2000, max(believed, 5))
     given = {"plan": random_boxes(doubtful, 1900)}
-    sure, unsure = (
+    sure, unsure, aside = (
         measure_source(plan, Detections({"plan": boxes}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "a detector", **more), DE)
-        for more in ({}, {"doubtful": given})
+        for more in ({}, {"doubtful": given}, {"set_aside": {"panels": given}})
     )
+    assert (aside.scale.verdict, aside.remarks) == (unsure.scale.verdict, unsure.remarks), "most boxes are no vehicles"
+    assert aside.rejected_boxes == {"panels": doubtful}
     assert unsure.scale.value == sure.scale.value
     assert unsure.scale.verdict == (one_step_below(sure.scale.verdict) if lowered else sure.scale.verdict)
-    assert any("two detection passes agree on" in check.detail for check in judgements(unsure)) == lowered
+    assert any("as few as of mistakes" in check.detail for check in judgements(unsure)) == lowered
     # However narrow the interval: things that are all alike, and anchors that follow them, are sure of themselves.
     good = replace(sure.scale, verdict="good")
     assert if_confirmed(good, believed, doubtful).verdict == ("poor" if lowered else "good")

@@ -20,7 +20,7 @@ from orthoscale.core.projection.exact import BODIES
 from orthoscale.core.ruler import Ruler
 from orthoscale.detect.find import Effort
 from orthoscale.detect.measurer import Measured, Measurer, MeasurerCard
-from orthoscale.detect.remeasure import MOST, remeasured
+from orthoscale.detect.remeasure import MOST, WHY_NONE, remeasured
 from orthoscale.errors import InputError, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import load_detections, save_detections
@@ -82,7 +82,10 @@ def test_what_is_no_vehicle_does_not_count():
     seen = proposed(truth)
     got = remeasured([Drawing(1800, 1500, truth)], found(seen), Sees(truth[5:]), QUIET)
     near = np.linalg.norm(seen.centre[:, None] - truth[5:].centre, axis=2).min(1) < truth.length.max()
-    unlike = len(got.doubtful["drawing"])
+    unlike = len(got.set_aside[WHY_NONE]["drawing"])
+    assert not got.doubtful, "the detector saw it in both passes"
+    again = remeasured([Drawing(1800, 1500, truth)], replace(got, boxes={"drawing": seen}), Sees(truth[5:]), QUIET)
+    assert len(again.set_aside[WHY_NONE]["drawing"]) == 2 * unlike
     assert unlike >= (~near).sum() > 0 and unlike + len(got) == len(seen)
     assert got.notes == (f"{unlike} boxes do not count: the measurer saw no vehicle in them",)
 

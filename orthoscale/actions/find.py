@@ -93,7 +93,7 @@ def find_in_model(source: PosedSet, mode: str | None, search: VehicleSearch) -> 
 
     if mode == PLANAR:
         from_above, choice = planar(_plans(source, True), search, zoom_of_frames)
-        return replace(from_above, boxes={}, doubtful={}, planar=from_above), choice
+        return replace(from_above, boxes={}, doubtful={}, set_aside={}, planar=from_above), choice
     found, choice = search.vehicles(source.pictures, search.sampling.in_pictures if cover is not None else None, cover)
     if mode == OBLIQUE:
         return found, choice

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 from .boxes import Boxes
 from .ruler import Ruler
@@ -10,6 +11,7 @@ from .ruler import Ruler
 # Boxes from a file that does not say what ruler they are: a margin nobody has measured.
 UNKNOWN_RULER = Ruler(margin=(0.0, 0.0), margin_sd=(1.5, 1.2), bias_sd=(0.02, 0.03), noise=(2.0, 1.2))
 UNKNOWN_HEIGHT = (0.7, 0.6)  # of a DOTA-trained YOLO-OBB on oblique frames, for want of better [m]
+UNCONFIRMED = "low confidence, or detected at only one resolution"  # why `Detections.doubtful` do not count
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,8 @@ class Detections:
     zoom : detector pixels per picture pixel; the ruler's margin and noise are in detector pixels.
     effective_height : up to where the boxes enclose a vehicle seen obliquely, along its length and its width [m].
     objects : boxes of other classes than vehicles, by picture name and class, for `measuring.objects.standard_objects`.
-    doubtful : boxes that were seen but not believed, by picture name, with the reason.
+    doubtful : boxes that one detection pass alone shows, or both without being sure (UNCONFIRMED), by picture name.
+    set_aside : boxes that both passes show and that do not count all the same, by the reason and picture name.
     planar : those of a reconstruction's frames warped onto the ground, by the frame's name, in the plans' pixels.
     body : what the vehicles are shaped like, one of `core.projection.exact.BODIES`; the card's.
     swept : which tiles were looked at, where the boxes do not come from a file.
@@ -67,11 +70,28 @@ class Detections:
     detector_sha256: str = ""
     doubtful: dict[str, Boxes] = field(default_factory=dict)
     objects: dict[str, dict[str, Boxes]] = field(default_factory=dict)
-    doubt: str = "low confidence, or detected at only one resolution"
     planar: Detections | None = None
     swept: Swept | None = None
     body: str = "car"
     notes: tuple[str, ...] = ()
+    set_aside: dict[str, dict[str, Boxes]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return sum(map(len, self.boxes.values()))
+
+    @property
+    def unconfirmed(self) -> int:
+        """Number of the doubtful ones."""
+        return sum(map(len, self.doubtful.values()))
+
+    @property
+    def uncounted(self) -> int:
+        """Number of all that were seen and do not count."""
+        return self.unconfirmed + sum(len(one) for boxes in self.set_aside.values() for one in boxes.values())
+
+    def setting_aside(self, why: str, boxes: Mapping[str, Boxes]) -> Detections:
+        """The same with more boxes set aside for the reason `why`, by picture name."""
+        aside = dict(self.set_aside.get(why, {}))
+        for name, more in boxes.items():
+            aside[name] = Boxes.concatenate([aside.get(name, Boxes.empty()), more])
+        return replace(self, set_aside={**self.set_aside, why: aside}) if aside else self

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ..core.progress import Progress
 
 WHY_EQUAL = "things of one size that stand together, as solar panels or graves do"
-WHY_SELDOM = "of about their size the two passes agree on few, as on mistakes"
+WHY_SELDOM = "of a size at which the two passes agree on few, as on mistakes"
 ZOOM_FRAMES = 200  # of a model, in which the scale search looks: its windows are in as many at most but for the lowest
 
 
@@ -158,17 +158,16 @@ def _promising_first(
 
 def _without(found: Detections, why: str, doubted: Callable[[Boxes, Boxes], np.ndarray]) -> Detections:
     """`found`, where those boxes of a picture that are `doubted`, (N,) bool of its boxes and its doubtful ones, are
-    doubtful; a note says how many and `why`."""
-    boxes, doubtful, count = dict(found.boxes), dict(found.doubtful), 0
+    set aside; a note says how many and `why`."""
+    boxes, aside = dict(found.boxes), {}
     for name, seen in found.boxes.items():
-        before = doubtful.get(name, Boxes.empty())
-        out = doubted(seen, before)
+        out = doubted(seen, found.doubtful.get(name, Boxes.empty()))
         if out.any():
-            boxes[name], doubtful[name] = seen[~out], Boxes.concatenate([before, seen[out]])
-            count += int(out.sum())
-    if not count:
+            boxes[name], aside[name] = seen[~out], seen[out]
+    if not aside:
         return found
-    return replace(found, boxes=boxes, doubtful=doubtful, notes=(*found.notes, f"{count} boxes do not count: {why}"))
+    note = f"{sum(map(len, aside.values()))} boxes do not count: {why}"
+    return replace(found.setting_aside(why, aside), boxes=boxes, notes=(*found.notes, note))
 
 
 def _equal_things(boxes: Boxes, _: Boxes) -> np.ndarray:

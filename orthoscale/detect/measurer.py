@@ -94,6 +94,8 @@ class MeasurerCard:
         return np.clip(self.inward * excess, 0.0, MOVED_AT_MOST * length[:, None])
 
 
+# Which edge comes where in the order of `Measured.sigma`, once a box was turned by so many quarters.
+TURNED_EDGES = np.array([[0, 1, 2, 3], [2, 3, 1, 0], [1, 0, 3, 2], [3, 2, 0, 1]])
 FIRST_COLUMNS = (5, 9, 13, 13 + len(ANSWERS))  # in `Measured.rows`, of sigma, seen, kind and light; the box is before
 
 
@@ -121,10 +123,28 @@ class Measured:
         return np.column_stack([self.boxes.xylwa, self.sigma, self.seen, self.kind, self.light])
 
     @classmethod
+    def along(
+        cls,
+        xylwa: np.ndarray,
+        score: np.ndarray,
+        sigma: np.ndarray,
+        seen: np.ndarray,
+        kind: np.ndarray,
+        light: np.ndarray,
+    ) -> Measured:
+        """What is told along boxes `xylwa` (N, 5) of any direction, which `Boxes` turns along the longer side.
+
+        score : (N,) of the proposed boxes. The others are as the fields.
+        """
+        boxes = Boxes(xylwa, score)
+        edges = TURNED_EDGES[np.round((boxes.angle - xylwa[:, 4]) / (np.pi / 2)).astype(int) % 4]
+        return cls(boxes, np.take_along_axis(sigma, edges, 1), np.take_along_axis(seen, edges, 1), kind, light)
+
+    @classmethod
     def of_rows(cls, rows: np.ndarray, score: np.ndarray) -> Measured:
         """What has these `rows` (N, 19), with the scores (N,) of the proposed boxes."""
         xylwa, sigma, seen, kind, light = np.split(rows, FIRST_COLUMNS, axis=1)
-        return cls(Boxes(xylwa, score), sigma, seen, kind, light[:, 0])
+        return cls.along(xylwa, score, sigma, seen, kind, light[:, 0])
 
     @property
     def size_sigma(self) -> np.ndarray:
@@ -239,8 +259,8 @@ class Measurer:
         light = np.array([lightness(*each) for each in zip(crops, cut_along[:, 2:4] / steps[:, None], strict=True)])
         sigma = sigma * steps[:, None]
         outward = self.card.outward(sigma, proposed[:, 2])
-        boxes = Boxes(moved_out(proposed, outward) * units + corner, boxes.score)
-        return Measured(boxes, enlarged * np.hypot(sigma, MOVED_SD * outward), seen, kind, light)
+        found = moved_out(proposed, outward) * units + corner
+        return Measured.along(found, boxes.score, enlarged * np.hypot(sigma, MOVED_SD * outward), seen, kind, light)
 
 
 def _window(picture: Picture, box: np.ndarray, enlarged: Fraction) -> tuple[np.ndarray, np.ndarray]:

@@ -35,6 +35,7 @@ AT_A_TIME = 8  # boxes that one thread measures at a time
 # scenes 4 reach it, of 127 boxes beside them that are none 5; at a tenth it is 154 and 60, small dark vehicles most of
 # all (training/measurer/README.md).
 NONE = 0.5
+WHY_NONE = "in which the measurer saw no vehicle"
 SAME = 0.4  # overlap with the proposed box below which another thing was measured; boxes 30 % too large share 0.59
 
 
@@ -63,7 +64,7 @@ def remeasured(
 ) -> Detections:
     """`found` with the boxes that `measurer` makes of it in `pictures`, and its ruler.
 
-    What it takes for no vehicle becomes doubtful. Each box has a sigma of its own, and kinds where it was looked at.
+    What it takes for no vehicle is set aside. Each box has a sigma of its own, and kinds where it was looked at.
     effort : its workers and cache.
     """
     effort = effort or Effort()
@@ -83,7 +84,7 @@ def remeasured(
         Boxes.concatenate(list(proposed.values())), Boxes.concatenate([told[name].boxes for name in proposed])
     )
     vehicle = {name: _is_vehicle(told[name], boxes) for name, boxes in proposed.items()}
-    boxes, doubtful = {}, dict(found.doubtful)
+    boxes, aside = {}, {}
     for name, before in found.boxes.items():
         if name not in chosen:
             boxes[name] = distinct(_corrected(before, change))
@@ -92,14 +93,12 @@ def remeasured(
         measured = _of(told[name], measurer)[vehicle[name]]
         boxes[name] = distinct(Boxes.concatenate([_corrected(before[rest], change), measured]))
         if not vehicle[name].all():
-            others = proposed[name][~vehicle[name]]
-            doubtful[name] = Boxes.concatenate([doubtful.get(name, Boxes.empty()), others])
-    no_vehicles = sum(int((~some).sum()) for some in vehicle.values())
+            aside[name] = proposed[name][~vehicle[name]]
+    no_vehicles = sum(map(len, aside.values()))
     card = measurer.card
     return replace(
-        found,
+        found.setting_aside(WHY_NONE, aside),
         boxes=boxes,
-        doubtful=doubtful,
         ruler=_in_detector_pixels(_of_enlarged(card.ruler, enlarged), found.zoom * float(enlarged)),
         effective_height=card.effective_height,
         body=card.body,

@@ -58,10 +58,9 @@ def scale_errors(text: str) -> list[float]:
 
 
 def true_scale(placed: PlacedSample) -> ClaimedScale:
-    """The scale by the true altitude: r = altitude / (focal |sin pitch|)."""
+    """The scale by the true altitude."""
     photo = placed.sample.photo
-    gsd = placed.sample.altitude / (photo.lens.focal_px * abs(float(photo.up[2])))
-    return ClaimedScale(photo, Measure.log_normal(gsd, TRUE_SD), BY_WORD)
+    return ClaimedScale(photo, Measure.log_normal(photo.gsd_from(placed.sample.altitude), TRUE_SD), BY_WORD)
 
 
 def estimated_scale(placed: PlacedSample, found: Detections, fleet: Fleet) -> ClaimedScale | None:

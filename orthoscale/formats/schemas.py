@@ -177,8 +177,8 @@ class NoteEntry(Struct, kw_only=True):
     detector: Text | UnsetType = UNSET
     body: Name = "car"
     ruler: RulerEntry | UnsetType = UNSET
-    doubt: Text | UnsetType = UNSET
     doubtful: BoxesByPicture = {}
+    set_aside: dict[Text, BoxesByPicture] = {}
     objects: BoxesByPicture = {}
     planar: DetectionsEntry | None = None
 

@@ -44,7 +44,7 @@ class ClaimedScale:
     @property
     def levelled(self) -> LevelledPhoto:
         """The ground that the photo shows if the GSD is right."""
-        return LevelledPhoto(self.photo, altitude_of(self.photo, self.gsd.value))
+        return LevelledPhoto(self.photo, self.photo.altitude_of(self.gsd.value))
 
     @property
     def factors(self) -> tuple[float, float]:
@@ -54,12 +54,6 @@ class ClaimedScale:
     def times(self, factor: float) -> ClaimedScale:
         """The same with a wrong scale, for trials."""
         return replace(self, gsd=self.gsd * factor)
-
-
-def altitude_of(photo: Photo, gsd: float) -> float:
-    """The altitude [m] from which `photo` has the average `gsd` [m/px]: r = s / |sin pitch|, altitude = s f
-    (arXiv 2603.07535)."""
-    return gsd * abs(float(photo.up[2])) * photo.lens.focal_px
 
 
 def told_scale(path: Path, name: str, gsd: float, **lens: Any) -> ClaimedScale:

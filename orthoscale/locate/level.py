@@ -8,11 +8,10 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from ..core.projection.level import level_axes, level_views
+from ..core.projection.level import level_axes
 from ..core.projection.view import LOWEST_ELEVATION
 from ..core.source import NO_DATA_GREY
 from ..photos.measure import Photo
-from ..sources.undistort import undistort
 from .ground import GroundImage
 
 EDGE_POINTS = 24  # along each side of the photo, whose places on the ground tell how far it reaches
@@ -40,13 +39,10 @@ class LevelledPhoto:
 
     @property
     def corners(self) -> np.ndarray | None:
-        """(4, 2) the photo's corners on the ground [claimed m, right and down of the foot], from the upper left
-        clockwise; None when one of them is looked at flatter than 10 degrees below the horizon."""
-        width, height = self.photo.tags.width, self.photo.tags.height
-        corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
-        plane, lens, ok = undistort(self.photo.lens.camera, corners)
-        views, seen = level_views(plane, lens, self.photo.up, self.altitude, np.radians(10.0))
-        return views.ground @ level_axes(self.photo.up).T * (1, -1) if (ok & seen).all() else None
+        """(4, 2) the photo's corners on the ground [claimed m, right and down of the foot], or None, as
+        `Photo.outline`."""
+        outline = self.photo.outline(self.altitude)
+        return None if outline is None else outline * (1, -1)
 
     @property
     def size(self) -> np.ndarray:

@@ -9,6 +9,7 @@ detector's effective height are propagated by measuring again with each of them 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -33,7 +34,7 @@ from ..core.scale import PER_PIXEL, Scale, decimals
 from ..core.votes import Votes
 from ..errors import InputError, TooLittleEvidence, UsageError
 from ..formats.reading import files_below
-from ..sources.lens import Lens, brown, lens_of
+from ..sources.lens import Lens, lens_of
 from ..sources.picture_file import PictureFile
 from ..sources.tags import READABLE_PHOTOS, Tags, read_tags
 from ..sources.undistort import undistort
@@ -43,6 +44,7 @@ from ..sources.undistort import undistort
 GIMBAL_SD, TOLD_SD, ASSUMED_SD = np.radians([0.5, 1.0, 3.0])
 TURNED_PITCH = -85.0  # [deg] steeper than this, a photo that was turned looks down as it did
 RIGHT = np.array([1.0, 0.0, 0.0])  # the camera's own
+OUTLINE_ELEVATION = 10.0  # [deg] where a photo's corner sees the ground flatter, it ends nowhere in particular
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 
 
@@ -72,22 +74,42 @@ class Photo:
         """Of the optical axis, -pi/2 straight down [rad]."""
         return float(np.arcsin(np.clip(self.up[2], -1, 1)))
 
-    def views(self, pixels: np.ndarray, altitude: float) -> tuple[Views, np.ndarray]:
-        """How level ground `altitude` below is seen at pixels (N, 2); and (N,) bool whether it is, steeply enough."""
+    def gsd_from(self, altitude: float) -> float:
+        """Its average ground sampling distance [m/px] from `altitude` [m]: r = s / |sin pitch|, altitude = s f
+        (arXiv 2603.07535)."""
+        return altitude / self.lens.focal_px / abs(float(self.up[2]))
+
+    def altitude_of(self, gsd: float) -> float:
+        """The altitude [m] from which it has the average `gsd` [m/px], as in `gsd_from`."""
+        return gsd * abs(float(self.up[2])) * self.lens.focal_px
+
+    def views(self, pixels: np.ndarray, altitude: float, lowest: float = LOWEST_ELEVATION) -> tuple[Views, np.ndarray]:
+        """How level ground `altitude` below is seen at pixels (N, 2); and (N,) bool whether it is, at `lowest` [deg] or
+        steeper."""
         plane, lens, ok = undistort(self.lens.camera, pixels)
-        views, seen = level_views(plane, lens, self.up, altitude, np.radians(LOWEST_ELEVATION))
+        views, seen = level_views(plane, lens, self.up, altitude, np.radians(lowest))
         return views, ok & seen
+
+    def outline(self, altitude: float) -> np.ndarray | None:
+        """(4, 2) its corners on level ground `altitude` below [unit of that], right and forward of the point below the
+        camera, from the upper left clockwise; None when one lies above the horizon or sees the ground flatter than
+        OUTLINE_ELEVATION."""
+        width, height = self.tags.width, self.tags.height
+        corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+        views, seen = self.views(corners, altitude, OUTLINE_ELEVATION)
+        return views.ground @ level_axes(self.up).T if seen.all() else None
 
     def turned(self, axis: np.ndarray, angle: float) -> Photo:
         """The same photo with its camera turned by `angle` [rad] about `axis` (3,), a unit vector of the camera."""
         return replace(self, up=self.up * np.cos(angle) + np.cross(axis, self.up) * np.sin(angle))
 
     def refocused(self, factor: float) -> Photo:
-        """The same photo with `factor` times the focal length; distortion, which is second to that, left away."""
-        camera = self.lens.camera
-        focal = self.lens.focal_px * factor
-        middle = (camera.principal_point_x, camera.principal_point_y)
-        return replace(self, lens=replace(self.lens, camera=brown((camera.width, camera.height), focal, focal, middle)))
+        """The same photo with `factor` times the focal length; principal point and distortion stay."""
+        camera = copy(self.lens.camera)
+        params = np.array(camera.params)
+        params[list(camera.focal_length_idxs())] *= factor
+        camera.params = params.tolist()
+        return replace(self, lens=replace(self.lens, camera=camera))
 
 
 def open_photo(
@@ -208,13 +230,8 @@ class PhotoScale:
     overlap: float = 1.0
 
     def outline(self) -> np.ndarray | None:
-        """(4, 2) the picture's corners on level ground [m], right and forward of the point below the camera, from the
-        upper left clockwise; None when one lies above the horizon or sees the ground flatter than 10 degrees."""
-        width, height = self.photo.tags.width, self.photo.tags.height
-        corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
-        plane, lens, ok = undistort(self.photo.lens.camera, corners)
-        views, seen = level_views(plane, lens, self.photo.up, self.altitude.value, np.radians(10.0))
-        return views.ground @ level_axes(self.photo.up).T if (ok & seen).all() else None
+        """(4, 2) the picture's corners on level ground [m], or None, as `Photo.outline`."""
+        return self.photo.outline(self.altitude.value)
 
 
 @dataclass(frozen=True)
@@ -360,9 +377,9 @@ def _assembled(
     def sd(name: str, extra: float) -> float:
         return float(np.sqrt(max(scale.relative_sd**2 - own[name] ** 2, 0) + (own[name] + extra) ** 2))
 
-    altitude = Measure.log_normal(scale.value * photo.lens.focal_px, sd("focal", np.log1p(photo.lens.sd)))
-    steepness = abs(photo.up[2])
-    tilted = abs(photo.turned(RIGHT, photo.up_sd).up[2])
-    gsd = Measure.log_normal(scale.value / steepness, sd("pitch", -np.log(tilted / steepness)))
+    above = scale.value * photo.lens.focal_px
+    altitude = Measure.log_normal(above, sd("focal", np.log1p(photo.lens.sd)))
+    average, tilted = photo.gsd_from(above), photo.turned(RIGHT, photo.up_sd).gsd_from(above)
+    gsd = Measure.log_normal(average, sd("pitch", np.log(tilted / average)))
     footprint = gsd * photo.tags.width, gsd * photo.tags.height
     return PhotoScale(photo, scale, altitude, gsd, footprint, boxes, picture, overlap)

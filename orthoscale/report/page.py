@@ -67,7 +67,7 @@ def page(report: Mapping[str, Any], scene: ReportPictures) -> str:
         frames=_frames(report),
         uncertainty=explain(report),
         fleets=_fleets(report),
-        command=command_line(report["input"]["path"], report["settings"]),
+        command=command_line(report["input"]["path"], report["settings"], report["input"]["folder"]),
     )
 
 

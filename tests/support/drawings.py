@@ -36,6 +36,7 @@ class RectangleDetector:
     """Finds white rectangles, but like a network only in its range of sizes; makes mistakes of the size it likes."""
 
     card = CARD
+    name, sha256, sure, confirming = "rectangles", "a" * 64, 0.0, None
 
     def __init__(self, mistakes=0, seed=0):
         self.mistakes, self.rng = mistakes, np.random.default_rng(seed)

@@ -11,13 +11,10 @@ from ..source import PosedSet
 
 
 def looked_at(found: Detections) -> list[str]:
-    """Names of the pictures with any boxes, accepted or doubtful: those that were certainly processed.
+    """Names of the pictures with any boxes, whether they count or not: those that were certainly processed.
     Counting all that were swept loses cars that drove between the frames."""
-    return [name for name in {**found.boxes, **found.doubtful} if _count(found, name)]
-
-
-def _count(found: Detections, name: str) -> int:
-    return sum(len(of[name]) for of in (found.boxes, found.doubtful) if name in of)
+    every = (found.boxes, found.doubtful, *found.set_aside.values())
+    return list(dict.fromkeys(name for some in every for name, boxes in some.items() if len(boxes)))
 
 
 def frames_in_view(

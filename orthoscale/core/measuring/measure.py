@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import TooLittleEvidence
 from ..anchors import AnchorVote
-from ..detections import Detections
+from ..detections import UNCONFIRMED, Detections
 from ..fleet import Fleet
 from ..pooling.robust import MIN_VEHICLES, vote_noise
 from ..votes import gather
@@ -74,5 +74,6 @@ def measure(geometry: Geometry, fleet: Fleet, method: Method | None = None) -> M
 
 
 def doubts(found: Detections) -> dict[str, int]:
-    """Boxes that were seen but not believed, by reason."""
-    return {found.doubt: sum(map(len, found.doubtful.values()))}
+    """Number of boxes that were seen but do not count, by reason."""
+    aside = {why: sum(map(len, boxes.values())) for why, boxes in found.set_aside.items()}
+    return {UNCONFIRMED: found.unconfirmed, **aside}

@@ -173,8 +173,8 @@ class ExactGeometry(FramesGeometry):
         ruler, known, zoom = self._ruler, self.found.ruler, self.found.zoom
         size, slopes = (f(self.boxes, self.views, zoom, metres_per_unit) for f in (ruler.size, ruler.slopes))
         solved = np.isfinite(size).all(1)
-        if not solved.any():
-            return Observation(size, known)
+        if not np.isfinite(slopes[solved]).all((1, 2)).any():  # boxes so small that the margin may be all there is
+            return Observation(np.full_like(size, np.nan), known)
         by_height, by_margin, *by_shape = ruler.relative_sd(size[solved], slopes[solved]).T
         per_pixel = np.median(self.pixel[solved, None] / size[solved], axis=0)
         margin_sd = by_margin / per_pixel

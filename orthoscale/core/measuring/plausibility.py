@@ -42,16 +42,16 @@ LEAST_SEEN = 20  # boxes of both kinds, below which a share says little
 MANY_LARGER = 0.2
 
 
-def plausible(scale: Scale, boxes: Boxes, doubtful: int, aspect: float = 1.0) -> Scale:
+def plausible(scale: Scale, boxes: Boxes, uncounted: int, aspect: float = 1.0) -> Scale:
     """`scale`, with a remark on each check by which its `boxes` (N, of one picture) may not be vehicles.
 
-    scale : by all of `boxes`, of which it uses some. doubtful : number of boxes that only one of the two detection
-    passes found. aspect : how many times as wide as high pixels are taken to be.
+    scale : by all of `boxes`, of which it uses some. uncounted : number of boxes that were seen and do not count.
+    aspect : how many times as wide as high pixels are taken to be.
     """
     used = boxes[scale.used]
     for check in (if_apart, if_in_order, if_unlike):
         scale = check(scale, used)
-    return if_confirmed(if_square(scale, squeeze(used, aspect)), len(boxes), doubtful)
+    return if_confirmed(if_square(scale, squeeze(used, aspect)), len(boxes), uncounted)
 
 
 def if_apart(scale: Scale, used: Boxes) -> Scale:
@@ -119,23 +119,23 @@ def if_square(scale: Scale, found: Squeeze | None) -> Scale:
     return less.remarked(remark, at_best=UNUSABLE if far else AT_BEST_DOUBTED)
 
 
-def if_confirmed(scale: Scale, believed: int, doubtful: int) -> Scale:
+def if_confirmed(scale: Scale, believed: int, uncounted: int) -> Scale:
     """`scale`, one step lower in its verdict and ``poor`` at best where of all boxes only OF_MISTAKES or fewer are
-    `believed`, that is, found by both detection passes; refused where also more than MANY_LARGER of the vehicles are
-    larger ones.
+    `believed`: found by both detection passes and not set aside (`Detections.set_aside`). Refused where also more than
+    MANY_LARGER of the vehicles are larger ones.
 
     Vehicles are found at any resolution, other things only now and then. A picture without vehicles, full of panels,
     skylights and sheds, also gives boxes, and things of one other size give as certain a scale as vehicles, which
     anchors then follow. Vehicles much larger than cars are a bad sign there: the supposed cars may be graves or tents,
     and the supposed larger vehicles the cars.
     """
-    seen = believed + doubtful
+    seen = believed + uncounted
     if seen < LEAST_SEEN or believed > OF_MISTAKES * seen:
         return scale
     few = Remark(
         CAUTION,
-        f"two detection passes agree on {believed} of {seen} boxes ({percent(believed / seen)}), as few as of "
-        "mistakes: see whether there are vehicles at all",
+        f"{believed} of {seen} boxes count ({percent(believed / seen)}), as few as of mistakes: see why the others do "
+        "not, and whether there are vehicles at all",
     )
     lower = scale.remarked(few, at_best=worst(one_step_below(scale.verdict), "poor"))
     if scale.larger_share <= MANY_LARGER:

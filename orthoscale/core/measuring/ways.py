@@ -47,8 +47,7 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
-        doubtful = sum(map(len, found.doubtful.values()))
-        scale = plausible(measured.scale, measured.boxes, doubtful, source.plan.claimed.aspect)
+        scale = plausible(measured.scale, measured.boxes, found.uncounted, source.plan.claimed.aspect)
         return _of_one_scale(replace(measured, scale=scale))
     if source.posed is not None:
         return measure_posed(source.posed, found, fleet, method, mode)

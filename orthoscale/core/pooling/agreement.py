@@ -124,7 +124,8 @@ def alone(agreement: Agreement) -> str | None:
 
 
 def together(agreement: Agreement) -> Scale:
-    """The pooled scale: the first, shifted towards the second by its weight; or the one that stands `alone`.
+    """The pooled scale: the first, shifted towards the second by its weight; or the one that stands `alone`. Its shapes
+    are as odd as those of the one with the odder ones, and what was remarked on either is remarked on it.
 
     Weights are the inverse variances of the errors that are not shared. Vehicles, detector and ground are largely the
     same, so no part of the uncertainty becomes smaller than its weighted mean. A difference that exceeds their own
@@ -153,12 +154,15 @@ def together(agreement: Agreement) -> Scale:
     sd = float(np.sqrt(sum(v**2 for v in parts.values())))
     support = Support(a.support.compared or b.support.compared, max(a.support.unproven, b.support.unproven))
     doubted = a.support.doubted or b.support.doubted
+    tension = max(a.tension, b.tension)
     return replace(
         a,
         value=float(np.exp(log_value)),
         interval90=(float(np.exp(log_value - Z90 * sd)), float(np.exp(log_value + Z90 * sd))),
         parts=parts,
-        verdict=verdict(support.judged(sd), a.tension > CHECK_LIMIT, a.verdict == UNUSABLE, doubted),
+        tension=tension,
+        verdict=verdict(support.judged(sd), tension > CHECK_LIMIT, conflict=False, doubted=doubted),
+        remarks=tuple(dict.fromkeys((*a.remarks, *b.remarks))),
         checks=a.checks | both,
         evidence=a.evidence or b.evidence,
         support=support,

@@ -45,7 +45,6 @@ class Variant:
 TEXT = Variant(ray_length=False)  # as printed
 PROGRAM = Variant(factor=1.05)  # as the authors' program computes; the text mentions neither difference
 NAIVE = Variant(effective=False)  # the box's edges are the vehicle's: L/l metres per pixel where it stands
-VARIANTS = {"text": TEXT, "program": PROGRAM, "naive": NAIVE}
 
 
 def ground_size(
@@ -110,19 +109,3 @@ def _effective(boxes: Boxes, views: Views, priors: tuple[float, float, float]) -
 def _focal(views: Views) -> np.ndarray:
     """(N,) focal length [px] at each box: that of the lens there, the geometric mean of both axes."""
     return np.sqrt(np.abs(np.linalg.det(views.lens)))
-
-
-def altitude(s: float, focal_px: float) -> float:
-    """Altitude over the ground [m], ``H_uav = s f``."""
-    return s * focal_px
-
-
-def ground_sampling_distance(s: float, pitch: float) -> float:
-    """Metres per pixel across the optical axis, where it meets the ground, ``r = s / |sin pitch|``; pitch in rad."""
-    return s / abs(float(np.sin(pitch)))
-
-
-def footprint(s: float, pitch: float, image_size: tuple[float, float]) -> tuple[float, float]:
-    """Ground width and height of the image [m], ``r W_img`` and ``r H_img``: as if all of it lay at the axis' depth."""
-    r = ground_sampling_distance(s, pitch)
-    return r * image_size[0], r * image_size[1]

@@ -54,7 +54,7 @@ def save(found: Detections, path: Path, source: Pictures) -> None:
     """Write `found` to `path` in the format that its name says. Raises UsageError.
 
     `load` gives back what was saved, to the digits written, from all but DOTA's text. That holds the vehicles' corners,
-    scores and pictures, and nothing else: no zoom, ruler, sigmas, kinds, boxes of low confidence, objects or plans.
+    scores and pictures, and nothing else: no zoom, ruler, sigmas, kinds, boxes that do not count, objects or plans.
     """
     check_name(path)
     suffix = path.suffix.lower()
@@ -212,7 +212,8 @@ def _check_boxes(found: Detections, sizes: Mapping[str, tuple[int, int]], path: 
     """Raise InputError for boxes that cannot be meant, whatever the format that they came in."""
     if found.planar is not None:
         _check_boxes(found.planar, {}, path)  # in plans, whose sizes a file does not tell
-    parts = [*found.boxes.items(), *found.doubtful.items()]
+    every = (found.boxes, found.doubtful, *found.set_aside.values())
+    parts = [part for some in every for part in some.items()]
     parts += [(name, boxes) for name, kinds in found.objects.items() for boxes in kinds.values()]
     for name, boxes in parts:
         if fault := boxes.fault(*sizes.get(name, (np.inf, np.inf))):

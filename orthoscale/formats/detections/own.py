@@ -69,7 +69,7 @@ def about(found: Detections) -> dict[str, Any]:
 
 def note(found: Detections) -> dict[str, Any]:
     """What a file of another format keeps beside the vehicles' boxes, so that `noted` gives back all: `about`, the
-    boxes of low confidence, the objects, and what `planar` holds, as plain values."""
+    boxes that do not count, the objects, and what `planar` holds, as plain values."""
     objects = {name: rows for name in found.objects if (rows := _object_rows(found, name))}
     return {**about(found), **_rest(found), **({"objects": objects} if objects else {})}
 
@@ -87,7 +87,7 @@ def noted(boxes: dict[str, Boxes], note: Mapping[str, Any] | None, name: str, or
 def _of_entry(boxes: dict[str, Boxes], entry: NoteEntry, name: str) -> Detections:
     from msgspec import UNSET
 
-    found = Detections(
+    return Detections(
         boxes=boxes,
         zoom=entry.zoom,
         ruler=UNKNOWN_RULER if entry.ruler is UNSET else entry.ruler.ruler,
@@ -98,8 +98,8 @@ def _of_entry(boxes: dict[str, Boxes], entry: NoteEntry, name: str) -> Detection
         objects=_objects(entry.objects),
         planar=None if entry.planar is None else _whole(entry.planar, name),
         body=entry.body,
+        set_aside={why: _vehicles(pictures) for why, pictures in entry.set_aside.items()},
     )
-    return found if entry.doubt is UNSET else replace(found, doubt=entry.doubt)
 
 
 def _whole(text: DetectionsEntry, name: str) -> Detections:
@@ -115,8 +115,14 @@ def _document(found: Detections) -> dict[str, Any]:
 def _rest(found: Detections) -> dict[str, Any]:
     rest: dict[str, Any] = {}
     if found.doubtful:
-        rest |= {"doubt": found.doubt, "doubtful": {name: _rows(boxes) for name, boxes in found.doubtful.items()}}
+        rest["doubtful"] = _pictures(found.doubtful)
+    if found.set_aside:
+        rest["set_aside"] = {why: _pictures(boxes) for why, boxes in found.set_aside.items()}
     return rest if found.planar is None else {**rest, "planar": _document(found.planar)}
+
+
+def _pictures(boxes: Mapping[str, Boxes]) -> dict[str, list[dict[str, Any]]]:
+    return {name: _rows(some) for name, some in boxes.items()}
 
 
 def _object_rows(found: Detections, name: str) -> list[dict[str, Any]]:
