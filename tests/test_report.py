@@ -445,6 +445,7 @@ def test_the_command_to_reproduce_has_what_is_not_a_default():
         "orthoscale estimate 'my ortho.tif' --fleet DE --vehicle-class car --vehicle-class 'a b' --exhaustive --seed 3"
     )
     assert command_line("x.tif", {"cache": False}) == "orthoscale estimate x.tif --no-cache"
+    assert command_line("x.tif", {}, "/my flights") == "cd '/my flights'\northoscale estimate x.tif"
 
 
 @pytest.fixture(scope="module")
