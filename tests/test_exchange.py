@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -70,8 +71,22 @@ def test_boxes_of_a_picture_whose_name_is_not_utf_8_read_back(tmp_path):
         path=tmp_path, notes=[], claimed=None, pictures=[picture], picture_names=[name], image_size=lambda _: (320, 240)
     )
     for form in ("d.json", "d.coco.json", "d.geojson", "d.gpkg"):
-        save(Detections({name: BOXES}, 0.8, RULER, (0.7, 0.5), "test", "abc"), tmp_path / form, album)
-        assert len(load(tmp_path / form, album).boxes[name]) == len(BOXES), form
+        there = {name: BOXES}
+        found = Detections(there, 0.8, RULER, (0.7, 0.5), "test", "abc", doubtful=there, set_aside={"alike": there})
+        save(found, tmp_path / form, album)
+        again = load(tmp_path / form, album)
+        assert [*again.boxes, *again.doubtful, *again.set_aside["alike"]] == [name] * 3, form
+
+
+def test_what_was_seen_in_other_models_pictures_is_left_out(tmp_path):
+    """Whether it counted or not: of two models of a workspace, boxes of both are in one file."""
+    frames = pictures_of(["a.jpg", "b.jpg"], tmp_path)
+    other = {"other.jpg": BOXES}
+    found = Detections({"a.jpg": BOXES}, 0.8, RULER, (0.7, 0.5), "test", doubtful={"b.jpg": BOXES, **other})
+    found = replace(found, set_aside={"alike": other}, objects={"other.jpg": {"tennis-court": BOXES}})
+    save(found, tmp_path / "d.json", frames)
+    again = load(tmp_path / "d.json", frames)
+    assert (list(again.doubtful), again.set_aside, again.objects) == (["b.jpg"], {"alike": {}}, {})
 
 
 @pytest.mark.parametrize("name", ["d.json", "d.coco.json", "d.txt", "d.geojson", "d.gpkg"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import http.server
 import math
@@ -303,7 +304,7 @@ def test_a_worker_shows_what_its_sender_opened(tmp_path):
 def test_a_worker_refuses_another_image_than_its_sender_opened(tmp_path):
     sent = pickle.dumps(RasterSource.open(make(tmp_path / "a.tif")))
     os.utime(tmp_path / "a.tif", (0, 0))
-    with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+    with pytest.raises(InputError, match=r"a\.tif is another file here"):
         pickle.loads(sent)
 
 
@@ -823,6 +824,34 @@ def test_a_new_scratch_folder_is_not_taken_for_a_leftover(tmp_path, monkeypatch)
     assert mine.folder.is_dir()
     mine.close()
     assert not list(tmp_path.iterdir())
+
+
+def test_a_scratch_folder_where_the_file_system_has_no_locks(tmp_path, monkeypatch):
+    """As on NFS without its lock daemon. Another's folder is not taken for a leftover there."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def no_locks(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(scratch.fcntl, "flock", no_locks)
+    mine = scratch.Scratch()
+    scratch._remove_leftovers(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [mine.folder.name]
+    mine.close()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_statistics_that_are_written_meanwhile_do_not_end_a_run(tmp_path):
+    path = make(tmp_path / "a.tif")
+    (tmp_path / "a.tif.aux.xml").write_text("<PAMDataset></PAMDataset>")
+    with RasterSource.open(path) as source:
+        assert len(source.files) == 2
+        (tmp_path / "a.tif.aux.xml").write_text("<PAMDataset> </PAMDataset>")
+        source.fingerprint()
+        os.utime(path, (0, 0))
+        with pytest.raises(InputError, match="changed since"):
+            source.fingerprint()
 
 
 LISTS = {"offsets": (273, 324), "counts": (279, 325)}

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 from PIL import Image, ImageDraw, ImageFont
@@ -21,6 +22,7 @@ from orthoscale.core.scale import spread
 from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
+from orthoscale.formats.schemas import Report
 from orthoscale.report import files, pictures, places, wording
 from orthoscale.report.charts import strength
 from orthoscale.report.document import OPTIONAL, read_json
@@ -345,6 +347,16 @@ def test_the_page_does_without_every_part_that_may_be_missing(report, model):
     assert "</html>" in page(bare, ReportPictures.of(bare, None))
 
 
+@pytest.mark.parametrize("ending", ["html", "png"])
+def test_a_report_of_a_former_version_is_drawn(tmp_path, report, ending):
+    required = {field.name for field in msgspec.structs.fields(Report) if field.required}
+    former = {key: value for key, value in report.items() if (key,) not in OPTIONAL or key in required}
+    assert "pixel_aspect" not in former
+    (tmp_path / "report.json").write_text(json.dumps(former))
+    redraw(tmp_path / "report.json", tmp_path / f"again.{ending}")
+    assert (tmp_path / f"again.{ending}").stat().st_size > 1000
+
+
 def test_a_page_that_fails_does_not_cost_the_copy(tmp_path, monkeypatch):
     car_park(tmp_path)
     monkeypatch.setattr("orthoscale.report.files.page", lambda *_: 1 / 0)
@@ -457,6 +469,7 @@ def result(park):
 def test_an_interval_that_is_not_symmetric_is_told_by_both_ends():
     assert spread(0.1, 0.09, 0.11) == "+-10.0 %"
     assert spread(0.1, 0.0978, 0.103) == "-2.2 to +3.0 %"
+    assert spread(0.1, 0.09999, 0.10001) == "+-0.010 %" and spread(0.1, 0.1, 0.1) == "+-0.0 %"
     report = {"scale": 0.17, "interval90": [0.081, 0.173]}
     assert wording.within(report) == "\u221252.4 to +1.8 %"
     assert wording.metres_of(report) == "10 m in the copy are 4.8 to 10.2 m on the ground"

@@ -218,6 +218,10 @@ def test_what_gltf_cameras_and_lights_say_of_themselves_grows_as_well(tmp_path):
     assert new["extensions"]["KHR_lights_punctual"] == {
         "lights": [{"type": "spot", "range": 20, "spot": {"outerConeAngle": 1}}, {"type": "point"}]
     }
+    (tmp_path / "e.gltf").write_text(json.dumps(gltf(cameras=[{"perspective": {"znear": 1, "zfar": 3.4028235e38}}])))
+    scale_path(tmp_path / "e.gltf", tmp_path / "f.gltf", 2)
+    endless = json.loads((tmp_path / "f.gltf").read_text())["cameras"][0]["perspective"]
+    assert endless == {"znear": 2, "zfar": 3.4028235e38}
     (tmp_path / "c.gltf").write_text(json.dumps(gltf(cameras=[{"perspective": {"znear": "near"}}])))
     with pytest.raises(InputError, match="znear"):
         scale_path(tmp_path / "c.gltf", tmp_path / "d.gltf", 2)

@@ -59,8 +59,9 @@ def by_severity(said: Iterable[Said]) -> tuple[Said, ...]:
 
 
 def percent(value: float) -> str:
-    """A share with one decimal: 0.0123 is ``1.2 %``. What that would make nothing has one digit: ``0.003 %``."""
-    return f"{100 * value:.1g} %" if 0 < abs(value) < 5e-4 else f"{100 * value:.1f} %"
+    """A share with one decimal: 0.0123 is ``1.2 %``. What that would make nothing has one digit, to ``0.001 %``."""
+    small = 0 < abs(value) < 5e-4
+    return f"{100 * value:.3f}".rstrip("0").rstrip(".") + " %" if small else f"{100 * value:.1f} %"
 
 
 def signed(value: float) -> str:

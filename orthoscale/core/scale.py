@@ -117,7 +117,8 @@ class Scale:
 
 
 def spread(value: float, low: float, high: float) -> str:
-    """An interval about a value, relative to it: "+-1.4 %", or "-2.2 to +3.0 %" where it is not symmetric. In ASCII,
-    which every terminal can write."""
-    below, above = (f"{100 * (end / value - 1):+.1f}" for end in (low, high))
+    """An interval about a value, relative to it: "+-1.4 %", or "-2.2 to +3.0 %" where it is not symmetric; small ones
+    with two digits. In ASCII, which every terminal can write."""
+    places = max(1, min(decimals(100 * (high - low) / 2 / value), 4)) if high > low else 1
+    below, above = (f"{100 * (end / value - 1):+.{places}f}" for end in (low, high))
     return f"+-{above[1:]} %" if below[1:] == above[1:] else f"{below} to {above} %"

@@ -778,10 +778,10 @@ class GltfCentre(Struct):
 class GltfView(Struct):
     """How far a camera sees, and how much of the scene where it has no perspective."""
 
-    xmag: Finite | None = None
-    ymag: Finite | None = None
-    znear: Finite | None = None
-    zfar: Finite | None = None
+    xmag: float | None = None
+    ymag: float | None = None
+    znear: float | None = None
+    zfar: float | None = None
 
 
 class GltfCamera(Struct):
@@ -794,7 +794,7 @@ class GltfCamera(Struct):
 class GltfLight(Struct):
     """How far it shines."""
 
-    range: Finite | None = None
+    range: float | None = None
 
 
 class GltfLights(Struct):

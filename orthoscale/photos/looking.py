@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 from ..core.detections import Detections
@@ -56,8 +57,11 @@ class Album:
 
     def image_size(self, name: str) -> tuple[int, int]:
         """Width and height of the photo `name` [px]."""
-        picture = next(photo.picture for photo in self.photos if photo.name == name)
-        return picture.width, picture.height
+        return self._sizes[name]
+
+    @cached_property
+    def _sizes(self) -> dict[str, tuple[int, int]]:
+        return {photo.name: (photo.picture.width, photo.picture.height) for photo in self.photos}
 
 
 def boxes_of(photos: Sequence[Photo], how: Looking, progress: Progress | None = None) -> Detections:

@@ -15,7 +15,7 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..core.round_numbers import scale_bar
 from ..core.source import Picture, PosedSet, Source
-from .document import of_plan, pixel_size
+from .document import completed, of_plan, pixel_size
 
 OVERVIEW = 1600  # longest side of an overview [px]
 CHIPS, REJECTED_CHIPS = 24, 8  # vehicles shown one by one
@@ -64,8 +64,8 @@ class ReportPictures:
     @classmethod
     def of(cls, report: Mapping[str, Any], source: Source | None) -> ReportPictures:
         """The scene of a report, with the pixels of the `source` that it came from, as far as they are there."""
-        vehicles = report["vehicles"]
-        anchors = report.get("anchors") or []
+        report = completed(report)
+        vehicles, anchors = report["vehicles"], report["anchors"]
         pictures = _pictures(source, vehicles, anchors) if source else {}
         overviews = []
         if not of_plan(report):

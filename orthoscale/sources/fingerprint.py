@@ -33,14 +33,26 @@ class Stamp(NamedTuple):
             there = os.fstat(file.fileno())
         return cls(os.path.abspath(path), there.st_ino, there.st_mtime_ns, there.st_size)
 
+    def same(self, other: Stamp) -> bool:
+        """Whether the content is the same, by size and time: network drives make up inodes."""
+        return (self.size, self.changed) == (other.size, other.changed)
+
     def same_elsewhere(self, other: Stamp) -> bool:
-        """Whether another machine may mean the same content; network drives make up inodes and round times."""
+        """Whether another machine may mean the same content: it may round times."""
         return self.size == other.size and abs(self.changed - other.changed) <= TIME_STEP_NS
 
 
 def changed(path: Path) -> InputError:
     """The error of a file that got another content while it was in use."""
     return InputError(f"{path} was changed since it was opened", "Let nothing write it meanwhile, and run again.")
+
+
+def another(path: Path) -> InputError:
+    """The error of a worker whose file is not the one that it was sent work on."""
+    return InputError(
+        f"{path} is another file here than where the run was started, by its size or its time of change",
+        "Give all machines the same files, with their times (cp -p, rsync -t), and let nothing write them meanwhile.",
+    )
 
 
 def content_hash(paths: Iterable[Path]) -> str:

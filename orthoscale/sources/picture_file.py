@@ -73,7 +73,7 @@ class PictureFile:
 
     def fingerprint(self) -> str:
         """What cached work on this frame is keyed by; from now on it has to keep its content. Raises InputError."""
-        self._keyed = Stamp.of(self.path)
+        self._keyed = self.stamp()
         return fingerprint([self.path])
 
     def check_size(self) -> None:

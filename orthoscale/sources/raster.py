@@ -25,7 +25,7 @@ from ..errors import InputError, UsageError
 from ..formats.points import pixel
 from ..system.budget import in_words
 from ..system.scratch import Scratch
-from .fingerprint import Stamp, changed, fingerprint
+from .fingerprint import Stamp, another, changed, fingerprint
 from .gdal import EXPORT_AGAIN, open_dataset, reading, settings
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place
 from .raster_blocks import RasterBlocks
@@ -34,6 +34,8 @@ from .raster_display import Display
 
 USE_ANOTHER = "Use a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT file; of a reconstruction, the folder of its model."
 OF_OTHERS = "A file that it refers to is missing or damaged: copy all of them along, or write the VRT anew."
+
+STATISTICS = ".aux.xml"  # GDAL's and QGIS's, which may write it anew at any time; no pixels are in it
 
 SMALLEST = 32
 """[px] An image narrower or lower than this holds no vehicle that could be measured."""
@@ -68,8 +70,9 @@ class RasterSource:
         self._dataset = dataset
         self._stamps = {path: Stamp.of(path)}
         for file in self.files:
-            with suppress(InputError):  # what is missing beside it is said where it is needed
-                self._stamps[file] = Stamp.of(file)
+            if not file.name.endswith(STATISTICS):
+                with suppress(InputError):  # what is missing beside it is said where it is needed
+                    self._stamps[file] = Stamp.of(file)
         self._lock = threading.RLock()
         self.width, self.height = dataset.width, dataset.height
         self._check_size()
@@ -222,7 +225,7 @@ class RasterSource:
         Raises InputError where one was changed since it was opened: the pixels that it gives may be those of before.
         """
         for file, stamp in self._stamps.items():
-            if Stamp.of(file) != stamp:
+            if not Stamp.of(file).same(stamp):
                 raise changed(file)
         return fingerprint(self.files)
 
@@ -390,5 +393,5 @@ def _shared(path: str, stamp: Stamp) -> RasterSource:
     source = RasterSource.open(path)
     if not source._stamps[source.path].same_elsewhere(stamp):
         source.close()
-        raise changed(source.path)
+        raise another(source.path)
     return source

@@ -36,7 +36,7 @@ def _new() -> tuple[Path, BinaryIO]:
     while True:
         folder = Path(tempfile.mkdtemp(prefix=PREFIX))
         lock = (folder / IN_USE).open("wb")
-        if _locked(lock) and (folder / IN_USE).exists():
+        if _locked(lock) is not False and (folder / IN_USE).exists():
             return folder, lock
         lock.close()  # before it was locked, another run took it for a leftover
 
@@ -46,13 +46,15 @@ def _remove(folder: Path, lock: BinaryIO) -> None:
     lock.close()
 
 
-def _locked(lock: BinaryIO) -> bool:
-    """Whether nobody else holds this lock; now this process does."""
+def _locked(lock: BinaryIO) -> bool | None:
+    """Whether nobody else holds this lock, so that this process does now; None where the file system has no locks."""
     if sys.platform != "win32":
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             return False
+        except OSError:
+            return None
     return True
 
 

@@ -46,7 +46,7 @@ HIDDEN_SIZE, HIDDEN_SD = (0.78, 0.94), (0.15, 0.1)  # mean and spread, as shares
 HIDDEN_SHARE, HIDDEN_VEHICLES = 0.03, 100.0  # of the vehicles, as with lorries: where most would be, the scale is wrong
 # The share of LARGER at a place, beyond the fleet's own. Vans are 10 to 12 % of the light vehicles registered in Europe
 # (ACEA: 30 of 280 million), which fleets of cars leave out. A fleet with pickups has its long vehicles already; some
-# are left out all the same. How well that share is known: `Places.left_out`.
+# are left out all the same. How well that share is known: `PlaceKind.left_out`.
 LEFT_OUT = 0.11
 LEFT_OUT_AT_LEAST = 0.05
 LONG = 5.2  # [m] a third of LARGER is shorter than that

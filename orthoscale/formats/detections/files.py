@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from . import coco, dota, geo, table
 from .classes import plain
 from .items import Item, boxes_by_picture
 from .own import WHAT, note, noted, of_document, save_detections
+
+T = TypeVar("T")
 
 FORMATS = {
     ".json": "orthoscale's own (COCO too, when reading)",
@@ -82,7 +84,8 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = ()) -> D
     """
     suffix = path.suffix.lower()
     kept: Mapping[str, Any] | None = None
-    sizes: dict[str, tuple[int, int]] = {}
+    own_sizes = _sizes(source)
+    sizes: dict[str, tuple[int, int]] = {}  # as the file tells them
     items: list[Item]
     if path.is_dir() or suffix == ".txt":
         items = dota.read(path, only_picture=len(source.picture_names) == 1 and not path.is_dir())
@@ -100,14 +103,13 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = ()) -> D
             items, sizes = coco.read(text, str(path))
             kept = (text.get("info") or {}).get("orthoscale") if isinstance(text, dict) else None
         else:
-            return _checked(of_document(text, path), source, path)
-    own_sizes = _sizes(source)
+            return _checked(of_document(text, path), source, path, own_sizes)
     boxes = boxes_by_picture(items, source.picture_names, vehicle_classes, str(path), own_sizes)
     found = noted(boxes, kept, f"boxes of {path.name}", str(path))
     if not found.objects:
-        found = replace(found, objects=_objects(items, source, path))
-    _check_sizes(sizes, source, path)
-    return _checked(found, source, path)
+        found = replace(found, objects=_objects(items, own_sizes, path))
+    _check_sizes(sizes, own_sizes, path)
+    return _checked(found, source, path, own_sizes)
 
 
 def _of_vehicles(items: Sequence[Item], vehicle_classes: Sequence[str], path: Path) -> list[Item]:
@@ -122,12 +124,12 @@ def _of_vehicles(items: Sequence[Item], vehicle_classes: Sequence[str], path: Pa
     return list(items) if vehicle_classes else [replace(item, label=None) for item in items]
 
 
-def _objects(items: Sequence[Item], source: Pictures, path: Path) -> dict[str, dict[str, Boxes]]:
+def _objects(items: Sequence[Item], sizes: Mapping[str, tuple[int, int]], path: Path) -> dict[str, dict[str, Boxes]]:
     """Boxes of standard objects among `items`, by picture and class."""
     objects: dict[str, dict[str, Boxes]] = {}
     for kind in known_objects():
         those = [item for item in items if plain(item.label or "") == plain(kind)]
-        for name, boxes in boxes_by_picture(those, source.picture_names, [kind], str(path), _sizes(source)).items():
+        for name, boxes in boxes_by_picture(those, list(sizes), [kind], str(path), sizes).items():
             objects.setdefault(name, {})[kind] = boxes
     return objects
 
@@ -144,25 +146,25 @@ def _sizes(source: Pictures) -> dict[str, tuple[int, int]]:
     return {name: source.image_size(name) for name in source.picture_names}
 
 
-def _check_sizes(sizes: Mapping[str, tuple[int, int]], source: Pictures, path: Path) -> None:
-    for name, size in _sizes(source).items():
-        if sizes.get(name, size) not in (size, (0, 0)):
+def _check_sizes(told: Mapping[str, tuple[int, int]], sizes: Mapping[str, tuple[int, int]], path: Path) -> None:
+    for name, size in sizes.items():
+        if told.get(name, size) not in (size, (0, 0)):
             raise InputError(
-                f"{path}: its {name} has {sizes[name][0]} x {sizes[name][1]} px, the source's {size[0]} x {size[1]}",
+                f"{path}: its {name} has {told[name][0]} x {told[name][1]} px, the source's {size[0]} x {size[1]}",
                 "Give detections made on this picture at this size; boxes of another size measure another scale.",
             )
 
 
-def _checked(found: Detections, source: Pictures, path: Path) -> Detections:
+def _checked(found: Detections, source: Pictures, path: Path, sizes: Mapping[str, tuple[int, int]]) -> Detections:
     """`found` without pictures that `source` does not have, those of a workspace's other models, and without boxes that
-    repeat another.
+    repeat another. sizes : of the source's pictures.
 
     Raises InputError where it has none of them, or boxes outside of them or that cannot be meant.
     """
     known = source.picture_names
     names = {in_utf8(name): name for name in known}
     found = _renamed(found, lambda name: names.get(name, name))
-    strangers = [name for name in found.boxes if name not in set(known)]
+    strangers = [name for name in found.boxes if name not in sizes]
     if strangers and len(strangers) == len(found.boxes):
         raise InputError(
             f"{path}: {len(strangers)} of its {len(found.boxes)} pictures are not in {source.path}, "
@@ -172,8 +174,7 @@ def _checked(found: Detections, source: Pictures, path: Path) -> Detections:
     if strangers:
         note = f"{path}: {len(strangers)} of its pictures are not in this model, the first is {shown(strangers[0])}"
         source.notes.append(Remark(CAUTION, note))
-        found = replace(found, boxes={name: boxes for name, boxes in found.boxes.items() if name not in strangers})
-    sizes = _sizes(source)
+    found = _only(found, sizes)
     _check_boxes(found, sizes, path)
     for name, size in sizes.items():
         boxes = found.boxes.get(name, Boxes.empty())
@@ -203,9 +204,25 @@ def _renamed(found: Detections, name: Callable[[str], str]) -> Detections:
     """`found` with `name` of each picture's name."""
     boxes = {name(picture): each for picture, each in found.boxes.items()}
     doubtful = {name(picture): each for picture, each in found.doubtful.items()}
+    set_aside = {why: {name(p): each for p, each in some.items()} for why, some in found.set_aside.items()}
     objects = {name(picture): kinds for picture, kinds in found.objects.items()}
     planar = None if found.planar is None else _renamed(found.planar, name)
-    return replace(found, boxes=boxes, doubtful=doubtful, objects=objects, planar=planar)
+    return replace(found, boxes=boxes, doubtful=doubtful, set_aside=set_aside, objects=objects, planar=planar)
+
+
+def _only(found: Detections, pictures: Container[str]) -> Detections:
+    """`found` without what is of other pictures."""
+
+    def of_these(some: Mapping[str, T]) -> dict[str, T]:
+        return {name: each for name, each in some.items() if name in pictures}
+
+    return replace(
+        found,
+        boxes=of_these(found.boxes),
+        doubtful=of_these(found.doubtful),
+        set_aside={why: of_these(some) for why, some in found.set_aside.items()},
+        objects=of_these(found.objects),
+    )
 
 
 def _check_boxes(found: Detections, sizes: Mapping[str, tuple[int, int]], path: Path) -> None:

@@ -21,6 +21,7 @@ from .mark import MARK, mark, refuse_marked
 
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
 A_SCENE = "a glTF scene"
+WITHOUT_END = 3.4e38  # how far is said by the largest number that a reader may hold (32 bit)
 CAMERA_LENGTHS = ("xmag", "ymag", "znear", "zfar")
 NOT_BESIDE = ("data:", "http:", "https:")  # how addresses begin that are of no file beside it
 
@@ -91,7 +92,7 @@ def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
     lights = (extensions.get("KHR_lights_punctual") or {}).get("lights", [])
     for part in (*views, *lights):
         for name in (*CAMERA_LENGTHS, "range"):
-            if part and part.get(name) is not None:
+            if part and part.get(name) is not None and part[name] * scale < WITHOUT_END:
                 part[name] *= scale
     asset["extras"] = {**extras, MARK: mark(scale)}
     return text
