@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from support.in_process import run
+from support.reports import car_park
 
 from orthoscale.cli.main import main
 
@@ -214,3 +215,35 @@ def test_what_cannot_be_printed_is_an_output_that_was_not_written(monkeypatch, c
     assert (
         "standard output, or a temporary file, cannot be written (No space left on device)" in capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize("command", ["estimate", "fix", "check"])
+@pytest.mark.parametrize("refused, code", [("too few", 3), ("contradicted", 4)])
+def test_boxes_are_saved_where_they_give_no_scale(command, refused, code, tmp_path):
+    car_park(tmp_path)
+    (tmp_path / "park.pgw").write_text("0.1\n0\n0\n-0.1\n5\n5\n")
+    found = json.loads((tmp_path / "detections.json").read_text())
+    rows = found["pictures"]["park.png"]
+    more = []
+    if refused == "too few":
+        del rows[3:]
+    else:
+        more = ["--known-distance", "100,100 500,100 400"]  # ten times as long
+    (tmp_path / "given.json").write_text(json.dumps(found))
+    words = ["--detections", tmp_path / "given.json", "--anchors", "none", "--fleet", "DE", *more]
+    words += ["--out", tmp_path / "out.tif"] if command == "fix" else []
+    saved = tmp_path / "saved.coco.json"
+    done = run(command, tmp_path / "park.png", *words, "--save-detections", saved)
+    assert done.returncode == code and not (tmp_path / "out.tif").exists()
+    assert f"the boxes are saved in {saved}" in done.stderr
+    assert len(json.loads(saved.read_text())["annotations"]) == len(rows)
+    again = run(command, tmp_path / "park.png", *words, "--save-detections", saved)
+    assert again.returncode == 2 and "already exists" in again.stderr
+
+
+def test_no_boxes_are_not_saved(tmp_path):
+    car_park(tmp_path)
+    (tmp_path / "none.json").write_text('{"park.png": []}')
+    words = ["--detections", tmp_path / "none.json", "--anchors", "none"]
+    done = run("estimate", tmp_path / "park.png", *words, "--save-detections", tmp_path / "saved.json")
+    assert done.returncode == 3 and "are saved" not in done.stderr and not (tmp_path / "saved.json").exists()

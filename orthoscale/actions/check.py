@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.brief import Brief
 from ..core.claims import Comparison, own_claim
+from ..core.detections import Detections
 from ..core.source import Source
 from ..errors import EvidenceDisagrees, UsageError
 from ..report.result import Result
@@ -72,11 +74,16 @@ def check(
     return checked(path, EstimateRequest.of(options), progress)
 
 
-def checked(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Checked:
-    """What `request` asks of the input at `path`; see `check`."""
+def checked(
+    path: str | Path | Source,
+    request: EstimateRequest,
+    progress: Progress | None = None,
+    told: Callable[[Detections, Source], None] = lambda found, source: None,
+) -> Checked:
+    """What `request` asks of the input at `path`; see `check`. told : as of `measured`."""
     source = source_of(path, request, request.needs_pictures, progress)
     require_claim(source)
-    result = measured(source, request, progress)
+    result = measured(source, request, progress, told)
     return Checked(result, comparisons(result))
 
 

@@ -159,8 +159,14 @@ class _Answer:
     on_map: OnMap
 
 
-def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
-    """What `request` asks of the input at `path`; see `estimate`."""
+def measured(
+    path: str | Path | Source,
+    request: EstimateRequest,
+    progress: Progress | None = None,
+    told: Callable[[Detections, Source], None] = lambda found, source: None,
+) -> Result:
+    """What `request` asks of the input at `path`; see `estimate`. told : the boxes and their source, as soon as they
+    are there."""
     started = time.perf_counter()
     log.info("measuring %s", path)
     asked = opened(path, request, progress)
@@ -177,6 +183,7 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     found, choice = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found"), None
     try:
         found, choice = _found(asked, request, progress)
+        told(found, source)
         answer = _of_vehicles(asked, found, method, request, wanted)
     except TooLittleEvidence as error:
         if method.vehicles_only:
