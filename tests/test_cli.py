@@ -247,3 +247,11 @@ def test_no_boxes_are_not_saved(tmp_path):
     words = ["--detections", tmp_path / "none.json", "--anchors", "none"]
     done = run("estimate", tmp_path / "park.png", *words, "--save-detections", tmp_path / "saved.json")
     assert done.returncode == 3 and "are saved" not in done.stderr and not (tmp_path / "saved.json").exists()
+
+
+@pytest.mark.parametrize("more", [[], ["--overwrite"], ["--dry-run"]])
+def test_a_folder_is_no_place_for_the_copy_of_a_picture(more, tmp_path):
+    car_park(tmp_path)
+    (tmp_path / "out").mkdir()
+    done = run("fix", tmp_path / "park.png", "--out", tmp_path / "out", *more)
+    assert done.returncode == 2 and "out would be a GeoTIFF" in done.stderr and "end in .tif" in done.stderr

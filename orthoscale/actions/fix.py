@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 from ..core.source import Plan, PosedSet, Source
 from ..errors import Incomplete, MetricAlready, UsageError
 from ..formats.detections import check_name
+from ..formats.pictures import PICTURES
 from ..report.extras import WRITERS, chosen
 from ..report.files import write_report
 from ..report.result import Result
 from ..requests import FixRequest
 from ..sources.opening import AN_INPUT
+from ..sources.raster import RasterSource
 from ..system.outputs import Outputs
 from ..system.paths import path_of
 from .estimate import measured, source_of
@@ -116,6 +118,8 @@ def _begin(
     progress: Progress | None = None,
 ) -> _Begun:
     """Open the input, refuse what makes no sense, and claim all outputs."""
+    if path.is_file() and path.suffix.lower() in PICTURES:  # whether `out` exists matters only where it may be written
+        RasterSource.check_name(out)
     outputs.check(out)
     if save_detections is not None:
         check_name(save_detections)

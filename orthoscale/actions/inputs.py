@@ -11,13 +11,11 @@ from functools import cache
 from pathlib import Path
 
 from ..errors import InputError, UsageError
+from ..formats.pictures import PICTURES
 from ..sources.exchange_files import find_exchange
 from ..system.outputs import ours
 from .finished import input_of, report_of
 from .workspace import models_in
-
-PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".bmp", ".gif", ".vrt", ".webp", ".img", ".ecw", ".sid")
-"""Endings by which a picture in a folder is known for one. One that is named itself may have any."""
 
 
 def is_many(words: Sequence[Path]) -> bool:
