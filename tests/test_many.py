@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from itertools import permutations
 from pathlib import Path
 
 import pytest
@@ -158,6 +159,17 @@ def test_copies_of_one_name_take_that_of_their_folders(tmp_path):
             outputs_of(inputs, out)
     with pytest.raises(UsageError, match="would be the folder of several copies"):
         outputs_of(inputs, tmp_path / "scaled.tif")
+
+
+def test_where_names_repeat_across_folders_each_copy_names_its_folder(tmp_path):
+    """x.tif and x_tif.tif would not tell of which folder they are."""
+    names = {"a/x.tif": "a_x_tif.tif", "a/x.jpg": "a_x_jpg.tif", "b/X.tif": "b_X.tif", "b/y.tif": "y.tif"}
+    for path in names:
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).touch()
+    for order in permutations(names):
+        found = outputs_of([tmp_path / path for path in order], tmp_path / "out")
+        assert [path.name for path in found] == [names[path] for path in order]
 
 
 def test_an_input_keeps_the_name_of_its_copy_and_gets_no_others(parks, tmp_path):
