@@ -79,11 +79,12 @@ def checked(
     request: EstimateRequest,
     progress: Progress | None = None,
     told: Callable[[Detections, Source], None] = lambda found, source: None,
+    alone: bool = True,
 ) -> Checked:
-    """What `request` asks of the input at `path`; see `check`. told : as of `measured`."""
+    """What `request` asks of the input at `path`; see `check`. told, alone : as of `measured`."""
     source = source_of(path, request, request.needs_pictures, progress)
     require_claim(source)
-    result = measured(source, request, progress, told)
+    result = measured(source, request, progress, told, alone)
     return Checked(result, comparisons(result))
 
 

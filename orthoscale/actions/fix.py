@@ -63,14 +63,19 @@ def fix(
 
 
 def written(
-    path: Path, out: Path, request: FixRequest, progress: Progress | None = None, save_detections: Path | None = None
+    path: Path,
+    out: Path,
+    request: FixRequest,
+    progress: Progress | None = None,
+    save_detections: Path | None = None,
+    alone: bool = True,
 ) -> Result:
-    """What `request` asks of the input at `path`, written at `out`; see `fix`."""
+    """What `request` asks of the input at `path`, written at `out`; see `fix`. alone : as of `measured`."""
     with Outputs(request.overwrite, (path, request.inputs)) as outputs:
         begun = _begin(path, out, request, outputs, save_detections, progress)
         source, writer, boxes = begun.source, begun.writer, begun.boxes
         with boxes.also_without_scale():
-            result = measured(source, request.estimating(), progress, boxes.take)
+            result = measured(source, request.estimating(), progress, boxes.take, alone)
             boxes.take(result.detections, source)
             if not request.force:
                 result.require_useful()

@@ -23,11 +23,13 @@ def rehearsal(
     save_detections: Path | None = None,
     overwrite: bool = False,
     needs_claim: bool = False,
+    alone: bool = True,
 ) -> list[tuple[str, str]]:
     """What would be done with the input at `path`, and what by `fix` be written at `out`: labels and texts.
 
     save_detections : the file that would keep the boxes, and overwrite : whether it may be replaced; `fix` has that in
-    its request. needs_claim : whether it is for `check`, which compares what the input claims.
+    its request. needs_claim : whether it is for `check`, which compares what the input claims. alone : as of
+    `measured`.
     Raises what the command raises before it measures.
     """
     asked = opened(path, request)
@@ -37,7 +39,7 @@ def rehearsal(
     rows = [("input", f"{path}: {_kind(source)}"), ("fleet", f"{asked.fleet.code} ({asked.fleet.name})")]
     rows += [("why", why) for why in asked.why]
     if request.detections is not None:
-        boxes = load_detections(Path(request.detections), source, request.vehicle_classes)
+        boxes = load_detections(Path(request.detections), source, request.vehicle_classes, alone)
         rows.append(("boxes", f"{len(boxes)} from {request.detections}"))
     else:
         rows.append(("detector", detector_of(source, request).name))
