@@ -13,6 +13,7 @@ from support.in_process import run
 from support.reports import car_park
 
 from orthoscale.cli.main import main
+from orthoscale.sources.colmap import scale_model
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
 RULES = ["--detections", str(EXAMPLE / "detections.json"), "--fleet", "US", "--mode", "planar"]
@@ -255,3 +256,29 @@ def test_a_folder_is_no_place_for_the_copy_of_a_picture(more, tmp_path):
     (tmp_path / "out").mkdir()
     done = run("fix", tmp_path / "park.png", "--out", tmp_path / "out", *more)
     assert done.returncode == 2 and "out would be a GeoTIFF" in done.stderr and "end in .tif" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_metric_model_claims_a_metre_per_unit(tmp_path):
+    right, wrong = tmp_path / "right", tmp_path / "wrong"
+    for folder, scale in ((right, 14.157), (wrong, 20.0)):
+        folder.mkdir()
+        scale_model(EXAMPLE / "sparse", folder, scale)
+    agrees = run("check", right, *RULES)
+    assert agrees.returncode == 0 and "agrees: vehicles give" in agrees.stdout
+    assert "1 m/model-unit: its coordinates are metres: orthoscale wrote it" in agrees.stdout
+    disagrees = run("check", wrong, *RULES, "--json")
+    (comparison,) = json.loads(disagrees.stdout)["comparisons"]
+    assert disagrees.returncode == 4 and comparison["verdict"] == "disagrees" and comparison["claimed"] == 1
+    assert comparison["guesses"] == []
+    assert "its coordinates are metres" in run("check", wrong, *RULES, "--dry-run").stdout
+    several = run("check", right, wrong, *RULES, "--summary", tmp_path / "claims.json")
+    rows = json.loads((tmp_path / "claims.json").read_text())["inputs"]
+    assert several.returncode == 4 and [row["claim"] for row in rows] == ["agrees", "disagrees"]
+    assert [row["claimed"] for row in rows] == [1, 1]
+
+
+def test_a_model_that_claims_no_scale_is_told_how_to_get_one():
+    done = run("check", EXAMPLE / "sparse", *RULES)
+    assert done.returncode == 2 and "nothing says that its coordinates are metres" in done.stderr
+    assert "orthoscale estimate" in done.stderr and "fix" in done.stderr

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.brief import Brief
-from ..core.claims import Comparison, own_claim
+from ..core.claims import Comparison, metric_claim, own_claim
 from ..core.detections import Detections
 from ..core.source import Source
 from ..errors import EvidenceDisagrees, UsageError
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from ..core.progress import Progress
     from ..requests import EstimateOptions
+
+FIND_IT = "Find it by `orthoscale estimate`"
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,7 +69,7 @@ class Checked(Brief):
 def check(
     path: str | Path | Source, *, progress: Progress | None = None, **options: Unpack[EstimateOptions]
 ) -> Checked:
-    """Compare the scale that the orthophoto at `path` claims with the one that its vehicles give.
+    """Compare the scale that the orthophoto or metric reconstruction at `path` claims with that of its vehicles.
 
     options : those of `estimate`. Raises what that raises, and UsageError for an input that claims no scale.
     """
@@ -90,13 +92,18 @@ def checked(
 
 def require_claim(source: Source) -> None:
     """Raise UsageError where `source` claims no scale that could be compared."""
+    if source.posed is not None:
+        if not source.metric_already:
+            why = "nothing says that its coordinates are metres"
+            raise UsageError(f"{source.path} claims no scale: {why}", f"{FIND_IT}, or write it in metres by `fix`.")
+        return
     claimed = source.claimed
     if claimed is None or claimed.gsd_m is None:
         why = "" if claimed is None else f": {claimed.why}"
-        raise UsageError(f"{source.path} claims no scale{why}", "Find it by `orthoscale estimate`.")
+        raise UsageError(f"{source.path} claims no scale{why}", f"{FIND_IT}.")
 
 
 def comparisons(result: Result) -> list[Comparison]:
     """All that there is to compare the result with."""
-    own = own_claim(result.source, result.scale)
+    own = own_claim(result.source, result.scale) or metric_claim(result.source, result.scale)
     return [own] if own else []

@@ -149,6 +149,8 @@ def _do(job: dict[str, Any], path: Path, row: Row) -> None:
         return
     outcome = checked(path, request, alone=job["alone"])
     _fill(row, outcome.result)
+    for claim in outcome.comparisons:
+        row |= {"claimed": claim.claimed, "claim": claim.verdict}
     outcome.require_agreement()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..core.claims import figure
+from ..core.claims import METRIC, figure, metric_reason
 from ..core.source import Source
 from ..formats.detections import load as load_detections
 from ..formats.detections import output_of
@@ -48,6 +48,8 @@ def rehearsal(
     claim = source.claimed
     if claim is not None and claim.gsd_m is not None:
         rows.append(("claim", figure(claim.gsd_m, claim.unit_known, claim.why)))
+    if needs_claim and source.posed is not None:
+        rows.append(("claim", figure(METRIC, True, metric_reason(source.metric_already), source.unit)))
     if isinstance(request, FixRequest) and out is not None:
         places = rehearsed(path, out, request, save_detections)
     else:

@@ -66,6 +66,7 @@ def check(
 ) -> None:
     """Compare the scale that INPUT claims with that of its vehicles.
 
+    A reconstruction claims a metre per unit if orthoscale or a map's coordinates or GPS made it metric.
     Nothing is written. The claim is converted to metres on the ellipsoid at the image's centre, so feet, degrees
     and stretched projections such as EPSG:3857 are handled.
 
