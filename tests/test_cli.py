@@ -10,8 +10,10 @@ import cv2
 import numpy as np
 import pytest
 from support.in_process import run
+from support.reports import car_park
 
 from orthoscale.cli.main import main
+from orthoscale.sources.colmap import scale_model
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"
 RULES = ["--detections", str(EXAMPLE / "detections.json"), "--fleet", "US", "--mode", "planar"]
@@ -214,3 +216,69 @@ def test_what_cannot_be_printed_is_an_output_that_was_not_written(monkeypatch, c
     assert (
         "standard output, or a temporary file, cannot be written (No space left on device)" in capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize("command", ["estimate", "fix", "check"])
+@pytest.mark.parametrize("refused, code", [("too few", 3), ("contradicted", 4)])
+def test_boxes_are_saved_where_they_give_no_scale(command, refused, code, tmp_path):
+    car_park(tmp_path)
+    (tmp_path / "park.pgw").write_text("0.1\n0\n0\n-0.1\n5\n5\n")
+    found = json.loads((tmp_path / "detections.json").read_text())
+    rows = found["pictures"]["park.png"]
+    more = []
+    if refused == "too few":
+        del rows[3:]
+    else:
+        more = ["--known-distance", "100,100 500,100 400"]  # ten times as long
+    (tmp_path / "given.json").write_text(json.dumps(found))
+    words = ["--detections", tmp_path / "given.json", "--anchors", "none", "--fleet", "DE", *more]
+    words += ["--out", tmp_path / "out.tif"] if command == "fix" else []
+    saved = tmp_path / "saved.coco.json"
+    done = run(command, tmp_path / "park.png", *words, "--save-detections", saved)
+    assert done.returncode == code and not (tmp_path / "out.tif").exists()
+    assert f"the boxes are saved in {saved}" in done.stderr
+    assert len(json.loads(saved.read_text())["annotations"]) == len(rows)
+    again = run(command, tmp_path / "park.png", *words, "--save-detections", saved)
+    assert again.returncode == 2 and "already exists" in again.stderr
+
+
+def test_no_boxes_are_not_saved(tmp_path):
+    car_park(tmp_path)
+    (tmp_path / "none.json").write_text('{"park.png": []}')
+    words = ["--detections", tmp_path / "none.json", "--anchors", "none"]
+    done = run("estimate", tmp_path / "park.png", *words, "--save-detections", tmp_path / "saved.json")
+    assert done.returncode == 3 and "are saved" not in done.stderr and not (tmp_path / "saved.json").exists()
+
+
+@pytest.mark.parametrize("more", [[], ["--overwrite"], ["--dry-run"]])
+def test_a_folder_is_no_place_for_the_copy_of_a_picture(more, tmp_path):
+    car_park(tmp_path)
+    (tmp_path / "out").mkdir()
+    done = run("fix", tmp_path / "park.png", "--out", tmp_path / "out", *more)
+    assert done.returncode == 2 and "out would be a GeoTIFF" in done.stderr and "end in .tif" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_metric_model_claims_a_metre_per_unit(tmp_path):
+    right, wrong = tmp_path / "right", tmp_path / "wrong"
+    for folder, scale in ((right, 14.157), (wrong, 20.0)):
+        folder.mkdir()
+        scale_model(EXAMPLE / "sparse", folder, scale)
+    agrees = run("check", right, *RULES)
+    assert agrees.returncode == 0 and "agrees: vehicles give" in agrees.stdout
+    assert "1 m/model-unit: its coordinates are metres: orthoscale wrote it" in agrees.stdout
+    disagrees = run("check", wrong, *RULES, "--json")
+    (comparison,) = json.loads(disagrees.stdout)["comparisons"]
+    assert disagrees.returncode == 4 and comparison["verdict"] == "disagrees" and comparison["claimed"] == 1
+    assert comparison["guesses"] == []
+    assert "its coordinates are metres" in run("check", wrong, *RULES, "--dry-run").stdout
+    several = run("check", right, wrong, *RULES, "--summary", tmp_path / "claims.json")
+    rows = json.loads((tmp_path / "claims.json").read_text())["inputs"]
+    assert several.returncode == 4 and [row["claim"] for row in rows] == ["agrees", "disagrees"]
+    assert [row["claimed"] for row in rows] == [1, 1]
+
+
+def test_a_model_that_claims_no_scale_is_told_how_to_get_one():
+    done = run("check", EXAMPLE / "sparse", *RULES)
+    assert done.returncode == 2 and "nothing says that its coordinates are metres" in done.stderr
+    assert "orthoscale estimate" in done.stderr and "fix" in done.stderr

@@ -127,7 +127,7 @@ def test_write(made, form, tmp_path):
     model, _ = made
     folder = save(model, tmp_path / "m", form)
     (folder / "project.ini").write_text("log_level=0\n")
-    unscaled = ("points3D.ply", "mesh.off", "splat.spz", "cloud.laz", "depth.npz")  # in the old units
+    unscaled = ("points3D.ply", "mesh.off", "splat.spz", "cloud.laz", "depth.npz", "c.pts", "m.fbx")  # in the old units
     for name in unscaled:
         (folder / name).write_text("ply\n")
     (folder / "notes.txt").symlink_to(Path(__file__))

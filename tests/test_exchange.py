@@ -448,6 +448,25 @@ def test_geojson_in_the_pixels_of_a_picture_without_place(plain, tmp_path):
         assert boxes.xylwa == pytest.approx(BOXES.xylwa[:1], abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    "name, text",
+    [
+        ("d.txt", f"tokyo 0.9 {CAR}\n"),
+        ("d.csv", "cx,cy,length,width,angle,picture\n30,30,40,17,0,tokyo\n"),
+        ("d.json", {"tokyo": [{"cx": 30, "cy": 30, "length": 40, "width": 17, "angle": 0}]}),
+        ("d.json", {"annotations": [{"image_id": 1, "bbox": [30, 30, 40, 17, 0]}],
+                    "images": [{"id": 1, "file_name": "tokyo"}]}),
+    ],
+)  # fmt: skip
+def test_boxes_of_one_picture_are_of_the_only_one_whatever_its_name(plain, tmp_path, name, text):
+    """The same pixels under another name."""
+    before = len(plain.notes)
+    found = load_text(plain, tmp_path, name, text)
+    assert list(found.boxes) == ["ortho.tif"] and len(found) == 1
+    (note,) = [note for note in plain.notes[before:] if "tokyo" in note.text]
+    assert note.severity == "info" and "'ortho.tif'" in note.text
+
+
 def feature(kind, coordinates, **properties):
     geometry = {"type": kind, "coordinates": coordinates}
     return {"type": "FeatureCollection", "features": [{"geometry": geometry, "properties": properties}]}
@@ -464,7 +483,16 @@ CORNERS = [float(v) for v in CAR.split()]
     [
         ("d.txt", "1 2 3\n", "line 1 is no box"),
         ("d.txt", f"ortho 0.9 {CAR}\n\northo nine {CAR}\n", "line 3 is no box"),
-        ("d.txt", f"tokyo 0.9 {CAR}\n", "1 of its 1 pictures are not in .* the first is 'tokyo'"),
+        ("d.txt", f"tokyo 0.9 {CAR}\nparis 0.9 {CAR}\n", "none of its 2 pictures is in .* the first is 'tokyo'"),
+        ("d.txt", "tokyo 0.9 900 5 940 5 940 20 900 20\n", "1 of 1 boxes of 'tokyo' lie outside of ortho.tif"),
+        (
+            "d.json",
+            {
+                "annotations": [{"image_id": 1, "segmentation": [CORNERS]}],
+                "images": [{**OTHER_SIZE[0], "file_name": "x.jpg"}],
+            },
+            "640 x 480 px",
+        ),
         ("d.txt", "ortho 0.9 5 5 5 5 5 5 5 5\n", "box 1 of ortho.tif has no extent"),
         ("d.txt", "ortho 0.9 nan 5 9 5 9 7 5 7\n", "box 1 of ortho.tif is not made of numbers"),
         ("d.txt", "ortho 0.9 900 5 940 5 940 20 900 20\n", "1 of 1 boxes lie outside of ortho.tif"),
@@ -485,7 +513,6 @@ CORNERS = [float(v) for v in CAR.split()]
         ("d.geojson", feature("Polygon", [[["a", 2], [3, 4], [5, 6]]]), "is no polygon"),
         ("d.geojson", feature("Polygon", [RING], **{"class": "roof"}), "its classes are roof"),
         ("d.geojson", feature("Polygon", [RING], score="high"), "has a score that is not from 0 to 1"),
-        ("d.geojson", feature("Polygon", [RING], picture="x.jpg"), "the first is 'x.jpg'"),
         ("d.geojson", {"type": "FeatureCollection", "features": [{"type": "Feature"}]}, "not GeoJSON that can be read"),
         ("d.geojson", "{", "not a detections file"),
         ("d.gpkg", "hello", "not a GeoPackage|pyogrio"),

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from itertools import permutations
 from pathlib import Path
 
 import pytest
@@ -54,7 +55,7 @@ def test_what_failed_is_named_once_and_as_the_user_named_it(parks, monkeypatch, 
     from orthoscale.cli import many as command
 
     monkeypatch.chdir(parks)
-    job = {"action": "estimate", "input": "pictures/broken.tif", "out": None, "settings": {}}
+    job = {"action": "estimate", "input": "pictures/broken.tif", "out": None, "settings": {}, "alone": True}
     row = many.one(job)
     assert row["exit_code"] == 5 and str(parks) not in row["error"] + row["hint"]
     command._tell([row, {**row, "error": "its process died"}], set())
@@ -158,6 +159,30 @@ def test_copies_of_one_name_take_that_of_their_folders(tmp_path):
             outputs_of(inputs, out)
     with pytest.raises(UsageError, match="would be the folder of several copies"):
         outputs_of(inputs, tmp_path / "scaled.tif")
+
+
+@pytest.mark.parametrize("more", [[], ["--dry-run"]])
+def test_boxes_of_one_picture_are_not_those_of_every_other(parks, tmp_path, more):
+    boxes = json.loads((parks / "boxes.json").read_text())
+    boxes["pictures"] = {"c.png": boxes["pictures"]["a.png"]}
+    (tmp_path / "c.json").write_text(json.dumps(boxes))
+    pictures = [parks / "pictures/a.png", parks / "pictures/b.png"]
+    words = ["--detections", tmp_path / "c.json", "--fleet", "DE", "--anchors", "none", *more]
+    for several, code in ((pictures, 5), (pictures[:1], 0)):
+        done = run("estimate", *several, *words)
+        assert done.returncode == code, done.stderr
+        assert ("its only picture is not in" in done.stdout + done.stderr) == (code == 5)
+
+
+def test_where_names_repeat_across_folders_each_copy_names_its_folder(tmp_path):
+    """x.tif and x_tif.tif would not tell of which folder they are."""
+    names = {"a/x.tif": "a_x_tif.tif", "a/x.jpg": "a_x_jpg.tif", "b/X.tif": "b_X.tif", "b/y.tif": "y.tif"}
+    for path in names:
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).touch()
+    for order in permutations(names):
+        found = outputs_of([tmp_path / path for path in order], tmp_path / "out")
+        assert [path.name for path in found] == [names[path] for path in order]
 
 
 def test_an_input_keeps_the_name_of_its_copy_and_gets_no_others(parks, tmp_path):

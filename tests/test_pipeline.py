@@ -146,7 +146,7 @@ def test_four_vehicles_are_too_few(town, tmp_path):
 
 def test_detections_of_another_picture_are_refused(town, tmp_path):
     (tmp_path / "other.json").write_text('{"elsewhere.jpg": []}')
-    with pytest.raises(InputError, match="1 of its 1 pictures are not in .*elsewhere"):
+    with pytest.raises(InputError, match="its only picture is not in .*elsewhere"):
         orthoscale.estimate(town, detections=tmp_path / "other.json")
 
 

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 import rasterio
@@ -113,14 +113,15 @@ def test_the_plugin_is_packed_whole(tmp_path):
         assert f"orthoscale_qgis/{needed}" in names
 
 
-def test_a_scale_that_contradicts_itself_judges_no_claim(monkeypatch):
-    """The program's report has no comparison then, and ends as one that disagrees. QGIS's classes are stood in for."""
+@pytest.fixture
+def plugin(monkeypatch):
+    """A function that imports a module of the plugin where QGIS is not installed: its classes are stood in for."""
     anything = type("Anything", (Exception,), {"__init__": lambda self, *_, **__: None})
     core = ModuleType("qgis.core")
     core.__getattr__ = lambda name: anything
     core.QgsProcessingException = type("QgsProcessingException", (Exception,), {})
     config = ModuleType("processing.core.ProcessingConfig")
-    config.ProcessingConfig = anything
+    config.ProcessingConfig = type("ProcessingConfig", (), {"getSetting": staticmethod(lambda name: "")})
     package = ModuleType("orthoscale_qgis")
     package.__path__ = [str(PLUGIN)]
     stands_in = {"qgis.core": core, "processing.core.ProcessingConfig": config, "orthoscale_qgis": package}
@@ -128,17 +129,50 @@ def test_a_scale_that_contradicts_itself_judges_no_claim(monkeypatch):
         stands_in[name] = ModuleType(name)
     for name, module in stands_in.items():
         monkeypatch.setitem(sys.modules, name, module)
-    for name in ("program", "check"):
-        monkeypatch.delitem(sys.modules, f"orthoscale_qgis.{name}", raising=False)
-    check = importlib.import_module("orthoscale_qgis.check")
+
+    def forget():
+        for name in [name for name in sys.modules if name.startswith("orthoscale_qgis.")]:
+            sys.modules.pop(name)
+
+    forget()
+    yield lambda name: importlib.import_module(f"orthoscale_qgis.{name}")
+    forget()
+
+
+def test_a_scale_that_contradicts_itself_judges_no_claim(plugin, monkeypatch):
+    """The program's report has no comparison then, and ends as one that disagrees."""
+    check = plugin("check")
     said = [{"severity": "refusal", "text": "vehicles and bays differ by 6 sigma"}, {"severity": "info", "text": "x"}]
     monkeypatch.setattr(check, "run", lambda *_: {"comparisons": [], "remarks": said})
     algorithm = check.Check()
     monkeypatch.setattr(check.Check, "input_words", lambda *_: ["a.tif"])
-    with pytest.raises(core.QgsProcessingException, match="cannot be judged.\nvehicles and bays differ"):
+    with pytest.raises(sys.modules["qgis.core"].QgsProcessingException, match="cannot be judged.\nvehicles and bays"):
         algorithm.processAlgorithm({}, None, None)
-    for name in ("program", "check"):
-        sys.modules.pop(f"orthoscale_qgis.{name}")
+
+
+@pytest.mark.parametrize("writes", [True, False])
+@pytest.mark.parametrize("code", [3, 4])
+def test_vehicles_that_give_no_scale_are_shown_all_the_same(plugin, monkeypatch, tmp_path, code, writes):
+    out = tmp_path / "vehicles.gpkg"
+    out.write_text("of an earlier run")
+    program = tmp_path / "orthoscale"
+    saving = f"echo boxes > {out}.new; mv {out}.new {out}" if writes else "true"
+    program.write_text(f"#!/bin/sh\n{saving}\necho too few >&2\nexit {code}\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    vehicles = plugin("vehicles")
+    algorithm = vehicles.Vehicles()
+    monkeypatch.setattr(vehicles.Vehicles, "input_words", lambda *_: ["a.tif"])
+    monkeypatch.setattr(vehicles.Vehicles, "parameterAsOutputLayer", lambda *_: str(out), raising=False)
+    warned = []
+    feedback = SimpleNamespace(
+        pushCommandInfo=lambda text: None, pushInfo=lambda text: None, pushWarning=warned.append, isCanceled=lambda: 0
+    )
+    if writes:
+        assert algorithm.processAlgorithm({}, None, feedback) == {"OUTPUT": str(out)} and warned == ["too few"]
+    else:
+        with pytest.raises(sys.modules["qgis.core"].QgsProcessingException, match="too few"):
+            algorithm.processAlgorithm({}, None, feedback)
 
 
 def test_options_that_the_plugin_passes_exist():

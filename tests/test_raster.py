@@ -541,6 +541,49 @@ def test_pixels_without_size_are_no_claim(tmp_path):
     assert not claim.usable and "without size" in claim.why
 
 
+ESRI_WKT = (
+    'PROJCS["NAD_1983_StatePlane_California_III_FIPS_0403_Feet",GEOGCS["GCS_North_American_1983",'
+    'DATUM["D_North_American_1983",SPHEROID["GRS_1980",6378137.0,298.257222101]],PRIMEM["Greenwich",0.0],'
+    'UNIT["Degree",0.0174532925199433]],PROJECTION["Lambert_Conformal_Conic"],'
+    'PARAMETER["False_Easting",6561666.666666666],PARAMETER["False_Northing",1640416.666666667],'
+    'PARAMETER["Central_Meridian",-120.5],PARAMETER["Standard_Parallel_1",37.06666666666667],'
+    'PARAMETER["Standard_Parallel_2",38.43333333333333],PARAMETER["Latitude_Of_Origin",36.5],'
+    'UNIT["Foot_US",0.3048006096012192]]'
+)
+
+
+@pytest.mark.parametrize("name, world, projection", [("a.tif", "a.tfw", "a.prj"), ("a.jpg", "a.jgw", "a.PRJ")])
+def test_a_world_file_has_the_reference_system_of_the_prj_beside_it(tmp_path, name, world, projection):
+    make(tmp_path / name) if name == "a.tif" else converted(tmp_path / name, "JPEG")
+    (tmp_path / world).write_text("0.3\n0\n0\n-0.3\n6000000\n2100000\n")
+    (tmp_path / projection).write_text("\ufeff" + ESRI_WKT)
+    with RasterSource.open(tmp_path / name) as source:
+        claim = source.claimed
+        assert claim.usable and math.isclose(claim.gsd_m, 0.3 * 0.3048006, rel_tol=1e-3)
+        assert f"NAD83 / California zone 3 (ftUS) ({projection})" in claim.why and source.metric_already
+        assert tmp_path / projection in source.files
+        source.write(tmp_path / "b.tif", 0.1, source.place(0.1, keep_origin=True))
+    with rasterio.open(tmp_path / "b.tif") as copy:
+        assert copy.crs.to_epsg() == 2227
+
+
+@pytest.mark.parametrize("content", [b"", b"PROJCS[", bytes(range(256)), b"Projection UTM\nZone 32\n"])
+def test_a_prj_that_is_damaged_is_said(tmp_path, content):
+    make(tmp_path / "a.tif")
+    (tmp_path / "a.tfw").write_text("0.3\n0\n0\n-0.3\n6000000\n2100000\n")
+    (tmp_path / "a.prj").write_bytes(content)
+    with RasterSource.open(tmp_path / "a.tif") as source:
+        claim = source.claimed
+    assert not claim.usable and not claim.unit_known and "a.prj beside it is not understood" in claim.why
+
+
+def test_a_prj_does_not_replace_a_reference_system_of_the_picture(tmp_path):
+    make(tmp_path / "a.tif", **UTM)
+    (tmp_path / "a.prj").write_text(ESRI_WKT)
+    with RasterSource.open(tmp_path / "a.tif") as source:
+        assert "UTM zone 32N" in source.claimed.why and tmp_path / "a.prj" not in source.files
+
+
 def with_rational_polynomials(path: Path) -> Path:
     make(path)
     terms = dict.fromkeys(("line_den_coeff", "line_num_coeff", "samp_den_coeff", "samp_num_coeff"), [1.0] * 20)

@@ -430,6 +430,36 @@ def test_a_dense_workspace_leaves_what_is_not_in_its_units(tmp_path):
     ]  # fmt: skip
 
 
+def test_nothing_with_lengths_is_copied_unscaled_with_a_dense_workspace(tmp_path):
+    source = dense_workspace(tmp_path / "dense")
+    for name in ("fused.pts", "c.xyzrgb", "UPPER.XYZN"):
+        (source / name).write_text("1 2 3 7 8 9\n")
+    unknown = ("scene.mvs", "depth0001.dmap", "mesh.fbx", "cloud.e57", "a_P.txt", "nohup.out", "depth.npy", "plain")
+    for name in unknown:
+        (source / name).write_text("1 2 3\n")
+    (source / "stereo/consistency_graphs").mkdir()
+    along = ("images/b.PNG", "stereo/patch-match.cfg", "run.sh", "stereo/consistency_graphs/a.jpg.geometric.bin")
+    for name in along:
+        (source / name).write_text("1 2 3\n")
+    (tmp_path / "out").mkdir()
+    notes = scale_path(source, tmp_path / "out", 2.0)
+    for name in ("fused.pts", "c.xyzrgb", "UPPER.XYZN"):
+        assert list(map(float, (tmp_path / "out" / name).read_text().split())) == [2, 4, 6, 7, 8, 9]
+    for name in unknown:
+        assert name in notes[1] and not (tmp_path / "out" / name).exists()
+    for name in along:
+        assert (tmp_path / "out" / name).read_text() == "1 2 3\n"
+
+
+def test_a_note_on_many_files_that_are_left_names_the_first(tmp_path):
+    source = dense_workspace(tmp_path / "dense")
+    for k in range(25):
+        (source / f"depth{k:04d}.dmap").write_bytes(b"DR")
+    (tmp_path / "out").mkdir()
+    notes = scale_path(source, tmp_path / "out", SCALE)
+    assert "depth0019.dmap" in notes[1] and "depth0020.dmap" not in notes[1] and notes[1].endswith("and 5 more")
+
+
 # --- Camera files ----------------------------------------------------------------------------------------------------
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.brief import Brief
-from ..core.claims import Comparison, own_claim
+from ..core.claims import Comparison, metric_claim, own_claim
+from ..core.detections import Detections
 from ..core.source import Source
 from ..errors import EvidenceDisagrees, UsageError
 from ..report.result import Result
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 
     from ..core.progress import Progress
     from ..requests import EstimateOptions
+
+FIND_IT = "Find it by `orthoscale estimate`"
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,30 +69,41 @@ class Checked(Brief):
 def check(
     path: str | Path | Source, *, progress: Progress | None = None, **options: Unpack[EstimateOptions]
 ) -> Checked:
-    """Compare the scale that the orthophoto at `path` claims with the one that its vehicles give.
+    """Compare the scale that the orthophoto or metric reconstruction at `path` claims with that of its vehicles.
 
     options : those of `estimate`. Raises what that raises, and UsageError for an input that claims no scale.
     """
     return checked(path, EstimateRequest.of(options), progress)
 
 
-def checked(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Checked:
-    """What `request` asks of the input at `path`; see `check`."""
+def checked(
+    path: str | Path | Source,
+    request: EstimateRequest,
+    progress: Progress | None = None,
+    told: Callable[[Detections, Source], None] = lambda found, source: None,
+    alone: bool = True,
+) -> Checked:
+    """What `request` asks of the input at `path`; see `check`. told, alone : as of `measured`."""
     source = source_of(path, request, request.needs_pictures, progress)
     require_claim(source)
-    result = measured(source, request, progress)
+    result = measured(source, request, progress, told, alone)
     return Checked(result, comparisons(result))
 
 
 def require_claim(source: Source) -> None:
     """Raise UsageError where `source` claims no scale that could be compared."""
+    if source.posed is not None:
+        if not source.metric_already:
+            why = "nothing says that its coordinates are metres"
+            raise UsageError(f"{source.path} claims no scale: {why}", f"{FIND_IT}, or write it in metres by `fix`.")
+        return
     claimed = source.claimed
     if claimed is None or claimed.gsd_m is None:
         why = "" if claimed is None else f": {claimed.why}"
-        raise UsageError(f"{source.path} claims no scale{why}", "Find it by `orthoscale estimate`.")
+        raise UsageError(f"{source.path} claims no scale{why}", f"{FIND_IT}.")
 
 
 def comparisons(result: Result) -> list[Comparison]:
     """All that there is to compare the result with."""
-    own = own_claim(result.source, result.scale)
+    own = own_claim(result.source, result.scale) or metric_claim(result.source, result.scale)
     return [own] if own else []

@@ -159,8 +159,15 @@ class _Answer:
     on_map: OnMap
 
 
-def measured(path: str | Path | Source, request: EstimateRequest, progress: Progress | None = None) -> Result:
-    """What `request` asks of the input at `path`; see `estimate`."""
+def measured(
+    path: str | Path | Source,
+    request: EstimateRequest,
+    progress: Progress | None = None,
+    told: Callable[[Detections, Source], None] = lambda found, source: None,
+    alone: bool = True,
+) -> Result:
+    """What `request` asks of the input at `path`; see `estimate`. told : the boxes and their source, as soon as they
+    are there. alone : whether `request` is for this input only."""
     started = time.perf_counter()
     log.info("measuring %s", path)
     asked = opened(path, request, progress)
@@ -176,7 +183,8 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     wanted = Wanted(request.anchors, asked.own, method.country, effort_of(request), progress)
     found, choice = Detections({}, 1.0, UNKNOWN_RULER, UNKNOWN_HEIGHT, "no vehicles found"), None
     try:
-        found, choice = _found(asked, request, progress)
+        found, choice = _found(asked, request, progress, alone)
+        told(found, source)
         answer = _of_vehicles(asked, found, method, request, wanted)
     except TooLittleEvidence as error:
         if method.vehicles_only:
@@ -193,11 +201,13 @@ def measured(path: str | Path | Source, request: EstimateRequest, progress: Prog
     return Result(source, fleet, found, choice, seconds, measurement, answer.method, request.settings(), anchors, match)
 
 
-def _found(asked: Opened, request: EstimateRequest, progress: Progress | None) -> tuple[Detections, ZoomChoice | None]:
+def _found(
+    asked: Opened, request: EstimateRequest, progress: Progress | None, alone: bool
+) -> tuple[Detections, ZoomChoice | None]:
     """The boxes that are measured, from a file or by a detector, with the ruler that fits them."""
     choice = None
     if request.detections is not None:
-        found = load_detections(Path(request.detections), asked.source, request.vehicle_classes)
+        found = load_detections(Path(request.detections), asked.source, request.vehicle_classes, alone)
     else:
         found, choice = _looked_for(asked.source, request, asked.fleet, progress)
     found = measured_anew(asked.source, found, request, effort_of(request), progress)

@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING
 
 from ..core.source import Plan, PosedSet, Source
 from ..errors import Incomplete, MetricAlready, UsageError
-from ..formats.detections import check_name, output_of, save
+from ..formats.detections import check_name
+from ..formats.pictures import PICTURES
 from ..report.extras import WRITERS, chosen
 from ..report.files import write_report
 from ..report.result import Result
 from ..requests import FixRequest
 from ..sources.opening import AN_INPUT
+from ..sources.raster import RasterSource
 from ..system.outputs import Outputs
 from ..system.paths import path_of
 from .estimate import measured, source_of
+from .kept_boxes import KeptBoxes
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -50,7 +53,7 @@ def fix(
     force : write although the evidence is too uncertain to be useful (verdict ``unusable``) or contradicts itself.
     dense : write the model's dense workspace in metres too, as ``dense/``: depth maps, cloud, meshes.
     report : ``html``, ``json`` (without the page) or ``none``.
-    save_detections : also keep the boxes in this file.
+    save_detections : also keep the boxes in this file, those of a scale that is refused too.
     Raises what `estimate` raises, OutputError; Incomplete if the copy is verified and in its place but something beside
     it could not be made.
     """
@@ -60,23 +63,30 @@ def fix(
 
 
 def written(
-    path: Path, out: Path, request: FixRequest, progress: Progress | None = None, save_detections: Path | None = None
+    path: Path,
+    out: Path,
+    request: FixRequest,
+    progress: Progress | None = None,
+    save_detections: Path | None = None,
+    alone: bool = True,
 ) -> Result:
-    """What `request` asks of the input at `path`, written at `out`; see `fix`."""
+    """What `request` asks of the input at `path`, written at `out`; see `fix`. alone : as of `measured`."""
     with Outputs(request.overwrite, (path, request.inputs)) as outputs:
         begun = _begin(path, out, request, outputs, save_detections, progress)
-        source, writer, save_detections = begun.source, begun.writer, begun.save_detections
-        result = measured(source, request.estimating(), progress)
+        source, writer, boxes = begun.source, begun.writer, begun.boxes
+        with boxes.also_without_scale():
+            result = measured(source, request.estimating(), progress, boxes.take, alone)
+            boxes.take(result.detections, source)
+            if not request.force:
+                result.require_useful()
         result = replace(result, settings=request.without(("overwrite",)).settings())
-        if not request.force:
-            result.require_useful()
         writer.write(begun.main, result)
         # The copy is verified: what fails from here on does not take it away.
         write_report(result, begun.parts, outputs.attempt)
         writer.write_more(result, outputs)
-        if save_detections is not None:
-            with outputs.attempt(save_detections, save_detections.name):
-                save(result.detections, save_detections, source)
+        if boxes.partial is not None:
+            with outputs.attempt(boxes.partial, boxes.partial.name):
+                boxes.save()
     if missing := outputs.missing():
         raise Incomplete(
             f"{out.name} is written and verified, but {missing}",
@@ -101,7 +111,7 @@ class _Begun:
     writer: _PlanWriter | _PosedWriter
     main: Path
     parts: dict[str, Path]
-    save_detections: Path | None
+    boxes: KeptBoxes
 
 
 def _begin(
@@ -113,6 +123,8 @@ def _begin(
     progress: Progress | None = None,
 ) -> _Begun:
     """Open the input, refuse what makes no sense, and claim all outputs."""
+    if path.is_file() and path.suffix.lower() in PICTURES:  # whether `out` exists matters only where it may be written
+        RasterSource.check_name(out)
     outputs.check(out)
     if save_detections is not None:
         check_name(save_detections)
@@ -126,7 +138,7 @@ def _begin(
             "Compare that with the vehicles by `orthoscale estimate`, or replace its scale with --override.",
         )
     main, parts = writer.places(outputs)
-    boxes = output_of(outputs, save_detections)
+    boxes = KeptBoxes(outputs, save_detections)
     outputs.protect(*source.files, *writer.more_inputs)
     return _Begun(source, writer, main, parts, boxes)
 

@@ -11,13 +11,11 @@ from functools import cache
 from pathlib import Path
 
 from ..errors import InputError, UsageError
+from ..formats.pictures import PICTURES
 from ..sources.exchange_files import find_exchange
 from ..system.outputs import ours
 from .finished import input_of, report_of
 from .workspace import models_in
-
-PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".bmp", ".gif", ".vrt", ".webp", ".img", ".ecw", ".sid")
-"""Endings by which a picture in a folder is known for one. One that is named itself may have any."""
 
 
 def is_many(words: Sequence[Path]) -> bool:
@@ -50,9 +48,9 @@ def inputs_of(words: Iterable[Path]) -> list[Path]:
 def outputs_of(inputs: Sequence[Path], folder: Path) -> list[Path]:
     """Where in `folder` the scaled copy of each of `inputs` goes: a GeoTIFF of a picture's name, a folder of a model's.
 
-    Inputs of one name take their endings along (``site_jpg.tif``), or the names of the folders above them
-    (``flight1_odm_orthophoto.tif``). An input whose copy is there already keeps its name, and never gets that of
-    another one's copy, as far as the reports beside the copies tell.
+    Inputs of one name take their endings along (``site_jpg.tif``) where they lie in one folder, the names of the
+    folders above them (``flight1_odm_orthophoto.tif``) where they lie in several, or both. An input whose copy is there
+    already keeps its name, and never gets that of another one's copy, as far as the reports beside the copies tell.
     Raises UsageError where `folder` and an input lie in each other: an output could take an input's place; and for a
     folder that is called as a GeoTIFF.
     """
@@ -61,7 +59,8 @@ def outputs_of(inputs: Sequence[Path], folder: Path) -> list[Path]:
     real = [Path(os.path.realpath(path)) for path in inputs]
     bare = [path.parent / path.stem.lower() for path in map(Path, map(os.path.abspath, inputs))]
     twins = {each for each, count in Counter(bare).items() if count > 1}
-    names = [_names(path, each in twins) for path, each in zip(inputs, bare, strict=True)]
+    folders = Counter(each.name for each in set(bare))  # in how many a name is
+    names = [_names(path, each in twins)[folders[each.name] > 1 :] for path, each in zip(inputs, bare, strict=True)]
     kept = [
         next((name for name in (*_names(path, False), *_names(path, True)) if owner(name) == mine), None)
         for path, mine in zip(inputs, real, strict=True)

@@ -38,7 +38,7 @@ BUG = 1
 """Exit code of an input that met a bug of orthoscale, or whose process died."""
 
 Job = dict[str, Any]
-"""action, input, out (None unless it is `fix`), settings: those of the request."""
+"""action, input, out (None unless it is `fix`), settings: those of the request, alone: whether it is the only job."""
 
 
 def run_many(
@@ -100,7 +100,7 @@ def jobs_of(
     elif request.detections is None and request.scheduler is None:  # a cluster's machines have cores of their own
         settings["workers"] = min(max(1, cores() // jobs), MOST_THREADS)
     return [
-        {"action": action, "input": str(path), "out": place, "settings": settings}
+        {"action": action, "input": str(path), "out": place, "settings": settings, "alone": len(inputs) == 1}
         for path, place in zip(inputs, outs, strict=True)
     ]
 
@@ -138,17 +138,19 @@ def _do(job: dict[str, Any], path: Path, row: Row) -> None:
         if (done := finished(path, out, asked)) is not None:
             _fill_by_report(row, *done)
         else:
-            _fill(row, written(path, out, asked))
+            _fill(row, written(path, out, asked, alone=job["alone"]))
         row["output"] = job["out"]
         return
     request = EstimateRequest.of(job["settings"])
     if job["action"] == "estimate":
-        result = measured(path, request)
+        result = measured(path, request, alone=job["alone"])
         _fill(row, result)
         result.require_useful()
         return
-    outcome = checked(path, request)
+    outcome = checked(path, request, alone=job["alone"])
     _fill(row, outcome.result)
+    for claim in outcome.comparisons:
+        row |= {"claimed": claim.claimed, "claim": claim.verdict}
     outcome.require_agreement()
 
 

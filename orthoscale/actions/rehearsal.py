@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..core.claims import figure
+from ..core.claims import METRIC, figure, metric_reason
 from ..core.source import Source
 from ..formats.detections import load as load_detections
 from ..formats.detections import output_of
@@ -23,11 +23,13 @@ def rehearsal(
     save_detections: Path | None = None,
     overwrite: bool = False,
     needs_claim: bool = False,
+    alone: bool = True,
 ) -> list[tuple[str, str]]:
     """What would be done with the input at `path`, and what by `fix` be written at `out`: labels and texts.
 
     save_detections : the file that would keep the boxes, and overwrite : whether it may be replaced; `fix` has that in
-    its request. needs_claim : whether it is for `check`, which compares what the input claims.
+    its request. needs_claim : whether it is for `check`, which compares what the input claims. alone : as of
+    `measured`.
     Raises what the command raises before it measures.
     """
     asked = opened(path, request)
@@ -37,7 +39,7 @@ def rehearsal(
     rows = [("input", f"{path}: {_kind(source)}"), ("fleet", f"{asked.fleet.code} ({asked.fleet.name})")]
     rows += [("why", why) for why in asked.why]
     if request.detections is not None:
-        boxes = load_detections(Path(request.detections), source, request.vehicle_classes)
+        boxes = load_detections(Path(request.detections), source, request.vehicle_classes, alone)
         rows.append(("boxes", f"{len(boxes)} from {request.detections}"))
     else:
         rows.append(("detector", detector_of(source, request).name))
@@ -46,6 +48,8 @@ def rehearsal(
     claim = source.claimed
     if claim is not None and claim.gsd_m is not None:
         rows.append(("claim", figure(claim.gsd_m, claim.unit_known, claim.why)))
+    if needs_claim and source.posed is not None:
+        rows.append(("claim", figure(METRIC, True, metric_reason(source.metric_already), source.unit)))
     if isinstance(request, FixRequest) and out is not None:
         places = rehearsed(path, out, request, save_detections)
     else:

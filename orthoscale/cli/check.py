@@ -66,6 +66,7 @@ def check(
 ) -> None:
     """Compare the scale that INPUT claims with that of its vehicles.
 
+    A reconstruction claims a metre per unit if orthoscale or a map's coordinates or GPS made it metric.
     Nothing is written. The claim is converted to metres on the ellipsoid at the image's centre, so feet, degrees
     and stretched projections such as EPSG:3857 are handled.
 
@@ -74,7 +75,7 @@ def check(
     """
     from ..actions.check import checked
     from ..actions.estimate import source_of
-    from ..formats.detections import output_of, save
+    from ..actions.kept_boxes import KeptBoxes
     from ..system.outputs import Outputs
 
     refuse_idle_overwrite(overwrite, save_detections, many is not None and many.summaries)
@@ -97,19 +98,21 @@ def check(
             [path], request, save_detections=save_detections, overwrite=overwrite, needs_claim=True, as_json=as_json
         )
     with Outputs(overwrite, (path, request.inputs)) as outputs, progress_bars() as progress:
-        boxes = output_of(outputs, save_detections)
+        boxes = KeptBoxes(outputs, save_detections)
         source = source_of(path, request, request.needs_pictures, progress)
         outputs.protect(*source.files)
-        outcome = checked(source, request, progress)
-        if boxes is not None:
-            save(outcome.result.detections, boxes, source)
+        with boxes.also_without_scale():
+            outcome = checked(source, request, progress, boxes.take)
+        boxes.take(outcome.result.detections, source)
+        boxes.save()
     if as_json:
         click.echo(json.dumps(outcome.to_dict()))
     else:
         _show(outcome)
     if outcome.disagrees:  # which was said
         sys.exit(EvidenceDisagrees.exit_code)
-    outcome.require_agreement()
+    with boxes.telling():
+        outcome.require_agreement()
 
 
 def _show(outcome: Checked) -> None:

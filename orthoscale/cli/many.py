@@ -85,7 +85,7 @@ def rehearse(
             if out is not None and leave(path, out):
                 rows = [("input", str(path)), ("is there", str(out))]
             else:
-                rows = rehearsal(path, request, out, save_detections, overwrite, needs_claim)
+                rows = rehearsal(path, request, out, save_detections, overwrite, needs_claim, len(paths) == 1)
             codes.append(0)
         except OrthoscaleError as error:
             if len(paths) == 1:

@@ -64,7 +64,7 @@ def estimate(
     """
     from ..actions import estimate as pipeline
     from ..actions import workspace
-    from ..formats.detections import output_of, save
+    from ..actions.kept_boxes import KeptBoxes
     from ..system.outputs import Outputs
 
     request = EstimateRequest.of(options)
@@ -80,11 +80,11 @@ def estimate(
         if models:
             outcomes = workspace.estimate_all(models, request, progress)
         else:
-            boxes = output_of(outputs, save_detections)
-            result = pipeline.measured(path, request, progress)
-            if boxes is not None:
-                outputs.protect(*result.source.files)
-                save(result.detections, boxes, result.source)
+            boxes = KeptBoxes(outputs, save_detections)
+            with boxes.also_without_scale():
+                result = pipeline.measured(path, request, progress, boxes.take)
+            boxes.take(result.detections, result.source)
+            boxes.save()
     if models:
         _finish_all(outcomes, as_json)
         results = [outcome.result for outcome in outcomes if outcome.result is not None]
@@ -92,7 +92,8 @@ def estimate(
             results[0].require_useful()
         return
     _finish(result, as_json)
-    result.require_useful()  # said after the figures: a script must not take them
+    with boxes.telling():
+        result.require_useful()  # said after the figures: a script must not take them
 
 
 @command(

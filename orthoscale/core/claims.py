@@ -14,11 +14,15 @@ from .verdicts import UNUSABLE
 NO_CLOSER = 1e-9  # least one sigma of a scale: boxes that are all alike would leave none
 CLEAR = 3.0  # sigmas from which a disagreement is no chance
 NO_UNIT = "has no unit"  # verdict on a claim that may be of metres, feet or anything: it is never held against an input
+METRIC = 1.0  # [m per unit] of a model whose coordinates are metres
 UNITS = {"metres": 1.0, "feet": 0.3048}  # [m] that such a claim is compared with
 # Factors (truth over claim) that mistakes make, and the mistake. A ratio close to one of them is a hint, no proof.
-MISTAKES = (
+UNIT_MISTAKES = (
     (0.3048, "feet were taken for metres"),
     (1 / 0.3048, "metres were taken for feet"),
+)
+MISTAKES = (
+    *UNIT_MISTAKES,
     (2.0, "the image was halved and its georeferencing was not"),
     (4.0, "the image was halved twice and its georeferencing was not"),
     (0.5, "the image was enlarged and its georeferencing was not"),
@@ -35,7 +39,7 @@ class Comparison:
     recovered scale (and of the claim, where it has one), on the claim's side of it. by : what recovered it. believed :
     False if by the claim itself nothing ties it to the ground. why : where the claim comes from. useful : False if the
     recovered scale is too uncertain to be used, and so to contradict anything: its boxes may be no vehicles. unit_known
-    : False if nothing says of what unit `claimed` is.
+    : False if nothing says of what unit `claimed` is. unit : of both scales.
     """
 
     claimed_by: str
@@ -47,6 +51,7 @@ class Comparison:
     by: str = "vehicles"
     useful: bool = True
     unit_known: bool = True
+    unit: str = PER_PIXEL
 
     @property
     def ratio(self) -> float:
@@ -73,7 +78,8 @@ class Comparison:
         """Mistakes that would explain a disagreement."""
         if self.verdict in ("agrees", NO_UNIT):
             return []
-        return [why for factor, why in MISTAKES if abs(math.log(self.ratio / factor)) <= Z90 * self.sd]
+        mistakes = MISTAKES if self.unit == PER_PIXEL else UNIT_MISTAKES
+        return [why for factor, why in mistakes if abs(math.log(self.ratio / factor)) <= Z90 * self.sd]
 
     def document(self) -> dict[str, Any]:
         """Plain values for a report."""
@@ -103,7 +109,7 @@ class Comparison:
 
     def stated(self) -> str:
         """What is claimed, and where that comes from."""
-        return figure(self.claimed, self.unit_known, self.why)
+        return figure(self.claimed, self.unit_known, self.why, self.unit)
 
     def _fits(self) -> str:
         """Whether the claim would agree if it were of one of UNITS."""
@@ -113,9 +119,9 @@ class Comparison:
         return f"fits {' and '.join(fitting)}" if fitting else f"fits neither {' nor '.join(told.values())}"
 
 
-def figure(claimed: float, unit_known: bool, why: str) -> str:
-    """A claimed size of a pixel [m if `unit_known`] with `why` it is that, in words."""
-    return f"{claimed:.5g} {PER_PIXEL if unit_known else 'per pixel'}: {why}"
+def figure(claimed: float, unit_known: bool, why: str, unit: str = PER_PIXEL) -> str:
+    """A claimed scale [`unit`, if `unit_known`; else of a pixel] with `why` it is that, in words."""
+    return f"{claimed:.5g} {unit if unit_known else 'per pixel'}: {why}"
 
 
 def own_claim(source: Source, scale: Scale) -> Comparison | None:
@@ -124,19 +130,51 @@ def own_claim(source: Source, scale: Scale) -> Comparison | None:
     claimed = source.claimed
     if claimed is None or claimed.gsd_m is None or scale.conflict:
         return None
-    low, high = scale.interval90  # which need not be symmetric, nor, by the paper's estimator, positive
-    end = high if claimed.gsd_m > scale.value else low
-    sd = abs(math.log(end / scale.value)) / Z90 if end > 0 else scale.relative_sd
-    by = ["vehicles"] if scale.vehicles_used else []
-    by += dict.fromkeys(e.kind for e in scale.evidence if e.kind in scale.parts)
     return Comparison(
         "its georeferencing claims",
         claimed.gsd_m,
         scale.value,
-        max(sd, NO_CLOSER),
+        _sd_towards(claimed.gsd_m, scale),
         claimed.usable,
         claimed.why,
-        " and ".join(by),
+        _known_by(scale),
         scale.verdict != UNUSABLE,
         claimed.unit_known,
     )
+
+
+def metric_claim(source: Source, scale: Scale) -> Comparison | None:
+    """A metre per unit, compared with `scale`, of a reconstruction that counts as metric; None of one that does not,
+    and where `scale` contradicts itself."""
+    if source.posed is None or not (why := source.metric_already) or scale.conflict:
+        return None
+    return Comparison(
+        "its coordinates claim",
+        METRIC,
+        scale.value,
+        _sd_towards(METRIC, scale),
+        why=metric_reason(why),
+        by=_known_by(scale),
+        useful=scale.verdict != UNUSABLE,
+        unit=scale.unit,
+    )
+
+
+def metric_reason(metric_already: str) -> str:
+    """Why a reconstruction claims a metre per unit, by its `Source.metric_already`."""
+    return f"its coordinates are metres: {metric_already}"
+
+
+def _sd_towards(claimed: float, scale: Scale) -> float:
+    """Relative one sigma of `scale` on the side of what is `claimed`."""
+    low, high = scale.interval90  # which need not be symmetric, nor, by the paper's estimator, positive
+    end = high if claimed > scale.value else low
+    sd = abs(math.log(end / scale.value)) / Z90 if end > 0 else scale.relative_sd
+    return max(sd, NO_CLOSER)
+
+
+def _known_by(scale: Scale) -> str:
+    """What `scale` rests on, for people."""
+    by = ["vehicles"] if scale.vehicles_used else []
+    by += dict.fromkeys(e.kind for e in scale.evidence if e.kind in scale.parts)
+    return " and ".join(by)

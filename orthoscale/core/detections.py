@@ -95,3 +95,8 @@ class Detections:
         for name, more in boxes.items():
             aside[name] = Boxes.concatenate([aside.get(name, Boxes.empty()), more])
         return replace(self, set_aside={**self.set_aside, why: aside}) if aside else self
+
+    @property
+    def any_boxes(self) -> bool:
+        """Whether there is a vehicle, in the pictures or in those of the ground."""
+        return len(self) > 0 or (self.planar is not None and self.planar.any_boxes)

@@ -1,4 +1,5 @@
-"""Writing pictures with Pillow: if pycolmap was imported first, OpenCV may be bound to the wrong libraries."""
+"""Pictures by their endings, and writing them with Pillow: if pycolmap was imported first, OpenCV may be bound to the
+wrong libraries."""
 
 from __future__ import annotations
 
@@ -6,6 +7,9 @@ import io
 from pathlib import Path
 
 import numpy as np
+
+PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".bmp", ".gif", ".vrt", ".webp", ".img", ".ecw", ".sid")
+"""Endings by which a picture in a folder is known for one. One that is named itself may have any."""
 
 COMPRESSION = 4  # of PNG, 0 to 9: a third of the time of zlib's usual 6, files 5 to 10 % larger
 

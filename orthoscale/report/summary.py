@@ -36,7 +36,7 @@ COLUMNS = {
     "verdict": "good, fair, poor or unusable",
     "vehicles_used": "the scale rests on these",
     "fleet": "code of the fleet",
-    "claimed": "scale that the input claims [m/px, or of no unit]",
+    "claimed": "scale that the input claims [m/px, m per unit of a model, or of no unit]",
     "claim": "agrees, doubtful, disagrees or has no unit",
     "output": "where the scaled copy is",
     "longitude": "of its middle [degrees, WGS 84]",

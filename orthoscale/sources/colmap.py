@@ -18,13 +18,13 @@ from ..core.projection.view import LOWEST_ELEVATION, Views
 from ..core.remarks import CAUTION, INFO, Remark, informing
 from ..core.source import FocalDoubt, GpsScale
 from ..errors import InputError, OrthoscaleError, OutputError, UsageError
-from ..formats.geometry.dense import GEOMETRY, find_dense, scale_dense, sparse_folders
+from ..formats.geometry.dense import find_dense, scale_dense, sparse_folders
 from ..formats.geometry.files import reason_left
+from ..formats.geometry.lengthless import has_lengths
 from ..formats.geometry.sim3 import MATRIX, Sim3
 from ..formats.points import coordinates, number, pixel
 from ..system.outputs import FOLDER_MARK
 from .colmap_check import open_model
-from .colmap_tables import FILE_NAMES
 from .colmap_write import read_model, write_scaled
 from .consistency import check_consistency
 from .database import pose_priors
@@ -43,8 +43,6 @@ from .undistort import undistort
 if TYPE_CHECKING:
     import pycolmap
 
-# Geometry beside a model is in the model's old units: a copy would pass for one in metres.
-UNSCALED = GEOMETRY | {".npz", ".npy", ".bin"}
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
 # Of how far a model's cameras and its origin lie apart: one that was adjusted once more stays within it, another one
 # does not.
@@ -390,14 +388,14 @@ class ColmapSource:
                 continue
             if path.is_symlink():  # what it leads to was not handed over with the model
                 links.append(path.name)
-            elif path.name in FILE_NAMES or path.suffix.lower() in UNSCALED or path.stat().st_size > LARGEST_COPY:
+            elif has_lengths(path) or path.stat().st_size > LARGEST_COPY:  # a copy would pass for one in metres
                 left.append(path.name)
             else:
                 shutil.copyfile(path, folder / path.name)
                 copied.append(path.name)
         notes = [f"copied unchanged from {self.folder}: {', '.join(copied)}"] if copied else []
         if left:
-            why = "because it is not in metres (`orthoscale apply` scales it) or is large"
+            why = "because it may hold lengths that are not in metres (see `orthoscale apply`), or is large"
             notes.append(f"left in {self.folder}, {why}: {', '.join(left)}")
         if links:
             notes.append(f"left in {self.folder}, because they are symbolic links: {', '.join(links)}")

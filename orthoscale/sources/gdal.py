@@ -14,10 +14,12 @@ from typing import Any
 
 import rasterio
 from rasterio._err import CPLE_BaseError
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.crs import CRS
+from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader
 
 from ..errors import InputError
+from ..formats.reading import read_bytes
 from ..system.budget import memory
 
 # GDAL's own cache limit is 5 % of the machine's memory, which was seen to grow past a gigabyte. In bytes: rasterio
@@ -96,6 +98,21 @@ def _require_files(path: Path) -> None:
                     waiting.append(vrt.parent / place)
                 elif not stat.S_ISDIR(mode):
                     raise InputError(f"{path} names {named!r}, which is a pipe or device", "Name files of pixels.")
+
+
+def projection_file(picture: Path) -> Path | None:
+    """The ``.prj`` beside a picture, where mapping programs write the coordinate reference system of its world file;
+    GDAL reads it for other formats only. None where there is none."""
+    places = (picture.with_suffix(suffix) for suffix in (".prj", ".PRJ"))
+    return next((place for place in places if place.is_file()), None)
+
+
+def read_projection(path: Path) -> CRS:
+    """The coordinate reference system in a ``.prj``, WKT of ESRI or OGC; within `guarded`. Raises InputError."""
+    try:
+        return CRS.from_wkt(read_bytes(path).decode("utf-8-sig", "replace"), morph_from_esri_dialect=True)
+    except CRSError as error:
+        raise InputError(f"{path}: no coordinate reference system in WKT", "Export it again.") from error
 
 
 @contextmanager

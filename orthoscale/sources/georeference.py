@@ -14,6 +14,8 @@ from rasterio.io import DatasetReader
 from rasterio.transform import Affine, from_gcps
 
 from ..core.affine import transformed
+from ..errors import InputError
+from .gdal import projection_file, read_projection
 
 LINE = 1e-6  # width over length from which points count as lying on a line
 LOCAL_CRS = (
@@ -56,7 +58,8 @@ class CopyGeoreference:
 
 
 def claim_of(dataset: DatasetReader) -> Claim:
-    """What the georeferencing of `dataset` says, and whether to believe it. Never raises for strange georeferencing."""
+    """What the georeferencing of `dataset` says, or its world file and ``.prj``, and whether to believe it; within
+    `gdal.guarded`. Never raises for strange georeferencing."""
     try:
         return _claim_of(dataset)
     except pyproj.exceptions.CRSError as error:
@@ -76,23 +79,29 @@ def _claim_of(dataset: DatasetReader) -> Claim:
     size = math.sqrt(abs(t.determinant))
     if size == 0 or not math.isfinite(across * down):
         return Claim(None, False, "a geotransform without area")
+    told_by, unread = "", ""
+    if crs is None and (file := projection_file(Path(dataset.name))) is not None:
+        try:
+            crs, told_by = read_projection(file), f" ({file.name})"
+        except InputError:
+            unread = f", and {file.name} beside it is not understood"
     if crs is None:
         beside = [Path(f).name for f in dataset.files[1:]]
         shape = "square" if _square(across, down) else f"{across / down:.4g} times as wide as high"
         why = (
             f"{across:.6g} x {down:.6g} of an unknown unit per pixel{f' ({beside[0]})' if beside else ''}: "
-            f"there is no coordinate reference system; pixels are {shape}"
+            f"there is no coordinate reference system{unread}; pixels are {shape}"
         )
         return Claim(size, False, why + _attitude(t), None, t, unit_known=False)
     system = pyproj.CRS.from_user_input(crs)
     if system.type_name == "Engineering CRS":
         size *= system.axis_info[0].unit_conversion_factor
-        why = f"in local coordinates ({system.name}), which nothing ties to the ground"
+        why = f"in local coordinates ({system.name}{told_by}), which nothing ties to the ground"
         return Claim(size, False, why + _attitude(t), crs, t)
     if (t.c, t.f) == (0, 0):
         # OpenDroneMap without GPS: UTM zone 30N, geotransform (0, .1, 0, 0, 0, -.1).
-        return Claim(None, False, f"a placeholder: {system.name} with its origin at exactly (0, 0)", crs, t)
-    return _claim_on_earth(dataset, crs, t, f"on the ground, from {system.name}")
+        return Claim(None, False, f"a placeholder: {system.name}{told_by} with its origin at exactly (0, 0)", crs, t)
+    return _claim_on_earth(dataset, crs, t, f"on the ground, from {system.name}{told_by}")
 
 
 def _claim_of_gcps(dataset: DatasetReader) -> Claim:

@@ -26,7 +26,7 @@ from ..formats.points import pixel
 from ..system.budget import in_words
 from ..system.scratch import Scratch
 from .fingerprint import Stamp, another, changed, fingerprint
-from .gdal import EXPORT_AGAIN, open_dataset, reading, settings
+from .gdal import EXPORT_AGAIN, open_dataset, projection_file, reading, settings
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place
 from .raster_blocks import RasterBlocks
 from .raster_copy import Original
@@ -68,6 +68,8 @@ class RasterSource:
         self.name = path.name
         self.notes: list[Remark] = []
         self._dataset = dataset
+        projection = projection_file(path) if dataset.crs is None else None
+        self._projection = [] if projection is None else [projection]
         self._stamps = {path: Stamp.of(path)}
         for file in self.files:
             if not file.name.endswith(STATISTICS):
@@ -216,8 +218,8 @@ class RasterSource:
 
     @property
     def files(self) -> list[Path]:
-        """The image's file and what GDAL reads with it: world file, overviews, the parts of a VRT."""
-        return [Path(file) for file in self._dataset.files]
+        """The image's file and what is read with it: world file and ``.prj``, overviews, the parts of a VRT."""
+        return [*map(Path, self._dataset.files), *self._projection]
 
     def fingerprint(self) -> str:
         """What cached work on this image is keyed by: the content of all its files, sampled where it is large.

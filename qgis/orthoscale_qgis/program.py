@@ -20,6 +20,7 @@ from qgis.core import (
 SETTING = "ORTHOSCALE_PROGRAM"
 DEFAULT = "orthoscale"
 DISAGREES = 4  # exit code where evidence disagrees: a result of `check`, an error elsewhere
+TOO_LITTLE = 3  # exit code where the evidence is too little for a scale
 QGIS_PYTHON = ("PYTHONHOME", "PYTHONPATH")  # of QGIS's own Python, which is not the program's
 
 
@@ -82,10 +83,11 @@ def report_scale(report, feedback):
     }
 
 
-def run(words, feedback, accepted=()):
-    """The JSON that `orthoscale WORDS --json` prints. `accepted` : exit codes that are no error besides 0.
+def run(words, feedback, accepted=(), needed=lambda: True):
+    """The JSON that `orthoscale WORDS --json` prints; None where there is none, with an exit code that is accepted.
 
-    Raises QgsProcessingException with what the program said.
+    accepted : exit codes that are no error besides 0, where `needed` holds afterwards. Raises QgsProcessingException
+    with what the program said.
     """
     program = ProcessingConfig.getSetting(SETTING) or DEFAULT
     if shutil.which(program) is None:
@@ -103,10 +105,13 @@ def run(words, feedback, accepted=()):
         wait_for(process, feedback)
         said.seek(0)
         complained.seek(0)
-        if process.returncode != 0 and process.returncode not in accepted:
-            raise QgsProcessingException(complained.read().strip() or f"orthoscale ended with {process.returncode}")
-        feedback.pushInfo(complained.read())
-        return json.load(said)
+        complaint = complained.read().strip()
+        if process.returncode != 0 and not (process.returncode in accepted and needed()):
+            raise QgsProcessingException(complaint or f"orthoscale ended with {process.returncode}")
+        tell = feedback.pushWarning if process.returncode else feedback.pushInfo
+        tell(complaint)
+        report = said.read()
+        return json.loads(report) if report or not process.returncode else None
 
 
 def wait_for(process, feedback):

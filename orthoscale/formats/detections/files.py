@@ -21,7 +21,7 @@ from ..reading import LARGE, read_plain
 from ..tables import known_objects
 from . import coco, dota, geo, table
 from .classes import plain
-from .items import Item, boxes_by_picture
+from .items import Item, boxes_by_picture, other_name
 from .own import WHAT, note, noted, of_document, save_detections
 
 T = TypeVar("T")
@@ -75,12 +75,14 @@ def save(found: Detections, path: Path, source: Pictures) -> None:
         save_detections(found, path)
 
 
-def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = ()) -> Detections:
+def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = (), alone: bool = True) -> Detections:
     """The vehicles that a file, or a folder of DOTA's or Ultralytics' labels, has of the pictures of `source`.
 
     vehicle_classes : names or numbers of the classes that count, instead of those called small vehicles. Standard
     objects (tennis courts ...) come along as `Detections.objects`. Boxes of others have no ruler: theirs is one that
-    nobody has measured. Boxes that repeat one vehicle count once. Raises InputError.
+    nobody has measured. Boxes that repeat one vehicle count once. Boxes of a single picture are taken for those of a
+    source's single picture whatever its name, with a note, unless the file is for other sources too (not `alone`).
+    Raises InputError.
     """
     suffix = path.suffix.lower()
     kept: Mapping[str, Any] | None = None
@@ -103,13 +105,31 @@ def load(path: Path, source: Pictures, vehicle_classes: Sequence[str] = ()) -> D
             items, sizes = coco.read(text, str(path))
             kept = (text.get("info") or {}).get("orthoscale") if isinstance(text, dict) else None
         else:
-            return _checked(of_document(text, path), source, path, own_sizes)
+            return _of_own_document(of_document(text, path), source, path, own_sizes, alone)
+    other = other_name([item.picture for item in items], source.picture_names) if alone else None
+    if other is not None:
+        (name,) = source.picture_names
+        items = [replace(item, picture=name) for item in items]
+        sizes = {name: sizes[other]} if other in sizes else {}
     boxes = boxes_by_picture(items, source.picture_names, vehicle_classes, str(path), own_sizes)
     found = noted(boxes, kept, f"boxes of {path.name}", str(path))
     if not found.objects:
         found = replace(found, objects=_objects(items, own_sizes, path))
     _check_sizes(sizes, own_sizes, path)
-    return _checked(found, source, path, own_sizes)
+    return _checked(found, source, path, own_sizes, other)
+
+
+def _of_own_document(
+    found: Detections, source: Pictures, path: Path, sizes: Mapping[str, tuple[int, int]], alone: bool
+) -> Detections:
+    """What our own format says, of the pictures of `source`. Raises InputError."""
+    aside = [name for some in found.set_aside.values() for name in some]
+    other = None
+    if alone and len(found) and found.planar is None:
+        other = other_name([*found.boxes, *found.doubtful, *found.objects, *aside], source.picture_names)
+    if other is not None:
+        found = _renamed(found, lambda name: source.picture_names[0])
+    return _checked(found, source, path, sizes, other)
 
 
 def _of_vehicles(items: Sequence[Item], vehicle_classes: Sequence[str], path: Path) -> list[Item]:
@@ -155,9 +175,16 @@ def _check_sizes(told: Mapping[str, tuple[int, int]], sizes: Mapping[str, tuple[
             )
 
 
-def _checked(found: Detections, source: Pictures, path: Path, sizes: Mapping[str, tuple[int, int]]) -> Detections:
+def _checked(
+    found: Detections,
+    source: Pictures,
+    path: Path,
+    sizes: Mapping[str, tuple[int, int]],
+    other: str | None = None,
+) -> Detections:
     """`found` without pictures that `source` does not have, those of a workspace's other models, and without boxes that
-    repeat another. sizes : of the source's pictures.
+    repeat another. sizes : of the source's pictures. other : what the file calls the single picture, where that is
+    another name than the source's.
 
     Raises InputError where it has none of them, or boxes outside of them or that cannot be meant.
     """
@@ -166,9 +193,9 @@ def _checked(found: Detections, source: Pictures, path: Path, sizes: Mapping[str
     found = _renamed(found, lambda name: names.get(name, name))
     strangers = [name for name in found.boxes if name not in sizes]
     if strangers and len(strangers) == len(found.boxes):
+        of = f"none of its {len(strangers)} pictures is" if len(strangers) > 1 else "its only picture is not"
         raise InputError(
-            f"{path}: {len(strangers)} of its {len(found.boxes)} pictures are not in {source.path}, "
-            f"the first is {shown(strangers[0])!r}",
+            f"{path}: {of} in {source.path}{', the first is' if len(strangers) > 1 else ':'} {shown(strangers[0])!r}",
             f"The source has pictures like {known[0]!r}: give the detections that were made on it.",
         )
     if strangers:
@@ -181,11 +208,15 @@ def _checked(found: Detections, source: Pictures, path: Path, sizes: Mapping[str
         outside = ((boxes.centre < 0) | (boxes.centre > np.array(size))).any(1)
         if outside.any():
             x, y = boxes.centre[outside][0]
+            of = "" if other is None else f" of {shown(other)!r}"
             raise InputError(
-                f"{path}: {int(outside.sum())} of {len(boxes)} boxes lie outside of {name} ({size[0]} x {size[1]} px), "
-                f"the first at x {x:.6g}, y {y:.6g}",
+                f"{path}: {int(outside.sum())} of {len(boxes)} boxes{of} lie outside of {name} "
+                f"({size[0]} x {size[1]} px), the first at x {x:.6g}, y {y:.6g}",
                 "Give detections made on this picture, in its pixels or its coordinates.",
             )
+    if other is not None:
+        text = f"{path}: its boxes are of {shown(other)!r}, and were taken for those of {shown(known[0])!r}"
+        source.notes.append(Remark(CAUTION, text))
     try:
         single = {name: distinct(boxes) for name, boxes in found.boxes.items()}
         planar = found.planar

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
@@ -113,6 +113,15 @@ def boxes_by_picture(
         score, sigma, kinds = np.split(np.array(rest[name], float), [1, 3], axis=1)
         found[name] = Boxes(rectangles(rows[name]), score, sigma, kinds)
     return found
+
+
+def other_name(named: Collection[str | None], pictures: Sequence[str]) -> str | None:
+    """What boxes call their only picture, where the source has a single one of another name; None elsewhere. `named` :
+    the pictures of all boxes."""
+    if len(pictures) != 1 or len(set(named)) != 1:
+        return None
+    (name,) = set(named)
+    return None if name is None or name in {*_names(pictures), *map(in_utf8, pictures)} else name
 
 
 def first(properties: Mapping[Any, Any], names: Sequence[str]) -> Any:

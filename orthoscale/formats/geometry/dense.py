@@ -1,4 +1,4 @@
-"""COLMAP's dense workspace in metres: undistorted model, depth maps, fused cloud, meshes; the rest is copied."""
+"""COLMAP's dense workspace in metres: undistorted model, depth maps, clouds, meshes; what has no lengths is copied."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ import numpy as np
 from ...errors import InputError
 from ...system.paths import homes
 from ..reading import HUGE, files_below, read_bytes
+from .lengthless import has_lengths
 
-# Files of COLMAP's dense workspace whose coordinates are in model units. Settings (stereo/*.cfg, *.sh), normal maps,
-# consistency graphs, fused.ply.vis and undistorted images have no lengths.
-GEOMETRY = {".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".las", ".laz", ".xyz", ".pcd", ".splat", ".spz"}
 DEPTH_KINDS = (".geometric.bin", ".photometric.bin")
+MOST_LEFT_NAMED = 20  # of the files that are left; OpenMVS has a depth map for each image
 COMPUTE_ANEW = "The file is damaged or was cut off: copy it again, or compute it anew."
 
 
@@ -81,8 +80,8 @@ def scale_dense(
 ) -> list[str]:
     """Write the dense workspace `source` into the empty folder `target` in metres; returns what there is to say.
 
-    model : writes the sparse model in one folder into another, in metres. any_file : writes one file of geometry, or
-    says why it cannot. Raises what these raise, and InputError for a damaged depth map.
+    model : writes the sparse model in one folder into another, in metres. any_file : writes one file in metres, or
+    says why it cannot; such a file is left out. Raises what these raise, and InputError for a damaged depth map.
     """
     left, scaled = [], 0
     for path in files_below(source):
@@ -94,16 +93,19 @@ def scale_dense(
         if "depth_maps" in place.parts and path.name.endswith(DEPTH_KINDS):
             scale_depth_map(path, out, scale)
             scaled += 1
-        elif path.suffix.lower() in GEOMETRY:
-            if reason := any_file(path, out):
-                left.append(f"{place} ({reason})")
-            else:
-                scaled += 1
-        else:
+        elif not has_lengths(path):
             shutil.copyfile(path, out)
+        elif reason := any_file(path, out):
+            left.append(f"{place} ({reason})")
+        else:
+            scaled += 1
     for folder in sparse_folders(source):
         out = target / folder.relative_to(source)
         out.mkdir(parents=True, exist_ok=True)
         model(folder, out)
     notes = [f"{source}: {scaled} depth maps, clouds and meshes brought to metres as well"]
-    return notes + ([f"left in {source}, because not in metres: {', '.join(left)}"] if left else [])
+    if left:
+        more = len(left) - MOST_LEFT_NAMED
+        named = ", ".join(left[:MOST_LEFT_NAMED]) + (f" and {more} more" if more > 0 else "")
+        notes.append(f"left in {source}, because not in metres: {named}")
+    return notes

@@ -19,7 +19,7 @@ from .pcd import scale_pcd
 from .ply import scale_ply
 from .poses import read_poses, scale_reconstruction, scale_transforms
 from .records import scale_splat, scale_stl
-from .text_models import SUFFIXES, scale_text_model
+from .text_models import BUNDLER, SUFFIXES, scale_text_model
 
 KNOWN = (
     "Convert it first. Known are PLY (splats too), OBJ, GLB, glTF, transforms.json, reconstruction.json, bundle.out, "
@@ -108,13 +108,16 @@ def _beside(path: Path, source: Path, target: Path) -> Path:
 
 
 def reason_left(source: Path, target: Path, scale: float) -> str:
-    """Write one file of geometry in metres and return '', or return why it cannot be (an unknown format, in metres
-    already). Raises InputError for one that is damaged."""
-    if source.suffix.lower() not in {*WITH_OTHERS, *ONE_FILE}:
+    """Write one file in metres and return '', or return why it cannot be (an unknown format, in metres already).
+    Raises InputError for one that is damaged."""
+    suffix = source.suffix.lower()
+    if suffix not in {*WITH_OTHERS, *ONE_FILE}:
         return _unknown(source)
+    # Logs of other programs end in .out, too.
+    left = (UsageError, InputError) if suffix == BUNDLER else UsageError
     try:
         scale_file(source, target, scale)
-    except UsageError as error:
+    except left as error:
         target.unlink(missing_ok=True)
         return error.message
     return ""

@@ -1,0 +1,23 @@
+"""Which files of a workspace have no lengths: they are the same in metres, and may be copied as they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+LENGTHLESS = frozenset(
+    [
+        ".bmp", ".gif", ".jp2", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tga", ".tif", ".tiff", ".webp",
+        ".bat", ".cfg", ".conf", ".ini", ".log", ".md", ".mtl", ".sh", ".toml", ".vis", ".yaml", ".yml",
+    ]
+)  # fmt: skip
+"""Endings of pictures and settings. A text (.txt) may hold anything, projection matrices and points too."""
+
+LENGTHLESS_MAPS = {"normal_maps", "consistency_graphs"}
+"""COLMAP's folders of ``.bin`` files without lengths."""
+
+
+def has_lengths(path: Path) -> bool:
+    """Whether the file at `path` may have lengths in it, by its name; every kind that is not known may."""
+    if path.suffix.lower() == ".bin":
+        return path.parent.name not in LENGTHLESS_MAPS
+    return path.suffix.lower() not in LENGTHLESS
