@@ -123,7 +123,8 @@ def _begin(
     progress: Progress | None = None,
 ) -> _Begun:
     """Open the input, refuse what makes no sense, and claim all outputs."""
-    if path.is_file() and path.suffix.lower() in PICTURES:  # whether `out` exists matters only where it may be written
+    if os.path.lexists(out) and path.is_file() and path.suffix.lower() in PICTURES:
+        # That it exists matters only where it might be written.
         RasterSource.check_name(out)
     outputs.check(out)
     if save_detections is not None:
