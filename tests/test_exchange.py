@@ -464,7 +464,7 @@ def test_boxes_of_one_picture_are_of_the_only_one_whatever_its_name(plain, tmp_p
     found = load_text(plain, tmp_path, name, text)
     assert list(found.boxes) == ["ortho.tif"] and len(found) == 1
     (note,) = [note for note in plain.notes[before:] if "tokyo" in note.text]
-    assert note.severity == "info" and "'ortho.tif'" in note.text
+    assert note.severity == "caution" and "'ortho.tif'" in note.text
 
 
 def feature(kind, coordinates, **properties):
