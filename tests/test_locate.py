@@ -460,6 +460,21 @@ def test_a_network_without_a_card_is_said_and_a_damaged_card_refused(tmp_path):
         Embedding(embedding_network(tmp_path / "b.onnx", {"size": "large"}))
 
 
+@pytest.mark.slow
+def test_a_photo_that_sees_the_ground_too_flatly_does_not_end_the_others(flight, tmp_path):
+    shot = SHOTS["down.png"]
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "down.png").write_bytes((flight / "down.png").read_bytes())
+    flat = 'drone-dji:GimbalPitchDegree="-2" drone-dji:GimbalRollDegree="0"'
+    write_photo(tmp_path / "photos" / "a.jpg", flat, size=(640, 480))
+    words = ("--satellite", flight / "map.tif", "--gsd", gsd_of(shot), "--focal-px", shot.focal, "--heading", 20)
+    done = run("locate", tmp_path / "photos", *words, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    told = {each["photo"]: each for each in json.loads(done.stdout)["photos"]}
+    assert told["down.png"]["located"] and told["a.jpg"]["exit_code"] == 3
+    assert "a.jpg: it sees the ground too flatly, nowhere from 25 degrees" in told["a.jpg"]["problem"]
+
+
 # Levelling, maps, features
 
 
