@@ -105,13 +105,23 @@ def test_without_a_place_the_whole_picture_is_searched(tmp_path):
         ({"stride": 0}, "stride"),
         ({"radius": 100}, "--at"),
         ({"gsd": -1.0}, "positive"),
-        ({"stride": 0.001}, "too many"),
+        ({"stride": 0.01}, "too many"),
+        ({"stride": 0.001}, "shifts crops by 0.12 px of sat.tif, less than a pixel"),
+        ({"stride": 1e-9}, "less than a pixel"),
     ],
 )
 def test_impossible_wishes_are_refused(tmp_path, options, word):
     sky = Satellite.open(satellite(tmp_path / "sat.tif"))
     with pytest.raises(UsageError, match=word):
         plan_crops(sky, **{"gsd": 0.08, "photo_size": (1000, 750), **options})
+
+
+def test_windows_are_counted_before_they_are_made(tmp_path, monkeypatch):
+    """Of a large picture they could fill the memory."""
+    sky = Satellite.open(satellite(tmp_path / "sat.tif"))
+    monkeypatch.setattr(np, "linspace", None)
+    with pytest.raises(UsageError, match="1112735 windows are too many"):
+        plan_crops(sky, 0.08, (1000, 750), stride=0.01)
 
 
 def run(*arguments):
