@@ -25,7 +25,8 @@ from orthoscale.actions import locate as locating_action
 from orthoscale.core.boxes import Boxes
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.evaluate import locating
-from orthoscale.evaluate.places import places_of_denseuav
+from orthoscale.evaluate.places import placed, places_of_denseuav
+from orthoscale.evaluate.readers import read_samples
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.locate import files
 from orthoscale.locate.claimed import BY_WORD, ClaimedScale
@@ -576,6 +577,13 @@ def test_places_are_read_from_denseuavs_file(tmp_path):
         "000001/H80.JPG": (120.387, 30.325),
         "000002/H90.JPG": (120.388, 30.326),
     }
+    inner = tmp_path / "query_drone" / "000001"
+    write_photo(inner / "H80.JPG")
+    ((sample,), _) = read_samples(inner)  # the photos' own folder, not the one above
+    assert [each.lon_lat for each in placed(inner, [sample])[0]] == [(120.387, 30.325)]
+    (tmp_path / "Dense_GPS_train.txt").write_text("/home/x/train/000001/H80.JPG E120.3 N30.3 80\n")
+    with pytest.raises(InputError, match="Dense_GPS_train.txt, line 1: 000001/H80.JPG has another place"):
+        places_of_denseuav(tmp_path / "query_drone")
     (tmp_path / "Dense_GPS_train.txt").write_text("a/b.JPG 120.3 30.3\n")
     with pytest.raises(InputError, match="Dense_GPS_train.txt, line 1"):
         places_of_denseuav(tmp_path / "query_drone")
