@@ -29,7 +29,7 @@ from orthoscale.evaluate.places import placed, places_of_denseuav
 from orthoscale.evaluate.readers import read_samples
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.locate import files
-from orthoscale.locate.claimed import BY_WORD, ClaimedScale
+from orthoscale.locate.claimed import BY_WORD, ClaimedScale, told_scale
 from orthoscale.locate.correlate import Template, correlated
 from orthoscale.locate.features import GradientFeatures
 from orthoscale.locate.ground import GroundImage, SeenPlan, has_data
@@ -324,6 +324,20 @@ def test_without_a_focal_length_there_is_a_place_but_no_altitude(flight, sky, tm
     (told,) = json.loads(done.stdout)["photos"]
     assert found_at(sky, told) == pytest.approx(shot.foot, abs=3.0)
     assert told["altitude_m"] is None and told["focal_source"] == "not known"
+
+
+@pytest.mark.parametrize(
+    ("pitch", "told", "known"),
+    [(None, {}, True), (-90, {}, True), (-89.4, {}, True), (-70, {}, False), (-70, {"pitch": -90.0}, True)],
+)
+def test_a_focal_length_may_be_missing_from_straight_above_only(tmp_path, pitch, told, known):
+    angles = "" if pitch is None else f'drone-dji:GimbalPitchDegree="{pitch}" drone-dji:GimbalRollDegree="0"'
+    photo = write_photo(tmp_path / "a.jpg", angles)
+    if known:
+        assert not told_scale(photo, "a.jpg", 0.1, **told).focal_known
+        return
+    with pytest.raises(InputError, match="no focal length"):
+        told_scale(photo, "a.jpg", 0.1, **told)
 
 
 @pytest.mark.slow
