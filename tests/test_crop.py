@@ -163,6 +163,15 @@ def test_a_gallery_with_its_manifest(tmp_path):
     assert shown.returncode == 0 and "(given)" in shown.stdout and "50.0 x 37.5 m" in shown.stdout
 
 
+def test_the_fleet_that_a_photos_place_chooses_is_told(tmp_path):
+    save_detections(detections_of({"a.jpg": boxes_in(view_from(-90))}), tmp_path / "boxes.json")
+    photo = write_photo(tmp_path / "a.jpg", gps=(LON, LAT))
+    words = ["--satellite", satellite(tmp_path / "sat.tif"), "--at", f"{LON},{LAT}", "--detections"]
+    done = run(photo, *words, tmp_path / "boxes.json", "--focal-px", FOCAL, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"note +fleet NO: .* is in Norway; choose another with --fleet", done.stdout), done.stdout
+
+
 @pytest.mark.parametrize(
     "photo, sky, options, code, word",
     [

@@ -19,7 +19,7 @@ from rasterio.crs import CRS
 from rasterio.transform import from_origin
 from support.aerial import Shot, degraded, relit, town, vehicles_moved
 from support.in_process import run
-from support.photos import detections_of, write_photo
+from support.photos import FOCAL, boxes_in, detections_of, view_from, write_photo
 
 from orthoscale.actions import locate as locating_action
 from orthoscale.core.boxes import Boxes
@@ -29,7 +29,7 @@ from orthoscale.evaluate.places import placed, places_of_denseuav
 from orthoscale.evaluate.readers import read_samples
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.locate import files
-from orthoscale.locate.claimed import BY_WORD, ClaimedScale, told_scale
+from orthoscale.locate.claimed import BY_WORD, ClaimedScale, claimed_scales, told_scale
 from orthoscale.locate.correlate import Template, correlated
 from orthoscale.locate.features import GradientFeatures
 from orthoscale.locate.ground import GroundImage, SeenPlan, has_data
@@ -40,6 +40,7 @@ from orthoscale.locate.register import Known, heading_steps, register, scale_ste
 from orthoscale.locate.retrieval import Embedding
 from orthoscale.locate.terminal import summary
 from orthoscale.locate.verify import PlaneSimilarity, agreeing, needed
+from orthoscale.photos.looking import Looking
 from orthoscale.photos.measure import Measure, open_photo
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.satellite import Satellite
@@ -407,6 +408,14 @@ def test_opinions_that_agree_are_pooled():
 def test_requests_that_make_no_sense_are_refused(flight, tmp_path, words, why):
     done = run(*line(flight, tmp_path / "out", "down.png", *words))
     assert done.returncode == 2 and why in done.stderr and not (tmp_path / "out").exists()
+
+
+def test_the_fleet_that_a_photos_place_chooses_is_told(tmp_path):
+    photo = write_photo(tmp_path / "a.jpg", gps=(9.0, 60.0))
+    save_detections(detections_of({"a.jpg": boxes_in(view_from(-90))}), tmp_path / "boxes.json")
+    how = Looking(detections=tmp_path / "boxes.json")
+    claimed = claimed_scales({"a.jpg": photo}, None, how, focal_px=FOCAL)["a.jpg"]
+    assert any(note.startswith("fleet NO: ") for note in claimed.notes), claimed
 
 
 def test_without_vehicles_or_a_gsd_there_is_no_scale(flight, tmp_path):

@@ -28,7 +28,8 @@ class ClaimedScale:
     """A photo with its average ground sampling distance [m/px] and 90 % interval.
 
     by : BY_VEHICLES or BY_WORD. measured : the vehicles' scale, None where it was told. focal_known : whether the
-    photo's focal length is, without which its altitude is not. notes : what is to be said of the vehicles' boxes."""
+    photo's focal length is, without which its altitude is not. notes : what is to be said of the fleet and of
+    the vehicles' boxes."""
 
     photo: Photo
     gsd: Measure
@@ -102,7 +103,7 @@ def claimed_scales(
 def _by_vehicles(
     photos: Sequence[Photo], how: Looking, progress: Progress | None
 ) -> dict[str, ClaimedScale | OrthoscaleError]:
-    fleet, _ = how.ruler_fleet([photo.path for photo in photos])
+    fleet, why = how.ruler_fleet([photo.path for photo in photos])
     hint = "Give the metres per pixel of the photo (--gsd), if known."
     try:
         boxes = boxes_of(photos, how, progress)
@@ -112,7 +113,7 @@ def _by_vehicles(
     for photo in photos:
         try:
             got = measure([photo], boxes, fleet)
-            found[photo.name] = ClaimedScale(photo, got.gsd, BY_VEHICLES, got, notes=boxes.notes)
+            found[photo.name] = ClaimedScale(photo, got.gsd, BY_VEHICLES, got, notes=(*why, *boxes.notes))
         except TooLittleEvidence as error:
             found[photo.name] = TooLittleEvidence(f"no scale: {error.message}", hint)
     return found
