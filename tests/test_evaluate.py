@@ -231,6 +231,7 @@ def break_csv(text):
         ("table", break_csv("image,height\na.jpg,5\n"), "no column altitude_m"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,high\n"), "line 2"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,-5\n"), "positive"),
+        ("table", break_csv("image,altitude_m,Altitude_m\nphotos/000.jpg,5,6\n"), "several columns altitude_m"),
         ("table", break_csv("image,altitude_m,focal_px\nnowhere.jpg,50,900\n"), "nowhere.jpg"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,50\n"), "no focal length"),
         ("table", break_csv("image,altitude_m,pitch_deg\nphotos/000.jpg,50,90\n"), "line 2: pitch_deg is 90"),

@@ -478,6 +478,7 @@ CORNERS = [float(v) for v in CAR.split()]
         ("d.csv", "cx,cy,length,width,angle\n1,2,3,2,x\n", "line 2: angle is 'x', not a number"),
         ("d.csv", "cx,cy,length,width,angle\n1,2,3,2\n", "line 2: angle is '', not a number"),
         ("d.csv", "", "no column cx"),
+        ("d.csv", "cx,cy,length,width,angle,CX\n1,2,3,2,0,4\n", "several columns cx"),
     ],
 )
 def test_what_fits_no_box_is_refused_in_words(plain, tmp_path, name, text, message):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError, shown
-from ..formats.reading import read_table, read_text
+from ..formats.reading import read_table, read_text, refuse_repeated
 from .readers import Sample
 
 GPS_FILES = "Dense_GPS_*.txt"
@@ -79,8 +79,10 @@ def places_of_csv(path: Path) -> dict[str, tuple[float, float]]:
     """Longitude and latitude by a photo's name as it stands in the column image, from the columns longitude and
     latitude; none where the table has no such columns. Raises InputError, also where one photo has two places."""
     table = read_table(path, "Give the CSV file.")
-    if not {"image", "longitude", "latitude"} <= set(table.fieldnames or ()):
+    columns = {"image", "longitude", "latitude"}
+    if not columns <= set(table.fieldnames or ()):
         return {}
+    refuse_repeated(path, table, sorted(columns), "Keep one of them.")
     places: dict[str, tuple[float, float]] = {}
     for row in table:
         texts = [(row[name] or "").strip() for name in ("longitude", "latitude")]
