@@ -18,6 +18,7 @@ from rasterio.control import GroundControlPoint
 from support.models import make_model
 from support.models import save as save_model
 
+import orthoscale
 from orthoscale.cli.main import cli
 from orthoscale.core.affine import transformed
 from orthoscale.core.boxes import Boxes, overlap
@@ -27,7 +28,7 @@ from orthoscale.errors import InputError, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections import load, save
 from orthoscale.formats.detections.items import rectangles
-from orthoscale.formats.detections.own import about
+from orthoscale.formats.detections.own import about, load_detections
 from orthoscale.sources.georeference import LOCAL_CRS
 from orthoscale.sources.opening import open_source
 
@@ -72,6 +73,13 @@ def test_boxes_of_a_picture_whose_name_is_not_utf_8_read_back(tmp_path):
     for form in ("d.json", "d.coco.json", "d.geojson", "d.gpkg"):
         save(Detections({name: BOXES}, 0.8, RULER, (0.7, 0.5), "test", "abc"), tmp_path / form, album)
         assert len(load(tmp_path / form, album).boxes[name]) == len(BOXES), form
+
+
+def test_boxes_saved_without_their_picture_are_json_that_strict_readers_take(tmp_path):
+    orthoscale.save_detections(
+        Detections({"caf\udce9.jpg": BOXES}, 0.8, RULER, (0.7, 0.5), "test"), tmp_path / "d.json"
+    )
+    assert list(load_detections(tmp_path / "d.json").boxes) == [r"caf\udce9.jpg"]
 
 
 @pytest.mark.parametrize("name", ["d.json", "d.coco.json", "d.txt", "d.geojson", "d.gpkg"])
