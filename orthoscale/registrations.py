@@ -19,7 +19,7 @@ import numpy as np
 
 from .core.market_segments import AXES
 from .errors import InputError, TooLittleEvidence, shown
-from .formats.reading import read_plain, read_table
+from .formats.reading import read_plain, read_table, refuse_repeated
 
 HEADINGS = {  # names of columns, in plain letters
     "make": ("make", "brand", "marke", "hersteller", "marque", "marca", "merk", "manufacturer", "handelsbenaming merk"),
@@ -121,7 +121,8 @@ def _counted(path: Path) -> dict[str, float]:
     at = {what: next((columns[n] for n in names if n in columns), None) for what, names in HEADINGS.items()}
     model, count, make = at["model"], at["count"], at["make"]
     if model is None or count is None:
-        raise InputError(f"{path}, line 1: no column {'model' if model is None else 'count'}", HINT)
+        raise InputError(f"{path}, line {table.line_num}: no column {'model' if model is None else 'count'}", HINT)
+    refuse_repeated(path, table, [column for column in at.values() if column is not None], HINT)
     counted: dict[str, float] = {}
     try:
         for row in table:

@@ -105,13 +105,23 @@ def test_without_a_place_the_whole_picture_is_searched(tmp_path):
         ({"stride": 0}, "stride"),
         ({"radius": 100}, "--at"),
         ({"gsd": -1.0}, "positive"),
-        ({"stride": 0.001}, "too many"),
+        ({"stride": 0.01}, "too many"),
+        ({"stride": 0.001}, "shifts crops by 0.12 px of sat.tif, less than a pixel"),
+        ({"stride": 1e-9}, "less than a pixel"),
     ],
 )
 def test_impossible_wishes_are_refused(tmp_path, options, word):
     sky = Satellite.open(satellite(tmp_path / "sat.tif"))
     with pytest.raises(UsageError, match=word):
         plan_crops(sky, **{"gsd": 0.08, "photo_size": (1000, 750), **options})
+
+
+def test_windows_are_counted_before_they_are_made(tmp_path, monkeypatch):
+    """Of a large picture they could fill the memory."""
+    sky = Satellite.open(satellite(tmp_path / "sat.tif"))
+    monkeypatch.setattr(np, "linspace", None)
+    with pytest.raises(UsageError, match="1112735 windows are too many"):
+        plan_crops(sky, 0.08, (1000, 750), stride=0.01)
 
 
 def run(*arguments):
@@ -151,6 +161,15 @@ def test_a_gallery_with_its_manifest(tmp_path):
             assert across == pytest.approx(int(row["column_px"]) + int(row["width_px"]) / 2, abs=1.5)
     shown = run(photo, "--gsd", 0.05, *area, "--overwrite")
     assert shown.returncode == 0 and "(given)" in shown.stdout and "50.0 x 37.5 m" in shown.stdout
+
+
+def test_the_fleet_that_a_photos_place_chooses_is_told(tmp_path):
+    save_detections(detections_of({"a.jpg": boxes_in(view_from(-90))}), tmp_path / "boxes.json")
+    photo = write_photo(tmp_path / "a.jpg", gps=(LON, LAT))
+    words = ["--satellite", satellite(tmp_path / "sat.tif"), "--at", f"{LON},{LAT}", "--detections"]
+    done = run(photo, *words, tmp_path / "boxes.json", "--focal-px", FOCAL, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"note +fleet NO: .* is in Norway; choose another with --fleet", done.stdout), done.stdout
 
 
 @pytest.mark.parametrize(

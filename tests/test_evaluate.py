@@ -12,7 +12,7 @@ from support.photos import SIZE
 
 from orthoscale.errors import InputError
 from orthoscale.evaluate.methods import METHODS
-from orthoscale.evaluate.places import places_of_csv
+from orthoscale.evaluate.places import placed, places_of_csv
 from orthoscale.evaluate.readers import DENSEUAV_FOCAL, NAMED_ALTITUDE, changed, read_samples
 from orthoscale.evaluate.score import score, summary
 from orthoscale.evaluate.surface import Surface
@@ -107,6 +107,21 @@ def test_tables_as_other_programs_save_them(folders, tmp_path, head, row):
     ((sample,), _) = read_samples(folder / "photos.csv")
     assert (sample.altitude, sample.photo.lens.focal_px) == (50, 900)
     assert list(places_of_csv(folder / "photos.csv").values()) == [(8.5, 47.25)]
+
+
+def test_photos_of_one_name_in_two_folders_keep_their_places(folders, tmp_path):
+    rows = ["north/000001/H80.JPG,80,10,50", "south/000001/H80.JPG,80,11,51"]
+    for row in rows:
+        photo = tmp_path / row.partition(",")[0]
+        photo.parent.mkdir(parents=True)
+        shutil.copy(folders / "table" / "photos" / "000.jpg", photo)
+    table = tmp_path / "photos.csv"
+    table.write_text("\n".join(["image,altitude_m,longitude,latitude", *rows]) + "\n")
+    samples, _ = read_samples(table, focal_px=900.0)
+    assert [each.lon_lat for each in placed(table, samples)[0]] == [(10, 50), (11, 51)]
+    table.write_text("\n".join(["image,altitude_m,longitude,latitude", *rows, rows[0].replace("10,50", "10,51")]))
+    with pytest.raises(InputError, match=r"photos.csv, line 4: north/000001/H80.JPG has another place"):
+        places_of_csv(table)
 
 
 def measured(folders, name):
@@ -216,6 +231,7 @@ def break_csv(text):
         ("table", break_csv("image,height\na.jpg,5\n"), "no column altitude_m"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,high\n"), "line 2"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,-5\n"), "positive"),
+        ("table", break_csv("image,altitude_m,Altitude_m\nphotos/000.jpg,5,6\n"), "several columns altitude_m"),
         ("table", break_csv("image,altitude_m,focal_px\nnowhere.jpg,50,900\n"), "nowhere.jpg"),
         ("table", break_csv("image,altitude_m\nphotos/000.jpg,50\n"), "no focal length"),
         ("table", break_csv("image,altitude_m,pitch_deg\nphotos/000.jpg,50,90\n"), "line 2: pitch_deg is 90"),

@@ -19,6 +19,7 @@ from rasterio.control import GroundControlPoint
 from support.models import make_model
 from support.models import save as save_model
 
+import orthoscale
 from orthoscale.cli.main import cli
 from orthoscale.core.affine import transformed
 from orthoscale.core.boxes import Boxes, overlap
@@ -28,7 +29,7 @@ from orthoscale.errors import InputError, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections import load, save
 from orthoscale.formats.detections.items import rectangles
-from orthoscale.formats.detections.own import about
+from orthoscale.formats.detections.own import about, load_detections
 from orthoscale.sources.georeference import LOCAL_CRS
 from orthoscale.sources.opening import open_source
 
@@ -87,6 +88,13 @@ def test_what_was_seen_in_other_models_pictures_is_left_out(tmp_path):
     save(found, tmp_path / "d.json", frames)
     again = load(tmp_path / "d.json", frames)
     assert (list(again.doubtful), again.set_aside, again.objects) == (["b.jpg"], {"alike": {}}, {})
+
+
+def test_boxes_saved_without_their_picture_are_json_that_strict_readers_take(tmp_path):
+    orthoscale.save_detections(
+        Detections({"caf\udce9.jpg": BOXES}, 0.8, RULER, (0.7, 0.5), "test"), tmp_path / "d.json"
+    )
+    assert list(load_detections(tmp_path / "d.json").boxes) == [r"caf\udce9.jpg"]
 
 
 @pytest.mark.parametrize("name", ["d.json", "d.coco.json", "d.txt", "d.geojson", "d.gpkg"])
@@ -520,6 +528,7 @@ CORNERS = [float(v) for v in CAR.split()]
         ("d.csv", "cx,cy,length,width,angle\n1,2,3,2,x\n", "line 2: angle is 'x', not a number"),
         ("d.csv", "cx,cy,length,width,angle\n1,2,3,2\n", "line 2: angle is '', not a number"),
         ("d.csv", "", "no column cx"),
+        ("d.csv", "cx,cy,length,width,angle,CX\n1,2,3,2,0,4\n", "several columns cx"),
     ],
 )
 def test_what_fits_no_box_is_refused_in_words(plain, tmp_path, name, text, message):

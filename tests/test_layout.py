@@ -17,8 +17,18 @@ from shapely import Polygon, box
 from support import in_process
 from support.lots import lot_file, orthophoto
 
+from orthoscale.anchors.court_models import (
+    BASKETBALL_COURTS,
+    CENTRE_CIRCLE,
+    HANDBALL_COURT,
+    PADEL_COURT,
+    PENALTY_AREA,
+    TENNIS_COURT,
+    VOLLEYBALL_COURT,
+)
 from orthoscale.core.affine import transformed
 from orthoscale.errors import InputError, UsageError
+from orthoscale.formats.tables import known_objects, standards
 from orthoscale.layout import draw
 from orthoscale.layout.catalogue import load, parking, parse_requests
 from orthoscale.layout.ground import open_ground
@@ -61,6 +71,39 @@ def test_parking_has_as_many_bays_as_asked_for():
     f = parking("parking-US", 15)
     assert f.length == pytest.approx(8 * 2.74) and f.width == pytest.approx(2 * 5.49 + 7.32)
     assert len(f.lines) == 9 + 8  # eight bays on one side, seven on the other
+
+
+@pytest.mark.parametrize(("country", "width", "depth"), [
+    ("DE", 2.5, 16), ("AE", 2.5, 17), ("GCC", 2.5, 17), ("EE", 2.55, 16), ("TR", 2.45, 16), ("AU", 2.4, 17),
+])  # fmt: skip
+def test_bays_are_the_stalls_that_are_measured_by(country, width, depth):
+    f = parking(f"parking-{country}", 20)
+    assert (f.length, f.width) == pytest.approx((10 * width, depth))
+    row = next(row for key, row in standards().stalls.items() if country in (key, *row.get("countries", ())))
+    assert row["width"] == width and row["source"] in f.source and "; aisle: " in f.source
+
+
+def test_courts_have_one_size_in_all_tables():
+    painted = {"tennis": TENNIS_COURT, "volleyball": VOLLEYBALL_COURT, "handball": HANDBALL_COURT}
+    for code, court in {**painted, "basketball": BASKETBALL_COURTS[0]}.items():
+        laid = FACILITIES[code]
+        assert court.standard.metres == laid.length
+        assert court.size == pytest.approx([laid.length, laid.width], abs=0.1), "at the centres of the paint"
+    seen = known_objects()
+    (tennis,) = seen["tennis-court"]
+    assert (tennis["length"][0], tennis["width"][0]) == (FACILITIES["tennis"].length, FACILITIES["tennis"].width)
+    for court, row in zip(BASKETBALL_COURTS, seen["basketball-court"], strict=True):
+        assert row["length"][0] == pytest.approx(court.standard.metres, abs=0.005)
+        assert row["width"][0] == pytest.approx(court.size[1], abs=0.1)
+    _, *lines = FACILITIES["padel"].lines  # but its walls
+    ends = [np.sort(each[[0, -1]], 0) for each in lines]
+    along = np.concatenate([each[:, 0] for each in ends if np.ptp(each[:, 1]) == 0])
+    across = {each[0, 0] for each in ends if np.ptp(each[:, 0]) == 0}
+    assert np.ptp(along) == pytest.approx(np.ptp(PADEL_COURT.drawing()[..., 0]))
+    assert max(across) - min(across) == pytest.approx(PADEL_COURT.standard.metres)
+    sizes = [np.ptp(line, 0).tolist() for line in FACILITIES["football"].lines]
+    assert pytest.approx([16.5, PENALTY_AREA.standard.metres]) in sizes
+    assert pytest.approx([CENTRE_CIRCLE.standard.metres] * 2, rel=0.002) in sizes
 
 
 @pytest.mark.parametrize(

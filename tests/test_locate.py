@@ -19,16 +19,17 @@ from rasterio.crs import CRS
 from rasterio.transform import from_origin
 from support.aerial import Shot, degraded, relit, town, vehicles_moved
 from support.in_process import run
-from support.photos import detections_of, write_photo
+from support.photos import FOCAL, boxes_in, detections_of, view_from, write_photo
 
 from orthoscale.actions import locate as locating_action
 from orthoscale.core.boxes import Boxes
 from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.evaluate import locating
-from orthoscale.evaluate.places import places_of_denseuav
+from orthoscale.evaluate.places import placed, places_of_denseuav
+from orthoscale.evaluate.readers import read_samples
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.locate import files
-from orthoscale.locate.claimed import BY_WORD, ClaimedScale
+from orthoscale.locate.claimed import BY_WORD, ClaimedScale, claimed_scales, told_scale
 from orthoscale.locate.correlate import Template, correlated
 from orthoscale.locate.features import GradientFeatures
 from orthoscale.locate.ground import GroundImage, SeenPlan, has_data
@@ -39,6 +40,7 @@ from orthoscale.locate.register import Known, heading_steps, register, scale_ste
 from orthoscale.locate.retrieval import Embedding
 from orthoscale.locate.terminal import summary
 from orthoscale.locate.verify import PlaneSimilarity, agreeing, needed
+from orthoscale.photos.looking import Looking
 from orthoscale.photos.measure import Measure, open_photo
 from orthoscale.sources.raster import RasterSource
 from orthoscale.sources.satellite import Satellite
@@ -325,6 +327,20 @@ def test_without_a_focal_length_there_is_a_place_but_no_altitude(flight, sky, tm
     assert told["altitude_m"] is None and told["focal_source"] == "not known"
 
 
+@pytest.mark.parametrize(
+    ("pitch", "told", "known"),
+    [(None, {}, True), (-90, {}, True), (-89.4, {}, True), (-70, {}, False), (-70, {"pitch": -90.0}, True)],
+)
+def test_a_focal_length_may_be_missing_from_straight_above_only(tmp_path, pitch, told, known):
+    angles = "" if pitch is None else f'drone-dji:GimbalPitchDegree="{pitch}" drone-dji:GimbalRollDegree="0"'
+    photo = write_photo(tmp_path / "a.jpg", angles)
+    if known:
+        assert not told_scale(photo, "a.jpg", 0.1, **told).focal_known
+        return
+    with pytest.raises(InputError, match="no focal length"):
+        told_scale(photo, "a.jpg", 0.1, **told)
+
+
 @pytest.mark.slow
 def test_of_several_photos_each_has_its_outcome(flight, tmp_path):
     shot = SHOTS["down.png"]
@@ -394,6 +410,14 @@ def test_requests_that_make_no_sense_are_refused(flight, tmp_path, words, why):
     assert done.returncode == 2 and why in done.stderr and not (tmp_path / "out").exists()
 
 
+def test_the_fleet_that_a_photos_place_chooses_is_told(tmp_path):
+    photo = write_photo(tmp_path / "a.jpg", gps=(9.0, 60.0))
+    save_detections(detections_of({"a.jpg": boxes_in(view_from(-90))}), tmp_path / "boxes.json")
+    how = Looking(detections=tmp_path / "boxes.json")
+    claimed = claimed_scales({"a.jpg": photo}, None, how, focal_px=FOCAL)["a.jpg"]
+    assert any(note.startswith("fleet NO: ") for note in claimed.notes), claimed
+
+
 def test_without_vehicles_or_a_gsd_there_is_no_scale(flight, tmp_path):
     save_detections(detections_of({"down.png": Boxes.empty()}), tmp_path / "none.json")
     words = ("--focal-px", 600, "--pitch", -90, "--detections", tmp_path / "none.json", "--fleet", "DE")
@@ -458,6 +482,21 @@ def test_a_network_without_a_card_is_said_and_a_damaged_card_refused(tmp_path):
     assert plain.card.size == 64 and "a.onnx has no card" in plain.notes[0]
     with pytest.raises(InputError, match="card"):
         Embedding(embedding_network(tmp_path / "b.onnx", {"size": "large"}))
+
+
+@pytest.mark.slow
+def test_a_photo_that_sees_the_ground_too_flatly_does_not_end_the_others(flight, tmp_path):
+    shot = SHOTS["down.png"]
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "down.png").write_bytes((flight / "down.png").read_bytes())
+    flat = 'drone-dji:GimbalPitchDegree="-2" drone-dji:GimbalRollDegree="0"'
+    write_photo(tmp_path / "photos" / "a.jpg", flat, size=(640, 480))
+    words = ("--satellite", flight / "map.tif", "--gsd", gsd_of(shot), "--focal-px", shot.focal, "--heading", 20)
+    done = run("locate", tmp_path / "photos", *words, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    told = {each["photo"]: each for each in json.loads(done.stdout)["photos"]}
+    assert told["down.png"]["located"] and told["a.jpg"]["exit_code"] == 3
+    assert "a.jpg: it sees the ground too flatly, nowhere from 25 degrees" in told["a.jpg"]["problem"]
 
 
 # Levelling, maps, features
@@ -561,6 +600,13 @@ def test_places_are_read_from_denseuavs_file(tmp_path):
         "000001/H80.JPG": (120.387, 30.325),
         "000002/H90.JPG": (120.388, 30.326),
     }
+    inner = tmp_path / "query_drone" / "000001"
+    write_photo(inner / "H80.JPG")
+    ((sample,), _) = read_samples(inner)  # the photos' own folder, not the one above
+    assert [each.lon_lat for each in placed(inner, [sample])[0]] == [(120.387, 30.325)]
+    (tmp_path / "Dense_GPS_train.txt").write_text("/home/x/train/000001/H80.JPG E120.3 N30.3 80\n")
+    with pytest.raises(InputError, match="Dense_GPS_train.txt, line 1: 000001/H80.JPG has another place"):
+        places_of_denseuav(tmp_path / "query_drone")
     (tmp_path / "Dense_GPS_train.txt").write_text("a/b.JPG 120.3 30.3\n")
     with pytest.raises(InputError, match="Dense_GPS_train.txt, line 1"):
         places_of_denseuav(tmp_path / "query_drone")

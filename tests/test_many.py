@@ -21,8 +21,9 @@ from support.reports import EXAMPLE, car_park
 import orthoscale
 from orthoscale.actions import finished, many
 from orthoscale.actions.inputs import inputs_of, outputs_of
+from orthoscale.cli.many import tell_rehearsals
 from orthoscale.errors import InputError, UsageError
-from orthoscale.formats.csv_table import in_utf8
+from orthoscale.formats.names import in_utf8
 from orthoscale.report.summary import inputs_in, write_summary
 from orthoscale.requests import EstimateRequest, FixRequest
 
@@ -381,6 +382,12 @@ def test_what_speaks_of_one_input_is_refused(parks):
         done = run("check", parks / "pictures", *options(parks, *more))
         assert done.returncode == 2 and f"{more[0]} is for one input" in done.stderr
     assert run("estimate", parks / "pictures", *options(parks, "--summary", "x.doc")).returncode == 2
+
+
+def test_a_dry_run_in_json_tells_names_that_are_not_utf_8(capsys):
+    tell_rehearsals([[("input", "caf\udce9.tif")]], as_json=True)
+    (told,) = json.loads(capsys.readouterr().out)["inputs"]
+    assert told == {"input": [r"caf\udce9.tif"]}
 
 
 def test_a_dry_run_says_what_would_be_done_and_does_nothing(parks, tmp_path):

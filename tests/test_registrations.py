@@ -66,11 +66,24 @@ def test_too_little_known_is_refused_with_what_is_not(tmp_path):
     [("", "empty"), ("a,b\n1,2\n", "line 1: no column model"), ("model\nGolf\n", "line 1: no column count"),
      ("model,count\nGolf,many\n", "line 2"), ("model,count\nGolf,-1\n", "line 2"),
      ("model,count\nGolf,0\n", "no vehicle"),
-     ("model,count\nGolf\n", "line 2")],
+     ("model,count\nGolf\n", "line 2"), ("\n\na,b\n1,2\n", "line 3: no column model"),
+     ("\nmodel,count\nGolf,many\n", "line 3"), ("model,count,Count\nGolf,1,2\n", "several columns count"),
+     (f"model,count,{'x' * 140_000}\nGolf,1\n", "not a CSV table .field larger")],
 )  # fmt: skip
 def test_what_is_no_register(tmp_path, text, said):
     with pytest.raises(InputError, match=said):
         fleet_of_register(written(tmp_path, text))
+
+
+@pytest.mark.parametrize("before", ["\n", "\r\n\r\n", " \n", ";;\n"])
+def test_blank_lines_before_the_header_are_passed_over(tmp_path, before):
+    path = tmp_path / "register.csv"
+    path.write_bytes(f"{before}model;note;count\nGolf;a,b,c,d;250\n".encode())
+    assert fleet_of_register(path).vehicles == 250
+
+
+def test_columns_that_are_not_wanted_may_share_a_name(tmp_path):
+    assert fleet_of_register(written(tmp_path, "note,model,count,note,,\na,Golf,7,b,,\n")).vehicles == 7
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import copy
 import json
 import os
 import re
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from support.in_process import run
 from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed_model
 
 import orthoscale
+from orthoscale.actions.finished import is_finished
 from orthoscale.core.remarks import REFUSAL, Remark
 from orthoscale.core.scale import spread
 from orthoscale.core.verdicts import UNUSABLE
@@ -31,7 +33,7 @@ from orthoscale.report.lettering import HALO, write_on
 from orthoscale.report.page import page
 from orthoscale.report.scene import ReportPictures
 from orthoscale.report.terminal import show
-from orthoscale.requests import command_line
+from orthoscale.requests import FixRequest, command_line
 from orthoscale.sources.opening import open_source
 
 
@@ -209,6 +211,25 @@ def test_a_page_drawn_again_from_elsewhere_finds_what_the_first_run_named_relati
     (tmp_path / "work").rename(tmp_path / "elsewhere/work")  # moved away together with the report's folder
     monkeypatch.chdir(tmp_path / "elsewhere/work")
     assert redraw(report, report.with_suffix(".png")) == ""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are bytes on Linux alone")
+@pytest.mark.parametrize("there", [True, False])
+def test_a_report_below_a_folder_whose_name_is_not_utf_8_is_drawn_again(tmp_path, there):
+    folder = tmp_path / os.fsdecode(b"caf\xe9")
+    shutil.copytree(EXAMPLE / "sparse", folder / "sparse")
+    shutil.copy(EXAMPLE / "detections.json", folder)
+    options = {"fleet": "US", "mode": "planar", "detections": folder / "detections.json"}
+    request = FixRequest.of({**options, "report": "json"})
+    made = orthoscale.fix(folder / "sparse", folder / "scaled", **options, report="json")
+    report = folder / "scaled" / "report.json"
+    assert rb"caf\\udce9/sparse" in report.read_bytes(), "an escape that strict readers take"
+    assert read_json(report)["input"]["path"] == str(folder / "sparse") == made.to_dict()["input"]["path"]
+    assert is_finished(folder / "sparse", folder / "scaled", request)
+    if not there:
+        (folder / "sparse").rename(tmp_path / "gone")
+    why = redraw(report, folder / "report.html")
+    assert (why == "") if there else why.endswith("sparse is not there")
 
 
 def test_a_report_is_drawn_as_a_page_or_a_picture_only(park, tmp_path):

@@ -158,7 +158,7 @@ def locate(
     method, finder, notes = finder_for(request)
     features = features_for(method)
     claims = claimed_scales(find_photos(paths), request.gsd, request.looking, progress, **request.lens)
-    of_boxes = [note for each in claims.values() if isinstance(each, ClaimedScale) for note in each.notes]
+    of_scales = [note for each in claims.values() if isinstance(each, ClaimedScale) for note in each.notes]
     outcomes = []
     for number, (name, claimed) in enumerate(claims.items(), 1):
         if isinstance(claimed, OrthoscaleError):
@@ -167,7 +167,7 @@ def locate(
         outcomes.append(searched(claimed, satellite, features, request, prior, finder))
         if progress:
             progress("Photos", number, len(claims))
-    return Located(outcomes, satellite, method, (*notes, *dict.fromkeys(of_boxes)), request.top)
+    return Located(outcomes, satellite, method, (*notes, *dict.fromkeys(of_scales)), request.top)
 
 
 def searched(

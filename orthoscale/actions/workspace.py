@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import EvidenceDisagrees, Incomplete, InputError, MetricAlready, OrthoscaleError, TooLittleEvidence
+from ..formats.names import json_in_utf8
 from ..report.result import Result
 from ..requests import EstimateRequest, FixRequest
 from ..sources.exchange_files import find_exchange
@@ -86,7 +86,7 @@ def fix_all(
             [_one(model, partial(written, model, folder / model.name, fresh, progress)) for model in models]
         )
         text = {outcome.model.name: outcome.document() for outcome in outcomes}
-        (folder / "models.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+        (folder / "models.json").write_text(json_in_utf8(text, indent=1) + "\n", encoding="utf-8")
     missing = [outcome.error for outcome in outcomes if isinstance(outcome.error, Incomplete)]
     if missing:
         raise Incomplete("; ".join(error.message for error in missing), missing[0].hint, outcomes)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import tempfile
@@ -110,7 +109,9 @@ def tell_rehearsals(told: Sequence[Sequence[tuple[str, str]]], as_json: bool = F
     for one, rows in zip(inputs, told, strict=True):
         for label, text in rows:
             one.setdefault(label, []).append(text)
-    click.echo(json.dumps({"format": REHEARSAL_FORMAT, "inputs": inputs}))
+    from ..formats.names import json_in_utf8
+
+    click.echo(json_in_utf8({"format": REHEARSAL_FORMAT, "inputs": inputs}))
 
 
 def rehearse_in_new_folder(
@@ -142,6 +143,7 @@ def run(
     from ..actions.finished import is_finished
     from ..actions.inputs import inputs_of, outputs_of
     from ..actions.many import check_folder, run_many, worst
+    from ..formats.names import json_in_utf8
     from ..report.summary import SUMMARY_FORMAT, check_summary, is_summary, write_summary
     from ..system.outputs import Outputs
 
@@ -174,7 +176,7 @@ def run(
         for place, summary in zip(partials, many.summaries, strict=True):
             write_summary(rows, place, summary)
     if as_json:
-        click.echo(json.dumps({"format": SUMMARY_FORMAT, "inputs": rows}))
+        click.echo(json_in_utf8({"format": SUMMARY_FORMAT, "inputs": rows}))
     _tell(rows, set() if overwrite else {os.path.abspath(place) for place in there})
     sys.exit(worst(rows))
 
@@ -186,7 +188,7 @@ def _loses_nothing(
     every copy that is there is left as it is, so that its row is made again. Raises what `finished` raises for another
     copy."""
     from ..actions.finished import is_finished
-    from ..formats.csv_table import in_utf8
+    from ..formats.names import in_utf8
     from ..report.summary import inputs_in
 
     former = [inputs_in(summary) for summary in summaries if summary.exists()]

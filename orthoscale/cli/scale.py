@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from contextlib import nullcontext, suppress
 from pathlib import Path
@@ -183,7 +182,9 @@ def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
 
 def _finish_all(outcomes: list[ModelOutcome], as_json: bool, out: Path | None = None, report: str = "none") -> None:
     if as_json:
-        click.echo(json.dumps({outcome.model.name: outcome.document() for outcome in outcomes}))
+        from ..formats.names import json_in_utf8
+
+        click.echo(json_in_utf8({outcome.model.name: outcome.document() for outcome in outcomes}))
         return
     from ..report.terminal import show
 
@@ -197,7 +198,9 @@ def _finish_all(outcomes: list[ModelOutcome], as_json: bool, out: Path | None = 
 
 def _finish(result: Any, as_json: bool, written: Mapping[str, Path] = MappingProxyType({})) -> None:
     if as_json:
-        click.echo(json.dumps(result.to_dict()))
+        from ..formats.names import json_in_utf8
+
+        click.echo(json_in_utf8(result.to_dict()))
     else:
         from ..report.terminal import show
 

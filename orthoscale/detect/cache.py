@@ -18,7 +18,7 @@ import numpy as np
 from ..core.boxes import Boxes
 from ..core.detections import Tile
 from ..core.source import Picture
-from ..formats.csv_table import in_utf8
+from ..formats.names import in_utf8
 from .detector import OVERLAP, Detector
 from .tiles import CONFIRMING_ZOOM, TILE, TILE_BORDER, Looks
 

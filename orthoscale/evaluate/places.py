@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import InputError
-from ..formats.reading import read_table, read_text
+from ..errors import InputError, shown
+from ..formats.reading import read_table, read_text, refuse_repeated
 from .readers import Sample
 
 GPS_FILES = "Dense_GPS_*.txt"
 GPS_LINE = re.compile(r"^(\S+)\s+E(-?\d+(?:\.\d+)?)\s+N(-?\d+(?:\.\d+)?)\s+(-?\d+(?:\.\d+)?)\s*$")
 GPS_HINT = "Lines are: path E<longitude> N<latitude> height."
-GPS_FOLDERS_ABOVE = 2  # folders above the photos' in which the file of their places is looked for
+GPS_FOLDERS_ABOVE = 3  # folders above the photos' in which the file of their places is looked for
 NAME_PARTS = 2  # of a path: DenseUAV has 000001/H80.JPG in several folders, and the paths of its authors' disk
 
 
@@ -32,10 +32,14 @@ def placed(path: Path, samples: Sequence[Sample]) -> tuple[list[PlacedSample], l
 
     Raises InputError for a damaged file of places, and where no place is known.
     """
-    told = places_of_csv(path) if path.is_file() else places_of_denseuav(path)
+    of_table = path.is_file()
+    told = places_of_csv(path) if of_table else places_of_denseuav(path)
     found = []
     for sample in samples:
-        place = told.get(_short(sample.photo.name)) or sample.photo.tags.lon_lat
+        photo = sample.photo
+        # The folder that is evaluated may be the photos' own, which their names then leave out.
+        names = [photo.name] if of_table else [_short(str(photo.path.absolute())), _short(photo.name)]
+        place = next((told[name] for name in names if name in told), photo.tags.lon_lat)
         if place is not None:
             found.append(PlacedSample(sample, place))
     if not found:
@@ -49,16 +53,18 @@ def placed(path: Path, samples: Sequence[Sample]) -> tuple[list[PlacedSample], l
 
 def places_of_denseuav(folder: Path) -> dict[str, tuple[float, float]]:
     """Longitude and latitude by the last two parts of a photo's path, from all ``Dense_GPS_*.txt`` in `folder` or near
-    above it; none where there is no such file. Raises InputError."""
+    above it; none where there is no such file. Raises InputError, also where one photo has two places."""
     for place in (folder, *folder.absolute().parents[:GPS_FOLDERS_ABOVE]):
         files = sorted(place.glob(GPS_FILES))
         if files:
-            return {name: where for file in files for name, where in _gps_lines(file).items()}
+            places: dict[str, tuple[float, float]] = {}
+            for file in files:
+                _add_gps_lines(places, file)
+            return places
     return {}
 
 
-def _gps_lines(path: Path) -> dict[str, tuple[float, float]]:
-    places = {}
+def _add_gps_lines(places: dict[str, tuple[float, float]], path: Path) -> None:
     for number, line in enumerate(read_text(path, GPS_HINT).splitlines(), 1):
         if not line.strip():
             continue
@@ -66,17 +72,18 @@ def _gps_lines(path: Path) -> dict[str, tuple[float, float]]:
         lon, lat = (float(match[2]), float(match[3])) if match else (math.nan, math.nan)
         if match is None or not (abs(lon) <= 180 and abs(lat) <= 90):
             raise InputError(f"{path}, line {number}: {line.strip()[:80]!r} is no place of a photo", GPS_HINT)
-        places[_short(match[1])] = (lon, lat)
-    return places
+        _add(places, _short(match[1]), (lon, lat), f"{path}, line {number}")
 
 
 def places_of_csv(path: Path) -> dict[str, tuple[float, float]]:
-    """Longitude and latitude by a photo's name, from the columns image, longitude and latitude; none where the table
-    has no such columns. Raises InputError."""
+    """Longitude and latitude by a photo's name as it stands in the column image, from the columns longitude and
+    latitude; none where the table has no such columns. Raises InputError, also where one photo has two places."""
     table = read_table(path, "Give the CSV file.")
-    if not {"image", "longitude", "latitude"} <= set(table.fieldnames or ()):
+    columns = {"image", "longitude", "latitude"}
+    if not columns <= set(table.fieldnames or ()):
         return {}
-    places = {}
+    refuse_repeated(path, table, sorted(columns), "Keep one of them.")
+    places: dict[str, tuple[float, float]] = {}
     for row in table:
         texts = [(row[name] or "").strip() for name in ("longitude", "latitude")]
         if not all(texts):
@@ -90,8 +97,13 @@ def places_of_csv(path: Path) -> dict[str, tuple[float, float]]:
                 f"{path}, line {table.line_num}: {', '.join(texts)} is no longitude and latitude",
                 "Correct or remove the line.",
             )
-        places[_short((row["image"] or "").strip())] = (lon, lat)
+        _add(places, (row["image"] or "").strip(), (lon, lat), f"{path}, line {table.line_num}")
     return places
+
+
+def _add(places: dict[str, tuple[float, float]], name: str, lon_lat: tuple[float, float], where: str) -> None:
+    if places.setdefault(name, lon_lat) != lon_lat:
+        raise InputError(f"{where}: {shown(name)} has another place already", "Correct or remove one of the lines.")
 
 
 def _short(name: str) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..core.projection.level import up_from_survey
 from ..errors import InputError
-from ..formats.reading import files_below, read_table, read_text
+from ..formats.reading import files_below, read_table, read_text, refuse_repeated
 from ..photos.measure import GIMBAL_SD, IMAGE_SUFFIXES, RIGHT, Photo, open_photo
 from ..sources.tags import read_tags
 from .surface import Surface
@@ -27,6 +27,7 @@ NAMED_ALTITUDE = re.compile(r"(?:^|[_/ -])H_?(\d+(?:\.\d+)?)(?=\.|_|/|$)", re.IG
 # Of the picture's diagonal. DenseUAV's camera: 8.8 mm on a diagonal of 14.667 mm, 1080 px for 1440 x 1080 px, as the
 # paper's program has it.
 DENSEUAV_FOCAL = 8.8 / 14.667
+PHOTO_COLUMNS = ("image", "altitude_m", "region", "focal_px", "pitch_deg", "roll_deg")  # of a table of photos
 DSM_ENDINGS = ("_dsm.tif", "dsm.tif", "_DSM.tif", "DSM.tif")
 
 
@@ -185,6 +186,7 @@ def read_csv(path: Path, lens_file: Path | None, focal_px: float | None) -> tupl
                 f"{path}: no column {' and '.join(sorted(missing))}",
                 "Columns: image, altitude_m; where wanted region, focal_px, pitch_deg, roll_deg.",
             )
+        refuse_repeated(path, table, PHOTO_COLUMNS, "Keep one of them.")
         for row in table:
             samples.append(_row(row, path, table.line_num, lens_file, focal_px))
     except csv.Error as error:

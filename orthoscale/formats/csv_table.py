@@ -1,4 +1,4 @@
-"""Writes tables as CSV, and texts that come from the names of files."""
+"""Writes tables as CSV."""
 
 from __future__ import annotations
 
@@ -7,10 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-
-def in_utf8(text: str) -> str:
-    """`text` with escapes for what UTF-8 cannot say: the names of files need not be text."""
-    return text.encode(errors="backslashreplace").decode()
+from .names import in_utf8 as in_utf8
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:

@@ -11,7 +11,7 @@ import io
 import os
 import re
 import stat
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -114,13 +114,26 @@ def read_text(path: Path, hint: str = "", most: int = LARGE) -> str:
 
 
 def read_table(path: Path, hint: str = "") -> csv.DictReader:
-    """The lines of a CSV file, by the names of its columns in small letters. Columns end at commas, semicolons or tabs,
-    whichever the first line has most of. Raises InputError; going through it, csv.Error."""
-    text = read_text(path, hint)
-    head = text.partition("\n")[0]
-    table = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True, delimiter=max(",;\t", key=head.count))
-    table.fieldnames = [(name or "").strip().lower() for name in table.fieldnames or ()]
+    """The lines of a CSV file, by the names of its columns in small letters, which stand in its first line that is not
+    blank. Columns end at commas, semicolons or tabs, whichever that line has most of. Raises InputError; going through
+    it, csv.Error."""
+    lines = io.StringIO(read_text(path, hint), newline="")
+    head = next((line for line in lines if line.strip(",; \t\r\n")), "")
+    lines.seek(0)
+    table: csv.DictReader[str] = csv.DictReader(lines, (), skipinitialspace=True, delimiter=max(",;\t", key=head.count))
+    try:
+        names = next((row for row in table.reader if any(name.strip() for name in row)), [])
+    except csv.Error as error:
+        raise InputError(f"{path}: not a CSV table ({error})", hint) from error
+    table.fieldnames = [name.strip().lower() for name in names]
     return table
+
+
+def refuse_repeated(path: Path, table: csv.DictReader, wanted: Iterable[str], hint: str = "") -> None:
+    """Raise InputError where `table`, which `read_table` read from `path`, has several columns of a `wanted` name."""
+    for name in wanted:
+        if list(table.fieldnames or ()).count(name) > 1:
+            raise InputError(f"{path}: has several columns {shown(name)}", hint)
 
 
 def read_plain(path: Path, what: str, hint: str = "", most: int = SMALL) -> Any:

@@ -409,11 +409,13 @@ class ObjectTable(Struct):
 
 
 class Stall(Struct):
-    """The width of a country's parking stalls and what it strays by, one sigma [m]. countries : whose they are, of a
-    row whose key is no country."""
+    """The size of a country's parking stalls and what their width strays by, one sigma [m]. countries : whose they
+    are, of a row whose key is no country."""
 
     width: Metres
     width_sd: Sigma
+    length: Metres
+    source: Text
     countries: list[str] = []
 
 
@@ -460,11 +462,9 @@ class Catalogue(Struct):
     facilities: dict[str, FacilityEntry]
 
 
-class Bay(Struct):
-    """A parking bay of one country and the aisle before it [m]."""
+class Aisle(Struct):
+    """The aisle between parking bays of one country [m]."""
 
-    length: Extent
-    width: Extent
     aisle: Extent
     source: Text
 
@@ -472,7 +472,7 @@ class Bay(Struct):
 class FacilityTable(Catalogue):
     """``data/facilities.json``."""
 
-    parking: dict[str, Bay]
+    parking: dict[str, Aisle]
 
 
 # Lenses

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .csv_table import in_utf8
+from .names import in_utf8
 
 DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
 

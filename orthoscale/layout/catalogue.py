@@ -1,6 +1,7 @@
 """The facilities that can be placed: standard ones with their sources, parking by country, or a user's own file.
 
-The figures and the source of each are in ``data/facilities.json``, whose ``about`` describes the format.
+The figures and the source of each are in ``data/facilities.json``, whose ``about`` describes the format; the sizes of
+parking bays in ``data/stalls.json``.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from ..core.fleet import WORLD
 from ..errors import InputError, UsageError, shown
 from ..formats.reading import checked, read_plain, reason
+from ..formats.tables import standards
 
 CATALOGUE_HINT = 'Expected {"facilities": {CODE: {"name", "length", "width", "ends", "sides", "source"}}} in metres.'
 ARC_STEP = 6.0  # [deg] between the points of a drawn arc
@@ -135,20 +138,24 @@ def load(path: Path | None = None) -> dict[str, Facility]:
 
 
 def parking(code: str, bays: int) -> Facility:
-    """Two rows of bays at right angles to an aisle between them, for ``parking-DE`` and the like."""
+    """Two rows of `bays` at right angles to an aisle between them, for ``parking-DE`` and the like. Raises UsageError
+    for a country whose bays are not known."""
     country = code.partition("-")[2].upper()
-    bay = _table()["parking"].get(country)
-    if bay is None:
+    stalls = {c: row for key, row in standards().stalls.items() for c in (key, *row.get("countries", ()))}
+    del stalls[WORLD]
+    if country not in stalls:
         raise UsageError(
             f"no parking bays are known for {country or code!r}",
-            f"Give parking-COUNTRY:BAYS, with one of {', '.join(_table()['parking'])}.",
+            f"Give parking-COUNTRY:BAYS, with one of {', '.join(stalls)}.",
         )
+    stall, aisles = stalls[country], _table()["parking"]
+    aisle = aisles.get(country, aisles[WORLD])
     per_row = math.ceil(bays / 2)
-    length, width = per_row * bay["width"], 2 * bay["length"] + bay["aisle"]
+    length, width = per_row * stall["width"], 2 * stall["length"] + aisle["aisle"]
     lines = []
     for side, count in ((1, per_row), (-1, bays - per_row)):
-        outer, inner = side * width / 2, side * bay["aisle"] / 2
-        across = [-length / 2 + k * bay["width"] for k in range(count + 1)]
+        outer, inner = side * width / 2, side * aisle["aisle"] / 2
+        across = [-length / 2 + k * stall["width"] for k in range(count + 1)]
         lines += [np.array([[x, outer], [x, inner]]) for x in across if count]
     return Facility(
         code=f"parking-{country}",
@@ -162,7 +169,7 @@ def parking(code: str, bays: int) -> Facility:
         lines=tuple(lines),
         look=f"an asphalt car park with {bays} marked bays in two rows along an aisle",
         colour=(120, 120, 125),
-        source=bay["source"],
+        source=f"bay: {stall['source']}; aisle: {aisle['source']}",
     )
 
 

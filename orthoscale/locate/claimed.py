@@ -19,6 +19,7 @@ from ..sources.tags import read_tags
 from .level import LevelledPhoto
 
 GSD_TOLD_SD = 0.03  # relative one-sigma of a GSD that is told: maps and terrain are not better. An assumption.
+NADIR_WITHIN = 1.0  # [deg] off straight down, where a wrong focal length moves the foot by 2 % of the altitude at most
 BY_VEHICLES, BY_WORD = "vehicles", "given"
 
 
@@ -27,7 +28,8 @@ class ClaimedScale:
     """A photo with its average ground sampling distance [m/px] and 90 % interval.
 
     by : BY_VEHICLES or BY_WORD. measured : the vehicles' scale, None where it was told. focal_known : whether the
-    photo's focal length is, without which its altitude is not. notes : what is to be said of the vehicles' boxes."""
+    photo's focal length is, without which its altitude is not. notes : what is to be said of the fleet and of
+    the vehicles' boxes."""
 
     photo: Photo
     gsd: Measure
@@ -57,16 +59,19 @@ class ClaimedScale:
 
 
 def told_scale(path: Path, name: str, gsd: float, **lens: Any) -> ClaimedScale:
-    """The photo at `path` with a `gsd` [m/px] that is told; `lens` as for `open_photo`. From straight above a GSD says
-    all of the ground, so there a focal length may be missing. Raises InputError, UsageError."""
-    told, tags, known = Measure.log_normal(gsd, GSD_TOLD_SD), read_tags(path), True
-    if tags.pitch is None and all(value is None for value in lens.values()):
+    """The photo at `path` with a `gsd` [m/px] that is told; `lens` as for `open_photo`. From straight above, to
+    NADIR_WITHIN, a GSD says all of the ground, so there a focal length may be missing. Raises InputError, UsageError.
+    """
+    told, tags = Measure.log_normal(gsd, GSD_TOLD_SD), read_tags(path)
+    if lens.get("lens_file") is None and lens.get("focal_px") is None:
         try:
             lens_of(tags)
         except InputError:
-            known = False
-            lens["focal_px"] = float(np.hypot(tags.width, tags.height))  # any leads to the same ground
-    return ClaimedScale(open_photo(path, name, **lens), told, BY_WORD, None, known)
+            any_focal = float(np.hypot(tags.width, tags.height))  # all lead to the same ground
+            photo = open_photo(path, name, **lens | {"focal_px": any_focal})
+            if -photo.up[2] >= np.cos(np.radians(NADIR_WITHIN)):
+                return ClaimedScale(photo, told, BY_WORD, None, focal_known=False)
+    return ClaimedScale(open_photo(path, name, **lens), told, BY_WORD)
 
 
 def claimed_scales(
@@ -98,7 +103,7 @@ def claimed_scales(
 def _by_vehicles(
     photos: Sequence[Photo], how: Looking, progress: Progress | None
 ) -> dict[str, ClaimedScale | OrthoscaleError]:
-    fleet, _ = how.ruler_fleet([photo.path for photo in photos])
+    fleet, why = how.ruler_fleet([photo.path for photo in photos])
     hint = "Give the metres per pixel of the photo (--gsd), if known."
     try:
         boxes = boxes_of(photos, how, progress)
@@ -108,7 +113,7 @@ def _by_vehicles(
     for photo in photos:
         try:
             got = measure([photo], boxes, fleet)
-            found[photo.name] = ClaimedScale(photo, got.gsd, BY_VEHICLES, got, notes=boxes.notes)
+            found[photo.name] = ClaimedScale(photo, got.gsd, BY_VEHICLES, got, notes=(*why, *boxes.notes))
         except TooLittleEvidence as error:
             found[photo.name] = TooLittleEvidence(f"no scale: {error.message}", hint)
     return found

@@ -11,6 +11,7 @@ import numpy as np
 from ..core.projection.level import level_axes
 from ..core.projection.view import LOWEST_ELEVATION
 from ..core.source import NO_DATA_GREY
+from ..errors import TooLittleEvidence
 from ..photos.measure import Photo
 from .ground import GroundImage
 
@@ -28,12 +29,18 @@ class LevelledPhoto:
     @cached_property
     def shown(self) -> np.ndarray:
         """(N, 2) places that the photo shows [claimed m, right and down of the foot]; what it sees flatter than
-        25 degrees below the horizon is left out."""
+        LOWEST_ELEVATION below the horizon is left out. Raises TooLittleEvidence where that is all."""
         width, height = self.photo.tags.width, self.photo.tags.height
         along = np.linspace(0, 1, EDGE_POINTS)
         # A grid, not the edge alone: where the edge lies above the horizon, the inside tells how far to look.
         x, y = (side.ravel() for side in np.meshgrid(along * width, along * height))
         views, seen = self.photo.views(np.column_stack([x, y]), self.altitude)
+        if not seen.any():
+            raise TooLittleEvidence(
+                f"it sees the ground too flatly, nowhere from {LOWEST_ELEVATION:g} degrees or more "
+                f"({self.photo.attitude})",
+                "Take a photo that looks further down; if this one does, give its pitch (--pitch).",
+            )
         ground = views.ground @ level_axes(self.photo.up).T * (1, -1)
         return ground[seen]
 
@@ -46,11 +53,11 @@ class LevelledPhoto:
 
     @property
     def size(self) -> np.ndarray:
-        """(2,) width and height of the ground that it shows [claimed m]."""
+        """(2,) width and height of the ground that it shows [claimed m]. Raises TooLittleEvidence, as `shown`."""
         return np.ptp(self.shown, axis=0)
 
     def at(self, gsd: float) -> GroundImage:
-        """The ground at `gsd` claimed metres per pixel."""
+        """The ground at `gsd` claimed metres per pixel. Raises TooLittleEvidence, as `shown`."""
         low, high = self.shown.min(0), self.shown.max(0)
         width, height = np.maximum(np.ceil((high - low) / gsd).astype(int), 1)
         y, x = np.indices((height, width)) + 0.5

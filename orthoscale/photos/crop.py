@@ -57,7 +57,8 @@ def plan_crops(
     [m]; one window at `at` by default. square : of the photo's shorter side, for networks that want squares.
     stride : by which share of its size each window is shifted, by default CROP_STRIDE. out_px : longer side of the
     crops, the photo's own by default.
-    Raises UsageError for a place or a footprint that the satellite picture does not hold.
+    Raises UsageError for a place or a footprint that the satellite picture does not hold, a stride of less than a
+    pixel, more than MOST_WINDOWS windows.
     """
     if stride is not None and not 0 < stride <= 1:
         raise UsageError(f"--stride must lie between 0 and 1, not {stride:g}")
@@ -88,27 +89,27 @@ def plan_crops(
             f"{satellite.source.name}, which has {whole[0]:.0f} x {whole[1]:.0f}",
             "Give a larger satellite picture.",
         )
+    if stride is not None and (shift := stride * int(window.min())) < 1:
+        raise UsageError(
+            f"--stride {stride:g} shifts crops by {shift:.2g} px of {satellite.source.name}, less than a pixel",
+            f"Give {1 / window.min():.2g} or more.",
+        )
     reach = np.array([0.0, 0.0]) if radius is None else radius / pixel
     low, high = (np.zeros(2), whole) if at is None else (middle - reach, middle + reach)
-    starts = [_starts(low[k], high[k], int(window[k]), int(whole[k]), stride or CROP_STRIDE) for k in (0, 1)]
-    count = len(starts[0]) * len(starts[1])
+    first, last = np.clip([low - window / 2, high - window / 2], 0, whole - window)
+    shifts = np.maximum((stride or CROP_STRIDE) * window, 1)
+    steps = np.ceil((last - first) / shifts - 1e-9).astype(int)
+    count = math.prod((steps + 1).tolist())  # before any is made
     if count > MOST_WINDOWS:
         raise UsageError(f"{count} windows are too many", "Limit the search area: --at LON,LAT --radius METRES.")
+    # Their centres go evenly over the search area, the windows themselves stay inside of the picture.
+    starts = [np.unique(np.rint(np.linspace(first[k], last[k], steps[k] + 1)).astype(int)) for k in (0, 1)]
     x, y = (a.ravel() for a in np.meshgrid(*starts))
-    windows = np.column_stack([x, y, np.full(count, window[0]), np.full(count, window[1])])
+    windows = np.column_stack([x, y, np.full(len(x), window[0]), np.full(len(x), window[1])])
     longer = max(query[2:])
     zoom = 1.0 if out_px is None else out_px / longer
     out = max(1, round(query[2] * zoom)), max(1, round(query[3] * zoom))
     return Crops(satellite, windows, window * pixel, pixel, out, query)
-
-
-def _starts(low: float, high: float, window: int, whole: int, stride: float) -> np.ndarray:
-    """First pixels of windows whose centres go evenly from `low` to `high`, by `stride` windows at most; with the
-    windows themselves inside of 0..`whole`."""
-    first, last = low - window / 2, high - window / 2
-    first, last = np.clip([first, last], 0, whole - window)
-    steps = math.ceil((last - first) / (stride * window) - 1e-9)
-    return np.unique(np.rint(np.linspace(first, last, steps + 1)).astype(int))
 
 
 def write_crops(

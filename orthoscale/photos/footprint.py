@@ -35,7 +35,7 @@ def footprint_of(
         tags = read_tags(path)
         picture = PictureFile(path.name, path, tags.width, tags.height)
         return Footprint(picture, gsd, (tags.width, tags.height), {"photo": str(path), "gsd": gsd})
-    ruler, _ = how.ruler_fleet([path])
+    ruler, why = how.ruler_fleet([path])
     photo = open_photo(path, **lens)
     found = boxes_of([photo], how, progress)
     try:
@@ -55,6 +55,6 @@ def footprint_of(
         "fleet": ruler.code,
         "attitude": photo.attitude,
         "focal_source": photo.lens.source,
-        "notes": list(found.notes),
+        "notes": [*why, *found.notes],
     }
     return Footprint(photo.picture, got.gsd.value, (photo.tags.width, photo.tags.height), told)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import platform
 from collections.abc import Mapping, Sequence
@@ -29,6 +28,7 @@ from ..core.source import Source
 from ..core.verdicts import FIT
 from ..detect.zoom import ZoomChoice
 from ..errors import InputError, shown
+from ..formats.names import each_text, json_in_utf8, out_of_utf8
 from ..formats.reading import LARGE, checked, read_plain
 from ..version import __version__
 from .anchors import entries
@@ -320,12 +320,13 @@ def completed(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def write_json(report: Mapping[str, Any], path: Path) -> None:
-    """Write the report as UTF-8 to `path`, which the caller makes appear whole. Raises OSError."""
-    path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    """Write the report as UTF-8 to `path`, which the caller makes appear whole; names that are not UTF-8 as `in_utf8`
+    has them. Raises OSError."""
+    path.write_text(json_in_utf8(report, indent=1) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A report that `write_json` wrote. Raises InputError for anything else."""
+    """A report that `write_json` wrote, with names as they were. Raises InputError for anything else."""
     from ..formats.schemas import Report
 
     hint = "Give the report.json or OUT.tif.json that `orthoscale fix` wrote, or make it again."
@@ -335,7 +336,7 @@ def read_json(path: Path) -> dict[str, Any]:
         told = f"format {shown(str(found))!r}" if found else "no format"
         raise InputError(f"{path}: a report of another version ({told}, expected {FORMAT!r})", hint)
     checked(report, Report, str(path), "a report", hint)
-    return report
+    return each_text(report, out_of_utf8)
 
 
 def _fleet_sizes(fleet: Fleet) -> dict[str, Any]:

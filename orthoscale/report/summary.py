@@ -16,7 +16,8 @@ from urllib.parse import quote
 
 from ..core.scale import decimals
 from ..errors import UsageError
-from ..formats.csv_table import in_utf8, write_csv
+from ..formats.csv_table import write_csv
+from ..formats.names import in_utf8, json_in_utf8
 from ..formats.vector import write_layer
 from ..system.outputs import has_header, ours
 from .page import template
@@ -101,7 +102,7 @@ def _write_csv(rows: Sequence[Row], path: Path, place: Path) -> None:
 
 
 def _write_json(rows: Sequence[Row], path: Path, place: Path) -> None:
-    path.write_text(json.dumps({"format": SUMMARY_FORMAT, "inputs": rows}, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json_in_utf8({"format": SUMMARY_FORMAT, "inputs": rows}, indent=1) + "\n", encoding="utf-8")
 
 
 def _write_points(rows: Sequence[Row], path: Path, place: Path) -> None:

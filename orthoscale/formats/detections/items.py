@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.boxes import KINDS, Boxes
 from ...errors import InputError, shown
-from ..csv_table import in_utf8
+from ..names import in_utf8
 from .classes import is_vehicle
 
 FARTHEST_PX = 1e7  # [px]

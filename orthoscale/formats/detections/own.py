@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from ...core.boxes import KINDS, Boxes
 from ...core.detections import UNKNOWN_HEIGHT, UNKNOWN_RULER, Detections
 from ...errors import UsageError
 from ...system.paths import path_of
+from ..names import json_in_utf8
 from ..reading import LARGE, checked, read_plain
 from ..tables import known_objects
 
@@ -26,7 +26,8 @@ BOXES_HINT = 'Expected {"picture name": [{"cx", "cy", "length", "width", "angle"
 
 
 def save_detections(found: Detections, path: str | Path) -> None:
-    """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians.
+    """Write as JSON: ``pictures: {name: [{cx, cy, length, width, angle, score}]}`` in pixels and radians; names that
+    are not UTF-8 as `in_utf8` has them.
 
     Raises UsageError for what is no path, and for another ending: the other formats need the pictures too, see
     `files.save`; OSError.
@@ -34,7 +35,7 @@ def save_detections(found: Detections, path: str | Path) -> None:
     path = path_of(path, f"the path of {WHAT}")
     if path.suffix.lower() != ".json" or path.name.lower().endswith(".coco.json"):
         raise UsageError(f"{path}: boxes are written as JSON here", "Let its name end in .json, not in .coco.json.")
-    path.write_text(json.dumps(_document(found), indent=0))
+    path.write_text(json_in_utf8(_document(found), indent=0))
 
 
 def load_detections(path: str | Path) -> Detections:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...core.boxes import Boxes
 from ...errors import InputError, shown
-from ..reading import read_table
+from ..reading import read_table, refuse_repeated
 from .items import CLASS, PICTURE, SCORE_NAMES, Item, first
 
 NUMBERS = ("cx", "cy", "length", "width")
@@ -31,6 +31,7 @@ def read(path: Path) -> list[Item]:
         missing += ["angle"] if not {"angle", "angle_deg"} & set(names) else []
         if missing:
             raise InputError(f"{path}: no column {' and '.join(missing)}", TABLE_HINT)
+        refuse_repeated(path, table, (*NUMBERS, "angle", "angle_deg", *SCORE_NAMES, *CLASS, *PICTURE), TABLE_HINT)
         rows = [_row(row, f"{path}, line {table.line_num}") for row in table]
     except csv.Error as error:
         raise InputError(f"{path}: not a CSV table ({error})", TABLE_HINT) from error

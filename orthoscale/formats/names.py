@@ -1,0 +1,38 @@
+"""Names of files need not be text: in files that are UTF-8, their other bytes stand as escapes."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+ESCAPED = re.compile(r"\\u(dc[89a-f][0-9a-f])")  # what `in_utf8` makes of a byte that is not UTF-8 (PEP 383)
+
+
+def in_utf8(text: str) -> str:
+    """`text` with escapes for what UTF-8 cannot say: the names of files need not be text."""
+    return text.encode(errors="backslashreplace").decode()
+
+
+def out_of_utf8(text: str) -> str:
+    """The name that `in_utf8` made `text` of; nothing tells one that has such escapes itself."""
+    return ESCAPED.sub(lambda match: chr(int(match[1], 16)), text)
+
+
+def each_text(values: Any, change: Callable[[str], str]) -> Any:
+    """Plain `values` with `change` of every text and every key in them."""
+    if isinstance(values, str):
+        return change(values)
+    if isinstance(values, Mapping):
+        return {each_text(key, change): each_text(value, change) for key, value in values.items()}
+    if isinstance(values, (list, tuple)):
+        return [each_text(value, change) for value in values]
+    return values
+
+
+def json_in_utf8(values: Any, indent: int | None = None) -> str:
+    """JSON of plain `values`, texts as `in_utf8` has them: json itself writes halves of surrogate pairs for names that
+    are not UTF-8, which strict readers refuse."""
+    text = json.dumps(values, indent=indent)
+    return json.dumps(each_text(values, in_utf8), indent=indent) if r"\ud" in text else text
