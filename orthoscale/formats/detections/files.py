@@ -16,7 +16,7 @@ from ...core.remarks import CAUTION, INFO, Remark
 from ...core.source import Pictures
 from ...errors import InputError, UsageError, shown
 from ...system.outputs import Outputs
-from ..csv_table import in_utf8
+from ..names import in_utf8
 from ..reading import LARGE, read_plain
 from ..tables import known_objects
 from . import coco, dota, geo, table
