@@ -243,7 +243,8 @@ def test_lane_lines_where_no_rule_is_known_say_nothing():
     image = picture(dashes(), 0.1, (70, 45))
     assert LaneDashes().find(image, 0.1, 0.08, "DE")
     assert not LaneDashes().find(image, 0.1, 0.08, "NP")
-    assert not ZebraCrossings().find(picture(zebra(), 0.1), 0.1, 0.08, "US")
+    for free in ("US", "BR"):
+        assert not ZebraCrossings().find(picture(zebra(), 0.1), 0.1, 0.08, free)
 
 
 def test_where_no_rule_is_known_a_crossing_is_what_the_known_rules_make_likely():
