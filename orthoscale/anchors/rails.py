@@ -27,16 +27,20 @@ HEAD_SEEN = 0.015
 
 # Gauge [m], its prior where the country is not known, and the countries whose main lines have it.
 _UIC = "EN 15273; UIC 510"
+_AUSTRALIA = "Wikipedia, Rail gauge in Australia"
 GAUGES = (
     (1.435, 1.0, "", _UIC),
     (1.520, 0.3, "RU BY UA KZ EE LV LT FI MD GE AM AZ UZ KG TJ TM MN", "GOST 34894 (1.520 m); Finland's 1.524 m"),
     (1.668, 0.1, "ES PT", "Iberian gauge, Adif NAV 7 (1.668 m)"),
     (1.676, 0.1, "IN PK BD LK AR CL", "Indian Railways, Schedule of Dimensions (1.676 m)"),
-    (1.600, 0.05, "IE BR", "Irish gauge, 5 ft 3 in"),
-    (1.067, 0.2, "JP ZA NZ ID PH TW ZW ZM BW AO GH NG SD", "Cape gauge, 3 ft 6 in"),
-    (1.000, 0.2, "CH TH VN MY MM KH KE UG TZ SN ML CI BR AR CL BO", "metre gauge"),
-)
-STANDARD_TOO = "ES PT IN JP AR BR CH TW KE TZ NG MY TH IE"  # where lines of standard gauge were built beside
+    (1.600, 0.05, "IE BR AU", f"Irish gauge, 5 ft 3 in; Victoria and South Australia: {_AUSTRALIA}"),
+    (1.067, 0.2, "JP ZA NZ ID PH TW ZW ZM BW AO GH NG SD AU",
+     f"Cape gauge, 3 ft 6 in; Queensland and Western Australia: {_AUSTRALIA}"),
+    (1.000, 0.2, "CH TH VN MY MM KH KE UG TZ SN ML CI BR AR CL BO BD",
+     "metre gauge; Wikipedia, Bangladesh Railway, beside 1.676 m"),
+)  # fmt: skip
+# Vietnam: Wikipedia, Transport in Vietnam: in the north, beside 1.000 m.
+STANDARD_TOO = "ES PT IN JP AR BR CH TW KE TZ NG MY TH IE AU VN"  # where lines of standard gauge were built beside
 
 RAIL_FALSE = 0.05  # with sleepers; none was counted on real pictures without rails, see benchmarks
 RAIL_FALSE_WITHOUT = 0.15  # with a second track only
