@@ -187,7 +187,6 @@ def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
     # one place, direction and distance: a turn of RAIL_PARALLEL, or a tenth in distance, counts as half the reach
     reach = 2.5 * SEED_PX
     by_turn = reach / (4 * RAIL_PARALLEL) * np.stack([np.cos(2 * angle), np.sin(2 * angle)], 1)
-    across = middle[:, 1] * np.cos(angle) - middle[:, 0] * np.sin(angle)
     place = np.column_stack([middle, by_turn, np.log(apart) * reach * 5])
     near = cKDTree(place).query_pairs(reach, output_type="ndarray")
     c, s = np.cos(angle[near[:, 0]]), np.sin(angle[near[:, 0]])
@@ -196,7 +195,6 @@ def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
         np.abs(gap[:, 0] * c + gap[:, 1] * s) > SEED_PX / 2
     )
     support = np.bincount(near[behind].ravel(), minlength=len(pair))
-    del across
     order = np.argsort(-support, kind="stable")
     order = order[support[order] >= CONTINUED][:most]
     return np.column_stack([middle, angle, apart])[order]
