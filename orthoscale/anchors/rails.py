@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from ..core.anchors import Anchor, Standard, holding
 from ..core.pooling.posterior import ROBUST_SD
 from .combs import ridge_across
+from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
 from .ridges import SEED_PX, Segments, lightness, segments, steered
 from .rules import sizes, within_reach
@@ -256,8 +257,7 @@ def _block(
         if not (0 < k < len(offset) - 1) or response[k] < max(response[k - 1], response[k + 1]):
             return None
         left, middle, right = response[k - 1 : k + 2]
-        bend = left - 2 * middle + right
-        rail.append((offset[k] + (0.125 * (left - right) / bend if bend < 0 else 0.0), middle))
+        rail.append((offset[k] + 0.25 * float(peak_shift(left, middle, right)), middle))
     (a, one), (b, other) = rail
     away = (np.abs(offset - a) > 3 * sd) & (np.abs(offset - b) > 3 * sd)
     near = away & (np.abs(offset) < CLOSE_BESIDE * apart)
