@@ -69,13 +69,21 @@ North_Carolina ND North_Dakota OH Ohio OK Oklahoma OR Oregon PA Pennsylvania RI 
 South_Carolina SD South_Dakota TN Tennessee TX Texas UT Utah VT Vermont VA Virginia WA Washington WV
 West_Virginia WI Wisconsin WY Wyoming DC District_of_Columbia"""
 
+# [degrees] its border to some kilometres, Natural Earth 1:110 million; it has no time zone of its own.
+KOSOVO = (
+    (20.762, 42.052), (20.717, 41.847), (20.590, 41.855), (20.523, 42.218), (20.284, 42.320), (20.071, 42.589),
+    (20.258, 42.813), (20.497, 42.885), (20.635, 43.217), (20.814, 43.272), (20.957, 43.131), (21.143, 43.069),
+    (21.274, 42.910), (21.439, 42.863), (21.633, 42.677), (21.775, 42.683), (21.663, 42.439), (21.543, 42.320),
+    (21.577, 42.245), (21.353, 42.207),
+)  # fmt: skip
+
 
 def country_code(text: str) -> str | None:
     """The ISO 3166 code of two letters, or that of a part of a country (``US_TX``), that `text` means; None for none.
 
     Codes of two and three letters, names in English and in the country's languages, US states by name or as ``US-TX``,
-    a few cities; case, accents and punctuation do not matter. A name's beginning is enough where only one has it
-    ("hong kong"). Several countries are none (``US,CA``); "Georgia, USA" is the state.
+    a few cities; case, accents and punctuation do not matter (``U.S.A.``). A name's beginning is enough where only one
+    has it ("hong kong"). Several countries are none (``US,CA``); "Georgia, USA" is the state.
     """
     wanted = _plain(text).removeprefix("the ")
     if not wanted:
@@ -91,7 +99,10 @@ def country_code(text: str) -> str | None:
     if wanted in names:
         return names[wanted]
     begun = {code for name, code in names.items() if name.startswith(wanted + " ")}
-    return begun.pop() if len(begun) == 1 else None
+    if len(begun) == 1:
+        return begun.pop()
+    joined = re.sub(r"\b(\w) (?=\w\b)", r"\1", wanted)  # U.S.A. is "u s a" without its points
+    return country_code(joined) if joined != wanted else None
 
 
 def are_several(text: str) -> bool:
@@ -143,7 +154,17 @@ def country_at(longitude: float, latitude: float) -> str | None:
         return None
     from tzfpy import get_tz
 
-    return _country_of_zone().get(get_tz(longitude, latitude))
+    code = _country_of_zone().get(get_tz(longitude, latitude))
+    return "XK" if code == "RS" and _is_kosovo(longitude, latitude) else code
+
+
+def _is_kosovo(longitude: float, latitude: float) -> bool:
+    """By how often the border crosses the parallel to the east of a place."""
+    crossed = False
+    for (x0, y0), (x1, y1) in zip(KOSOVO, (*KOSOVO[1:], KOSOVO[0]), strict=True):
+        if (y0 > latitude) != (y1 > latitude) and longitude < x0 + (latitude - y0) / (y1 - y0) * (x1 - x0):
+            crossed = not crossed
+    return crossed
 
 
 def _plain(text: str) -> str:

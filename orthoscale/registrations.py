@@ -37,6 +37,7 @@ COMMON = np.array([0.025, 0.012, 0.015])
 CORRELATION = 0.6  # of length and width within a class; that of the fleet table's segments
 # What follows a model's name in the table for its generation, market or body: Golf5, Corolla E120, Camry old, HR-V TW.
 GENERATION = re.compile(r"old|new|mid|mx|us|kr|tw|th|tn|nz|eg|ec|ar|br|pk|in|hb|sd|i{1,3}|iv|mk\d|[a-z]\d{1,3}|v8|\d")
+SERIES = {"cx", "grand", "id", "mark", "model"}  # name no model without what follows: CX-5, Grand i10, ID.4, Model 3
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,13 @@ class Registered:
 
 @dataclass(frozen=True)
 class Model:
-    """class_ : of the market. size, spread : (3,) mean and standard deviation over its generations [m]."""
+    """class_ : of the market. size, spread : (3,) mean and standard deviation over its generations [m].
+    makes : that sell it, in plain letters; empty where the table names none."""
 
     class_: str
     size: np.ndarray
     spread: np.ndarray
+    makes: frozenset[str]
 
 
 def fleet_of_register(path: Path) -> Registered:
@@ -102,15 +105,17 @@ def fleet_of_register(path: Path) -> Registered:
 
 def model_called(text: str) -> Model | None:
     """The model that a register's `text` names, with or without its make and version: that of the table with the
-    longest name in it. None where there is none."""
-    words = _words(text)
-    found = [
-        name
-        for start in range(len(words))
-        for end in range(start + 1, len(words) + 1)
-        if (name := "".join(words[start:end])) in _models()
-    ]
-    return _models()[max(found, key=len)] if found else None
+    longest name in it, and of the make that `text` names beside it where the table has that make. None where there is
+    none."""
+    words, makes = _words(text), _makes()
+    found = []
+    for start in range(len(words)):
+        for end in range(start + 1, len(words) + 1):
+            name = "".join(words[start:end])
+            said = {word for word in words[:start] + words[end:] if word in makes}
+            if name in _models() and (not said or not _models()[name].makes or said & _models()[name].makes):
+                found.append(name)
+    return _models()[max(found, key=lambda name: (name not in makes, len(name)))] if found else None
 
 
 def _counted(path: Path) -> dict[str, float]:
@@ -145,25 +150,41 @@ def _counted(path: Path) -> dict[str, float]:
 @cache
 def _models() -> dict[str, Model]:
     """By the name's words without their spaces, for a register writes CR-V, CRV or CR V."""
-    table = read_plain(Path(__file__).parent / "data" / "models.json", "the table of models")["models"]
     generations: dict[str, list[Sequence[Any]]] = {}
-    for name, row in table.items():
-        for called in {"".join(_words(name)), _without_generation(name)}:
+    makes: dict[str, set[str]] = {}
+    for name, row in _table()["models"].items():
+        model = _without_generation(name)
+        for called in {"".join(_words(name)), model}:
             generations.setdefault(called, []).append(row)
+            makes.setdefault(called, set()).update(make for make, models in _makes().items() if model in models)
     out = {}
     for called, rows in generations.items():
         sizes = np.array([row[1:] for row in rows], float)
-        out[called] = Model(rows[0][0], sizes.mean(0), sizes.std(0))
-    return {called: model for called, model in out.items() if len(called) > 1}
+        out[called] = Model(rows[0][0], sizes.mean(0), sizes.std(0), frozenset(makes[called]))
+    return out
+
+
+@cache
+def _makes() -> dict[str, set[str]]:
+    """By the make's name, models without their generations; both in plain letters."""
+    return {"".join(_words(make)): set(models) for makes, models in _table()["makes"] for make in makes}
+
+
+@cache
+def _table() -> dict[str, Any]:
+    table: dict[str, Any] = read_plain(Path(__file__).parent / "data" / "models.json", "the table of models")
+    return table
 
 
 def _without_generation(name: str) -> str:
-    first, *rest = _words(name)
+    """In plain letters; whole where a make, a series or a letter alone would be left: Mazda2, CX-5, E W210."""
+    first, *rest = words = _words(name)
     while rest and GENERATION.fullmatch(rest[-1]):
         rest.pop()
     if not rest and (numbered := re.fullmatch(r"([a-z]{4,})\d{1,2}", first)):
         first = numbered[1]
-    return "".join([first, *rest])
+    model = "".join([first, *rest])
+    return "".join(words) if len(model) == 1 or model in SERIES or model in _makes() else model
 
 
 def _words(text: str) -> list[str]:

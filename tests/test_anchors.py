@@ -147,9 +147,9 @@ def test_an_anchor_of_a_window_has_the_pictures_pixels():
     for tile in windows_of(sheet, 0.1, SquareFinder()):
         (found,) = look(SquareFinder(), sheet, tile, 0.1, 0.05)
         assert tile.out_width < tile.width and found.picture == "sheet.png"
-        assert found.place == pytest.approx([640.3, 455.9], abs=0.7)
+        assert found.place == pytest.approx([640.3, 455.9], abs=0.15)
         assert found.pixels == pytest.approx(100, rel=0.01)
-        assert found.lines.reshape(-1, 2).mean(0) == pytest.approx([640.3, 455.9], abs=2)
+        assert found.lines.reshape(-1, 2).mean(0) == pytest.approx([640.3, 455.9], abs=0.6)
 
 
 @pytest.mark.slow

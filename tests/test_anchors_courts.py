@@ -22,7 +22,7 @@ from support.courts import (
 )
 
 from orthoscale.anchors.court_fit import CourtFit
-from orthoscale.anchors.court_models import CENTRE_CIRCLE, TENNIS_COURT
+from orthoscale.anchors.court_models import CENTRE_CIRCLE, HANDBALL_COURT, TENNIS_COURT
 from orthoscale.anchors.courts import (
     BASKETBALL,
     FOOTBALL,
@@ -215,6 +215,15 @@ def test_other_courts_are_found_and_measured(finder, paint, name, metres, gsd, a
     assert [anchor.standards[0].name for anchor in found] == [name]
     assert abs(error(found[0], gsd)) < 0.003 and found[0].standards[0].metres == metres
     assert found[0].kind == finder.kind and found[0].false < 0.1
+
+
+def test_the_goal_area_of_handball_is_measured_from_the_goal_lines_outer_edge():
+    """IHF Rules of the Game, 1:4: 6 m from the rear edge of the goal line, which is 20 m from the middle, to the front
+    edge of a line of 5 cm."""
+    arcs = [stroke for stroke in HANDBALL_COURT.strokes if stroke.radius]
+    assert [(abs(arc.start[0]), arc.radius) for arc in arcs] == 4 * [pytest.approx((20.0, 5.975))]
+    fronts = [stroke for stroke in HANDBALL_COURT.strokes if stroke.length == 3.0]
+    assert [(abs(front.start[0]), abs(front.end[0])) for front in fronts] == 2 * [pytest.approx((14.025, 14.025))]
 
 
 @pytest.mark.slow

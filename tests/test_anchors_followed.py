@@ -15,6 +15,7 @@ from orthoscale.anchors.gridiron import Gridirons
 from orthoscale.anchors.ovals import KERB, TrackOvals
 from orthoscale.anchors.rails import HEAD, RailTracks
 from orthoscale.anchors.running import RunningTracks
+from orthoscale.core.anchors import holding
 
 FINDERS = (RailTracks(), RunningTracks(), TrackOvals(), Gridirons())
 
@@ -41,6 +42,14 @@ def test_the_gauge_of_a_track(gsd, turn):
 def test_the_country_says_which_gauge(gauge, country):
     anchor = one(RailTracks().find(railway(track(gauge=gauge), 0.08, 50), 0.08 * 0.95, 0.06, country), gauge + HEAD)
     assert anchor.pixels * 0.08 == pytest.approx(gauge + HEAD, rel=0.005)
+
+
+@pytest.mark.parametrize(
+    "country, gauges", (("AU", (1.067, 1.435, 1.6)), ("BD", (1.0, 1.676)), ("VN", (1.0, 1.435)), ("FR", (1.435,)))
+)
+def test_a_country_may_have_several_gauges(country, gauges):
+    metres = sorted(standard.metres - HEAD for standard in holding(RailTracks().standards, country))
+    assert metres == pytest.approx(gauges)
 
 
 @pytest.mark.slow

@@ -9,10 +9,11 @@ from support.markings import PAINT, picture, stroke
 from orthoscale.anchors.bays import BAY_FALSE, ParkingBays, bay_standards
 from orthoscale.anchors.crossings import ZEBRA_FALSE, ZebraCrossings
 from orthoscale.anchors.dashes import LANE_LINES, LaneDashes, by_country
-from orthoscale.anchors.periods import find_row
+from orthoscale.anchors.periods import find_row, fit_row
 from orthoscale.anchors.zebra_rules import ZEBRA_FREE, ZEBRA_RULES, elsewhere
 from orthoscale.anchors.zebra_rules import ZEBRA_STANDARDS as CROSSINGS
 from orthoscale.core.anchors import Standard, holding
+from orthoscale.core.pooling.posterior import Z90
 
 FINDERS = (ZebraCrossings(), ParkingBays(), LaneDashes())
 
@@ -205,6 +206,27 @@ def test_one_thing_beside_its_place_does_not_make_a_row_irregular():
     assert find_row(place, 20, 30, 5).strays == 0
 
 
+@pytest.mark.parametrize("count", (5, 6, 8, 12))
+def test_the_interval_of_a_short_row_holds_the_period_as_often_as_it_says(count):
+    rng, number = np.random.default_rng(6), np.arange(count)
+    rows = [fit_row(20.0 * number + rng.normal(0, 0.3, count), number) for _ in range(4000)]
+    assert 0.88 < np.mean([abs(row.period - 20) < Z90 * row.sd for row in rows]) < 0.92
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", (6, 12))
+def test_it_does_so_where_some_of_its_own_are_taken_for_strays(count):
+    rng = np.random.default_rng(8)
+    rows = [find_row(20.0 * np.arange(count) + rng.normal(0, 0.3, count), 17, 23, 5) for _ in range(2000)]
+    assert 0.88 < np.mean([abs(row.period - 20) < Z90 * row.sd for row in rows if row is not None]) < 0.92
+
+
+def test_a_stray_makes_a_row_less_certain():
+    """It may have been the row's own."""
+    place, number = 20.0 * np.arange(8) + np.random.default_rng(7).normal(0, 0.3, 8), np.arange(8)
+    assert fit_row(place, number, 1).sd > 1.5 * fit_row(place, number).sd
+
+
 def test_what_is_evenly_astray_is_not_sifted_until_it_is_regular():
     place = 10 + 25.0 * np.arange(12) + np.random.default_rng(5).uniform(-2.5, 2.5, 12)
     row = find_row(place, 20, 30, 5)
@@ -243,7 +265,8 @@ def test_lane_lines_where_no_rule_is_known_say_nothing():
     image = picture(dashes(), 0.1, (70, 45))
     assert LaneDashes().find(image, 0.1, 0.08, "DE")
     assert not LaneDashes().find(image, 0.1, 0.08, "NP")
-    assert not ZebraCrossings().find(picture(zebra(), 0.1), 0.1, 0.08, "US")
+    for free in ("US", "BR"):
+        assert not ZebraCrossings().find(picture(zebra(), 0.1), 0.1, 0.08, free)
 
 
 def test_where_no_rule_is_known_a_crossing_is_what_the_known_rules_make_likely():

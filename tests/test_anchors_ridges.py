@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from orthoscale.anchors.peaks import circle_votes, peak_shift
 from orthoscale.anchors.ridges import CLEAR_RIDGE, DIRECTIONS, lightness, segments, steered
 
 
@@ -52,3 +53,19 @@ def test_paint_on_colour_counts_as_much_as_on_grey():
     orange[20] = 235
     light = lightness(orange)
     assert light[20, 20] - light[10, 20] > 100
+
+
+def test_a_peak_is_the_top_of_its_parabola_and_near_the_middle_sample():
+    top = np.array([-0.4, 0.0, 0.3])
+    left, middle, right = (5.0 - (step - top) ** 2 for step in (-1, 0, 1))
+    assert peak_shift(left, middle, right) == pytest.approx(top)
+    flat, steep = peak_shift(*np.array([[1.0, 0.0], [1.0, 9.0], [1.0, 17.9]]))
+    assert (flat, steep) == (0.0, 1.0), "no top, and one that is far off"
+
+
+def test_the_edge_of_a_circle_votes_for_its_middle():
+    turn = np.arange(90) * 2 * np.pi / 90
+    normal = np.cos(turn), np.sin(turn)
+    votes = circle_votes((40 + 15 * normal[0], 30 + 15 * normal[1]), normal, 15.0, (61, 80), 3)
+    assert votes.shape == (21, 27) and np.unravel_index(votes.argmax(), votes.shape) == (10, 13)
+    assert votes.max() >= 90

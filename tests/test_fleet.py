@@ -88,6 +88,7 @@ def test_names_are_case_blind_and_unknown_ones_are_refused_with_the_list():
     [("usa", "US"), ("CHE", "CH"), ("Schweiz", "CH"), ("suisse", "CH"), ("日本", "JP"), ("Côte d'Ivoire", "CI"),
      ("UK", "GB"), ("Texas", "US_TX"), ("US-ca", "US_CA"), ("tokyo", "JP_Tokyo"), ("Georgia", "GE"),
      ("hong kong", "HK"), ("Georgia, USA", "US_GA"), ("US,TX", "US_TX"), ("The Netherlands", "NL"), ("Palestine", "PS"),
+     ("U.K.", "GB"), ("U.S.A.", "US"),
      ("Korea, Republic of", "KR"), ("Congo, Democratic Republic of the", "CD"),
      ("Bolivia, Plurinational State of", "BO"),
      ("Gambia, The", "GM"), ("New York, NY", "US_NY"), ("Washington, D.C.", "US_DC"), ("TX, USA", "US_TX"),
@@ -170,6 +171,8 @@ def test_a_country_that_is_called_as_a_state_says_so():
 @pytest.mark.parametrize(
     ("place", "code"),
     [((120.98, 14.6), "PH"), ((7.59, 47.56), "CH"), ((-106.45, 31.7), "MX"), ((114.17, 22.3), "HK"), ((-30, 30), None),
+     ((21.17, 42.66), "XK"), ((20.74, 42.21), "XK"), ((20.87, 42.89), "XK"),
+     ((21.9, 43.32), "RS"), ((20.46, 44.8), "RS"), ((21.65, 42.31), "RS"),
      ((200, 0), None)],
 )  # fmt: skip
 def test_a_place_on_the_earth_has_a_country(place, code):

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from orthoscale.cli.main import cli
 from orthoscale.errors import InputError, TooLittleEvidence
 from orthoscale.fleets import load_fleet
-from orthoscale.registrations import fleet_of_register, model_called
+from orthoscale.registrations import _makes, _models, fleet_of_register, model_called
 
 
 def written(folder, text, name="register.csv"):
@@ -28,6 +28,36 @@ def test_a_model_is_known_by_whatever_a_register_calls_it(text, length):
 
 def test_a_name_that_is_in_no_model_is_not_known():
     assert model_called("Trabant 601") is None and model_called("") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "length"),
+    [("Nissan Note", 4.06), ("Nissan Leaf", 4.46), ("Nissan Micra", 3.72), ("Nissan Navara", 5.25),
+     ("Nissan Patrol", 5.1), ("Nissan X-Trail", 4.65), ("Mazda CX-5", 4.55), ("Mazda 3", 4.46), ("Hyundai i10", 3.67),
+     ("Vauxhall Corsa", 3.99), ("Wuling Hongguang Mini", 2.92), ("Opel Astra Caravan", 4.25), ("Chevy Tahoe", 5.2)],
+)  # fmt: skip
+def test_a_make_or_series_is_no_model(text, length):
+    assert model_called(text).size[0] == pytest.approx(length, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["Nissan", "Nissan Cube", "Mazda", "Mazda MX-5", "Mazda CX-9", "Tesla Model X", "VW ID.3", "Grand", "Ford Sierra",
+     "Toyota Vista", "Mercedes C", "Lincoln Mark"],
+)  # fmt: skip
+def test_a_model_of_another_make_or_series_is_not_known(text):
+    """The table's Sierra is GMC's, its Vista Tata's."""
+    assert model_called(text) is None
+
+
+def test_every_make_in_the_table_has_models_of_the_table():
+    for make, models in _makes().items():
+        assert models and models <= _models().keys(), make
+
+
+def test_a_model_that_several_makes_sell_is_known_by_each():
+    assert model_called("Renault Duster") == model_called("Dacia Duster") == model_called("Duster") is not None
+    assert model_called("GMC Sierra") == model_called("Sierra") is not None
 
 
 def test_a_fleet_has_the_registers_mean_and_classes(tmp_path):

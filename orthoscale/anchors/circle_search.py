@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from .court_models import Court
+from .peaks import circle_votes, peak_shift
 from .poses import Poses, Ridges
 from .ridges import CLEAR_RIDGE, DIRECTIONS
 
@@ -60,20 +61,12 @@ def _voters(ridges: Ridges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     y, x = np.nonzero(ridges.maps.max(0) >= VOTING * CLEAR_RIDGE)
     k = best[y, x]
     left, middle, right = (ridges.maps[(k + d) % DIRECTIONS, y, x].astype(float) for d in (-1, 0, 1))
-    bend = left - 2 * middle + right
-    shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, -1), 0)
-    return x, y, (k + np.clip(shift, -1, 1)) * np.pi / DIRECTIONS + np.pi / 2
+    return x, y, (k + peak_shift(left, middle, right)) * np.pi / DIRECTIONS + np.pi / 2
 
 
 def _votes(x: np.ndarray, y: np.ndarray, normal: np.ndarray, radius: float, shape: tuple[int, int]) -> np.ndarray:
     """(H / BIN, W / BIN) float32: how many voters are `radius` [px] from a middle in each cell or beside it, as a
     share of the circumference."""
-    height, width = -(-shape[0] // BIN), -(-shape[1] // BIN)
-    cells = np.zeros(height * width, np.float32)
-    for side in (-1, 1):
-        column = np.floor((x + side * radius * np.cos(normal) + 0.5) / BIN).astype(int)
-        row = np.floor((y + side * radius * np.sin(normal) + 0.5) / BIN).astype(int)
-        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        cells += np.bincount(row[inside] * width + column[inside], minlength=len(cells)).astype(np.float32)
-    about = cv2.boxFilter(cells.reshape(height, width), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    cells = circle_votes((x, y), (np.cos(normal), np.sin(normal)), radius, shape, BIN)
+    about = cv2.boxFilter(cells, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     return about / np.float32(2 * np.pi * radius)

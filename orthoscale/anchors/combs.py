@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..core.anchors import Anchor, Standard
 from ..core.pooling.posterior import ROBUST_SD
+from .peaks import peak_shift
 from .periods import Row, find_row, fit_row
 from .repeated import LOCAL_STRETCH
 from .ridges import SEED_PX, segments, steered
@@ -216,8 +217,7 @@ def _block(
         return None
     clear = max(LINE_CLEAR * float(np.sort(middle[peak])[-comb.fewest]), least)
     peak = peak[middle[peak] > clear]
-    bend = left[peak] - 2 * middle[peak] + right[peak]
-    offset = fine[peak + 1] + 0.125 * (left[peak] - right[peak]) / np.minimum(bend, -1e-9)
+    offset = fine[peak + 1] + 0.25 * peak_shift(left[peak], middle[peak], right[peak])
     row = find_row(offset, *between, comb.fewest)
     if row is None or row.filled < COMB_FILLED or len(row.number) > comb.most or row.regularity < COMB_REGULAR:
         return None

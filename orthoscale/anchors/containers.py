@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..core.anchors import Anchor, Standard
 from ..core.pooling.posterior import ROBUST_SD
+from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
 from .rules import SIGMAS_SEARCHED, within_reach
 from .strokes import values
@@ -279,9 +280,8 @@ def _edges(
     best = np.argmax(clear, axis=1) + 1
     row = np.arange(parts)
     left, middle, right = (slope[row, np.clip(best + d, 0, len(out) - 1)] for d in (-1, 0, 1))
-    bend = left - 2 * middle + right
-    shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, -1), 0)
-    return np.where(middle > FAINTEST_EDGE, out[best] + np.clip(shift, -1, 1) * ACROSS_EDGE, np.nan)
+    edge = out[best] + peak_shift(left, middle, right) * ACROSS_EDGE
+    return np.where(middle > FAINTEST_EDGE, edge, np.nan)
 
 
 def _is_one_colour(colours: np.ndarray, x: float, y: float, angle: float, length: float, width: float) -> bool:

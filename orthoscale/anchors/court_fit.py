@@ -10,6 +10,7 @@ import numpy as np
 
 from ..core.pooling.posterior import ROBUST_SD
 from .court_models import Court, Pieces
+from .peaks import peak_shift
 
 WINDOWS = (0.9, 0.65, 0.5, 0.4)  # [m] about a stroke where its paint is looked for, round by round
 LEAST_WINDOW = 1.3  # [px] but never closer than this
@@ -243,11 +244,9 @@ class _Bands:
         row = np.arange(len(best))
         last = len(self.offset) - 1
         left, middle, right = (self.response[row, np.clip(best + d, 0, last)] for d in (-1, 0, 1))
-        bend = left - 2 * middle + right
-        shift = np.where(bend < 0, 0.5 * (left - right) / np.where(bend < 0, bend, -1), 0)
         peak = (middle >= left) & (middle >= right) & (best > 0) & (best < last) & self.inside
         step = self.offset[1] - self.offset[0]
-        return self.offset[best] + np.clip(shift, -1, 1) * step, np.where(peak, np.maximum(middle, 0), 0)
+        return self.offset[best] + peak_shift(left, middle, right) * step, np.where(peak, np.maximum(middle, 0), 0)
 
     def pulled(self, offset: np.ndarray, pull: float) -> np.ndarray:
         """(P,) how far [px] ridges at `offset` (P,) were moved to the middles of pixels. Only lines along rows or

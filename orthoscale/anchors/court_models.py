@@ -211,18 +211,19 @@ def _basketball(length: float, width: float, key: float, depth: float, name: str
 def _handball() -> Court:
     half, post = 0.025, 1.5  # [m] of the paint; of the goal
     x, y, area = 20.0 - half, 10.0 - half, 6.0 - half
+    goal = 20.0  # [m] the goal line's outer edge, from which the area is measured
     lines = [*_box(x, y), _across(0.0, -y, y)]
     for side in (-1, 1):
-        lines += [_across(side * (x - area), -post, post, ends=(False, False))]
+        lines += [_across(side * (goal - area), -post, post, ends=(False, False))]
         for to in (-1, 1):
             end = {(1, 1): (90, 180), (1, -1): (180, 270), (-1, 1): (0, 90), (-1, -1): (270, 360)}[side, to]
-            lines += [_arc(side * x, to * post, area, *end, weight=1.0)]
+            lines += [_arc(side * goal, to * post, area, *end, weight=1.0)]
     rule = Standard(
         "IHF handball court",
         40.0,
         0.005,
-        "IHF Rules of the Game, rule 1: 40 x 20 m to the outside of the lines of 5 cm, goal areas of 6 m about the "
-        "posts of a goal of 3 m; futsal (FIFA) is marked alike; the spread is ours",
+        "IHF Rules of the Game, rule 1: 40 x 20 m to the outside of the lines of 5 cm, goal areas of 6 m from the rear "
+        "edge of the goal line, about the posts of a goal of 3 m; futsal (FIFA) is marked alike; the spread is ours",
     )
     return Court(tuple(lines), rule, beside=NETS, bare=2.0)
 

@@ -27,6 +27,7 @@ from .court_models import (
 from .court_search import search
 from .poses import Ridges
 from .ridges import lightness
+from .rules import SIGMAS_SEARCHED
 
 SEARCHED = 0.3  # [m/px] of the search, where a line of 5 cm is just seen and a court is small
 ENLARGED = 2.0  # at most: a coarser picture is searched coarser
@@ -158,7 +159,7 @@ class CourtLook:
     `AnchorFinder.find`."""
 
     def __init__(self, image: np.ndarray, gsd: float, gsd_sd: float, searched: float = SEARCHED) -> None:
-        self.gsd, self.spread = gsd, 2 * gsd_sd
+        self.gsd, self.spread = gsd, SIGMAS_SEARCHED * gsd_sd
         self.light = lightness(image)
         self.grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
         small = _resized(self.light, gsd, searched)

@@ -206,7 +206,7 @@ def refined(light: np.ndarray, ladder: Ladder, reach: float) -> Ladder:
     own = ladder.along + slope[:, None] * ladder.across
     own /= np.linalg.norm(own, axis=1, keepdims=True)
     across = _across(along)
-    row = fit_row(centre @ across, ladder.row.number)
+    row = fit_row(centre @ across, ladder.row.number, ladder.row.strays)
     return Ladder(replace(strokes, centre=centre, along=own), row, along, across)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.anchors import Anchor, Standard
 from ..core.pooling.posterior import ROBUST_SD
+from .peaks import circle_votes, peak_shift
 from .repeated import LOCAL_STRETCH
 from .rules import sizes, within_reach
 from .strokes import values
@@ -133,17 +134,11 @@ def _candidates(image: np.ndarray, low: float, high: float) -> list[Oval]:
     clear = size > VOTING_EDGE * cv2.blur(size, (AROUND_PX, AROUND_PX)) + 2.0
     y, x = np.nonzero(clear)
     nx, ny = gx[y, x] / size[y, x], gy[y, x] / size[y, x]
-    height, width = (-(-side // OVAL_BIN) for side in image.shape[:2])
     bends = []
     first, last = RADII[0] * low / KERB, RADII[1] * high / KERB
     for radius in np.arange(first, last, 1.5):
-        cells = np.zeros(height * width, np.float32)
-        for side in (-1, 1):
-            column = np.floor((x + side * radius * nx + 0.5) / OVAL_BIN).astype(int)
-            row = np.floor((y + side * radius * ny + 0.5) / OVAL_BIN).astype(int)
-            inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-            cells += np.bincount(row[inside] * width + column[inside], minlength=len(cells)).astype(np.float32)
-        about = cv2.boxFilter(cells.reshape(height, width), -1, (3, 3), normalize=False)
+        cells = circle_votes((x, y), (nx, ny), radius, clear.shape, OVAL_BIN)
+        about = cv2.boxFilter(cells, -1, (3, 3), normalize=False)
         votes = np.asarray(about / np.float32(2 * np.pi * radius), np.float32)
         top = (votes >= BEND_SEEN) & (votes >= cv2.dilate(votes, np.ones((5, 5), np.uint8)))
         for row, column in np.argwhere(top):
@@ -202,9 +197,8 @@ def _fitted(image: np.ndarray, oval: Oval, gsd: float) -> tuple[Oval, np.ndarray
         inner = (at > 0) & (at < len(offset) - 1)
         rows = np.flatnonzero(inner)
         left, mid, right = (signed[rows, at[rows] + d] for d in (-1, 0, 1))
-        bend = left - 2 * mid + right
-        fine = (bend < 0) & (left > -1e8) & (right > -1e8)
-        peak[rows[fine]] += 0.25 * (left[fine] - right[fine]) / bend[fine]
+        fine = (left > -1e8) & (right > -1e8)
+        peak[rows[fine]] += 0.5 * peak_shift(left[fine], mid[fine], right[fine])
         weight = np.clip(strength / max(float(np.median(strength)), 1e-6), 0, 1)
         along = np.array([np.cos(oval.angle), np.sin(oval.angle)])
         lever = place - oval.middle

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from ..core.anchors import Anchor, Standard, holding
 from ..core.pooling.posterior import ROBUST_SD
 from .combs import ridge_across
+from .peaks import peak_shift
 from .repeated import LOCAL_STRETCH
 from .ridges import SEED_PX, Segments, lightness, segments, steered
 from .rules import sizes, within_reach
@@ -27,16 +28,20 @@ HEAD_SEEN = 0.015
 
 # Gauge [m], its prior where the country is not known, and the countries whose main lines have it.
 _UIC = "EN 15273; UIC 510"
+_AUSTRALIA = "Wikipedia, Rail gauge in Australia"
 GAUGES = (
     (1.435, 1.0, "", _UIC),
     (1.520, 0.3, "RU BY UA KZ EE LV LT FI MD GE AM AZ UZ KG TJ TM MN", "GOST 34894 (1.520 m); Finland's 1.524 m"),
     (1.668, 0.1, "ES PT", "Iberian gauge, Adif NAV 7 (1.668 m)"),
     (1.676, 0.1, "IN PK BD LK AR CL", "Indian Railways, Schedule of Dimensions (1.676 m)"),
-    (1.600, 0.05, "IE BR", "Irish gauge, 5 ft 3 in"),
-    (1.067, 0.2, "JP ZA NZ ID PH TW ZW ZM BW AO GH NG SD", "Cape gauge, 3 ft 6 in"),
-    (1.000, 0.2, "CH TH VN MY MM KH KE UG TZ SN ML CI BR AR CL BO", "metre gauge"),
-)
-STANDARD_TOO = "ES PT IN JP AR BR CH TW KE TZ NG MY TH IE"  # where lines of standard gauge were built beside
+    (1.600, 0.05, "IE BR AU", f"Irish gauge, 5 ft 3 in; Victoria and South Australia: {_AUSTRALIA}"),
+    (1.067, 0.2, "JP ZA NZ ID PH TW ZW ZM BW AO GH NG SD AU",
+     f"Cape gauge, 3 ft 6 in; Queensland and Western Australia: {_AUSTRALIA}"),
+    (1.000, 0.2, "CH TH VN MY MM KH KE UG TZ SN ML CI BR AR CL BO BD",
+     "metre gauge; Wikipedia, Bangladesh Railway, beside 1.676 m"),
+)  # fmt: skip
+# Vietnam: Wikipedia, Transport in Vietnam: in the north, beside 1.000 m.
+STANDARD_TOO = "ES PT IN JP AR BR CH TW KE TZ NG MY TH IE AU VN"  # where lines of standard gauge were built beside
 
 RAIL_FALSE = 0.05  # with sleepers; none was counted on real pictures without rails, see benchmarks
 RAIL_FALSE_WITHOUT = 0.15  # with a second track only
@@ -183,7 +188,6 @@ def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
     # one place, direction and distance: a turn of RAIL_PARALLEL, or a tenth in distance, counts as half the reach
     reach = 2.5 * SEED_PX
     by_turn = reach / (4 * RAIL_PARALLEL) * np.stack([np.cos(2 * angle), np.sin(2 * angle)], 1)
-    across = middle[:, 1] * np.cos(angle) - middle[:, 0] * np.sin(angle)
     place = np.column_stack([middle, by_turn, np.log(apart) * reach * 5])
     near = cKDTree(place).query_pairs(reach, output_type="ndarray")
     c, s = np.cos(angle[near[:, 0]]), np.sin(angle[near[:, 0]])
@@ -192,7 +196,6 @@ def _pairs(seeds: Segments, low: float, high: float, most: int) -> np.ndarray:
         np.abs(gap[:, 0] * c + gap[:, 1] * s) > SEED_PX / 2
     )
     support = np.bincount(near[behind].ravel(), minlength=len(pair))
-    del across
     order = np.argsort(-support, kind="stable")
     order = order[support[order] >= CONTINUED][:most]
     return np.column_stack([middle, angle, apart])[order]
@@ -254,8 +257,7 @@ def _block(
         if not (0 < k < len(offset) - 1) or response[k] < max(response[k - 1], response[k + 1]):
             return None
         left, middle, right = response[k - 1 : k + 2]
-        bend = left - 2 * middle + right
-        rail.append((offset[k] + (0.125 * (left - right) / bend if bend < 0 else 0.0), middle))
+        rail.append((offset[k] + 0.25 * float(peak_shift(left, middle, right)), middle))
     (a, one), (b, other) = rail
     away = (np.abs(offset - a) > 3 * sd) & (np.abs(offset - b) > 3 * sd)
     near = away & (np.abs(offset) < CLOSE_BESIDE * apart)

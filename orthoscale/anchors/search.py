@@ -34,6 +34,7 @@ ENOUGH_ANCHORS = 8  # anchors of a kind after which more of them hardly help: ha
 # Pixels of a kind, as a finder sees them, after which no more are looked at: some 20 s on two cores at 1 s/Mpx. The
 # windows are spread evenly, so that what is common is found.
 MOST_PIXELS = 20e6
+MIDDLE_OF_PIXEL = 0.5  # [px] from the upper left corner of a pixel, where finders have its coordinates
 CODE_OF_FINDERS = (
     "anchors/*.py",
     "core/anchors.py",
@@ -201,8 +202,8 @@ def look(
     return [
         replace(
             anchor,
-            place=anchor.place * factor + corner,
-            lines=anchor.lines * factor + corner,
+            place=(anchor.place + MIDDLE_OF_PIXEL) * factor + corner,
+            lines=(anchor.lines + MIDDLE_OF_PIXEL) * factor + corner,
             pixels=anchor.pixels * mean,
             residual=anchor.residual * mean,
             picture=picture.name,

@@ -77,8 +77,8 @@ ZEBRA_RULES = (
         "stripes 0.40 m, gaps 0.60 m",
         1.00,
         ZEBRA_PAINTED,
-        "GB 5768.3 (China), hold-in.cn; CONTRAN (Brazil), euquerosabertudo.com",
-        countries=("CN", "BR"),
+        "GB 5768.3 (China), hold-in.cn",
+        countries=("CN",),
     ),
     *_evenly(
         (0.45, 0.50),
@@ -123,10 +123,11 @@ ZEBRA_RULES = (
         countries=("ID",),
     ),
 )
-ZEBRA_FREE = ("US", "CA", "GB", "IE", "MX", "CO")
+ZEBRA_FREE = ("US", "CA", "GB", "IE", "MX", "CO", "BR")
 """Where the rules leave the period to the painter: MUTCD 3B.18 has bars of 12 to 24 inches, gaps of 12 to 60; TSRGD
 has stripes of 500 to 715 mm; resolution 1885 of 2015 (Colombia, sojuridica.com) stripes of 40 to 50 cm, gaps of 40 to
-100. Nothing is searched there."""
+100; CONTRAN's manual, volume IV, marking FTP-1 (Brazil) stripes of 30 to 40 cm, gaps of 30 to 80. Nothing is searched
+there."""
 
 ZEBRA_LEFT_FREE = len(ZEBRA_FREE) / len({*ZEBRA_FREE, *by_country(ZEBRA_RULES)})
 """Share of the countries above whose rule leaves the period free: as probable is that where no rule is known."""

@@ -121,7 +121,8 @@ class AnchorFinder(Protocol):
         """The anchors in `image`, RGB uint8 (H, W, 3), of roughly `gsd` m/px with a relative one-sigma of `gsd_sd`
         (sizes within two sigma are searched). `country` is an ISO code of two letters, empty where it is not known.
 
-        Coordinates are those of `image`. Never raises for a picture, however odd.
+        Coordinates are those of `image` with whole numbers in the middles of pixels, as OpenCV has them; the search
+        turns them into those of `Anchor`. Never raises for a picture, however odd.
         """
         ...
 

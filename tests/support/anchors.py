@@ -37,13 +37,13 @@ class SquareFinder:
             around = share[max(y - 3, 0) : y + h + 3, max(x - 3, 0) : x + w + 3]
             side = float(np.sqrt(np.where(around > 0.15, around, 0).sum()))
             likely = [s for s in self.standards if abs(np.log(s.metres / side / gsd)) < 2 * gsd_sd]
-            box = cv2.boxPoints(cv2.minAreaRect(np.argwhere(label == k)[:, ::-1].astype(np.float32))) + 0.5
+            box = cv2.boxPoints(cv2.minAreaRect(np.argwhere(label == k)[:, ::-1].astype(np.float32)))
             full = area / max(cv2.contourArea(box), 1)
             if cut or not likely or not 0.9 < full < 1.3:
                 continue
             lines = np.stack([box, np.roll(box, -1, axis=0)], axis=1).astype(float)
             residual = np.full(8, 0.2)
-            found.append(Anchor(self.kind, middle[k] + 0.5, lines, side, 0.002, residual, tuple(likely), FALSE))
+            found.append(Anchor(self.kind, middle[k], lines, side, 0.002, residual, tuple(likely), FALSE))
         return found
 
 
