@@ -24,7 +24,7 @@ from .classes import plain
 from .items import Item, boxes_by_picture, other_name
 from .own import WHAT, note, noted, of_document, save_detections
 
-T = TypeVar("T")
+Each = TypeVar("Each")
 
 FORMATS = {
     ".json": "orthoscale's own (COCO too, when reading)",
@@ -244,7 +244,7 @@ def _renamed(found: Detections, name: Callable[[str], str]) -> Detections:
 def _only(found: Detections, pictures: Container[str]) -> Detections:
     """`found` without what is of other pictures."""
 
-    def of_these(some: Mapping[str, T]) -> dict[str, T]:
+    def of_these(some: Mapping[str, Each]) -> dict[str, Each]:
         return {name: each for name, each in some.items() if name in pictures}
 
     return replace(
