@@ -109,7 +109,7 @@ def test_all_outputs_change_places_or_none_does(tmp_path, monkeypatch, exchange)
     for name in ("main.json", "part.json", "stale.json"):
         write_file(tmp_path / name)
     before = state(tmp_path)
-    place = guard._Claim.place
+    place = guard._Reserved.place
 
     def failing(claim):
         if claim.path.name == "stale.json":
@@ -124,7 +124,7 @@ def test_all_outputs_change_places_or_none_does(tmp_path, monkeypatch, exchange)
             outputs.retire(tmp_path / "stale.json")
 
     with monkeypatch.context() as patch:
-        patch.setattr(guard._Claim, "place", failing)
+        patch.setattr(guard._Reserved, "place", failing)
         with pytest.raises(OutputError, match="No space"):
             again()
     assert state(tmp_path) == before
@@ -185,7 +185,7 @@ def test_a_run_that_ends_just_before_the_lock_is_taken_is_not_replaced(tmp_path,
 def test_what_a_killed_run_had_put_aside_is_not_replaced_either(tmp_path, monkeypatch, write):
     write(tmp_path / "a", text="precious")
     before = state(tmp_path)
-    killed = guard._Claim(tmp_path / "a")
+    killed = guard._Reserved(tmp_path / "a")
     killed._put_former_aside()
     os.close(killed._lock)  # as the kernel does
     with pytest.raises(UsageError, match="already exists"):
@@ -446,9 +446,9 @@ def test_a_former_output_that_a_killed_run_had_put_aside_comes_back(tmp_path, mo
     write_folder(tmp_path / "a", text="former")
     monkeypatch.setattr(guard, "_renameat2", lambda *_: False)
     with monkeypatch.context() as patch:
-        patch.setattr(guard._Claim, "release", lambda claim: os.close(claim._lock))
-        patch.setattr(guard._Claim, "undo", lambda claim: None)
-        claim = guard._Claim(tmp_path / "a")
+        patch.setattr(guard._Reserved, "release", lambda claim: os.close(claim._lock))
+        patch.setattr(guard._Reserved, "undo", lambda claim: None)
+        claim = guard._Reserved(tmp_path / "a")
         claim._put_former_aside()
         claim.release()
     assert not (tmp_path / "a").exists()

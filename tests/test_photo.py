@@ -638,7 +638,7 @@ def bad_photo(folder, kind):
         ("no EXIF", ["--focal-px", "900", "--pitch", "10"], 2, "--pitch"),
         ("no EXIF", ["--focal-px", "900", "--out", "x.doc"], 2, "x.doc"),
         ("no EXIF", ["--focal-px", "900", "--out", "nowhere/x.csv"], 6, "nowhere"),
-        ("no EXIF", ["--focal-px", "900"], 5, "are not in"),
+        ("no EXIF", ["--focal-px", "900"], 5, "none of its 3 pictures is in"),
     ],
 )
 def test_bad_input_ends_in_one_sentence(tmp_path, flight, kind, options, code, word):
