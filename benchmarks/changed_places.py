@@ -72,8 +72,8 @@ CHANGES: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray]]] = {
     "blurred by 2 px": (1, lambda p: _blurred(p, 2.0)),
     "0.7 times as large": (0.7, lambda p: _resized(p, 0.7, cv2.INTER_AREA)),
     "half as large": (0.5, lambda p: _resized(p, 0.5, cv2.INTER_AREA)),
-    "enlarged twice, linear": (2, lambda p: _resized(p, 2, cv2.INTER_LINEAR)),
-    "enlarged twice, nearest": (2, lambda p: _resized(p, 2, cv2.INTER_NEAREST)),
+    "enlarged twice (linear)": (2, lambda p: _resized(p, 2, cv2.INTER_LINEAR)),
+    "enlarged twice (nearest)": (2, lambda p: _resized(p, 2, cv2.INTER_NEAREST)),
     "screenshot of a screenshot": (
         1.3, lambda p: _jpeg(_resized(_jpeg(_resized(p, 0.8, cv2.INTER_LINEAR), 60), 1.625, cv2.INTER_LINEAR), 60)
     ),
@@ -141,6 +141,8 @@ if __name__ == "__main__":
     parser.add_argument("--changes", default="", help="comma separated; all by default")
     options = parser.parse_args()
     names, asked = (set(filter(None, text.split(","))) for text in (options.scenes, options.changes))
+    if unknown := asked - set(CHANGES):
+        parser.error(f"no such change: {', '.join(sorted(unknown))}; there are {', '.join(CHANGES)}")
     main(
         [scene for scene in scenes() if scene.path.is_file() and (not names or scene.name in names)],
         [change for change in CHANGES if not asked or change in asked],
