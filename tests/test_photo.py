@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pyogrio
 import pytest
@@ -532,7 +533,10 @@ def test_a_folder_becomes_a_table_in_every_format(tmp_path, flight):
 def test_a_name_that_is_not_utf_8_is_written_with_escapes(tmp_path, ending):
     outcome, path = tables.PhotoOutcome("caf\udce9.jpg", None, None, "no photo"), tmp_path / f"out.{ending}"
     tables.write([outcome], {"rows": [tables.row(outcome)]}, path)
-    assert rb"caf\udce9.jpg" in path.read_bytes()
+    if ending == "json":  # which strict readers take
+        assert msgspec.json.decode(path.read_bytes())["rows"][0]["photo"] == r"caf\udce9.jpg"
+    else:
+        assert rb"caf\udce9.jpg" in path.read_bytes()
 
 
 @pytest.mark.parametrize("command", ["photo", "crop", "locate"])

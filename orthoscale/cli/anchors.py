@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
+from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest
 from .options import (
     EXIT_CODES,
@@ -67,7 +67,7 @@ def anchors(path: Path, scale: float | None, out: Path | None, overwrite: bool, 
             (found.write_one if single else found.write)(place)
     told = found.document()
     if as_json:
-        click.echo(json.dumps(told))
+        click.echo(json_in_utf8(told))
         return
     by = "as told" if found.scale is None else f"by the vehicles, {found.scale.within}"
     lines = [f"scale      {told['scale']:.5g} {told['unit']} ({by})"]

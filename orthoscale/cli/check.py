@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import EvidenceDisagrees, UsageError
+from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest
 from .many import Many, inputs, rehearse, run, tell_rehearsals
 from .options import (
@@ -106,7 +106,7 @@ def check(
         boxes.take(outcome.result.detections, source)
         boxes.save()
     if as_json:
-        click.echo(json.dumps(outcome.to_dict()))
+        click.echo(json_in_utf8(outcome.to_dict()))
     else:
         _show(outcome)
     if outcome.disagrees:  # which was said
@@ -155,7 +155,7 @@ def _against_model(
         ortho, frames = pipeline.measured(plan, of_ortho, progress), pipeline.measured(posed, of_model, progress)
     checked = check_against_model(ortho, frames)
     if as_json:
-        click.echo(json.dumps(checked.document()))
+        click.echo(json_in_utf8(checked.document()))
     else:
         low, high = checked.interval90_by_model
         say(f"orthophoto {checked.by_ortho:.5g} m/px by the vehicles in it")

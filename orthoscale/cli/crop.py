@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
+from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
 from .options import (
     EXIT_CODES,
@@ -91,7 +91,7 @@ def crop(
         cropping.write_crops(crops, shown.picture, shown.told, folder, progress)
     text = cropping.document(crops, shown.told)
     if as_json:
-        click.echo(json.dumps(text))
+        click.echo(json_in_utf8(text))
         return
     low, high = shown.told.get("gsd_interval90", (None, None))
     known = f" (90 %: {100 * low:.4g} to {100 * high:.4g})" if low else " (given)"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import UsageError
+from ..formats.names import json_in_utf8
 from ..requests import PhotoRequest
 from .options import (
     EXIT_CODES,
@@ -144,7 +144,7 @@ def evaluate(
             shown = "\n".join([_table(text), *(f"written    {output}" for output in outputs)])
         for partial in partials:
             report.write(text, partial)
-    click.echo(json.dumps(text)) if as_json else say(shown)
+    click.echo(json_in_utf8(text)) if as_json else say(shown)
 
 
 def _check_locate(locate: bool, satellite: Path | None, of_altitudes: bool, **more: object) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
+from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
 from .options import (
     EXIT_CODES,
@@ -110,7 +110,7 @@ def locate(
         found = located(paths, sky, request, progress)
         found.write(folder)
     if as_json:
-        click.echo(json.dumps(found.to_dict()))
+        click.echo(json_in_utf8(found.to_dict()))
     else:
         from ..locate.terminal import summary
 

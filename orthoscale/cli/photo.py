@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..formats.names import json_in_utf8
 from ..requests import PhotoRequest
 from .options import (
     EXIT_CODES,
@@ -91,7 +91,7 @@ def photo(
         for partial in partials:
             tables.write(outcomes, text, partial)
     if as_json:
-        click.echo(json.dumps(text))
+        click.echo(json_in_utf8(text))
     else:
         from ..photos.terminal import summary
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ from ..core.pooling.paper import MIN_SCORE, MIN_VEHICLES
 from ..core.progress import Progress
 from ..errors import InputError, TooLittleEvidence
 from ..formats.csv_table import write_csv
+from ..formats.names import json_in_utf8
 from ..photos.depth.maps import Depths
 from ..system.outputs import has_header
 from ..version import __version__
@@ -100,7 +100,7 @@ def known(path: Path, locate: bool = False) -> Callable[[Path], bool] | None:
 def write(text: dict[str, Any], path: Path) -> None:
     """The document (.json), or its photos (.csv)."""
     if path.suffix.lower() == ".json":
-        path.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+        path.write_text(json_in_utf8(text, indent=1) + "\n", encoding="utf-8")
     else:
         write_csv(path, list(text["rows"][0]), text["rows"])
 

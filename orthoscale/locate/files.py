@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import cv2
 import numpy as np
 
 from ..formats.csv_table import write_csv
+from ..formats.names import json_in_utf8
 from ..formats.pictures import write_jpeg
 from ..formats.vector import write_layer
 from ..sources.satellite import Satellite
@@ -30,7 +30,7 @@ def write(
 ) -> None:
     """Write into the empty `folder`: located.json, candidates.csv (the best `top` of each photo), located.gpkg, and
     matches.jpg, or of several photos matches/NAME.jpg. Raises OSError, InputError."""
-    (folder / "located.json").write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+    (folder / "located.json").write_text(json_in_utf8(text, indent=1) + "\n", encoding="utf-8")
     searched = [outcome for outcome in outcomes if outcome.registration is not None]
     rows = [row for outcome in searched for row in candidate_rows(outcome, satellite)[:top]]
     write_csv(folder / "candidates.csv", CANDIDATE_COLUMNS, rows)

@@ -8,7 +8,6 @@ knows nothing of scale compares like with like.
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 
 from ..core.source import Picture
 from ..errors import UsageError
+from ..formats.names import json_in_utf8
 from ..formats.pictures import write_jpeg
 from ..sources.satellite import Satellite
 
@@ -140,7 +140,7 @@ def write_crops(
             table.writerow([name, f"{lon:.8f}", f"{lat:.8f}", x, y, width, height, *metres])
             if progress:
                 progress("Cutting crops", k + 1, len(crops.windows))
-    (folder / "crop.json").write_text(json.dumps(document(crops, told), indent=1) + "\n", encoding="utf-8")
+    (folder / "crop.json").write_text(json_in_utf8(document(crops, told), indent=1) + "\n", encoding="utf-8")
 
 
 def document(crops: Crops, told: dict[str, Any]) -> dict[str, Any]:

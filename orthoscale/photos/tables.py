@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from ..core.fleet import Fleet
 from ..errors import UsageError
 from ..formats.csv_table import write_csv
+from ..formats.names import json_in_utf8
 from ..system.outputs import has_header
 from .depth.ground import DepthAltitude
 from .measure import Measure, Photo, PhotoScale
@@ -130,7 +130,7 @@ def write(outcomes: Sequence[PhotoOutcome], text: Mapping[str, Any], path: Path)
     """Write the `document` of `outcomes` to `path`, in the format of its ending; the scale of all together is the last
     row of a table."""
     if path.suffix.lower() == ".json":
-        path.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+        path.write_text(json_in_utf8(text, indent=1) + "\n", encoding="utf-8")
         return
     pooled = text.get("together")
     rows = [*text["rows"], *([] if pooled is None else [_row_of_all(pooled)])]
