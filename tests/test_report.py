@@ -20,7 +20,7 @@ from support.reports import EXAMPLE, GSD, HEIGHT, MARGIN, car_park, fixed, fixed
 import orthoscale
 from orthoscale.actions.finished import is_finished
 from orthoscale.core.remarks import REFUSAL, Remark
-from orthoscale.core.scale import spread
+from orthoscale.core.scale import interval_about
 from orthoscale.core.verdicts import UNUSABLE
 from orthoscale.detect.zoom import ZoomChoice
 from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLittleEvidence, UsageError
@@ -488,9 +488,9 @@ def result(park):
 
 
 def test_an_interval_that_is_not_symmetric_is_told_by_both_ends():
-    assert spread(0.1, 0.09, 0.11) == "+-10.0 %"
-    assert spread(0.1, 0.0978, 0.103) == "-2.2 to +3.0 %"
-    assert spread(0.1, 0.09999, 0.10001) == "+-0.010 %" and spread(0.1, 0.1, 0.1) == "+-0.0 %"
+    assert interval_about(0.1, 0.09, 0.11) == "+-10.0 %"
+    assert interval_about(0.1, 0.0978, 0.103) == "-2.2 to +3.0 %"
+    assert interval_about(0.1, 0.09999, 0.10001) == "+-0.010 %" and interval_about(0.1, 0.1, 0.1) == "+-0.0 %"
     report = {"scale": 0.17, "interval90": [0.081, 0.173]}
     assert wording.within(report) == "\u221252.4 to +1.8 %"
     assert wording.metres_of(report) == "10 m in the copy are 4.8 to 10.2 m on the ground"

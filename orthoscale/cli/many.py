@@ -15,6 +15,7 @@ import click
 
 from ..errors import LONGEST_MESSAGE, OrthoscaleError, UsageError
 from ..errors import shown as printable
+from ..formats.names import in_utf8, json_in_utf8
 from .options import PATH, option, progress_bars, say
 
 if TYPE_CHECKING:
@@ -109,8 +110,6 @@ def tell_rehearsals(told: Sequence[Sequence[tuple[str, str]]], as_json: bool = F
     for one, rows in zip(inputs, told, strict=True):
         for label, text in rows:
             one.setdefault(label, []).append(text)
-    from ..formats.names import json_in_utf8
-
     click.echo(json_in_utf8({"format": REHEARSAL_FORMAT, "inputs": inputs}))
 
 
@@ -143,7 +142,6 @@ def run(
     from ..actions.finished import is_finished
     from ..actions.inputs import inputs_of, outputs_of
     from ..actions.many import check_folder, run_many, worst
-    from ..formats.names import json_in_utf8
     from ..report.summary import SUMMARY_FORMAT, check_summary, is_summary, write_summary
     from ..system.outputs import Outputs
 
@@ -188,7 +186,6 @@ def _loses_nothing(
     every copy that is there is left as it is, so that its row is made again. Raises what `finished` raises for another
     copy."""
     from ..actions.finished import is_finished
-    from ..formats.names import in_utf8
     from ..report.summary import inputs_in
 
     former = [inputs_in(summary) for summary in summaries if summary.exists()]
@@ -216,10 +213,10 @@ def line(row: Row) -> str:
     """One row for a person: the scale and how well it is known, or that there is none."""
     if row["scale"] is None:
         return f"{row['input']}: no scale (exit code {row['exit_code']})"
-    from ..core.scale import decimals, spread
+    from ..core.scale import decimals, interval_about
 
     half = (row["high90"] - row["low90"]) / 2
-    within = spread(row["scale"], row["low90"], row["high90"])
+    within = interval_about(row["scale"], row["low90"], row["high90"])
     text = (
         f"{row['input']}: {row['scale']:.{decimals(half)}f} {row['unit']}, {row['verdict']} "
         f"(90 % within {within}), {row['vehicles_used']} vehicles of fleet {row['fleet']}"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import Incomplete, UsageError
+from ..formats.names import json_in_utf8
 from ..requests import EstimateRequest, FixRequest
 from .many import Many, inputs, rehearse, rehearse_in_new_folder, run
 from .options import (
@@ -182,8 +183,6 @@ def _written(result: Any, out: Path, report: str) -> dict[str, Path]:
 
 def _finish_all(outcomes: list[ModelOutcome], as_json: bool, out: Path | None = None, report: str = "none") -> None:
     if as_json:
-        from ..formats.names import json_in_utf8
-
         click.echo(json_in_utf8({outcome.model.name: outcome.document() for outcome in outcomes}))
         return
     from ..report.terminal import show
@@ -198,8 +197,6 @@ def _finish_all(outcomes: list[ModelOutcome], as_json: bool, out: Path | None = 
 
 def _finish(result: Any, as_json: bool, written: Mapping[str, Path] = MappingProxyType({})) -> None:
     if as_json:
-        from ..formats.names import json_in_utf8
-
         click.echo(json_in_utf8(result.to_dict()))
     else:
         from ..report.terminal import show

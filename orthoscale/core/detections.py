@@ -84,11 +84,6 @@ class Detections:
         """Number of the doubtful ones."""
         return sum(map(len, self.doubtful.values()))
 
-    @property
-    def uncounted(self) -> int:
-        """Number of all that were seen and do not count."""
-        return self.unconfirmed + sum(len(one) for boxes in self.set_aside.values() for one in boxes.values())
-
     def setting_aside(self, why: str, boxes: Mapping[str, Boxes]) -> Detections:
         """The same with more boxes set aside for the reason `why`, by picture name."""
         aside = dict(self.set_aside.get(why, {}))

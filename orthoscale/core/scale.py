@@ -65,8 +65,8 @@ class Scale:
 
     @property
     def within(self) -> str:
-        """The 90 % interval about the value, for people: see `spread`."""
-        return spread(self.value, *self.interval90)
+        """The 90 % interval about the value, for people: see `interval_about`."""
+        return interval_about(self.value, *self.interval90)
 
     @property
     def half_width(self) -> float:
@@ -116,7 +116,7 @@ class Scale:
         return dict(sorted(counts.items(), key=lambda item: -item[1]))
 
 
-def spread(value: float, low: float, high: float) -> str:
+def interval_about(value: float, low: float, high: float) -> str:
     """An interval about a value, relative to it: "+-1.4 %", or "-2.2 to +3.0 %" where it is not symmetric; small ones
     with two digits. In ASCII, which every terminal can write."""
     places = max(1, min(decimals(100 * (high - low) / 2 / value), 4)) if high > low else 1

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..core.boxes import KINDS
 from ..core.remarks import signed
-from ..core.scale import decimals, spread
+from ..core.scale import decimals, interval_about
 from .document import of_plan
 
 
@@ -33,7 +33,7 @@ def half_width(report: Mapping[str, Any]) -> float:
 
 def within(report: Mapping[str, Any]) -> str:
     """The 90 % interval about the scale: "± 1.4 %", or "−2.2 to +3.0 %"."""
-    text = spread(report["scale"], *report["interval90"])
+    text = interval_about(report["scale"], *report["interval90"])
     return text.replace("+-", "± ") if text.startswith("+-") else text.replace("-", "−")
 
 

@@ -26,7 +26,7 @@ from ..source import PosedSet, Source
 from ..votes import Votes
 from .contradiction import Cause, cause
 from .drift import with_drift
-from .measure import measure
+from .measure import doubts, measure
 from .measurement import Measurement, Pooled
 from .method import Method
 from .oblique import FramesGeometry, shown_in_frames
@@ -47,7 +47,7 @@ def measure_source(
     """
     if source.plan is not None:
         measured = measure(PlanGeometry.of(source.plan, found), fleet, method)
-        scale = plausible(measured.scale, measured.boxes, found.uncounted, source.plan.claimed.aspect)
+        scale = plausible(measured.scale, measured.boxes, sum(doubts(found).values()), source.plan.claimed.aspect)
         return _of_one_scale(replace(measured, scale=scale))
     if source.posed is not None:
         return measure_posed(source.posed, found, fleet, method, mode)

@@ -218,7 +218,7 @@ def own_ruler(
         return shipped
     index = np.concatenate(often)
     vehicle = np.repeat(np.arange(len(often)), [len(m) for m in often])
-    seen = _Views(boxes[index], views[index], zoom, metres_per_unit, vehicle, shipped)
+    seen = _RulerData(boxes[index], views[index], zoom, metres_per_unit, vehicle, shipped)
     common = [HEIGHT, MARGIN] if _far_and_near(seen.views, vehicle) else [HEIGHT]
     plain = _settled(start or shipped, seen, (common, common))
     before = seen.size(plain)
@@ -236,7 +236,7 @@ def own_ruler(
 
 
 @dataclass(frozen=True)
-class _Views:
+class _RulerData:
     """The data that a ruler is fitted to: N boxes of vehicles with enough views, and their views. vehicle : (N,) index
     of each one's vehicle. shipped : the prior. Others as of `own_ruler`."""
 
@@ -268,7 +268,7 @@ def _undercut(ruler: OwnRuler) -> OwnRuler:
     return replace(ruler, value=value)
 
 
-def _settled(ruler: OwnRuler, seen: _Views, free: Free) -> OwnRuler:
+def _settled(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
     """The ruler for which each vehicle of `seen` has one size, starting from `ruler`; values that are not `free` are as
     shipped."""
     shipped, prior, vehicle = seen.shipped, seen.prior(free), seen.vehicle
@@ -304,7 +304,7 @@ def _settled(ruler: OwnRuler, seen: _Views, free: Free) -> OwnRuler:
     return ruler
 
 
-def _with_the_rest(ruler: OwnRuler, seen: _Views, free: Free) -> OwnRuler:
+def _with_the_rest(ruler: OwnRuler, seen: _RulerData, free: Free) -> OwnRuler:
     """`ruler` with the covariance that it has with all that is not known of bodies, `free` or not.
 
     A body that leans in makes flat views smaller, and a height that is fitted to them lower: the two errors cancel in

@@ -121,7 +121,7 @@ def other_name(named: Collection[str | None], pictures: Sequence[str]) -> str | 
     if len(pictures) != 1 or len(set(named)) != 1:
         return None
     (name,) = set(named)
-    return None if name is None or name in {*_names(pictures), *map(in_utf8, pictures)} else name
+    return None if name is None or name in _names(pictures) else name
 
 
 def first(properties: Mapping[Any, Any], names: Sequence[str]) -> Any:
