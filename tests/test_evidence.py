@@ -31,6 +31,7 @@ def test_two_that_contradict_each_other_are_reported_and_not_averaged():
     assert together.conflict == pytest.approx(np.log(1.4) / np.hypot(0.05, 0.01))
     refusal, whose = together.remarks
     assert refusal.text == "conflict: vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart" and refusal.severity == "refusal"
+    assert together.support.conflicts == ("vehicles: 0.1, a tape: 0.14, 6.6 sigmas apart",)
     assert "that of one side alone, the surest: a tape" in whose.text, "nobody takes the figure for the vehicles'"
 
 

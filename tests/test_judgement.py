@@ -45,9 +45,9 @@ def test_of_a_sound_scale_nothing_is_to_be_looked_at(measured):
 
 def with_tape(measured, metres_per_pixel, conflict, rest_sd=0.04):
     tape = Evidence("known distance", metres_per_pixel, 0.01, "a tape")
-    said = () if not conflict else (Remark(REFUSAL, "conflict: vehicles: 0.1, a tape: 0.13, 5 sigmas apart"),)
+    conflicts = ("vehicles: 0.1, a tape: 0.13, 5 sigmas apart",) if conflict else ()
     compared = () if conflict else (Compared(tape.kind, tape.says, tape.value, 0.1, rest_sd),)
-    return scaled(measured, evidence=(tape,), conflict=conflict, support=Support(compared), remarks=said)
+    return scaled(measured, evidence=(tape,), conflict=conflict, support=Support(compared, 0.0, conflicts))
 
 
 AGAINST = {

@@ -21,7 +21,6 @@ from scipy.special import ndtr, ndtri
 from .pooling.posterior import Z90, Posterior
 from .remarks import CAUTION, INFO, REFUSAL, Remark, percent
 
-CONFLICT = "conflict: "  # how the remark on two measurements that contradict each other begins
 CONFLICT_HINT = (
     "Check the given evidence (a distance may be mistyped, or not on the ground), the anchors (--anchors) and the "
     "boxes (--save-detections)"
@@ -167,11 +166,13 @@ class Support:
     """How far other evidence supports a scale, and what it may do to its verdict.
 
     compared : each piece that counts, against all the rest; empty in a conflict. unproven : one sigma by which the
-    scale would be less certain, in quadrature, without what is not documented.
+    scale would be less certain, in quadrature, without what is not documented. conflicts : the figures of each two
+    measurements that contradict each other.
     """
 
     compared: tuple[Compared, ...] = ()
     unproven: float = 0.0
+    conflicts: tuple[str, ...] = ()
 
     @property
     def doubted(self) -> bool:
@@ -226,8 +227,10 @@ def combined(vehicles: Posterior | None, parts: Mapping[str, float], evidence: S
     posterior, summary = _spanning([p for _, p in every], surest)
     told = tuple(e.meant(before) for e in evidence)
     whose = Remark(CAUTION, f"the scale told is that of one side alone, the surest: {name}; the interval covers all")
-    remarks = [*conflicts, whose, *(remark for e, remark in unheard if e.doubt > STRONG)]
-    return Combined(posterior, {"conflict": posterior.spread}, conflict, remarks, summary, told)
+    refusals = [Remark(REFUSAL, f"conflict: {figures}", CONFLICT_HINT) for figures in conflicts]
+    remarks = [*refusals, whose, *(remark for e, remark in unheard if e.doubt > STRONG)]
+    parts, support = {"conflict": posterior.spread}, Support(conflicts=tuple(conflicts))
+    return Combined(posterior, parts, conflict, remarks, summary, told, support)
 
 
 def _anything(evidence: Sequence[Evidence]) -> Posterior:
@@ -236,9 +239,9 @@ def _anything(evidence: Sequence[Evidence]) -> Posterior:
     return Posterior.normal(float(np.log(surest.value)), ANYTHING)
 
 
-def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tuple[float, list[Remark]]:
-    """Sigmas between the two measurements that contradict each other most, 0 where none do; and a remark on each pair
-    that does. Two pieces of evidence are compared by the errors that they do not share.
+def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tuple[float, list[str]]:
+    """Sigmas between the two measurements that contradict each other most, 0 where none do; and the figures of each
+    pair that does. Two pieces of evidence are compared by the errors that they do not share.
 
     Among many pairs some are far apart by chance: the limit is that of a single pair's probability, shared among them
     (Bonferroni).
@@ -248,13 +251,13 @@ def _conflicts(vehicles: Posterior | None, evidence: Sequence[Evidence]) -> tupl
         found = Posterior.normal(vehicles.centre, vehicles.spread)
         pairs += [("vehicles", *_nearest(found.blurred(-(e.common**2)), e.own), e.says) for e in evidence]
     limit = float(-ndtri(ndtr(-CONFLICT_LIMIT) / max(len(pairs), 1)))
-    worst, remarks = 0.0, list[Remark]()
+    worst, figures = 0.0, list[str]()
     for name, sigmas, here, there, other_name in pairs:
         if sigmas > limit:
             worst = max(worst, sigmas)
             these = f"{name}: {np.exp(here):.5g}, {other_name}: {np.exp(there):.5g}"
-            remarks.append(Remark(REFUSAL, f"{CONFLICT}{these}, {sigmas:.1f} sigmas apart", CONFLICT_HINT))
-    return worst, remarks
+            figures.append(f"{these}, {sigmas:.1f} sigmas apart")
+    return worst, figures
 
 
 def _spanning(every: Sequence[Posterior], surest: Posterior) -> tuple[Posterior, tuple[float, float, float]]:

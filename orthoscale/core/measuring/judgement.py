@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from ..claims import Comparison
-from ..evidence import CONFLICT
 from ..pooling.posterior import Z90
 from ..remarks import CAUTION, INFO, REFUSAL, SUPPORT, Judgement, Remark, by_severity, percent, signed
 from ..uncertainty import explain
@@ -84,8 +83,7 @@ def _modes(measured: Measurement) -> Judgement | None:
 def _evidence(measured: Measurement) -> Judgement | None:
     scale = measured.scale
     if scale.conflict and scale.evidence:
-        told = [r.text.removeprefix(CONFLICT) for r in scale.remarks if r.text.startswith(CONFLICT)]
-        return Judgement(REFUSAL, "Other evidence contradicts", "; ".join(told) or f"{scale.conflict:.1f} sigma")
+        return Judgement(REFUSAL, "Other evidence contradicts", "; ".join(scale.support.conflicts))
     if not (compared := scale.support.compared):
         return None
     kinds = ", ".join(f"{one.kind} gives {signed(one.difference)} ({one.sigmas:.1f} sigma)" for one in compared)
