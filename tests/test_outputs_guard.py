@@ -20,11 +20,13 @@ import pytest
 from support.in_process import run
 from support.pictures import squares
 
+import orthoscale
 from orthoscale.actions.fix import fix
 from orthoscale.errors import Incomplete, InputError, OrthoscaleError, OutputError, UsageError
-from orthoscale.system import outputs as guard
-from orthoscale.system import stopping
-from orthoscale.system.outputs import FOLDER_MARK, Outputs, existing, ours, signature
+from orthoscale.system import reserved, stopping
+from orthoscale.system.outputs import Outputs
+from orthoscale.system.signatures import FOLDER_MARK, ours, signature
+from orthoscale.system.untouched import existing
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 MODEL, BOXES = EXAMPLES / "sheffield" / "sparse", EXAMPLES / "sheffield" / "detections.json"
@@ -94,7 +96,7 @@ def test_nothing_is_left_after_an_error(tmp_path, write, error, monkeypatch):
     def stop(*_):
         raise error("stop")
 
-    monkeypatch.setattr(guard, "_sign_file" if write is write_file else "_sign_folder", stop)
+    monkeypatch.setattr(reserved, "sign_file" if write is write_file else "sign_folder", stop)
     for path in ("a", "b"):
         with pytest.raises(error):
             write(tmp_path / path, overwrite=True)
@@ -105,11 +107,11 @@ def test_nothing_is_left_after_an_error(tmp_path, write, error, monkeypatch):
 def test_all_outputs_change_places_or_none_does(tmp_path, monkeypatch, exchange):
     """The second rename fails: what the first did is undone, with and without Linux's exchange of names."""
     if not exchange:
-        monkeypatch.setattr(guard, "_renameat2", lambda *_: False)
+        monkeypatch.setattr(reserved, "_renameat2", lambda *_: False)
     for name in ("main.json", "part.json", "stale.json"):
         write_file(tmp_path / name)
     before = state(tmp_path)
-    place = guard._Reserved.place
+    place = reserved.Reserved.place
 
     def failing(claim):
         if claim.path.name == "stale.json":
@@ -124,7 +126,7 @@ def test_all_outputs_change_places_or_none_does(tmp_path, monkeypatch, exchange)
             outputs.retire(tmp_path / "stale.json")
 
     with monkeypatch.context() as patch:
-        patch.setattr(guard._Reserved, "place", failing)
+        patch.setattr(reserved.Reserved, "place", failing)
         with pytest.raises(OutputError, match="No space"):
             again()
     assert state(tmp_path) == before
@@ -137,9 +139,9 @@ def test_all_outputs_change_places_or_none_does(tmp_path, monkeypatch, exchange)
 @BOTH
 def test_what_appears_meanwhile_is_not_replaced(tmp_path, monkeypatch, write, exchange):
     if not exchange:
-        monkeypatch.setattr(guard, "_renameat2", lambda *_: False)
-    sign = "_sign_file" if write is write_file else "_sign_folder"
-    really = getattr(guard, sign)
+        monkeypatch.setattr(reserved, "_renameat2", lambda *_: False)
+    sign = "sign_file" if write is write_file else "sign_folder"
+    really = getattr(reserved, sign)
     for overwrite, way in ((False, Path.mkdir), (True, Path.touch), (False, Path.touch)):
         path = tmp_path / f"{overwrite} {way.__name__}"
 
@@ -148,7 +150,7 @@ def test_what_appears_meanwhile_is_not_replaced(tmp_path, monkeypatch, write, ex
             really(partial)
 
         with monkeypatch.context() as patch, pytest.raises(UsageError, match="somebody else"):
-            patch.setattr(guard, sign, somebody_else)
+            patch.setattr(reserved, sign, somebody_else)
             write(path, overwrite=overwrite)
         assert path.exists() and not (path.is_dir() and any(path.iterdir()))
     assert len(names(tmp_path)) == 3
@@ -164,16 +166,16 @@ def test_what_was_changed_meanwhile_is_not_replaced(tmp_path):
 
 @BOTH
 def test_a_run_that_ends_just_before_the_lock_is_taken_is_not_replaced(tmp_path, monkeypatch, write):
-    really = guard._locked
+    really = reserved._locked
 
     def after_another_run(scratch, path):
         with monkeypatch.context() as patch:
-            patch.setattr(guard, "_locked", really)
+            patch.setattr(reserved, "_locked", really)
             write(path, text="of the other run")
         return really(scratch, path)
 
     with monkeypatch.context() as patch, pytest.raises(UsageError, match="already exists"):
-        patch.setattr(guard, "_locked", after_another_run)
+        patch.setattr(reserved, "_locked", after_another_run)
         write(tmp_path / "a", text="mine")
     there = state(tmp_path)
     shutil.rmtree(tmp_path / "a") if write is write_folder else (tmp_path / "a").unlink()
@@ -185,7 +187,7 @@ def test_a_run_that_ends_just_before_the_lock_is_taken_is_not_replaced(tmp_path,
 def test_what_a_killed_run_had_put_aside_is_not_replaced_either(tmp_path, monkeypatch, write):
     write(tmp_path / "a", text="precious")
     before = state(tmp_path)
-    killed = guard._Reserved(tmp_path / "a")
+    killed = reserved.Reserved(tmp_path / "a")
     killed._put_former_aside()
     os.close(killed._lock)  # as the kernel does
     with pytest.raises(UsageError, match="already exists"):
@@ -444,11 +446,11 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
 
 def test_a_former_output_that_a_killed_run_had_put_aside_comes_back(tmp_path, monkeypatch):
     write_folder(tmp_path / "a", text="former")
-    monkeypatch.setattr(guard, "_renameat2", lambda *_: False)
+    monkeypatch.setattr(reserved, "_renameat2", lambda *_: False)
     with monkeypatch.context() as patch:
-        patch.setattr(guard._Reserved, "release", lambda claim: os.close(claim._lock))
-        patch.setattr(guard._Reserved, "undo", lambda claim: None)
-        claim = guard._Reserved(tmp_path / "a")
+        patch.setattr(reserved.Reserved, "release", lambda claim: os.close(claim._lock))
+        patch.setattr(reserved.Reserved, "undo", lambda claim: None)
+        claim = reserved.Reserved(tmp_path / "a")
         claim._put_former_aside()
         claim.release()
     assert not (tmp_path / "a").exists()
@@ -606,7 +608,7 @@ def test_a_stopped_run_leaves_nothing_and_says_so(tmp_path, program, how):
 
 
 def test_pycolmap_is_imported_in_one_place():
-    package = Path(guard.__file__).parent
+    package = Path(orthoscale.__file__).parent
     for path in package.rglob("*.py"):
         lines = path.read_text().splitlines()
         typing = 0

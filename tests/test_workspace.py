@@ -19,7 +19,7 @@ from orthoscale.errors import InputError, TooLittleEvidence, UsageError
 from orthoscale.formats.geometry.sim3 import Sim3
 from orthoscale.requests import FixRequest
 from orthoscale.sources.colmap import ColmapSource
-from orthoscale.system.outputs import FOLDER_MARK
+from orthoscale.system.signatures import FOLDER_MARK
 
 pycolmap = pytest.importorskip("pycolmap")
 EXAMPLE = Path(__file__).parent.parent / "examples" / "sheffield"

@@ -13,7 +13,7 @@ from pathlib import Path
 from ..errors import InputError, UsageError
 from ..formats.pictures import PICTURES
 from ..sources.exchange_files import find_exchange
-from ..system.outputs import ours
+from ..system.signatures import ours
 from .finished import input_of, report_of
 from .workspace import models_in
 

@@ -17,7 +17,7 @@ from ..errors import InputError, TooLittleEvidence
 from ..formats.csv_table import write_csv
 from ..formats.names import json_in_utf8
 from ..photos.depth.maps import Depths
-from ..system.outputs import has_header
+from ..system.signatures import has_header
 from ..version import __version__
 from . import score
 from .methods import BY_DEPTH, METHODS, by_depth

@@ -13,7 +13,7 @@ from ..core.fleet import Fleet
 from ..errors import UsageError
 from ..formats.csv_table import write_csv
 from ..formats.names import json_in_utf8
-from ..system.outputs import has_header
+from ..system.signatures import has_header
 from .depth.ground import DepthAltitude
 from .measure import Measure, Photo, PhotoScale
 

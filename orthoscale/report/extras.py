@@ -14,7 +14,7 @@ from rasterio.transform import Affine
 from ..core.source import Placement, Plan
 from ..errors import InputError
 from ..sources.gdal import open_dataset, reading
-from ..system.outputs import has_header, ours, signature
+from ..system.signatures import has_header, ours, signature
 from .geo import check_on_earth, write_geojson, write_geopackage
 from .result import Result
 

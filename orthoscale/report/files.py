@@ -12,7 +12,8 @@ from ..core.source import Source
 from ..errors import InputError, OrthoscaleError, UsageError
 from ..formats.reading import is_there, reason
 from ..sources.opening import NO_CLOUD, open_source
-from ..system.outputs import Outputs, ours_in_a_folder
+from ..system.outputs import Outputs
+from ..system.signatures import ours_in_a_folder
 from .document import of_plan, read_json, write_json
 from .page import page
 from .pictures import draw

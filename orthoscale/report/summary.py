@@ -19,7 +19,7 @@ from ..errors import UsageError
 from ..formats.csv_table import write_csv
 from ..formats.names import in_utf8, json_in_utf8
 from ..formats.vector import write_layer
-from ..system.outputs import has_header, ours
+from ..system.signatures import has_header, ours
 from .page import template
 
 SUMMARY_FORMAT = "orthoscale summary 1"

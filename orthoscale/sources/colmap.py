@@ -23,7 +23,7 @@ from ..formats.geometry.files import reason_left
 from ..formats.geometry.lengthless import has_lengths
 from ..formats.geometry.sim3 import MATRIX, Sim3
 from ..formats.points import coordinates, number, pixel
-from ..system.outputs import FOLDER_MARK
+from ..system.signatures import FOLDER_MARK
 from .colmap_check import open_model
 from .colmap_write import read_model, write_scaled
 from .consistency import check_consistency

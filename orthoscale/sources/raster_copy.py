@@ -20,7 +20,7 @@ from rasterio.windows import Window
 
 from ..core.source import Placement
 from ..errors import OutputError
-from ..system.outputs import signature
+from ..system.signatures import signature
 from .gdal import EXPORT_AGAIN, GDAL_ERRORS, guarded, open_dataset, reading, reason
 
 _STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written

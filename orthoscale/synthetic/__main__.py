@@ -9,7 +9,8 @@ from pathlib import Path
 from ..errors import OrthoscaleError
 from ..fleets import load_fleet
 from ..system import stopping
-from ..system.outputs import Outputs, ours
+from ..system.outputs import Outputs
+from ..system.signatures import ours
 from . import STYLES, make_scene, write_colmap, write_labels, write_ortho
 from .folders import write_csv, write_denseuav, write_visloc
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...core.boxes import Boxes
 from ...errors import InputError, UsageError, shown
-from ...system.outputs import signature
+from ...system.signatures import signature
 from ..reading import read_text
 from .items import Item, short_name
 

@@ -1,0 +1,75 @@
+"""That no output touches an input.
+
+None is, contains or lies in one, under whatever name, or is a file that programs read together with one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import UsageError
+
+# What GDAL reads beside a file: the file's name and this, or its stem and this. World files come on top.
+BESIDE_NAME = (".aux.xml", ".ovr", ".msk", ".xml", "-wal", "-shm", "-journal")
+BESIDE_STEM = (".aux.xml", ".aux", ".rrd", ".prj", ".qpj", ".rpb", "_rpc.txt", ".imd", ".tab", ".wld", ".shx", ".dbf",
+               ".cpg", ".sbn", ".sbx")  # fmt: skip
+
+
+def existing(given: str | Path | None | Sequence) -> list[Path]:
+    """The files and folders among `given`, a path, None or a list of such, that exist: a command's inputs."""
+    if isinstance(given, (str, Path)):
+        return [Path(given)] if os.path.lexists(given) else []
+    assert given is None or isinstance(given, (list, tuple)), "an input that is overlooked is not protected"
+    return [path for one in given or () for path in existing(one)]
+
+
+def refuse_input(out: Path, given: Path) -> None:
+    """Raise UsageError if writing `out` could change the input `given`."""
+    hint = "Inputs are never touched: choose another place."
+    if _same(out, given):
+        raise UsageError(f"{out} is the input {given}", hint)
+    places_of_out, places_of_given = _places(out), _places(given)
+    folder = os.path.realpath(out)
+    if any(_within(place, folder) for place in places_of_given):
+        raise UsageError(f"{out} contains the input {given}", hint)
+    if given.is_dir():
+        folder = os.path.realpath(given)
+        if any(_within(place, folder) for place in places_of_out):
+            raise UsageError(f"{out} lies in the input {given}", hint)
+    else:
+        for mine in places_of_out:
+            for theirs in places_of_given:
+                if os.path.dirname(mine) == os.path.dirname(theirs) and Path(mine).name.lower() in _sidecars(theirs):
+                    raise UsageError(f"{out} would be taken for a part of the input {given}", hint)
+
+
+def _places(path: Path) -> set[str]:
+    """Where `path` leads, and where the name itself is, which a symbolic link keeps apart."""
+    parent = os.path.realpath(path.absolute().parent)
+    return {os.path.realpath(path), os.path.join(parent, path.name)}
+
+
+def _same(one: Path, other: Path) -> bool:
+    try:
+        return bool(_places(one) & _places(other)) or os.path.samefile(one, other)
+    except OSError:
+        return False
+
+
+def _within(path: str, folder: str) -> bool:
+    return path == folder or path.startswith(folder.rstrip(os.sep) + os.sep)
+
+
+def inside(path: Path, folder: Path) -> bool:
+    """Whether `path` is `folder` or lies in it, wherever links lead."""
+    return _within(os.path.realpath(path), os.path.realpath(folder)) or _same(path, folder)
+
+
+def _sidecars(place: str) -> set[str]:
+    """Names, in lower case, of what programs read together with the file `place`."""
+    path = Path(place.lower())
+    ending = path.suffix[1:]
+    world = (f".{ending}w", f".{ending[0]}{ending[-1]}w") if ending else ()
+    return {path.name + more for more in BESIDE_NAME} | {path.stem + more for more in (*BESIDE_STEM, *world)}
