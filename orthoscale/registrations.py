@@ -37,6 +37,7 @@ COMMON = np.array([0.025, 0.012, 0.015])
 CORRELATION = 0.6  # of length and width within a class; that of the fleet table's segments
 # What follows a model's name in the table for its generation, market or body: Golf5, Corolla E120, Camry old, HR-V TW.
 GENERATION = re.compile(r"old|new|mid|mx|us|kr|tw|th|tn|nz|eg|ec|ar|br|pk|in|hb|sd|i{1,3}|iv|mk\d|[a-z]\d{1,3}|v8|\d")
+BODIES = {"kombi", "combi"}  # estates, and a van's name where nothing else is named
 SERIES = {"cx", "grand", "id", "mark", "model"}  # name no model without what follows: CX-5, Grand i10, ID.4, Model 3
 
 
@@ -113,9 +114,15 @@ def model_called(text: str) -> Model | None:
         for end in range(start + 1, len(words) + 1):
             name = "".join(words[start:end])
             said = {word for word in words[:start] + words[end:] if word in makes}
-            if name in _models() and (not said or not _models()[name].makes or said & _models()[name].makes):
-                found.append(name)
-    return _models()[max(found, key=lambda name: (name not in makes, len(name)))] if found else None
+            if name not in _models() or (said and _models()[name].makes and not said & _models()[name].makes):
+                continue
+            after = "".join(words[end : end + 1])
+            if len(makes.get(name, ())) > 1 and not said and after[:1].isalpha() and not GENERATION.fullmatch(after):
+                continue  # here a make, whose model follows: Chevy Cavalier
+            found.append(name)
+    if not found:
+        return None
+    return _models()[max(found, key=lambda name: (name not in makes, name not in BODIES, len(name)))]
 
 
 def _counted(path: Path) -> dict[str, float]:

@@ -34,7 +34,8 @@ def test_a_name_that_is_in_no_model_is_not_known():
     ("text", "length"),
     [("Nissan Note", 4.06), ("Nissan Leaf", 4.46), ("Nissan Micra", 3.72), ("Nissan Navara", 5.25),
      ("Nissan Patrol", 5.1), ("Nissan X-Trail", 4.65), ("Mazda CX-5", 4.55), ("Mazda 3", 4.46), ("Hyundai i10", 3.67),
-     ("Vauxhall Corsa", 3.99), ("Wuling Hongguang Mini", 2.92), ("Opel Astra Caravan", 4.25), ("Chevy Tahoe", 5.2)],
+     ("Vauxhall Corsa", 3.99), ("Wuling Hongguang Mini", 2.92), ("Opel Astra Caravan", 4.25), ("Chevy Tahoe", 5.2),
+     ("VW Golf Kombi", 4.17), ("VW Kombi", 4.5), ("GM Chevy C2", 3.82), ("Ram 1500", 5.93), ("Dodge Ram Quad", 5.93)],
 )  # fmt: skip
 def test_a_make_or_series_is_no_model(text, length):
     assert model_called(text).size[0] == pytest.approx(length, abs=0.15)
@@ -43,7 +44,7 @@ def test_a_make_or_series_is_no_model(text, length):
 @pytest.mark.parametrize(
     "text",
     ["Nissan", "Nissan Cube", "Mazda", "Mazda MX-5", "Mazda CX-9", "Tesla Model X", "VW ID.3", "Grand", "Ford Sierra",
-     "Toyota Vista", "Mercedes C", "Lincoln Mark"],
+     "Toyota Vista", "Mercedes C", "Lincoln Mark", "Chevy Cavalier", "Ram ProMaster"],
 )  # fmt: skip
 def test_a_model_of_another_make_or_series_is_not_known(text):
     """The table's Sierra is GMC's, its Vista Tata's."""
