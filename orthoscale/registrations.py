@@ -37,7 +37,7 @@ COMMON = np.array([0.025, 0.012, 0.015])
 CORRELATION = 0.6  # of length and width within a class; that of the fleet table's segments
 # What follows a model's name in the table for its generation, market or body: Golf5, Corolla E120, Camry old, HR-V TW.
 GENERATION = re.compile(r"old|new|mid|mx|us|kr|tw|th|tn|nz|eg|ec|ar|br|pk|in|hb|sd|i{1,3}|iv|mk\d|[a-z]\d{1,3}|v8|\d")
-BODIES = {"kombi", "combi"}  # estates, and a van's name where nothing else is named
+BODY_WORDS = {"kombi", "combi"}  # estates, and a van's name where nothing else is named
 SERIES = {"cx", "grand", "id", "mark", "model"}  # name no model without what follows: CX-5, Grand i10, ID.4, Model 3
 
 
@@ -122,7 +122,7 @@ def model_called(text: str) -> Model | None:
             found.append(name)
     if not found:
         return None
-    return _models()[max(found, key=lambda name: (name not in makes, name not in BODIES, len(name)))]
+    return _models()[max(found, key=lambda name: (name not in makes, name not in BODY_WORDS, len(name)))]
 
 
 def _counted(path: Path) -> dict[str, float]:
