@@ -386,6 +386,8 @@ class RasterSource:
         notes = [f"{path.name}: {place.said}"]
         if original.is_cog and not cog:
             notes.append(f"{path.name} is no longer cloud-optimised as {self.name} is (--cog makes it so)")
+        if original.has_several_nodata:
+            notes.append(f"bands of {self.name} have several values for no data, a GeoTIFF one: {path.name} has a mask")
         self.notes += [note for note in informing(notes) if note not in self.notes]
 
 
