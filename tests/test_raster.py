@@ -290,6 +290,30 @@ def test_no_work_on_an_image_is_cached_that_was_changed_since_it_was_opened(tmp_
     assert RasterSource.open(source.path).fingerprint() != former
 
 
+def test_an_image_that_was_changed_since_it_was_opened_is_neither_hashed_nor_copied(tmp_path):
+    """Its hash would be that of what nobody looked at."""
+    (folder := tmp_path / "out").mkdir()
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    replaced(source.path)
+    with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+        source.content_hash()
+    with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+        source.write(folder / "b.tif", 0.1)
+
+
+def test_an_image_that_is_changed_while_it_is_copied_is_said(tmp_path, monkeypatch):
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    write = Original.write
+
+    def meanwhile(self, *args):
+        write(self, *args)
+        os.utime(self.path, (0, 0))
+
+    monkeypatch.setattr(Original, "write", meanwhile)
+    with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+        source.write(tmp_path / "b.tif", 0.1)
+
+
 def test_a_worker_shows_what_its_sender_opened(tmp_path):
     source = RasterSource.open(make(tmp_path / "a.tif"))
     sent = pickle.dumps(source)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import re
 
@@ -37,6 +38,21 @@ def test_pickled_as_its_path(made, tmp_path, writer):
     source = open_source(path)
     again = pickle.loads(pickle.dumps(source))
     assert type(again) is TextSource and again.picture_names == source.picture_names
+
+
+def test_a_file_that_was_changed_since_it_was_opened_is_neither_hashed_nor_written(made, tmp_path):
+    path = bundler(made[0], tmp_path / "in")
+    put_frames(made[0], path.parent / "images")
+    source = open_source(path)
+    (tmp_path / "out").mkdir()
+    for part in source.files:
+        before = part.stat().st_mtime_ns
+        os.utime(part, (0, 0))
+        for use in (source.content_hash, lambda: source.write(tmp_path / "out", 2.0)):
+            with pytest.raises(InputError, match=f"{part.name} was changed since it was opened"):
+                use()
+        os.utime(part, ns=(before, before))
+    source.content_hash()
 
 
 @pytest.mark.slow
