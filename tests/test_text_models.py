@@ -137,6 +137,17 @@ def test_only_the_first_of_several_models_is_taken(pinhole, tmp_path):
     assert len((tmp_path / "new.nvm").read_text()) < 1.2 * len(alone)
 
 
+def test_images_that_are_in_no_model_are_no_other_model(pinhole, tmp_path):
+    """VisualSFM lists them as a last model without points."""
+    lost = "2\nlost 1.jpg 1000 1 0 0 0 0 0 0 0 0\nlost 2.jpg 1000 1 0 0 0 0 0 0 0 0\n0\n"
+    path = nvm(pinhole[0], tmp_path, more=lost)
+    assert scale_path(path, tmp_path / "new.nvm", 3.0) == []
+    assert lost in (tmp_path / "new.nvm").read_text()
+    assert len(read_text_model(path).focal) == len(read_text_model(tmp_path / "new.nvm").focal) == 12
+    path.write_text(path.read_text().split("lost 2")[0])  # cut off
+    assert read_text_model(path).others
+
+
 def test_names_of_windows(made, pinhole, tmp_path):
     put_frames(made[0], tmp_path / "pics")
     for writer, (model, _) in ((bundler, made), (nvm, pinhole)):

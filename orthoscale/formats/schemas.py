@@ -650,6 +650,8 @@ class Report(Explained, kw_only=True):
 Focal = Annotated[float, Meta(gt=0, le=1e4)]  # as a share of a picture's longer side
 Vector = tuple[Finite, Finite, Finite]
 Row = tuple[Finite, Finite, Finite, Finite]
+Pose = tuple[Row, Row, Row, Row]
+Six = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
 
 
 class Sim3Entry(Struct):
@@ -683,7 +685,9 @@ class TransformsFrame(Intrinsics, kw_only=True):
     """A picture of ``transforms.json``: camera to world (4, 4), OpenGL's axes (y up, z backwards)."""
 
     file_path: Text
-    transform_matrix: tuple[Row, Row, Row, Row]
+    transform_matrix: Pose
+    transform_matrix_start: Pose | UnsetType = UNSET
+    transform_matrix_end: Pose | UnsetType = UNSET
 
 
 class Transforms(Intrinsics, kw_only=True):
@@ -726,6 +730,7 @@ class OpensfmShot(OpensfmPlaced):
     rotation: Vector
     camera: Text
     gps_dop: Finite | UnsetType = UNSET
+    covariance: tuple[Six, Six, Six, Six, Six, Six] | UnsetType = UNSET
 
 
 class OpensfmPoint(Struct):
@@ -741,6 +746,7 @@ class OpensfmPart(Struct):
     shots: dict[str, OpensfmShot]
     cameras: dict[str, OpensfmCamera] = {}
     points: dict[str, OpensfmPoint] = {}
+    pano_shots: dict[str, OpensfmShot] = {}
     rig_instances: dict[str, OpensfmPlaced] = {}
     rig_cameras: dict[str, OpensfmPlaced] = {}
 

@@ -26,8 +26,9 @@ CAMERA_LENGTHS = ("xmag", "ymag", "znear", "zfar")
 NOT_BESIDE = ("data:", "http:", "https:")  # how addresses begin that are of no file beside it
 
 
-def scale_glb(source: Path, target: Path, scale: float) -> None:
-    """Write the binary glTF `source` to `target` in metres. Raises InputError, UsageError."""
+def scale_glb(source: Path, target: Path, scale: float) -> Referred:
+    """Write the binary glTF `source` to `target` in metres; returns the buffers and images beside it that it refers to.
+    Raises InputError, UsageError."""
     size = source.stat().st_size
     with source.open("rb") as file:
         head = file.read(20)
@@ -46,12 +47,17 @@ def scale_glb(source: Path, target: Path, scale: float) -> None:
         with target.open("wb") as out:
             out.write(struct.pack("<4sIIII", MAGIC, VERSION, size - length + len(new), len(new), JSON_CHUNK) + new)
             shutil.copyfileobj(file, out, 1 << 20)
+    return _referred(source, text)
 
 
 def scale_gltf(source: Path, target: Path, scale: float) -> Referred:
-    """The same for a .gltf text file; returns the buffers and images beside it that it refers to."""
+    """The same for a .gltf text file."""
     text = read_plain(source, A_SCENE, EXPORT_ANEW, HUGE)
     target.write_text(json.dumps(_scaled(source, text, scale), indent=1), encoding="utf-8")
+    return _referred(source, text)
+
+
+def _referred(source: Path, text: dict[str, Any]) -> Referred:
     told = [part.get("uri") or "" for part in (*text.get("buffers", []), *text.get("images", []))]
     # Names are percent-encoded (glTF 2.0, 2.8); not all exporters do so.
     names = [uri if beside(source, uri) else unquote(uri) for uri in told if not uri.startswith(NOT_BESIDE)]
