@@ -49,6 +49,7 @@ BESIDE_STEM = (".aux.xml", ".aux", ".rrd", ".prj", ".qpj", ".rpb", "_rpc.txt", "
 NOREPLACE, EXCHANGE = 1, 2  # flags of renameat2(2)
 _AT_FDCWD = -100
 _NOT_HERE = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP)  # no renameat2, or not on this file system
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EINVAL, errno.ENOTSUP)  # some network drives have none
 
 
 def signature(path: str | Path) -> str:
@@ -245,6 +246,7 @@ class Outputs:
         written = [claim for claim in reversed(claims) if not (claim.retired or claim.failed)]
         for claim in written:
             claim.sign()
+            claim.flush()
         stopping.check()
         # What would speak falsely for the new output goes when that is there.
         changes = [*written, *(claim for claim in claims if claim.retired or claim.failed)]
@@ -300,6 +302,19 @@ class _Reserved:
             _sign_folder(self.partial)
         else:
             _sign_file(self.partial)
+
+    def flush(self) -> None:
+        """Wait until all is on the disk: only then a network drive says that it is full, and what takes the place of a
+        former output is whole after a failure of the power."""
+        inside = (Path(root) / name for root, _, files in os.walk(self.partial) for name in files)
+        for path in inside if self.partial.is_dir() else [self.partial]:
+            if path.is_symlink():
+                continue
+            file = os.open(path, os.O_RDWR)
+            try:
+                os.fsync(file)
+            finally:
+                os.close(file)
 
     def place(self) -> None:
         if _identity(self.path) != self.before or (self.path.is_dir() and _why_not_ours(self.path)):
@@ -539,20 +554,38 @@ def _locked(scratch: Path, path: Path) -> int:
                 scratch.rmdir()
             raise
         try:
-            if fcntl is not None:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            elif not made:
-                raise BlockingIOError
+            if not _taken(lock, made):
+                raise busy
             if os.path.samestat(os.fstat(lock), os.stat(scratch / LOCK)):
                 return lock
         except FileNotFoundError:  # the lock of a run that has just ended
             pass
-        except OSError as error:
+        except OSError:
             os.close(lock)
-            if isinstance(error, BlockingIOError):
-                raise busy from None
+            if made:
+                with suppress(OSError):
+                    (scratch / LOCK).unlink()
+                    scratch.rmdir()
+            raise
+        except UsageError:
+            os.close(lock)
             raise
         os.close(lock)
+
+
+def _taken(lock: int, made: bool) -> bool:
+    """Whether this run has the lock now. Where there are no locks, it is that of the run that made its folder."""
+    if fcntl is None:
+        return made
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        return made
+    return True
 
 
 def _rename_to_new(partial: Path, path: Path) -> None:
