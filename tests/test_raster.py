@@ -601,6 +601,19 @@ def test_a_prj_that_is_damaged_is_said(tmp_path, content):
     assert not claim.usable and not claim.unit_known and "a.prj beside it is not understood" in claim.why
 
 
+def test_a_prj_is_looked_for_once(tmp_path, monkeypatch):
+    is_file, asked = Path.is_file, []
+
+    def counted(path):
+        asked.append(path.name)
+        return is_file(path)
+
+    path = make(tmp_path / "a.tif", transform=UTM["transform"])
+    monkeypatch.setattr(Path, "is_file", counted)
+    RasterSource.open(path).close()
+    assert asked.count("a.prj") == 1
+
+
 def test_a_prj_does_not_replace_a_reference_system_of_the_picture(tmp_path):
     make(tmp_path / "a.tif", **UTM)
     (tmp_path / "a.prj").write_text(ESRI_WKT)

@@ -540,11 +540,13 @@ class Explained(Struct):
 
 
 class ReportInput(Struct):
-    """What was measured, its content's hash, and the folder that relative names here and in `settings` start from."""
+    """What was measured, of which kind it is ('' in reports of older versions, whose unit tells), its content's hash,
+    and the folder that relative names here and in `settings` start from."""
 
     path: Annotated[str, Meta(min_length=1, max_length=10_000)]
     sha256: Name
     folder: Annotated[str, Meta(max_length=10_000)] = ""
+    kind: Literal["orthophoto", "reconstruction", ""] = ""
 
 
 class ReportBox(Struct):

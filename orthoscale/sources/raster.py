@@ -87,7 +87,7 @@ class RasterSource:
         self._masked = self._display.masks and without
         self._scratch: Scratch | None = None
         self._read_from = dataset  # or, from the first look on, a copy of it in blocks
-        self.claimed = claim_of(dataset)
+        self.claimed = claim_of(dataset, projection)
         if (turned := dataset.tags().get("EXIF_Orientation", "1")) not in ("0", "1"):
             text = (
                 f"the camera noted how the picture is to be turned (EXIF orientation {turned}): coordinates and boxes "

@@ -84,7 +84,7 @@ def _modes(measured: Measurement) -> Judgement | None:
 def _evidence(measured: Measurement) -> Judgement | None:
     scale = measured.scale
     if scale.conflict and scale.evidence:
-        told = [r.text.removeprefix(CONFLICT) for r in scale.remarks if r.text.startswith(CONFLICT)]
+        told = [r.text.replace(CONFLICT, "", 1) for r in scale.remarks if CONFLICT in r.text]  # a mode may be before it
         return Judgement(REFUSAL, "Other evidence contradicts", "; ".join(told) or f"{scale.conflict:.1f} sigma")
     if not (compared := scale.support.compared):
         return None
