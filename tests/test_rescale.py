@@ -239,6 +239,19 @@ def test_what_gltf_cameras_and_lights_say_of_themselves_grows_as_well(tmp_path):
         scale_path(tmp_path / "c.gltf", tmp_path / "d.gltf", 2)
 
 
+def test_light_in_clear_materials_goes_as_far_as_before(tmp_path):
+    """In the world's unit, where the thickness is that of the mesh."""
+    clear = {"KHR_materials_volume": {"thicknessFactor": 1, "attenuationDistance": 3}}
+    (tmp_path / "a.gltf").write_text(json.dumps(gltf(materials=[{"extensions": clear}, {"name": "dull"}])))
+    scale_path(tmp_path / "a.gltf", tmp_path / "b.gltf", 2)
+    new = json.loads((tmp_path / "b.gltf").read_text())["materials"]
+    assert new[0]["extensions"]["KHR_materials_volume"] == {"thicknessFactor": 1, "attenuationDistance": 6}
+    assert new[1] == {"name": "dull"}
+    (tmp_path / "c.gltf").write_text(json.dumps(gltf(materials=[3])))
+    with pytest.raises(InputError, match="materials"):
+        scale_path(tmp_path / "c.gltf", tmp_path / "d.gltf", 2)
+
+
 def test_gltf_without_scenes_and_with_a_note_of_its_author(tmp_path):
     text = gltf(asset={"version": "2.0", "extras": "by hand"})
     del text["scenes"]
@@ -390,6 +403,15 @@ def test_pcd(tmp_path, form, monkeypatch):
         (tmp_path / "a.pcd").write_bytes(damaged)
         with pytest.raises(InputError, match=r"a\.pcd"):
             scale_path(tmp_path / "a.pcd", tmp_path / "d.pcd", 2)
+
+
+def test_surfels_of_a_pcd_grow_as_those_of_a_ply_do(tmp_path):
+    head = "VERSION 0.7\nFIELDS x y z radius range curvature\nSIZE 4 4 4 4 4 4\nTYPE F F F F {} F\n"
+    head += "WIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n"
+    for kind, told in (("F", "8"), ("U", "4")):  # a sensor's own, in millimetres
+        (tmp_path / "a.pcd").write_text(head.format(kind) + "1 2 3 0.5 4 0.1\n")
+        scale_path(tmp_path / "a.pcd", tmp_path / "b.pcd", 2)
+        assert (tmp_path / "b.pcd").read_text().splitlines()[-1] == f"2 4 6 1 {told} 0.1"
 
 
 def test_las_and_laz_are_scaled_in_their_headers(tmp_path):

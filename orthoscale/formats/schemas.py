@@ -811,6 +811,24 @@ class GltfLights(Struct):
     lights: list[GltfLight] = []
 
 
+class GltfVolume(Struct):
+    """How far light goes in a material."""
+
+    attenuationDistance: float | None = None
+
+
+class GltfMaterialExtensions(Struct):
+    """Those of a material that have a length."""
+
+    KHR_materials_volume: GltfVolume | None = None
+
+
+class GltfMaterial(Struct):
+    """A material, as far as it has lengths."""
+
+    extensions: GltfMaterialExtensions | None = None
+
+
 class GltfExtensions(Struct):
     """Those of a whole scene that have a length."""
 
@@ -827,4 +845,5 @@ class Gltf(Struct):
     buffers: list[GltfPart] = []
     images: list[GltfPart] = []
     cameras: list[GltfCamera] = []
+    materials: list[GltfMaterial] = []
     extensions: GltfExtensions | None = None
