@@ -820,6 +820,19 @@ def test_a_negative_stays_one(tmp_path, mask_file, cog):
             assert np.array_equal(copy.read(0, 0, W, H, W, H), shown)
 
 
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("cog", [False, True])
+def test_a_transparent_colour_stays_so(tmp_path, cog):
+    pixels = np.moveaxis(scene(), 0, -1).copy()
+    pixels[:, :100], pixels[:, 100:110] = (1, 2, 3), (1, 9, 9)
+    Image.fromarray(pixels).save(tmp_path / "a.png", transparency=(1, 2, 3))
+    with RasterSource.open(tmp_path / "a.png") as source:
+        source.write(tmp_path / "b.tif", 0.1, cog=cog)
+    with rasterio.open(tmp_path / "a.png") as a, rasterio.open(tmp_path / "b.tif") as b:
+        assert not b.dataset_mask()[:, :100].any() and b.dataset_mask()[:, 100:110].all()
+        assert np.array_equal(a.dataset_mask(), b.dataset_mask()) and np.array_equal(a.read(), b.read())
+
+
 @pytest.mark.parametrize("cog", [False, True])
 def test_the_longest_names_are_written(tmp_path, cog):
     name = "n" * 251 + ".tif"

@@ -28,6 +28,7 @@ _STRIP = 256  # [px] height of the strips in which whole images are walked, and 
 _CLASSIC = 2**32 - 2**24  # [byte] a classic TIFF longer than this may not have room for another directory
 _WHOLE = 100_000_000  # [px] copies up to this size are compared with their original in full, larger ones by samples
 _PROFILE = "COLOR_PROFILE", "SOURCE_ICC_PROFILE"  # GDAL's domain and name of an ICC profile, base64
+_TRANSPARENT = "NODATA_VALUES"  # GDAL's tag of a colour that has no data: a value for each band
 # Domains of metadata that are not copied: GDAL's own, those of the file's structure, those of former georeferencing,
 # and a profile, which is no metadata in a TIFF. XML is left out too: rasterio cannot write it.
 _OWN_DOMAINS = {"", "COLOR_PROFILE", "DERIVED_SUBDATASETS", "GEOLOCATION", "IMAGE_STRUCTURE", "RPC", "SUBDATASETS"}
@@ -81,7 +82,12 @@ class Original:
     @property
     def has_several_nodata(self) -> bool:
         """Whether its bands have different nodata values; a GeoTIFF has room for one, and the copy gets a mask."""
-        return len(self._nodata()) > 1
+        return len(self._nodata()) > 1 and not self._has_transparent_colour
+
+    @property
+    def _has_transparent_colour(self) -> bool:
+        """Whether a tag says which colour has no data, as for a PNG: GDAL makes the mask of it, for a TIFF too."""
+        return _TRANSPARENT in self.dataset.tags()
 
     def _can_be_copied(self) -> bool:
         """A TIFF whose pixels are all in the one file, without rational polynomials (rasterio cannot remove those), and
@@ -126,7 +132,7 @@ class Original:
         dtype = np.result_type(*source.dtypes)
         kinds = [c.name for c in source.colorinterp]
         in_file_mask = MaskFlags.per_dataset in source.mask_flag_enums[0] and "alpha" not in kinds
-        explicit_mask = in_file_mask or self.has_several_nodata
+        explicit_mask = (in_file_mask and not self._has_transparent_colour) or self.has_several_nodata
         if kinds[:3] == ["red", "green", "blue"] and dtype.kind == "u":
             options["photometric"] = "RGB"
         elif _negative(source):
