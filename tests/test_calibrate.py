@@ -167,6 +167,12 @@ def command(*words):
     return CliRunner().invoke(cli, [str(w) for w in words])
 
 
+def test_a_calibration_from_a_picture_whose_name_is_not_utf_8_reads_back(tmp_path):
+    made_from = {"orthophoto": "caf\udce9.tif"}
+    save_calibration(Calibration("net", "", UNKNOWN_RULER, None, made_from), tmp_path / "ruler.json")
+    assert load_calibration(tmp_path / "ruler.json").made_from == {"orthophoto": r"caf\udce9.tif"}
+
+
 @pytest.mark.slow
 def test_a_calibrated_detector_measures_better(place, tmp_path):
     common = ["--detector", place / "net.onnx", "--fleet", "DE"]

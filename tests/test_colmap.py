@@ -447,6 +447,29 @@ def test_picture_file(tmp_path, suffix):
     assert picture.read(0, 0, 60, 40, 60, 40).any()
 
 
+def test_a_model_that_was_changed_since_it_was_opened_is_neither_hashed_nor_written(model_bin, tmp_path):
+    """Its hash would be that of what nobody measured."""
+    source = ColmapSource.open(model_bin, need_images=False)
+    former = source.content_hash()
+    os.utime(model_bin / "points3D.bin", (0, 0))
+    (folder := tmp_path / "out").mkdir()
+    with pytest.raises(InputError, match=r"points3D\.bin was changed since it was opened"):
+        source.content_hash()
+    with pytest.raises(InputError, match=r"points3D\.bin was changed since it was opened"):
+        source.write(folder, 2.0)
+    assert not list(folder.iterdir())
+    assert ColmapSource.open(model_bin, need_images=False).content_hash() == former
+
+
+def test_a_cloud_that_was_changed_since_the_model_was_opened_is_not_hashed(model_bin, tmp_path):
+    (tmp_path / "fused.ply").write_bytes(b"ply")
+    source = open_source(model_bin, need_images=False, ground_cloud=tmp_path / "fused.ply")
+    source.content_hash()
+    (tmp_path / "fused.ply").write_bytes(b"another")
+    with pytest.raises(InputError, match=r"fused\.ply was changed since it was opened"):
+        source.content_hash()
+
+
 def test_a_picture_that_was_replaced_shows_its_new_pixels(tmp_path, monkeypatch):
     """Also under a name that meant another file before."""
     (tmp_path / "other").mkdir()

@@ -1,6 +1,7 @@
 """Detections of others and for others: every format gives back what went in; what fits no box is refused in words."""
 
 import json
+import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from PIL import Image
 from rasterio.control import GroundControlPoint
 from support.models import make_model
 from support.models import save as save_model
@@ -88,6 +90,18 @@ def test_what_was_seen_in_other_models_pictures_is_left_out(tmp_path):
     save(found, tmp_path / "d.json", frames)
     again = load(tmp_path / "d.json", frames)
     assert (list(again.doubtful), again.set_aside, again.objects) == (["b.jpg"], {"alike": {}}, {})
+
+
+@pytest.mark.parametrize("ending", ["json", "coco.json", "geojson", "gpkg"])
+def test_boxes_of_a_file_whose_name_is_not_utf_8_are_saved_and_read_back(tmp_path, ending):
+    """What found them is called like their file."""
+    Image.fromarray(np.zeros((240, 320, 3), np.uint8)).save(tmp_path / "a.png")
+    path = tmp_path / os.fsdecode(b"caf\xe9.json")
+    path.write_text(json.dumps({"a.png": [{"cx": 30, "cy": 20, "length": 40, "width": 17, "angle": 0.1, "score": 1}]}))
+    source = open_source(tmp_path / "a.png")
+    save(load(path, source), tmp_path / f"b.{ending}", source)
+    again = load(tmp_path / f"b.{ending}", source)
+    assert len(again) == 1 and again.detector == r"boxes of caf\udce9.json"
 
 
 def test_boxes_saved_without_their_picture_are_json_that_strict_readers_take(tmp_path):

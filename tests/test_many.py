@@ -122,6 +122,15 @@ def test_a_summary_tells_an_input_whose_name_is_not_utf_8(tmp_path, ending):
     assert inputs_in(tmp_path / f"out.{ending}") == {in_utf8("caf\udce9.tif")} == {r"caf\udce9.tif"}
 
 
+def test_a_summary_leads_to_a_copy_whose_name_is_not_utf_8(tmp_path):
+    out = tmp_path / os.fsdecode(b"caf\xe9.tif")
+    Path(f"{out}.html").touch()
+    numbers = {"scale": 0.1, "low90": 0.09, "high90": 0.11, "vehicles_used": 9, "exit_code": 0}
+    row = {**dict.fromkeys(many.COLUMNS), "input": "a.tif", "output": str(out), **numbers}
+    write_summary([row], tmp_path / "out.html", tmp_path / "out.html")
+    assert 'href="caf%E9.tif.html"' in (tmp_path / "out.html").read_text()
+
+
 def test_what_is_named(parks, tmp_path):
     pictures = parks / "pictures"
     assert inputs_of([pictures / "*.png", pictures / "a.png"]) == [pictures / "a.png", pictures / "b.png"]

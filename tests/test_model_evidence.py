@@ -19,6 +19,7 @@ from orthoscale.core.measuring.surroundings import objects_in_model, rows_in_mod
 from orthoscale.core.measuring.ways import measure_source
 from orthoscale.core.pooling.agreement import compare, together
 from orthoscale.core.pooling.anchors import evidence_of
+from orthoscale.core.remarks import CAUTION, INFO, REFUSAL, Remark
 from orthoscale.core.ruler import Ruler
 from orthoscale.core.scale import Scale
 from orthoscale.core.votes import gather
@@ -202,6 +203,24 @@ def test_a_distance_that_only_one_of_two_has_is_no_contradiction():
         contradicting += compare({"a": scale(by_distance, told), "b": scale(by_vehicles, parts)}).contradicts
     assert contradicting < 12, "chance makes 4; 75 where the fleet is taken to cancel"
     assert compare({"a": scale(1.0, told), "b": scale(1.2, parts)}).contradicts
+
+
+@pytest.mark.parametrize("apart", [1.0, 1.5], ids=["pooled", "alone"])
+def test_what_is_remarked_on_one_mode_names_it(apart):
+    """What is remarked on both needs no name."""
+    shared, one, other = (Remark(severity, text) for severity, text in ((INFO, "s"), (CAUTION, "a"), (REFUSAL, "b")))
+    every = np.ones(50, bool)
+
+    def scale(value, sd, *remarks):
+        low, high = value * (1 - 1.6 * sd), value * (1 + 1.6 * sd)
+        parts = {"sampling": sd}
+        made = Scale(value, "m/px", (low, high), parts, {}, (0.6, 0.4), 0.0, "DE", "fair", every, [""] * 50)
+        return replace(made, remarks=remarks)
+
+    both = {"oblique": scale(1.0, 0.01, shared, one), "planar": scale(apart, 0.02, shared, other)}
+    said = [(remark.severity, remark.text) for remark in together(compare(both)).remarks]
+    wanted = [(INFO, "s"), (CAUTION, "oblique: a"), (REFUSAL, "planar: b")]
+    assert said == (wanted if apart == 1 else wanted[:2])
 
 
 def test_looks_of_which_one_sees_rows_are_pooled(scales):

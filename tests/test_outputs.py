@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import os
 import sqlite3
 from types import SimpleNamespace
 
@@ -26,6 +27,10 @@ from orthoscale.sources.raster import RasterSource
 
 pytestmark = pytest.mark.filterwarnings("ignore:Use `@` matmul")
 W, H, GSD = 900, 700, 0.08
+FLEET = {
+    "name": "cars", "source": "a test", "year": 2020, "length": [4.4, 0.4], "width": [1.8, 0.1], "height": [1.5, 0.1],
+    "mean_sd": [0.05, 0.02, 0.05], "shares": {"mini": 0.3, "mid": 0.7},
+}  # fmt: skip
 UTM = Affine(GSD * 0.9996, 0, 500_000, 0, -GSD * 0.9996, 5_400_000)  # GSD on the ground, at the central meridian
 
 
@@ -184,6 +189,17 @@ def test_the_world_file_says_the_same_as_the_geotiff(everything):
 def test_the_scale_file_begins_with_the_scale(everything):
     folder, result = everything
     assert float((folder / "out.tif.scale.txt").read_text().split()[0]) == result.scale.value
+
+
+def test_all_is_written_of_a_fleet_whose_name_is_not_utf_8(tmp_path, boxes):
+    fleet = tmp_path / os.fsdecode(b"caf\xe9.json")
+    fleet.write_text(json.dumps(FLEET))
+    path = picture(tmp_path / "a.tif", crs="EPSG:32632", transform=UTM)
+    kinds = ("tfw", "scale", "gpkg", "geojson", "tiles")
+    options = {"also": kinds, "keep_origin": True, "detections": boxes, "override": True, "force": True}
+    result = orthoscale.fix(path, tmp_path / "out.tif", fleet=fleet, **options)
+    assert result.scale.fleet == "caf\udce9"
+    assert r"fleet caf\udce9;" in (tmp_path / "out.tif.scale.txt").read_text()
 
 
 def test_the_geopackage_holds_the_vehicles_in_metres_with_a_style(everything):

@@ -3,6 +3,7 @@ at all."""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -418,6 +419,49 @@ def test_of_two_writers_the_second_is_refused(tmp_path, write):
             write(tmp_path / "a.json", overwrite=True)
         partial.write_text('{"text": "first"}')
     assert "first" in (tmp_path / "a.json").read_text() and names(tmp_path) == ["a.json"]
+
+
+@pytest.mark.skipif(reserved.fcntl is None, reason="there are no locks here")
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+@BOTH
+def test_a_drive_without_locks_is_written_to(tmp_path, monkeypatch, write, code):
+    def none_here(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(reserved.fcntl, "flock", none_here)
+    write(tmp_path / "a.json")
+    with Outputs(overwrite=True) as outputs:
+        outputs.file(tmp_path / "b.json").write_text("{}")
+        with pytest.raises(UsageError, match="being written by another run"):
+            write(tmp_path / "b.json", overwrite=True)
+    assert names(tmp_path) == ["a.json", "b.json"]
+
+
+@pytest.mark.skipif(reserved.fcntl is None, reason="there are no locks here")
+@BOTH
+def test_a_lock_that_fails_leaves_nothing(tmp_path, monkeypatch, write):
+    def broken(*_):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(reserved.fcntl, "flock", broken)
+    with pytest.raises(OutputError, match="Input/output error"):
+        write(tmp_path / "a.json")
+    assert names(tmp_path) == []
+
+
+@BOTH
+def test_a_network_drive_that_says_last_that_it_is_full(tmp_path, monkeypatch, write):
+    """Only when all is to be on its disk; then nothing has been replaced yet."""
+    write(tmp_path / "a.json", text="former")
+    before = state(tmp_path)
+
+    def full(_):
+        raise OSError(errno.EDQUOT, "Disk quota exceeded")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OutputError, match="quota"):
+        write(tmp_path / "a.json", overwrite=True)
+    assert state(tmp_path) == before
 
 
 WRITER = """

@@ -22,7 +22,7 @@ import numpy as np
 import pyproj
 import pytest
 import rasterio
-from PIL import Image
+from PIL import Image, ImageCms
 from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, Resampling
@@ -288,6 +288,30 @@ def test_no_work_on_an_image_is_cached_that_was_changed_since_it_was_opened(tmp_
     with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
         source.fingerprint()
     assert RasterSource.open(source.path).fingerprint() != former
+
+
+def test_an_image_that_was_changed_since_it_was_opened_is_neither_hashed_nor_copied(tmp_path):
+    """Its hash would be that of what nobody looked at."""
+    (folder := tmp_path / "out").mkdir()
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    replaced(source.path)
+    with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+        source.content_hash()
+    with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+        source.write(folder / "b.tif", 0.1)
+
+
+def test_an_image_that_is_changed_while_it_is_copied_is_said(tmp_path, monkeypatch):
+    source = RasterSource.open(make(tmp_path / "a.tif"))
+    write = Original.write
+
+    def meanwhile(self, *args):
+        write(self, *args)
+        os.utime(self.path, (0, 0))
+
+    monkeypatch.setattr(Original, "write", meanwhile)
+    with pytest.raises(InputError, match=r"a\.tif was changed since it was opened"):
+        source.write(tmp_path / "b.tif", 0.1)
 
 
 def test_a_worker_shows_what_its_sender_opened(tmp_path):
@@ -577,6 +601,19 @@ def test_a_prj_that_is_damaged_is_said(tmp_path, content):
     assert not claim.usable and not claim.unit_known and "a.prj beside it is not understood" in claim.why
 
 
+def test_a_prj_is_looked_for_once(tmp_path, monkeypatch):
+    is_file, asked = Path.is_file, []
+
+    def counted(path):
+        asked.append(path.name)
+        return is_file(path)
+
+    path = make(tmp_path / "a.tif", transform=UTM["transform"])
+    monkeypatch.setattr(Path, "is_file", counted)
+    RasterSource.open(path).close()
+    assert asked.count("a.prj") == 1
+
+
 def test_a_prj_does_not_replace_a_reference_system_of_the_picture(tmp_path):
     make(tmp_path / "a.tif", **UTM)
     (tmp_path / "a.prj").write_text(ESRI_WKT)
@@ -718,6 +755,92 @@ def test_written_copy_is_the_same_picture_in_metres(tmp_path, build):
             assert [a.colormap(1)[k] for k in range(3)] == [b.colormap(1)[k] for k in range(3)]
 
 
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("driver, suffix", [("HFA", "img"), ("ENVI", "dat")])
+@pytest.mark.parametrize("bands", [1, 3])
+def test_a_format_that_does_not_name_colours_is_copied(tmp_path, driver, suffix, bands):
+    pixels = scene(bands)
+    path = make(tmp_path / f"a.{suffix}", pixels, driver=driver)
+    with rasterio.open(path) as d:
+        assert d.colorinterp[0] == ColorInterp.undefined
+    with RasterSource.open(path) as source:
+        source.write(tmp_path / "b.tif", 0.1)
+    with rasterio.open(tmp_path / "b.tif") as d:
+        assert np.array_equal(d.read(), pixels)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("cog", [False, True])
+@pytest.mark.parametrize("ending", ["jpg", "png", "tif"])
+def test_a_profile_of_colours_comes_along(tmp_path, ending, cog):
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    Image.fromarray(np.moveaxis(scene(), 0, -1)).save(tmp_path / f"a.{ending}", icc_profile=profile)
+    with RasterSource.open(tmp_path / f"a.{ending}") as source:
+        source.write(tmp_path / "b.tif", 0.1, cog=cog)
+    assert Image.open(tmp_path / "b.tif").info["icc_profile"] == profile
+
+
+@pytest.mark.parametrize("cog", [False, True])
+@pytest.mark.parametrize("build", [make, with_mask_file])
+def test_all_that_a_picture_says_of_itself_comes_along(tmp_path, build, cog):
+    path = build(tmp_path / "a.tif")
+    with rasterio.open(path, "r+") as d:
+        d.crs, d.transform = UTM["crs"], UTM["transform"]
+        d.update_tags(AREA_OR_POINT="Point")
+        d.update_tags(ns="IMAGERY", SATELLITEID="kite")
+        d.update_tags(2, ns="OURS", FILTER="green")
+        d.scales, d.offsets, d.units = (0.1, 0.2, 0.3), (1, 2, 3), ("a", "b", "c")
+    with RasterSource.open(path) as source:
+        source.write(tmp_path / "b.tif", 0.1, source.place(0.1, keep_origin=True), cog)
+    with rasterio.open(tmp_path / "b.tif") as d:
+        assert d.tags()["AREA_OR_POINT"] == "Point"
+        assert d.tags(ns="IMAGERY") == {"SATELLITEID": "kite"} and d.tags(2, ns="OURS") == {"FILTER": "green"}
+        assert (d.scales, d.offsets, d.units) == ((0.1, 0.2, 0.3), (1, 2, 3), ("a", "b", "c"))
+        assert (d.transform.c, d.transform.f) == (UTM["transform"].c, UTM["transform"].f)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("cog", [False, True])
+@pytest.mark.parametrize("mask_file", [False, True])
+def test_a_negative_stays_one(tmp_path, mask_file, cog):
+    pixels = scene(1)
+    path = make(tmp_path / "a.tif", pixels, photometric="MINISWHITE")
+    if mask_file:
+        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False), rasterio.open(path, "r+") as d:
+            d.write_mask(np.full((H, W), 255, np.uint8))
+    with RasterSource.open(path) as source:
+        shown = source.read(0, 0, W, H, W, H)
+        source.write(tmp_path / "b.tif", 0.1, cog=cog)
+    with rasterio.open(tmp_path / "b.tif") as d:
+        negative = d.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
+        assert negative or d.colormap(1)[0] == (255, 255, 255, 255)
+        assert np.array_equal(d.read(), pixels)
+    if not cog:  # a COG has the colours of its values in a table
+        with RasterSource.open(tmp_path / "b.tif") as copy:
+            assert np.array_equal(copy.read(0, 0, W, H, W, H), shown)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("cog", [False, True])
+def test_a_transparent_colour_stays_so(tmp_path, cog):
+    pixels = np.moveaxis(scene(), 0, -1).copy()
+    pixels[:, :100], pixels[:, 100:110] = (1, 2, 3), (1, 9, 9)
+    Image.fromarray(pixels).save(tmp_path / "a.png", transparency=(1, 2, 3))
+    with RasterSource.open(tmp_path / "a.png") as source:
+        source.write(tmp_path / "b.tif", 0.1, cog=cog)
+    with rasterio.open(tmp_path / "a.png") as a, rasterio.open(tmp_path / "b.tif") as b:
+        assert not b.dataset_mask()[:, :100].any() and b.dataset_mask()[:, 100:110].all()
+        assert np.array_equal(a.dataset_mask(), b.dataset_mask()) and np.array_equal(a.read(), b.read())
+
+
+@pytest.mark.parametrize("cog", [False, True])
+def test_the_longest_names_are_written(tmp_path, cog):
+    name = "n" * 251 + ".tif"
+    with RasterSource.open(make(tmp_path / "a.tif")) as source:
+        source.write(tmp_path / name, 0.1, cog=cog)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.tif", name]
+
+
 def test_different_nodata_per_band_becomes_a_mask(tmp_path):
     pixels = scene()
     pixels[:, :50] = [[[1]], [[2]], [[3]]]
@@ -729,6 +852,7 @@ def test_different_nodata_per_band_becomes_a_mask(tmp_path):
     source = RasterSource.open(tmp_path / "a.vrt")
     assert (source.read(0, 0, W, H, W, H)[:50] == NO_DATA_GREY).all()
     source.write(tmp_path / "b.tif", 0.1)
+    assert any("have several values" in note.text for note in source.notes)
     with rasterio.open(tmp_path / "b.tif") as d:
         assert not d.dataset_mask()[:50].any() and np.array_equal(d.read(), pixels)
 

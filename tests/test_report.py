@@ -27,7 +27,7 @@ from orthoscale.errors import EvidenceDisagrees, Incomplete, InputError, TooLitt
 from orthoscale.formats.schemas import Report
 from orthoscale.report import files, pictures, places, wording
 from orthoscale.report.charts import strength
-from orthoscale.report.document import OPTIONAL, read_json
+from orthoscale.report.document import OPTIONAL, of_plan, read_json
 from orthoscale.report.files import redraw
 from orthoscale.report.lettering import HALO, write_on
 from orthoscale.report.page import page
@@ -372,6 +372,7 @@ def test_the_page_does_without_every_part_that_may_be_missing(report, model):
 def test_a_report_of_a_former_version_is_drawn(tmp_path, report, ending):
     required = {field.name for field in msgspec.structs.fields(Report) if field.required}
     former = {key: value for key, value in report.items() if (key,) not in OPTIONAL or key in required}
+    former["input"] = {key: value for key, value in report["input"].items() if key in ("path", "sha256")}
     assert "pixel_aspect" not in former
     (tmp_path / "report.json").write_text(json.dumps(former))
     redraw(tmp_path / "report.json", tmp_path / f"again.{ending}")
@@ -436,6 +437,15 @@ def test_damaged_values_are_an_input_error(tmp_path, report, key, value):
     with pytest.raises(InputError, match="not a report"):
         redraw(tmp_path / "report.json", tmp_path / "report.html")
     assert not (tmp_path / "report.html").exists()
+
+
+def test_what_a_report_is_of_is_told_by_its_input_and_of_old_ones_by_the_unit(report, model):
+    of_model = read_json(model / "report.json")
+    for each, kind in ((report, "orthophoto"), (of_model, "reconstruction")):
+        assert each["input"]["kind"] == kind and of_plan(each) == (kind == "orthophoto")
+        assert of_plan({**each, "unit": "feet"}) == of_plan(each)
+        former = {key: value for key, value in each["input"].items() if key != "kind"}
+        assert of_plan({**each, "input": former}) == of_plan(each)
 
 
 def test_a_report_of_the_first_version_is_still_drawn(tmp_path, report):

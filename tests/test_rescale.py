@@ -196,6 +196,18 @@ def test_gltf_with_its_buffer(tmp_path):
     assert world_points(json.loads((tmp_path / "out/a.gltf").read_text()), 0) == [(3, 3)]
 
 
+def test_a_glb_with_files_beside_it(tmp_path):
+    """It may have its pictures, and more buffers, outside of itself."""
+    home = written(tmp_path / "in", **{"tex.png": b"png", "b.bin": b"1234"})
+    glb(
+        home / "a.glb",
+        gltf(buffers=[{"byteLength": 4}, {"uri": "b.bin"}], images=[{"uri": "tex.png"}, {"uri": "x.png"}]),
+    )
+    out, notes = applied(tmp_path, home / "a.glb")
+    assert notes == ["with b.bin", "with tex.png", "refers to x.png, which is not beside it"]
+    assert (out / "tex.png").read_bytes() == b"png" and (out / "b.bin").read_bytes() == b"1234"
+
+
 def test_the_centre_of_3d_tiles_grows_as_well(tmp_path):
     (tmp_path / "a.gltf").write_text(json.dumps(gltf(extensions={"CESIUM_RTC": {"center": [1, 2, 3]}, "other": 1})))
     scale_path(tmp_path / "a.gltf", tmp_path / "b.gltf", 2)
@@ -224,6 +236,19 @@ def test_what_gltf_cameras_and_lights_say_of_themselves_grows_as_well(tmp_path):
     assert endless == {"znear": 2, "zfar": 3.4028235e38}
     (tmp_path / "c.gltf").write_text(json.dumps(gltf(cameras=[{"perspective": {"znear": "near"}}])))
     with pytest.raises(InputError, match="znear"):
+        scale_path(tmp_path / "c.gltf", tmp_path / "d.gltf", 2)
+
+
+def test_light_in_clear_materials_goes_as_far_as_before(tmp_path):
+    """In the world's unit, where the thickness is that of the mesh."""
+    clear = {"KHR_materials_volume": {"thicknessFactor": 1, "attenuationDistance": 3}}
+    (tmp_path / "a.gltf").write_text(json.dumps(gltf(materials=[{"extensions": clear}, {"name": "dull"}])))
+    scale_path(tmp_path / "a.gltf", tmp_path / "b.gltf", 2)
+    new = json.loads((tmp_path / "b.gltf").read_text())["materials"]
+    assert new[0]["extensions"]["KHR_materials_volume"] == {"thicknessFactor": 1, "attenuationDistance": 6}
+    assert new[1] == {"name": "dull"}
+    (tmp_path / "c.gltf").write_text(json.dumps(gltf(materials=[3])))
+    with pytest.raises(InputError, match="materials"):
         scale_path(tmp_path / "c.gltf", tmp_path / "d.gltf", 2)
 
 
@@ -380,6 +405,15 @@ def test_pcd(tmp_path, form, monkeypatch):
             scale_path(tmp_path / "a.pcd", tmp_path / "d.pcd", 2)
 
 
+def test_surfels_of_a_pcd_grow_as_those_of_a_ply_do(tmp_path):
+    head = "VERSION 0.7\nFIELDS x y z radius range curvature\nSIZE 4 4 4 4 4 4\nTYPE F F F F {} F\n"
+    head += "WIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n"
+    for kind, told in (("F", "8"), ("U", "4")):  # a sensor's own, in millimetres
+        (tmp_path / "a.pcd").write_text(head.format(kind) + "1 2 3 0.5 4 0.1\n")
+        scale_path(tmp_path / "a.pcd", tmp_path / "b.pcd", 2)
+        assert (tmp_path / "b.pcd").read_text().splitlines()[-1] == f"2 4 6 1 {told} 0.1"
+
+
 def test_las_and_laz_are_scaled_in_their_headers(tmp_path):
     whole = las(b"laszip encoded", 22204, b"any", form=3 | 0x80)
     (tmp_path / "a.laz").write_bytes(whole)
@@ -480,6 +514,45 @@ def test_transforms_with_their_cloud(tmp_path):
     assert np.allclose(read_ply(tmp_path / "out/sparse_pc.ply", 3)[0], SCALE * XYZ)
     with pytest.raises(UsageError):
         scale_path(tmp_path / "out/transforms.json", tmp_path / "b.json", SCALE)
+
+
+def test_all_lengths_of_instant_ngp_grow(tmp_path):
+    """Poses of a rolling shutter, the box and the depths that are looked at."""
+    pose = np.eye(4)
+    pose[:3, 3] = (1, -2, 3)
+    names = ("transform_matrix", "transform_matrix_start", "transform_matrix_end")
+    frame = {"file_path": "a.jpg", "near": 0.5, **dict.fromkeys(names, pose.tolist())}
+    text = {
+        "frames": [frame],
+        "aabb": [[-1, -2, -3], [1, 2, 3]],
+        "aabb_scale": 16,
+        "near": 1,
+        "far": None,
+        "scale": 0.5,
+    }
+    (tmp_path / "a.json").write_text(json.dumps(text))
+    notes = scale_path(tmp_path / "a.json", tmp_path / "b.json", SCALE)
+    assert notes == ['its "scale", which instant-ngp multiplies positions by, is as it was']
+    new = json.loads((tmp_path / "b.json").read_text())
+    for name in names:
+        assert np.allclose(np.array(new["frames"][0][name])[:3, 3], SCALE * pose[:3, 3])
+    assert np.allclose(new["aabb"], SCALE * np.array(text["aabb"]))
+    assert (new["near"], new["far"], new["frames"][0]["near"]) == (SCALE, None, 0.5 * SCALE)
+    assert (new["aabb_scale"], new["scale"]) == (16, 0.5)
+
+
+def test_all_lengths_of_opensfm_grow(tmp_path):
+    """Panoramas, and what a shot may have: a mesh of what it sees, and how well its pose is known."""
+    shot = {"rotation": [0.1, 0, 0], "translation": [1, 2, 3], "camera": "c", "vertices": [[1, 2, 3]], "faces": [[0]]}
+    shot["covariance"] = np.arange(36.0).reshape(6, 6).tolist()
+    part = {"cameras": {}, "shots": {"a": shot}, "pano_shots": {"p": shot}, "points": {}}
+    (tmp_path / "a.json").write_text(json.dumps([part]))
+    scale_path(tmp_path / "a.json", tmp_path / "b.json", 2)
+    (new,) = json.loads((tmp_path / "b.json").read_text())
+    for each in (new["shots"]["a"], new["pano_shots"]["p"]):
+        assert each["translation"] == [2, 4, 6] and each["vertices"] == [[2, 4, 6]] and each["faces"] == [[0]]
+        grown = np.array(each["covariance"]) / np.array(shot["covariance"]).clip(1)
+        assert np.allclose(grown.ravel()[1:], np.outer([1, 1, 1, 2, 2, 2], [1, 1, 1, 2, 2, 2]).ravel()[1:])
 
 
 def test_reconstruction(tmp_path):
@@ -691,6 +764,31 @@ def test_materials_as_exporters_name_them(tmp_path):
         *there, ".orthoscale.json"
     }  # fmt: skip
     assert [note for note in notes if "refers" in note] == ["refers to gone.png, which is not beside it"]
+
+
+def test_names_in_materials_need_not_be_utf_8(tmp_path):
+    (home := tmp_path / "in").mkdir()
+    (home / "a.obj").write_bytes(b"mtllib caf\xe9.mtl\nv 1 2 3\n")
+    (home / os.fsdecode(b"caf\xe9.mtl")).write_bytes(b"newmtl a\nmap_Kd t\xe9x.png\n")
+    (home / os.fsdecode(b"t\xe9x.png")).write_bytes(b"png")
+    out, notes = applied(tmp_path, home / "a.obj")
+    assert {os.fsencode(path.name) for path in out.glob("*.*") if path.name[0] != "."} == {
+        b"a.obj", b"caf\xe9.mtl", b"t\xe9x.png"
+    }  # fmt: skip
+    assert not any("refers" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    "name, line", [("a.obj", "v {} {} 3"), ("a.xyz", "{} {} 3 255 0 0"), ("a.off", "OFF 1 0 0\n{} {} 3")]
+)
+def test_text_keeps_as_many_digits_as_it_has(tmp_path, name, line):
+    """Far from the origin ten are not enough for millimetres."""
+    words = "4649776.22482", "-500000.12345678901"
+    (tmp_path / name).write_text(line.format(*words) + "\n")
+    scale_path(tmp_path / name, tmp_path / f"new_{name}", 1.5)
+    new = (tmp_path / f"new_{name}").read_text().splitlines()[-1].split()[-6 if "255" in line else -3 :]
+    for old, word in zip(words, new, strict=False):
+        assert float(word) == pytest.approx(1.5 * float(old), rel=0, abs=1e-6 if old[0] == "4" else 1e-11)
 
 
 def test_an_obj_with_a_byte_order_mark_or_the_line_ends_of_old_macs(tmp_path):

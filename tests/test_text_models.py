@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import re
 
@@ -37,6 +38,21 @@ def test_pickled_as_its_path(made, tmp_path, writer):
     source = open_source(path)
     again = pickle.loads(pickle.dumps(source))
     assert type(again) is TextSource and again.picture_names == source.picture_names
+
+
+def test_a_file_that_was_changed_since_it_was_opened_is_neither_hashed_nor_written(made, tmp_path):
+    path = bundler(made[0], tmp_path / "in")
+    put_frames(made[0], path.parent / "images")
+    source = open_source(path)
+    (tmp_path / "out").mkdir()
+    for part in source.files:
+        before = part.stat().st_mtime_ns
+        os.utime(part, (0, 0))
+        for use in (source.content_hash, lambda: source.write(tmp_path / "out", 2.0)):
+            with pytest.raises(InputError, match=f"{part.name} was changed since it was opened"):
+                use()
+        os.utime(part, ns=(before, before))
+    source.content_hash()
 
 
 @pytest.mark.slow
@@ -119,6 +135,17 @@ def test_only_the_first_of_several_models_is_taken(pinhole, tmp_path):
     assert len(text.focal) == 12 and text.others and not read_text_model(tmp_path / "new.nvm").others
     assert (tmp_path / "new.nvm").read_text().endswith("\n0\n")
     assert len((tmp_path / "new.nvm").read_text()) < 1.2 * len(alone)
+
+
+def test_images_that_are_in_no_model_are_no_other_model(pinhole, tmp_path):
+    """VisualSFM lists them as a last model without points."""
+    lost = "2\nlost 1.jpg 1000 1 0 0 0 0 0 0 0 0\nlost 2.jpg 1000 1 0 0 0 0 0 0 0 0\n0\n"
+    path = nvm(pinhole[0], tmp_path, more=lost)
+    assert scale_path(path, tmp_path / "new.nvm", 3.0) == []
+    assert lost in (tmp_path / "new.nvm").read_text()
+    assert len(read_text_model(path).focal) == len(read_text_model(tmp_path / "new.nvm").focal) == 12
+    path.write_text(path.read_text().split("lost 2")[0])  # cut off
+    assert read_text_model(path).others
 
 
 def test_names_of_windows(made, pinhole, tmp_path):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
+from ..formats.names import json_in_utf8
 from ..requests import VehicleRequest
 from .options import (
     EXIT_CODES,
@@ -67,7 +67,7 @@ def calibrate(path: Path, out: Path | None, overwrite: bool, as_json: bool, **op
         if partial is not None:
             save_calibration(calibration, partial)
     if as_json:
-        click.echo(json.dumps(calibration_values(calibration)))
+        click.echo(json_in_utf8(calibration_values(calibration)))
         return
     ruler, made = calibration.ruler, calibration.made_from
     lines = [f"detector   {calibration.detector}"]

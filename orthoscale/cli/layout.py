@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from ..formats.names import json_in_utf8
 from .options import (
     EXIT_CODES,
     PATH,
@@ -121,4 +122,4 @@ def layout(
         outputs.protect(*made.ground.source.files)
         if folder is not None:
             export.write(made, folder)
-    click.echo(json.dumps(planning.document(made))) if as_json else say(summary(made, out))
+    click.echo(json_in_utf8(planning.document(made))) if as_json else say(summary(made, out))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from ..core.calibration import Calibration
 from ..system.paths import path_of
+from .names import json_in_utf8
 from .reading import checked, read_plain
 
 CALIBRATION_FORMAT = "orthoscale calibration 1"
@@ -18,7 +18,7 @@ A_CALIBRATION = "the path of a calibration"
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
     """Write as JSON. Raises UsageError for what is no path, OSError."""
     path_of(path, A_CALIBRATION).write_text(
-        json.dumps(calibration_values(calibration), indent=1) + "\n", encoding="utf-8"
+        json_in_utf8(calibration_values(calibration), indent=1) + "\n", encoding="utf-8"
     )
 
 

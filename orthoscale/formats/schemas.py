@@ -540,11 +540,13 @@ class Explained(Struct):
 
 
 class ReportInput(Struct):
-    """What was measured, its content's hash, and the folder that relative names here and in `settings` start from."""
+    """What was measured, of which kind it is ('' in reports of older versions, whose unit tells), its content's hash,
+    and the folder that relative names here and in `settings` start from."""
 
     path: Annotated[str, Meta(min_length=1, max_length=10_000)]
     sha256: Name
     folder: Annotated[str, Meta(max_length=10_000)] = ""
+    kind: Literal["orthophoto", "reconstruction", ""] = ""
 
 
 class ReportBox(Struct):
@@ -650,6 +652,8 @@ class Report(Explained, kw_only=True):
 Focal = Annotated[float, Meta(gt=0, le=1e4)]  # as a share of a picture's longer side
 Vector = tuple[Finite, Finite, Finite]
 Row = tuple[Finite, Finite, Finite, Finite]
+Pose = tuple[Row, Row, Row, Row]
+Six = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
 
 
 class Sim3Entry(Struct):
@@ -683,7 +687,9 @@ class TransformsFrame(Intrinsics, kw_only=True):
     """A picture of ``transforms.json``: camera to world (4, 4), OpenGL's axes (y up, z backwards)."""
 
     file_path: Text
-    transform_matrix: tuple[Row, Row, Row, Row]
+    transform_matrix: Pose
+    transform_matrix_start: Pose | UnsetType = UNSET
+    transform_matrix_end: Pose | UnsetType = UNSET
 
 
 class Transforms(Intrinsics, kw_only=True):
@@ -726,6 +732,7 @@ class OpensfmShot(OpensfmPlaced):
     rotation: Vector
     camera: Text
     gps_dop: Finite | UnsetType = UNSET
+    covariance: tuple[Six, Six, Six, Six, Six, Six] | UnsetType = UNSET
 
 
 class OpensfmPoint(Struct):
@@ -741,6 +748,7 @@ class OpensfmPart(Struct):
     shots: dict[str, OpensfmShot]
     cameras: dict[str, OpensfmCamera] = {}
     points: dict[str, OpensfmPoint] = {}
+    pano_shots: dict[str, OpensfmShot] = {}
     rig_instances: dict[str, OpensfmPlaced] = {}
     rig_cameras: dict[str, OpensfmPlaced] = {}
 
@@ -803,6 +811,24 @@ class GltfLights(Struct):
     lights: list[GltfLight] = []
 
 
+class GltfVolume(Struct):
+    """How far light goes in a material."""
+
+    attenuationDistance: float | None = None
+
+
+class GltfMaterialExtensions(Struct):
+    """Those of a material that have a length."""
+
+    KHR_materials_volume: GltfVolume | None = None
+
+
+class GltfMaterial(Struct):
+    """A material, as far as it has lengths."""
+
+    extensions: GltfMaterialExtensions | None = None
+
+
 class GltfExtensions(Struct):
     """Those of a whole scene that have a length."""
 
@@ -819,4 +845,5 @@ class Gltf(Struct):
     buffers: list[GltfPart] = []
     images: list[GltfPart] = []
     cameras: list[GltfCamera] = []
+    materials: list[GltfMaterial] = []
     extensions: GltfExtensions | None = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import rasterio
 import shapely
 from rasterio.windows import Window as RasterWindow
 
+from ..formats.names import json_in_utf8
 from ..formats.pictures import write_png
 from ..formats.vector import write_layer
 from ..sources.gdal import guarded
@@ -25,7 +25,7 @@ def write(layout: Layout, folder: Path) -> None:
     """Write into the empty `folder`: layout.json, layout.gpkg, layout.geojson, layout.dxf, mask.tif, lines.tif,
     lines.png, lot.png, overlay.png, prompt.txt. Raises OSError."""
     values = document(layout)
-    (folder / "layout.json").write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+    (folder / "layout.json").write_text(json_in_utf8(values, indent=1) + "\n", encoding="utf-8")
     (folder / "prompt.txt").write_text(prompt(layout) + "\n", encoding="utf-8")
     write_vectors(layout, folder, values["facilities"])
     write_dxf(layout, folder / "layout.dxf")

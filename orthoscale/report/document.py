@@ -37,6 +37,8 @@ FORMAT = "orthoscale report 2"
 # Remarks were bare sentences, `notes` those that are only informing; no judgements.
 FIRST_FORMAT = "orthoscale report 1"
 
+ORTHOPHOTO, RECONSTRUCTION = "orthophoto", "reconstruction"  # kinds of inputs
+
 # What a report may be without (an orthophoto has no frames, few views tell no trend, an older version knew less), by
 # its place in the document, and what stands for it. Everything else belongs to every report.
 OPTIONAL: dict[tuple[str, ...], Any] = {
@@ -132,7 +134,12 @@ def document(
         if zoom_choice is None
         else {"vehicle_px": zoom_choice.vehicle_px, "votes": zoom_choice.votes, "runner_up": zoom_choice.rival},
         **_of_posed(measured),
-        "input": {"path": str(source.path), "sha256": source.content_hash(), "folder": _current_folder()},
+        "input": {
+            "path": str(source.path),
+            "kind": ORTHOPHOTO if source.plan is not None else RECONSTRUCTION,
+            "sha256": source.content_hash(),
+            "folder": _current_folder(),
+        },
         "settings": dict(settings),
         "pictures": {p.name: [p.width, p.height] for p in source.pictures},
         "pixel_aspect": 1.0 if source.plan is None else source.plan.claimed.aspect,
@@ -277,8 +284,9 @@ def _model_drift(drift: ModelDrift) -> dict[str, Any]:
 
 
 def of_plan(report: Mapping[str, Any]) -> bool:
-    """Whether it is that of an orthophoto; else of a reconstruction."""
-    return report["unit"] == PER_PIXEL
+    """Whether it is that of an orthophoto; else of a reconstruction. Older versions told by the unit alone."""
+    kind = report["input"].get("kind")
+    return kind == ORTHOPHOTO if kind else report["unit"] == PER_PIXEL
 
 
 def pixel_size(report: Mapping[str, Any]) -> tuple[float, float]:

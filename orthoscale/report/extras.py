@@ -66,7 +66,9 @@ def write_scale_file(result: Result, place: Placement, path: Path) -> None:
     low, high = result.scale.interval90
     path.write_text(
         f"{result.scale.value:.17g}  # {result.scale.unit}, 90 % from {low:.6g} to {high:.6g}, "
-        f"{result.scale.vehicles_used} vehicles, fleet {result.scale.fleet}; {signature(path)}\n"
+        f"{result.scale.vehicles_used} vehicles, fleet {result.scale.fleet}; {signature(path)}\n",
+        encoding="utf-8",
+        errors="backslashreplace",  # the fleet is called like its file
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from rasterio.warp import transform_geom
 from ..core.source import Placement, Plan
 from ..errors import OutputError, UsageError
 from ..formats.detections.geo import LAYER
+from ..formats.names import json_in_utf8
 from ..formats.vector import write_layer
 from .anchors import entries, write_anchor_layer
 from .result import Result
@@ -134,7 +134,7 @@ def write_geojson(result: Result, place: Placement, path: Path) -> None:
         properties = {name: values[k] for name, values in columns.items()}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
     text = {"type": "FeatureCollection", "name": LAYER, "features": features}
-    path.write_text(json.dumps(text), encoding="utf-8")
+    path.write_text(json_in_utf8(text), encoding="utf-8")
 
 
 def _add_style(path: Path) -> None:

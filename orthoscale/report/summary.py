@@ -138,7 +138,7 @@ def _page_of(row: Mapping[str, Any], place: Path) -> str:
         return ""
     out = Path(row["output"])
     page = out / "report.html" if out.is_dir() else out.with_name(f"{out.name}.html")
-    return quote(os.path.relpath(page, place.absolute().parent)) if page.is_file() else ""
+    return quote(os.fsencode(os.path.relpath(page, place.absolute().parent))) if page.is_file() else ""
 
 
 SUMMARY_WRITERS: dict[str, Callable[[Sequence[Row], Path, Path], None]] = {

@@ -30,7 +30,7 @@ from .consistency import check_consistency
 from .database import pose_priors
 from .dense_cloud import DenseCloud
 from .dense_ground import dense_ground
-from .fingerprint import content_hash
+from .fingerprint import Stamp, content_hash, require_unchanged
 from .focal import focal_doubt
 from .frame_check import check_frames
 from .frames import find_frames
@@ -41,6 +41,8 @@ from .positions import gps_scale
 from .undistort import undistort
 
 if TYPE_CHECKING:
+    from typing import Self
+
     import pycolmap
 
 LARGEST_COPY = 64 << 20  # [bytes] of a file beside the model; anything larger is data, not settings
@@ -64,7 +66,7 @@ class ColmapSource:
     notes : what was chosen or left aside while opening, for the report.
     unit : what `write` wants and what a scale of this source is measured in.
     images, need_images : as given to `open`.
-    cloud : on which the ground is found, beside the sparse points; `opening.open_source` looks for it.
+    cloud : on which the ground is found, beside the sparse points; see `on_cloud`.
     """
 
     path: Path
@@ -78,6 +80,7 @@ class ColmapSource:
     need_images: bool = True
     unit: str = "m/model-unit"
     cloud: DenseCloud | None = None
+    _stamps: tuple[Stamp, ...] = ()  # of the files, before they were read
 
     @classmethod
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ColmapSource:
@@ -103,7 +106,12 @@ class ColmapSource:
         if note := pose_priors(files.folder):
             notes.append(Remark(INFO, note))
         images = None if images is None else Path(images)
-        return cls(Path(path), files.folder, files.format, pictures, notes, files.paths, model, images, need_images)
+        found = files.folder, files.format, pictures, notes, files.paths, model
+        return cls(Path(path), *found, images, need_images, _stamps=files.stamps)
+
+    def on_cloud(self, cloud: DenseCloud) -> Self:
+        """The same source with the dense `cloud` that its ground is found on. Raises InputError."""
+        return replace(self, cloud=cloud, _stamps=(*self._stamps, *map(Stamp.of, cloud.files)))
 
     def __reduce__(self) -> tuple:
         """Pickled as its path: pycolmap's models cannot be, and are read again from their files."""
@@ -268,8 +276,12 @@ class ColmapSource:
 
     def content_hash(self) -> str:
         """SHA-256 in hex over the names and contents of the model's files, and of its dense cloud's, which the scale
-        depends on as well. Raises InputError."""
-        return content_hash([*sorted(self._paths), *(self.cloud.files if self.cloud is not None else ())])
+        depends on as well. Raises InputError, also where one was changed since it was opened: it would be the hash of
+        what was not looked at."""
+        require_unchanged(self._stamps)
+        found = content_hash([*sorted(self._paths), *(self.cloud.files if self.cloud is not None else ())])
+        require_unchanged(self._stamps)
+        return found
 
     def views(
         self, name: str, points: np.ndarray, lowest_elevation: float = LOWEST_ELEVATION
@@ -328,11 +340,12 @@ class ColmapSource:
         All lengths grow by `metres_per_unit` about the model's origin; nothing is turned or shifted: `Sim3`.
         Small files beside the input model are copied along; `notes` says which, and what was left out.
 
-        Raises UsageError for a scale that is not positive and finite, OutputError if what was written does not read
-        back as the scaled model.
+        Raises UsageError for a scale that is not positive and finite, InputError for a model that was changed since it
+        was opened, OutputError if what was written does not read back as the scaled model.
         """
         sim3 = Sim3(float(metres_per_unit))
         folder = Path(folder)
+        require_unchanged(self._stamps)
         write_scaled(self.folder, self.input_format, self._model, folder, sim3.scale)
         try:
             sim3.save(folder)

@@ -34,6 +34,7 @@ from .colmap_tables import (
 )
 from .colmap_text import read_text
 from .consistency import Observations, observations, some_of_each
+from .fingerprint import Stamp
 
 FARTHEST = 1e12  # [units] nothing on Earth is so far, not even in millimetres
 
@@ -42,7 +43,8 @@ FARTHEST = 1e12  # [units] nothing on Earth is so far, not even in millimetres
 class ModelFiles:
     """A COLMAP model on disk whose files have been walked and found whole.
 
-    folder : where it lies. format : 'bin' or 'txt'. paths : the files that make it up.
+    folder : where it lies. format : 'bin' or 'txt'. paths : the files that make it up. stamps : theirs, before they
+    were read.
     seen : some of what its images saw. parts : numbers of images in parts that share no point, of two images or more.
     notes : what was chosen or left aside on the way, for the report.
     """
@@ -50,6 +52,7 @@ class ModelFiles:
     folder: Path
     format: str
     paths: tuple[Path, ...]
+    stamps: tuple[Stamp, ...]
     seen: Observations
     parts: tuple[int, ...]
     notes: tuple[str, ...] = ()
@@ -65,9 +68,10 @@ def open_model(path: Path) -> ModelFiles:
     folder, notes = _find_folder(Path(path))
     form, more = _choose_format(folder)
     paths = _paths(folder, form)
+    stamps = tuple(map(Stamp.of, paths.values()))
     tables = _READERS[form](paths)
     _check(tables)
-    return ModelFiles(folder, form, tuple(paths.values()), _seen(tables), _parts(tables), (*notes, *more))
+    return ModelFiles(folder, form, tuple(paths.values()), stamps, _seen(tables), _parts(tables), (*notes, *more))
 
 
 def check_model(folder: Path, form: str) -> None:

@@ -42,6 +42,13 @@ class Stamp(NamedTuple):
         return self.size == other.size and abs(self.changed - other.changed) <= TIME_STEP_NS
 
 
+def require_unchanged(stamps: Iterable[Stamp]) -> None:
+    """Raise InputError where a file is another now than when its stamp was taken, before it was read."""
+    for stamp in stamps:
+        if not Stamp.of(path := Path(stamp.path)).same(stamp):
+            raise changed(path)
+
+
 def changed(path: Path) -> InputError:
     """The error of a file that got another content while it was in use."""
     return InputError(f"{path} was changed since it was opened", "Let nothing write it meanwhile, and run again.")

@@ -15,7 +15,7 @@ from rasterio.transform import Affine, from_gcps
 
 from ..core.affine import transformed
 from ..errors import InputError
-from .gdal import projection_file, read_projection
+from .gdal import read_projection
 
 LINE = 1e-6  # width over length from which points count as lying on a line
 LOCAL_CRS = (
@@ -57,16 +57,16 @@ class CopyGeoreference:
     said: str
 
 
-def claim_of(dataset: DatasetReader) -> Claim:
-    """What the georeferencing of `dataset` says, or its world file and ``.prj``, and whether to believe it; within
-    `gdal.guarded`. Never raises for strange georeferencing."""
+def claim_of(dataset: DatasetReader, projection: Path | None = None) -> Claim:
+    """What the georeferencing of `dataset` says, or its world file and ``.prj``, which is `projection`, and whether to
+    believe it; within `gdal.guarded`. Never raises for strange georeferencing."""
     try:
-        return _claim_of(dataset)
+        return _claim_of(dataset, projection)
     except pyproj.exceptions.CRSError as error:
         return Claim(None, False, f"its coordinate reference system is not understood ({error})")
 
 
-def _claim_of(dataset: DatasetReader) -> Claim:
+def _claim_of(dataset: DatasetReader, projection: Path | None) -> Claim:
     """As `claim_of`. Raises CRSError."""
     t, crs = dataset.transform, dataset.crs
     if (t.b, t.d, t.c) == (0, 0, 0) and abs(t.a) == abs(t.e) == 1 and t.f in (0, dataset.height):
@@ -80,11 +80,11 @@ def _claim_of(dataset: DatasetReader) -> Claim:
     if size == 0 or not math.isfinite(across * down):
         return Claim(None, False, "a geotransform without area")
     told_by, unread = "", ""
-    if crs is None and (file := projection_file(Path(dataset.name))) is not None:
+    if crs is None and projection is not None:
         try:
-            crs, told_by = read_projection(file), f" ({file.name})"
+            crs, told_by = read_projection(projection), f" ({projection.name})"
         except InputError:
-            unread = f", and {file.name} beside it is not understood"
+            unread = f", and {projection.name} beside it is not understood"
     if crs is None:
         beside = [Path(f).name for f in dataset.files[1:]]
         shape = "square" if _square(across, down) else f"{across / down:.4g} times as wide as high"

@@ -26,6 +26,7 @@ from ..formats.reading import reason
 from .colmap_check import FARTHEST
 from .colmap_tables import CUT_VIEWS, SPHERICAL
 from .consistency import Observations, check_consistency, observations, some_of_each
+from .fingerprint import Stamp
 from .frames import find_frames
 from .one_file import OneFileSource
 
@@ -59,11 +60,14 @@ class ExchangeSource(OneFileSource):
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> ExchangeSource:
         """Open the file `path`; otherwise as `ColmapSource.open`. Raises InputError."""
         path = Path(path)
+        stamp = Stamp.of(path)
         model, others, said, tracks = _read(path)
         notes = [*informing(said), *check_consistency(path, model, _seen(path, model, tracks))]
         pictures = find_frames(model, path.parent, images, need_images, notes)
         images = None if images is None else Path(images)
-        return cls(path, path.parent, "json", pictures, notes, (path, *others), model, images, need_images)
+        stamps = (stamp, *map(Stamp.of, others))
+        found = path.parent, "json", pictures, notes, (path, *others), model
+        return cls(path, *found, images, need_images, _stamps=stamps)
 
     @property
     def metric_already(self) -> str:

@@ -11,6 +11,7 @@ from ..errors import OutputError, UsageError
 from ..formats.geometry.sim3 import Sim3
 from .colmap import ColmapSource
 from .colmap_write import difference
+from .fingerprint import require_unchanged
 
 if TYPE_CHECKING:
     import pycolmap
@@ -29,10 +30,12 @@ class OneFileSource(ColmapSource):
     def write(self, folder: Path, metres_per_unit: float) -> None:
         """Write the file in metres into the empty `folder`, with what belongs to it, and `Sim3.save`'s files.
 
-        Raises UsageError for an impossible scale, OutputError if what was written does not read back as it was meant.
+        Raises UsageError for an impossible scale, InputError for a file that was changed since it was opened,
+        OutputError if what was written does not read back as it was meant.
         """
         sim3 = Sim3(float(metres_per_unit))
         out = folder / self.path.name
+        require_unchanged(self._stamps)
         try:
             self._write_file(out, sim3.scale)
             sim3.save(folder)

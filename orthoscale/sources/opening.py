@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..core.remarks import CAUTION, Remark
 from ..core.source import Source
 from ..errors import InputError, UsageError
 from ..formats.geometry.text_models import SUFFIXES
@@ -65,7 +65,13 @@ def _on_cloud(source: ColmapSource, named: str | Path | None, progress: Progress
     from .dense_cloud import cloud_at, find_cloud
 
     if named is not None:
-        return source if str(named) == NO_CLOUD else replace(source, cloud=cloud_at(Path(named), progress))
+        return source if str(named) == NO_CLOUD else source.on_cloud(cloud_at(Path(named), progress))
     cloud, remarks = find_cloud(source.folder, progress)
     source.notes.extend(remarks)
-    return source if cloud is None else replace(source, cloud=cloud)
+    if cloud is None:
+        return source
+    try:
+        return source.on_cloud(cloud)
+    except InputError as error:  # nobody named it: the sparse points will do
+        source.notes.append(Remark(CAUTION, f"{cloud.what} is left out: {error.message}"))
+        return source

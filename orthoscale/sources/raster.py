@@ -25,7 +25,7 @@ from ..errors import InputError, UsageError
 from ..formats.points import pixel
 from ..system.budget import in_words
 from ..system.scratch import Scratch
-from .fingerprint import Stamp, another, changed, fingerprint
+from .fingerprint import Stamp, another, fingerprint, require_unchanged
 from .gdal import EXPORT_AGAIN, open_dataset, projection_file, reading, settings
 from .georeference import CopyGeoreference, claim_of, kept_place, local_place
 from .raster_blocks import RasterBlocks
@@ -62,15 +62,15 @@ class RasterSource:
 
     unit = PER_PIXEL
 
-    def __init__(self, path: Path, dataset: DatasetReader):
-        """Use `RasterSource.open`."""
+    def __init__(self, path: Path, dataset: DatasetReader, stamp: Stamp):
+        """Use `RasterSource.open`. stamp : of the file before it was opened."""
         self.path = path
         self.name = path.name
         self.notes: list[Remark] = []
         self._dataset = dataset
         projection = projection_file(path) if dataset.crs is None else None
         self._projection = [] if projection is None else [projection]
-        self._stamps = {path: Stamp.of(path)}
+        self._stamps = {path: stamp}
         for file in self.files:
             if not file.name.endswith(STATISTICS):
                 with suppress(InputError):  # what is missing beside it is said where it is needed
@@ -87,7 +87,7 @@ class RasterSource:
         self._masked = self._display.masks and without
         self._scratch: Scratch | None = None
         self._read_from = dataset  # or, from the first look on, a copy of it in blocks
-        self.claimed = claim_of(dataset)
+        self.claimed = claim_of(dataset, projection)
         if (turned := dataset.tags().get("EXIF_Orientation", "1")) not in ("0", "1"):
             text = (
                 f"the camera noted how the picture is to be turned (EXIF orientation {turned}): coordinates and boxes "
@@ -123,11 +123,12 @@ class RasterSource:
             raise InputError(f"{path} cannot be read ({error.strerror})", "Check its permissions.") from error
         if empty:
             raise InputError(f"{path} is empty", "Export or download it again.")
+        stamp = Stamp.of(path)
         with reading(path, "is not an image that GDAL can open", USE_ANOTHER):
             dataset = open_dataset(path)
         try:
             with reading(path, "is damaged", EXPORT_AGAIN):
-                return cls(path, dataset)
+                return cls(path, dataset, stamp)
         except BaseException:
             dataset.close()
             raise
@@ -209,12 +210,16 @@ class RasterSource:
             self._scratch.close()
 
     def content_hash(self) -> str:
-        """SHA-256 of the file as it lies on disk, in hex; of a VRT, not of what it refers to."""
+        """SHA-256 of the file as it lies on disk, in hex; of a VRT, not of what it refers to. Raises InputError where
+        one of its files was changed since it was opened: it would be the hash of what was not looked at."""
+        self._require_unchanged()
         try:
             with self.path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
             raise InputError(f"{self.path} cannot be read ({error.strerror})", "Was it moved meanwhile?") from error
+        self._require_unchanged()
+        return digest
 
     @property
     def files(self) -> list[Path]:
@@ -226,10 +231,12 @@ class RasterSource:
 
         Raises InputError where one was changed since it was opened: the pixels that it gives may be those of before.
         """
-        for file, stamp in self._stamps.items():
-            if not Stamp.of(file).same(stamp):
-                raise changed(file)
+        self._require_unchanged()
         return fingerprint(self.files)
+
+    def _require_unchanged(self) -> None:
+        """Raise InputError where one of its files was changed since it was opened."""
+        require_unchanged(self._stamps.values())
 
     def __reduce__(self) -> tuple:
         """Pickled as its path: another process opens it anew, once for all its tiles."""
@@ -372,7 +379,8 @@ class RasterSource:
         cog : write a cloud-optimised GeoTIFF (lossless, deflate), with overviews.
 
         Raises UsageError for a scale that is not a positive number or a path not named .tif or .tiff; InputError when
-        the input turns out to be damaged; OutputError when the copy cannot be written or does not read back alike.
+        the input turns out to be damaged, or was changed since it was opened; OutputError when the copy cannot be
+        written or does not read back alike.
         """
         path = Path(path)
         if not (math.isfinite(metres_per_pixel) and metres_per_pixel > 0):
@@ -382,10 +390,14 @@ class RasterSource:
             raise UsageError(f"{path} is the input itself", "Choose another name for the output.")
         place = place or self.place(metres_per_pixel)
         original = self._original
+        self._require_unchanged()
         original.write(path, place, cog)
+        self._require_unchanged()
         notes = [f"{path.name}: {place.said}"]
         if original.is_cog and not cog:
             notes.append(f"{path.name} is no longer cloud-optimised as {self.name} is (--cog makes it so)")
+        if original.has_several_nodata:
+            notes.append(f"bands of {self.name} have several values for no data, a GeoTIFF one: {path.name} has a mask")
         self.notes += [note for note in informing(notes) if note not in self.notes]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import threading
 from collections.abc import Iterator
@@ -26,6 +27,11 @@ from .gdal import EXPORT_AGAIN, GDAL_ERRORS, guarded, open_dataset, reading, rea
 _STRIP = 256  # [px] height of the strips in which whole images are walked, and side of the tiles that are written
 _CLASSIC = 2**32 - 2**24  # [byte] a classic TIFF longer than this may not have room for another directory
 _WHOLE = 100_000_000  # [px] copies up to this size are compared with their original in full, larger ones by samples
+_PROFILE = "COLOR_PROFILE", "SOURCE_ICC_PROFILE"  # GDAL's domain and name of an ICC profile, base64
+_TRANSPARENT = "NODATA_VALUES"  # GDAL's tag of a colour that has no data: a value for each band
+# Domains of metadata that are not copied: GDAL's own, those of the file's structure, those of former georeferencing,
+# and a profile, which is no metadata in a TIFF. XML is left out too: rasterio cannot write it.
+_OWN_DOMAINS = {"", "COLOR_PROFILE", "DERIVED_SUBDATASETS", "GEOLOCATION", "IMAGE_STRUCTURE", "RPC", "SUBDATASETS"}
 
 
 @dataclass(frozen=True)
@@ -44,7 +50,7 @@ class Original:
     def write(self, path: Path, place: Placement, cog: bool = False) -> None:
         """Write the copy, see `RasterSource.write`. Raises InputError for a damaged original; OutputError for a copy
         that cannot be written or does not read back alike."""
-        plain = path.with_name(f"plain.{path.name}") if cog else path
+        plain = path.with_name(f"plain.{path.name[-100:]}") if cog else path  # a long name has no room for more
         try:
             with guarded():
                 if self._can_be_copied():
@@ -58,7 +64,7 @@ class Original:
                 if cog:
                     self._optimise(plain, path)
                 # Whatever a GeoTIFF could not hold would be in here, and would not travel with a renamed file.
-                Path(f"{path}.aux.xml").unlink(missing_ok=True)
+                _remove(Path(f"{path}.aux.xml"))
                 self._verify(path, place)
         except GDAL_ERRORS as error:
             why = f"{path} could not be written ({reason(error)})"
@@ -66,18 +72,28 @@ class Original:
         finally:
             if cog:
                 for leftover in (plain, Path(f"{plain}.aux.xml")):
-                    leftover.unlink(missing_ok=True)
+                    _remove(leftover)
 
     @property
     def is_cog(self) -> bool:
         """Whether it is a cloud-optimised GeoTIFF."""
         return self.dataset.tags(ns="IMAGE_STRUCTURE").get("LAYOUT") == "COG"
 
+    @property
+    def has_several_nodata(self) -> bool:
+        """Whether its bands have different nodata values; a GeoTIFF has room for one, and the copy gets a mask."""
+        return len(self._nodata()) > 1 and not self._has_transparent_colour
+
+    @property
+    def _has_transparent_colour(self) -> bool:
+        """Whether a tag says which colour has no data, as for a PNG: GDAL makes the mask of it, for a TIFF too."""
+        return _TRANSPARENT in self.dataset.tags()
+
     def _can_be_copied(self) -> bool:
         """A TIFF whose pixels are all in the one file, without rational polynomials (rasterio cannot remove those), and
         with room for a new directory at its end if it is a classic one, whose offsets have 32 bits."""
         dataset = self.dataset
-        in_one_file = not any(f.endswith(".msk") for f in dataset.files) and len(self._nodata()) <= 1
+        in_one_file = not any(f.endswith(".msk") for f in dataset.files) and not self.has_several_nodata
         return dataset.driver == "GTiff" and in_one_file and not dataset.rpcs and self._has_room()
 
     def _has_room(self) -> bool:
@@ -86,7 +102,7 @@ class Original:
         return big or self.path.stat().st_size < _CLASSIC
 
     def _nodata(self) -> set[str]:
-        """The bands' different nodata values; a GeoTIFF has room for one. As text, in which NaN equals NaN."""
+        """The bands' different nodata values, as text, in which NaN equals NaN."""
         return {repr(v) for v in self.dataset.nodatavals}
 
     def _optimise(self, plain: Path, path: Path) -> None:
@@ -106,6 +122,7 @@ class Original:
             OVERVIEWS="AUTO",
             RESAMPLING="NEAREST" if self.paletted else "AVERAGE",
             NUM_THREADS="ALL_CPUS",
+            COPY_SRC_MDD="YES",  # all domains of metadata
         )
 
     def convert(self, path: Path, place: Placement, **options: Any) -> None:
@@ -115,9 +132,13 @@ class Original:
         dtype = np.result_type(*source.dtypes)
         kinds = [c.name for c in source.colorinterp]
         in_file_mask = MaskFlags.per_dataset in source.mask_flag_enums[0] and "alpha" not in kinds
-        explicit_mask = in_file_mask or len(self._nodata()) > 1
+        explicit_mask = (in_file_mask and not self._has_transparent_colour) or self.has_several_nodata
         if kinds[:3] == ["red", "green", "blue"] and dtype.kind == "u":
             options["photometric"] = "RGB"
+        elif _negative(source):
+            options["photometric"] = "MINISWHITE"
+        if profile := source.tags(ns=_PROFILE[0]).get(_PROFILE[1]):
+            options[_PROFILE[1]] = profile
         packing = {"compress": "deflate", "predictor": 3 if dtype.kind == "f" else 2}
         with rasterio.open(
             path,
@@ -159,8 +180,13 @@ class Original:
                 setattr(copy, name, getattr(source, name))
         for band in (0, *source.indexes):
             tags, had = source.tags(band), copy.tags(band)
-            if new := {k: v for k, v in tags.items() if k not in had and k != "AREA_OR_POINT"}:
+            if tags.get("AREA_OR_POINT") == "Point":  # GDAL calls a new TIFF one of areas
+                had.pop("AREA_OR_POINT", None)
+            if new := {k: v for k, v in tags.items() if k not in had}:
                 copy.update_tags(band, **new)
+            for domain in source.tag_namespaces(band):
+                if domain not in _OWN_DOMAINS and not domain.startswith("xml:") and not copy.tags(band, ns=domain):
+                    copy.update_tags(band, ns=domain, **source.tags(band, ns=domain))
         if copy.mode == "r+" and source.overviews(1) and not copy.overviews(1):
             resampling = Resampling.nearest if self.paletted else Resampling.average
             copy.build_overviews(source.overviews(1), resampling)
@@ -183,7 +209,8 @@ class Original:
             told = {
                 "size": (copy.width, copy.height, copy.count) == (source.width, source.height, source.count),
                 "type": copy.dtypes[0] == np.result_type(*source.dtypes) or copy.dtypes == source.dtypes,
-                "colours": copy.colorinterp == source.colorinterp,
+                "colours": _colours(copy) == _colours(source),
+                "negative": not _negative(source) or _negative(copy) or _has_palette(copy),  # which GDAL makes of it
                 "transform": np.allclose(copy.transform, place.transform, rtol=1e-9, atol=0),
                 "coordinate reference system": copy.crs is not None and self._same_system(copy.crs, place.crs),
                 "ground control": not copy.gcps[0] and not copy.rpcs,
@@ -223,6 +250,23 @@ def _fits(value: float, dtype: str) -> bool:
         return True
     limits = np.iinfo(dtype)
     return math.isfinite(value) and limits.min <= value <= limits.max
+
+
+def _colours(dataset: DatasetReader) -> list[str]:
+    """What its bands are; a first one of which nothing is said is grey in a TIFF."""
+    kinds = [kind.name for kind in dataset.colorinterp]
+    return ["gray" if kinds[0] == "undefined" else kinds[0], *kinds[1:]]
+
+
+def _negative(dataset: DatasetReader) -> bool:
+    """Whether what is light is stored dark."""
+    return dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
+
+
+def _remove(path: Path) -> None:
+    """Remove the file `path`, if there is one; its name may be longer than any file's."""
+    if os.path.lexists(path):
+        path.unlink()
 
 
 def _has_palette(dataset: DatasetReader) -> bool:

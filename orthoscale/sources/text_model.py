@@ -19,6 +19,7 @@ from ..formats.geometry.files import scale_file
 from ..formats.geometry.text_models import FIRST_OF_MANY, TextModel, read_text_model
 from ..formats.reading import read_text
 from .consistency import Observations, check_consistency, observations, some_of_each
+from .fingerprint import Stamp
 from .frames import find_frames, image_folder
 from .json_model import build_model
 from .one_file import OneFileSource
@@ -36,6 +37,7 @@ class TextSource(OneFileSource):
     def open(cls, path: Path | str, images: Path | str | None = None, need_images: bool = True) -> TextSource:
         """Open the file `path`; otherwise as `ColmapSource.open`, but the frames must be there. Raises InputError."""
         path = Path(path)
+        stamp = Stamp.of(path)
         text = read_text_model(path)
         names, lists = (text.names, []) if text.names is not None else _listed(path, len(text.focal))
         wanted = sorted({_clean(name) for name, focal in zip(names, text.focal, strict=True) if focal > 0})
@@ -50,7 +52,8 @@ class TextSource(OneFileSource):
         model = _built(path, text, names, sizes)
         notes += check_consistency(path, model, _observations(text, names, model))
         pictures = find_frames(model, path.parent, root, need_images, notes)
-        return cls(path, path.parent, path.suffix, pictures, notes, (path, *lists), model, root, need_images)
+        found = path.parent, path.suffix, pictures, notes, (path, *lists), model
+        return cls(path, *found, root, need_images, _stamps=(stamp, *map(Stamp.of, lists)))
 
     def _write_file(self, out: Path, scale: float) -> None:
         scale_file(self.path, out, scale)

@@ -186,6 +186,7 @@ class Outputs:
         written = [claim for claim in reversed(claims) if not (claim.retired or claim.failed)]
         for claim in written:
             claim.sign()
+            claim.flush()
         stopping.check()
         # What would speak falsely for the new output goes when that is there.
         changes = [*written, *(claim for claim in claims if claim.retired or claim.failed)]

@@ -21,12 +21,14 @@ try:
 except ImportError:  # not POSIX
     fcntl = None
 
+FLUSHED = os.O_RDWR if os.name == "nt" else os.O_RDONLY  # how a file is opened to be flushed; it may be read-only
 SCRATCH = ".partial"  # ending of the scratch folder beside an output
 LOCK, NEW, FORMER = "lock", "new", "former"  # in that folder
 
 NOREPLACE, EXCHANGE = 1, 2  # flags of renameat2(2)
 _AT_FDCWD = -100
 _NOT_HERE = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP)  # no renameat2, or not on this file system
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EINVAL, errno.ENOTSUP)  # some network drives have none
 
 
 class Reserved:
@@ -68,6 +70,19 @@ class Reserved:
             sign_folder(self.partial)
         else:
             sign_file(self.partial)
+
+    def flush(self) -> None:
+        """Wait until all is on the disk: only then a network drive says that it is full, and what takes the place of a
+        former output is whole after a failure of the power."""
+        within = (Path(root) / name for root, _, files in os.walk(self.partial) for name in files)
+        for path in within if self.partial.is_dir() else [self.partial]:
+            if path.is_symlink():
+                continue
+            file = os.open(path, FLUSHED)
+            try:
+                os.fsync(file)
+            finally:
+                os.close(file)
 
     def place(self) -> None:
         """Put what was written, or nothing, in its place. Raises UsageError if that was changed meanwhile."""
@@ -159,20 +174,38 @@ def _locked(scratch: Path, path: Path) -> int:
                 scratch.rmdir()
             raise
         try:
-            if fcntl is not None:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            elif not made:
-                raise BlockingIOError
+            if not _taken(lock, made):
+                raise busy
             if os.path.samestat(os.fstat(lock), os.stat(scratch / LOCK)):
                 return lock
         except FileNotFoundError:  # the lock of a run that has just ended
             pass
-        except OSError as error:
+        except OSError:
             os.close(lock)
-            if isinstance(error, BlockingIOError):
-                raise busy from None
+            if made:
+                with suppress(OSError):
+                    (scratch / LOCK).unlink()
+                    scratch.rmdir()
+            raise
+        except UsageError:
+            os.close(lock)
             raise
         os.close(lock)
+
+
+def _taken(lock: int, made: bool) -> bool:
+    """Whether this run has the lock now. Where there are no locks, it is that of the run that made its folder."""
+    if fcntl is None:
+        return made
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        return made
+    return True
 
 
 def _rename_to_new(partial: Path, path: Path) -> None:

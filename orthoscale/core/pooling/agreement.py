@@ -125,7 +125,8 @@ def alone(agreement: Agreement) -> str | None:
 
 def together(agreement: Agreement) -> Scale:
     """The pooled scale: the first, shifted towards the second by its weight; or the one that stands `alone`. Its shapes
-    are as odd as those of the one with the odder ones, and what was remarked on either is remarked on it.
+    are as odd as those of the one with the odder ones, and what was remarked on either is remarked on it, with the name
+    of the one unless it holds for both.
 
     Weights are the inverse variances of the errors that are not shared. Vehicles, detector and ground are largely the
     same, so no part of the uncertainty becomes smaller than its weighted mean. A difference that exceeds their own
@@ -138,12 +139,12 @@ def together(agreement: Agreement) -> Scale:
     both = {name: scale.value for name, scale in agreement.scales.items()}
     if (name := alone(agreement)) is not None:
         stands = agreement.scales[name]
-        checks = stands.checks | both
+        stands = replace(stands, checks=stands.checks | both, remarks=_named(agreement.scales, name))
         if stands.conflict:
-            return replace(stands, checks=checks)
+            return stands
         low, high = min(s.interval90[0] for s in (a, b)), max(s.interval90[1] for s in (a, b))
         spread = max(float(np.log(high / low)) / (2 * Z90), stands.relative_sd)
-        return replace(stands, interval90=(low, high), parts={"conflict": spread}, verdict=UNUSABLE, checks=checks)
+        return replace(stands, interval90=(low, high), parts={"conflict": spread}, verdict=UNUSABLE)
     own = np.array([sum(v**2 for k, v in s.parts.items() if k in OWN) for s in (a, b)])
     weight = (1 / own) / (1 / own).sum()
     log_value = float(weight @ np.log([a.value, b.value]))
@@ -162,8 +163,17 @@ def together(agreement: Agreement) -> Scale:
         parts=parts,
         tension=tension,
         verdict=verdict(support.judged(sd), tension > CHECK_LIMIT, conflict=False, doubted=doubted),
-        remarks=tuple(dict.fromkeys((*a.remarks, *b.remarks))),
+        remarks=tuple(dict.fromkeys(remark for name in agreement.scales for remark in _named(agreement.scales, name))),
         checks=a.checks | both,
         evidence=a.evidence or b.evidence,
         support=support,
+    )
+
+
+def _named(scales: dict[str, Scale], name: str) -> tuple[Remark, ...]:
+    """The remarks on the scale `name`, with this name before what is not remarked on all `scales`."""
+    shared = [remark for remark in scales[name].remarks if all(remark in scale.remarks for scale in scales.values())]
+    return tuple(
+        remark if remark in shared else replace(remark, text=f"{name}: {remark.text}")
+        for remark in scales[name].remarks
     )

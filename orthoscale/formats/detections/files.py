@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from ...core.remarks import CAUTION, INFO, Remark
 from ...core.source import Pictures
 from ...errors import InputError, UsageError, shown
 from ...system.outputs import Outputs
-from ..names import in_utf8
+from ..names import in_utf8, json_in_utf8
 from ..reading import LARGE, read_plain
 from ..tables import known_objects
 from . import coco, dota, geo, table
@@ -155,7 +154,7 @@ def _objects(items: Sequence[Item], sizes: Mapping[str, tuple[int, int]], path: 
 
 
 def _write(text: Any, path: Path) -> None:
-    path.write_text(json.dumps(text) + "\n", encoding="utf-8")
+    path.write_text(json_in_utf8(text) + "\n", encoding="utf-8")
 
 
 def _place(source: Pictures) -> geo.Georeference | None:

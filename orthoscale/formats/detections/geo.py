@@ -6,7 +6,6 @@ as negative y, as QGIS shows such pictures, and read with either sign.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -20,6 +19,7 @@ from ...core.affine import transformed
 from ...core.boxes import KINDS, Boxes
 from ...core.source import Claim
 from ...errors import InputError, OutputError, shown
+from ..names import json_in_utf8
 from ..reading import check_regular, checked, parsed
 from .items import CLASS, LABEL, PICTURE, SCORE_NAMES, Item, first
 from .own import measured_notes
@@ -183,7 +183,7 @@ def write_geopackage(
                 crs=None if place is None else place.crs,
                 layer=LAYER,
                 driver="GPKG",
-                layer_metadata={"orthoscale": json.dumps(dict(note))},
+                layer_metadata={"orthoscale": json_in_utf8(dict(note))},
             )
         except RuntimeError as error:  # pyogrio's errors are all RuntimeErrors
             raise OutputError(f"{path.name}: GDAL could not write it ({error})", "Check the free space.") from error

@@ -27,7 +27,6 @@ KNOWN = (
 )
 # Formats of one file each.
 ONE_FILE: dict[str, Callable[[Path, Path, float], list[str] | None]] = {
-    ".glb": scale_glb,
     ".las": scale_las,
     ".laz": scale_las,
     ".off": scale_off,
@@ -37,7 +36,7 @@ ONE_FILE: dict[str, Callable[[Path, Path, float], list[str] | None]] = {
     **dict.fromkeys(POINTS, scale_points),
     **dict.fromkeys(SUFFIXES, scale_text_model),
 }
-WITH_OTHERS = {".ply": scale_ply, ".obj": scale_obj, ".gltf": scale_gltf}
+WITH_OTHERS = {".ply": scale_ply, ".obj": scale_obj, ".glb": scale_glb, ".gltf": scale_gltf}
 
 
 class WrittenFiles:

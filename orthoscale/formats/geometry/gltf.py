@@ -1,8 +1,8 @@
 """glTF 2.0, as .glb or .gltf: every root gets a node with the scale above it, so that no buffer is changed.
 
 That node applies to all that is below it: meshes, skins, animations, quantised or compressed geometry. Not below it
-are the centre that 3D Tiles add (CESIUM_RTC), and what cameras and lights say of themselves (glTF 2.0, 3.10.3;
-KHR_lights_punctual): a node's scale does not act on these.
+are the centre that 3D Tiles add (CESIUM_RTC), and what cameras, lights and clear materials say of themselves (glTF
+2.0, 3.10.3; KHR_lights_punctual; KHR_materials_volume): a node's scale does not act on these.
 """
 
 from __future__ import annotations
@@ -22,12 +22,14 @@ from .mark import MARK, mark, refuse_marked
 MAGIC, VERSION, JSON_CHUNK = b"glTF", 2, 0x4E4F534A
 A_SCENE = "a glTF scene"
 WITHOUT_END = 3.4e38  # how far is said by the largest number that a reader may hold (32 bit)
+ATTENUATION = "attenuationDistance"  # of light in a material, in the world's unit (KHR_materials_volume)
 CAMERA_LENGTHS = ("xmag", "ymag", "znear", "zfar")
 NOT_BESIDE = ("data:", "http:", "https:")  # how addresses begin that are of no file beside it
 
 
-def scale_glb(source: Path, target: Path, scale: float) -> None:
-    """Write the binary glTF `source` to `target` in metres. Raises InputError, UsageError."""
+def scale_glb(source: Path, target: Path, scale: float) -> Referred:
+    """Write the binary glTF `source` to `target` in metres; returns the buffers and images beside it that it refers to.
+    Raises InputError, UsageError."""
     size = source.stat().st_size
     with source.open("rb") as file:
         head = file.read(20)
@@ -46,12 +48,17 @@ def scale_glb(source: Path, target: Path, scale: float) -> None:
         with target.open("wb") as out:
             out.write(struct.pack("<4sIIII", MAGIC, VERSION, size - length + len(new), len(new), JSON_CHUNK) + new)
             shutil.copyfileobj(file, out, 1 << 20)
+    return _referred(source, text)
 
 
 def scale_gltf(source: Path, target: Path, scale: float) -> Referred:
-    """The same for a .gltf text file; returns the buffers and images beside it that it refers to."""
+    """The same for a .gltf text file."""
     text = read_plain(source, A_SCENE, EXPORT_ANEW, HUGE)
     target.write_text(json.dumps(_scaled(source, text, scale), indent=1), encoding="utf-8")
+    return _referred(source, text)
+
+
+def _referred(source: Path, text: dict[str, Any]) -> Referred:
     told = [part.get("uri") or "" for part in (*text.get("buffers", []), *text.get("images", []))]
     # Names are percent-encoded (glTF 2.0, 2.8); not all exporters do so.
     names = [uri if beside(source, uri) else unquote(uri) for uri in told if not uri.startswith(NOT_BESIDE)]
@@ -90,8 +97,9 @@ def _scaled(path: Path, text: Any, scale: float) -> dict[str, Any]:
         centre["center"] = [value * scale for value in centre["center"]]
     views = [camera.get(kind) for camera in text.get("cameras", []) for kind in ("orthographic", "perspective")]
     lights = (extensions.get("KHR_lights_punctual") or {}).get("lights", [])
-    for part in (*views, *lights):
-        for name in (*CAMERA_LENGTHS, "range"):
+    volumes = [(each.get("extensions") or {}).get("KHR_materials_volume") for each in text.get("materials", [])]
+    for part in (*views, *lights, *volumes):
+        for name in (*CAMERA_LENGTHS, "range", ATTENUATION):
             if part and part.get(name) is not None and part[name] * scale < WITHOUT_END:
                 part[name] *= scale
     asset["extras"] = {**extras, MARK: mark(scale)}

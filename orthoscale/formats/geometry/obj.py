@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import os
 from pathlib import Path
 
 from ...errors import InputError
@@ -38,7 +39,7 @@ def scale_obj(source: Path, target: Path, scale: float) -> Referred:
                 except (ValueError, IndexError) as error:
                     raise InputError(f"{source}, line {number}: a vertex is malformed", EXPORT_ANEW) from error
             elif words[:1] == [b"mtllib"] and len(words) > 1:
-                materials += _libraries(source, line.split(maxsplit=1)[1].decode("utf-8", "replace").strip())
+                materials += _libraries(source, os.fsdecode(line.split(maxsplit=1)[1]).strip())
             out.write(line)
     if not count:
         raise InputError(f"{source}: no vertices (lines that start with v)", "Is this an OBJ file?")
@@ -55,7 +56,7 @@ def _libraries(source: Path, names: str) -> list[str]:
 
 def _textures(material: Path) -> list[str]:
     """Names of the pictures in a file of materials."""
-    text = read_bytes(material, "It is a list of materials.").decode("utf-8", "replace")
+    text = os.fsdecode(read_bytes(material, "It is a list of materials."))  # names need not be UTF-8
     return [_texture(material, line) for line in text.splitlines() if line.strip().lower().startswith(TEXTURES)]
 
 

@@ -16,14 +16,16 @@ from .words import grown, header_line
 
 FORMS = ("ascii", "binary", "binary_compressed")
 LENGTHS = ("x", "y", "z", "vp_x", "vp_y", "vp_z")  # where a point is, and from where it was seen
+SIZES = ("radius", "range")  # of a surfel, and how far away it was seen; whole numbers are of a sensor, in its own unit
 
 
 def scale_pcd(source: Path, target: Path, scale: float) -> None:
     """Write the PCD file `source` to `target` in metres. Raises InputError, UsageError."""
     with source.open("rb") as file, target.open("wb") as out:
         lines, row, count = _header(source, file)
-        lengths = [name for name in row.names or () if name in LENGTHS]
-        if len({"x", "y", "z"} & set(lengths)) < 3 or any(row[name].base.kind != "f" for name in lengths):
+        decimal = [name for name in row.names or () if row[name].base.kind == "f"]
+        lengths = [name for name in row.names or () if name in LENGTHS or (name in SIZES and name in decimal)]
+        if len({"x", "y", "z"} & set(lengths)) < 3 or not set(lengths) <= set(decimal):
             raise InputError(f"{source}: no x, y and z that are decimal numbers", "Export it with float coordinates.")
         form = lines[-1].split()[1]
         lines[-1] = "DATA " + form.removesuffix("_compressed")

@@ -15,6 +15,8 @@ from .beside import Referred, beside
 from .mark import MARK, mark, refuse_marked
 
 INTEGER_DEPTH = "integer_depth_scale"
+POSES = ("transform_matrix", "transform_matrix_start", "transform_matrix_end")  # the latter of a rolling shutter
+EXTENTS = ("aabb", "near", "far")  # lengths that say what part of the world is looked at
 CLOUD_FILE = "sparse_pc.ply"  # nerfstudio's point cloud, beside a transforms.json that names none
 POSES_HINT = 'Expected nerfstudio\'s {"frames": [...]} or OpenSfM\'s [{"cameras", "shots", "points"}].'
 
@@ -36,15 +38,20 @@ def read_poses(path: Path) -> dict[str, Any] | list[dict[str, Any]]:
 def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred, list[str]]:
     """Write a transforms.json in metres; returns the point cloud that must be scaled as well, and what there is to say.
 
-    The cameras' positions grow, and the shift of ``applied_transform``, which leads back to the world before
-    nerfstudio turned it; so does instant-ngp's ``integer_depth_scale``, the lengths in a step of its depth maps.
-    ``applied_scale`` stays: its world is now the metric one. Raises InputError, UsageError.
+    The cameras' positions grow, the box and the depths that are looked at, and the shift of ``applied_transform``,
+    which leads back to the world before nerfstudio turned it; so does instant-ngp's ``integer_depth_scale``, the
+    lengths in a step of its depth maps. ``applied_scale`` stays: its world is now the metric one. Raises InputError,
+    UsageError.
     """
     text = cast("dict[str, Any]", read_poses(source))
     if MARK in text:
         refuse_marked(source)
     for frame in text["frames"]:
-        frame["transform_matrix"] = _grown(frame["transform_matrix"], scale)
+        for name in (name for name in POSES if name in frame):
+            frame[name] = _grown(frame[name], scale)
+    for part in (text, *text["frames"]):
+        for name in (name for name in EXTENTS if name in part):
+            part[name] = _each(part[name], scale)
     if "applied_transform" in text:
         text["applied_transform"] = _grown(text["applied_transform"], scale)
     notes = []
@@ -52,6 +59,8 @@ def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred
         text[INTEGER_DEPTH] *= scale
     elif any(frame.get("depth_file_path") for frame in text["frames"]):
         notes.append(f"the depth maps that it names stay in model units: read them times {scale:.9g}")
+    if "scale" in text:
+        notes.append('its "scale", which instant-ngp multiplies positions by, is as it was')
     text[MARK] = mark(scale)
     target.write_text(json.dumps(text, indent=1), encoding="utf-8")
     cloud = Referred()
@@ -77,14 +86,26 @@ def scale_reconstruction(source: Path, target: Path, scale: float) -> None:
     for part in cast("list[dict[str, Any]]", text):
         if MARK in part:
             refuse_marked(source)
-        for shot in part["shots"].values():
+        for shot in (*part["shots"].values(), *part.get("pano_shots", {}).values()):
             shot["translation"] = _grown(shot["translation"], scale)
+            if "vertices" in shot:  # of a mesh of what it sees
+                shot["vertices"] = _each(shot["vertices"], scale)
+            if "covariance" in shot:  # of its rotation and its translation
+                lengths = np.array([1, 1, 1, scale, scale, scale])
+                shot["covariance"] = (np.array(shot["covariance"], float) * np.outer(lengths, lengths)).tolist()
         for rigid in (*part.get("rig_instances", {}).values(), *part.get("rig_cameras", {}).values()):
             rigid["translation"] = _grown(rigid["translation"], scale)
         for point in part.get("points", {}).values():
             point["coordinates"] = _grown(point["coordinates"], scale)
         part[MARK] = mark(scale)
     target.write_text(json.dumps(text), encoding="utf-8")
+
+
+def _each(value: Any, scale: float) -> Any:
+    """Every number in `value`, which may be one or lists of such, times `scale`."""
+    if isinstance(value, list):
+        return [_each(each, scale) for each in value]
+    return value * scale if isinstance(value, (int, float)) else value
 
 
 def _grown(values: Any, scale: float) -> list:

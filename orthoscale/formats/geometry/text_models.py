@@ -176,10 +176,29 @@ def _walk_nvm(following: Callable[[], str]) -> Iterator[Line]:
                 raise ValueError(f"{len(words)} words where {least} belong")
             yield Line(text, kind, words, lengths, _every(k, count, words[6]) if kind == "point" and words[6:] else "")
     with suppress(ValueError):  # the end of the file
-        while not (text := following()).split():
-            pass
-        if text.split() != ["0"]:
-            yield Line("", "others", [])
+        while (text := _next_of(following)).split() != ["0"]:
+            if not (unregistered := _without_points(text, following)):
+                yield Line("", "others", [])
+                return
+            yield from (Line(line, "", []) for line in ("\n", *unregistered))
+
+
+def _without_points(text: str, following: Callable[[], str]) -> list[str]:
+    """The lines of a model that begins with `text` and has no points: VisualSFM's last, whose images are in no model.
+    Empty for any other."""
+    try:
+        (count,) = _counts(text, 1)
+        lines = [text, *(following() for _ in range(count)), points := _next_of(following)]
+    except ValueError:
+        return []
+    return lines if points.split() == ["0"] else []
+
+
+def _next_of(following: Callable[[], str]) -> str:
+    """The next line with a word in it."""
+    while not (text := following()).split():
+        pass
+    return text
 
 
 def _every(number: int, count: int, text: str) -> str:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import BinaryIO
 
 LONGEST_HEADER = 1 << 16  # [bytes]
+MOST_DIGITS = 17  # that tell one double from the next
+EXPONENT = re.compile(rb"[eE].*")
 
 
 def header_line(file: BinaryIO) -> str | None:
@@ -17,8 +20,17 @@ def header_line(file: BinaryIO) -> str | None:
 
 
 def grown(words: Sequence[bytes], columns: Iterable[int], scale: float, digits: int = 10) -> list[bytes]:
-    """The words of a line, the numbers in `columns` times `scale`. Raises ValueError, IndexError."""
+    """The words of a line, the numbers in `columns` times `scale`, with `digits` that count, or one more than they had.
+    Raises ValueError, IndexError."""
     new = list(words)
     for k in columns:
-        new[k] = f"{float(words[k]) * scale:.{digits}g}".encode()
+        number = float(words[k]) * scale
+        # Long words have many digits: far from the origin, as on maps, those at the end are centimetres.
+        many = digits if len(words[k]) <= digits else min(max(digits, _counting(words[k]) + 1), MOST_DIGITS)
+        new[k] = f"{number:.{many}g}".encode()
     return new
+
+
+def _counting(word: bytes) -> int:
+    """How many digits of a number count."""
+    return len(EXPONENT.sub(b"", word.strip()).lstrip(b"+-0.").replace(b".", b""))
