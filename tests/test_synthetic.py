@@ -11,6 +11,7 @@ import pycolmap
 import pytest
 
 from orthoscale.core.boxes import overlap
+from orthoscale.errors import UsageError
 from orthoscale.synthetic import (
     STYLES,
     Camera,
@@ -243,6 +244,15 @@ def test_written_orthophoto(tmp_path, scene):
     assert json.loads((tmp_path / "site.truth.json").read_text()) == truth
     box = truth["boxes"][0]
     assert box["length"] * truth["gsd_m"] == pytest.approx(truth["vehicles"][box["vehicle"]]["length_m"])
+
+
+def test_a_picture_of_another_ending_is_refused_before_it_is_rendered(tmp_path, scene, monkeypatch, capsys):
+    monkeypatch.setattr("orthoscale.synthetic.model.render", lambda *_: pytest.fail("rendered"))
+    with pytest.raises(UsageError, match=r"\.jpg or \.png"):
+        write_ortho(scene, tmp_path / "site.tif", 0.1)
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "OUT.png or .jpg" in " ".join(capsys.readouterr().out.split())
 
 
 def test_labels(tmp_path):
