@@ -35,6 +35,7 @@ from training.evaluate import (
     rendered_scene,
     table,
 )
+from training.geometry import warp
 from training.measurer import real
 from training.measurer import rendered as measurer_rendered
 from training.paste import paste
@@ -153,6 +154,21 @@ def test_a_cropped_box_still_outlines_its_vehicle(tmp_path, monkeypatch):
         assert np.sqrt(12 * (d @ (-along[1], along[0])).var()) == pytest.approx(found.width[0], rel=0.03, abs=0.7)
         checked += 1
     assert checked > 20
+
+
+@pytest.mark.parametrize("zoom", [0.1, 0.2, 0.4])
+def test_a_shrunk_crop_of_a_picture_of_odd_size_shows_its_vehicle_where_the_box_is(tmp_path, zoom):
+    pixels = np.full((1415, 1607, 3), 20, np.uint8)
+    pixels[1300:1350, 1460:1560] = 255
+    box = np.array([[1510.0, 1325.0, 100.0, 50.0, 0.0]])
+    (image,) = read_labels(write_labels(tmp_path, {"a": (pixels, rows(box))}))
+    shift = CROP / 2 - zoom * box[0, :2]
+    for seed in range(4):  # of both levels that a crop may come from
+        drawn = warp(image, zoom * np.eye(2), shift, zoom, np.random.default_rng(seed))[..., 0]
+        light = np.clip(drawn.astype(float) - 115, 0, None)
+        y, x = np.indices(light.shape) + 0.5
+        middle = np.array([(light * x).sum(), (light * y).sum()]) / light.sum()
+        assert middle == pytest.approx([CROP / 2, CROP / 2], abs=0.3)
 
 
 def test_light_and_sensor_keep_shape_and_range():
