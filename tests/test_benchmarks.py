@@ -46,6 +46,26 @@ def benchmark(monkeypatch, tmp_path):
     return importlib.import_module
 
 
+def test_a_scene_that_is_not_there_is_refused(benchmark, monkeypatch, tmp_path):
+    places, fix_all = benchmark("places"), benchmark("fix_all")
+    some = [places.Scene(Path(f"{name}.jpg"), "PH", 0.1) for name in ("manila", "banepa")]
+    assert [scene.name for scene in places.called(some, "banepa")] == ["banepa"] and places.called(some, "") == some
+    with pytest.raises(SystemExit, match="no such scene: atlantis; there are manila, banepa"):
+        places.called(some, "manila,atlantis")
+    monkeypatch.setattr(sys, "argv", ["fix_all.py", str(tmp_path), "atlantis"])
+    with pytest.raises(SystemExit, match="no such scene: atlantis; there are examples/town, examples/sheffield"):
+        fix_all.main()
+
+
+def test_one_place_says_nothing_of_the_margin(benchmark, monkeypatch, capsys, tmp_path):
+    places = benchmark("places")
+    monkeypatch.setattr(places, "measured", lambda *_: (0.01, -0.02, 0.03, 0.01))
+    (tmp_path / "manila.det.json").touch()
+    places.main([places.Scene(Path("manila.jpg"), "PH", 0.1)], tmp_path)
+    said = capsys.readouterr().out
+    assert "| manila | PH | +1.0" in said and "left out" not in said
+
+
 @pytest.mark.slow
 def test_a_sweep_that_stops_early_is_compared_with_one_of_all_tiles(benchmark, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["anytime.py", str(TOWN / "ortho.jpg"), "--fleet", "DE", "--seeds", "2"])
