@@ -38,6 +38,17 @@ def test_the_scripts_are_found():
     assert len(SCRIPTS) > 40
 
 
+def test_examples_stay_where_the_data_that_they_are_made_of_lack(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "path", [str(ROOT / "examples"), *sys.path])
+    make_examples = importlib.import_module("make_examples")
+    monkeypatch.setattr(make_examples, "HERE", tmp_path)
+    (tmp_path / "sheffield").mkdir()
+    (tmp_path / "sheffield" / "truth.json").touch()
+    with pytest.raises((OSError, ValueError, RuntimeError)):
+        make_examples.make_sheffield(tmp_path / "nowhere")
+    assert (tmp_path / "sheffield" / "truth.json").is_file()
+
+
 @pytest.fixture
 def benchmark(monkeypatch, tmp_path):
     """A benchmark's module by its name; nothing is taken from or left in the user's cache."""
