@@ -12,20 +12,23 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from orthoscale.actions.estimate import estimate
 from orthoscale.core.detections import Detections
 from orthoscale.core.measuring.measure import measure
+from orthoscale.core.measuring.plan import PlanGeometry
+from orthoscale.core.scale import Scale
 from orthoscale.detect.cache import TileCache, cache_key
 from orthoscale.detect.coarse_pass import FAR, FAR_TILES, UNPROMISING, hint
 from orthoscale.detect.detector import Detector
 from orthoscale.detect.find import Effort, find_vehicles
 from orthoscale.detect.order import visiting_order
-from orthoscale.detect.sweep import Stop, sweep_twice
+from orthoscale.detect.sweep import Found, Stop, sweep_twice
 from orthoscale.detect.tiles import CONFIRMING_ZOOM, tiles
+from orthoscale.errors import TooLittleEvidence
 from orthoscale.fleets import load_fleet
 from orthoscale.sources.opening import open_source
 
@@ -40,10 +43,12 @@ def main() -> None:
     parser.add_argument("--time", action="store_true", help="also run both sweeps without the cache, and time them")
     a = parser.parse_args()
 
-    source, fleet, detector = open_source(a.raster), load_fleet(a.fleet), Detector(threads=1)
-    (picture,) = source.pictures
-    whole = estimate(source, fleet=a.fleet, exhaustive=True, zoom=a.zoom)
-    zoom = whole.detections.zoom
+    source, fleet = open_source(a.raster), load_fleet(a.fleet)
+    plan, (picture,) = source.plan, source.pictures
+    assert plan is not None, "an orthophoto"
+    detector = Detector(threads=1, confirmed=True)  # as orthophotos are swept
+    every, _ = find_vehicles([picture], detector, a.zoom, effort=Effort(exhaustive=True))
+    zoom = every.zoom
     jobs = [(picture, tile) for tile in tiles(picture, zoom)]
     places = [tile for _, tile in jobs]
     pixels = np.array([t.out_width * t.out_height for t in places])
@@ -51,30 +56,39 @@ def main() -> None:
     assert key is not None
     far = np.array([hint(job, detector) for job in jobs])
 
-    def sampling(found) -> float:
-        kept = Detections(found.boxes, zoom, detector.card.ruler, detector.card.effective_height, "", "")
-        scales.append(measure(source, kept, fleet).scale)
-        return scales[-1].parts["sampling"]
+    def scale_of(found: Found | Detections) -> Scale:
+        """By the vehicles found so far, the same way for all sweeps. Raises TooLittleEvidence."""
+        return measure(PlanGeometry.of(plan, replace(every, boxes=found.boxes)), fleet).scale
+
+    def sampling(found: Found | Detections) -> float:
+        try:
+            return scale_of(found).parts["sampling"]
+        except TooLittleEvidence:
+            return np.inf
 
     rows = []
     with TileCache(key) as cache:
+
+        def seen_before(order: np.ndarray, stop: Stop | None = None) -> Found:
+            """A sweep of which every look is in the cache."""
+            return sweep_twice(jobs, order, lambda _: iter(()), cache, stop, sure=detector.sure, second_measures=False)
+
+        whole = scale_of(seen_before(np.arange(len(jobs))))
         for seed in range(a.seeds):
             evenly = visiting_order(places, np.ones(len(jobs)), seed)
             weight = np.full(len(jobs), UNPROMISING)
             weight[evenly[:FAR_TILES]] = np.where(far[evenly[:FAR_TILES]], 1.0, UNPROMISING)
-            scales: list = []
-            order = visiting_order(places, weight, seed)
-            found = sweep_twice(jobs, order, lambda jobs: iter(()), cache, Stop(sampling, a.target))
+            found = seen_before(visiting_order(places, weight, seed), Stop(sampling, a.target))
             seen = pixels[[places.index(tile) for _, tile in found.swept.tiles]].sum() * (1 + CONFIRMING_ZOOM**2)
             cost = seen + pixels[evenly[:FAR_TILES]].sum() * FAR**2
-            last = scales[-1]
+            last = scale_of(found)
             rows.append((len(found.swept.tiles), cost, last.value, last.parts["sampling"], last.vehicles_used))
     n, cost, value, sd, used = np.array(rows).T
     all_cost = pixels.sum() * (1 + CONFIRMING_ZOOM**2)
-    error = np.log(value / whole.scale.value)
+    error = np.log(value / whole.value)
     print(f"{a.raster.name}: {picture.width * picture.height / 1e6:.0f} Mpx, {len(jobs)} tiles at zoom {zoom:.3f}")
-    print(f"exhaustive: {whole.scale.value:.5g} m/px, {whole.scale.vehicles_used} vehicles, "
-          f"sampling {100 * whole.scale.parts['sampling']:.2f} %")  # fmt: skip
+    print(f"exhaustive: {whole.value:.5g} m/px, {whole.vehicles_used} vehicles, "
+          f"sampling {100 * whole.parts['sampling']:.2f} %")  # fmt: skip
     print(f"{a.seeds} sweeps to {100 * a.target:g} %: {np.median(n):.0f} tiles, {n.min():.0f} to {n.max():.0f}, "
           f"{np.median(used):.0f} vehicles, sampling {100 * np.median(sd):.2f} %")  # fmt: skip
     print(
@@ -87,7 +101,6 @@ def main() -> None:
         seconds = []
         for effort in (Effort(a.target, cache=False), Effort(exhaustive=True, cache=False)):
             start = time.perf_counter(), time.process_time()
-            scales = []
             find_vehicles([picture], detector, zoom, effort=effort, sampling=sampling)
             seconds.append((time.perf_counter() - start[0], time.process_time() - start[1]))
         ratio = np.array(seconds[1]) / seconds[0]

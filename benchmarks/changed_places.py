@@ -25,7 +25,7 @@ from orthoscale.errors import EvidenceDisagrees, TooLittleEvidence
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from places import Scene, measured, scenes  # noqa: E402
+from places import Scene, called, measured, scenes  # noqa: E402
 from support.simulate import table  # noqa: E402
 
 AS_THEY_ARE = "as they are"
@@ -140,11 +140,11 @@ if __name__ == "__main__":
     parser.add_argument("--scenes", default="", help="comma separated; all by default")
     parser.add_argument("--changes", default="", help="comma separated; all by default")
     options = parser.parse_args()
-    names, asked = (set(filter(None, text.split(","))) for text in (options.scenes, options.changes))
+    asked = set(filter(None, options.changes.split(",")))
     if unknown := asked - set(CHANGES):
         parser.error(f"no such change: {', '.join(sorted(unknown))}; there are {', '.join(CHANGES)}")
     main(
-        [scene for scene in scenes() if scene.path.is_file() and (not names or scene.name in names)],
+        called([scene for scene in scenes() if scene.path.is_file()], options.scenes),
         [change for change in CHANGES if not asked or change in asked],
         options.boxes,
         {"detector": options.detector, "measurer": options.measurer},

@@ -117,13 +117,15 @@ def cells(said: list | dict, truth: float, source: Path) -> tuple[str, ...]:
 
 def main() -> int:
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE.parent / "shared" / "data"
-    wanted = sys.argv[2:]
+    every, wanted = scenes(data), sys.argv[2:]
+    if unknown := set(wanted) - set(every):
+        sys.exit(f"no such scene: {', '.join(sorted(unknown))}; there are {', '.join(every)}")
     print("| scene | mode | m per unit | error | 90 % interval | vehicles | verdict | written | orders of import |")
     print("|---|---|---|---|---|---|---|---|---|")
     bad = 0
     with tempfile.TemporaryDirectory() as scratch:
         os.environ.setdefault("ORTHOSCALE_CACHE", f"{scratch}/cache")
-        for name, (source, truth, options) in scenes(data).items():
+        for name, (source, truth, options) in every.items():
             if wanted and name not in wanted:
                 continue
             plan = source.is_file()

@@ -46,6 +46,7 @@ FLEETS = ("own", "world")
 CHIPS = ("parkinglot", "denseresidential", "freeway", "intersection", "overpass", "mobilehomepark", "buildings")
 CHIP, CHIP_GSD = 256, 0.3048
 ACROSS, DOWN = 4, 3  # chips of a montage
+FEWEST = 3  # places from which the card's margin can be told, each left out in turn
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,14 @@ def scenes() -> list[Scene]:
         known = json.loads((path / "truth.json").read_text())
         found.append(Scene(path, known["country"], known["metres_per_model_unit"]))
     return sorted(found, key=lambda scene: (scene.name in CHOSEN_WITH, scene.name))
+
+
+def called(every: list[Scene], names: str) -> list[Scene]:
+    """Those of the comma-separated `names`, all for none. Ends the program where there is none of a name."""
+    asked = set(filter(None, names.split(",")))
+    if unknown := asked - {scene.name for scene in every}:
+        sys.exit(f"no such scene: {', '.join(sorted(unknown))}; there are {', '.join(scene.name for scene in every)}")
+    return [scene for scene in every if not asked or scene.name in asked]
 
 
 def quarters(some: list[Scene], folder: Path) -> list[Scene]:
@@ -199,7 +208,8 @@ def main(some: list[Scene], folder: Path, **networks: str | Path | None) -> None
         )
     columns = ("scenes", "fleet", "n", "mean error [%]", "median of sizes [%]", "worst [%]", "interval holds (90 %)")
     print("\n" + table(columns, summary))
-    print("\n" + margins(own))
+    if len(own) >= FEWEST:
+        print("\n" + margins(own))
 
 
 if __name__ == "__main__":
@@ -213,10 +223,8 @@ if __name__ == "__main__":
     which.add_argument("--chips", action="store_true", help="American places made of the chips")
     options = parser.parse_args()
     networks = {"detector": options.detector, "measurer": options.measurer}
-    names = set(filter(None, options.scenes.split(",")))
     with tempfile.TemporaryDirectory() as scratch:
-        every = of_chips(Path(scratch)) if options.chips else scenes()
-        asked = [scene for scene in every if not names or scene.name in names]
+        asked = called(of_chips(Path(scratch)) if options.chips else scenes(), options.scenes)
         if options.quarters:
             asked = quarters(asked, Path(scratch))
         main(asked, options.boxes or Path(scratch), **networks)

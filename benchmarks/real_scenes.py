@@ -60,7 +60,7 @@ def main(folder: Path) -> None:
     for scene, country in SCENES.items():
         boxes = folder / f"{Path(scene).name}.det.json"
         if not boxes.exists():
-            orthoscale.estimate(DATA / scene, fleet=country).detections.save(boxes)
+            orthoscale.save_detections(orthoscale.estimate(DATA / scene, fleet=country).detections, boxes)
         ways = [None] if (DATA / scene).is_file() else list(PROJECTIONS)
         rows += [
             row(scene, boxes, country, estimator=estimator, **({"projection": way} if way else {}))

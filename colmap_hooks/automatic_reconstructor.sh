@@ -35,6 +35,7 @@ if [ ! -d "$workspace/sparse_metric" ]; then
 fi
 # shellcheck disable=SC2086  # options are words
 "$here/post_sparse.sh" "$workspace" --images "$images" ${ORTHOSCALE_OPTIONS:-}
+case " ${ORTHOSCALE_OPTIONS:-} " in *" --dry-run "*) exit 0 ;; esac # nothing was written to go on with
 if [ -d "$workspace/dense/0" ]; then
     "$here/post_dense.sh" "$workspace"
 fi

@@ -8,10 +8,14 @@
 # By default the trainer would move and scale the scene. The splats it saves are in metres.
 set -eu
 case ${1:-} in -h | --help) sed -n '2,/^set /s/^# \{0,1\}//p' "$0"; exit 0 ;; esac
-[ $# -ge 2 ] || { echo "usage: $0 WORKSPACE RESULT [-- orthoscale options]" >&2; exit 2; }
+usage="usage: $0 WORKSPACE RESULT [-- orthoscale options]"
+[ $# -ge 2 ] || { echo "$usage" >&2; exit 2; }
 workspace=$1 result=$2
 shift 2
-if [ $# -gt 0 ]; then shift; fi
+if [ $# -gt 0 ]; then
+    [ "$1" = "--" ] || { echo "$usage" >&2; exit 2; }
+    shift
+fi
 
 if [ -n "${GSPLAT:-}" ] && [ ! -f "$GSPLAT/examples/simple_trainer.py" ]; then
     echo "error: $GSPLAT/examples/simple_trainer.py is not there: set GSPLAT to a clone of gsplat" >&2

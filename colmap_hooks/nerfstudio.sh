@@ -8,12 +8,19 @@
 # metres; by default it would shrink the scene into a unit box. A second run does not process again.
 set -eu
 case ${1:-} in -h | --help) sed -n '2,/^set /s/^# \{0,1\}//p' "$0"; exit 0 ;; esac
-[ $# -ge 2 ] || { echo "usage: $0 WORKSPACE OUTPUT [METHOD] [-- orthoscale options]" >&2; exit 2; }
+usage="usage: $0 WORKSPACE OUTPUT [METHOD] [-- orthoscale options]"
+[ $# -ge 2 ] || { echo "$usage" >&2; exit 2; }
 workspace=$1 output=$2
 shift 2
 method=
-if [ $# -gt 0 ] && [ "$1" != "--" ]; then method=$1; shift; fi
-if [ $# -gt 0 ]; then shift; fi
+case ${1:-} in
+    -*) ;;
+    ?*) method=$1; shift ;;
+esac
+if [ $# -gt 0 ]; then
+    [ "$1" = "--" ] || { echo "$usage" >&2; exit 2; }
+    shift
+fi
 
 for program in ns-process-data ${method:+ns-train}; do
     command -v "$program" >/dev/null || { echo "error: $program is not there: activate nerfstudio's environment" >&2; exit 127; }

@@ -43,6 +43,17 @@ trap 'rm -rf "$partial"' EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM
 echo $$ >"$partial/.writer"
+# What was said of a folder aside, as of its place; folders' names may have what sed takes for its own.
+say_of() {
+    was=$1 is=$2 awk '{
+        line = ""
+        while (at = index($0, ENVIRON["was"])) {
+            line = line substr($0, 1, at - 1) ENVIRON["is"]
+            $0 = substr($0, at + length(ENVIRON["was"]))
+        }
+        print line $0
+    }' "$partial/said"
+}
 if [ -d "$workspace/dense/0" ]; then
     for dense in "$workspace"/dense/*/; do
         name=$(basename "$dense")
@@ -50,7 +61,7 @@ if [ -d "$workspace/dense/0" ]; then
         [ -f "$workspace/sparse_metric/sim3.json" ] && [ "$name" = 0 ] && sim3="$workspace/sparse_metric/sim3.json"
         if [ -f "$sim3" ]; then
             orthoscale apply "$sim3" "$dense" --out "$partial/of_$name" >"$partial/said"
-            sed "s|$partial/of_$name/|$workspace/dense_metric/|" "$partial/said"
+            say_of "$partial/of_$name/" "$workspace/dense_metric/"
             rm "$partial/said"
             mv "$partial/of_$name/$name" "$partial/$name"
             rm -rf "$partial/of_$name"
@@ -62,7 +73,7 @@ if [ -d "$workspace/dense/0" ]; then
     made=$partial
 else
     orthoscale apply "$workspace/sparse_metric/sim3.json" "$workspace/dense" --out "$partial/of" >"$partial/said"
-    sed "s|$partial/of/dense|$workspace/dense_metric|" "$partial/said"
+    say_of "$partial/of/dense" "$workspace/dense_metric"
     made=$partial/of/dense
 fi
 if [ -e "$workspace/dense_metric" ]; then

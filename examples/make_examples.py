@@ -39,15 +39,14 @@ def make_town() -> None:
 
 
 def make_sheffield(data: Path) -> None:
-    folder = HERE / "sheffield"
-    shutil.rmtree(folder, ignore_errors=True)
-    (folder / "sparse").mkdir(parents=True)
-    original = data / "reconstructions" / "sheffield"
-    reduced(pycolmap.Reconstruction(str(original / "sparse"))).write_binary(str(folder / "sparse"))
-    source = ColmapSource.open(original)
-    found, _ = find_in_model(source, None, VehicleSearch(Detector()))
-    save_detections(found, folder / "detections.json")
+    folder, original = HERE / "sheffield", data / "reconstructions" / "sheffield"
+    small = reduced(pycolmap.Reconstruction(str(original / "sparse")))
+    found, _ = find_in_model(ColmapSource.open(original), None, VehicleSearch(Detector()))
     truth = json.loads((original / "truth.json").read_text())
+    shutil.rmtree(folder, ignore_errors=True)  # only now: where data lack, the example stays
+    (folder / "sparse").mkdir(parents=True)
+    small.write_binary(str(folder / "sparse"))
+    save_detections(found, folder / "detections.json")
     keep = {key: truth[key] for key in ("metres_per_model_unit", "how", "relative_uncertainty")}
     keep |= {"fleet": "US", "source": "pierotofy/drone_dataset_sheffield_cross, public domain"}
     (folder / "truth.json").write_text(json.dumps(keep, indent=1) + "\n")

@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -77,6 +78,14 @@ def test_a_visloc_folder(folders):
         assert sample.altitude == pytest.approx(float(height) - GROUND_M, abs=0.15)
         up = survey_rotation(*map(float, (yaw, pitch, roll))) @ [0, 0, 1]
         assert sample.photo.up == pytest.approx(up, abs=1e-6)
+
+
+@pytest.mark.parametrize(("inside", "given", "name"), [("dense", ".", "dense"), ("visloc/01", ".", "01"),
+                                                       ("visloc/01/drone", "..", "01")])  # fmt: skip
+def test_a_region_has_its_folders_name_wherever_one_stands(folders, monkeypatch, inside, given, name):
+    monkeypatch.chdir(folders / inside)
+    samples, _ = read_samples(Path(given))
+    assert {s.region for s in samples} == {name}
 
 
 def test_ground_is_the_mean_of_the_lowest_tenth_within_100_m(folders):

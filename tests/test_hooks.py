@@ -289,6 +289,38 @@ def test_a_rehearsal_ends_where_nothing_was_written(bench, hook):
     assert not (bench.work.parent / "out").exists()
 
 
+def test_a_rehearsal_of_all_of_colmap_ends_there_too(bench):
+    bench.program("colmap", f"mkdir -p {bench.work}/dense/0")
+    bench.sparse()
+    bench.frames()
+    arguments = ["--workspace_path", bench.work, "--image_path", bench.work / "images"]
+    said = bench.run("automatic_reconstructor.sh", *arguments, ORTHOSCALE_OPTIONS=" ".join([*OPTIONS, "--dry-run"]))
+    assert "to write" in said and not list(bench.work.glob("*_metric"))
+
+
+@pytest.mark.parametrize(
+    ("hook", "more"),
+    [("gsplat", ["--dry-run"]), ("nerfstudio", ["--dry-run"]), ("nerfstudio", ["splatfacto", "--dry-run"])],
+)
+def test_options_without_the_dashes_before_them_are_refused(bench, hook, more):
+    """They would be lost, and a rehearsal be none."""
+    for program in ("ns-process-data", "ns-train"):
+        bench.program(program, "")
+    words = [HOOKS / f"{hook}.sh", bench.work, bench.work.parent / "out", *more]
+    run = subprocess.run(words, env=bench.environment, capture_output=True, text=True)
+    assert run.returncode == 2 and "[-- orthoscale options]" in run.stderr
+    assert not bench.log.read_text()
+
+
+def test_a_dense_workspace_in_a_folder_whose_name_is_no_pattern(bench):
+    bench.work = bench.work.rename(bench.work.parent / "R&D | lot [1]")
+    bench.sparse()
+    shutil.copytree(dense_workspace(bench.work.parent / "made"), bench.work / "dense/0")
+    said = bench.run("post_dense.sh", bench.work, *OPTIONS)
+    assert f"{bench.work}/dense_metric/0" in said and ".partial" not in said
+    assert (bench.work / "dense_metric/0/fused.ply").is_file()
+
+
 def test_what_nerfstudio_makes_of_the_metric_model_is_in_metres(bench):
     """A stand-in that writes what the real ns-process-data does; read back, and nothing is scaled twice by hand."""
     pycolmap = pytest.importorskip("pycolmap")

@@ -276,6 +276,12 @@ def test_a_kind_is_shown_from_fine_pictures_though_most_of_it_is_in_coarse_ones(
     assert 0.05 < np.mean(shown) < 0.15  # one in eleven, where one of a hundred is
 
 
+def test_a_bank_of_which_all_is_held_out_is_refused_at_once(tmp_path: Path) -> None:
+    crops = pytest.importorskip("training.measurer.crops")
+    with pytest.raises(ValueError, match="beside the 10 that are held out"):
+        crops.Examples(tmp_path, seed=1)
+
+
 def test_what_a_cover_hides_is_told_and_nothing_else():
     chain = pytest.importorskip("training.measurer.chain")
     rng = np.random.default_rng(4)

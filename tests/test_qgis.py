@@ -150,6 +150,18 @@ def test_a_scale_that_contradicts_itself_judges_no_claim(plugin, monkeypatch):
         algorithm.processAlgorithm({}, None, None)
 
 
+@pytest.mark.parametrize(("module", "algorithm"), [("fix", "Fix"), ("layout", "Layout")])
+@pytest.mark.parametrize("source", [None, "type=xyz&url=https://tiles.example/{z}/{x}/{y}.png"])
+def test_a_layer_that_is_no_file_is_refused_in_one_sentence(plugin, monkeypatch, module, algorithm, source):
+    layer = None if source is None else SimpleNamespace(source=lambda: source)
+    class_ = getattr(plugin(module), algorithm)
+    for name, value in {"RasterLayer": layer, "String": "", "OutputLayer": "out.tif"}.items():
+        monkeypatch.setattr(class_, f"parameterAs{name}", lambda *_, value=value: value, raising=False)
+    monkeypatch.setattr(class_, "invalidRasterError", lambda *_: "no such raster", raising=False)
+    with pytest.raises(sys.modules["qgis.core"].QgsProcessingException, match="no such raster|is no file: export"):
+        class_().processAlgorithm({}, None, None)
+
+
 @pytest.mark.parametrize("writes", [True, False])
 @pytest.mark.parametrize("code", [3, 4])
 def test_vehicles_that_give_no_scale_are_shown_all_the_same(plugin, monkeypatch, tmp_path, code, writes):

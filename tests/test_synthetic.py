@@ -11,6 +11,7 @@ import pycolmap
 import pytest
 
 from orthoscale.core.boxes import overlap
+from orthoscale.errors import UsageError
 from orthoscale.synthetic import (
     STYLES,
     Camera,
@@ -31,7 +32,7 @@ from orthoscale.synthetic import (
     write_ortho,
 )
 from orthoscale.synthetic.__main__ import main
-from orthoscale.synthetic.labels import visible_share
+from orthoscale.synthetic.labels import labelled_boxes, visible_share
 from orthoscale.synthetic.mesh import pavement, rectangle, rounded
 from orthoscale.synthetic.render import ortho_view, surface
 from orthoscale.synthetic.vehicle import Bed, around
@@ -245,6 +246,15 @@ def test_written_orthophoto(tmp_path, scene):
     assert box["length"] * truth["gsd_m"] == pytest.approx(truth["vehicles"][box["vehicle"]]["length_m"])
 
 
+def test_a_picture_of_another_ending_is_refused_before_it_is_rendered(tmp_path, scene, monkeypatch, capsys):
+    monkeypatch.setattr("orthoscale.synthetic.model.render", lambda *_: pytest.fail("rendered"))
+    with pytest.raises(UsageError, match=r"\.jpg or \.png"):
+        write_ortho(scene, tmp_path / "site.tif", 0.1)
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "OUT.png or .jpg" in " ".join(capsys.readouterr().out.split())
+
+
 def test_labels(tmp_path):
     labels = json.loads(write_labels(tmp_path, count=3, seed=2, size=192).read_text())["images"]
     assert len(labels) == 3
@@ -256,6 +266,15 @@ def test_labels(tmp_path):
             assert box["length"] >= box["width"] > 0
             if box["kind"] == "vehicle":
                 assert 0 <= box["cx"] <= width and 0 <= box["cy"] <= height and box["length"] >= 8
+
+
+def test_a_lorry_of_which_a_part_is_in_the_picture_is_no_background(scene):
+    lorries = np.array([[-34.0, 0, 11, 2.5, 0.0], [-26, 9, 11, 2.5, 0.0], [-40, 5, 11, 2.5, 0.0]])  # of 30 m each way
+    view = ortho_view(scene, 0.2)
+    nothing = np.full((view.height, view.width), -1)
+    boxes = labelled_boxes(replace(scene, lorries=lorries), view, nothing)
+    large = [box for box in boxes if box["kind"] == "large-vehicle"]
+    assert [box["cx"] for box in large] == pytest.approx([-20, 20])  # the third lies outside
 
 
 def test_command_line(tmp_path):

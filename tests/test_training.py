@@ -35,6 +35,8 @@ from training.evaluate import (
     rendered_scene,
     table,
 )
+from training.geometry import warp
+from training.log import Log
 from training.measurer import real
 from training.measurer import rendered as measurer_rendered
 from training.paste import paste
@@ -155,6 +157,21 @@ def test_a_cropped_box_still_outlines_its_vehicle(tmp_path, monkeypatch):
     assert checked > 20
 
 
+@pytest.mark.parametrize("zoom", [0.1, 0.2, 0.4])
+def test_a_shrunk_crop_of_a_picture_of_odd_size_shows_its_vehicle_where_the_box_is(tmp_path, zoom):
+    pixels = np.full((1415, 1607, 3), 20, np.uint8)
+    pixels[1300:1350, 1460:1560] = 255
+    box = np.array([[1510.0, 1325.0, 100.0, 50.0, 0.0]])
+    (image,) = read_labels(write_labels(tmp_path, {"a": (pixels, rows(box))}))
+    shift = CROP / 2 - zoom * box[0, :2]
+    for seed in range(4):  # of both levels that a crop may come from
+        drawn = warp(image, zoom * np.eye(2), shift, zoom, np.random.default_rng(seed))[..., 0]
+        light = np.clip(drawn.astype(float) - 115, 0, None)
+        y, x = np.indices(light.shape) + 0.5
+        middle = np.array([(light * x).sum(), (light * y).sum()]) / light.sum()
+        assert middle == pytest.approx([CROP / 2, CROP / 2], abs=0.3)
+
+
 def test_light_and_sensor_keep_shape_and_range():
     rng = np.random.default_rng(2)
     pixels = rng.integers(0, 256, (CROP, CROP, 3)).astype(np.uint8)
@@ -239,6 +256,17 @@ def test_vehicles_that_labels_lack_are_proposed(tmp_path):
     assert found.centre[order] == pytest.approx(boxes[1:, :2], abs=1.5)
     assert found.length == pytest.approx(36, abs=2.5)
     assert missing.cell(image, found.xylwa[0], "0").shape == (missing.CELL, missing.CELL, 3)
+
+
+def test_a_proposal_is_drawn_where_its_vehicle_is(tmp_path, monkeypatch):
+    pixels = np.full((60, 60, 3), 20, np.uint8)
+    pixels[20:28, 20:32] = 255  # five times as large in its cell
+    (image,) = read_labels(write_labels(tmp_path, {"a": (pixels, rows(np.array([[26.0, 24.0, 12.0, 8.0, 0.0]])))}))
+    lines = []
+    monkeypatch.setattr(cv2, "polylines", lambda canvas, corners, *_: lines.append(corners[0]))
+    bright = missing.cell(image, image.boxes[0], "")[..., 2] > 137
+    y, x = np.nonzero(bright)
+    assert [x.min(), y.min(), x.max(), y.max()] == pytest.approx([*lines[0].min(0), *lines[0].max(0)], abs=1)
 
 
 def test_margins_are_taken_off_both_sides(tmp_path):
@@ -360,6 +388,17 @@ def test_places_are_those_whose_pictures_are_there(tmp_path):
     assert (scene.name, scene.complete) == ("tianjin", True)
     assert (picture.picture.width, picture.picture.height) == (12, 8)
     assert (picture.vehicles.shape, picture.ignored.shape) == ((10, 5), (3, 5))
+
+
+def test_a_place_of_which_nothing_is_ignored(tmp_path, monkeypatch):
+    """`propose keep` leaves out kinds without boxes."""
+    kept = propose.judged({"site.png": [{"box": [6.0, 4.0, 4.0, 2.0, 0.0], "kind": "vehicle"}]}, "")
+    (tmp_path / "places.json").write_text(json.dumps({"images": kept}))
+    monkeypatch.setattr("training.evaluate.PLACES", tmp_path / "places.json")
+    (tmp_path / "places").mkdir()
+    cv2.imwrite(str(tmp_path / "places" / "site.png"), np.zeros((8, 12, 3), np.uint8))
+    ((picture,),) = (scene.pictures for scene in place_scenes(tmp_path))
+    assert (len(picture.vehicles), len(picture.ignored)) == (1, 0)
 
 
 def test_a_scene_without_vehicles_has_false_boxes_only(tmp_path):
@@ -587,12 +626,36 @@ def test_kinds_are_kept_where_readers_agree(tmp_path, command):
     assert "| pickup | 2 | 0 | 0 | 0 | 0 | 1 |" in table  # of three pickups two were cars to the other, one unknown
     one.write_text(json.dumps({"0": ["cpvln", "cc????", *blank]}))
     with pytest.raises(ValueError, match="rows of 6 letters"):
-        kinds.read_answers(one)
+        kinds.read_answers(one, 8)
     # What was told is what the measurer learns from.
     patches = real.told_patches(tmp_path / "labels", vehicles)
     assert [ANSWERS[p.kind] for p in patches] == [v["kind"] for v in vehicles]
     for patch, vehicle in zip(patches, vehicles, strict=True):
         assert patch.box[2:].tolist() == vehicle["box"][2:]
+
+
+@pytest.mark.parametrize(
+    ("cells", "rows"),
+    [
+        (60, ["cccccc"] * (kinds.ROWS + 1)),  # what is too much would be told of the next sheet's
+        (60, [*["cccccc"] * (kinds.ROWS - 1), "ccccccc"]),
+        (60, ["cccccc"] * (kinds.ROWS - 1)),  # which row lacks?
+        (4, ["ccc"]),
+        (4, []),
+    ],
+)
+def test_answers_that_may_be_of_other_vehicles_are_refused(tmp_path, cells, rows):
+    file = tmp_path / "answers.json"
+    file.write_text(json.dumps({"0": rows}))
+    with pytest.raises(ValueError, match="sheet 0 needs 8 rows of 6 letters"):
+        kinds.read_answers(file, cells)
+
+
+def test_the_last_sheet_may_be_answered_as_far_as_it_goes(tmp_path):
+    file = tmp_path / "answers.json"
+    file.write_text(json.dumps({"0": ["cccccc"] * kinds.ROWS, "1": ["pppppp", "v"]}))
+    told = kinds.read_answers(file, kinds.PER_SHEET + 7)
+    assert list(told.values()) == ["car"] * kinds.PER_SHEET + ["pickup"] * 6 + ["van"]
 
 
 # The network (with torch)
@@ -866,6 +929,14 @@ def test_training_stops_and_goes_on(torch, tmp_path, monkeypatch):
     assert further["optimiser"]["state"][0]["step"] == 4
     with pytest.raises(ValueError, match="atlantis"):
         run("--steps", 2, "--hold-out", "atlantis")
+
+
+def test_a_training_that_goes_on_between_two_lines_of_its_log_has_true_means_there(tmp_path):
+    log = Log(tmp_path, every=100, batch=16, first=250, steps=1000)
+    for step in range(251, 401):
+        log.add(step, {"heat": 2.0})
+    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [(line["step"], line["heat"]) for line in lines] == [(300, 2.0), (400, 2.0)]
 
 
 def test_false_boxes_are_counted_at_equal_recall():

@@ -235,7 +235,7 @@ def place_scenes(data: Path) -> list[Scene]:
             [
                 Labelled(
                     picture_files(data / "places" / file)[0],
-                    *(np.array(entry[kind], float).reshape(-1, 5) for kind in ("vehicle", "ignore")),
+                    *(np.array(entry.get(kind, []), float).reshape(-1, 5) for kind in ("vehicle", "ignore")),
                 )
             ],
         )

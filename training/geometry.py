@@ -23,14 +23,19 @@ def warp(
     """
     octave = int(np.clip(np.floor(np.log2(1 / scale) + rng.random()), 0, 3))
     source = image.level(octave)
-    step = 2.0**octave
     # OpenCV puts a pixel's centre at its integer index, the labels half a pixel further.
-    a = linear * step
+    a = linear * shrunk_by(image.level(0), source)
     t = shift + a @ (0.5, 0.5) - 0.5
     return cv2.warpAffine(
         source, np.c_[a, t], (CROP, CROP), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
         borderValue=(114, 114, 114),
     )  # fmt: skip
+
+
+def shrunk_by(picture: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """(2,) across and down, how many pixels of `picture` one of its `level` is: not quite a power of two, since a half
+    of an odd size lacks half a pixel, though it shows all that the whole does."""
+    return np.array([picture.shape[k] / level.shape[k] for k in (1, 0)])
 
 
 def transform_boxes(boxes: np.ndarray, linear: np.ndarray, shift: np.ndarray) -> np.ndarray:

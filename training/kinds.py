@@ -73,17 +73,22 @@ def draw_sheets(folder: Path, cells: Sequence[Cell]) -> None:
     join(folder, "sheet", {number: enlarged(cell, SHARE) for number, cell in enumerate(cells)}, COLUMNS, ROWS)
 
 
-def read_answers(file: Path) -> dict[int, str]:
-    """{cell: one of ANSWERS, or "" for what could not be told} of a reader's file.
+def read_answers(file: Path, cells: int) -> dict[int, str]:
+    """{cell: one of ANSWERS, or "" for what could not be told} of a reader's file about sheets of so many `cells`.
 
-    Raises ValueError for a sheet that has other rows than it should.
+    Raises ValueError for a sheet that has other rows than it should: answers would go to other vehicles.
     """
     told: dict[int, str] = {}
     for sheet, rows in json.loads(file.read_text()).items():
-        letters = "".join(rows)
-        if any(len(row) != COLUMNS for row in rows[:-1]) or set(letters) - {*LETTERS, "?"}:
-            raise ValueError(f"{file}: sheet {sheet} needs rows of {COLUMNS} letters of {''.join(LETTERS)}?")
-        told.update((int(sheet) * PER_SHEET + k, LETTERS.get(letter, "")) for k, letter in enumerate(letters))
+        first, letters = int(sheet) * PER_SHEET, "".join(rows)
+        in_rows = rows == [letters[k : k + COLUMNS] for k in range(0, len(letters), COLUMNS)]
+        enough = min(cells - first, PER_SHEET) <= len(letters) <= PER_SHEET
+        if not in_rows or not enough or set(letters) - {*LETTERS, "?"}:
+            raise ValueError(
+                f"{file}: sheet {sheet} needs {ROWS} rows of {COLUMNS} letters of {''.join(LETTERS)}?, "
+                "the last sheet as many as it has cells"
+            )
+        told.update((first + k, LETTERS.get(letter, "")) for k, letter in enumerate(letters))
     return told
 
 
@@ -112,12 +117,12 @@ def main() -> None:
     if options.command == "sheets":
         draw_sheets(options.out, choose(pictures_of(options), options.count, options.seed, options.smallest))
         return
-    readers = [read_answers(file) for file in options.answers]
+    cells = read_sheets(options.folder)
+    readers = [read_answers(file, len(cells)) for file in options.answers]
     if options.command == "agreement":
         print(agreement_table(readers))
         return
     kept = load_kept(options.to)
-    cells = read_sheets(options.folder)
     for number, kind in sorted(agreed(readers).items()):
         if number < len(cells):
             cell = cells[number]

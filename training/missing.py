@@ -55,13 +55,14 @@ def cell(image: LabelledImage, box: np.ndarray, text: str) -> np.ndarray:
     stands in the shade; RGB (CELL, CELL, 3)."""
     scale = 60 / box[2]
     shift = CELL / 2 - scale * box[:2]
+    x, y = shift + scale / 2 - 0.5  # OpenCV puts a pixel's centre at its integer index
     pixels = cv2.warpAffine(
-        image.level(0), np.array([[scale, 0, shift[0]], [0, scale, shift[1]]]), (CELL, CELL),
+        image.level(0), np.array([[scale, 0, x], [0, scale, y]]), (CELL, CELL),
         flags=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC,
     )  # fmt: skip
     dark, bright = np.percentile(pixels, (1, 99))
     pixels = (np.clip((pixels - dark) / max(bright - dark, 1.0), 0, 1) * 255).astype(np.uint8)
-    corners = Boxes(box[None], np.ones(1)).corners[0] * scale + shift
+    corners = Boxes(box[None], np.ones(1)).corners[0] * scale + shift - 0.5
     cv2.polylines(pixels, [corners.round().astype(np.int32)], True, (255, 230, 0), 1, cv2.LINE_AA)
     cv2.putText(pixels, text, (2, 11), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 60, 60), 1, cv2.LINE_AA)
     return pixels

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -68,6 +69,11 @@ def _looks_like(path: Path) -> str:
     return "visloc" if _regions(path) else "denseuav"
 
 
+def _name_of(folder: Path) -> str:
+    """Its own name, also where it is given as ``.`` or ``..``."""
+    return Path(os.path.abspath(folder)).name
+
+
 def _photos_in(folder: Path) -> list[Path]:
     return files_below(folder, IMAGE_SUFFIXES)
 
@@ -89,7 +95,7 @@ def read_denseuav(folder: Path, lens_file: Path | None, focal_px: float | None) 
             tags = read_tags(path)
             focal = DENSEUAV_FOCAL * math.hypot(tags.width, tags.height)
         photo = open_photo(path, name, lens_file=lens_file, focal_px=focal, pitch=-90.0)
-        samples.append(Sample(photo, float(told[-1]), folder.name))
+        samples.append(Sample(photo, float(told[-1]), _name_of(folder)))
     notes = (
         [f"{len(nameless)} photos without an altitude in their name, the first is {nameless[0]}"] if nameless else []
     )
@@ -138,9 +144,9 @@ def read_visloc(folder: Path, lens_file: Path | None, focal_px: float | None) ->
                 photo = open_photo(path, name, lens_file=own_lens, focal_px=focal_px, pitch=-90.0)
                 up = up_from_survey(*np.radians([pitch, roll]))
                 photo = replace(photo, up=up, up_sd=float(GIMBAL_SD), attitude="of the reference pose")
-                samples.append(Sample(photo, height - ground, region.name))
+                samples.append(Sample(photo, height - ground, _name_of(region)))
         for count, what in ((unposed, "without a pose"), (off_map, "without ground below them")):
-            notes += [f"region {region.name}: {count} photos {what}"] * (count > 0)
+            notes += [f"region {_name_of(region)}: {count} photos {what}"] * (count > 0)
     return samples, notes
 
 

@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> None:
     """``python -m orthoscale.synthetic ortho|model|labels|denseuav|visloc|csv OUT``."""
     parser = argparse.ArgumentParser(prog="python -m orthoscale.synthetic", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    ortho = commands.add_parser("ortho", help="an orthophoto without georeferencing: OUT.png, .tif or .jpg")
+    ortho = commands.add_parser("ortho", help="an orthophoto without georeferencing: OUT.png or .jpg")
     ortho.add_argument("--gsd", type=float, default=0.08, help="metres per pixel (%(default)s)")
     model = commands.add_parser("model", help="a folder with images/, sparse/ and truth.json")
     model.add_argument("--metres-per-unit", type=float, default=3.7, help="of the COLMAP model (%(default)s)")

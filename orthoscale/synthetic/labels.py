@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ..core.boxes import Boxes
 from ..formats.pictures import write_jpeg
 from .render import ortho_view, render, vehicle_boxes
 from .scene import Scene, SizeSource, make_scene
@@ -35,20 +34,17 @@ def labelled_boxes(scene: Scene, view: View, owner: np.ndarray) -> list[dict]:
     """The boxes of one picture as the training reads them.
 
     A vehicle in full view is a ``vehicle``; one that is half hidden, cut by the picture's edge or too small to tell
-    (under 8 px) is an ``ignore`` region; a hidden one is left out.
+    (under 8 px) is an ``ignore`` region; a hidden one is left out. A lorry is a ``large-vehicle``, cut or not.
     """
-
-    def inside(boxes: Boxes, border: float) -> np.ndarray:
-        return boxes.inside(view.width, view.height, border)
-
     boxes, share = vehicle_boxes(scene.vehicles, view), visible_share(scene.vehicles, view, owner)
-    clear = (share > 0.6) & inside(boxes, 0.0) & (boxes.length >= 8)
+    clear = (share > 0.6) & boxes.inside(view.width, view.height) & (boxes.length >= 8)
     kinds = [(b, "vehicle" if c else "ignore") for b, c, s in zip(boxes.xylwa, clear, share, strict=True) if s > 0.04]
     lorries = vehicle_boxes(
         tuple(Vehicle(x, y, a, length, width, 3) for x, y, length, width, a in scene.lorries), view, 2.5
     )
-    near = inside(lorries, -np.inf) & (lorries.centre > 0).all(1) & (lorries.centre < [view.width, view.height]).all(1)
-    kinds += [(b, "large-vehicle") for b in lorries.xylwa[near]]
+    places = np.concatenate([lorries.corners, lorries.centre[:, None]], 1)
+    shown = ((places > 0) & (places < [view.width, view.height])).all(2).any(1)
+    kinds += [(b, "large-vehicle") for b in lorries.xylwa[shown]]
     names = ("cx", "cy", "length", "width", "angle")
     return [dict(zip(names, np.round(b, 4).tolist(), strict=True)) | {"kind": kind} for b, kind in kinds]
 

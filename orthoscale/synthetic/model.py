@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,7 +110,7 @@ def write_colmap(
         frame: dict = {"name": name, "boxes": []}
         if pictures:
             image, owner = render(scene, view, seed + i, look)
-            _save(folder / "images" / name, image)
+            _write_photo(folder / "images" / name, image)
             images.append(image)
             frame["boxes"] = _boxes_truth(boxes, visible_share(scene.vehicles, view, owner))
         frames.append(frame)
@@ -135,15 +135,17 @@ def write_colmap(
 
 
 def write_ortho(scene: Scene, path: Path, gsd_m: float, seed: int = 0, look: Look | None = None) -> dict:
-    """Write the scene's true orthophoto without georeferencing (PNG, TIFF or JPEG by its ending) and its truth.
+    """Write the scene's true orthophoto without georeferencing (PNG or JPEG by its ending) and its truth.
 
-    The truth goes to ``<stem>.truth.json`` beside it and is returned.
+    The truth goes to ``<stem>.truth.json`` beside it and is returned. Raises UsageError for another ending, before
+    anything is rendered.
     """
     path = Path(path)
+    write = _writer(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     view = ortho_view(scene, gsd_m)
     image, owner = render(scene, view, seed, look)
-    _save(path, image)
+    write(path, image)
     boxes = _boxes_truth(vehicle_boxes(scene.vehicles, view), visible_share(scene.vehicles, view, owner))
     size = {"gsd_m": gsd_m, "width": view.width, "height": view.height}
     truth = size | {"vehicles": _vehicles_truth(scene), "boxes": boxes}
@@ -151,13 +153,17 @@ def write_ortho(scene: Scene, path: Path, gsd_m: float, seed: int = 0, look: Loo
     return truth
 
 
-def _save(path: Path, image: np.ndarray) -> None:
+def _writer(path: Path) -> Callable[[Path, np.ndarray], None]:
+    """What writes a picture with the ending of `path`. Raises UsageError."""
     if path.suffix.lower() in (".jpg", ".jpeg"):
-        write_jpeg(path, image, 93)
-    elif path.suffix.lower() == ".png":
-        write_png(path, image)
-    else:
-        raise UsageError(f"{path.name}: a picture's name ends in .jpg or .png", "Choose another name.")
+        return _write_photo
+    if path.suffix.lower() == ".png":
+        return write_png
+    raise UsageError(f"{path.name}: a picture's name ends in .jpg or .png", "Choose another name.")
+
+
+def _write_photo(path: Path, image: np.ndarray) -> None:
+    write_jpeg(path, image, 93)
 
 
 def _vehicles_truth(scene: Scene) -> list[dict]:

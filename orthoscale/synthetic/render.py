@@ -30,7 +30,7 @@ STAND_OFF_M = 0.2
 """Shadow is looked up this far before a face, so that a wall is not its own shadow."""
 
 LIFT_M, PENUMBRA_M = 0.17, 0.12
-"""A face lies in the sun from `LIFT_M` below the height of the shadow, and darkens over the next `PENUMBRA_M`."""
+"""A face lies in the shade up to `LIFT_M` below the height of the shadow, and in full sun `PENUMBRA_M` above that."""
 
 FRAGMENTS_AT_ONCE = 1 << 19
 HAZY_SKY = (0.75, 0.82, 0.9)
@@ -310,7 +310,8 @@ def _shrunk(picture: np.ndarray, factor: int) -> np.ndarray:
 
 
 def render(scene: Scene, view: View, seed: int = 0, look: Look | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The picture (H, W, 3) uint8 RGB, and the vehicle that each pixel's centre sees (H, W) int, -1 for none."""
+    """The picture (H, W, 3) uint8 RGB, and the vehicle that each pixel sees (H, W) int, -1 for none: at the sample that
+    is right of and below its centre, where there is none."""
     rng = np.random.default_rng([seed, 77])
     look = Look.drawn(rng) if look is None else look
     ideal = view.ideal()

@@ -96,7 +96,7 @@ class Vehicle:
 
     @property
     def belt(self) -> float:
-        """Height up to which the hull fills the footprint [m]."""
+        """Height of the decks before the cabin [m]; the hull fills the footprint up to 0.7 of it."""
         return float(np.clip(0.56 * self.height, 0.7, 1.05))
 
     @property
@@ -106,7 +106,7 @@ class Vehicle:
 
     @property
     def hull(self) -> np.ndarray:
-        """(28, 3) [m] corners of the hull: the footprint's outline at 0.2 m and at the belt, the cabin's roof."""
+        """(28, 3) [m] corners of the hull: the footprint's outline at 0.2 m and where the shoulder begins, the roof."""
         outline, roof = self._outline(), self._roof()
         low, high = (at_height(self._placed(outline), z) for z in (0.2, 0.7 * self.belt))
         return np.concatenate([low, high, at_height(self._placed(roof), self.height)])

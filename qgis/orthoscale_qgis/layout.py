@@ -66,12 +66,12 @@ class Layout(OrthoscaleAlgorithm):
 
     def processAlgorithm(self, parameters, context, feedback):
         """Write the lot to a file, call the program, and show the areas and lines."""
-        layer = self.parameterAsRasterLayer(parameters, self.INPUT, context)
+        raster = self.input_file(parameters, context)
         out = self.parameterAsString(parameters, self.OUTPUT, context)
         with tempfile.TemporaryDirectory() as folder:
             lot = os.path.join(folder, "lot.gpkg")
             self._save_lot(parameters, context, lot)
-            words = ["layout", layer.source().split("|")[0], "--lot", lot, "--out", out]
+            words = ["layout", raster, "--lot", lot, "--out", out]
             for code in self.parameterAsString(parameters, self.FACILITIES, context).split():
                 words += ["--facility", code]
             words += ["--clearance", str(self.parameterAsDouble(parameters, self.CLEARANCE, context))]

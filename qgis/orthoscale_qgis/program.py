@@ -52,16 +52,20 @@ class OrthoscaleAlgorithm(QgsProcessingAlgorithm):
         self.addOutput(QgsProcessingOutputNumber("VEHICLES_USED", "Vehicles that the scale rests on"))
         self.addOutput(QgsProcessingOutputString("VERDICT", "good, fair, poor or unusable"))
 
-    def input_words(self, parameters, context):
-        """The file of the raster, and --fleet where it is named."""
+    def input_file(self, parameters, context):
+        """The file of the raster. Raises QgsProcessingException where there is none, as of a map service."""
         layer = self.parameterAsRasterLayer(parameters, self.INPUT, context)
         if layer is None:
             raise QgsProcessingException(self.invalidRasterError(parameters, self.INPUT))
         path = layer.source().split("|")[0]
         if not os.path.isfile(path):
             raise QgsProcessingException(f"{path} is no file: export the layer as a GeoTIFF first")
+        return path
+
+    def input_words(self, parameters, context):
+        """The file of the raster, and --fleet where it is named."""
         fleet = self.parameterAsString(parameters, self.FLEET, context).strip()
-        return [path, *(["--fleet", fleet] if fleet else [])]
+        return [self.input_file(parameters, context), *(["--fleet", fleet] if fleet else [])]
 
 
 def report_scale(report, feedback):

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from training.augment import leaves
-from training.geometry import transform_boxes
+from training.geometry import shrunk_by, transform_boxes
 
 from .rendered import BRIGHTEST
 
@@ -61,9 +61,8 @@ def window(
     linear = scale * turn @ along @ np.diag([longer, 1 / longer]) @ along.T
     shift = n / 2 + rng.uniform(-0.5, 0.5, 2) - linear @ box[:2]
     octave = int(np.clip(np.floor(np.log2(1 / (fine * scale))), 0, len(levels) - 1))
-    # OpenCV puts a pixel's centre at its integer index. Halving sizes by area may drop a last odd row.
-    step = np.array([levels[0].shape[k] / levels[octave].shape[k] for k in (1, 0)])
-    a = fine * linear * step
+    # OpenCV puts a pixel's centre at its integer index.
+    a = fine * linear * shrunk_by(levels[0], levels[octave])
     t = fine * shift + a @ (0.5, 0.5) - 0.5
     pixels = cv2.warpAffine(
         levels[octave], np.c_[a, t], (fine * n, fine * n), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101

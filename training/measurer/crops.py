@@ -135,6 +135,8 @@ class Examples:
         self._rng = np.random.default_rng([seed, 616])
         pictures = [Rendered.load(file) for file in sorted(bank.glob("scene_*.npz"))[held_out:]]
         self._rendered = [(pyramid(p.light), p) for p in pictures if len(p.boxes)]
+        if SHARES["rendered"] and not self._rendered:
+            raise ValueError(f"{bank}: no rendered picture with vehicles beside the {held_out} that are held out")
         self._real, self._ground = {}, []
         for file in sorted(bank.glob("real_*.npz")):
             found = real.load(file)
