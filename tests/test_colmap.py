@@ -470,6 +470,16 @@ def test_a_cloud_that_was_changed_since_the_model_was_opened_is_not_hashed(model
         source.content_hash()
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
+def test_a_pipe_among_depth_maps_is_not_waited_for(model_bin, tmp_path):
+    """Nobody named them: the ground is found from the sparse points."""
+    (maps := tmp_path / "stereo/depth_maps").mkdir(parents=True)
+    os.mkfifo(maps / "a.png.geometric.bin")
+    source = open_source(model_bin, need_images=False)
+    assert source.cloud is None
+    assert any("left out" in note.text and "pipe" in note.text for note in source.notes)
+
+
 def test_a_picture_that_was_replaced_shows_its_new_pixels(tmp_path, monkeypatch):
     """Also under a name that meant another file before."""
     (tmp_path / "other").mkdir()

@@ -522,8 +522,9 @@ def test_all_lengths_of_instant_ngp_grow(tmp_path):
     pose[:3, 3] = (1, -2, 3)
     names = ("transform_matrix", "transform_matrix_start", "transform_matrix_end")
     frame = {"file_path": "a.jpg", "near": 0.5, **dict.fromkeys(names, pose.tolist())}
+    still = {"file_path": "b.jpg", "transform_matrix": pose.tolist(), "transform_matrix_end": None}
     text = {
-        "frames": [frame],
+        "frames": [frame, still],
         "aabb": [[-1, -2, -3], [1, 2, 3]],
         "aabb_scale": 16,
         "near": 1,
@@ -545,7 +546,8 @@ def test_all_lengths_of_opensfm_grow(tmp_path):
     """Panoramas, and what a shot may have: a mesh of what it sees, and how well its pose is known."""
     shot = {"rotation": [0.1, 0, 0], "translation": [1, 2, 3], "camera": "c", "vertices": [[1, 2, 3]], "faces": [[0]]}
     shot["covariance"] = np.arange(36.0).reshape(6, 6).tolist()
-    part = {"cameras": {}, "shots": {"a": shot}, "pano_shots": {"p": shot}, "points": {}}
+    shots = {"a": shot, "b": {**shot, "covariance": None}}
+    part = {"cameras": {}, "shots": shots, "pano_shots": {"p": shot}, "points": {}}
     (tmp_path / "a.json").write_text(json.dumps([part]))
     scale_path(tmp_path / "a.json", tmp_path / "b.json", 2)
     (new,) = json.loads((tmp_path / "b.json").read_text())

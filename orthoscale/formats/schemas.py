@@ -688,8 +688,8 @@ class TransformsFrame(Intrinsics, kw_only=True):
 
     file_path: Text
     transform_matrix: Pose
-    transform_matrix_start: Pose | UnsetType = UNSET
-    transform_matrix_end: Pose | UnsetType = UNSET
+    transform_matrix_start: Pose | None = None
+    transform_matrix_end: Pose | None = None
 
 
 class Transforms(Intrinsics, kw_only=True):
@@ -732,7 +732,7 @@ class OpensfmShot(OpensfmPlaced):
     rotation: Vector
     camera: Text
     gps_dop: Finite | UnsetType = UNSET
-    covariance: tuple[Six, Six, Six, Six, Six, Six] | UnsetType = UNSET
+    covariance: tuple[Six, Six, Six, Six, Six, Six] | None = None
 
 
 class OpensfmPoint(Struct):

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import InputError
+from ..formats.reading import check_regular
 
 WHOLE = 4 * 2**20  # [byte] files up to this size are read whole
 PIECES, PIECE_BYTES = 64, 16 * 2**10  # number and size [byte] of the pieces that are read of larger ones
@@ -28,7 +29,8 @@ class Stamp(NamedTuple):
 
     @classmethod
     def of(cls, path: Path) -> Stamp:
-        """Of the file that is there now. Raises InputError."""
+        """Of the file that is there now. Raises InputError, for a pipe too."""
+        check_regular(path, "Was it moved meanwhile?")  # opening a pipe would wait for its other end
         with _reading(path), path.open("rb") as file:  # of an open file a network drive tells what is so now
             there = os.fstat(file.fileno())
         return cls(os.path.abspath(path), there.st_ino, there.st_mtime_ns, there.st_size)

@@ -47,7 +47,7 @@ def scale_transforms(source: Path, target: Path, scale: float) -> tuple[Referred
     if MARK in text:
         refuse_marked(source)
     for frame in text["frames"]:
-        for name in (name for name in POSES if name in frame):
+        for name in (name for name in POSES if frame.get(name) is not None):
             frame[name] = _grown(frame[name], scale)
     for part in (text, *text["frames"]):
         for name in (name for name in EXTENTS if name in part):
@@ -90,7 +90,7 @@ def scale_reconstruction(source: Path, target: Path, scale: float) -> None:
             shot["translation"] = _grown(shot["translation"], scale)
             if "vertices" in shot:  # of a mesh of what it sees
                 shot["vertices"] = _each(shot["vertices"], scale)
-            if "covariance" in shot:  # of its rotation and its translation
+            if shot.get("covariance") is not None:  # of its rotation and its translation
                 lengths = np.array([1, 1, 1, scale, scale, scale])
                 shot["covariance"] = (np.array(shot["covariance"], float) * np.outer(lengths, lengths)).tolist()
         for rigid in (*part.get("rig_instances", {}).values(), *part.get("rig_cameras", {}).values()):
