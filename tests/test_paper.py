@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from orthoscale.core.pooling.paper import pool_iqr
+from orthoscale.core.pooling.paper import pool_iqr, pool_paper
+from orthoscale.core.votes import Votes
 from orthoscale.errors import TooLittleEvidence
+from orthoscale.fleets import load_fleet
 
 TEN = [0.08, 0.09, 0.09, 0.10, 0.10, 0.10, 0.11, 0.11, 0.12]  # quartiles 0.09 and 0.11, so 0.06 to 0.14 counts
 
@@ -47,3 +49,12 @@ def test_both_thresholds_are_the_callers():
     assert result.value == 2
     alone = pool_iqr(np.array([1.0]), np.array([0.3]), min_score=0.1, min_vehicles=1)
     assert alone.value == 1 and alone.interval90 == (-np.inf, np.inf)
+
+
+def test_vehicles_that_scatter_without_end_tell_no_scale():
+    """The mean less its error would be below 0."""
+    length = 4.4 / np.array([0.1, 0.1, 0.12, 1.4, 1.5])
+    size = np.stack([length, length / 2.4], 1)
+    votes = Votes(size, np.ones(5), np.ones(5, int), np.zeros((5, 2)), np.ones(5), [np.array([k]) for k in range(5)])
+    with pytest.raises(TooLittleEvidence, match="scatter so much that the mean of 5"):
+        pool_paper(votes, load_fleet("PAPER"), "m/px")

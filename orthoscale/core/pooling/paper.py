@@ -76,6 +76,8 @@ def pool_paper(votes: Votes, fleet: Fleet, unit: str) -> Scale:
     each = by_side.mean(1)
     found = pool_iqr(each, votes.score)
     low, high = found.interval90
+    if not low > 0:
+        raise TooLittleEvidence(f"the vehicles scatter so much that the mean of {found.used.sum()} tells no scale")
     sd = (high - low) / (2 * Z90 * found.value)
     apart = np.log(each) - np.log(found.value)
     reasons = ["" if u else f"score of {MIN_SCORE:g} or less" for u in found.used]
