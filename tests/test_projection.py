@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from support.bodies import CAR, ESTATE, block, body
+from support.camera import simple_views
 from support.simulate import DENSEUAV, PITCHES, UNIT, Body, car_mesh, found_ruler
 from support.simulate import fly as flown
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.projection.exact import BEND, BODIES, Hull, ground_size
+from orthoscale.core.projection.height import lean
 from orthoscale.core.projection.planar import footprint
 from orthoscale.core.projection.view import Views
 
@@ -113,6 +115,15 @@ def test_walls_lean_from_the_bumpers_up_and_never_outwards(body):
     tapered, upright = widths(0.05), widths(BODIES[body].least_lean[1] - 5.0)
     assert tapered[0.0] == tapered[BEND] == 1.0 and tapered[1.6] <= 1 - 2 * 0.05 * (1.6 - BEND) + 1e-9
     assert set(upright.values()) == {1.0}
+
+
+@pytest.mark.parametrize("pitch", [90, 60, 45, 30])
+@pytest.mark.parametrize("angle, along", [(np.pi / 2, True), (0.0, False)])
+def test_a_height_shows_by_the_elevations_cotangent_on_the_side_that_points_to_the_camera(pitch, angle, along):
+    views = simple_views(np.array([[720.0, 540.0]]), (1440, 1080), 1000.0, -np.radians(pitch))
+    shown = lean(Boxes(np.array([[720.0, 540.0, 50, 20, angle]]), np.ones(1)), views)[0]
+    told = 1 / np.tan(np.radians(pitch))
+    assert shown == pytest.approx([told, 0] if along else [0, told], abs=1e-6)
 
 
 @pytest.mark.parametrize("body", ["car", "van"])
