@@ -17,7 +17,9 @@ from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import InputError
 
 
-@pytest.mark.parametrize("size, zoom", [((3000, 2100), 1.0), ((3000, 2100), 0.37), ((500, 300), 2.0), ((90, 40), 1.0)])
+@pytest.mark.parametrize(
+    "size, zoom", [((3000, 2100), 1.0), ((2100, 3000), 1.0), ((3000, 2100), 0.37), ((500, 300), 2.0), ((90, 40), 1.0)]
+)
 def test_tiles_cover_everything_and_overlap_enough(size, zoom):
     picture = Drawing(*size, Boxes.empty())
     cover = np.zeros((size[1], size[0]), int)
