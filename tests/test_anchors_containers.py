@@ -116,8 +116,8 @@ def test_american_trailers_in_a_yard(data):
     (anchor,) = SEEN.find(picture, 0.3048 * 0.95, SD, "US")
     assert "container or trailer of 53 ft" in [standard.name for standard in anchor.standards]
     assert nearest(anchor, 0.3048) < 0.01 and anchor.count == 6
-    for other in SEEN.find(picture, 0.3048 * 0.95, SD, "DE"):  # elsewhere there are none of 53 ft
-        assert max(standard.metres for standard in other.standards) < 14
+    (other,) = SEEN.find(picture, 0.3048 * 0.95, SD, "DE")  # elsewhere there are none of 53 ft
+    assert max(standard.metres for standard in other.standards) < 14
 
 
 @pytest.mark.parametrize("gsd", [0.05, 0.3, 5.0])

@@ -60,6 +60,7 @@ def test_a_trend_is_gone_once_the_ruler_is_found(flight):
     shown = [r.size(flight.boxes, flight.views, 1.0, UNIT) for r in (CARD, ruler)]
     elevation, pixel = np.degrees(flight.views.elevation), flight.views.unit_per_pixel
     changes = trends(*shown, elevation, pixel, flight.members)
+    assert changes["after"].keys() == changes["before"].keys() and len(changes["after"]) > 1
     for name, (slope, sd) in changes["after"].items():
         assert abs(slope) < 4 * sd, name
     before = changes["before"]["percent_per_pixel_doubling"]

@@ -75,6 +75,44 @@ def test_of_two_measurements_the_more_certain_one_counts_more():
     assert both.parts["fleet"] == pytest.approx(0.03)  # what both share does not shrink
 
 
+def with_parts(value, **parts):
+    return replace(scale(value, 0.0), parts=parts)
+
+
+def test_what_two_measurements_of_the_same_vehicles_may_differ_by():
+    """Each its own geometry and 1.5 % of its margin, and how well a median of their differences is known."""
+    first, second = with_parts(0.1, geometry=0.01, fleet=0.03), with_parts(0.1, geometry=0.02, fleet=0.03)
+    each = 0.05 * np.array([-2.0, -1.0, -1.0, 0.0, 1.0, 1.0, 2.0])  # half of them lie within 0.05 of the middle
+    found = compare({"oblique": first, "planar": second}, np.column_stack([each, each]))
+    own = 0.01**2 + 0.02**2 + 2 * 0.015**2
+    assert found.sd == pytest.approx(np.sqrt(own + 1.57 * (1.4826 * 0.05) ** 2 / 7), rel=1e-3)
+    assert found.apart_sd == pytest.approx(np.sqrt(own)) and found.difference == 0
+    assert found.mixes_sd == pytest.approx(0.03 * np.sqrt(2)), "where they agree, others may be of another mix"
+    off = compare({"oblique": first, "planar": second}, np.column_stack([each, each]) + 0.5)
+    assert off.contradicts and off.mixes_sd == 0, "where they do not, a mix is no excuse"
+
+
+def test_a_scale_by_a_distance_may_differ_by_all_that_is_not_known_of_the_fleet():
+    by_distance, by_vehicles = with_parts(0.1, **{"known distance": 0.01}), with_parts(0.1, fleet=0.04)
+    found = compare({"oblique": by_distance, "planar": by_vehicles})
+    assert found.sd == pytest.approx(np.sqrt(0.01**2 + 0.04**2 + 2 * 0.015**2))
+
+
+def test_a_difference_that_is_not_explained_is_the_mixs():
+    """DerSimonian and Laird: of what exceeds its own variance, a quarter where both weigh the same."""
+    first, second = (with_parts(value, sampling=0.01, fleet=0.03) for value in (0.1, 0.1 * np.exp(0.06)))
+    agreement = compare({"oblique": first, "planar": second})
+    more = (0.06**2 - (2 * 0.01**2 + 2 * 0.015**2)) / 4
+    assert together(agreement).parts["fleet"] == pytest.approx(np.sqrt(0.03**2 + more))
+
+
+def test_what_other_evidence_contradicts_stands_alone_though_the_other_is_surer():
+    sure, unsure = scale(0.1, 0.01), replace(scale(0.2, 0.05), conflict=4.0, verdict=UNUSABLE)
+    for first, second in ((sure, unsure), (unsure, sure)):
+        both = together(compare({"oblique": first, "planar": second}))
+        assert both.value == 0.2 and both.interval90 == unsure.interval90
+
+
 def test_the_pooled_verdict_does_not_depend_on_which_measurement_comes_first():
     unsure, sure = replace(scale(0.100, 0.16), verdict=UNUSABLE), scale(0.101, 0.01)
     odd = replace(scale(0.101, 0.02), tension=2.6, remarks=(remark_on_shape(0.1, 2.6),))

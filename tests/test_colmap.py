@@ -100,6 +100,7 @@ def test_views_in_a_rig(tmp_path):
     pixels = np.array([[320.0, 240], [100, 400]])
     for image in model.images.values():
         views, world, ok = source.views(image.name, pixels)
+        assert ok[0], "the middle of each looks down on the ground"
         for k in np.flatnonzero(ok):
             assert np.abs(image.project_point(world[k]) - pixels[k]).max() < 1e-6
             assert abs(world[k] @ turn[:, 2]) < 0.06

@@ -12,7 +12,7 @@ from support.in_process import run
 import orthoscale
 from orthoscale.actions.control import read_control
 from orthoscale.core.control import LEVEL_SD
-from orthoscale.errors import EvidenceDisagrees, InputError, OrthoscaleError, UsageError
+from orthoscale.errors import EvidenceDisagrees, InputError, UsageError
 from orthoscale.fleets import load_fleet
 from orthoscale.formats.detections.own import save_detections
 from orthoscale.sources.opening import open_source
@@ -160,8 +160,9 @@ def test_a_distance_in_feet_contradicts_the_vehicles(flight, found, tmp_path):
     options = {"fleet": "DE", "detections": tmp_path / "boxes.json", "known_distance": ["0,0,0 10,0,0 15.2"]}
     result = orthoscale.estimate(flight[0], **options)
     assert result.scale.value == pytest.approx(1.52, rel=0.01) and result.scale.verdict == "unusable"
-    with pytest.raises(OrthoscaleError):
+    with pytest.raises(EvidenceDisagrees, match="conflict: vehicles: .*known distance of 15.2 m"):
         orthoscale.fix(flight[0], tmp_path / "out", **options)
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("text, why", [("1,2 3,4", "2 words"), ("1,2 3,4 five", "'five' is not a finite number"),

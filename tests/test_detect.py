@@ -17,7 +17,9 @@ from orthoscale.detect.zoom import search_zoom
 from orthoscale.errors import InputError
 
 
-@pytest.mark.parametrize("size, zoom", [((3000, 2100), 1.0), ((3000, 2100), 0.37), ((500, 300), 2.0), ((90, 40), 1.0)])
+@pytest.mark.parametrize(
+    "size, zoom", [((3000, 2100), 1.0), ((2100, 3000), 1.0), ((3000, 2100), 0.37), ((500, 300), 2.0), ((90, 40), 1.0)]
+)
 def test_tiles_cover_everything_and_overlap_enough(size, zoom):
     picture = Drawing(*size, Boxes.empty())
     cover = np.zeros((size[1], size[0]), int)
@@ -29,8 +31,10 @@ def test_tiles_cover_everything_and_overlap_enough(size, zoom):
     # Any box of 120 network pixels lies whole in some tile.
     reach = int(120 / zoom)
     columns = sorted({(t.x, t.x + t.width) for t in tiles(picture, zoom)})
-    for (_, end), (start, _) in zip(columns, columns[1:], strict=False):
-        assert end - start >= reach or end == size[0]
+    rows = sorted({(t.y, t.y + t.height) for t in tiles(picture, zoom)})
+    for spans in (columns, rows):
+        for (_, end), (start, _) in zip(spans, spans[1:], strict=False):
+            assert end - start >= reach
 
 
 def test_a_sweep_finds_every_vehicle_once_where_it_is():

@@ -72,7 +72,9 @@ def test_a_denseuav_folder(folders):
 def test_a_visloc_folder(folders):
     samples, notes = read_samples(folders / "visloc")
     assert len(samples) == 4 and not notes and {s.region for s in samples} == {"01", "02"}
-    for line in (folders / "visloc" / "01" / "reference.txt").read_text().splitlines()[1:]:
+    lines = (folders / "visloc" / "01" / "reference.txt").read_text().splitlines()[1:]
+    assert len(lines) == len([s for s in samples if s.region == "01"]) == 2
+    for line in lines:
         label, _, _, height, yaw, pitch, roll = line.split()
         (sample,) = (s for s in samples if s.photo.name.endswith(label))
         assert sample.altitude == pytest.approx(float(height) - GROUND_M, abs=0.15)

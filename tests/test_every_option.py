@@ -216,6 +216,11 @@ def test_every_option_has_a_case(command, name):
     assert (command, name) in CASES or of_request or own or name in EVERYWHERE
 
 
+def test_every_case_is_of_an_option_that_there_is():
+    """Else its line would be refused for that, as it may be meant to be."""
+    assert not set(CASES) - set(GRID) and not set(ASKED) - {name for _, name in GRID}
+
+
 @pytest.fixture(scope="module")
 def places(tmp_path_factory):
     """Small inputs of every command, by the words that stand for them."""

@@ -56,6 +56,20 @@ def test_an_error_that_two_share_hides_no_contradiction_between_them():
     assert combined(vehicles, PARTS, [one, surer]).conflict == 0
 
 
+def test_an_error_that_vehicles_share_hides_no_contradiction_with_them():
+    """Vehicles are known to 5 %, of which 4 % are the ground's: without it 3 % are left."""
+    court = Evidence.mixed("court", Posterior.normal(0.12, 0.005), ["a court"], common=0.04)
+    found = combined(Posterior.normal(0.0, 0.05), PARTS, [court]).conflict
+    assert found == pytest.approx(0.12 / np.hypot(0.03, 0.005))
+
+
+def test_two_pieces_of_one_kind_are_one_part_of_the_uncertainty():
+    tapes = [Evidence("tape", 0.10, 0.05, f"tape {k}") for k in "ab"]
+    parts = combined(VEHICLES, PARTS, tapes).parts
+    assert parts["tape"] == pytest.approx(0.05 * np.sqrt(2) / 3)
+    assert np.hypot(parts["sampling"], parts["fleet"]) == pytest.approx(0.05 / 3)
+
+
 def test_each_is_compared_with_all_the_rest_and_not_with_what_it_dominates():
     tape, court = Evidence("known distance", 0.106, 0.001, "a tape"), Evidence("court", 0.101, 0.02, "a court")
     together = combined(VEHICLES, PARTS, [tape, court])

@@ -180,8 +180,9 @@ def test_shares_of_frames_that_are_not_at_hand_are_of_their_size_in_the_model(tm
     (labels := tmp_path / "labels").mkdir()
     for name in source.picture_names:
         (labels / Path(name).with_suffix(".txt").name).write_text("0 0.45 0.47 0.55 0.47 0.55 0.53 0.45 0.53\n")
-    assert not source.pictures
-    for boxes in load(labels, source).boxes.values():
+    found = load(labels, source).boxes
+    assert not source.pictures and sorted(found) == sorted(source.picture_names)
+    for boxes in found.values():
         assert boxes.xylwa[0, :4] == pytest.approx([320, 240, 64, 28.8], abs=0.1)
 
 

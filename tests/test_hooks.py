@@ -335,6 +335,7 @@ def test_what_nerfstudio_makes_of_the_metric_model_is_in_metres(bench):
     text = json.loads((bench.work / "ns/transforms.json").read_text())
     old = pycolmap.Reconstruction(str(bench.work / "sparse/0"))
     turn = np.array(text["applied_transform"])[:, :3]
+    assert len(text["frames"]) == len(old.images)
     for frame in text["frames"]:
         place = np.array(frame["transform_matrix"])[:3, 3]
         assert place == pytest.approx(scale * turn @ old.images[frame["colmap_im_id"]].projection_center(), rel=1e-6)

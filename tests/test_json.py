@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -277,6 +278,10 @@ def test_a_ruler_that_measures_nothing_is_refused_wherever_it_stands(tmp_path, r
     assert "ruler" in refusal(read, tmp_path / name)
 
 
+# What a message calls a place whose own name is not in it.
+CALLED = {"coordinates": "corners|numbers|no polygon", "features": "no vector file", "shares": "share|segment"}
+
+
 @pytest.mark.parametrize(
     "reader, place, value",
     [
@@ -287,7 +292,7 @@ def test_a_ruler_that_measures_nothing_is_refused_wherever_it_stands(tmp_path, r
         *(("fleet", ("shares",), v) for v in ({"mini": -1, "mid": 2}, {"mini": 0}, {}, [1], {"mini": 1e300})),
         ("fleet", ("shares",), {"lorry": 1}),
         *(("fleet", ("length",), v) for v in ([4400, 300], [4.4], [4.4, 0], [-4, 1], [1e200, 1])),
-        ("fleet", ("mixture",), [{"class": "a", "weight": 0, "length": [4, 1], "width": [2, 1], "height": [1, 1]}]),
+        ("fleet", ("mixture",), [{"class": "a", "weight": 0, "length": [4, 1], "width": [2, 0.5], "height": [1, 0.5]}]),
         *(("card", ("stride",), v) for v in (0, -32, "32", 10**9, 1.5)),
         *(("card", ("score",), v) for v in ("high", -1, 2)),
         ("card", ("usable_length",), [70, 12]),
@@ -322,9 +327,20 @@ def test_a_ruler_that_measures_nothing_is_refused_wherever_it_stands(tmp_path, r
     ],
 )  # fmt: skip
 def test_a_value_that_cannot_be_meant_is_refused(tmp_path, reader, place, value):
+    """And not for something else that is wrong beside it."""
     name, read, valid, _ = READERS[reader]
     (tmp_path / name).write_text(json.dumps(damaged(valid, place, value)))
-    refusal(read, tmp_path / name)
+    message = refusal(read, tmp_path / name)
+    named = next((part for part in reversed(place) if isinstance(part, str)), "none")
+    assert re.search(CALLED.get(named, named.rstrip("s")), message.replace(str(tmp_path), "")), message
+
+
+def test_the_limits_of_a_number_are_told_as_they_are(tmp_path):
+    for zoom, told in ((0, "zoom: expected a number > 0.0001)"), ("1", "zoom: expected a number, found text)")):
+        (tmp_path / "d.json").write_text(json.dumps({**NOTE, "pictures": {}, "zoom": zoom}))
+        assert refusal(load_detections, tmp_path / "d.json").endswith(told)
+    (tmp_path / "l.json").write_text(json.dumps({**LENS, "fx": 0}))
+    assert refusal(read_calibration, tmp_path / "l.json").endswith("(fx: expected a positive number)")
 
 
 def test_the_tables_that_are_shipped_fit_their_own_schemas():

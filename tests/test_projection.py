@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from support.bodies import CAR, ESTATE, block, body
+from support.camera import simple_views
 from support.simulate import DENSEUAV, PITCHES, UNIT, Body, car_mesh, found_ruler
 from support.simulate import fly as flown
 
 from orthoscale.core.boxes import Boxes
 from orthoscale.core.projection.exact import BEND, BODIES, Hull, ground_size
+from orthoscale.core.projection.height import lean
 from orthoscale.core.projection.planar import footprint
 from orthoscale.core.projection.view import Views
 
@@ -115,6 +117,28 @@ def test_walls_lean_from_the_bumpers_up_and_never_outwards(body):
     assert set(upright.values()) == {1.0}
 
 
+@pytest.mark.parametrize("pitch", [90, 60, 45, 30])
+@pytest.mark.parametrize("angle, along", [(np.pi / 2, True), (0.0, False)])
+def test_a_height_shows_by_the_elevations_cotangent_on_the_side_that_points_to_the_camera(pitch, angle, along):
+    views = simple_views(np.array([[720.0, 540.0]]), (1440, 1080), 1000.0, -np.radians(pitch))
+    shown = lean(Boxes(np.array([[720.0, 540.0, 50, 20, angle]]), np.ones(1)), views)[0]
+    told = 1 / np.tan(np.radians(pitch))
+    assert shown == pytest.approx([told, 0] if along else [0, told], abs=1e-6)
+
+
+@pytest.mark.parametrize("body", ["car", "van"])
+def test_with_the_least_lean_all_walls_just_stand_straight(body):
+    """The front too, which a car's roof is drawn in from by more than from the rear."""
+    tall = {**vars(BODIES[body]), "height": 1.6}
+    end, side = Hull(**tall).least_lean
+    for share, straight in ((1.0, True), (0.95, False)):
+        plan, heights = Hull(**{**tall, "end_lean": share * end, "side_lean": share * side}).outline()
+        top = plan[heights == 1.6]
+        reach = min(top[:, 0].max(), -top[:, 0].min()), top[:, 1].max()
+        assert (reach == pytest.approx((0.5, 0.5), abs=1e-9)) == straight
+        assert (max(reach) < 0.5 - 1e-3) != straight
+
+
 def test_a_wrong_guess_of_the_scale_hardly_matters():
     boxes, views, size = flight(300, 60, np.random.default_rng(3))
     right, off = (ground_size(boxes, views, 0.07 * factor) for factor in (1.0, 1.1))
@@ -127,9 +151,18 @@ def test_a_box_too_small_for_any_vehicle_of_that_height_is_nan():
     assert np.isnan(ground_size(tiny, views, 0.07)).all(1).mean() > 0.8
 
 
-def test_elevation_and_pixel_size():
-    views = Views(np.array([[0, 0, 10.0]]), np.array([[0, 0, -1.0]]), np.diag([500.0, 500.0])[None])
-    assert views.elevation[0] == pytest.approx(np.pi / 2)
+def test_a_box_that_the_height_all_but_fills_shows_no_sliver_of_a_vehicle():
+    """Half of their size at 30 degrees: of one box in 16 the height leaves nothing, or less."""
+    boxes, views, _ = flight(400, 30, np.random.default_rng(4))
+    size = 0.07 * ground_size(Boxes(boxes.xylwa * [1, 1, 0.5, 0.5, 1], boxes.score), views, 0.07)
+    assert 0.7 < np.isfinite(size).all(1).mean() < 0.8 and np.nanmin(size) > 0.09
+
+
+@pytest.mark.parametrize("aside", [0.0, 10.0])
+def test_elevation_and_pixel_size(aside):
+    """A pixel beside the middle is of the picture's plane: it covers no more across, though the ray is longer."""
+    views = Views(np.array([[aside, 0, 10.0]]), np.array([[0, 0, -1.0]]), np.diag([500.0, 500.0])[None])
+    assert views.elevation[0] == pytest.approx(np.arctan2(10, aside))
     assert views.unit_per_pixel[0] == pytest.approx(10 / 500)
 
 

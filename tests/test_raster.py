@@ -889,6 +889,10 @@ def test_large_images_are_compared_by_samples(tmp_path, monkeypatch):
     source = RasterSource.open(make(tmp_path / "a.tif"))
     assert len(list(source._original._to_compare())) == 64
     source.write(tmp_path / "b.tif", 0.1)
+    other = make(tmp_path / "c.tif", scene() ^ 1)
+    monkeypatch.setattr("shutil.copyfile", lambda a, b: Path(b).write_bytes(other.read_bytes()))
+    with pytest.raises(OutputError, match="pixels near x"):
+        source.write(tmp_path / "d.tif", 0.1)
 
 
 def test_own_copy_is_not_taken_for_evidence(tmp_path):

@@ -165,6 +165,7 @@ def test_the_page_shows_24_vehicles_from_the_shortest_to_the_longest(park, repor
 
 def test_outlines_lie_on_their_vehicles(park, report):
     scene = ReportPictures.of(report, open_source(park[0] / "park.png"))
+    assert len(scene.used) > 20
     for panel in scene.used:
         inside = panel.image[85:95, 85:95].astype(float)  # a rectangle of one colour, in the middle of its chip
         assert np.ptp(inside, axis=(0, 1)).max() <= 2

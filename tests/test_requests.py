@@ -11,7 +11,7 @@ from typing import get_type_hints
 import numpy as np
 import pytest
 from support.in_process import run
-from support.reports import EXAMPLE, car_park
+from support.reports import EXAMPLE, GSD, car_park
 
 import orthoscale
 from orthoscale import requests
@@ -115,13 +115,22 @@ def test_what_is_for_the_other_kind_of_input_is_refused(park, tmp_path, name, co
             judge("a.tif")
 
 
+def with_a_court(park):
+    """The boxes of the car park, and a tennis court among them."""
+    found = json.loads((park / "detections.json").read_text())
+    court = {"cx": 500, "cy": 350, "length": 23.77 / GSD, "width": 10.97 / GSD, "angle": 0.2, "kind": "tennis-court"}
+    found["pictures"]["park.png"].append(court)
+    (park / "court.json").write_text(json.dumps(found))
+    return park / "court.json"
+
+
 EFFECTS = {  # that a report of the car park shows, from boxes in a file
     "fleet": ("US", lambda a, b: a["scale"] != b["scale"]),
     "estimator": ("iqr", lambda a, b: a["scale"] != b["scale"]),
     "known_distance": (("100,100 600,100 50.5 0.2",), lambda a, b: [e["kind"] for e in b["evidence"]]),
     "ground_control": ("control.txt", lambda a, b: [e["kind"] for e in b["evidence"]]),
-    "anchors": (["none"], lambda a, b: b["settings"]["anchors"] == ("none",)),
-    "projection": ("planar", lambda a, b: b["method"]["projection"] == "planar"),
+    "anchors": (["none"], lambda a, b: [e["kind"] for e in a["evidence"]] == ["tennis court"] and not b["evidence"]),
+    "projection": ("planar", lambda a, b: a["method"]["projection"] == "planar" and a["scale"] == b["scale"]),
 }
 
 
@@ -130,7 +139,8 @@ def test_what_is_not_refused_has_its_effect(park, name):
     (park / "control.txt").write_text("100,100 0 0\n600,100 50 0\n600,500 50 -40\n100,500 0 -40\n")
     value, effect = EFFECTS[name]
     usual = {"fleet": "DE", "detections": park / "detections.json"}
-
+    if name == "anchors":
+        usual |= {"detections": with_a_court(park), "anchors": ["tennis-court"]}
     value = park / value if name == "ground_control" else value
     before, after = (orthoscale.estimate(park / "park.png", **usual | more).to_dict() for more in ({}, {name: value}))
     assert effect(before, after)

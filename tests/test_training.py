@@ -512,7 +512,9 @@ def test_what_was_measured_before_is_not_measured_again():
 def test_cells_show_their_vehicle_where_the_map_says(tmp_path):
     boxes = field_of_boxes(np.random.default_rng(4))
     cv2.imwrite(str(tmp_path / "p.png"), draw_boxes(boxes))
-    for cell in by_hand.choose([("s", tmp_path / "p.png", boxes, (400, 400))], 4, seed=5):
+    cells = by_hand.choose([("s", tmp_path / "p.png", boxes, (400, 400))], 4, seed=5)
+    assert len(cells) == 4
+    for cell in cells:
         left, right, top, bottom, tilt = reading_of(cell.label, cell.to_cell)
         drawn = by_hand.draw_cell(cell)[..., 2].astype(float)
         mask = np.zeros(drawn.shape, np.uint8)

@@ -268,7 +268,7 @@ def _in_words(message: str) -> str:
     if match := re.match(r"Invalid enum value (.*)", message, re.DOTALL):
         return f"{shown(match[1])} is none of the values known here"
     message = message.replace("Expected", "expected").replace(", got", ", found")
-    message = re.sub(r"`([^`]*)`", _kinds, message).replace("a number > 0.0", "a positive number")
+    message = re.sub(r"a number > 0\.0(?!\d)", "a positive number", re.sub(r"`([^`]*)`", _kinds, message))
     return shown(message, 300)
 
 
