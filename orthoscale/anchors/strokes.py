@@ -46,15 +46,39 @@ class Strokes:
         return Strokes(self.centre[which], self.along[which], self.length[which], self.strength[which], apart)
 
 
-def near_pairs(strokes: Strokes, reach: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of strokes whose centres are within `reach` [px], each once, some strokes' at a time: in a picture that is
-    all texture there are more than fit in memory."""
-    tree = cKDTree(strokes.centre)
-    for k in range(0, len(strokes), PAIRED_AT_ONCE):
-        some = cKDTree(strokes.centre[k : k + PAIRED_AT_ONCE])
-        found = some.sparse_distance_matrix(tree, reach, output_type="ndarray")
-        i, j = found["i"] + k, found["j"]
-        yield i[i < j], j[i < j]
+def near_pairs(
+    strokes: Strokes, reach: float, turn: float, astray: float = np.pi / 2
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of strokes whose centres are within `reach` [px], that turn by up to `turn` [rad] from one to the other and
+    lie up to `astray` [rad] off each other's directions, and a few that do by more. Each once, some strokes' at a time:
+    in a picture that is all texture there are more than fit in memory."""
+    # One direction after another: what is seldom off it is looked for in a narrow box along it.
+    count = int(np.ceil(np.pi / turn))
+    half = np.pi / count / 2
+    stretch = 1 / np.sin(min(astray + half, np.pi / 2))
+    heading = np.arctan2(strokes.along[:, 1], strokes.along[:, 0]) % np.pi
+    number = (heading / (2 * half)).astype(int) % count
+    for which in np.unique(number):
+        middle = (2 * which + 1) * half
+        c, s = np.cos(middle), np.sin(middle)
+        place = strokes.centre @ np.array([[c, -s * stretch], [s, c * stretch]])
+        off = np.abs((heading - middle + np.pi / 2) % np.pi - np.pi / 2)
+        own, other = np.flatnonzero(number == which), np.flatnonzero(off <= half + turn)
+        tree = cKDTree(place[other])
+        for k in range(0, len(own), PAIRED_AT_ONCE):
+            some = cKDTree(place[own[k : k + PAIRED_AT_ONCE]])
+            found = some.sparse_distance_matrix(tree, reach, p=np.inf, output_type="ndarray")
+            i, j = own[found["i"] + k], other[found["j"]]
+            each = (i < j) & (((strokes.centre[j] - strokes.centre[i]) ** 2).sum(1) <= reach**2)
+            yield i[each], j[each]
+
+
+def linked(i: np.ndarray, j: np.ndarray, count: int, fewest: int) -> list[np.ndarray]:
+    """Groups of the numbers below `count` that the pairs (i, j) link, those of at least `fewest`."""
+    label = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(count, count)), directed=False)[1]
+    member = np.flatnonzero(np.bincount(label)[label] >= fewest)
+    order = member[np.argsort(label[member], kind="stable")]
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if len(order) else []
 
 
 def paint_light(image: np.ndarray) -> np.ndarray:
