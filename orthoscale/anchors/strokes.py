@@ -136,11 +136,12 @@ def _ridges(light: np.ndarray, sigma: float, among: float) -> np.ndarray:
     around = 2 * int(STROKE_SURROUNDINGS * sigma) + 1
     energy = cv2.blur(least * least + most * most, (around, around), borderType=cv2.BORDER_REFLECT)
     needed = np.maximum(FAINTEST_STROKE, among * sigma**2 * np.sqrt(np.maximum(energy, 0)))
-    y, x = np.nonzero((-least * sigma**2 > needed) & (np.abs(most) < ROUND_STROKE * -least))
-    gx, gy, hxx, hxy, hyy, least = (each[y, x] for each in (gx, gy, hxx, hxy, hyy, least))
+    at = np.flatnonzero((-least * sigma**2 > needed) & (np.abs(most) < ROUND_STROKE * -least))
+    gx, gy, hxx, hxy, hyy, least = (each.ravel()[at] for each in (gx, gy, hxx, hxy, hyy, least))
     turn = 0.5 * np.arctan2(hxy, (hxx - hyy) / 2) + np.pi / 2
     nx, ny = np.cos(turn), np.sin(turn)
     shift = -(gx * nx + gy * ny) / np.minimum(least, -1e-6)
+    y, x = np.divmod(at, light.shape[1])
     points = np.column_stack([x, y, x + shift * nx, y + shift * ny, -ny, nx, -least * sigma**2])
     return points[np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6]
 
@@ -165,14 +166,17 @@ def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
 
 def _joined(shape: tuple[int, ...], y: np.ndarray, x: np.ndarray, head: np.ndarray) -> np.ndarray:
     """(P,) number of the stroke that each ridge point belongs to, at `y`, `x` of a picture of this `shape`."""
-    number = np.full((shape[0] + 2, shape[1] + 2), -1, np.int32)
-    number[y + 1, x + 1] = np.arange(len(x))
+    width = shape[1] + 2  # with a margin, so that all points have neighbours
+    at = (y + 1) * width + x + 1
+    number = np.full((shape[0] + 2) * width, -1, np.int32)
+    number[at] = np.arange(len(x))
+    hx, hy = np.ascontiguousarray(head.T)
     ends = []
-    for dy, dx in ((0, 1), (1, -1), (1, 0), (1, 1)):
-        other = number[y + 1 + dy, x + 1 + dx]
+    for step in (1, width - 1, width, width + 1):
+        other = number[at + step]
         own = np.flatnonzero(other >= 0)
         other = other[own]
-        alike = np.abs((head[own] * head[other]).sum(1)) > JOINED_HEADING
+        alike = np.abs(hx[own] * hx[other] + hy[own] * hy[other]) > JOINED_HEADING
         ends.append(np.stack([own[alike], other[alike]]))
     i, j = np.concatenate(ends, axis=1)
     return connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(x), len(x))), directed=False)[1]
