@@ -6,14 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from .periods import Row, find_row
-from .strokes import Strokes, near_pairs, values
+from .strokes import Strokes, linked, near_pairs, values
 
-IN_LANE = np.sin(np.radians(4))  # of a stroke's own direction, the next lies within
-LANE_TURN = np.cos(np.radians(8))  # from one stroke to the next, lanes bend no more
+IN_LANE = np.radians(4)  # of a stroke's own direction, the next lies within
+LANE_TURN = np.radians(8)  # from one stroke to the next, lanes bend no more
 UNLIKE_DASHES = 1.5  # ratio of lengths of neighbours
 LINKED = 3.1  # periods: two dashes under vehicles are missing
 
@@ -46,7 +44,7 @@ def find_chains(strokes: Strokes, low: float, high: float, fewest: int) -> Itera
     """Chains of `strokes` with a period from `low` to `high` [px] and at least `fewest` strokes."""
     if len(strokes) < fewest:
         return
-    for path in _paths(strokes, low, high):
+    for path in _paths(strokes, low, high, fewest):
         rest = path
         while len(rest) >= fewest:
             steps = np.linalg.norm(np.diff(strokes.centre[rest], axis=0), axis=1)
@@ -57,9 +55,9 @@ def find_chains(strokes: Strokes, low: float, high: float, fewest: int) -> Itera
             rest = np.delete(rest, row.member)
 
 
-def _paths(strokes: Strokes, low: float, high: float) -> list[np.ndarray]:
-    """Strokes in line, each linked to the nearest before and behind it."""
-    parts = [_in_line(strokes, i, j, low) for i, j in near_pairs(strokes, LINKED * high)]
+def _paths(strokes: Strokes, low: float, high: float, fewest: int) -> list[np.ndarray]:
+    """Strokes in line, each linked to the nearest before and behind it; at least `fewest`."""
+    parts = [_in_line(strokes, i, j, low) for i, j in near_pairs(strokes, LINKED * high, LANE_TURN, IN_LANE)]
     i, j = (np.concatenate(each) for each in zip(*parts, strict=True))
     i, j = np.concatenate([i, j]), np.concatenate([j, i])
     apart = strokes.centre[j] - strokes.centre[i]
@@ -70,11 +68,7 @@ def _paths(strokes: Strokes, low: float, high: float) -> list[np.ndarray]:
     order = np.argsort(-distance)  # the nearest is written last
     nearest[i[order], side[order]] = j[order]
     mutual = (nearest[i, side] == j) & (nearest[j] == i[:, None]).any(1)
-    i, j, n = i[mutual], j[mutual], len(strokes)
-    label = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)[1]
-    order = np.argsort(label, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
-    return [_in_order(strokes, group) for group in groups if len(group) > 1]
+    return [_in_order(strokes, group) for group in linked(i[mutual], j[mutual], len(strokes), fewest)]
 
 
 def _in_line(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float) -> tuple[np.ndarray, np.ndarray]:
@@ -85,9 +79,10 @@ def _in_line(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float) -> tupl
     off = [np.abs(unit[:, 0] * strokes.along[k, 1] - unit[:, 1] * strokes.along[k, 0]) for k in (i, j)]
     shorter = np.minimum(strokes.length[i], strokes.length[j])
     longer = np.maximum(strokes.length[i], strokes.length[j])
-    linked = (np.maximum(*off) < IN_LANE) & (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > LANE_TURN)
-    linked &= (longer < UNLIKE_DASHES * shorter) & (distance > 0.9 * low) & (distance > 1.2 * longer)
-    return i[linked], j[linked]
+    own = np.maximum(*off) < np.sin(IN_LANE)
+    own &= np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > np.cos(LANE_TURN)
+    own &= (longer < UNLIKE_DASHES * shorter) & (distance > 0.9 * low) & (distance > 1.2 * longer)
+    return i[own], j[own]
 
 
 def _in_order(strokes: Strokes, group: np.ndarray) -> np.ndarray:

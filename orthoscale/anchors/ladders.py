@@ -6,13 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from .periods import MISSING_IN_A_ROW, Row, find_row, fit_row
-from .strokes import Strokes, near_pairs, values
+from .strokes import Strokes, linked, near_pairs, values
 
-RUNGS_PARALLEL = np.cos(np.radians(5))
+RUNGS_TURN = np.radians(5)  # from one to the next, at most
+RUNGS_PARALLEL = np.cos(RUNGS_TURN)
 STEEPEST_SLANT = 1.3  # tangent: how far ahead of one another neighbours stand, in pitches
 RUNGS_BESIDE = 0.5  # of the shorter: neighbours lie side by side for so much of it
 UNLIKE_RUNGS = 1.7  # ratio of lengths of neighbours: a vehicle hides part of one
@@ -84,7 +83,7 @@ class Ladder:
 
 def doubled(strokes: Strokes, least: float, most: float) -> Strokes:
     """The double strokes, each two equal `strokes` side by side, `least` to `most` [px] apart: one midway for both."""
-    pairs = [_pair(strokes, i, j, least, most) for i, j in near_pairs(strokes, 2 * most)]
+    pairs = [_pair(strokes, i, j, least, most) for i, j in near_pairs(strokes, 2 * most, RUNGS_TURN)]
     i, j, across = (np.concatenate(each) for each in zip(*pairs, strict=True)) if pairs else np.zeros((3, 0), int)
     order = np.argsort(across, kind="stable")
     free, kept = np.ones(len(strokes), bool), []
@@ -130,14 +129,10 @@ def find_ladders(strokes: Strokes, low: float, high: float, fewest: int) -> Iter
 def _clusters(strokes: Strokes, low: float, high: float, fewest: int) -> list[np.ndarray]:
     """Strokes that are linked by being side by side, a few pitches apart at most."""
     reach = (MISSING_IN_A_ROW + 1) * high
-    parts = [_beside(strokes, i, j, low, reach) for i, j in near_pairs(strokes, reach * np.hypot(1, STEEPEST_SLANT))]
+    near = near_pairs(strokes, reach * np.hypot(1, STEEPEST_SLANT), RUNGS_TURN)
+    parts = [_beside(strokes, i, j, low, reach) for i, j in near]
     i, j = (np.concatenate(each) for each in zip(*parts, strict=True))
-    n = len(strokes)
-    graph = coo_array((np.ones(len(i)), (i, j)), shape=(n, n))
-    label = connected_components(graph, directed=False)[1]
-    order = np.argsort(label, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
-    return [group for group in groups if len(group) >= fewest]
+    return linked(i, j, len(strokes), fewest)
 
 
 def _beside(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
@@ -148,10 +143,10 @@ def _beside(strokes: Strokes, i: np.ndarray, j: np.ndarray, low: float, reach: f
     shorter = np.minimum(strokes.length[i], strokes.length[j])
     longer = np.maximum(strokes.length[i], strokes.length[j])
     overlap = (shorter + longer) / 2 - ahead
-    linked = (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > RUNGS_PARALLEL) & (across > 0.8 * low)
-    linked &= (across < 1.05 * reach) & (longer < UNLIKE_RUNGS * shorter)
-    linked &= (overlap > RUNGS_BESIDE * shorter) | ((ahead < STEEPEST_SLANT * across) & (overlap > 0.25 * shorter))
-    return i[linked], j[linked]
+    own = (np.abs((strokes.along[i] * strokes.along[j]).sum(1)) > RUNGS_PARALLEL) & (across > 0.8 * low)
+    own &= (across < 1.05 * reach) & (longer < UNLIKE_RUNGS * shorter)
+    own &= (overlap > RUNGS_BESIDE * shorter) | ((ahead < STEEPEST_SLANT * across) & (overlap > 0.25 * shorter))
+    return i[own], j[own]
 
 
 def _ladder(strokes: Strokes, low: float, high: float, fewest: int) -> tuple[Ladder | None, np.ndarray]:

@@ -90,7 +90,7 @@ def _fitted(place: np.ndarray, period: float, start: float, fewest: int) -> Row 
         if len(near) < fewest:
             return None
         near = near[np.lexsort((away[near], number[near]))]
-        near = near[np.unique(number[near], return_index=True)[1]]  # of those at one place the closest
+        near = near[np.diff(number[near], prepend=-np.inf) > 0]  # of those at one place the closest
         run = np.concatenate([[0], np.cumsum(np.diff(number[near]) > MISSING_IN_A_ROW + 1)])
         near = near[run == np.bincount(run).argmax()]
         if len(near) < fewest:

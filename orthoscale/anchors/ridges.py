@@ -40,12 +40,14 @@ def steered(light: np.ndarray) -> np.ndarray:
     gain = np.float32(CLEAR_RIDGE / STRONGEST) / local
     mean, half, cross = -0.5 * (xx + yy) * gain, 0.5 * (xx - yy) * gain, xy * gain
     maps = np.empty((DIRECTIONS, *light.shape), np.int8)
-    for k in range(DIRECTIONS):
+    for k in range(DIRECTIONS // 2):
         turn = 2 * np.pi * k / DIRECTIONS
-        # second derivatives across and along a line at half this angle
         bend = half * np.float32(np.cos(turn)) + cross * np.float32(np.sin(turn))
-        ridge = (mean + bend) - 0.5 * np.maximum(mean - bend, 0)
-        maps[k] = np.clip(ridge, -CLEAR_RIDGE, CLEAR_RIDGE)
+        # second derivatives across and along a line at half this angle; those of one at right angles change places
+        one, other = mean + bend, mean - bend
+        for direction, across, along in ((k, one, other), (k + DIRECTIONS // 2, other, one)):
+            ridge = across - 0.5 * np.maximum(along, 0)
+            maps[direction] = np.clip(ridge, -CLEAR_RIDGE, CLEAR_RIDGE, out=ridge)
     return maps
 
 

@@ -46,15 +46,39 @@ class Strokes:
         return Strokes(self.centre[which], self.along[which], self.length[which], self.strength[which], apart)
 
 
-def near_pairs(strokes: Strokes, reach: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of strokes whose centres are within `reach` [px], each once, some strokes' at a time: in a picture that is
-    all texture there are more than fit in memory."""
-    tree = cKDTree(strokes.centre)
-    for k in range(0, len(strokes), PAIRED_AT_ONCE):
-        some = cKDTree(strokes.centre[k : k + PAIRED_AT_ONCE])
-        found = some.sparse_distance_matrix(tree, reach, output_type="ndarray")
-        i, j = found["i"] + k, found["j"]
-        yield i[i < j], j[i < j]
+def near_pairs(
+    strokes: Strokes, reach: float, turn: float, astray: float = np.pi / 2
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of strokes whose centres are within `reach` [px], that turn by up to `turn` [rad] from one to the other and
+    lie up to `astray` [rad] off each other's directions, and a few that do by more. Each once, some strokes' at a time:
+    in a picture that is all texture there are more than fit in memory."""
+    # One direction after another: what is seldom off it is looked for in a narrow box along it.
+    count = int(np.ceil(np.pi / turn))
+    half = np.pi / count / 2
+    stretch = 1 / np.sin(min(astray + half, np.pi / 2))
+    heading = np.arctan2(strokes.along[:, 1], strokes.along[:, 0]) % np.pi
+    number = (heading / (2 * half)).astype(int) % count
+    for which in np.unique(number):
+        middle = (2 * which + 1) * half
+        c, s = np.cos(middle), np.sin(middle)
+        place = strokes.centre @ np.array([[c, -s * stretch], [s, c * stretch]])
+        off = np.abs((heading - middle + np.pi / 2) % np.pi - np.pi / 2)
+        own, other = np.flatnonzero(number == which), np.flatnonzero(off <= half + turn)
+        tree = cKDTree(place[other])
+        for k in range(0, len(own), PAIRED_AT_ONCE):
+            some = cKDTree(place[own[k : k + PAIRED_AT_ONCE]])
+            found = some.sparse_distance_matrix(tree, reach, p=np.inf, output_type="ndarray")
+            i, j = own[found["i"] + k], other[found["j"]]
+            each = (i < j) & (((strokes.centre[j] - strokes.centre[i]) ** 2).sum(1) <= reach**2)
+            yield i[each], j[each]
+
+
+def linked(i: np.ndarray, j: np.ndarray, count: int, fewest: int) -> list[np.ndarray]:
+    """Groups of the numbers below `count` that the pairs (i, j) link, those of at least `fewest`."""
+    label = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(count, count)), directed=False)[1]
+    member = np.flatnonzero(np.bincount(label)[label] >= fewest)
+    order = member[np.argsort(label[member], kind="stable")]
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if len(order) else []
 
 
 def paint_light(image: np.ndarray) -> np.ndarray:
@@ -112,11 +136,12 @@ def _ridges(light: np.ndarray, sigma: float, among: float) -> np.ndarray:
     around = 2 * int(STROKE_SURROUNDINGS * sigma) + 1
     energy = cv2.blur(least * least + most * most, (around, around), borderType=cv2.BORDER_REFLECT)
     needed = np.maximum(FAINTEST_STROKE, among * sigma**2 * np.sqrt(np.maximum(energy, 0)))
-    y, x = np.nonzero((-least * sigma**2 > needed) & (np.abs(most) < ROUND_STROKE * -least))
-    gx, gy, hxx, hxy, hyy, least = (each[y, x] for each in (gx, gy, hxx, hxy, hyy, least))
+    at = np.flatnonzero((-least * sigma**2 > needed) & (np.abs(most) < ROUND_STROKE * -least))
+    gx, gy, hxx, hxy, hyy, least = (each.ravel()[at] for each in (gx, gy, hxx, hxy, hyy, least))
     turn = 0.5 * np.arctan2(hxy, (hxx - hyy) / 2) + np.pi / 2
     nx, ny = np.cos(turn), np.sin(turn)
     shift = -(gx * nx + gy * ny) / np.minimum(least, -1e-6)
+    y, x = np.divmod(at, light.shape[1])
     points = np.column_stack([x, y, x + shift * nx, y + shift * ny, -ny, nx, -least * sigma**2])
     return points[np.maximum(np.abs(shift * nx), np.abs(shift * ny)) <= 0.6]
 
@@ -141,14 +166,17 @@ def _derivatives(light: np.ndarray, sigma: float) -> tuple[np.ndarray, ...]:
 
 def _joined(shape: tuple[int, ...], y: np.ndarray, x: np.ndarray, head: np.ndarray) -> np.ndarray:
     """(P,) number of the stroke that each ridge point belongs to, at `y`, `x` of a picture of this `shape`."""
-    number = np.full((shape[0] + 2, shape[1] + 2), -1, np.int32)
-    number[y + 1, x + 1] = np.arange(len(x))
+    width = shape[1] + 2  # with a margin, so that all points have neighbours
+    at = (y + 1) * width + x + 1
+    number = np.full((shape[0] + 2) * width, -1, np.int32)
+    number[at] = np.arange(len(x))
+    hx, hy = np.ascontiguousarray(head.T)
     ends = []
-    for dy, dx in ((0, 1), (1, -1), (1, 0), (1, 1)):
-        other = number[y + 1 + dy, x + 1 + dx]
+    for step in (1, width - 1, width, width + 1):
+        other = number[at + step]
         own = np.flatnonzero(other >= 0)
         other = other[own]
-        alike = np.abs((head[own] * head[other]).sum(1)) > JOINED_HEADING
+        alike = np.abs(hx[own] * hx[other] + hy[own] * hy[other]) > JOINED_HEADING
         ends.append(np.stack([own[alike], other[alike]]))
     i, j = np.concatenate(ends, axis=1)
     return connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(x), len(x))), directed=False)[1]
