@@ -43,7 +43,7 @@ def labelled_boxes(scene: Scene, view: View, owner: np.ndarray) -> list[dict]:
         tuple(Vehicle(x, y, a, length, width, 3) for x, y, length, width, a in scene.lorries), view, 2.5
     )
     places = np.concatenate([lorries.corners, lorries.centre[:, None]], 1)
-    shown = ((places > 0) & (places < [view.width, view.height])).all(2).any(1)
+    shown = np.all((places > 0) & (places < [view.width, view.height]), axis=2).any(axis=1)
     kinds += [(b, "large-vehicle") for b in lorries.xylwa[shown]]
     names = ("cx", "cy", "length", "width", "angle")
     return [dict(zip(names, np.round(b, 4).tolist(), strict=True)) | {"kind": kind} for b, kind in kinds]
