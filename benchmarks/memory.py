@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import rasterio
 
@@ -23,7 +24,7 @@ def mosaic(raster: Path, count: int, out: Path) -> None:
     bands = []
     for band in (1, 2, 3):
         parts = [
-            f'<SimpleSource><SourceFilename relativeToVRT="0">{raster.resolve()}</SourceFilename>'
+            f'<SimpleSource><SourceFilename relativeToVRT="0">{escape(str(raster.resolve()))}</SourceFilename>'
             f'<SourceBand>{band}</SourceBand><SrcRect xOff="0" yOff="0" xSize="{width}" ySize="{height}"/>'
             f'<DstRect xOff="{x * width}" yOff="{y * height}" xSize="{width}" ySize="{height}"/></SimpleSource>'
             for y in range(count)

@@ -9,7 +9,10 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import rasterio
+from rasterio import Affine
 
 ROOT = Path(__file__).parent.parent
 TOWN = ROOT / "examples" / "town"
@@ -75,6 +78,16 @@ def test_one_place_says_nothing_of_the_margin(benchmark, monkeypatch, capsys, tm
     places.main([places.Scene(Path("manila.jpg"), "PH", 0.1)], tmp_path)
     said = capsys.readouterr().out
     assert "| manila | PH | +1.0" in said and "left out" not in said
+
+
+def test_a_mosaic_of_a_raster_of_any_name(benchmark, tmp_path):
+    one, four = tmp_path / "R&D <1>.tif", tmp_path / "four.vrt"
+    shape = {"width": 8, "height": 6, "count": 3, "dtype": "uint8"}
+    with rasterio.open(one, "w", "GTiff", transform=Affine.scale(1, -1), **shape) as out:
+        out.write(np.arange(144, dtype=np.uint8).reshape(3, 6, 8))
+    benchmark("memory").mosaic(one, 2, four)
+    with rasterio.open(one) as part, rasterio.open(four) as whole:
+        assert (whole.read() == np.tile(part.read(), (1, 2, 2))).all()
 
 
 @pytest.mark.slow

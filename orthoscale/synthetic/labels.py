@@ -43,8 +43,8 @@ def labelled_boxes(scene: Scene, view: View, owner: np.ndarray) -> list[dict]:
         tuple(Vehicle(x, y, a, length, width, 3) for x, y, length, width, a in scene.lorries), view, 2.5
     )
     places = np.concatenate([lorries.corners, lorries.centre[:, None]], 1)
-    within = np.all((places > 0) & (places < [view.width, view.height]), axis=2)
-    kinds += [(b, "large-vehicle") for b in lorries.xylwa[within.any(1)]]
+    shown = np.all((places > 0) & (places < [view.width, view.height]), axis=2).any(axis=1)
+    kinds += [(b, "large-vehicle") for b in lorries.xylwa[shown]]
     names = ("cx", "cy", "length", "width", "angle")
     return [dict(zip(names, np.round(b, 4).tolist(), strict=True)) | {"kind": kind} for b, kind in kinds]
 
