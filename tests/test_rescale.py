@@ -357,6 +357,20 @@ def test_points_that_are_none(tmp_path, text):
         scale_path(tmp_path / "a.xyz", tmp_path / "b.xyz", 2)
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_points_that_are_numbered(tmp_path, first):
+    lines = [f"{first + k} {k}.5 2.5 3.5" for k in range(9)]
+    (tmp_path / "a.xyz").write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="seems to number the points"):
+        scale_path(tmp_path / "a.xyz", tmp_path / "b.xyz", 2)
+    (tmp_path / "c.xyz").write_text("\n".join(["ID X Y Z", *lines]) + "\n")
+    scale_path(tmp_path / "c.xyz", tmp_path / "d.xyz", 2)
+    assert (tmp_path / "d.xyz").read_text().splitlines()[2] == f"{first + 1} 3 5 7"
+    # Five points whose x only happen to count.
+    (tmp_path / "e.xyz").write_text("\n".join(lines[:4] + ["7 4.5 2.5 3.5"]) + "\n")
+    scale_path(tmp_path / "e.xyz", tmp_path / "f.xyz", 2)
+
+
 def test_splats_of_32_bytes(tmp_path):
     rows = [struct.pack("<6f8B", *(k + np.arange(6)), *range(8)) for k in range(3)]
     (tmp_path / "a.splat").write_bytes(b"".join(rows))

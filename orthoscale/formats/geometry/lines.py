@@ -17,25 +17,32 @@ from .words import grown
 
 POINTS = (".xyz", ".xyzn", ".xyzrgb", ".pts")
 COMMENTS = (b"#", b"//")
+SURELY = 5  # points whose numbers are no coordinates by chance
 OFF_HEAD = re.compile(rb"(ST)?C?N?(4?n?)OFF(\s+BINARY)?\s*")
 
 
 def scale_points(source: Path, target: Path, scale: float) -> None:
     """Write the points in `source`, a line each, to `target` in metres: the first three numbers of a line, or those
-    that a first line of names calls x, y and z. Raises InputError."""
-    columns, count = [0, 1, 2], 0
+    that a first line of names calls x, y and z. Raises InputError, also where the first column seems to number them."""
+    columns, count, numbered = [0, 1, 2], 0, True
     separator: bytes | None = None
     with source.open("rb") as file, target.open("wb") as out:
         for number, line in enumerate(file, 1):
             words, between = _words(line, separator)
             if count == 0 and words and (named := _named(words)):
-                columns, separator = named, between
+                columns, separator, numbered = named, between, False
                 out.write(line)
             elif not words or words[0].startswith(COMMENTS) or (len(words) == 1 and words[0].isdigit()):
                 out.write(line)  # PTS counts its points
             else:
                 separator = between
+                numbered = numbered and _is_numbered(words, count)
                 count += 1
+                if numbered and count == SURELY:
+                    raise InputError(
+                        f"{source}: its first column seems to number the points",
+                        "Name the columns in a first line (ID X Y Z ...), or leave the numbers out.",
+                    )
                 out.write(_scaled(f"{source}, line {number}", words, columns, scale, separator))
     if not count:
         raise InputError(f"{source}: no points in it", EXPORT_ANEW)
@@ -91,6 +98,11 @@ def _named(words: Sequence[bytes]) -> list[int]:
     names = [word.strip(b'"/# \t').lower() for word in words]
     names = [name for name in names if name] if words[0].strip() in COMMENTS else names
     return [names.index(axis) for axis in (b"x", b"y", b"z")] if {b"x", b"y", b"z"} <= set(names) else []
+
+
+def _is_numbered(words: Sequence[bytes], count: int) -> bool:
+    """Whether a point of `words`, of which `count` are before it, begins with its number and not with its x."""
+    return len(words) > 3 and words[0] in (b"%d" % count, b"%d" % (count + 1)) and all(b"." in w for w in words[1:4])
 
 
 def _kept(file: BinaryIO, out: BinaryIO) -> bytes:
