@@ -324,6 +324,7 @@ def test_off(tmp_path):
         "4OFF\n1 0 0\n1 2 3 1\n",
         "OFF BINARY\n",
         "OFF\n2 0 0\n1 2 3\n",
+        "OFF\n4 4 6\n0 0 0 1 0 0\n0 1 0 0 0 1\n3 0 1 2\n3 0 1 3\n3 0 2 3\n3 1 2 3\n",
         "OFF\n-1 0 0\n1 2 3\n",
         "",
         "1 2 3\n",

@@ -65,6 +65,12 @@ def scale_off(source: Path, target: Path, scale: float) -> None:
         for k in range(vertices := int(counts[0])):
             words = _kept(file, out).split()
             out.write(_scaled(f"{source}, vertex {k} of {vertices}", words, (0, 1, 2), scale))
+        # Where vertices share a line, what was scaled above are faces.
+        faces = int(counts[1]) if len(counts) > 1 and counts[1].isdigit() else 0
+        for k in range(faces):
+            out.write(line := _kept(file, out))
+            if not line:
+                raise InputError(f"{source}: {k} of its {faces} faces are there", "A vertex, or a face, a line.")
         shutil.copyfileobj(file, out, 1 << 20)
 
 
