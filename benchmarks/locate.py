@@ -35,7 +35,7 @@ from orthoscale.locate.ground import GroundImage  # noqa: E402
 from orthoscale.locate.register import Known, PlaceFinder, Registration, register  # noqa: E402
 from orthoscale.sources.satellite import Satellite  # noqa: E402
 
-DATA = Path(os.environ.get("ORTHOSCALE_DATA", Path(__file__).parents[2] / "shared" / "data"))
+DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared" / "data")
 FINE, COARSE = 0.2, 0.4  # [m/px] of what photos see, and of the map
 SIDE = 6000  # [px] of the mosaic: 1.44 km2
 CHIP_GSD, CHIP_STEP = 0.3048, 390  # [m/px]; [px] of the mosaic that a chip of 256 px covers

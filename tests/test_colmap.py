@@ -30,7 +30,7 @@ from orthoscale.sources.picture_file import PictureFile, stored_size
 
 pycolmap = pytest.importorskip("pycolmap")
 
-DATA = Path(os.environ.get("ORTHOSCALE_DATA", Path(__file__).parents[2] / "shared/data")) / "reconstructions"
+DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared/data") / "reconstructions"
 
 
 # --- Models made here ------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from orthoscale.synthetic import make_scene, write_colmap
 
 pycolmap = pytest.importorskip("pycolmap")
 
-DATA = Path(os.environ.get("ORTHOSCALE_DATA", Path(__file__).parents[2] / "shared/data")) / "reconstructions"
+DATA = Path(os.environ.get("ORTHOSCALE_DATA") or Path(__file__).parents[2] / "shared/data") / "reconstructions"
 
 
 @pytest.fixture(scope="module")
