@@ -10,6 +10,7 @@ from orthoscale.anchors.bays import BAY_FALSE, ParkingBays, bay_standards
 from orthoscale.anchors.crossings import ZEBRA_FALSE, ZebraCrossings
 from orthoscale.anchors.dashes import LANE_LINES, LaneDashes, by_country
 from orthoscale.anchors.periods import find_row, fit_row
+from orthoscale.anchors.strokes import Strokes, near_pairs
 from orthoscale.anchors.zebra_rules import ZEBRA_FREE, ZEBRA_RULES, elsewhere
 from orthoscale.anchors.zebra_rules import ZEBRA_STANDARDS as CROSSINGS
 from orthoscale.core.anchors import Standard, holding
@@ -303,3 +304,25 @@ def test_a_crossing_elsewhere_may_be_of_no_rule_as_often_as_rules_leave_it_free(
     (here,), (there,) = (ZebraCrossings().find(image, 0.1, 0.05, country) for country in ("DE", "ZZ"))
     assert here.false == ZEBRA_FALSE
     assert 1 - there.false == pytest.approx((1 - ZEBRA_FALSE) * len(ruled) / (len(ruled) + len(ZEBRA_FREE)))
+
+
+@pytest.mark.parametrize("astray", (np.radians(4), np.pi / 2))
+@pytest.mark.parametrize("turn", (np.radians(5), np.radians(8)))
+def test_no_near_pair_of_strokes_is_missed(turn, astray):
+    """Of strokes that head anywhere, along the limits of the directions that are looked at in turn too."""
+    rng = np.random.default_rng(5)
+    n, reach = 1200, 90.0
+    heading = np.where(np.arange(n) % 4, rng.uniform(-np.pi, np.pi, n), rng.integers(-36, 36, n) * np.pi / 36)
+    along = np.stack([np.cos(heading), np.sin(heading)], -1)
+    strokes = Strokes(rng.uniform(0, 300, (n, 2)), along, np.ones(n), np.ones(n))
+    apart = strokes.centre[None] - strokes.centre[:, None]
+    distance = np.linalg.norm(apart, axis=-1)
+    off = np.abs(apart[..., 0] * along[:, None, 1] - apart[..., 1] * along[:, None, 0])
+    ahead = np.sin(astray) * distance * (1 + 1e-9)
+    wanted = (distance <= reach) & (np.abs(along @ along.T) > np.cos(turn)) & (np.maximum(off, off.T) <= ahead)
+    i, j = (np.concatenate(each) for each in zip(*near_pairs(strokes, reach, turn, astray), strict=True))
+    assert (i < j).all() and (distance[i, j] <= reach * (1 + 1e-9)).all()
+    found = np.zeros((n, n), bool)
+    found[i, j] = True
+    assert found.sum() == len(i), "each once"
+    assert wanted.sum() > n and not (np.triu(wanted, 1) & ~found).any()
