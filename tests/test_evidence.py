@@ -37,6 +37,15 @@ def test_two_that_contradict_each_other_are_reported_and_not_averaged():
     assert "that of one side alone, the surest: a tape" in whose.text, "nobody takes the figure for the vehicles'"
 
 
+def test_what_contradicts_is_said_once():
+    """And what only does not count beside it, as what it is."""
+    court = Evidence.mixed("court", Posterior.normal(np.log(0.14), 0.01), ["a court"], doubt=0.01)
+    dashes = Evidence.mixed("dashes", Posterior.normal(np.log(0.07), 0.01), ["dashes"], doubt=0.3)
+    refusal, whose, beside = combined(VEHICLES, PARTS, [court, dashes]).remarks
+    assert refusal.text.startswith("conflict: vehicles: 0.1, a court: 0.14") and "the surest: vehicles" in whose.text
+    assert beside.text.startswith("dashes: would give 0.07") and beside.text.endswith("it does not count")
+
+
 def test_many_that_err_as_they_say_are_seldom_taken_for_contradictions():
     rng = np.random.default_rng(0)
     refused = 0
