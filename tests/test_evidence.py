@@ -92,6 +92,13 @@ def test_evidence_does_not_support_a_scale_of_its_own_that_nothing_else_does():
     assert two.summary == pytest.approx(one.summary, rel=1e-12)
 
 
+def test_of_two_scales_about_as_near_the_sharper_one_is_meant():
+    """By its density, not by its sigmas alone: those that say little are never far."""
+    either = Posterior(np.array([0.5, 0.5]), np.log([0.1, 0.1]) + 0.03, np.array([0.01, 0.2]))
+    bays = Evidence.mixed("bays", either, ["sharp", "vague"])
+    assert bays.meant(VEHICLES).says == "sharp"
+
+
 def test_two_pieces_of_one_kind_are_one_part_of_the_uncertainty():
     tapes = [Evidence("tape", 0.10, 0.05, f"tape {k}") for k in "ab"]
     parts = combined(VEHICLES, PARTS, tapes).parts

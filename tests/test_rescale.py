@@ -401,6 +401,7 @@ def test_las_and_laz_are_scaled_in_their_headers(tmp_path):
         (las(b"LASF_Projection", 2112, b"\0"), None, ""),
         (las(b"copc", 1, bytes(160)), InputError, "COPC"),
         (las(form=4), InputError, "waveforms"),
+        (las(form=0x80 | 9), InputError, "waveforms"),  # as LAZ marks what is compressed
         (las(b"x", 1, b"y")[:400], InputError, "400 bytes"),
         (las()[:235] + b"\xff" * 12 + las()[247:], InputError, "records"),
         (las()[:200], InputError, "not a LAS file"),
