@@ -128,9 +128,9 @@ def test_a_cloud_on_the_map_is_said_to_be_left_out(tmp_path):
 
 def test_what_cannot_be_a_cloud_is_refused(tmp_path):
     (tmp_path / "a.las").write_bytes(b"LASF")
-    for path in (tmp_path, tmp_path / "a.las", tmp_path / "none.ply"):
-        with pytest.raises(InputError):
-            cloud_at(path)
+    for name, why in ((".", "no dense workspace of COLMAP"), ("a.las", "no PLY file"), ("none.ply", "does not exist")):
+        with pytest.raises(InputError, match=why):
+            cloud_at(tmp_path / name)
 
 
 def test_depth_maps_are_points_on_the_ground(flight, tmp_path):

@@ -1,5 +1,7 @@
 """Evidence besides vehicles: combined where it agrees, reported where it does not."""
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,15 @@ def test_two_that_contradict_each_other_are_reported_and_not_averaged():
     assert "that of one side alone, the surest: a tape" in whose.text, "nobody takes the figure for the vehicles'"
 
 
+def test_what_contradicts_is_said_once():
+    """And what only does not count beside it, as what it is."""
+    court = Evidence.mixed("court", Posterior.normal(np.log(0.14), 0.01), ["a court"], doubt=0.01)
+    dashes = Evidence.mixed("dashes", Posterior.normal(np.log(0.07), 0.01), ["dashes"], doubt=0.3)
+    refusal, whose, beside = combined(VEHICLES, PARTS, [court, dashes]).remarks
+    assert refusal.text.startswith("conflict: vehicles: 0.1, a court: 0.14") and "the surest: vehicles" in whose.text
+    assert beside.text.startswith("dashes: would give 0.07") and beside.text.endswith("it does not count")
+
+
 def test_many_that_err_as_they_say_are_seldom_taken_for_contradictions():
     rng = np.random.default_rng(0)
     refused = 0
@@ -61,6 +72,31 @@ def test_an_error_that_vehicles_share_hides_no_contradiction_with_them():
     court = Evidence.mixed("court", Posterior.normal(0.12, 0.005), ["a court"], common=0.04)
     found = combined(Posterior.normal(0.0, 0.05), PARTS, [court]).conflict
     assert found == pytest.approx(0.12 / np.hypot(0.03, 0.005))
+
+
+def test_in_which_order_evidence_comes_does_not_matter():
+    """What has most in common with the vehicles is combined with them first, wherever it stands."""
+    court = Evidence.mixed("court", Posterior.normal(np.log(0.104), 0.01), ["a court"], common=0.04)
+    dashes = Evidence.mixed("dashes", Posterior.normal(np.log(0.103), 0.01), ["dashes"], common=0.02)
+    tape = Evidence("tape", 0.102, 0.02, "a tape")
+    first, *others = (combined(VEHICLES, PARTS, some).summary for some in permutations((court, dashes, tape)))
+    assert len(others) == 5 and all(other == pytest.approx(first, rel=1e-12) for other in others)
+
+
+def test_evidence_does_not_support_a_scale_of_its_own_that_nothing_else_does():
+    """Of two that bays may mean, the one four sigmas from the vehicles does not count at all."""
+    both = Posterior(np.array([0.5, 0.5]), np.log([0.1, 0.1 * np.exp(0.2)]), np.array([0.01, 0.01]))
+    bays = Evidence.mixed("bays", both, ["near", "far"], doubt=0.01)
+    near = Evidence.mixed("bays", Posterior.normal(np.log(0.1), 0.01), ["near"], doubt=0.01)
+    two, one = (combined(VEHICLES, PARTS, [each]) for each in (bays, near))
+    assert two.summary == pytest.approx(one.summary, rel=1e-12)
+
+
+def test_of_two_scales_about_as_near_the_sharper_one_is_meant():
+    """By its density, not by its sigmas alone: those that say little are never far."""
+    either = Posterior(np.array([0.5, 0.5]), np.log([0.1, 0.1]) + 0.03, np.array([0.01, 0.2]))
+    bays = Evidence.mixed("bays", either, ["sharp", "vague"])
+    assert bays.meant(VEHICLES).says == "sharp"
 
 
 def test_two_pieces_of_one_kind_are_one_part_of_the_uncertainty():
@@ -136,13 +172,16 @@ def test_a_known_distance():
     assert short.relative_sd == pytest.approx(0.7 / 3, rel=0.01), "three pixels are no ruler"
 
 
-@pytest.mark.parametrize("points, metres, sd", [([[1, 1], [1, 1]], 5, 1), ([[0, 0], [1, 1]], -5, 1),
-                                                ([[0, 0], [1, 1]], 5, 0),
-                                                ([[0, 0], [1, 1]], 5, 1e300), ([[0, 0], [1, 1]], 5, 6),
-                                                ([[0, 0], [1, 1]], 5, np.nan), ([[0, 0], [1, 1]], 1e300, 1e299),
-                                                ([[0, 0], [np.nan, 1]], 5, 1)])  # fmt: skip
-def test_a_distance_that_makes_no_sense(points, metres, sd):
-    with pytest.raises(ValueError):
+@pytest.mark.parametrize(
+    "points, metres, sd, why",
+    [
+        ([[1, 1], [1, 1]], 5, 1, "points must differ"), ([[0, 0], [np.nan, 1]], 5, 1, "points must differ"),
+        ([[0, 0], [1, 1]], -5, 1, "the distance must be"), ([[0, 0], [1, 1]], 1e300, 1e299, "the distance must be"),
+        *(([[0, 0], [1, 1]], 5, sd, "the sigma must be") for sd in (0, 4e-6, 6, 1e300, np.nan)),
+    ],
+)  # fmt: skip
+def test_a_distance_that_makes_no_sense(points, metres, sd, why):
+    with pytest.raises(ValueError, match=why):
         known_distance(np.array(points, float), metres, sd)
 
 

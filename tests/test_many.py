@@ -384,13 +384,18 @@ def test_a_stop_ends_all_and_leaves_nothing_half_made(parks, tmp_path):
 
 
 def test_what_speaks_of_one_input_is_refused(parks):
-    for more in (["--known-distance", "0,0 9,9 1"], ["--save-detections", "x.json"]):
-        assert run("estimate", parks / "pictures", *options(parks, *more)).returncode == 2
-    assert run("estimate", parks / "pictures/a.png", *options(parks, "--jobs", "2")).returncode == 2
+    pictures, one = parks / "pictures", parks / "pictures/a.png"
+    for path, why, *more in (
+        (pictures, "is about one input, and these are several", "--known-distance", "0,0 9,9 1"),
+        (pictures, "keeps the boxes of one input", "--save-detections", "x.json"),
+        (one, "--jobs does nothing here: there is one input", "--jobs", "2"),
+        (pictures, "a summary ends in .csv", "--summary", "x.doc"),
+    ):
+        done = run("estimate", path, *options(parks, *more))
+        assert done.returncode == 2 and why in done.stderr, done.stderr
     for more in (["--model", "x"], ["--model-detections", "x.json"]):
         done = run("check", parks / "pictures", *options(parks, *more))
         assert done.returncode == 2 and f"{more[0]} is for one input" in done.stderr
-    assert run("estimate", parks / "pictures", *options(parks, "--summary", "x.doc")).returncode == 2
 
 
 def test_a_dry_run_in_json_tells_names_that_are_not_utf_8(capsys):

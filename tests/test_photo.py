@@ -111,6 +111,16 @@ def test_sides_of_the_earth_in_any_spelling(tmp_path, sides, place):
     assert read_tags(tmp_path / "a.jpg").lon_lat == place
 
 
+@pytest.mark.parametrize("place", [(0.0, 0.0), (8.5, 90.5), (180.5, 47.0)])
+def test_a_place_that_cannot_be_is_none(tmp_path, place):
+    """Zeros are of a receiver that had found nothing yet."""
+    assert read_tags(write_photo(tmp_path / "a.jpg", gps=place)).lon_lat is None
+
+
+def test_a_height_that_other_makers_call_otherwise_is_read_too(tmp_path):
+    assert read_tags(write_photo(tmp_path / "a.jpg", 'Camera:AboveGroundAltitude="52.5"')).relative_altitude == 52.5
+
+
 def test_raw_photos_and_hidden_files_are_no_photos(tmp_path):
     exif = Image.Exif()
     exif[0x00FE] = 1  # a reduced picture
@@ -275,6 +285,12 @@ def test_every_calibration_file_says_the_same_and_follows_the_photos_size(tmp_pa
         rays.append(camera.cam_from_img(np.array([[100.0, 200.0], [1000.0, 750.0]])))
     assert np.abs(np.array(rays) - rays[0]).max() < 1e-9
     assert lens_of(tags(2000, 1500), lens_file=tmp_path / "a.json").focal_px == pytest.approx(1150)
+
+
+def test_metashapes_pixels_that_are_not_square_are_wider_by_b1(tmp_path):
+    (tmp_path / "a.xml").write_text(CALIBRATIONS["a.xml"].replace("<cx>", "<b1>-5</b1><cx>"))
+    camera = lens_of(tags(), lens_file=tmp_path / "a.xml").camera
+    assert (camera.focal_length_x, camera.focal_length_y) == (2295, 2300)
 
 
 @pytest.mark.parametrize(

@@ -542,6 +542,14 @@ def with_control_points(path: Path, corners=((0, 0), (0, W), (H, 0), (H, W))) ->
     return path
 
 
+@pytest.mark.parametrize("world", ["2 4 1 2 5 5", "1e200 0 0 -1e200 5 5"])
+def test_pixels_without_an_area_or_with_an_endless_one_are_no_claim(tmp_path, world):
+    path = make(tmp_path / "a.tif")
+    path.with_suffix(".tfw").write_text("\n".join(world.split()))
+    claimed = RasterSource.open(path).claimed
+    assert (claimed.gsd_m, claimed.usable, claimed.why) == (None, False, "a geotransform without area")
+
+
 @pytest.mark.parametrize("kind", ["geotransform", "control points"])
 def test_a_reference_system_that_nobody_understands_is_no_claim(tmp_path, monkeypatch, kind):
     def refuse(crs):

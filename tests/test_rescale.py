@@ -163,7 +163,7 @@ def test_obj_with_its_materials(tmp_path):
     assert lines[2] == "v 2.5 5 7.5 0.5 0.5 0.5" and lines[3] == "v -0.0025 0 5"
     assert lines[4:] == source.read_text().splitlines()[3:]
     assert (tmp_path / "out/tex.png").read_bytes() == b"png" and (tmp_path / "out/a.mtl").is_file()
-    with pytest.raises(UsageError):
+    with pytest.raises(UsageError, match="in metres already"):
         scale_path(tmp_path / "out/a.obj", tmp_path / "b.obj", 2)
     source.write_text("v 1 2\n")
     with pytest.raises(InputError, match="line 1"):
@@ -182,7 +182,7 @@ def test_glb(tmp_path):
     assert world_points(text, 0) == [(2.5, 2.5)] and world_points(text, 1) == [(2.5, 2.5), (2.5, 0)]
     parents = [child for node in text["nodes"] for child in node.get("children", [])]
     assert len(parents) == len(set(parents)), "no node has two parents"
-    with pytest.raises(UsageError):
+    with pytest.raises(UsageError, match="in metres already"):
         scale_path(tmp_path / "b.glb", tmp_path / "c.glb", 2)
 
 
@@ -450,6 +450,7 @@ def test_las_and_laz_are_scaled_in_their_headers(tmp_path):
         (las(b"LASF_Projection", 2112, b"\0"), None, ""),
         (las(b"copc", 1, bytes(160)), InputError, "COPC"),
         (las(form=4), InputError, "waveforms"),
+        (las(form=0x80 | 9), InputError, "waveforms"),  # as LAZ marks what is compressed
         (las(b"x", 1, b"y")[:400], InputError, "400 bytes"),
         (las()[:235] + b"\xff" * 12 + las()[247:], InputError, "records"),
         (las()[:200], InputError, "not a LAS file"),
@@ -527,7 +528,7 @@ def test_transforms_with_their_cloud(tmp_path):
     assert np.allclose(matrix[:3, 3], SCALE * pose[:3, 3]) and (matrix[:, :3] == pose[:, :3]).all()
     assert np.allclose(np.array(new["applied_transform"])[:, 3], SCALE * pose[:3, 3]) and new["fl_x"] == 500
     assert np.allclose(read_ply(tmp_path / "out/sparse_pc.ply", 3)[0], SCALE * XYZ)
-    with pytest.raises(UsageError):
+    with pytest.raises(UsageError, match="in metres already"):
         scale_path(tmp_path / "out/transforms.json", tmp_path / "b.json", SCALE)
 
 
@@ -582,7 +583,7 @@ def test_reconstruction(tmp_path):
     assert new["shots"]["a.jpg"] == {**shot, "translation": [2, 4, 6]}
     assert new["points"]["1"] == {"coordinates": [2, 2, 2], "color": [1, 2, 3]}
     assert new["rig_instances"]["a"]["translation"] == [8, 0, 0]
-    with pytest.raises(UsageError):
+    with pytest.raises(UsageError, match="in metres already"):
         scale_path(tmp_path / "new.json", tmp_path / "b.json", 2)
     (tmp_path / "reconstruction.json").write_text(json.dumps([part, part]))
     with pytest.raises(UsageError, match="2 reconstructions, each with a scale of its own"):
@@ -657,19 +658,21 @@ def test_apply(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "error"),
+    ("name", "text", "error", "why"),
     [
-        ("sim3.json", "{}", InputError),
-        ("sim3.json", "[1]", InputError),
-        ("sim3.txt", "2 1 0 0", InputError),
-        ("sim3.txt", "2 1 0 0 0 5 0 0", UsageError),
-        ("sim3.txt", "-2 1 0 0 0 0 0 0", UsageError),
-        ("sim3.txt", "nan 1 0 0 0 0 0 0", UsageError),
+        ("sim3.json", "{}", InputError, "scale is missing"),
+        ("sim3.json", "[1]", InputError, "expected an object"),
+        ("sim3.txt", "2 1 0 0", InputError, "4 numbers, 8 are needed"),
+        ("sim3.txt", "2 1 0 0 0 five 0 0", InputError, "expected eight numbers"),
+        ("sim3.txt", "2 1 0 0 0 5 0 0", UsageError, "turns or shifts"),
+        ("sim3.txt", "2 0 1 0 0 0 0 0", UsageError, "turns or shifts"),
+        ("sim3.txt", "-2 1 0 0 0 0 0 0", UsageError, "cannot scale by -2"),
+        ("sim3.txt", "nan 1 0 0 0 0 0 0", UsageError, "cannot scale by nan"),
     ],
 )
-def test_similarities_that_are_none(tmp_path, name, text, error):
+def test_similarities_that_are_none(tmp_path, name, text, error, why):
     (tmp_path / name).write_text(text)
-    with pytest.raises(error):
+    with pytest.raises(error, match=why):
         Sim3.load(tmp_path / name)
 
 
