@@ -491,6 +491,7 @@ CORNERS = [float(v) for v in CAR.split()]
     "name, text, message",
     [
         ("d.txt", "1 2 3\n", "line 1 is no box"),
+        ("d.txt", "0 5 5 45 5 45 20 5 20\n", "line 1 is no box"),  # of Ultralytics, but for its pixels
         ("d.txt", f"ortho 0.9 {CAR}\n\northo nine {CAR}\n", "line 3 is no box"),
         ("d.txt", f"tokyo 0.9 {CAR}\nparis 0.9 {CAR}\n", "none of its 2 pictures is in .* the first is 'tokyo'"),
         ("d.txt", "tokyo 0.9 900 5 940 5 940 20 900 20\n", "1 of 1 boxes of 'tokyo' lie outside of ortho.tif"),
@@ -508,6 +509,11 @@ CORNERS = [float(v) for v in CAR.split()]
         ("d.json", {"annotations": [{"image_id": 1, "bbox": [1, 2, 3, 4]}], "images": IMAGE}, "no direction"),
         ("d.json", {"annotations": [{"image_id": 2, "bbox": [1] * 5}], "images": IMAGE}, "not among its images"),
         ("d.json", {"annotations": [{"image_id": 1, "segmentation": {"counts": "ab"}}]}, r"mask \(RLE\)"),
+        (
+            "d.json",
+            {"annotations": [{"image_id": 1, "segmentation": [[1, 2, 3, 4]]}], "images": IMAGE},
+            "fewer than three corners",
+        ),
         ("d.json", {"annotations": [{"segmentation": [CORNERS]}]}, r"annotations\[0\]: image_id is missing"),
         ("d.json", {"annotations": ["box"], "images": IMAGE}, r"annotations\[0\]: expected an object, found text"),
         ("d.json", {"annotations": [], "images": [{"id": 1}]}, r"images\[0\]: file_name is missing"),

@@ -69,3 +69,10 @@ def test_views_that_stray_are_of_one_vehicle_unless_a_frame_shows_both():
     assert views(*"abcab") == [[0, 1, 2], [3], [4]]
     assert views(*"abbab") == [[0, 1], [2], [3], [4]], "a frame shows both"
     assert len(gather(size, pixel, place, score, True)) == 4, "where frames are not known"
+
+
+def test_of_three_groups_in_a_row_the_two_that_are_nearest_to_each_other_are_one_vehicle():
+    """0.9 and 0.8 widths apart: the middle one is the nearest to both, but has one nearest itself."""
+    place = 1.8 * np.array([[0.0, 0.0], [0.9, 0.0], [1.7, 0.0]])
+    seen = gather(np.tile([4.5, 1.8], (3, 1)), np.ones(3), place, np.ones(3), True, picture=np.array([*"abc"]))
+    assert sorted(m.tolist() for m in seen.members) == [[0], [1, 2]]
