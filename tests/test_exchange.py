@@ -99,8 +99,6 @@ def test_boxes_saved_without_their_picture_are_json_that_strict_readers_take(tmp
 
 @pytest.mark.parametrize("name", ["d.json", "d.coco.json", "d.txt", "d.geojson", "d.gpkg"])
 def test_what_is_saved_reads_back(source, tmp_path, name):
-    if name.endswith("gpkg"):
-        pytest.importorskip("pyogrio")
     found = Detections({"ortho.tif": BOXES}, 0.8, RULER, (0.7, 0.5), "test", "abc")
     save(found, tmp_path / name, source)
     again = load(tmp_path / name, source)
@@ -149,8 +147,6 @@ def test_many_pictures_keep_their_names(tmp_path):
 
     boxes = {"a/1.jpg": BOXES, "a/2.jpg": BOXES[:1], "b/2.png": BOXES[1:]}
     for name in ("d.coco.json", "d.txt", "d.geojson", "d.gpkg"):
-        if name.endswith("gpkg"):
-            pytest.importorskip("pyogrio")
         save(Detections(boxes, 1.0, RULER, (0.7, 0.5), "test"), tmp_path / name, Frames())
         again = load(tmp_path / name, Frames()).boxes
         assert {k: len(v) for k, v in again.items()} == {"a/1.jpg": 3, "a/2.jpg": 1, "b/2.png": 2}
@@ -539,8 +535,6 @@ CORNERS = [float(v) for v in CAR.split()]
     ],
 )
 def test_what_fits_no_box_is_refused_in_words(plain, tmp_path, name, text, message):
-    if name.endswith("gpkg"):
-        pytest.importorskip("pyogrio")
     with pytest.raises(InputError, match=message) as refusal:
         load_text(plain, tmp_path, name, text)
     assert name in str(refusal.value), "the message names the file"
